@@ -13,10 +13,10 @@ from snakemake.exceptions import WorkflowError
 from snakemake.utils import update_config
 
 from splits.experiments import ConfigError, load_experiments, load_settings, read_yaml
-from splits.interrupts import pass_on_interrupts
+from splits.core.interrupts import forward_interrupts
 
 # Or snakemake would wait for running jobs to complete.
-pass_on_interrupts()
+forward_interrupts()
 
 # Jobs share the cores already: linear algebra that takes all of them in every job gets many times
 # as slow.

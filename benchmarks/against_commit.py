@@ -28,8 +28,8 @@ import numpy as np
 import pandas as pd
 from kernels import CASES
 
-from splits.experiments.papers.paper_tables import write_table
 from splits.core.paths import expand_path
+from splits.experiments.papers.paper_tables import write_table
 
 ROOT = Path(__file__).resolve().parents[1]
 RAYS_PROGRAM = """
@@ -93,7 +93,9 @@ def make_programs(plan: CommitComparisonPlan) -> dict[tuple[str, str], str]:
             ways=[*ways, papers] if not medium else ways,
         )  # fmt: skip
     representative = next(iter(CASES))
-    found["spectrum", representative] = SPECTRUM_PROGRAM.format(repeats=plan.n_repeats, error=plan.error)
+    found["spectrum", representative] = SPECTRUM_PROGRAM.format(
+        repeats=plan.n_repeats, error=plan.error
+    )
     found["first", representative] = FIRST_CALL_PROGRAM
     return found
 

@@ -34,7 +34,9 @@ def main() -> None:
             compare_methods(depth, wavelength, given.relative_stderr, given.rays)
 
 
-def compare_methods(depth_m: float, wavelength_nm: float, relative_stderr: float, rays: int) -> None:
+def compare_methods(
+    depth_m: float, wavelength_nm: float, relative_stderr: float, rays: int
+) -> None:
     """Measure one transmittance both ways and print them."""
     snow = splits.Snow(depth_m=depth_m)
     begun = time.perf_counter()

@@ -25,12 +25,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import splits
-from splits.simulation.tally import PathTally
-from splits.simulation.fixed_budget import SINGLE_STRATUM
-from splits.simulation.runner import Runner
-from splits.simulation.scene import compute_optical_constants
-from splits.media.medium import compute_mean_free_path_m
-from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.kernels.tallies.exits import (
     EXIT_LENGTH,
     EXIT_ORDER,
@@ -38,6 +32,12 @@ from splits.kernels.tallies.exits import (
     EXIT_WEIGHT,
     REFLECTED,
 )
+from splits.media.medium import compute_mean_free_path_m
+from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
+from splits.simulation.fixed_budget import SINGLE_STRATUM
+from splits.simulation.runner import Runner
+from splits.simulation.scene import compute_optical_constants
+from splits.simulation.tally import PathTally
 
 WAVELENGTHS_NM = [450.0, 600.0, 700.0, 800.0, 900.0, 1000.0]
 INCIDENCE_DEG = 40.0
@@ -100,10 +100,14 @@ def select_wavelengths(medium: Any) -> list[float]:
     return WAVELENGTHS_NM[:1] if medium.kind == "layer" else WAVELENGTHS_NM
 
 
-def time_spectrum(medium: Any, error: float, seed: int, incidence: float = INCIDENCE_DEG, **more: Any) -> Any:
+def time_spectrum(
+    medium: Any, error: float, seed: int, incidence: float = INCIDENCE_DEG, **more: Any
+) -> Any:
     """Return a spectrum and the seconds of processors that it took."""
     begun = time.process_time()
-    found = splits.spectrophotometer(medium, select_wavelengths(medium), incidence, error, seed, **more)
+    found = splits.spectrophotometer(
+        medium, select_wavelengths(medium), incidence, error, seed, **more
+    )
     return found, time.process_time() - begun
 
 
@@ -170,7 +174,9 @@ class ScoreTally(PathTally):
     sums: np.ndarray
     attenuation: float
 
-    def score_chunk(self, stratum: Any, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Any:
+    def score_chunk(
+        self, stratum: Any, first_ray: int, exits: np.ndarray, crossings: np.ndarray
+    ) -> Any:
         """Return sums and sums of squares over the rays of a batch, by wavelength."""
         lengths = exits[:, EXIT_LENGTH:]
         weight = exits[:, EXIT_WEIGHT, None] * np.exp(-lengths @ self.absorption.T)
@@ -194,7 +200,10 @@ def compute_likelihood_ratio(medium: Any, rays: int) -> tuple[np.ndarray, np.nda
     runner = Runner(medium, INCIDENCE_DEG, 1, None, False)
     one = ScoreTally(0, index[len(WAVELENGTHS_NM) // 2], absorption, np.ones(len(WAVELENGTHS_NM), bool), runner.tracer.traits,
                  strata=SINGLE_STRATUM)  # fmt: skip
-    one.sums, one.attenuation = np.zeros((2, len(WAVELENGTHS_NM))), 1.0 / compute_mean_free_path_m(medium)
+    one.sums, one.attenuation = (
+        np.zeros((2, len(WAVELENGTHS_NM))),
+        1.0 / compute_mean_free_path_m(medium),
+    )
     runner.trace([(one, level, rays) for level in one.strata], 1.0, 0.0)
     count = one.strata[0].n_rays
     mean = one.sums[0] / count
@@ -223,11 +232,15 @@ class IndependentDifferences(NamedTuple):
 
     def format_ratio(self, square: np.ndarray) -> str:
         """Return how large another mean square is, beside both."""
-        best, cautious = (np.median(square / own) for own in (self.mean_square, self.default_mean_square))
+        best, cautious = (
+            np.median(square / own) for own in (self.mean_square, self.default_mean_square)
+        )
         return f"{cautious:.2f} ({best:.2f})"
 
 
-def optimize_independent(medium: Any, name: str, step: float, error: float, spent: float) -> IndependentDifferences:
+def optimize_independent(
+    medium: Any, name: str, step: float, error: float, spent: float
+) -> IndependentDifferences:
     """Return what differences of independent runs are off by, after so many seconds.
 
     What a step is off by comes from runs that share random numbers with a derivative, of several
@@ -264,16 +277,22 @@ class TimedSpectrum(NamedTuple):
     seconds: float
 
 
-def _simulate_around(medium: Any, name: str, step: float, error: float, seed: int) -> dict[float, TimedSpectrum]:
+def _simulate_around(
+    medium: Any, name: str, step: float, error: float, seed: int
+) -> dict[float, TimedSpectrum]:
     """Return runs around a value, by distance in steps, as far as its range goes."""
     found = {}
-    for distance in sorted({f * x for f in STEP_FACTORS for rule in DIFFERENCE_RULES.values() for x in rule}):
+    for distance in sorted(
+        {f * x for f in STEP_FACTORS for rule in DIFFERENCE_RULES.values() for x in rule}
+    ):
         try:
             other, incidence = shift_parameter(medium, name, distance * step)
             run, seconds = time_spectrum(other, error, seed, incidence)
         except ValueError:
             continue
-        found[distance] = TimedSpectrum(run.reflectance.values, run.reflectance_stderr.values, seconds)
+        found[distance] = TimedSpectrum(
+            run.reflectance.values, run.reflectance_stderr.values, seconds
+        )
     return found
 
 
@@ -326,7 +345,10 @@ def report_attenuation_cost(error: float) -> None:
         long, stderr = compute_long_difference(medium, "density_kg_m3", 20.0, error, 100)
         other = optimize_independent(medium, "density_kg_m3", 20.0, error, spent)
         # Grains stay as they are: attenuation is that of the mean leg.
-        legs = [1.0 / compute_mean_free_path_m(replace_parameter(medium, "density_kg_m3", x)) for x in (199.0, 201.0)]
+        legs = [
+            1.0 / compute_mean_free_path_m(replace_parameter(medium, "density_kg_m3", x))
+            for x in (199.0, 201.0)
+        ]
         rate = 0.5 * np.log(legs[1] / legs[0])
         mean, variance, took = compute_likelihood_ratio(medium, 100_000)
         own = found.reflectance_jacobian_stderr.values[0] ** 2

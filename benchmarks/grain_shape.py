@@ -1,6 +1,6 @@
 """The optical shape of the model's grains by its readings, against natural snow.
 
-Printed are B and g at 900 nm without diffraction (`splits.analysis.grain_shape`) for the papers'
+Printed are B and g at 900 nm without diffraction (`splits.analysis.theory.grain_shape`) for the papers'
 readings and for others, with standard errors.  Natural snow, 33 samples in micro-tomography
 (Robledano et al. 2023, Nature Communications 14, 3955): B 1.68 ± 0.02 and g 0.65 ± 0.03.
 

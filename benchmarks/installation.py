@@ -32,7 +32,9 @@ snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
 ds = splits.spectrophotometer(snow, range(400, 2501, 10), max_stderr=0.01, seed=1)
 print(splits.__file__, float(ds.reflectance.sel(wavelength=1000)), ds.sizes["wavelength"])
 """
-IMPORT_PROGRAM = "import time; t = time.perf_counter(); import splits; print(time.perf_counter() - t)"
+IMPORT_PROGRAM = (
+    "import time; t = time.perf_counter(); import splits; print(time.perf_counter() - t)"
+)
 
 
 def run_command(*command: object, **environment: str) -> str:
@@ -113,7 +115,9 @@ def main() -> None:
         imports = [float(run_command(python, "-c", IMPORT_PROGRAM)) for _ in range(7)]
         size = measure_size_mib(folder / "wheel", False)
         print(f"{wheel.name}: {wheel.stat().st_size / 2**20:.2f} MiB")
-        print(f"installed: {size:.0f} MiB, {measure_size_mib(folder / 'wheel', True):.0f} with bytecode")
+        print(
+            f"installed: {size:.0f} MiB, {measure_size_mib(folder / 'wheel', True):.0f} with bytecode"
+        )
         print(f"import splits: {statistics.median(imports):.3f} s, median of {len(imports)}")
         print(
             f"from nothing to a spectrum of {spectrum[2]} wavelengths: {first - begun:.0f} s "
@@ -124,7 +128,9 @@ def main() -> None:
         if not spectrum[0].startswith(str(folder)) or spectrum[1:] != here[1:]:
             sys.exit(f"installation: {spectrum} is not what the checkout computes: {here}")
         other = install(source, folder / "source", by_pip)
-        print(f"{source.name}: installs, version {run_command(other, '-m', 'splits.command', 'versions')}")
+        print(
+            f"{source.name}: installs, version {run_command(other, '-m', 'splits.cli', 'versions')}"
+        )
         if size > MAX_SIZE_MB:
             sys.exit(f"installation: {size:.0f} MiB: must be at most {MAX_SIZE_MB}")
 

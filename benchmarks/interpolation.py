@@ -16,11 +16,11 @@ from __future__ import annotations
 import numpy as np
 
 import splits
-from splits.simulation.tally import PathTally
-from splits.simulation.fixed_budget import estimate_fixed_budget
-from splits.simulation.spectral_nodes import MAX_LOG_CURVATURE, MAX_LOG_SLOPE, choose_nodes
-from splits.simulation.runner import Runner
 from splits.materials.lookup import absorption_coefficient
+from splits.simulation.fixed_budget import estimate_fixed_budget
+from splits.simulation.runner import Runner
+from splits.simulation.spectral_nodes import MAX_LOG_CURVATURE, MAX_LOG_SLOPE, choose_nodes
+from splits.simulation.tally import PathTally
 
 # Wider apart than any spectrum spreads them, so that the bend shows beyond the noise.
 SOLIDS = {
@@ -89,7 +89,9 @@ def print_interpolation_errors() -> None:
         nodes = choose_nodes(index, sand.list_interfaces(), TOLERANCE)
         rows = [int(np.flatnonzero((index == node).all(axis=1))[0]) for node in nodes.index]
         few, few_error, _ = estimate_fixed_budget(sand, wavelengths, 0.0, rows, RAYS, 1)
-        every, error, _ = estimate_fixed_budget(sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2)
+        every, error, _ = estimate_fixed_budget(
+            sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2
+        )
         off, noise = few[0] - every[0], np.hypot(few_error[0], error[0])
         between = np.setdiff1d(np.arange(len(wavelengths)), rows)
         z = off[between] / noise[between]

@@ -31,17 +31,17 @@ import numpy as np
 import pandas as pd
 
 import splits
-from splits.experiments.papers.paper_tables import write_table
-from splits.simulation.scene import build_scene
-from splits.simulation.threads import count_cpus
-from splits.materials.lookup import absorption_coefficient
 from splits.core.paths import expand_path
+from splits.experiments.papers.paper_tables import write_table
 from splits.kernels import vectorized
 from splits.kernels.compiler.features import Features
 from splits.kernels.grains import history
 from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, make_bounding_optics
-from splits.kernels.vectorized.eligibility import select_features
 from splits.kernels.tallies.exits import allocate_exits
+from splits.kernels.vectorized.eligibility import select_features
+from splits.materials.lookup import absorption_coefficient
+from splits.simulation.scene import build_scene
+from splits.simulation.threads import count_cpus
 
 WAVELENGTHS_NM = np.arange(400, 2501, 10)
 CASES: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {
@@ -119,7 +119,9 @@ class KernelTimer:
         """Trace rays from one of that number on and return their legs."""
         work = np.array([[0, first, self.n_rays, NO_MAX_ORDER]])
         if self.features is None:
-            told = history.trace_batch(seed, work[0], self.scene, self.optics, self.exits, None, None)
+            told = history.trace_batch(
+                seed, work[0], self.scene, self.optics, self.exits, None, None
+            )
         else:
             optics = Optics(*(values[np.newaxis] for values in self.optics))
             told = vectorized.batch(seed, work, self.scene, optics, self.exits, self.features)
@@ -156,7 +158,9 @@ def compute_optics(medium: Any, wavelength_nm: float) -> Optics:
 
 def get_features(medium: Any, wavelength_nm: float) -> Features:
     """Return what lanes need for a medium."""
-    features = select_features(build_scene(medium, 0.0, False), compute_optics(medium, wavelength_nm))
+    features = select_features(
+        build_scene(medium, 0.0, False), compute_optics(medium, wavelength_nm)
+    )
     if features is None:
         raise RuntimeError("lanes do not serve this medium")
     return features
@@ -172,7 +176,13 @@ def time_in_turn(timers: Mapping[str, KernelTimer], plan: KernelBenchmarkPlan) -
 
 
 def make_row(
-    part: str, case: str, unit: str, seconds: float, reference: str, reference_s: float, **facts: float
+    part: str,
+    case: str,
+    unit: str,
+    seconds: float,
+    reference: str,
+    reference_s: float,
+    **facts: float,
 ) -> dict[str, Any]:
     """Return a row of the table."""
     return {
@@ -282,7 +292,11 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a trial: few rays, one round")
     given = parser.parse_args()
     plan = QUICK if given.quick else KernelBenchmarkPlan()
-    parts: list[Callable[[KernelBenchmarkPlan], list[dict[str, Any]]]] = [compare_with_scalar, compare_two_cores, compare_features]
+    parts: list[Callable[[KernelBenchmarkPlan], list[dict[str, Any]]]] = [
+        compare_with_scalar,
+        compare_two_cores,
+        compare_features,
+    ]
     rows = [one for part in parts for one in part(plan)]
     if given.table:
         write_table(pd.DataFrame(rows), given.table)

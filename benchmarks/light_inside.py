@@ -1,12 +1,12 @@
 """What light inside costs: planes by ray, and errors of absorbed power by time.
 
-First `splits.profile` against the plain spectrum, for the same rays: wet snow of SPLITSnow Table 1
+First `splits.irradiance_profile` against the plain spectrum, for the same rays: wet snow of SPLITSnow Table 1
 at 211 wavelengths, one thread, by turns.  So large an error is asked for that there is one round
 only.  Printed are CPU seconds per ray over those of the spectrophotometer.
 
 Then five layers of natural snow under a sky.  Errors are asked at every wavelength of irradiances
-and absorptances, as `splits.profile` does by default, or of power absorbed in the broad band, or of
-irradiances in it, as `splits.light_inside` does.  Printed are CPU seconds, stated errors of the
+and absorptances, as `splits.irradiance_profile` does by default, or of power absorbed in the broad band, or of
+irradiances in it, as `splits.radiation_profile` does.  Printed are CPU seconds, stated errors of the
 power that the top layer absorbs and of the irradiance below it (W m⁻²), the part of the former that
 bounds interpolation between refractive indices, and how both scatter over seeds.  At last, the
 difference that interpolation makes: between as few indices as the first rule takes, and many.
@@ -106,8 +106,12 @@ def report_error_costs(errors: Sequence[float], seeds: int) -> None:
     kinds = {
         "irradiance by wavelength": lambda e: FluxStoppingRule(e),
         "irradiance in the band": lambda e: FluxStoppingRule(e, True, part[np.newaxis], np.ones(1)),
-        "absorbed power in the band": lambda e: FluxStoppingRule(e, False, part[np.newaxis], np.ones(1)),
-        "absorbed power, to a tenth": lambda e: FluxStoppingRule(0.1 * e, False, part[np.newaxis], np.ones(1)),
+        "absorbed power in the band": lambda e: FluxStoppingRule(
+            e, False, part[np.newaxis], np.ones(1)
+        ),
+        "absorbed power, to a tenth": lambda e: FluxStoppingRule(
+            0.1 * e, False, part[np.newaxis], np.ones(1)
+        ),
     }
     by_wavelength = xr.DataArray(weights, {"wavelength": w}, ("wavelength",))
     most = {}

@@ -39,7 +39,9 @@ def make_cloud_phase_function() -> dict[str, list[float]]:
     return {"cosine": cosine.tolist(), "density": table.density_per_sr.tolist()}
 
 
-def measure_layer(layer: splits.ParticleLayer, rays: int, seeds: int) -> tuple[np.ndarray, np.ndarray, float]:
+def measure_layer(
+    layer: splits.ParticleLayer, rays: int, seeds: int
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Return BRDF and BTDF of all seeds, their errors, and the time for a ray (s)."""
     views = {"polar_deg": POLAR_DEG, "azimuth_deg": [0.0], "estimator": "local", "threads": 1}
     splits.goniophotometer(layer, [700.0], 0.0, 10, **views)

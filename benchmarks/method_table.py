@@ -10,7 +10,13 @@ import xarray as xr
 
 from splits.experiments.papers import performance
 
-NUMBER_COLUMNS = ("stderr_largest", "stderr_rms", "deviation_rms", "deviation_largest", "deviation_z")
+NUMBER_COLUMNS = (
+    "stderr_largest",
+    "stderr_rms",
+    "deviation_rms",
+    "deviation_largest",
+    "deviation_z",
+)
 
 
 class MethodTable:
@@ -40,7 +46,8 @@ class MethodTable:
         """Add a method; of several spectra, the root mean square or largest of each number."""
         facts |= performance.combine_runs(
             [
-                performance.compute_deviations(one, self.reference) | performance.summarize_stated_errors(one)
+                performance.compute_deviations(one, self.reference)
+                | performance.summarize_stated_errors(one)
                 for one in spectra
             ]
         )
@@ -52,7 +59,9 @@ class MethodTable:
             "seconds": seconds,
             "rays": round(rays),
             **{key: facts.get(key, np.nan) for key in NUMBER_COLUMNS},
-            "reference_stderr": float(performance.summarize_stated_errors(self.reference)["stderr_largest"]),
+            "reference_stderr": float(
+                performance.summarize_stated_errors(self.reference)["stderr_largest"]
+            ),
             "wavelengths_traced": spectra[0].sizes["wavelength"] if spectra else 0,
         }
         self.rows.append(row)

@@ -36,8 +36,8 @@ import pandas as pd
 import xarray as xr
 
 import splits
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.analysis.theory.asymptotic import correct_dense_packing
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.experiments.papers.paper_tables import write_table
 
 GEOMETRIC = "geometric"
@@ -71,7 +71,10 @@ class PackingEffort:
 def make_snow(rule: str, density: float, **settings: Any) -> splits.Snow:
     """Return natural snow under a rule."""
     return splits.Snow.natural(
-        specific_surface_area_m2_kg=20.0, density_kg_m3=density, readings=OVERLAP_RULES[rule], **settings
+        specific_surface_area_m2_kg=20.0,
+        density_kg_m3=density,
+        readings=OVERLAP_RULES[rule],
+        **settings,
     )
 
 
@@ -81,7 +84,9 @@ def reflect_dilute(rule: str, incidence: float | str, stderr: float) -> xr.Datas
     return splits.spectrophotometer(make_snow(rule, 10.0), [1300.0], incidence, stderr, 20)
 
 
-def measure_similarity(rule: str, density: float, effort: PackingEffort) -> Iterator[tuple[Any, ...]]:
+def measure_similarity(
+    rule: str, density: float, effort: PackingEffort
+) -> Iterator[tuple[Any, ...]]:
     """Yield reflectances of a half-space against the dilute one and discrete ordinates."""
     snow = make_snow(rule, density)
     deep = make_snow(rule, density, depth_m=1e4 / density)
@@ -96,7 +101,9 @@ def measure_similarity(rule: str, density: float, effort: PackingEffort) -> Iter
             yield law, incidence, gap, error
 
 
-def measure_transmittance(rule: str, density: float, effort: PackingEffort) -> Iterator[tuple[Any, ...]]:
+def measure_transmittance(
+    rule: str, density: float, effort: PackingEffort
+) -> Iterator[tuple[Any, ...]]:
     """Yield transmittances against discrete ordinates."""
     snow = make_snow(rule, density, depth_m=0.05)
     optics = correct_dense_packing(splits.single_scattering(snow, [700.0], rays=500_000))
@@ -108,7 +115,9 @@ def measure_transmittance(rule: str, density: float, effort: PackingEffort) -> I
         yield "ordinates T", incidence, gap, error
 
 
-def measure_reciprocity(rule: str, density: float, effort: PackingEffort) -> Iterator[tuple[Any, ...]]:
+def measure_reciprocity(
+    rule: str, density: float, effort: PackingEffort
+) -> Iterator[tuple[Any, ...]]:
     """Yield the ratio of azimuthally averaged BRDFs from 30° to 70° and back, by angular bins."""
     snow = make_snow(rule, density, depth_m=0.05)
     bins = splits.goniophotometer(snow, [1000.0], 0.0, 1000, estimator="cells").polar.values
@@ -149,7 +158,10 @@ def measure_paths(rule: str, density: float, effort: PackingEffort) -> Iterator[
         # whose runs have the same paths, take that out.
         ratios = []
         for alpha in (WEAK_ABSORPTION_PER_M, 2.0 * WEAK_ABSORPTION_PER_M):
-            indices = {"ice": _make_weak_index(index, alpha), "air": _make_weak_index(1.0, in_air * alpha)}
+            indices = {
+                "ice": _make_weak_index(index, alpha),
+                "air": _make_weak_index(1.0, in_air * alpha),
+            }
             snow = make_snow(rule, density, depth_m=depth, refractive_index=indices)
             found = splits.spectrophotometer(
                 snow, [1000.0], light, 1e-6, 40, max_rays=effort.rays

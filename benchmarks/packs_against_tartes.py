@@ -27,11 +27,13 @@ import tartes
 import xarray as xr
 
 import splits
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.analysis.theory.asymptotic import correct_dense_packing
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.simulation.scene import compute_optical_constants
 
-WAVELENGTHS_NM = np.array([450.0, 600.0, 750.0, 900.0, 1000.0, 1100.0, 1300.0, 1500.0, 1700.0, 2200.0])
+WAVELENGTHS_NM = np.array(
+    [450.0, 600.0, 750.0, 900.0, 1000.0, 1100.0, 1300.0, 1500.0, 1700.0, 2200.0]
+)
 ICE_KG_M3 = 917.0
 KEEP_OVERLAPS = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
 FINE_GRAINS = {"grain_size_um": (100.0, 200.0), "saturation": 0.0}
@@ -53,7 +55,9 @@ INCIDENCE_DEG = (30.0, 60.0)
 
 def compute_shape(snow: splits.Snow, optics: xr.Dataset) -> pd.DataFrame:
     """Return B and g over wavelength, diffraction counted."""
-    gamma = compute_optical_constants(snow, WAVELENGTHS_NM).absorption[:, snow.list_materials().index("ice")]
+    gamma = compute_optical_constants(snow, WAVELENGTHS_NM).absorption[
+        :, snow.list_materials().index("ice")
+    ]
     ssa = 4.0 * optics.extinction.values / snow.density_kg_m3
     albedo = optics.single_scattering_albedo.values
     b = 0.5 * (1.0 - albedo) * ICE_KG_M3 * ssa / (2.0 * gamma)
@@ -61,7 +65,9 @@ def compute_shape(snow: splits.Snow, optics: xr.Dataset) -> pd.DataFrame:
     return pd.DataFrame({"B": b, "g": g}, WAVELENGTHS_NM.astype(int))
 
 
-def compute_two_stream_albedo(layers: list[splits.Snow], optics: list[xr.Dataset], angle: float) -> np.ndarray:
+def compute_two_stream_albedo(
+    layers: list[splits.Snow], optics: list[xr.Dataset], angle: float
+) -> np.ndarray:
     """Return the albedo of a pack by the two streams of TARTES."""
     albedo = np.stack([one.single_scattering_albedo.values for one in optics], axis=-1)
     asymmetry = np.stack([one.asymmetry_parameter.values for one in optics], axis=-1)
@@ -127,7 +133,9 @@ def main() -> None:
     )
     parser.add_argument("--max-stderr", type=float, default=0.001)
     given = parser.parse_args()
-    found = pd.concat(compare_snowpack(name, i, given.max_stderr) for i, name in enumerate(SNOWPACKS))
+    found = pd.concat(
+        compare_snowpack(name, i, given.max_stderr) for i, name in enumerate(SNOWPACKS)
+    )
     print(found.round(4).to_string(index=False))
     steps = ["ours - kept", "kept - ordinates", "ordinates - TARTES"]
     summary = found.groupby(["pack", "incidence"], sort=False)[steps].agg(["mean", "min", "max"])

@@ -22,14 +22,14 @@ import xarray as xr
 from scipy.stats import binom
 
 import splits
-from splits.instruments.shared_spectra import simulate_spectra
-from splits.simulation.path_reuse import group_by_shared_paths
-from splits.instruments.spectral_run import SpectralRequest
-from splits.tables.interpolation import apply_axis_transform
 from splits.core.paths import expand_path
-from splits.retrieval.state_vector import StateVector
+from splits.instruments.shared_spectra import simulate_spectra
+from splits.instruments.spectral_run import SpectralRequest
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.state_vector import StateVector
+from splits.simulation.path_reuse import group_by_shared_paths
+from splits.tables.interpolation import apply_axis_transform
 
 SIZE, WATER, SOOT = "optical_radius_um", "liquid_water_content", "impurities_ng_g.black_carbon"
 SNOW_WAVELENGTHS_NM = np.arange(400.0, 2401.0, 25.0)
@@ -72,13 +72,17 @@ def load_or_build_table(path: Path, make: Callable[..., Any], grid: dict[str, An
     """Return a table that a file keeps."""
     if not path.exists():
         begun = time.process_time()
-        found = splits.build_table(make, grid, wavelengths_nm, incidence, max_stderr=error, covariance=True)
+        found = splits.build_table(
+            make, grid, wavelengths_nm, incidence, max_stderr=error, covariance=True
+        )
         splits.save(found, path)
         print(f"{path.name}: {time.process_time() - begun:.0f} s of CPU", flush=True)
     return splits.open_table(path)
 
 
-def draw_truths(random: np.random.Generator, ranges: dict[str, Any], count: int) -> dict[str, np.ndarray]:
+def draw_truths(
+    random: np.random.Generator, ranges: dict[str, Any], count: int
+) -> dict[str, np.ndarray]:
     """Return truths, drawn evenly in coordinates."""
     found = {}
     for name, (low, high) in ranges.items():
@@ -89,12 +93,16 @@ def draw_truths(random: np.random.Generator, ranges: dict[str, Any], count: int)
     return found
 
 
-def load_or_simulate_spectra(path: Path, media: list[Any], wavelengths_nm: np.ndarray, incidence: float, seed: int) -> SimulatedSpectra:
+def load_or_simulate_spectra(
+    path: Path, media: list[Any], wavelengths_nm: np.ndarray, incidence: float, seed: int
+) -> SimulatedSpectra:
     """Return spectra of media, those that share paths from one ensemble; a file keeps them."""
     if path.exists():
         kept = np.load(path)
         return SimulatedSpectra(kept["values"], kept["groups"])
-    run = SpectralRequest.from_arguments(wavelengths_nm, incidence, TRUTH_STDERR, seed, 20_000_000, None, "auto")
+    run = SpectralRequest.from_arguments(
+        wavelengths_nm, incidence, TRUTH_STDERR, seed, 20_000_000, None, "auto"
+    )
     values: list[Any] = [None] * len(media)
     groups: list[Any] = [None] * len(media)
     for members in group_by_shared_paths(media, wavelengths_nm):
@@ -122,7 +130,14 @@ def report_coverage(label: str, names: list[str], results: list[Any], truths: np
         line = [f"  {name:32}"]
         for low, high, share in ((1, 3, 0.68), (0, 4, 0.95)):
             inside = (quantiles[:, low, i] <= truth) & (truth <= quantiles[:, high, i])
-            bounds = binom.ppf([0.5 - 0.5 * INTERVAL_PROBABILITY, 0.5 + 0.5 * INTERVAL_PROBABILITY], many, share) / many
+            bounds = (
+                binom.ppf(
+                    [0.5 - 0.5 * INTERVAL_PROBABILITY, 0.5 + 0.5 * INTERVAL_PROBABILITY],
+                    many,
+                    share,
+                )
+                / many
+            )
             line.append(
                 f"{inside.mean():.3f} within {share:.0%} ({bounds[0]:.3f} to {bounds[1]:.3f})"
             )
@@ -154,11 +169,15 @@ def retrieve_snow(folder: Path, table: splits.Table, count: int, n_waters: int =
         truth[WATER][:] = truth[WATER][0]
         media = [make_snow(**{n: float(truth[n][i]) for n in names}) for i in range(each)]
         path = folder / f"snow_{each}_{number}.npz"
-        spectra = load_or_simulate_spectra(path, media, SNOW_WAVELENGTHS_NM, float(angle), 1000 + number)
+        spectra = load_or_simulate_spectra(
+            path, media, SNOW_WAVELENGTHS_NM, float(angle), 1000 + number
+        )
         for i, pair in enumerate(zip(*spectra, strict=True)):
             measured, noise = add_noise(random, *pair)
             at = {"incidence_deg": float(angle)}
-            found.append(splits.retrieve((SNOW_WAVELENGTHS_NM, measured), table, SNOW_TRUTH, noise, at=at))
+            found.append(
+                splits.retrieve((SNOW_WAVELENGTHS_NM, measured), table, SNOW_TRUTH, noise, at=at)
+            )
             truths.append([truth[n][i] for n in names])
     report_coverage("snow", names, found, np.array(truths))
 
@@ -170,7 +189,9 @@ def retrieve_sand(folder: Path, table: splits.Table, count: int) -> None:
     truth = draw_truths(random, SAND_TRUTH, count)
     for i in range(count):
         sand = splits.Sand(**{n: float(truth[n][i]) for n in names})
-        own = load_or_simulate_spectra(folder / f"sand_{count}_{i}.npz", [sand], SAND_WAVELENGTHS_NM, 0.0, 2000 + i)
+        own = load_or_simulate_spectra(
+            folder / f"sand_{count}_{i}.npz", [sand], SAND_WAVELENGTHS_NM, 0.0, 2000 + i
+        )
         measured, noise = add_noise(random, own.values[0], own.batches[0])
         found.append(splits.retrieve((SAND_WAVELENGTHS_NM, measured), table, SAND_TRUTH, noise))
     report_coverage("sand", names, found, np.stack([truth[n] for n in names], axis=1))
@@ -180,11 +201,17 @@ def retrieve_maps(table: splits.Table, pixels: int) -> None:
     """Retrieve a map made from the table, with noise of 1 %."""
     random = np.random.default_rng(22)
     names, at = [SIZE, WATER, SOOT], {"incidence_deg": 45.0}
-    plain = Measurement.from_input((SNOW_WAVELENGTHS_NM, np.full(SNOW_WAVELENGTHS_NM.size, 0.5)), RELATIVE_NOISE)
-    model = TableForwardModel(table, plain, StateVector.from_ranges(SNOW_TRUTH, None, get_table_ranges(table)), at)
+    plain = Measurement.from_input(
+        (SNOW_WAVELENGTHS_NM, np.full(SNOW_WAVELENGTHS_NM.size, 0.5)), RELATIVE_NOISE
+    )
+    model = TableForwardModel(
+        table, plain, StateVector.from_ranges(SNOW_TRUTH, None, get_table_ranges(table)), at
+    )
     places = random.random((pixels * pixels, len(names)))
     truth = model.state_vector.to_physical(places)
-    cube = model.evaluate(places) + RELATIVE_NOISE * random.standard_normal((len(places), SNOW_WAVELENGTHS_NM.size))
+    cube = model.evaluate(places) + RELATIVE_NOISE * random.standard_normal(
+        (len(places), SNOW_WAVELENGTHS_NM.size)
+    )
     image = xr.DataArray(cube.reshape(pixels, pixels, -1), {"wavelength": SNOW_WAVELENGTHS_NM},
                          ("y", "x", "wavelength"))  # fmt: skip
     splits.retrieve_map(image[:2], table, SNOW_TRUTH, RELATIVE_NOISE, at=at)
@@ -210,11 +237,15 @@ def main() -> None:
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     if given.snows:
-        of_snow = load_or_build_table(given.folder / "snow.nc", make_snow, SNOW_GRID, SNOW_WAVELENGTHS_NM, 0.002)
+        of_snow = load_or_build_table(
+            given.folder / "snow.nc", make_snow, SNOW_GRID, SNOW_WAVELENGTHS_NM, 0.002
+        )
         retrieve_maps(of_snow, given.pixels)
         retrieve_snow(given.folder, of_snow, given.snows)
     if given.sands:
-        of_sand = load_or_build_table(given.folder / "sand.nc", splits.Sand, SAND_GRID, SAND_WAVELENGTHS_NM, 0.002)
+        of_sand = load_or_build_table(
+            given.folder / "sand.nc", splits.Sand, SAND_GRID, SAND_WAVELENGTHS_NM, 0.002
+        )
         retrieve_sand(given.folder, of_sand, given.sands)
 
 

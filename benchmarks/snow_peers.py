@@ -42,7 +42,9 @@ class SnowpackCase(NamedTuple):
     ground: float
     incidence: float | str
 
-    def simulate_albedo(self, max_stderr: float, impurities_in: str = "ice") -> tuple[np.ndarray, np.ndarray]:
+    def simulate_albedo(
+        self, max_stderr: float, impurities_in: str = "ice"
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return our reflectance and its error, with soot within the ice or in the pores."""
         layers = [
             splits.Snow.natural(
@@ -76,7 +78,9 @@ class SnowpackCase(NamedTuple):
         if self.incidence == "diffuse":
             return np.asarray(snowoptics.albedo_diffuse_KZ04(1e-9 * WAVELENGTHS_NM, area, **shape))
         angle = math.radians(float(self.incidence))
-        return np.asarray(snowoptics.albedo_direct_KZ04(1e-9 * WAVELENGTHS_NM, angle, area, **shape))
+        return np.asarray(
+            snowoptics.albedo_direct_KZ04(1e-9 * WAVELENGTHS_NM, angle, area, **shape)
+        )
 
 
 ASYMMETRY_WITH_DIFFRACTION = 0.5 * (1.0 + NATURAL_GRAIN_SHAPE.asymmetry_parameter)
@@ -90,12 +94,25 @@ CASES = {
         for area in (5.0, 20.0, 60.0)
         for light in (53.0, "diffuse")
     },
-    **{f"two layers on soil, {angle:g}°": SnowpackCase(TWO_LAYERS, 0.2, angle) for angle in (0.0, 53.0, 75.0)},
-    "20 m2/kg, deep, diffuse, 50 ng/g soot": SnowpackCase([(20.0, 300.0, INFINITE_DEPTH, 50.0)], 0.0, "diffuse"),
-    "20 m2/kg, deep, diffuse, 500 ng/g soot": SnowpackCase([(20.0, 300.0, INFINITE_DEPTH, 500.0)], 0.0, "diffuse"),
-    "two sooty layers on soil, diffuse": SnowpackCase([(*one[:3], 50.0) for one in TWO_LAYERS], 0.2, "diffuse"),
+    **{
+        f"two layers on soil, {angle:g}°": SnowpackCase(TWO_LAYERS, 0.2, angle)
+        for angle in (0.0, 53.0, 75.0)
+    },
+    "20 m2/kg, deep, diffuse, 50 ng/g soot": SnowpackCase(
+        [(20.0, 300.0, INFINITE_DEPTH, 50.0)], 0.0, "diffuse"
+    ),
+    "20 m2/kg, deep, diffuse, 500 ng/g soot": SnowpackCase(
+        [(20.0, 300.0, INFINITE_DEPTH, 500.0)], 0.0, "diffuse"
+    ),
+    "two sooty layers on soil, diffuse": SnowpackCase(
+        [(*one[:3], 50.0) for one in TWO_LAYERS], 0.2, "diffuse"
+    ),
 }
-OWN_SHAPE = {"shape_parameterization": "constant", "B0": NATURAL_GRAIN_SHAPE.absorption_enhancement, "g0": ASYMMETRY_WITH_DIFFRACTION}
+OWN_SHAPE = {
+    "shape_parameterization": "constant",
+    "B0": NATURAL_GRAIN_SHAPE.absorption_enhancement,
+    "g0": ASYMMETRY_WITH_DIFFRACTION,
+}
 
 
 def compare_models(name: str, max_stderr: float) -> pd.DataFrame:
@@ -124,12 +141,19 @@ def report_soot(tables: dict[str, pd.DataFrame], max_stderr: float) -> None:
         name = f"20 m2/kg, deep, diffuse, {amount} ng/g soot"
         dirty = tables[name].set_index("nm").loc[500.0]
         fall = {n: clean[n] - dirty[n] for n in ("ours", "TARTES", "TARTES, our shape")}
-        pores = CASES[name].simulate_albedo(max_stderr, "pores")[0][list(WAVELENGTHS_NM).index(500.0)]
+        pores = CASES[name].simulate_albedo(max_stderr, "pores")[0][
+            list(WAVELENGTHS_NM).index(500.0)
+        ]
         fall["ours, in pores"] = clean.ours - pores
         error = math.hypot(clean.stderr, dirty.stderr)
         said = ", ".join(f"{label} {value:.4f}" for label, value in fall.items())
         print(f"{amount} ng/g soot at 500 nm: {said} (ours ± {error:.4f})")
-    mine = make_impurities({"black_carbon": 1.0}, {})[0].compute_absorption_per_kg_ice(np.array([500.0]))[0] * 1e9
+    mine = (
+        make_impurities({"black_carbon": 1.0}, {})[0].compute_absorption_per_kg_ice(
+            np.array([500.0])
+        )[0]
+        * 1e9
+    )
     theirs = float(np.ravel(tartes.impurities.SootSNICAR3().MAE(5e-7))[0])
     print(f"absorption per mass at 500 nm: ours {mine:.0f} m2/kg, TARTES {theirs:.0f} m2/kg")
 

@@ -1,7 +1,7 @@
 """Time and error of every way to a spectrum: the papers' algorithm, weights, lanes, two theories.
 
 One thread measures spectra of 211 wavelengths, 400-2500 nm, of four media in one run, after
-warm-ups that compile every kernel used.  Methods (`splits.analysis.efficiency.METHODS`):
+warm-ups that compile every kernel used.  Methods (`splits.experiments.papers.performance.METHODS`):
 
 papers_uniform      the papers' algorithm, absorption by coin toss, the same number of rays at
                     every wavelength, as many as the noisiest one needs: our reading of the papers,
@@ -53,18 +53,18 @@ from method_table import Table
 from theories import THEORIES
 
 import splits
+from splits.core.paths import expand_path
 from splits.experiments.papers import performance
+from splits.experiments.papers.paper_tables import write_table
 from splits.experiments.papers.performance import (
-    PAPER_ADAPTIVE,
-    VECTORIZED,
     MEASURED,
     MEASURED_PARTLY,
-    SCALED,
+    PAPER_ADAPTIVE,
     PAPER_UNIFORM,
+    SCALED,
+    VECTORIZED,
 )
-from splits.experiments.papers.paper_tables import write_table
 from splits.simulation.estimators import ANALOG_PILOT_RAYS
-from splits.core.paths import expand_path
 
 MEDIA = {
     "representative": splits.Snow(),
@@ -144,7 +144,9 @@ def compute_source_digest(medium: splits.Snow) -> str:
     return digest.hexdigest()
 
 
-def load_or_compute_reference(name: str, medium: splits.Snow, plan: SpeedPlan, folder: Path) -> xr.Dataset:
+def load_or_compute_reference(
+    name: str, medium: splits.Snow, plan: SpeedPlan, folder: Path
+) -> xr.Dataset:
     """Return the reference spectrum of a medium, from a file if one is there that still holds."""
     slug = name.replace(" ", "_")
     path = folder / f"reference_{slug}_{plan.step_nm}nm_{plan.reference_stderr:g}.nc"
@@ -194,7 +196,9 @@ def time_papers(table: Table, medium: splits.Snow, plan: SpeedPlan, include_smal
     """Add the papers' algorithm, run to the largest error, and to the smallest if `fully`."""
     scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
     first = plan.errors[0]
-    spectrum, seconds, rays = simulate_one_by_one(medium, plan.sparse_wavelengths, first, estimator="analog")
+    spectrum, seconds, rays = simulate_one_by_one(
+        medium, plan.sparse_wavelengths, first, estimator="analog"
+    )
     add_papers(table, first, spectrum, seconds, rays, scale)
     stderr = compute_largest_stderr(spectrum)
     for error in plan.errors[1:]:
@@ -208,7 +212,12 @@ def time_papers(table: Table, medium: splits.Snow, plan: SpeedPlan, include_smal
             table.add(method, SCALED, scale * spent, scale * count, error, stderr_largest=error)
     if include_smallest:
         last = plan.errors[-1]
-        add_papers(table, last, *simulate_one_by_one(medium, plan.sparse_wavelengths, last, estimator="analog"), scale)
+        add_papers(
+            table,
+            last,
+            *simulate_one_by_one(medium, plan.sparse_wavelengths, last, estimator="analog"),
+            scale,
+        )
 
 
 def add_papers(
@@ -229,7 +238,14 @@ def add_papers(
         error,
         **performance.summarize_stated_errors(shared),
     )
-    table.add(PAPER_ADAPTIVE, MEASURED_PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum])
+    table.add(
+        PAPER_ADAPTIVE,
+        MEASURED_PARTLY,
+        scale * seconds.sum(),
+        scale * rays.sum(),
+        error,
+        [spectrum],
+    )
 
 
 def compute_largest_stderr(spectrum: xr.Dataset) -> np.ndarray:
@@ -241,14 +257,28 @@ def time_weights(table: Table, medium: splits.Snow, plan: SpeedPlan) -> None:
     """Add weights wavelength by wavelength, together, and together on lanes."""
     scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
     for error in plan.errors:
-        spectrum, seconds, rays = simulate_one_by_one(medium, plan.sparse_wavelengths, error, kernel="scalar")
+        spectrum, seconds, rays = simulate_one_by_one(
+            medium, plan.sparse_wavelengths, error, kernel="scalar"
+        )
         table.add(
-            "one_by_one", MEASURED_PARTLY, scale * seconds.sum(), scale * rays.sum(), error, [spectrum]
+            "one_by_one",
+            MEASURED_PARTLY,
+            scale * seconds.sum(),
+            scale * rays.sum(),
+            error,
+            [spectrum],
         )
     for kernel in ("scalar", VECTORIZED):
         for error in plan.errors:
             runs = [
-                time_call(simulate_spectrum, medium, plan.wavelengths, error, kernel=kernel, seed=SEED + number)
+                time_call(
+                    simulate_spectrum,
+                    medium,
+                    plan.wavelengths,
+                    error,
+                    kernel=kernel,
+                    seed=SEED + number,
+                )
                 for number in range(plan.n_repeats)
             ]
             spent = float(np.median([seconds for _, seconds in runs]))

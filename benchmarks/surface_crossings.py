@@ -3,7 +3,7 @@
     python benchmarks/surface_crossings.py [--quick]
 
 Every ray has a surface of its own and is reflected and refracted there until it leaves upwards
-(`splits.transport.particles.crossings`).  Prints, for every surface: crossings; points of legs
+(`splits.kernels.rough_surface.leak_census`).  Prints, for every surface: crossings; points of legs
 found on the wrong side of the surface; rays lost; evaluations of the surface, and time on one
 thread, per crossing.  Then time per wave of an evaluation, and per crossing, of realisations that
 are already drawn.
@@ -18,17 +18,17 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from splits.media.rough_surface import RoughSurface
 from splits.kernels.math.vectors import Vector
+from splits.kernels.rough_surface.intersection import find_first_intersection
 from splits.kernels.rough_surface.leak_census import (
-    INTERSECTIONS,
     EVALUATIONS,
+    INTERSECTIONS,
     LEAKS,
     LOST_RAYS,
     count_leaks,
 )
-from splits.kernels.rough_surface.intersection import find_first_intersection
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes, make_realization
+from splits.media.rough_surface import RoughSurface
 
 THREADS = 2
 RAYS_PER_BATCH = 2_000
@@ -52,7 +52,9 @@ CASES = {
 }
 
 
-def count_crossings(pool: ThreadPoolExecutor, surface: object, index: float, mu: float, min_crossings: float):
+def count_crossings(
+    pool: ThreadPoolExecutor, surface: object, index: float, mu: float, min_crossings: float
+):
     """Return counts of at least so many crossings, and the seconds they took."""
     fields = RoughSurface.from_input(surface).make_height_fields()
 

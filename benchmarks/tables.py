@@ -27,9 +27,9 @@ import numpy as np
 import xarray as xr
 
 import splits
+from splits.core.paths import expand_path
 from splits.tables.axes import ParameterGrid
 from splits.tables.interpolation import compute_interpolation_weights
-from splits.core.paths import expand_path
 
 GRID: dict[str, Any] = {
     "optical_radius_um": np.geomspace(30.0, 2000.0, 20).round(1),
@@ -193,7 +193,9 @@ def time_alternatives() -> None:
 
         def theory() -> Any:
             sza, area = np.radians(50.0), 3.0 / (917.0 * 200e-6)
-            return snowoptics.albedo_KZ04(WAVELENGTHS_NM * 1e-9, sza, area, impurities={"BC": 50e-9})
+            return snowoptics.albedo_KZ04(
+                WAVELENGTHS_NM * 1e-9, sza, area, impurities={"BC": 50e-9}
+            )
 
         theory()
         _, _, used = time_call(lambda: [theory() for _ in range(100)])

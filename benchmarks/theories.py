@@ -8,16 +8,18 @@ import numpy as np
 import xarray as xr
 
 import splits
-from splits.experiments.papers import performance
+from splits.analysis.theory.asymptotic import compute_shape_factors, correct_dense_packing, kz04
 from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.analysis.theory.error_propagation import propagate_errors
-from splits.analysis.theory.asymptotic import kz04, correct_dense_packing, compute_shape_factors
 from splits.core.uncertainty import Variable, make_variable
+from splits.experiments.papers import performance
 
 N_STREAMS = 32
 
 
-def compute_discrete_ordinates(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
+def compute_discrete_ordinates(
+    medium: splits.Snow, wavelengths: np.ndarray, rays: int
+) -> xr.Dataset:
     """Return the spectrum by discrete ordinates, from the medium's own grains."""
     optics = splits.single_scattering(
         medium, wavelengths, N_STREAMS, rays, threads=1, wet_pores="equilibrium"

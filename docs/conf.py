@@ -50,7 +50,9 @@ myst_links_external_new_tab = False
 nb_execution_mode = "cache"
 # Or every kernel warns that what it is told crosses this machine unencrypted.
 KernelManager.transport_encryption.default_value = "auto"
-SOURCES = sorted(p.relative_to(PACKAGE_FOLDER).as_posix() for p in PACKAGE_FOLDER.rglob("*.[pc]*[yv]"))
+SOURCES = sorted(
+    p.relative_to(PACKAGE_FOLDER).as_posix() for p in PACKAGE_FOLDER.rglob("*.[pc]*[yv]")
+)
 nb_execution_cache_path = str(HERE / "_build" / "cache" / hash_files(PACKAGE_FOLDER, SOURCES))
 nb_execution_in_temp = True
 nb_execution_timeout = 300

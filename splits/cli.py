@@ -108,16 +108,16 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     import_optional("pydantic", "experiments", "experiment files need")
     import_optional("yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_spectra
+    from splits.core.atomic import check_writable
+    from splits.core.interrupts import exit_on_signals
     from splits.core.validation import invalid
-    from splits.io.netcdf import load, save
     from splits.experiments.config.load import load_experiment
-    from splits.experiments.run import write_run
-    from splits.experiments.run_fit import run_fit
     from splits.experiments.config.settings import Accuracy
     from splits.experiments.config.simulation import SimulationConfig
-    from splits.core.atomic import check_writable
-    from splits.simulation.arguments import check_threads, check_integer
-    from splits.core.interrupts import exit_on_signals
+    from splits.experiments.run import write_run
+    from splits.experiments.run_fit import run_fit
+    from splits.io.netcdf import load, save
+    from splits.simulation.arguments import check_integer, check_threads
 
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
     threads = check_threads(arguments.threads)
@@ -150,8 +150,8 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
         _run_retrieval(experiment, target, measured, seed)
         return
     if experiment.fit:
-        from splits.experiments.papers.sand_trends import make_fit_table
         from splits.experiments.papers.paper_tables import write_table
+        from splits.experiments.papers.sand_trends import make_fit_table
 
         parameters = arguments.output / f"{experiment.name}_parameters.csv"
         write_table(make_fit_table(load(target)), parameters)
@@ -159,7 +159,9 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     if drawn:
         from splits.plotting import draw, save_figure
 
-        save_figure(draw(load(target), experiment.resolve_figure(), *beside), target.with_suffix(""))
+        save_figure(
+            draw(load(target), experiment.resolve_figure(), *beside), target.with_suffix("")
+        )
         _print_line(target.with_suffix(".png"))
 
 
@@ -171,9 +173,9 @@ def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed:
     from splits.analysis.measured import read_spectra
     from splits.experiments.papers.paper_tables import write_table
     from splits.experiments.run_retrieve import (
+        combine_samples,
         make_retrieval_table,
         run_retrieve,
-        combine_samples,
     )
     from splits.plotting.retrieval import draw_retrievals
     from splits.plotting.style import save_figure
@@ -185,7 +187,9 @@ def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed:
     write_table(make_retrieval_table(found, section.known), table)
     _print_line(table)
     joined = combine_samples(found, experiment.name)
-    save_figure(draw_retrievals(joined, section.known, section.list_sample_prefixes()), path.with_suffix(""))
+    save_figure(
+        draw_retrievals(joined, section.known, section.list_sample_prefixes()), path.with_suffix("")
+    )
     _print_line(path.with_suffix(".png"))
 
 
@@ -205,8 +209,8 @@ def _print_versions(arguments: argparse.Namespace) -> None:
     from importlib.metadata import PackageNotFoundError, version
 
     from splits.core.optional import DISTRIBUTION_NAME
-    from splits.io.netcdf import SCHEMA_VERSION
     from splits.core.provenance import get_git_commit, get_package_version
+    from splits.io.netcdf import SCHEMA_VERSION
 
     _print_line(f"{DISTRIBUTION_NAME} {get_package_version()} (commit {get_git_commit()})")
     _print_line(f"schema of datasets {SCHEMA_VERSION}")
@@ -236,7 +240,11 @@ def _unpack_archive(arguments: argparse.Namespace) -> None:
     """Verify an archive and, where a folder is given, unpack it."""
     from splits.io.unarchive import unpack_archive, verify_archive
 
-    _print_line(unpack_archive(arguments.archive, arguments.folder) if arguments.folder else verify_archive(arguments.archive))
+    _print_line(
+        unpack_archive(arguments.archive, arguments.folder)
+        if arguments.folder
+        else verify_archive(arguments.archive)
+    )
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 LOG = logging.getLogger(__name__)
-ENTRY = "splits.command"
+ENTRY = "splits.cli"
 CODE = f"import sys; from {ENTRY} import main; sys.argv[0] = 'splits'; sys.exit(main())"
 
 

@@ -24,7 +24,7 @@ from splits.experiments.config.instrument import (
     REQUIRED_SETTINGS,
 )
 from splits.experiments.config.sections import FIGURE_KINDS, FIGURE_QUANTITIES
-from splits.experiments.config.study_kinds import STUDY_FILES, STUDY_PRODUCTS, STUDY_INPUTS
+from splits.experiments.config.study_kinds import STUDY_FILES, STUDY_INPUTS, STUDY_PRODUCTS
 
 LOG = logging.getLogger(__name__)
 WORDS = {float: "a number", int: "a whole number", str: "text"}

@@ -14,8 +14,8 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from splits.core.yaml import dump_yaml, read_yaml
 from splits.experiments.config.load import load_settings
-from splits.core.yaml import read_yaml, dump_yaml
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENTS = ROOT / "config" / "experiments"

@@ -1,10 +1,9 @@
-"""Marks of numbers (`splits.analysis.marks`) do not reach the site."""
+"""Marks of numbers (`_numbers.marks`) do not reach the site."""
 
 from __future__ import annotations
 
-from sphinx.application import Sphinx
-
 from _numbers.marks import MARK_PATTERN
+from sphinx.application import Sphinx
 
 
 def without_marks(app: Sphinx, name: str, source: list[str]) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 
 from PIL import Image
 
-from splits.core.validation import invalid
 from splits.core.atomic import atomic_write
+from splits.core.validation import invalid
 
 MAX_WIDTH_PX = 900
 """Widest image (pixels)."""

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splits.analysis.anisotropy import ALL_DIRECTIONS
-from splits.analysis.anisotropy import fit_proportional
 from _numbers.formatting import QuotedNumber, QuotedValue, select_cell
+from splits.analysis.anisotropy import ALL_DIRECTIONS, fit_proportional
 
-WET_SAND_FILE, LETCHER_FILE = "tables/retrieved_wet_sand_retrieved.csv", "tables/retrieved_letcher_retrieved.csv"
+WET_SAND_FILE, LETCHER_FILE = (
+    "tables/retrieved_wet_sand_retrieved.csv",
+    "tables/retrieved_letcher_retrieved.csv",
+)
 WET_SAND_BY_VOLUME_FILE = "tables/retrieved_wet_sand_by_volume_retrieved.csv"
 DOZIER_FILE = "tables/retrieved_dozier_retrieved.csv"
 ANISOTROPY_FILE = "tables/wet_sand_anisotropy_by_angle.csv"
@@ -81,12 +83,18 @@ def _list_retrieval_numbers() -> dict[str, QuotedNumber]:
     """Return all of them by their keys."""
     found = {}
     for first, table in (("wet", WET_SAND_FILE), ("volume", WET_SAND_BY_VOLUME_FILE)):
-        for (model, label), (sand, name) in itertools.product(PORE_MODELS.items(), SAND_LABELS.items()):
+        for (model, label), (sand, name) in itertools.product(
+            PORE_MODELS.items(), SAND_LABELS.items()
+        ):
             key = f"{first}.{sand}.{model}"
             found[f"{key}.slope"] = QuotedNumber(table, _select_slope(label, name), ".2f")
             found[f"{key}.scatter"] = QuotedNumber(table, _select_scatter(label, name), ".2f")
-            found[f"{key}.best"] = QuotedNumber(table, _select_misfit_ratio(label, name, "chi2"), ".1f")
-            found[f"{key}.known"] = QuotedNumber(table, _select_misfit_ratio(label, name, "chi2 where known"), ".1f")
+            found[f"{key}.best"] = QuotedNumber(
+                table, _select_misfit_ratio(label, name, "chi2"), ".1f"
+            )
+            found[f"{key}.known"] = QuotedNumber(
+                table, _select_misfit_ratio(label, name, "chi2 where known"), ".1f"
+            )
     for snow, label in SNOW_LABELS.items():
         area = select_cell("median", "standard deviation", model=label,
                     parameter="specific_surface_area_m2_kg")  # fmt: skip
@@ -102,7 +110,9 @@ def _list_retrieval_numbers() -> dict[str, QuotedNumber]:
             short = "ours" if model == "splits" else "law"
             radius = select_cell("median", "standard deviation", **where)
             found[f"dozier.{key}.{short}.radius"] = QuotedNumber(DOZIER_FILE, radius, ".0f")
-            found[f"dozier.{key}.{short}.chi2"] = QuotedNumber(DOZIER_FILE, select_cell("chi2", **where), ".0f")
+            found[f"dozier.{key}.{short}.chi2"] = QuotedNumber(
+                DOZIER_FILE, select_cell("chi2", **where), ".0f"
+            )
     for saturation, key in ((0.0, "dry"), (0.412, "wet"), (0.962, "full")):
         for readings, short in (("narrow pores", "narrow"), ("whole pores", "whole")):
             rmse = _select_directional_rms(readings, saturation, "rmse")
@@ -113,4 +123,4 @@ def _list_retrieval_numbers() -> dict[str, QuotedNumber]:
 
 
 RETRIEVAL_NUMBERS = _list_retrieval_numbers()
-"""Numbers of `splits.analysis.quoted`."""
+"""Numbers of `_numbers.values`."""

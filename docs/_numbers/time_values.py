@@ -6,15 +6,15 @@ from collections.abc import Callable
 
 import pandas as pd
 
-from splits.experiments.papers.performance import (
-    PAPER_ADAPTIVE,
-    VECTORIZED,
-    THEORIES,
-    PAPER_UNIFORM,
-    find_best_row,
-)
 from _numbers.formatting import QuotedNumber, QuotedValue, RowFilter, select_cell, select_extreme
 from splits.core.validation import invalid
+from splits.experiments.papers.performance import (
+    PAPER_ADAPTIVE,
+    PAPER_UNIFORM,
+    THEORIES,
+    VECTORIZED,
+    find_best_row,
+)
 
 SPEED_FILE, KERNELS_FILE = "benchmarks/speed_against_error.csv", "benchmarks/kernels.csv"
 
@@ -48,7 +48,9 @@ def _list_speed_numbers() -> dict[str, QuotedNumber]:
                     SPEED_FILE, select_extreme(column, largest=largest, method=theory), form
                 )
     for name, largest in (("least", False), ("most", True)):
-        found[f"speed.z.{name}"] = QuotedNumber(SPEED_FILE, select_extreme("deviation_z", largest=largest), ".1f")
+        found[f"speed.z.{name}"] = QuotedNumber(
+            SPEED_FILE, select_extreme("deviation_z", largest=largest), ".1f"
+        )
     return found
 
 
@@ -85,9 +87,15 @@ def _list_kernel_numbers() -> dict[str, QuotedNumber]:
             words = medium.lower().replace(",", "").split()
             key = f"kernels.{'_'.join(words)}.{nm}"
             found |= {
-                f"{key}.events": QuotedNumber(KERNELS_FILE, select_cell("events_per_ray", **one), ".0f"),
-                f"{key}.scalar": QuotedNumber(KERNELS_FILE, _select_time_per_event("compared_seconds", one), ".0f"),
-                f"{key}.lanes": QuotedNumber(KERNELS_FILE, _select_time_per_event("seconds", one), ".0f"),
+                f"{key}.events": QuotedNumber(
+                    KERNELS_FILE, select_cell("events_per_ray", **one), ".0f"
+                ),
+                f"{key}.scalar": QuotedNumber(
+                    KERNELS_FILE, _select_time_per_event("compared_seconds", one), ".0f"
+                ),
+                f"{key}.lanes": QuotedNumber(
+                    KERNELS_FILE, _select_time_per_event("seconds", one), ".0f"
+                ),
                 f"{key}.speedup": QuotedNumber(KERNELS_FILE, select_cell("speedup", **one), ".1f"),
             }
     for error in ("0.001", "0.0005"):
@@ -120,11 +128,13 @@ def _select_time_per_event(column: str, where: RowFilter) -> Callable[[pd.DataFr
     """Select the time per event (ns) of the one row with these values."""
 
     def select(table: pd.DataFrame) -> QuotedValue:
-        seconds, events = (select_cell(name, **where)(table)[0] for name in (column, "events_per_ray"))
+        seconds, events = (
+            select_cell(name, **where)(table)[0] for name in (column, "events_per_ray")
+        )
         return 1e9 * seconds / events, None, ""
 
     return select
 
 
 TIMING_NUMBERS = {**_list_speed_numbers(), **_list_kernel_numbers()}
-"""Numbers of `splits.analysis.quoted`."""
+"""Numbers of `_numbers.values`."""

@@ -1,6 +1,6 @@
 """Numbers that README and docs quote from a run, each under the key of its marks.
 
-`splits.analysis.marks` says how documents hold them.
+`_numbers.marks` says how documents hold them.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.experiments.papers.brdf_trends import MAX_LAMBERTIAN_RANGE
-from splits.analysis.directions import select_principal_plane
-from _numbers.retrieval_values import RETRIEVAL_NUMBERS
-from _numbers.time_values import TIMING_NUMBERS
 from _numbers.formatting import (
     QuotedNumber,
     QuotedValue,
     RowFilter,
     select_cell,
-    select_row_count,
     select_extreme,
-    select_point,
     select_max_magnitude,
+    select_point,
+    select_row_count,
 )
+from _numbers.retrieval_values import RETRIEVAL_NUMBERS
+from _numbers.time_values import TIMING_NUMBERS
+from splits.analysis.directions import select_principal_plane
 from splits.core.validation import invalid
+from splits.experiments.papers.brdf_trends import MAX_LAMBERTIAN_RANGE
 from splits.io.netcdf import load
 from splits.kernels.grains.scene import MAX_REJECTIONS
 
@@ -70,7 +70,9 @@ def collect_quoted_numbers(results: str | Path) -> dict[str, str]:
             if not path.exists():
                 raise invalid("results", str(path), "there", "snakemake --cores 2 makes it")
             is_table = path.suffix == ".csv"
-            sources[number.source] = pd.read_csv(path, dtype=LABEL_DTYPES) if is_table else load(path)
+            sources[number.source] = (
+                pd.read_csv(path, dtype=LABEL_DTYPES) if is_table else load(path)
+            )
         try:
             texts[key] = number.format_text(sources[number.source])
         except (KeyError, ValueError) as error:
@@ -84,7 +86,9 @@ def _list_snow_numbers() -> dict[str, QuotedNumber]:
     rise = "reflectance rises from least to most facetness"
     found: dict[str, QuotedNumber] = {
         "distance": QuotedNumber(AGREEMENT_FILE, select_cell("ours", id="grain_distance"), ".2e"),
-        "transmittance": QuotedNumber(AGREEMENT_FILE, select_cell(*OURS_COLUMNS, scale=100.0, id="transmittance_max"), ".1f"),
+        "transmittance": QuotedNumber(
+            AGREEMENT_FILE, select_cell(*OURS_COLUMNS, scale=100.0, id="transmittance_max"), ".1f"
+        ),
         "density.rmse": QuotedNumber(AGREEMENT_FILE, select_cell(*OURS_COLUMNS, id="density_rmse")),
         "facetness.rise": QuotedNumber(AGREEMENT_FILE, select_cell(*OURS_COLUMNS, quantity=rise)),
     }
@@ -108,7 +112,9 @@ def _list_ranking_numbers() -> dict[str, QuotedNumber]:
         "parent": {"set": "splits_2007", "water": water},
     }
     return {
-        f"readings.{name}": QuotedNumber(table, select_cell("misfit", "misfit_stderr", **row), ".1f")
+        f"readings.{name}": QuotedNumber(
+            table, select_cell("misfit", "misfit_stderr", **row), ".1f"
+        )
         for name, row in rows.items()
     }
 
@@ -129,7 +135,9 @@ def _list_surface_area_numbers() -> dict[str, QuotedNumber]:
             select = select_cell("area", "area_stderr", spectrum=spectrum, window=window)
             found[f"area.{name}.{short}"] = QuotedNumber(table, select, ".1f")
         whole: RowFilter = {"spectrum": spectrum, "window": "all"}
-        found[f"area.{name}.level"] = QuotedNumber(table, select_cell("level", "level_stderr", **whole))
+        found[f"area.{name}.level"] = QuotedNumber(
+            table, select_cell("level", "level_stderr", **whole)
+        )
         found[f"area.{name}.rmse"] = QuotedNumber(table, select_cell("rmse", **whole))
     return found
 
@@ -148,8 +156,12 @@ def _list_table3_numbers() -> dict[str, QuotedNumber]:
     for band, nm in bands.items():
         default: RowFilter = {"reading": "default", "wavelength_nm": nm}
         found |= {
-            f"table3.published.{band}": QuotedNumber(TABLE3_FILE, select_cell("published_model", **default)),
-            f"table3.measured.{band}": QuotedNumber(TABLE3_FILE, select_cell("measured", **default)),
+            f"table3.published.{band}": QuotedNumber(
+                TABLE3_FILE, select_cell("published_model", **default)
+            ),
+            f"table3.measured.{band}": QuotedNumber(
+                TABLE3_FILE, select_cell("measured", **default)
+            ),
             f"table3.percent.{band}": QuotedNumber(
                 TABLE3_FILE, select_cell("relative_difference_percent", **default), "+.1f"
             ),
@@ -160,11 +172,15 @@ def _list_table3_numbers() -> dict[str, QuotedNumber]:
             )
     middle: RowFilter = {"wavelength_nm": bands["1074"]}
     for name, largest in (("least", False), ("most", True)):
-        found[f"table3.{name}"] = QuotedNumber(TABLE3_FILE, select_extreme("model", largest=largest, **middle), ".2f")
+        found[f"table3.{name}"] = QuotedNumber(
+            TABLE3_FILE, select_extreme("model", largest=largest, **middle), ".2f"
+        )
     for reading in ("default", "splits_2007", "struck_size_uniform"):
         one: RowFilter = {"reading": reading}
         found |= {
-            f"table3.{reading}.off": QuotedNumber(TABLE3_FILE, select_max_magnitude("difference_to_published", **one)),
+            f"table3.{reading}.off": QuotedNumber(
+                TABLE3_FILE, select_max_magnitude("difference_to_published", **one)
+            ),
             f"table3.{reading}.percent": QuotedNumber(
                 TABLE3_FILE, select_max_magnitude("relative_difference_percent", **one), ".1f"
             ),
@@ -187,7 +203,12 @@ def _list_sensitivity_numbers() -> dict[str, QuotedNumber]:
     for quantity in ("reflectance", "transmittance"):
         q = f"msi.{quantity[0]}"
         for parameter, (low, high) in chosen.items():
-            one: RowFilter = {"quantity": quantity, "parameter": parameter, "low": low, "high": high}
+            one: RowFilter = {
+                "quantity": quantity,
+                "parameter": parameter,
+                "low": low,
+                "high": high,
+            }
             default = select_cell(*MSI_COLUMNS, reading="default", **one)
             found[f"{q}.{parameter}"] = QuotedNumber(SENSITIVITY_FILE, default, ".2f")
             for name, largest in (("least", False), ("most", True)):
@@ -196,7 +217,9 @@ def _list_sensitivity_numbers() -> dict[str, QuotedNumber]:
         for parameter, low, high in others:
             one = {"quantity": quantity, "parameter": parameter, "low": low, "high": high}
             select = select_cell(*MSI_COLUMNS, reading="default", **one)
-            found[f"{q}.{parameter}.{high.removesuffix('.0')}"] = QuotedNumber(SENSITIVITY_FILE, select, ".2f")
+            found[f"{q}.{parameter}.{high.removesuffix('.0')}"] = QuotedNumber(
+                SENSITIVITY_FILE, select, ".2f"
+            )
     return found
 
 
@@ -221,12 +244,16 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
         },
     }  # fmt: skip
     samples = ("Fig 8 base", "TEC 10019201", "TEC 10039240", "TEC 13j9823", "TEC 19au9815")
-    found = {"sand.error": QuotedNumber(SAND_SHIFTS_FILE, select_max_magnitude("mean_shift_stderr"))}
+    found = {
+        "sand.error": QuotedNumber(SAND_SHIFTS_FILE, select_max_magnitude("mean_shift_stderr"))
+    }
     for sample in samples:
         for dimension, values in varied.items():
             for name, value in values.items():
                 shift = select_cell("mean_shift", medium=sample, varied=dimension, value=value)
-                found[f"sand.{name}.{sample.split()[-1]}"] = QuotedNumber(SAND_SHIFTS_FILE, shift, "+.3f")
+                found[f"sand.{name}.{sample.split()[-1]}"] = QuotedNumber(
+                    SAND_SHIFTS_FILE, shift, "+.3f"
+                )
     for name, texture in (("none", "no clay"), ("tenth", "0.1 % clay"), ("one", "1 % clay")):
         fines = select_point("reflectance", texture=texture, wavelength=400.0)
         found[f"fines.{name}"] = QuotedNumber("data/sand_fine_fraction.nc", fines, ".2f")
@@ -234,30 +261,44 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
     soils = ("quartzipsamment_87P706", "torripsamment_90P0142", "camborthid_89P1772")
     for name, goethite in goethites.items():
         for soil in soils:
-            misfit = select_cell("rmse", refractive_index=goethite, sample=soil, parameter="iron_oxide")
+            misfit = select_cell(
+                "rmse", refractive_index=goethite, sample=soil, parameter="iron_oxide"
+            )
             found[f"misfit.{name}.{soil.split('_')[0]}"] = QuotedNumber(SAND_FIT_FILE, misfit)
     modelled: RowFilter = {"refractive_index": "as modelled"}
     determined: RowFilter = {"verdict": "determined"}
     return found | {
-        "misfit.least": QuotedNumber(SAND_FIT_FILE, select_extreme("rmse", largest=False, **modelled)),
+        "misfit.least": QuotedNumber(
+            SAND_FIT_FILE, select_extreme("rmse", largest=False, **modelled)
+        ),
         "misfit.most": QuotedNumber(SAND_FIT_FILE, select_extreme("rmse", **modelled)),
         "misfit.error": QuotedNumber(SAND_FIT_FILE, select_max_magnitude("rmse_stderr")),
         "fits.all": QuotedNumber(SAND_FIT_FILE, select_row_count(), ".0f"),
         "fits.determined": QuotedNumber(SAND_FIT_FILE, select_row_count(**determined), ".0f"),
-        "fits.iron_oxide": QuotedNumber(SAND_FIT_FILE, select_row_count(parameter="iron_oxide", **determined), ".0f"),
-        "fits.clay": QuotedNumber(SAND_FIT_FILE, select_row_count(parameter="clay", **determined), ".0f"),
+        "fits.iron_oxide": QuotedNumber(
+            SAND_FIT_FILE, select_row_count(parameter="iron_oxide", **determined), ".0f"
+        ),
+        "fits.clay": QuotedNumber(
+            SAND_FIT_FILE, select_row_count(parameter="clay", **determined), ".0f"
+        ),
     }
 
 
 def _list_angular_and_layer_numbers() -> dict[str, QuotedNumber]:
     """Spread of a beam, rough surfaces, and what polarization changes."""
-    found = {"lambertian": QuotedNumber(CODE_SOURCE, lambda _: (MAX_LAMBERTIAN_RANGE, None, ""), ".1f")}
+    found = {
+        "lambertian": QuotedNumber(CODE_SOURCE, lambda _: (MAX_LAMBERTIAN_RANGE, None, ""), ".1f")
+    }
     spread = "data/beam_spread.nc"
     for nm in (600, 1300):
         for name, share in (("half", 0.5), ("most", 0.9)):
             at: RowFilter = {"side": "reflected", "wavelength": float(nm), "quantile": share}
-            found[f"beam.{nm}.{name}"] = QuotedNumber(spread, select_point("quantile_radius", 1e3, **at), ".1f")
-    found["beam.incidence"] = QuotedNumber(spread, select_point("incidence_deg", attribute=True), "g")
+            found[f"beam.{nm}.{name}"] = QuotedNumber(
+                spread, select_point("quantile_radius", 1e3, **at), ".1f"
+            )
+    found["beam.incidence"] = QuotedNumber(
+        spread, select_point("incidence_deg", attribute=True), "g"
+    )
     limits = "data/layer_band_limit.nc"
     for limit in ("5", "15", "50", "150", "500"):
         reflectance = select_point("reflectance", error=False, surface=limit)
@@ -268,7 +309,9 @@ def _list_angular_and_layer_numbers() -> dict[str, QuotedNumber]:
     for depth in (15, 35):
         lens = select_point("concentration", screen_depth=float(depth))
         found[f"lens.{depth}"] = QuotedNumber(LENS_FILE, lens, ".2f")
-    found["lens.surfaces"] = QuotedNumber(LENS_FILE, select_point("realisations", attribute=True), "g")
+    found["lens.surfaces"] = QuotedNumber(
+        LENS_FILE, select_point("realisations", attribute=True), "g"
+    )
     found["volume.surface"] = QuotedNumber(GLASS_FILE, lambda glass: _compute_glass_nadir(glass)[0])
     found["volume.nadir"] = QuotedNumber(GLASS_FILE, lambda glass: _compute_glass_nadir(glass)[1])
     for name, statement in (
@@ -276,7 +319,9 @@ def _list_angular_and_layer_numbers() -> dict[str, QuotedNumber]:
         ("polarization.smooth", "Rayleigh layer under smooth glass"),
         ("polarization.rough", "multiple reflections in rough glass"),
     ):
-        found[name] = QuotedNumber(LAYER_TRENDS_FILE, select_cell(*OURS_COLUMNS, scale=100.0, quantity=statement), ".0f")
+        found[name] = QuotedNumber(
+            LAYER_TRENDS_FILE, select_cell(*OURS_COLUMNS, scale=100.0, quantity=statement), ".0f"
+        )
     return found
 
 

@@ -5,12 +5,13 @@ How what was found goes with what is known: a line through the origin.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pandas as pd
 import xarray as xr
-from splits.core.validation import invalid
-from typing import NamedTuple
 
+from splits.core.validation import invalid
 
 FACTOR_COLUMN = "anisotropy_factor"
 MEASURED_COLUMNS = ("wavelength_nm", "polar_deg", "azimuth_deg", FACTOR_COLUMN)
@@ -146,7 +147,9 @@ def _match_labels(labels: np.ndarray, values: pd.Series) -> np.ndarray:
     texts = [f"{v:g}" if not isinstance(v, str) else v for v in values]
     for text in texts:
         if text not in known:
-            raise invalid(f"directions.{values.name}", text, f"one of {', '.join(map(str, labels))}")
+            raise invalid(
+                f"directions.{values.name}", text, f"one of {', '.join(map(str, labels))}"
+            )
     return np.array([known[text] for text in texts])
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.uncertainty import compute_error_parts
 from splits.core.arrays import read_columns
-from splits.core.validation import ROUNDING_TOLERANCE, snap_to_limits
 from splits.core.optional import import_optional
+from splits.core.uncertainty import compute_error_parts
+from splits.core.validation import ROUNDING_TOLERANCE, snap_to_limits
 
 STANDARD_OBSERVER = "CIE 1931 2 Degree Standard Observer"
 STANDARD_ILLUMINANT = "D65"
@@ -94,21 +94,25 @@ def compute_cielab_gradient(xyz: np.ndarray) -> np.ndarray:
     """Return the derivatives of L*, a*, b* (rows) by X, Y, Z (columns)."""
     # CIELAB bends in proportion to its argument: a fixed step loses digits in dark colours.
     steps = np.diag(1e-4 * np.maximum(xyz, 1e-4))
-    return ((to_cielab(xyz + steps) - to_cielab(xyz - steps)) / (2.0 * np.diag(steps)[:, np.newaxis])).T
+    return (
+        (to_cielab(xyz + steps) - to_cielab(xyz - steps)) / (2.0 * np.diag(steps)[:, np.newaxis])
+    ).T
 
 
 @cache
 def _compute_tristimulus_weights(wavelength_nm: tuple[float, ...]) -> np.ndarray:
     """Return what X, Y, Z take from each wavelength, shape (3, wavelengths): they are linear."""
     wavelength = np.array(wavelength_nm)
-    return np.stack([compute_tristimulus(wavelength, unit) for unit in np.eye(len(wavelength))], axis=1)
+    return np.stack(
+        [compute_tristimulus(wavelength, unit) for unit in np.eye(len(wavelength))], axis=1
+    )
 
 
 def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
     """Return the colour of every point of a grid.
 
     Errors of L*, a*, b* are their linear parts in that of the spectrum, with the correlations
-    that `splits.analysis.errors` speaks of.  What interpolation between refractive indices may add
+    that `splits.core.uncertainty` speaks of.  What interpolation between refractive indices may add
     is not random and stands by itself: a* and b* are differences along the spectrum, which may
     miss more than they scatter.
 
@@ -131,7 +135,9 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
         x, r = (point[v].values for v in ("wavelength", "reflectance"))
         xyz = compute_tristimulus(x, r)
         weights = xr.DataArray(
-            compute_cielab_gradient(xyz) @ _compute_tristimulus_weights(tuple(x)), {"wavelength": x}, ("coordinate", "wavelength")
+            compute_cielab_gradient(xyz) @ _compute_tristimulus_weights(tuple(x)),
+            {"wavelength": x},
+            ("coordinate", "wavelength"),
         )
         scatter, missed = compute_error_parts(point, "reflectance", weights)
         code = to_srgb(xyz)

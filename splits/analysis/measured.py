@@ -12,8 +12,8 @@ import xarray as xr
 
 from splits.core.uncertainty import compute_weighted_error
 from splits.core.validation import key_prefix
-from splits.simulation.arguments import check_wavelengths
 from splits.materials.csv_table import read_numeric_csv
+from splits.simulation.arguments import check_wavelengths
 
 DIFFUSE_FRACTION = 0.85
 """Share of diffuse light under which Letcher et al. (2022) measured."""
@@ -95,7 +95,9 @@ def compute_measured_rmse(dataset: xr.Dataset, measured: pd.DataFrame) -> tuple[
     part = dataset.sel(wavelength=measured.wavelength_nm.values)
 
     def combined(weights: np.ndarray) -> float:
-        return float(compute_weighted_error(part, "reflectance", xr.DataArray(weights, dims="wavelength")))
+        return float(
+            compute_weighted_error(part, "reflectance", xr.DataArray(weights, dims="wavelength"))
+        )
 
     return compute_rmse(table.difference, table.stderr, combined)
 
@@ -146,7 +148,9 @@ def compare_with_letcher(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Data
     """Return model and measured albedo for every snow and depth of the experiment."""
     tables = []
     for snow, depth in itertools.product(dataset.medium.values, LETCHER_COLUMNS):
-        table = compare_with_spectrum(mix_letcher_illumination(dataset, snow, depth), select_letcher_column(measured, depth))
+        table = compare_with_spectrum(
+            mix_letcher_illumination(dataset, snow, depth), select_letcher_column(measured, depth)
+        )
         table.insert(0, "snow", str(snow))
         table.insert(1, "depth_m", depth)
         tables.append(table)

@@ -48,7 +48,7 @@ def compute_spectral_sensitivity(
 ) -> SensitivityIndex:
     """Return the mean sensitivity index of two measured spectra.
 
-    Its error knows how errors go together along each spectrum, see `splits.analysis.errors`.
+    Its error knows how errors go together along each spectrum, see `splits.core.uncertainty`.
 
     Parameters
     ----------
@@ -77,7 +77,9 @@ def compute_spectral_sensitivity(
         slope = np.where(seen, np.where(leads, up, down), 0.0) / larger.size
         error = compute_weighted_error(one, quantity, xr.DataArray(slope, dims="wavelength"))
         variance += float(error) ** 2
-    return replace(found, stderr=float(np.hypot(variance**0.5, _estimate_threshold_error(*values).mean())))
+    return replace(
+        found, stderr=float(np.hypot(variance**0.5, _estimate_threshold_error(*values).mean()))
+    )
 
 
 def _compare_with_noise(
@@ -90,7 +92,9 @@ def _compare_with_noise(
     return larger, error, np.where(seen, larger, 1.0), seen
 
 
-def _estimate_threshold_error(y: np.ndarray, y_stderr: np.ndarray, z: np.ndarray, z_stderr: np.ndarray) -> np.ndarray:
+def _estimate_threshold_error(
+    y: np.ndarray, y_stderr: np.ndarray, z: np.ndarray, z_stderr: np.ndarray
+) -> np.ndarray:
     """Return the error of a wavelength that counts in one run and not in another.
 
     With p the chance to be seen, √(p (1 − p)) is at most exp(−d²/4)/2 at d errors from the limit.

@@ -23,7 +23,11 @@ from splits.core.validation import invalid
 AREA = "specific_surface_area_m2_kg"
 SHORT_WINDOWS_NM = ((700.0, 900.0), (990.0, 1090.0), (1220.0, 1300.0))
 LONG_WINDOWS_NM = ((1500.0, 1750.0), (2060.0, 2350.0))
-FIT_WINDOWS_NM = {"all": (*SHORT_WINDOWS_NM, *LONG_WINDOWS_NM), "below 1300 nm": SHORT_WINDOWS_NM, "above 1500 nm": LONG_WINDOWS_NM}
+FIT_WINDOWS_NM = {
+    "all": (*SHORT_WINDOWS_NM, *LONG_WINDOWS_NM),
+    "below 1300 nm": SHORT_WINDOWS_NM,
+    "above 1500 nm": LONG_WINDOWS_NM,
+}
 """Wavelengths (nm) that are fitted: impurities count below, water vapour of the air in the gaps."""
 FIELD_WAVELENGTH_NM = 1310.0
 """Where field instruments take the surface area from one reflectance (Gallet et al. 2009)."""
@@ -127,7 +131,9 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
     return pd.DataFrame(rows, columns=names)
 
 
-def make_overlay_table(dataset: xr.Dataset, measured: pd.DataFrame, areas: pd.DataFrame) -> pd.DataFrame:
+def make_overlay_table(
+    dataset: xr.Dataset, measured: pd.DataFrame, areas: pd.DataFrame
+) -> pd.DataFrame:
     """Return measured and modelled spectra at the surface area and level found from all windows.
 
     Parameters
@@ -180,7 +186,9 @@ def make_field_table(dataset: xr.Dataset) -> pd.DataFrame:
         one = part.sel(medium=medium)
         tables.append((str(medium), one.reflectance.values, one.reflectance_stderr.values))
     for name, law in PUBLISHED_ALBEDO_LAWS.items():
-        values = [float(law(np.array([1e-9 * FIELD_WAVELENGTH_NM]), 0.0, area)[0]) for area in areas]
+        values = [
+            float(law(np.array([1e-9 * FIELD_WAVELENGTH_NM]), 0.0, area)[0]) for area in areas
+        ]
         tables.append((name, np.array(values), np.full(len(areas), np.nan)))
     return pd.concat(
         [pd.DataFrame({"snow": name, "area": areas, "reflectance": value, "stderr": error})

@@ -18,10 +18,10 @@ import xarray as xr
 
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
-    check_range,
-    check_number,
-    invalid,
     as_scalar,
+    check_number,
+    check_range,
+    invalid,
     short_repr,
     snap_to_limits,
 )
@@ -154,7 +154,7 @@ def check_increasing(key: str, values: np.ndarray) -> np.ndarray:
 def check_array_range(
     key: str, values: np.ndarray, low: float, high: float, unit: str = "", **how: Any
 ) -> np.ndarray:
-    """Return numbers that all are in a range, see `splits.checks.in_range`, or refuse the first."""
+    """Return numbers that all are in a range, see `splits.core.validation.check_range`, or refuse the first."""
     found = snap_to_limits(values, low, high)
     open_low, open_high = how.get("open_low", False), how.get("open_high", False)
     outside = (found < low) | (found > high) | (open_low & (found == low))
@@ -204,13 +204,19 @@ def align_to_labels(
     """
     found = as_float_array(key, values, allowed, allow_gaps=allow_gaps)
     for axis in range(found.ndim):
-        places = match_labels(key, find_labels(values, axis), labels, ignore_default_labels=ignore_default_labels)
+        places = match_labels(
+            key, find_labels(values, axis), labels, ignore_default_labels=ignore_default_labels
+        )
         found = found[(slice(None),) * axis + (places,)]
     return found
 
 
 def match_labels(
-    key: str, own_labels: pd.Index | None, labels: Sequence[Any], *, ignore_default_labels: bool = True
+    key: str,
+    own_labels: pd.Index | None,
+    labels: Sequence[Any],
+    *,
+    ignore_default_labels: bool = True,
 ) -> Any:
     """Return where values with labels of their own stand among them, or refuse other labels.
 
@@ -232,7 +238,9 @@ def match_labels(
     if ignore_default_labels and own_labels.equals(pd.RangeIndex(own_labels.size)):
         return slice(None)
     there, least = own_labels.tolist(), np.asarray(wanted[0]).tolist()
-    raise invalid(key, f"values at {short_repr(there)}", f"values at {short_repr(least)}", UNLABELLED_HINT)
+    raise invalid(
+        key, f"values at {short_repr(there)}", f"values at {short_repr(least)}", UNLABELLED_HINT
+    )
 
 
 def _find_positions(own_labels: pd.Index, labels: Any) -> np.ndarray | None:

@@ -36,7 +36,9 @@ DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
 """Numbers of errors that say that no space is left."""
 ABANDONED_AFTER_S = 7 * 86_400.0
 """Time without a change after which a file is abandoned whose lock says nothing."""
-_TEMPORARY_NAME_PATTERN = re.compile(r"(?P<lock>\.aside\.[0-9a-f]{16}\.[0-9a-f]{16})(\.[0-9a-f]{8}\..+)?")
+_TEMPORARY_NAME_PATTERN = re.compile(
+    r"(?P<lock>\.aside\.[0-9a-f]{16}\.[0-9a-f]{16})(\.[0-9a-f]{8}\..+)?"
+)
 
 
 @contextmanager

@@ -5,22 +5,21 @@ Lines of progress in the terminal and in a file of their own.
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import wraps
 from importlib.util import find_spec
-from types import TracebackType
-from typing import Any, ParamSpec, TypeVar
-from tqdm import tqdm
-from splits.core.validation import invalid
-from splits.core.compile_notice import listeners
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TextIO
+from types import TracebackType
+from typing import Any, ParamSpec, TextIO, TypeVar
+
+from tqdm import tqdm
+
+from splits.core.compile_notice import listeners
+from splits.core.validation import invalid
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,9 @@ class ProgressBar:
 
     def __init__(self, description: str = "") -> None:
         before = f"{description}: " if description else ""
-        where = {} if _is_notebook() else {"file": _SafeStream(sys.stderr), "disable": not sys.stderr}
+        where = (
+            {} if _is_notebook() else {"file": _SafeStream(sys.stderr), "disable": not sys.stderr}
+        )
         form = f"{_BAR_FORMAT} starting"
         self._bar: tqdm = _get_bar_class()(total=1.0, desc=before, bar_format=form, **where)
         listeners.append(self._show_notice)

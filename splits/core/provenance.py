@@ -10,40 +10,40 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Iterable
-from pathlib import Path
 import subprocess
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from splits.core.optional import DISTRIBUTION_NAME
+from pathlib import Path
 
+from splits.core.optional import DISTRIBUTION_NAME
 
 PACKAGE_FOLDER = Path(__file__).parent
 SIMULATION_SOURCES = (
     "materials", "media", "transport", "instruments", "diffusion.py", "uncertainty.py", "names.py",
-    "lookup/axes.py", "lookup/block.py", "lookup/plan.py",
-    "experiments/coordinates.py", "experiments/run.py", "experiments/run_points.py",
+    "tables/axes.py", "tables/block.py", "tables/plan.py",
+    "experiments/config/grid.py", "experiments/run.py", "experiments/run_points.py",
 )  # fmt: skip
 """Folders and files, relative to the package, behind every simulation."""
 FIT_SOURCES = (
-    "experiments/fit.py",
-    "experiments/parameters.py",
+    "retrieval/sand_fit.py",
+    "retrieval/sand_parameters.py",
     "experiments/run_fit.py",
-    "lookup/interpolation.py",
-    "retrieval/coordinates.py", "retrieval/estimation.py", "retrieval/least_squares.py",
-    "retrieval/line.py", "retrieval/measurement.py", "retrieval/misfit.py",
-    "retrieval/posterior.py", "retrieval/result.py", "retrieval/search.py",
+    "tables/interpolation.py",
+    "retrieval/state_vector.py", "retrieval/optimal_estimation.py", "retrieval/least_squares.py",
+    "retrieval/linearization.py", "retrieval/measurement.py", "retrieval/residual_covariance.py",
+    "retrieval/posterior.py", "retrieval/result.py", "retrieval/gauss_newton.py",
 )  # fmt: skip
 """Files behind a fit besides."""
 RETRIEVAL_SOURCES = (
-    "analysis/law_tables.py", "experiments/retrieve_section.py", "experiments/run_retrieve.py",
-    "lookup/formats.py", "lookup/interpolation.py", "lookup/order.py", "lookup/reading.py",
+    "analysis/theory/kokhanovsky_zege.py", "experiments/config/retrieve.py", "experiments/run_retrieve.py",
+    "tables/export.py", "tables/interpolation.py", "tables/axis_order.py", "tables/table.py",
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
-    "retrieval/coordinates.py", "retrieval/cubics.py", "retrieval/design.py",
-    "retrieval/estimation.py", "retrieval/forward.py", "retrieval/importance.py",
-    "retrieval/least_squares.py", "retrieval/line.py", "retrieval/measurement.py",
-    "retrieval/misfit.py", "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
-    "skies/bands.py",
+    "retrieval/state_vector.py", "retrieval/cubic_interpolation.py", "retrieval/band_selection.py",
+    "retrieval/optimal_estimation.py", "retrieval/forward_model.py", "retrieval/sobol.py",
+    "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
+    "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
+    "illumination/bands.py",
 )  # fmt: skip
 """Files behind retrievals from a table."""
 

@@ -4,7 +4,7 @@ Errors of what combines several wavelengths of one spectrum.
 
 A spectrophotometer traces paths at a few refractive indices.  Errors of wavelengths that draw on
 the same paths go together, those of others do not, so neither rule serves for a whole spectrum.
-Each dataset therefore carries how far `splits.instruments.ensemble.GROUPS` groups of its rays take
+Each dataset therefore carries how far `splits.simulation.tally.GROUPS` groups of its rays take
 every wavelength off (``…_groups``).  What is linear in the spectrum deviates by group alike, and
 the squares of its deviations add up to its variance.  What the standard error holds beyond that
 bounds what interpolation between refractive indices misses.  Neighbours miss alike, wavelengths far
@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+
 from splits.core.arrays import check_no_gaps, find_labels, match_labels
 from splits.core.validation import check_choice, invalid
-
 
 Variable = tuple[str | tuple[str, ...], np.ndarray, dict[str, str]]
 """Dimensions, values and attributes, as `xarray.Dataset` takes them."""
@@ -84,7 +84,9 @@ _VARIANCE_ROUNDING = 1e-6
 """Part of a variance that deviations in single precision may miss."""
 
 
-def compute_weighted_error(dataset: xr.Dataset, quantity: str, weights: xr.DataArray) -> xr.DataArray:
+def compute_weighted_error(
+    dataset: xr.Dataset, quantity: str, weights: xr.DataArray
+) -> xr.DataArray:
     """Return the standard error of a weighted sum of a spectrum.
 
     Parameters
@@ -135,7 +137,9 @@ def compute_error_parts(
     scatter = (_sum_weighted(weights, groups) ** 2).sum("group", skipna=False) ** 0.5
     weighed = (abs(weights) * bound).where(weights != 0.0, 0.0)
     missed = xr.apply_ufunc(
-        _sum_same_sign_intervals, *xr.broadcast(weights, weighed), input_core_dims=[["wavelength"]] * 2
+        _sum_same_sign_intervals,
+        *xr.broadcast(weights, weighed),
+        input_core_dims=[["wavelength"]] * 2,
     )
     return scatter, missed
 

@@ -48,7 +48,9 @@ _TAG_PREFIX = "tag:yaml.org,2002:"
 
 def _find_tag(text: str) -> str | None:
     """Return the tag of a plain scalar, or None for text."""
-    return next((f"{_TAG_PREFIX}{kind}" for kind, form in CORE_SCHEMA.items() if form.fullmatch(text)), None)
+    return next(
+        (f"{_TAG_PREFIX}{kind}" for kind, form in CORE_SCHEMA.items() if form.fullmatch(text)), None
+    )
 
 
 class _Loader(yaml.SafeLoader):

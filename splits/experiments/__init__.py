@@ -4,17 +4,17 @@ from splits.core.optional import import_optional
 
 import_optional("pydantic", "experiments", "experiments and fits need")
 
-from splits.experiments.config.load import load_experiment, load_experiments, load_settings
+from splits.core.yaml import ConfigError, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.load import load_experiment, load_experiments, load_settings
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SimulationConfig
-from splits.core.yaml import ConfigError, read_yaml
 
 __all__ = [
     "ConfigError",
-    "Experiment",
+    "ExperimentConfig",
     "Settings",
-    "Simulation",
+    "SimulationConfig",
     "load_experiment",
     "load_experiments",
     "load_settings",

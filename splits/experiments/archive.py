@@ -14,28 +14,28 @@ from datetime import UTC, datetime
 from importlib.metadata import distributions
 from pathlib import Path, PurePosixPath
 
+from splits.core.atomic import atomic_write
+from splits.core.escaping import escape_markdown
+from splits.core.paths import expand_path
 from splits.core.validation import invalid
+from splits.core.yaml import dump_yaml, read_yaml
+from splits.experiments.config.medium import list_table_paths, replace_table_paths
+from splits.experiments.config.settings import DEFAULT_LICENCE, FOLDER_KEYS, Settings
+from splits.io.citation import make_software_info, read_software_files
 from splits.io.ro_crate import (
     METADATA_FILE,
     RO_CRATE_VERSION,
-    ArchiveInfo,
     ArchiveError,
+    ArchiveInfo,
     Author,
     make_metadata,
 )
-from splits.io.citation import make_software_info, read_software_files
-from splits.core.escaping import escape_markdown
-from splits.experiments.config.settings import DEFAULT_LICENCE, FOLDER_KEYS, Settings
-from splits.experiments.config.medium import replace_table_paths, list_table_paths
-from splits.core.yaml import read_yaml, dump_yaml
-from splits.core.atomic import atomic_write
-from splits.core.paths import expand_path
 from splits.io.unarchive import (
     MAX_COMPRESSION_RATIO,
     MIN_RATIO_CHECK_BYTES,
     find_name_collision,
-    verify_archive,
     find_name_problem,
+    verify_archive,
 )
 
 LOCK_FILE = "requirements.txt"
@@ -103,14 +103,16 @@ def pack_archive(
     Raises
     ------
     ValueError
-        For a member that `splits.unpacking` would refuse, or a `DATE_VARIABLE` that is none.
+        For a member that `splits.io.unarchive` would refuse, or a `DATE_VARIABLE` that is none.
     OSError
         If a result cannot be read, or the archive does not hold what was packed.
     """
     target = expand_path(target, "target")
     place = expand_path(repository, "repository") if repository else None
     root = target.parent.parent
-    members = {_get_member_name(root, Path(f)): Path(f).read_bytes() for f in results} | dict(configuration)
+    members = {_get_member_name(root, Path(f)): Path(f).read_bytes() for f in results} | dict(
+        configuration
+    )
     members |= read_software_files(place)
     if place and (place / LOCK_FILE).is_file():
         members[LOCK_FILE] = (place / LOCK_FILE).read_bytes()
@@ -141,7 +143,9 @@ def pack_archive(
 
 def _choose_compression(content: bytes) -> int:
     """Return how a member is packed: as it is, where packed it would be refused as a bomb."""
-    if len(content) <= MIN_RATIO_CHECK_BYTES or len(content) <= MAX_COMPRESSION_RATIO / 2 * len(zlib.compress(content, 1)):
+    if len(content) <= MIN_RATIO_CHECK_BYTES or len(content) <= MAX_COMPRESSION_RATIO / 2 * len(
+        zlib.compress(content, 1)
+    ):
         return zipfile.ZIP_DEFLATED
     return zipfile.ZIP_STORED
 
@@ -195,7 +199,7 @@ def list_configuration_files(settings: Settings) -> dict[str, Path]:
     Raises
     ------
     ValueError
-        For a file that `splits.unpacking` would refuse.
+        For a file that `splits.io.unarchive` would refuse.
     """
     found = {}
     experiments = Path(settings.experiments_folder)
@@ -244,7 +248,9 @@ def _make_members_with_tables(name: str, path: Path) -> dict[str, bytes]:
     """Return an experiment's or medium's file as a member, and the users' tables it names."""
     content = read_yaml(path)
     files = {table: expand_path(table) for table in list_table_paths(content)}
-    places = {table: _get_table_member_name(table) for table, file in files.items() if file.is_file()}
+    places = {
+        table: _get_table_member_name(table) for table, file in files.items() if file.is_file()
+    }
     members = {place: files[table].read_bytes() for table, place in places.items()}
     if all(place == table for table, place in places.items()):
         return members | {name: path.read_bytes()}

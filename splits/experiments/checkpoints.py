@@ -10,11 +10,11 @@ from pathlib import Path
 
 import xarray as xr
 
-from splits.io.netcdf import load, save
+from splits.core.provenance import hash_physics_sources
+from splits.experiments.config.medium import identify_by_content, replace_table_paths
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.config.medium import identify_by_content, replace_table_paths
-from splits.core.provenance import hash_physics_sources
+from splits.io.netcdf import load, save
 
 
 class PointCache:
@@ -37,7 +37,9 @@ class PointCache:
         Files of the points asked for so far.
     """
 
-    def __init__(self, folder: Path, experiment: SimulationConfig, accuracy: Accuracy, seed: int) -> None:
+    def __init__(
+        self, folder: Path, experiment: SimulationConfig, accuracy: Accuracy, seed: int
+    ) -> None:
         self.folder, self.files = folder, list[Path]()
         instrument = experiment.instrument.model_dump(mode="json")
         kind = experiment.medium.get("kind", "snow")

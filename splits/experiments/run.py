@@ -6,31 +6,32 @@ Compositions of all sands that experiments use, for the report.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
 import numpy as np
+import pandas as pd
 import xarray as xr
+
+from splits.core.atomic import check_writable
+from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
-from splits.io.netcdf import to_netcdf_attributes, make_provenance, save
-from splits.experiments.config.grid import make_grid_coordinates
 from splits.experiments.checkpoints import PointCache
+from splits.experiments.config.grid import make_grid_coordinates
+from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_points import (
     STDERR_ATTRIBUTES,
-    SimulatedPoints,
     LogCallback,
+    SimulatedPoints,
     simulate_points,
 )
 from splits.experiments.run_table import run_table, write_table
-from splits.experiments.config.settings import Accuracy
-from splits.experiments.config.simulation import SimulationConfig
-from splits.core.atomic import check_writable
-from splits.simulation.attributes import make_wavelength_coordinate
-from splits.core.provenance import hash_physics_sources
-from collections.abc import Mapping
-import pandas as pd
+from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media import Sand
 from splits.media.sand_composition import SandComposition
-
+from splits.simulation.attributes import make_wavelength_coordinate
 
 POINT_VARIABLES = {
     "rays": ("number of rays traced", "1"),
@@ -126,7 +127,9 @@ def _run_points(
     return _stack_points(experiment, results, time.perf_counter() - begun)
 
 
-def _stack_points(experiment: SimulationConfig, points: SimulatedPoints, seconds: float) -> xr.Dataset:
+def _stack_points(
+    experiment: SimulationConfig, points: SimulatedPoints, seconds: float
+) -> xr.Dataset:
     """Return the points of a grid as one dataset."""
     results = points.datasets
     shape = tuple(len(values) for values in experiment.grid.values())
@@ -138,7 +141,11 @@ def _stack_points(experiment: SimulationConfig, points: SimulatedPoints, seconds
         stacked = np.stack([r[name].values for r in results]).reshape(*shape, *variable.shape)
         variables[str(name)] = ((*dims, *variable.dims), stacked, variable.attrs)
     for name, (long_name, units) in POINT_VARIABLES.items():
-        key = f"{first.attrs['medium']}_{_MEDIUM_ATTRIBUTES[name]}" if name in _MEDIUM_ATTRIBUTES else name
+        key = (
+            f"{first.attrs['medium']}_{_MEDIUM_ATTRIBUTES[name]}"
+            if name in _MEDIUM_ATTRIBUTES
+            else name
+        )
         if key not in first.attrs:
             continue
         values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
@@ -158,7 +165,11 @@ def _stack_points(experiment: SimulationConfig, points: SimulatedPoints, seconds
         "experiment": experiment.name,
         "configuration": experiment.dump_configuration(),
         "rays": points.rays,
-        **{key: max(float(r.attrs[key]) for r in results) for key in STDERR_ATTRIBUTES if key in first.attrs},
+        **{
+            key: max(float(r.attrs[key]) for r in results)
+            for key in STDERR_ATTRIBUTES
+            if key in first.attrs
+        },
         "wall_time_s": round(seconds, 3),
         **make_provenance(f"experiment {experiment.name}"),
     }
@@ -206,7 +217,7 @@ def make_composition_table(experiments: Mapping[str, SimulationConfig]) -> pd.Da
     -------
     pandas.DataFrame
         Columns experiment, sample, iron_oxide, hematite_ratio, magnetite, density_kg_m3 of all
-        particles, and those of `splits.media.composition.Composition.rows`.
+        particles, and those of `splits.media.sand_composition.SandComposition.to_rows`.
     """
     rows: list[dict[str, object]] = []
     for name, experiment in experiments.items():

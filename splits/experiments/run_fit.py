@@ -11,19 +11,19 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.validation import check_range, check_choice, invalid, key_prefix
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
+from splits.core.provenance import hash_physics_sources
+from splits.core.uncertainty import Variable, make_variable
+from splits.core.validation import check_choice, check_range, invalid, key_prefix
 from splits.experiments.config.grid import make_grid_coordinates
-from splits.retrieval.sand_fit import Effort, FitResult, fit
-from splits.retrieval.sand_parameters import UnitCube
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF
+from splits.retrieval.sand_fit import Effort, FitResult, fit
+from splits.retrieval.sand_parameters import UnitCube
 from splits.simulation.arguments import check_wavelengths
 from splits.simulation.attributes import make_wavelength_coordinate
 from splits.simulation.threads import DaemonThreadPool, count_cpus
-from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF
-from splits.core.provenance import hash_physics_sources
-from splits.core.uncertainty import Variable, make_variable
 
 
 def run_fit(
@@ -137,7 +137,7 @@ def choose_effort(max_stderr: float) -> Effort:
 def _make_batch_variables(
     dims: tuple[str, ...], deviations: list[xr.DataArray], shape: tuple[int, ...]
 ) -> dict[str, Variable]:
-    """Return how errors of modelled reflectance go together, see `splits.analysis.errors`."""
+    """Return how errors of modelled reflectance go together, see `splits.core.uncertainty`."""
     values = np.stack([one.values for one in deviations]).reshape(*shape, *deviations[0].shape)
     tail = (str(d) for d in deviations[0].dims)
     return {"reflectance_groups": ((*dims, *tail), values, dict(deviations[0].attrs))}
@@ -200,7 +200,9 @@ def _make_fit_dataset(
         **make_variable("measured", spectrum, measured, None, "measured reflectance"),
         **make_variable("value", over, value, value_error, "fitted parameter"),
         **make_variable("determined", over, told, None, narrowed),
-        **make_variable("correlation", square, related, None, "correlation of the fit's coordinates"),
+        **make_variable(
+            "correlation", square, related, None, "correlation of the fit's coordinates"
+        ),
         **make_variable("rmse", dims, rmse, rmse_error, "root mean square misfit"),
         **make_variable("evaluations", dims, tried, None, "number of sands simulated"),
     }

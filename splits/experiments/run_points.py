@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.io.netcdf import to_netcdf_attributes
-from splits.experiments.config.instrument import SURFACE_INSTRUMENTS, InstrumentSection
 from splits.experiments.checkpoints import PointCache
+from splits.experiments.config.instrument import SURFACE_INSTRUMENTS, InstrumentSection
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments import (
@@ -22,10 +21,10 @@ from splits.instruments import (
     surface_map,
 )
 from splits.instruments.shared_spectra import simulate_spectra
-from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.instruments.spectral_run import SpectralRequest
-from splits.media.medium import GranularMedium, LayeredMedium
-from splits.media.medium import Medium
+from splits.io.netcdf import to_netcdf_attributes
+from splits.media.medium import GranularMedium, LayeredMedium, Medium
+from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 
 STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
 N_BEAM_RAYS = 200_000
@@ -83,7 +82,9 @@ def simulate_points(
         some = [points[place] for place in places]
         if members is None:
             _, medium, incidence = some[0]
-            datasets = [simulate_point(instrument, medium, incidence, accuracy, seed, threads, show)]
+            datasets = [
+                simulate_point(instrument, medium, incidence, accuracy, seed, threads, show)
+            ]
         else:
             datasets = _simulate_group(some, members, instrument, accuracy, seed, threads, show)
         datasets = cache.save(places, datasets) if cache else datasets
@@ -123,7 +124,9 @@ def _simulate_group(
     most = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
     error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
     _, _, beam = points[0]
-    run = SpectralRequest.from_arguments(instrument.get_wavelengths(), beam, error, seed, most, threads, "auto")
+    run = SpectralRequest.from_arguments(
+        instrument.get_wavelengths(), beam, error, seed, most, threads, "auto"
+    )
     spectra = simulate_spectra(group.path_sharing, run, progress)
     return [
         _relabel_spectrum(spectra[which], medium)
@@ -163,11 +166,15 @@ def _make_progress_callback(prefix: str, log: LogCallback) -> Callable[[Progress
     return show
 
 
-def _log_result(prefix: str, datasets: Sequence[xr.Dataset], instrument: InstrumentSection, log: LogCallback) -> None:
+def _log_result(
+    prefix: str, datasets: Sequence[xr.Dataset], instrument: InstrumentSection, log: LogCallback
+) -> None:
     """Say how it went."""
     facts = datasets[0].attrs
     reached = [
-        f", error {max(one.attrs[key] for one in datasets):.4f}" for key in STDERR_ATTRIBUTES if key in facts
+        f", error {max(one.attrs[key] for one in datasets):.4f}"
+        for key in STDERR_ATTRIBUTES
+        if key in facts
     ]
     log(f"{prefix}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
     asked = instrument.rays or instrument.estimator == "cells"

@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.validation import key_prefix
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
-from splits.experiments.config.retrieve import RetrieveSection
-from splits.tables.table import Table
 from splits.core.parameter_names import describe_parameter
-from splits.retrieval.state_vector import SCALE
+from splits.core.validation import key_prefix
+from splits.experiments.config.retrieve import RetrieveSection
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.result import RetrievalResult
 from splits.retrieval.retrieve import retrieve
+from splits.retrieval.state_vector import SCALE
+from splits.tables.table import Table
 
 LogCallback = Callable[[str], None]
 SINGLE_MODEL, OWN_MODEL = "", "splits"
@@ -104,7 +104,9 @@ class _RetrievalTask(NamedTuple):
                 log(f"{mark}: {line}")
         return found
 
-    def _retrieve(self, name: str, prior: Mapping[str, Any], fixed: Mapping[str, Any]) -> RetrievalResult:
+    def _retrieve(
+        self, name: str, prior: Mapping[str, Any], fixed: Mapping[str, Any]
+    ) -> RetrievalResult:
         """Return what one sample tells, of which some of what is free elsewhere may be known."""
         axes = self.table.axes
         names = [n for n in self.section.free if n not in fixed and n in (*axes, SCALE)]
@@ -127,7 +129,9 @@ class _RetrievalTask(NamedTuple):
             return np.nan
         return float(self._retrieve(name, prior, known).dataset.attrs["chi2"])
 
-    def _make_prior(self, prior_results: Mapping[str, RetrievalResult], name: str) -> dict[str, Any]:
+    def _make_prior(
+        self, prior_results: Mapping[str, RetrievalResult], name: str
+    ) -> dict[str, Any]:
         """Return what is known of a sample before, from those retrieved first, too."""
         prior: dict[str, Any] = dict(self.section.prior)
         for first in self.section.prior_from:
@@ -137,7 +141,9 @@ class _RetrievalTask(NamedTuple):
         return prior
 
 
-def make_retrieval_table(retrievals: list[SampleRetrieval], reference: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
+def make_retrieval_table(
+    retrievals: list[SampleRetrieval], reference: Mapping[str, Mapping[str, float]]
+) -> pd.DataFrame:
     """Return a line for every parameter of every sample; `known` has values found otherwise."""
     rows = []
     for one in retrievals:
@@ -173,7 +179,7 @@ def make_retrieval_table(retrievals: list[SampleRetrieval], reference: Mapping[s
 
 
 def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Dataset:
-    """Return all samples as one dataset, which `splits.figures.retrievals` draws.
+    """Return all samples as one dataset, which `splits.plotting.retrieval` draws.
 
     Over models and samples.  Of samples that were measured at other wavelengths, those that all
     have; without those that were retrieved first.

@@ -10,17 +10,17 @@ from pathlib import Path
 
 import xarray as xr
 
-from splits.io.netcdf import save
+from splits.core.atomic import atomic_write
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.core.atomic import atomic_write
 from splits.instruments import Progress
 from splits.instruments.spectral_run import SpectralRequest
-from splits.tables.assembly import allocate_arrays, insert_block, assemble_dataset
+from splits.io.netcdf import save
+from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
 from splits.tables.block import TableRequest, make_block_path
-from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
-from splits.tables.build import iterate_blocks, compute_block_digest
+from splits.tables.build import compute_block_digest, iterate_blocks
 from splits.tables.plan import PathGroup, TablePlan
+from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
 
 DEFAULT_N_BLOCKS = 8
 """Parts of a table that are jobs of their own, unless the experiment says how many."""
@@ -48,7 +48,9 @@ def make_request(
     own = seed if instrument.seed is None else instrument.seed
     error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
     rays = accuracy.max_rays or MAX_RAYS
-    run = SpectralRequest.from_arguments(instrument.get_wavelengths(), 0.0, error, own, rays, threads, "auto")
+    run = SpectralRequest.from_arguments(
+        instrument.get_wavelengths(), 0.0, error, own, rays, threads, "auto"
+    )
     quantities = instrument.quantities or ("reflectance",)
     return TableRequest(run, quantities, instrument.covariance == "keep")
 
@@ -106,7 +108,9 @@ def run_table(
     for block in _simulate_blocks(experiment, order, plan.path_groups, folder, log):
         insert_block(found, block)
         facts.append(block.attrs)
-    return _add_experiment_attributes(experiment, assemble_dataset(found, plan, order, facts, time.perf_counter() - begun))
+    return _add_experiment_attributes(
+        experiment, assemble_dataset(found, plan, order, facts, time.perf_counter() - begun)
+    )
 
 
 def write_table(

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 
 from splits.core.arrays import check_increasing, check_named_numbers, read_columns
-from splits.core.validation import (
-    reject_unknown_arguments,
-    join_names,
-    to_text_keys,
-    check_choice,
-    invalid,
-    snap_to_limits,
-)
 from splits.core.equality import ContentEquality
 from splits.core.optional import import_optional
-from splits.materials.csv_table import to_columns, read_user_table
+from splits.core.validation import (
+    check_choice,
+    invalid,
+    join_names,
+    reject_unknown_arguments,
+    snap_to_limits,
+    to_text_keys,
+)
+from splits.materials.csv_table import read_user_table, to_columns
 
 BAND_COLUMNS = ("wavelength_nm", "response")
 SENSORS = {
@@ -140,7 +140,7 @@ def sensor_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
     Examples
     --------
     >>> import splits
-    >>> bands = splits.sensor("sentinel_2a")
+    >>> bands = splits.sensor_bands("sentinel_2a")
     >>> green = bands["sentinel_2a_3"]
     >>> round(float(green["wavelength_nm"][green["response"].argmax()]))
     560

@@ -13,12 +13,12 @@ import numpy as np
 import pandas as pd
 
 from splits.core.arrays import check_array_range, check_increasing, read_columns
-from splits.core.validation import check_range, reject_unknown_arguments, invalid, suggest_name
 from splits.core.equality import ContentEquality
 from splits.core.optional import import_optional
-from splits.materials.refractive_index import check_wavelength_range
-from splits.materials.csv_table import to_columns, read_user_table
+from splits.core.validation import check_range, invalid, reject_unknown_arguments, suggest_name
 from splits.illumination.bands import SpectralBand, as_bands
+from splits.materials.csv_table import read_user_table, to_columns
+from splits.materials.refractive_index import check_wavelength_range
 
 _SNICAR_CSV = Path(__file__).with_name("skies.csv")
 SKY_COLUMNS = ("wavelength_nm", "direct", "diffuse")
@@ -110,10 +110,14 @@ class Sky(ContentEquality):
         if total_w_m2 is None:
             if self.relative:
                 hint = f"irradiances of {self.name} are relative"
-                raise invalid("total_w_m2", None, "given: the irradiance of all light (W m-2)", hint)
+                raise invalid(
+                    "total_w_m2", None, "given: the irradiance of all light (W m-2)", hint
+                )
             return self
         total = check_range("total_w_m2", total_w_m2, 0.0, 1e5, "W m-2", open_low=True)
-        factor = total / self.compute_weights(self.wavelength_nm, self.make_bands(None)[BROADBAND]).sum()
+        factor = (
+            total / self.compute_weights(self.wavelength_nm, self.make_bands(None)[BROADBAND]).sum()
+        )
         direct, diffuse = factor * self.direct, factor * self.diffuse
         return replace(self, direct=direct, diffuse=diffuse, relative=False)
 
@@ -142,7 +146,9 @@ class Sky(ContentEquality):
         """
         own = as_bands(bands)
         if BROADBAND in own:
-            raise invalid(f"bands.{BROADBAND}", own[BROADBAND].limits_nm, "left out: it is there always")
+            raise invalid(
+                f"bands.{BROADBAND}", own[BROADBAND].limits_nm, "left out: it is there always"
+            )
         return {BROADBAND: SpectralBand.from_limits(*self.wavelength_nm[[0, -1]]), **own}
 
     def check_bands(self, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray) -> None:
@@ -239,7 +245,9 @@ def sky(
     # Arrays have no single answer to whether they equal a text.
     name = given if isinstance(given, str) else ""
     if name == ASTM_G173 and zenith_deg is not None:
-        raise invalid("zenith_deg", zenith_deg, "left out", f"{ASTM_G173} is for {ASTM_ZENITH_DEG}°")
+        raise invalid(
+            "zenith_deg", zenith_deg, "left out", f"{ASTM_G173} is for {ASTM_ZENITH_DEG}°"
+        )
     zenith = None
     if zenith_deg is not None:
         zenith = check_range("zenith_deg", zenith_deg, 0.0, MAX_ZENITH_DEG, "degrees")
@@ -253,7 +261,9 @@ def sky(
     atmosphere = {key: value for key, value in given_air.items() if value is not None}
     if name == CLEAR_SKY:
         if zenith is None:
-            raise invalid("zenith_deg", None, ZENITH_REQUIREMENT, f'splits.sky("{CLEAR_SKY}", zenith_deg=50)')
+            raise invalid(
+                "zenith_deg", None, ZENITH_REQUIREMENT, f'splits.sky("{CLEAR_SKY}", zenith_deg=50)'
+            )
         return _make_clear_sky(zenith, atmosphere)
     if atmosphere:
         first, value = next(iter(atmosphere.items()))

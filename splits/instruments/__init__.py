@@ -1,24 +1,27 @@
-"""Virtual instruments: run the kernels until the error asked for, estimate, label."""
+"""Virtual instruments: a medium and its illumination in, a labelled dataset with errors out."""
 
+from splits.instruments.albedo import albedo
 from splits.instruments.beam_spread import beam_spread
 from splits.instruments.deep_transmittance import deep_transmittance
 from splits.instruments.goniophotometer import goniophotometer
-from splits.instruments.lens import lens
+from splits.instruments.hdrf import hdrf
 from splits.instruments.irradiance_profile import irradiance_profile
-from splits.core.progress import Progress, ProgressBar
+from splits.instruments.lens import lens
+from splits.instruments.radiation_profile import radiation_profile
 from splits.instruments.single_scattering import single_scattering
 from splits.instruments.spectra import spectra
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.instruments.surface_map import surface_map
 
 __all__ = [
-    "Progress",
-    "ProgressBar",
-    "bssrdf",
+    "albedo",
+    "beam_spread",
     "deep_transmittance",
     "goniophotometer",
+    "hdrf",
+    "irradiance_profile",
     "lens",
-    "profile",
+    "radiation_profile",
     "single_scattering",
     "spectra",
     "spectrophotometer",

@@ -9,22 +9,21 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.uncertainty import compute_weighted_error
-from splits.core.validation import check_range, reject_unknown_arguments
-from splits.instruments import spectra, spectrophotometer
-from splits.simulation.arguments import check_threads, check_integer
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.core.progress import ProgressCallback
-from splits.media.medium import Medium
+from splits.core.uncertainty import compute_weighted_error, make_deviation_variable, make_variable
+from splits.core.validation import check_range, reject_unknown_arguments
 from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
+from splits.instruments import spectra, spectrophotometer
 from splits.instruments.sky_mixing import (
-    choose_wavelengths,
     as_sky,
-    mix_direct_and_diffuse,
+    choose_wavelengths,
     make_sky_attributes,
+    mix_direct_and_diffuse,
 )
-from splits.core.uncertainty import make_deviation_variable, make_variable
+from splits.media.medium import Medium
+from splits.simulation.arguments import check_integer, check_threads
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 
 
 @reject_unknown_arguments
@@ -45,7 +44,7 @@ def albedo(
     ----------
     medium : GranularMedium or TurbidMedium, or a mapping
         Names to media that share paths, as for `splits.spectra`: their differences are known far
-        better than their albedos (`splits.analysis.errors.difference`).
+        better than their albedos (`splits.core.uncertainty.compute_difference`).
     sky : Sky, str or mapping
         See `splits.sky`.
     wavelength_nm : array_like, optional
@@ -59,7 +58,7 @@ def albedo(
     bands : mapping or str, optional
         Names of bands to their ends (nm): ``{"visible": (305, 700)}``; or to how a sensor responds,
         a mapping of ``wavelength_nm`` and ``response`` or the path of a CSV file with these
-        columns; or the name of a sensor, see `splits.sensor`.
+        columns; or the name of a sensor, see `splits.sensor_bands`.
     threads : int, optional
         Default: every CPU this process may use.
     progress : callable or bool, optional
@@ -97,7 +96,9 @@ def albedo(
 
     found = mix_direct_and_diffuse(light, w, run, ["reflectance"])
     facts = {
-        **make_run_attributes("Albedo under a sky", "albedo", _get_first_medium(medium), begun, seed, threads),
+        **make_run_attributes(
+            "Albedo under a sky", "albedo", _get_first_medium(medium), begun, seed, threads
+        ),
         **make_sky_attributes(light),
         "max_stderr": max_stderr,
     }
@@ -106,24 +107,36 @@ def albedo(
     facts = {name: fact for name, fact in facts.items() if name == "medium" or name not in axes}
     axes["wavelength"] = make_wavelength_coordinate(w)
     dims = ("medium", "wavelength") if many else ("wavelength",)
-    spectrum = xr.Dataset(_rename_reflectance("albedo", dims, found, "albedo under this sky"), axes, facts)
+    spectrum = xr.Dataset(
+        _rename_reflectance("albedo", dims, found, "albedo under this sky"), axes, facts
+    )
     about = {"long_name": "part of the light that comes straight from the sun", "units": "1"}
     spectrum["direct_share"] = ("wavelength", light.compute_direct_fraction(w), about)
-    return spectrum.assign(_average_over_bands(spectrum, light, named)).assign_coords(band=list(named))
+    return spectrum.assign(_average_over_bands(spectrum, light, named)).assign_coords(
+        band=list(named)
+    )
 
 
 def _get_first_medium(medium: Medium | Mapping[str, Medium]) -> Medium:
     return next(iter(medium.values())) if isinstance(medium, Mapping) else medium
 
 
-def _rename_reflectance(name: str, dims: tuple[str, ...], reflectance: xr.Dataset, label: str) -> dict[str, Any]:
+def _rename_reflectance(
+    name: str, dims: tuple[str, ...], reflectance: xr.Dataset, label: str
+) -> dict[str, Any]:
     """Return what was found of reflectance under another name: values, errors and groups."""
-    value, error = (reflectance[f"reflectance{end}"].transpose(*dims).values for end in ("", "_stderr"))
+    value, error = (
+        reflectance[f"reflectance{end}"].transpose(*dims).values for end in ("", "_stderr")
+    )
     groups = reflectance.reflectance_groups.transpose("group", *dims).values
-    return make_variable(name, dims, value, error, label) | make_deviation_variable(name, dims, groups, label)
+    return make_variable(name, dims, value, error, label) | make_deviation_variable(
+        name, dims, groups, label
+    )
 
 
-def _average_over_bands(spectrum: xr.Dataset, sky: Sky, bands: Mapping[str, SpectralBand]) -> dict[str, Any]:
+def _average_over_bands(
+    spectrum: xr.Dataset, sky: Sky, bands: Mapping[str, SpectralBand]
+) -> dict[str, Any]:
     """Return the albedo of every band, its error, and how much of the band's light is known."""
     w = spectrum.wavelength.values
     value, error, groups, covered = [], [], [], []

@@ -10,16 +10,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splits.simulation import random_streams
 from splits.instruments.angular_estimate import (
     INTERPOLATION_FACTOR,
     AngularEstimate,
     bound_interpolation_error,
 )
-from splits.simulation.tally import Stratum
-from splits.simulation.runner import RAYS_PER_CHUNK
 from splits.kernels.grains.scene import make_bounding_optics
 from splits.kernels.tallies.angular import tally_angular_bins
+from splits.simulation import random_streams
+from splits.simulation.runner import RAYS_PER_CHUNK
+from splits.simulation.tally import Stratum
 
 DEFAULT_N_BINS = (18, 72)
 """Cells between horizon and zenith, and around: as many as 5° by 5° would be."""
@@ -74,9 +74,14 @@ class AngularBinTally:
         """Return how many numbers a tally holds."""
         return int(self.bin_sums.size + self.unscattered_sums.size)
 
-    def score_chunk(self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> BinScore:
+    def score_chunk(
+        self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
+    ) -> BinScore:
         """Return the sums of a batch of exits."""
-        found = [tally_angular_bins(exits, self.absorption, *self.n_bins, part) for part in self.stokes_columns]
+        found = [
+            tally_angular_bins(exits, self.absorption, *self.n_bins, part)
+            for part in self.stokes_columns
+        ]
         return np.stack([sums for sums, _ in found]), found[0][1]
 
     def add_scores(self, stratum: Stratum, scores: Sequence[BinScore]) -> None:
@@ -94,14 +99,16 @@ def compute_bin_centres(n_bins: tuple[int, int]) -> tuple[np.ndarray, np.ndarray
     return np.degrees(np.arccos(cosine)), np.arange(azimuth) * (360.0 / azimuth)
 
 
-def estimate_bin_brdf(tallies: Sequence[AngularBinTally], interpolation_bound: np.ndarray) -> AngularEstimate:
+def estimate_bin_brdf(
+    tallies: Sequence[AngularBinTally], interpolation_bound: np.ndarray
+) -> AngularEstimate:
     """Estimate BRDF and BTDF of every cell, from the zenith on.
 
     Parameters
     ----------
     ensembles : sequence of Cells
     bias : float, shape (wavelengths,)
-        See `splits.instruments.nodes.Nodes`.
+        See `splits.simulation.spectral_nodes.IndexNodes`.
     """
     polar, azimuth = tallies[0].n_bins
     mean, stderr = _compute_bin_means(tallies, 0)
@@ -127,7 +134,9 @@ def estimate_bin_brdf(tallies: Sequence[AngularBinTally], interpolation_bound: n
     )
 
 
-def estimate_bin_stokes(tallies: Sequence[AngularBinTally]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def estimate_bin_stokes(
+    tallies: Sequence[AngularBinTally],
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return Q, U and V of BRDF and BTDF with their errors, by name, where exits tell them."""
     found = {}
     for place, name in enumerate("quv"[: len(tallies[0].stokes_columns) - 1], start=1):
@@ -145,7 +154,9 @@ def _compute_projected_solid_angles(n_bins: tuple[int, int]) -> np.ndarray:
     return (np.pi / azimuth * np.diff(edges**2))[::-1, np.newaxis]
 
 
-def _compute_bin_means(tallies: Sequence[AngularBinTally], component: int) -> tuple[np.ndarray, np.ndarray]:
+def _compute_bin_means(
+    tallies: Sequence[AngularBinTally], component: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return a distribution function and its standard errors, from the zenith on."""
     mean, variance = np.zeros((2, *tallies[0].bin_sums.shape[2:]))
     for e in tallies:

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splits.core.uncertainty import compute_batch_stderr
+from splits.instruments.angular_tally import N_ANGULAR_BATCHES, RAYS_PER_ROUND, ExpansionTally
 from splits.instruments.angular_truncation import (
     DirectionGrid,
     compute_truncation_errors,
     select_terms,
 )
-from splits.instruments.angular_tally import N_ANGULAR_BATCHES, RAYS_PER_ROUND, ExpansionTally
-from splits.core.uncertainty import compute_batch_stderr
 
 INTERPOLATION_FACTOR = 8.0
 """What interpolation between refractive indices misses of a BRDF, relative, in units of its bound
-for a reflectance near 1/2; see `splits.instruments.estimators`."""
+for a reflectance near 1/2; see `splits.simulation.estimators`."""
 
 MAX_SPARSE_BATCHES = 8
 """Groups of rays with light up to which the error is at least that of an even spread."""
@@ -75,7 +75,7 @@ def estimate_brdf(
     ----------
     ensembles : sequence of Directional
     bias : float, shape (wavelengths,)
-        See `splits.instruments.nodes.Nodes`.
+        See `splits.simulation.spectral_nodes.IndexNodes`.
     angles : Angles
     symmetric : bool
         See `select_terms`.
@@ -90,7 +90,9 @@ def estimate_brdf(
     variance : list of Shares
         For each wavelength, what the classes of the ensembles it draws on add to the variance.
     """
-    mean, stderr, steering, beyond = np.zeros((4, 2, len(interpolation_bound), len(directions.polynomials)))
+    mean, stderr, steering, beyond = np.zeros(
+        (4, 2, len(interpolation_bound), len(directions.polynomials))
+    )
     sums = np.zeros((4, 2, len(interpolation_bound)))
     degree = np.zeros((2, len(interpolation_bound)), dtype=int)
     variance: list[TallyVariances] = []
@@ -102,7 +104,10 @@ def estimate_brdf(
         keep = select_terms(together, directions.basis, axisymmetric)
         shares = {}
         for i, part in zip(drawn, parts, strict=True):
-            one = np.where(keep[:, side], part[:, :, side], 0.0) @ directions.polynomials[direction_mask].T
+            one = (
+                np.where(keep[:, side], part[:, :, side], 0.0)
+                @ directions.polynomials[direction_mask].T
+            )
             shares[i] = one.var(axis=0, ddof=1) / N_ANGULAR_BATCHES
         variance.append(shares)
         values = np.where(keep, together, 0.0).sum(axis=1) @ directions.polynomials.T
@@ -178,13 +183,17 @@ def compute_max_relative_error(
 
     Of the errors stated, or of those that steer.
     """
-    stderr = (estimate.stopping_error if use_stopping_error else estimate.stderr)[side][:, direction_mask]
+    stderr = (estimate.stopping_error if use_stopping_error else estimate.stderr)[side][
+        :, direction_mask
+    ]
     scale = compute_error_reference(estimate)[side][:, direction_mask]
     return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
 
 
 def allocate_angular_rays(
-    tallies: Sequence[ExpansionTally], variance: Sequence[TallyVariances], target_variances: np.ndarray
+    tallies: Sequence[ExpansionTally],
+    variance: Sequence[TallyVariances],
+    target_variances: np.ndarray,
 ) -> np.ndarray:
     """Return the rays that every level should have for the least cost, ensemble by ensemble.
 

@@ -7,18 +7,18 @@ import numpy as np
 from splits.instruments.angular_estimate import (
     INTERPOLATION_FACTOR,
     AngularEstimate,
-    estimate_brdf,
-    compute_max_relative_error,
     allocate_angular_rays,
     compute_error_reference,
+    compute_max_relative_error,
+    estimate_brdf,
 )
-from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.angular_tally import RAYS_PER_ROUND, ExpansionTally
+from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.next_event import StoppingRule
-from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.runner import Runner
-from splits.simulation.threads import limit_blas_threads
 from splits.kernels.tallies.angular import make_basis
+from splits.simulation.runner import Runner
+from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.threads import limit_blas_threads
 
 MAX_DEGREE = 24
 """Largest degree of polynomials: details of about 180°/24."""
@@ -38,7 +38,10 @@ def trace_expansion(
     stopping_rule: StoppingRule,
 ) -> tuple[list[ExpansionTally], AngularEstimate, str]:
     """Trace until the goal is reached; return the paths, the estimate and what stopped them."""
-    symmetric, diffuse = runner.tracer.normal_incidence or runner.tracer.diffuse, runner.tracer.diffuse
+    symmetric, diffuse = (
+        runner.tracer.normal_incidence or runner.tracer.diffuse,
+        runner.tracer.diffuse,
+    )
     angles = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
     seen = make_direction_mask(polar, azimuth)
     ensembles = [
@@ -47,19 +50,31 @@ def trace_expansion(
     ]
     levels = [(e, level) for e in ensembles for level in e.strata]
     limit = stopping_rule.n_rays or stopping_rule.max_rays
-    runner.trace([(e, level, RAYS_PER_ROUND) for e, level in levels], 1.0, stopping_rule.relative_stderr)
+    runner.trace(
+        [(e, level, RAYS_PER_ROUND) for e, level in levels], 1.0, stopping_rule.relative_stderr
+    )
     reached: list[tuple[float, float]] = []
     while True:
         with limit_blas_threads():
-            result, variance = estimate_brdf(ensembles, nodes.interpolation_bound, angles, symmetric, stopping_rule.side, seen)
-        error = compute_max_relative_error(result, stopping_rule.side, seen, use_stopping_error=True)
+            result, variance = estimate_brdf(
+                ensembles, nodes.interpolation_bound, angles, symmetric, stopping_rule.side, seen
+            )
+        error = compute_max_relative_error(
+            result, stopping_rule.side, seen, use_stopping_error=True
+        )
         have = np.array([level.n_rays for _, level in levels])
         if stopping_rule.n_rays is None and error <= stopping_rule.relative_stderr:
             stated = compute_max_relative_error(result, stopping_rule.side, seen)
-            return ensembles, result, "error" if stated <= stopping_rule.relative_stderr else "detail"
+            return (
+                ensembles,
+                result,
+                "error" if stated <= stopping_rule.relative_stderr else "detail",
+            )
         # Eight times the rays should divide a statistical error by nearly three.
         idle = any(have.sum() >= 8.0 * rays and error > 0.8 * was for rays, was in reached)
-        if stopping_rule.n_rays is None and (idle or _is_truncation_limited(result, stopping_rule, seen)):
+        if stopping_rule.n_rays is None and (
+            idle or _is_truncation_limited(result, stopping_rule, seen)
+        ):
             return ensembles, result, "degree"
         reached.append((float(have.sum()), error))
         if have.sum() >= limit:
@@ -80,15 +95,24 @@ def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     return np.repeat(low if low.any() else ~low, len(azimuth))
 
 
-def _is_truncation_limited(estimate: AngularEstimate, stopping_rule: StoppingRule, direction_mask: np.ndarray) -> bool:
+def _is_truncation_limited(
+    estimate: AngularEstimate, stopping_rule: StoppingRule, direction_mask: np.ndarray
+) -> bool:
     """Tell whether only detail finer than the polynomials keeps a run from its goal."""
     side = stopping_rule.side
-    scale, stderr = compute_error_reference(estimate)[side][:, direction_mask], estimate.stopping_error[side][:, direction_mask]
-    rest = np.sqrt(np.maximum(stderr**2 - estimate.truncation_error[side][:, direction_mask] ** 2, 0.0))
+    scale, stderr = (
+        compute_error_reference(estimate)[side][:, direction_mask],
+        estimate.stopping_error[side][:, direction_mask],
+    )
+    rest = np.sqrt(
+        np.maximum(stderr**2 - estimate.truncation_error[side][:, direction_mask] ** 2, 0.0)
+    )
     return bool((rest <= stopping_rule.relative_stderr * scale).all())
 
 
-def _allocate_round(target_rays: np.ndarray, n_rays: np.ndarray, max_rays: int, fixed_total: bool) -> np.ndarray:
+def _allocate_round(
+    target_rays: np.ndarray, n_rays: np.ndarray, max_rays: int, fixed_total: bool
+) -> np.ndarray:
     """Return how many rays to add to each level: those wanted, or as many in these proportions."""
     room = float(max_rays - n_rays.sum())
     more = target_rays - n_rays

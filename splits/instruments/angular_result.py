@@ -9,16 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.instruments.angular_estimate import AngularEstimate
 from splits.instruments.angular_bins import (
     AngularBinTally,
     estimate_bin_brdf,
     estimate_bin_stokes,
 )
-from splits.simulation.tally import Tally
-from splits.instruments.next_event import StoppingRule, DetectorResult
-from splits.simulation.spectral_nodes import IndexNodes
+from splits.instruments.angular_estimate import AngularEstimate
+from splits.instruments.next_event import DetectorResult, StoppingRule
 from splits.simulation.runner import Runner
+from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.tally import Tally
 
 
 class AngularResult(NamedTuple):
@@ -35,7 +35,9 @@ class AngularResult(NamedTuple):
     undefined_variables: tuple[str, ...] = ()
 
 
-def make_angular_attributes(result: AngularResult, stopping_rule: StoppingRule, nodes: IndexNodes, runner: Runner) -> dict[str, Any]:
+def make_angular_attributes(
+    result: AngularResult, stopping_rule: StoppingRule, nodes: IndexNodes, runner: Runner
+) -> dict[str, Any]:
     """Return what was asked of an estimator, what stopped it, and what it spent."""
     return {
         "relative_stderr": stopping_rule.relative_stderr,
@@ -60,7 +62,9 @@ def from_detectors(detector_result: DetectorResult, wavelengths: np.ndarray) -> 
     # A bottom hears light at other angles than detectors outside would.
     unseen = () if detector_result.has_lower_side else ("btdf",)
     result = detector_result.to_angular_estimate(len(wavelengths))
-    return AngularResult(result, detector_result.stop_reason, detector_result.n_rays, (), stokes, unseen)
+    return AngularResult(
+        result, detector_result.stop_reason, detector_result.n_rays, (), stokes, unseen
+    )
 
 
 def estimate_by_bins(
@@ -74,7 +78,9 @@ def estimate_by_bins(
     each = -(-n_rays // len(paths))
     runner.trace([(e, level, each) for e in paths for level in e.strata], 1.0, 0.0)
     result = estimate_bin_brdf(paths, nodes.interpolation_bound)
-    return AngularResult(result, "rays", count_traced_rays(paths), paths, estimate_bin_stokes(paths))
+    return AngularResult(
+        result, "rays", count_traced_rays(paths), paths, estimate_bin_stokes(paths)
+    )
 
 
 def relabel_for_diffuse_light(dataset: xr.Dataset) -> xr.Dataset:

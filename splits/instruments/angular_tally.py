@@ -13,12 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splits.simulation import random_streams
-from splits.simulation.tally import Stratum
-from splits.simulation.runner import RAYS_PER_CHUNK
 from splits.kernels.grains.scene import NO_MAX_ORDER, make_bounding_optics
 from splits.kernels.tallies.angular import DiskBasis, tally_expansion
 from splits.kernels.tallies.exits import EXIT_ORDER
+from splits.simulation import random_streams
+from splits.simulation.runner import RAYS_PER_CHUNK
+from splits.simulation.tally import Stratum
 
 ORDER_CLASSES = (2, 8, 32, 128, NO_MAX_ORDER)
 """Largest order of scattering of each class."""
@@ -60,7 +60,7 @@ class ExpansionTally:
     place : dict
         Rows of the wavelengths that draw on this ensemble in the arrays below.
     sums : float, shape (groups, classes, 2, rows, polynomials)
-        See `splits.transport.sums.directions.expand`.
+        See `splits.kernels.tallies.angular.tally_expansion`.
     straight : float, shape (groups, 2, rows)
     """
 
@@ -77,12 +77,16 @@ class ExpansionTally:
         served = weights > 0.0
         self.absorption = absorption[served]
         self.weights = weights
-        self.wavelength_rows = {int(column): row for row, column in enumerate(np.flatnonzero(served))}
+        self.wavelength_rows = {
+            int(column): row for row, column in enumerate(np.flatnonzero(served))
+        }
         self.basis = basis
         self.exclude_unscattered = exclude_unscattered
         self.max_orders = np.array(max_orders, dtype=np.int64)
         rows = len(self.wavelength_rows)
-        self.coefficient_sums = np.zeros((N_ANGULAR_BATCHES, len(max_orders), 2, rows, basis.norms.size))
+        self.coefficient_sums = np.zeros(
+            (N_ANGULAR_BATCHES, len(max_orders), 2, rows, basis.norms.size)
+        )
         self.unscattered_sums = np.zeros((N_ANGULAR_BATCHES, 2, rows))
         optics = make_bounding_optics(index, self.absorption)
         first = random_streams.ANGULAR_EXPANSION + stream_index * len(max_orders)
@@ -95,12 +99,16 @@ class ExpansionTally:
         """Return how many numbers a tally holds."""
         return int(self.coefficient_sums[0].size + self.unscattered_sums[0].size)
 
-    def score_chunk(self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> ExpansionScore:
+    def score_chunk(
+        self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
+    ) -> ExpansionScore:
         """Return the sums of a batch of exits of a level."""
         heard = self.max_orders[self.max_orders <= stratum.max_order]
         if not self.exclude_unscattered:
             exits[:, EXIT_ORDER] = np.maximum(exits[:, EXIT_ORDER], 1.0)
-        return (first_ray // RAYS_PER_CHUNK) % N_ANGULAR_BATCHES, *tally_expansion(exits, self.absorption, heard, self.basis)
+        return (first_ray // RAYS_PER_CHUNK) % N_ANGULAR_BATCHES, *tally_expansion(
+            exits, self.absorption, heard, self.basis
+        )
 
     def add_scores(self, stratum: Stratum, scores: Sequence[ExpansionScore]) -> None:
         """Add the sums of batches one by one: they do not depend on who traced them."""
@@ -117,12 +125,20 @@ class ExpansionTally:
     def compute_coefficients(self, wavelength: int) -> np.ndarray:
         """Return its part of a wavelength's coefficients, shape (groups, classes, 2, …)."""
         each = (self.count_rays() / N_ANGULAR_BATCHES)[:, np.newaxis, np.newaxis]
-        return self.weights[wavelength] * self.coefficient_sums[:, :, :, self.wavelength_rows[wavelength]] / each
+        return (
+            self.weights[wavelength]
+            * self.coefficient_sums[:, :, :, self.wavelength_rows[wavelength]]
+            / each
+        )
 
     def compute_unscattered(self, wavelength: int) -> np.ndarray:
         """Return its part of a wavelength's light that met no grain, shape (groups, 2)."""
         each = self.count_rays()[0] / N_ANGULAR_BATCHES
-        return self.weights[wavelength] * self.unscattered_sums[:, :, self.wavelength_rows[wavelength]] / each
+        return (
+            self.weights[wavelength]
+            * self.unscattered_sums[:, :, self.wavelength_rows[wavelength]]
+            / each
+        )
 
     def compute_class_costs(self) -> np.ndarray:
         """Return the legs of a ray within each class, shape (classes,)."""

@@ -45,7 +45,9 @@ class DirectionGrid:
     polynomials: np.ndarray
 
 
-def make_direction_grid(polar_deg: np.ndarray, azimuth_deg: np.ndarray, basis: DiskBasis) -> DirectionGrid:
+def make_direction_grid(
+    polar_deg: np.ndarray, azimuth_deg: np.ndarray, basis: DiskBasis
+) -> DirectionGrid:
     """Return a grid of directions with the polynomials there."""
     polar, azimuth = np.radians(np.meshgrid(polar_deg, azimuth_deg, indexing="ij")).reshape(2, -1)
     sine = np.sin(polar)
@@ -102,7 +104,11 @@ def select_terms(coefficients: np.ndarray, basis: DiskBasis, axisymmetric: bool)
 
 
 def compute_truncation_errors(
-    noise_stderr: np.ndarray, coefficients: np.ndarray, term_mask: np.ndarray, directions: DirectionGrid, axisymmetric: bool
+    noise_stderr: np.ndarray,
+    coefficients: np.ndarray,
+    term_mask: np.ndarray,
+    directions: DirectionGrid,
+    axisymmetric: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return standard errors with detail that was dropped: stated, for steering, and what is finer.
 
@@ -126,15 +132,21 @@ def compute_truncation_errors(
     Returns
     -------
     stderr, steering, beyond : float, shape (2, directions)
-        See `splits.instruments.angular.Estimate`.
+        See `splits.instruments.angular_estimate.AngularEstimate`.
     """
     kept, rest = np.where(term_mask, coefficients, 0.0), np.where(term_mask, 0.0, coefficients)
     (apart, less), (common, less_common) = (
-        [estimate_dropped_power(one, axisymmetric, directions.basis, doubt) for doubt in (0.0, NOISE_ALLOWANCE_SIGMA)]
+        [
+            estimate_dropped_power(one, axisymmetric, directions.basis, doubt)
+            for doubt in (0.0, NOISE_ALLOWANCE_SIGMA)
+        ]
         for one in (rest, rest.sum(axis=1))
     )
     even = np.maximum(apart.sum(axis=0), common)[:, np.newaxis]
-    where, joint = (np.maximum(1.0, compute_power_concentration(one, directions)) for one in (kept, kept.sum(axis=1)))
+    where, joint = (
+        np.maximum(1.0, compute_power_concentration(one, directions))
+        for one in (kept, kept.sum(axis=1))
+    )
     there = np.maximum(
         (less[..., np.newaxis] + apart[..., np.newaxis] * (where - 1.0)).sum(axis=0),
         less_common[:, np.newaxis] + common[:, np.newaxis] * (joint - 1.0),
@@ -146,7 +158,9 @@ def compute_truncation_errors(
     return stderr, steering, beyond
 
 
-def estimate_dropped_power(coefficients: np.ndarray, axisymmetric: bool, basis: DiskBasis, noise_sigma: float = 0.0) -> np.ndarray:
+def estimate_dropped_power(
+    coefficients: np.ndarray, axisymmetric: bool, basis: DiskBasis, noise_sigma: float = 0.0
+) -> np.ndarray:
     """Return the mean square, over the hemisphere, of the detail that dropped coefficients hold.
 
     Their squares less their variances, as far as the sum is positive: what is too weak to be told
@@ -199,7 +213,9 @@ def is_significant(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
     return (mean**2).sum(axis=-1) > bound + np.finfo(float).tiny
 
 
-def estimate_truncation_error(coefficients: np.ndarray, axisymmetric: bool, directions: DirectionGrid) -> np.ndarray:
+def estimate_truncation_error(
+    coefficients: np.ndarray, axisymmetric: bool, directions: DirectionGrid
+) -> np.ndarray:
     """Return what detail finer than the polynomials may add, shape (2, directions).
 
     What the finest polynomials hold, if it stands out from noise, is taken to go on falling from
@@ -225,7 +241,10 @@ def estimate_truncation_error(coefficients: np.ndarray, axisymmetric: bool, dire
     tiny = np.finfo(float).tiny
     seen = is_significant(mean[..., fine], variance[..., fine])
     # A slow fall, which much follows from, is believed as far as noise does not feign it.
-    least, most = last - POWER_MARGIN_SIGMA * noise, np.maximum(before + POWER_MARGIN_SIGMA * noise_before, tiny)
+    least, most = (
+        last - POWER_MARGIN_SIGMA * noise,
+        np.maximum(before + POWER_MARGIN_SIGMA * noise_before, tiny),
+    )
     fall = np.clip(least / most, 0.0, MAX_POWER_RATIO)
     everywhere = np.sqrt(np.where(seen, last * fall / (1.0 - fall), 0.0) / np.pi)
     fall = np.sqrt(fall)

@@ -9,36 +9,36 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import reject_unknown_arguments, check_choice
-from splits.simulation import random_streams
+from splits.core.progress import ProgressCallback, with_progress
+from splits.core.uncertainty import (
+    Variable,
+    compute_batch_stderr,
+    compute_jackknife_stderr,
+    compute_leave_one_out_means,
+    make_variable,
+)
+from splits.core.validation import check_choice, reject_unknown_arguments
 from splits.instruments.angular_estimate import bound_interpolation_error
+from splits.instruments.angular_tally import N_ANGULAR_BATCHES, RAYS_PER_ROUND
+from splits.kernels.grains.scene import make_bounding_optics
+from splits.kernels.tallies.radial import tally_radial
+from splits.media.medium import Medium
+from splits.simulation import random_streams
 from splits.simulation.arguments import (
     HALF_WIDTH_RANGE_M,
     check_beam_angle,
     check_half_width,
+    check_integer,
     check_medium,
     check_threads,
     check_wavelengths,
-    check_integer,
 )
-from splits.instruments.angular_tally import N_ANGULAR_BATCHES, RAYS_PER_ROUND
-from splits.simulation.tally import Stratum
 from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
-from splits.simulation.spectral_nodes import choose_nodes
-from splits.core.progress import ProgressCallback, with_progress
 from splits.simulation.runner import RAYS_PER_CHUNK, Runner
 from splits.simulation.scene import compute_optical_constants
+from splits.simulation.spectral_nodes import choose_nodes
+from splits.simulation.tally import Stratum
 from splits.simulation.tracer import KERNELS
-from splits.media.medium import Medium
-from splits.kernels.grains.scene import make_bounding_optics
-from splits.kernels.tallies.radial import tally_radial
-from splits.core.uncertainty import (
-    Variable,
-    compute_jackknife_stderr,
-    make_variable,
-    compute_batch_stderr,
-    compute_leave_one_out_means,
-)
 
 RADIUS_QUANTILES = (0.25, 0.5, 0.75, 0.9)
 """Parts of the light that leave within the quantile radii."""
@@ -147,7 +147,9 @@ def beam_spread(
     if half_width_m is None:
         pilot = spreads(len(nodes.index), 0.0, 0)
         trace(pilot, RAYS_PER_ROUND)
-        radii = _compute_quantile_radii(_compute_radial_fractions(pilot, len(wavelengths)).mean(axis=0), (0.75,))
+        radii = _compute_quantile_radii(
+            _compute_radial_fractions(pilot, len(wavelengths)).mean(axis=0), (0.75,)
+        )
         # A free path where no light leaves; an edge that a map can be divided by in any case.
         found = radii[0].max() or 1.0 / runner.tracer.traits.attenuation
         half_width_m = np.clip(found, *HALF_WIDTH_RANGE_M["bssrdf"])
@@ -194,10 +196,18 @@ class _BeamSpreadTally:
         """Return how many numbers a tally holds."""
         return int(self.radial_sums[0].size + self.moment_sums[0].size + self.map_sums.size)
 
-    def score_chunk(self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> RadialScore:
+    def score_chunk(
+        self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
+    ) -> RadialScore:
         """Return the sums of a batch of exits."""
         sums = tally_radial(
-            exits, self.absorption, MIN_RADIUS_M, BINS_PER_DECADE, _N_FINE_BINS, self.half_width, self.n_pixels
+            exits,
+            self.absorption,
+            MIN_RADIUS_M,
+            BINS_PER_DECADE,
+            _N_FINE_BINS,
+            self.half_width,
+            self.n_pixels,
         )
         return (first_ray // RAYS_PER_CHUNK) % N_ANGULAR_BATCHES, *sums
 
@@ -210,7 +220,9 @@ class _BeamSpreadTally:
             self.map_sums += place
 
 
-def _compute_radial_fractions(tallies: Sequence[_BeamSpreadTally], n_wavelengths: int) -> np.ndarray:
+def _compute_radial_fractions(
+    tallies: Sequence[_BeamSpreadTally], n_wavelengths: int
+) -> np.ndarray:
     """Return the share of light by distance, by groups of rays."""
     total = np.zeros((N_ANGULAR_BATCHES, 2, n_wavelengths, _N_FINE_BINS))
     for e in tallies:
@@ -245,10 +257,14 @@ def _make_dataset(
     radial = _compute_radial_fractions(tallies, len(wavelengths))
     moment = np.zeros(radial.shape[:-1])
     for e in tallies:
-        moment[:, :, e.wavelength_mask] += e.weights * e.moment_sums / (e.strata[0].n_rays / N_ANGULAR_BATCHES)
+        moment[:, :, e.wavelength_mask] += (
+            e.weights * e.moment_sums / (e.strata[0].n_rays / N_ANGULAR_BATCHES)
+        )
     place = _compute_maps(tallies, len(wavelengths))
     inner = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _FINE_BINS_PER_BIN).sum(axis=-1)
-    edges = MIN_RADIUS_M * 10.0 ** (np.arange(inner.shape[-1] + 1) * _FINE_BINS_PER_BIN / BINS_PER_DECADE)
+    edges = MIN_RADIUS_M * 10.0 ** (
+        np.arange(inner.shape[-1] + 1) * _FINE_BINS_PER_BIN / BINS_PER_DECADE
+    )
     profile = inner / (np.pi * np.diff(edges**2))
     radius = np.sqrt(edges[1:] * edges[:-1])
     share = radial.sum(axis=-1)
@@ -286,7 +302,11 @@ def _make_dataset(
     coordinates = {
         "side": ("side", list(SIDES), {"long_name": "side of the sample that light leaves"}),
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "quantile": ("quantile", list(RADIUS_QUANTILES), {"long_name": "part of the light", "units": "1"}),
+        "quantile": (
+            "quantile",
+            list(RADIUS_QUANTILES),
+            {"long_name": "part of the light", "units": "1"},
+        ),
         "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
         "x": ("x", across, {"long_name": "distance along the beam's travel", "units": "m"}),
         "y": ("y", across, {"long_name": "distance across the beam's travel", "units": "m"}),
@@ -301,7 +321,9 @@ def _compute_maps(tallies: Sequence[_BeamSpreadTally], n_wavelengths: int) -> np
         rays = e.strata[0].n_rays
         w = e.weights[:, np.newaxis, np.newaxis]
         place[0][:, e.wavelength_mask] += w * e.map_sums[0] / rays
-        place[1][:, e.wavelength_mask] += w**2 * (e.map_sums[1] - e.map_sums[0] ** 2 / rays) / rays**2
+        place[1][:, e.wavelength_mask] += (
+            w**2 * (e.map_sums[1] - e.map_sums[0] ** 2 / rays) / rays**2
+        )
     return place
 
 

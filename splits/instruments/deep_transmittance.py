@@ -8,24 +8,24 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import check_range, reject_unknown_arguments, invalid
+from splits.core.progress import Progress, ProgressCallback, with_progress
+from splits.core.uncertainty import make_variable
+from splits.core.validation import check_range, invalid, reject_unknown_arguments
+from splits.instruments.single_scattering import single_scattering
+from splits.kernels.grains.scene import Optics, Scene, make_bounding_optics
+from splits.kernels.grains.splitting import trace_batch_with_splitting
+from splits.media.medium import GranularMedium
 from splits.simulation import random_streams
 from splits.simulation.arguments import (
     check_incidence,
+    check_integer,
     check_medium,
     check_threads,
     check_wavelengths,
-    check_integer,
 )
 from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
-from splits.core.progress import Progress, ProgressCallback, with_progress
-from splits.simulation.scene import compute_optical_constants, build_scene, get_reflecting_ground
-from splits.instruments.single_scattering import single_scattering
+from splits.simulation.scene import build_scene, compute_optical_constants, get_reflecting_ground
 from splits.simulation.threads import DaemonThreadPool
-from splits.media.medium import GranularMedium
-from splits.kernels.grains.splitting import trace_batch_with_splitting
-from splits.kernels.grains.scene import Optics, Scene, make_bounding_optics
-from splits.core.uncertainty import make_variable
 
 HISTORIES_PER_CHUNK = 64
 """Families per batch: the grain of parallel work."""
@@ -61,7 +61,7 @@ def deep_transmittance(
     """Measure hemispherical transmittance to a relative error, however small it is.
 
     Each wavelength is traced by itself in double precision; rays are split as they get deeper and
-    end by roulette where they cannot matter (see `splits.transport.grains.deep`).  How fast they
+    end by roulette where they cannot matter (see `splits.kernels.grains.splitting`).  How fast they
     are split comes from three pilots, whose rays do not count, and does not touch the mean.
 
     Parameters
@@ -128,7 +128,9 @@ def deep_transmittance(
     over = "wavelength"
     variables = {
         **make_variable("transmittance", over, transmittance, errors, long_name),
-        **make_variable("largest_share", over, shares, None, "share of the heaviest family of rays"),
+        **make_variable(
+            "largest_share", over, shares, None, "share of the heaviest family of rays"
+        ),
         **make_variable(
             "attenuation_rate", over, rates, None, "rate at which rays are split with depth", "m-1"
         ),
@@ -154,7 +156,9 @@ class _DeepStoppingRule(NamedTuple):
     progress: ProgressCallback
 
 
-def _trace_to_error(stopping_rule: _DeepStoppingRule, tracer: _Source, stream: int, splitting_rate: float) -> _Sum:
+def _trace_to_error(
+    stopping_rule: _DeepStoppingRule, tracer: _Source, stream: int, splitting_rate: float
+) -> _Sum:
     """Return families of rays of one wavelength, traced until the error or the rays asked for."""
     run = _TransmittanceTally()
     wanted = PILOT_HISTORIES
@@ -165,12 +169,20 @@ def _trace_to_error(stopping_rule: _DeepStoppingRule, tracer: _Source, stream: i
         if callable(stopping_rule.progress):
             seconds = time.perf_counter() - stopping_rule.start_time
             left = seconds * max((error / stopping_rule.relative_stderr) ** 2 - 1.0, 0.0)
-            stopping_rule.progress(Progress(run.n_histories, error, stopping_rule.relative_stderr, seconds, left))
+            stopping_rule.progress(
+                Progress(run.n_histories, error, stopping_rule.relative_stderr, seconds, left)
+            )
         done = error <= stopping_rule.relative_stderr and share <= MAX_HISTORY_FRACTION
         if done or run.n_histories >= stopping_rule.max_rays:
             return run
         needed = 1.1 * run.n_histories * (error / stopping_rule.relative_stderr) ** 2
-        wanted = int(min(max(needed, 1.5 * run.n_histories), 4.0 * run.n_histories, 2.0 * stopping_rule.max_rays))
+        wanted = int(
+            min(
+                max(needed, 1.5 * run.n_histories),
+                4.0 * run.n_histories,
+                2.0 * stopping_rule.max_rays,
+            )
+        )
 
 
 class _HistoryTracer(NamedTuple):
@@ -181,11 +193,15 @@ class _HistoryTracer(NamedTuple):
     scene: Scene
     optics: Optics
 
-    def trace(self, stream: int, first_history: int, splitting_rate: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return moments and profile of a batch, see `splits.transport.grains.deep.families`."""
+    def trace(
+        self, stream: int, first_history: int, splitting_rate: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return moments and profile of a batch, see `splits.kernels.grains.splitting.trace_batch_with_splitting`."""
         moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
         work = np.array([stream, first_history, HISTORIES_PER_CHUNK])
-        spent = trace_batch_with_splitting(self.seed, work, self.scene, self.optics, splitting_rate, moments, profile)
+        spent = trace_batch_with_splitting(
+            self.seed, work, self.scene, self.optics, splitting_rate, moments, profile
+        )
         if spent.lost:
             raise RuntimeError("a ray found no grain that fits between the boundaries")
         return moments[1], profile
@@ -204,7 +220,9 @@ class _TransmittanceTally:
         self._sum, self._sum_of_squares, self._max_score = 0.0, 0.0, 0.0
         self._depth_profile = np.zeros((2, N_DEPTH_SLICES))
 
-    def trace_histories(self, tracer: _HistoryTracer, stream: int, n_histories: int, splitting_rate: float) -> None:
+    def trace_histories(
+        self, tracer: _HistoryTracer, stream: int, n_histories: int, splitting_rate: float
+    ) -> None:
         """Trace whole batches until there are so many rays."""
         batches = range(self.n_histories, n_histories, HISTORIES_PER_CHUNK)
         for moments, profile in tracer.pool.map(
@@ -219,7 +237,9 @@ class _TransmittanceTally:
     def estimate(self) -> tuple[float, float, float]:
         """Return the mean, its standard error, and the heaviest family's share of the sum."""
         mean = self._sum / self.n_histories
-        stderr = np.sqrt(max(self._sum_of_squares / self.n_histories - mean**2, 0.0) / self.n_histories)
+        stderr = np.sqrt(
+            max(self._sum_of_squares / self.n_histories - mean**2, 0.0) / self.n_histories
+        )
         share = self._max_score / self._sum if self._sum > 0.0 else 1.0
         return float(mean), float(stderr), float(share)
 
@@ -235,7 +255,9 @@ class _TransmittanceTally:
         return max(-float(np.polyfit(place, np.log(weight[inside]), 1)[0]), 0.0)
 
 
-def _run_pilots(tracer: _HistoryTracer, first_stream: int, initial_rate: float, depth: float) -> float:
+def _run_pilots(
+    tracer: _HistoryTracer, first_stream: int, initial_rate: float, depth: float
+) -> float:
     """Return the rate (1/m) at which rays are to be split, as pilots see the light fall off."""
     rate = _RATE_SAFETY_FACTOR * initial_rate
     for stage in range(N_PILOTS):

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.simulation.spectral_nodes import MAX_LOG_SLOPE
 from splits.instruments.flux_tally import FluxPathTally
-from splits.media.medium import GranularMedium, LayeredMedium, compute_pore_fraction
-from splits.media.stacked_particle_layer import StackedParticleLayer
 from splits.kernels.grains.scene import WET_PORE
 from splits.kernels.tallies.flux import DOWNWARD
+from splits.media.medium import GranularMedium, LayeredMedium, compute_pore_fraction
+from splits.media.stacked_particle_layer import StackedParticleLayer
+from splits.simulation.spectral_nodes import MAX_LOG_SLOPE
 
 MIN_NONZERO_BATCHES = 8
 """Groups of rays with light up to which an error allows for one ray more."""
@@ -57,22 +57,28 @@ def estimate_systematic_error(
     Parameters
     ----------
     found, moved : sequence of float
-        Light and what is absorbed, see `splits.instruments.inside.Found`; the same if what lies
+        Light and what is absorbed, see `splits.instruments.flux_estimate.FluxEstimate`; the same if what lies
         below a cut kept more, None where there is no cut.
     bias : float, shape (wavelengths,)
-        Bound on what interpolation misses, see `splits.instruments.nodes.Nodes`.
+        Bound on what interpolation misses, see `splits.simulation.spectral_nodes.IndexNodes`.
     least : float, shape (wavelengths,)
         What one ray more would add to a mean.
     """
     unseen = bound_unsampled_light(estimates[0][:, DOWNWARD], single_ray_error)
     below = unseen[1 : estimates[1].shape[1] + 1]
-    lasting = [bound_flux_interpolation_error(interpolation_bound, groups.mean(axis=0)) for groups in estimates]
+    lasting = [
+        bound_flux_interpolation_error(interpolation_bound, groups.mean(axis=0))
+        for groups in estimates
+    ]
     if perturbed_estimates is not None:
         lasting = [
             np.hypot(one, (groups - other).mean(axis=0))
             for one, groups, other in zip(lasting, estimates, perturbed_estimates, strict=True)
         ]
-    rare = [estimate_rare_event_error(*each) for each in zip(estimates, (unseen[:-1], below), strict=True)]
+    rare = [
+        estimate_rare_event_error(*each)
+        for each in zip(estimates, (unseen[:-1], below), strict=True)
+    ]
     light, absorbed = (np.hypot(one, more) for one, more in zip(lasting, rare, strict=True))
     return SystematicError(light, absorbed, lasting, interpolation_bound, below)
 
@@ -102,7 +108,9 @@ def is_sparse(batch_means: np.ndarray) -> np.ndarray:
     return seen
 
 
-def bound_unsampled_light(downward_irradiance: np.ndarray, single_ray_error: np.ndarray) -> np.ndarray:
+def bound_unsampled_light(
+    downward_irradiance: np.ndarray, single_ray_error: np.ndarray
+) -> np.ndarray:
     """Return the most that rays which few groups have seen may add at each depth and below it.
 
     One ray more, and never much more than the light that reaches the plane above: what is
@@ -156,7 +164,7 @@ def compute_absorption_steps(
     ----------
     medium : GranularMedium or LayeredMedium
     absorption : float, shape (wavelengths, columns)
-        1/m; see `splits.instruments.scenes.Constants`.
+        1/m; see `splits.simulation.scene.OpticalConstants`.
     planes : float, shape (intervals + 1,)
         Depths between which intervals lie (m).
     """
@@ -176,7 +184,9 @@ def compute_absorption_steps(
     )
 
 
-def _compute_layer_steps(medium: GranularMedium | StackedParticleLayer, absorption: np.ndarray) -> AbsorptionSteps:
+def _compute_layer_steps(
+    medium: GranularMedium | StackedParticleLayer, absorption: np.ndarray
+) -> AbsorptionSteps:
     """Return the steps in a layer, one value per wavelength; where particles absorb along paths, 0.
 
     The mean chord of convex grains is their volume over their projected area; the mean leg between
@@ -234,15 +244,25 @@ def bound_actinic_flux_error(
         Light absorbed in an interval, and light that comes to it through its planes, over its
         thickness (1/m).
     """
-    most = _compute_path_excess(steps.optical_depth) * actinic_flux + steps.unscored_path_m * incident
+    most = (
+        _compute_path_excess(steps.optical_depth) * actinic_flux + steps.unscored_path_m * incident
+    )
     kept = np.maximum(absorption, 0.0)
-    path = np.divide(kept, steps.absorption_rate, out=np.full_like(actinic_flux, np.inf), where=steps.absorption_rate > 0.0)
+    path = np.divide(
+        kept,
+        steps.absorption_rate,
+        out=np.full_like(actinic_flux, np.inf),
+        where=steps.absorption_rate > 0.0,
+    )
     missed: np.ndarray = np.minimum(most, 2.0 * np.abs(path - actinic_flux) + 0.1 * actinic_flux)
     return missed
 
 
 def bound_material_absorptance_error(
-    steps: AbsorptionSteps, absorptance: np.ndarray, total_absorptance: np.ndarray, unscored_absorptance: np.ndarray
+    steps: AbsorptionSteps,
+    absorptance: np.ndarray,
+    total_absorptance: np.ndarray,
+    unscored_absorptance: np.ndarray,
 ) -> np.ndarray:
     """Return how far a material's absorbed share of an interval's may be off.
 
@@ -257,14 +277,19 @@ def bound_material_absorptance_error(
     whole, unheard : float, shape (intervals, wavelengths)
         What all of them absorb, and how much of that no path tells of.
     """
-    total_absorptance, unscored_absorptance = total_absorptance[:, np.newaxis], unscored_absorptance[:, np.newaxis]
+    total_absorptance, unscored_absorptance = (
+        total_absorptance[:, np.newaxis],
+        unscored_absorptance[:, np.newaxis],
+    )
     moved = np.minimum(absorptance, np.maximum(total_absorptance - absorptance, 0.0))
     off = _compute_path_excess(steps.optical_depth)[:, np.newaxis] * moved + unscored_absorptance
     missed: np.ndarray = np.minimum(off, np.maximum(total_absorptance, 0.0))
     return missed
 
 
-def compute_nonstatistical_error(batch_means: np.ndarray, interpolation_bound: np.ndarray, unsampled_light: np.ndarray) -> np.ndarray:
+def compute_nonstatistical_error(
+    batch_means: np.ndarray, interpolation_bound: np.ndarray, unsampled_light: np.ndarray
+) -> np.ndarray:
     """Return what standard errors of means of groups hold besides their scatter.
 
     Parameters
@@ -275,14 +300,19 @@ def compute_nonstatistical_error(batch_means: np.ndarray, interpolation_bound: n
     unseen : float, shape (..., wavelengths)
         See `estimate_rare_event_error`.
     """
-    found: np.ndarray = np.hypot(bound_flux_interpolation_error(interpolation_bound, batch_means.mean(axis=0)), estimate_rare_event_error(batch_means, unsampled_light))
+    found: np.ndarray = np.hypot(
+        bound_flux_interpolation_error(interpolation_bound, batch_means.mean(axis=0)),
+        estimate_rare_event_error(batch_means, unsampled_light),
+    )
     return found
 
 
-def bound_flux_interpolation_error(interpolation_bound: np.ndarray, value: np.ndarray) -> np.ndarray:
+def bound_flux_interpolation_error(
+    interpolation_bound: np.ndarray, value: np.ndarray
+) -> np.ndarray:
     """Return what interpolation between refractive indices may miss of irradiances and the like.
 
-    As of a reflectance (`splits.instruments.nodes`), with the elasticity |ln f| of what decays
+    As of a reflectance (`splits.simulation.spectral_nodes`), with the elasticity |ln f| of what decays
     exponentially with depth, where that is more.
 
     Parameters

@@ -7,22 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.core.uncertainty import compute_batch_stderr
 from splits.instruments.flux_errors import (
     SystematicError,
-    estimate_systematic_error,
     compute_single_ray_error,
+    estimate_systematic_error,
 )
+from splits.instruments.flux_media import TracedMedium
 from splits.instruments.flux_stopping_rule import (
     MIN_SCATTER_FRACTION,
     FluxStoppingRule,
     allocate_flux_rays,
 )
-from splits.instruments.flux_media import TracedMedium
-from splits.simulation.spectral_nodes import IndexNodes
 from splits.instruments.flux_tally import FLUX_RAYS_PER_ROUND, FluxPathTally
-from splits.simulation.runner import Runner
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD
-from splits.core.uncertainty import compute_batch_stderr
+from splits.simulation.runner import Runner
+from splits.simulation.spectral_nodes import IndexNodes
 
 _MAX_ROUND_GROWTH = 8.0
 
@@ -73,7 +73,9 @@ class FluxResult(NamedTuple):
     stop_reason: str
 
 
-def _estimate_at_planes(tally: FluxPathTally, weight: np.ndarray, boundary_rows: np.ndarray, semi_infinite: bool) -> FluxEstimate:
+def _estimate_at_planes(
+    tally: FluxPathTally, weight: np.ndarray, boundary_rows: np.ndarray, semi_infinite: bool
+) -> FluxEstimate:
     """Return what an ensemble tells at faces `at`, as its wavelengths weigh it.
 
     In a medium without end, the last face is where tracing ends, and the last interval goes on.
@@ -116,25 +118,51 @@ def estimate_flux(
         ]
         whole = FluxEstimate(*(np.sum(part, axis=0) for part in zip(*every, strict=True)))
         found, each = whole.select_wavelengths(own), [one.select_wavelengths(own) for one in every]
-        moved = whole.select_wavelengths(slice(traced_medium.n_wavelengths, None)) if traced_medium.truncated else None
+        moved = (
+            whole.select_wavelengths(slice(traced_medium.n_wavelengths, None))
+            if traced_medium.truncated
+            else None
+        )
         least = compute_single_ray_error(tallies, nodes.weights)[own]
-        doubt = estimate_systematic_error(found[:2], None if moved is None else moved[:2], nodes.interpolation_bound[own], least)
-        scatter = compute_batch_stderr(stopping_rule.average_over_bands(stopping_rule.select_quantities(found.irradiance, found.absorptance)))
+        doubt = estimate_systematic_error(
+            found[:2], None if moved is None else moved[:2], nodes.interpolation_bound[own], least
+        )
+        scatter = compute_batch_stderr(
+            stopping_rule.average_over_bands(
+                stopping_rule.select_quantities(found.irradiance, found.absorptance)
+            )
+        )
         bias = stopping_rule.average_over_bands(stopping_rule.select_quantities(*doubt.irreducible))
-        stderr = np.hypot(scatter, stopping_rule.average_over_bands(stopping_rule.select_quantities(doubt.irradiance, doubt.absorptance)))
+        stderr = np.hypot(
+            scatter,
+            stopping_rule.average_over_bands(
+                stopping_rule.select_quantities(doubt.irradiance, doubt.absorptance)
+            ),
+        )
         reached = float((stderr / stopping_rule.stderr_limits).max()) * stopping_rule.max_stderr
         rays = np.array([level.n_rays for _, level in levels], dtype=float)
         if reached <= stopping_rule.max_stderr:
             return FluxResult(found, doubt, moved, reached, "error")
-        if (bias > stopping_rule.stderr_limits).any() and (stderr**2 - bias**2 < MIN_SCATTER_FRACTION * stopping_rule.stderr_limits**2).all():
+        if (bias > stopping_rule.stderr_limits).any() and (
+            stderr**2 - bias**2 < MIN_SCATTER_FRACTION * stopping_rule.stderr_limits**2
+        ).all():
             return FluxResult(found, doubt, moved, reached, "bound")
         if rays.sum() >= max_rays:
             return FluxResult(found, doubt, moved, reached, "rays")
-        more = allocate_flux_rays(stopping_rule, tallies, [stopping_rule.select_quantities(one.irradiance, one.absorptance) for one in each], bias)
+        more = allocate_flux_rays(
+            stopping_rule,
+            tallies,
+            [stopping_rule.select_quantities(one.irradiance, one.absorptance) for one in each],
+            bias,
+        )
         step = np.minimum(more - rays, (_MAX_ROUND_GROWTH - 1.0) * rays)
         step = np.ceil(step * min(1.0, (max_rays - rays.sum()) / step.sum()) / FLUX_RAYS_PER_ROUND)
         left = float((more - rays - step * FLUX_RAYS_PER_ROUND).clip(0).sum())
-        work = [(*who, int(s) * FLUX_RAYS_PER_ROUND) for who, s in zip(levels, step, strict=True) if s > 0]
+        work = [
+            (*who, int(s) * FLUX_RAYS_PER_ROUND)
+            for who, s in zip(levels, step, strict=True)
+            if s > 0
+        ]
         runner.trace(work, reached, stopping_rule.max_stderr, left)
 
 

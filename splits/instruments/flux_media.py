@@ -1,7 +1,7 @@
 """Media as profiles trace them: with an end, and with absorption along paths.
 
 A medium without end is traced to a cut, below which diffusion theory stands for the rest
-(`splits.instruments.deep_packs`).  Paths serve each wavelength twice there: with what the rest
+(`splits.simulation.deep_medium`).  Paths serve each wavelength twice there: with what the rest
 keeps by theory, and with as much more as theory may be off.
 """
 
@@ -16,30 +16,30 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
-from splits.simulation.deep_medium import truncate_deep_medium
 from splits.instruments.flux_errors import compute_absorption_steps
-from splits.simulation.scene import (
-    OpticalConstants,
-    compute_optical_constants,
-    make_height_fields,
-    get_reflecting_ground,
-)
-from splits.simulation.path_tally import PathSharingMedia
-from splits.media.medium import GranularMedium, LayeredMedium
+from splits.kernels.grains.scene import WET_PORE
 from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
+from splits.media.medium import GranularMedium, LayeredMedium
 from splits.media.particle_layer import (
     CLEARANCE_SIGMA,
     SEMI_INFINITE_TRANSPORT_MFP,
     ParticleLayer,
 )
+from splits.media.stack import Stack
 from splits.media.stacked_particle_layer import (
     UNSUPPORTED_IN_STACK,
     AbsorbingMatrixLayer,
     StackedParticleLayer,
 )
-from splits.media.stack import Stack
-from splits.kernels.grains.scene import WET_PORE
+from splits.simulation.deep_medium import truncate_deep_medium
+from splits.simulation.path_tally import PathSharingMedia
+from splits.simulation.scene import (
+    OpticalConstants,
+    compute_optical_constants,
+    get_reflecting_ground,
+    make_height_fields,
+)
+from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
 
 _MATRIX_GAP_FRACTION = 1e-6
 """Thickness, in units of its layer's, of the matrix between a layer's end and its bottom."""
@@ -83,7 +83,9 @@ class TracedMedium(NamedTuple):
         """Tell at which wavelengths the lowest layer absorbs, shape (wavelengths,)."""
         absorption = self.constants.absorption[: self.n_wavelengths]
         lowest = self.planes_m[-1] * np.array([1.0 - 1e-6, 1.0])
-        absorbing: np.ndarray = compute_absorption_steps(self.medium, absorption, lowest).absorption_rate[0] > 0.0
+        absorbing: np.ndarray = (
+            compute_absorption_steps(self.medium, absorption, lowest).absorption_rate[0] > 0.0
+        )
         return absorbing
 
 
@@ -95,7 +97,9 @@ class _AbsorbingStack(Stack):
     def scene_layers(self) -> tuple[Any, ...]:
         """The layers as scenes take them."""
         return tuple(
-            AbsorbingMatrixLayer.from_particle_layer(part) if isinstance(part, StackedParticleLayer) else part
+            AbsorbingMatrixLayer.from_particle_layer(part)
+            if isinstance(part, StackedParticleLayer)
+            else part
             for part in super().parts
         )
 
@@ -141,7 +145,11 @@ def prepare_medium(
     max_stderr, seed, threads
         As for the spectrophotometer.
     """
-    rough = medium.make_height_fields() if isinstance(medium, ParticleLayer) else make_height_fields(medium)
+    rough = (
+        medium.make_height_fields()
+        if isinstance(medium, ParticleLayer)
+        else make_height_fields(medium)
+    )
     if rough is not None:
         least = CLEARANCE_SIGMA * float(np.linalg.norm(rough.rms_height))
         if depths_m[0] < least:
@@ -159,7 +167,9 @@ def prepare_medium(
     if any(isinstance(part, StackedParticleLayer) for part in getattr(whole, "parts", ())):
         whole = _AbsorbingStack(whole.layers, whole.ground)
     names = {name: column for column, name in enumerate(medium.list_materials())}
-    return _prepare_finite_medium(whole, wavelengths, depths_m, float(whole.depth_m), endless, names)
+    return _prepare_finite_medium(
+        whole, wavelengths, depths_m, float(whole.depth_m), endless, names
+    )
 
 
 def _prepare_finite_medium(
@@ -173,11 +183,17 @@ def _prepare_finite_medium(
     """Return a medium that ends as it is traced."""
     constants = compute_optical_constants(medium, wavelengths)
     # A ground below what has no end is one that stands for the rest.
-    cut = semi_infinite and not isinstance(medium, _ParticleSlab) and get_reflecting_ground(medium) is not None
+    cut = (
+        semi_infinite
+        and not isinstance(medium, _ParticleSlab)
+        and get_reflecting_ground(medium) is not None
+    )
     if cut:
         constants = _append_darker_ground(constants)
     planes = np.array([0.0, *depths_m, end_m])
-    return TracedMedium(medium, constants, wavelengths.size, planes, semi_infinite, cut, material_columns)
+    return TracedMedium(
+        medium, constants, wavelengths.size, planes, semi_infinite, cut, material_columns
+    )
 
 
 def _append_darker_ground(constants: OpticalConstants) -> OpticalConstants:
@@ -192,11 +208,17 @@ def _append_darker_ground(constants: OpticalConstants) -> OpticalConstants:
     )
 
 
-def _prepare_particle_layer(layer: ParticleLayer, wavelengths: np.ndarray, depths_m: Sequence[float]) -> TracedMedium:
+def _prepare_particle_layer(
+    layer: ParticleLayer, wavelengths: np.ndarray, depths_m: Sequence[float]
+) -> TracedMedium:
     """Return a layer of particles alone as it is traced."""
     for name in ("polarized", "opaque"):
         if getattr(layer, name):
-            hint = "profiles know no polarization" if name == "polarized" else UNSUPPORTED_IN_STACK[name][1]
+            hint = (
+                "profiles know no polarization"
+                if name == "polarized"
+                else UNSUPPORTED_IN_STACK[name][1]
+            )
             raise invalid(name, True, "false", hint)
     endless = math.isinf(layer.optical_thickness)
     ground: Ground | None = Ground.from_input(layer.bottom_albedo)

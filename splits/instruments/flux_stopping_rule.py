@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.simulation.tally import RAYS_PER_CHUNK, N_BATCHES
-from splits.simulation.estimators import allocate_rays
+from splits.core.uncertainty import compute_batch_stderr
 from splits.instruments.flux_tally import FluxPathTally
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD
-from splits.core.uncertainty import compute_batch_stderr
+from splits.simulation.estimators import allocate_rays
+from splits.simulation.tally import N_BATCHES, RAYS_PER_CHUNK
 
 MIN_SCATTER_FRACTION = 0.1
 """Part of the variance asked for that scatter may have in any case."""
@@ -84,7 +84,11 @@ class VarianceTerms(NamedTuple):
     column_mask: np.ndarray
 
 
-def make_variance_terms(stopping_rule: FluxStoppingRule, tallies: Sequence[FluxPathTally], quantities: Sequence[np.ndarray]) -> VarianceTerms:
+def make_variance_terms(
+    stopping_rule: FluxStoppingRule,
+    tallies: Sequence[FluxPathTally],
+    quantities: Sequence[np.ndarray],
+) -> VarianceTerms:
     """Return the members of quantities by wavelength, or by band.
 
     The wavelengths of a band that the same levels of an ensemble serve make one member.
@@ -117,7 +121,10 @@ def make_variance_terms(stopping_rule: FluxStoppingRule, tallies: Sequence[FluxP
 
 
 def allocate_flux_rays(
-    stopping_rule: FluxStoppingRule, tallies: Sequence[FluxPathTally], quantities: Sequence[np.ndarray], irreducible_error: np.ndarray
+    stopping_rule: FluxStoppingRule,
+    tallies: Sequence[FluxPathTally],
+    quantities: Sequence[np.ndarray],
+    irreducible_error: np.ndarray,
 ) -> np.ndarray:
     """Return the rays per level that reach a goal at the least cost.
 
@@ -132,10 +139,15 @@ def allocate_flux_rays(
     rays = np.array([level.n_rays for level in levels], dtype=float)
     members = make_variance_terms(stopping_rule, tallies, quantities)
     each = members.values.var(axis=1, ddof=1) / N_BATCHES
-    target = np.maximum(stopping_rule.stderr_limits**2 - irreducible_error**2, MIN_SCATTER_FRACTION * stopping_rule.stderr_limits**2)
+    target = np.maximum(
+        stopping_rule.stderr_limits**2 - irreducible_error**2,
+        MIN_SCATTER_FRACTION * stopping_rule.stderr_limits**2,
+    )
     if stopping_rule.band_weights is not None:
         # Members of one ensemble share rays and scatter together.
-        whole = compute_batch_stderr(stopping_rule.average_over_bands(np.sum(quantities, axis=0))) ** 2
+        whole = (
+            compute_batch_stderr(stopping_rule.average_over_bands(np.sum(quantities, axis=0))) ** 2
+        )
         parts = each.sum(axis=0)
         target *= np.divide(parts, whole, out=np.ones_like(parts), where=(parts > 0) & (whole > 0))
     count = (members.membership * rays) @ members.column_mask

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.tallies.flux import FluxTally, tally_flux
 from splits.simulation import random_streams
 from splits.simulation.tally import (
     N_BATCHES,
@@ -15,7 +16,6 @@ from splits.simulation.tally import (
     TransportTraits,
     make_strata,
 )
-from splits.kernels.tallies.flux import FluxTally, tally_flux
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of every group is short."""
@@ -58,7 +58,7 @@ class FluxPathTally:
     manner : Manner
     layers : int
     fractions : float, shape (materials,)
-        Path over recorded length, see `splits.media.granular.path_fractions`.
+        Path over recorded length, see `splits.media.medium.compute_path_fractions`.
     """
 
     def __init__(
@@ -89,7 +89,9 @@ class FluxPathTally:
         notes = FLUX_RAYS_PER_CHUNK * CROSSINGS_PER_BOUNDARY * self.n_layers * (materials + 3)
         return notes + self.n_layers * (3 + materials) * wavelengths
 
-    def score_chunk(self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> FluxScore:
+    def score_chunk(
+        self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
+    ) -> FluxScore:
         """Return the sums of a batch of `FLUX_RAYS_PER_CHUNK` rays of a level."""
         absorption = self.absorption[stratum.wavelength_mask]
         ground = self.traits.ground_column

@@ -9,37 +9,37 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import check_range, reject_unknown_arguments, check_choice, invalid
-from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
-from splits.simulation.arguments import (
-    check_direction_angles,
-    check_n_bins,
-    check_incidence,
-    check_medium,
-    check_dataset_size,
-    check_threads,
-    check_wavelengths,
-    check_integer,
-)
-from splits.instruments.angular_bins import DEFAULT_N_BINS, compute_bin_centres
-from splits.instruments.angular_expansion import make_direction_mask, trace_expansion
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
-from splits.instruments.next_event import StoppingRule, estimate_at_detectors
-from splits.simulation.spectral_nodes import choose_nodes
 from splits.core.progress import ProgressCallback, with_progress
-from splits.simulation.runner import Runner
-from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
-from splits.simulation.tracer import KERNELS
+from splits.core.uncertainty import Variable, make_variable
+from splits.core.validation import check_choice, check_range, invalid, reject_unknown_arguments
+from splits.instruments.angular_bins import DEFAULT_N_BINS, compute_bin_centres
+from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
+from splits.instruments.angular_expansion import make_direction_mask, trace_expansion
 from splits.instruments.angular_result import (
     AngularResult,
-    estimate_by_bins,
-    make_angular_attributes,
-    from_detectors,
     count_traced_rays,
+    estimate_by_bins,
+    from_detectors,
+    make_angular_attributes,
     relabel_for_diffuse_light,
 )
+from splits.instruments.next_event import StoppingRule, estimate_at_detectors
 from splits.media.medium import Medium
-from splits.core.uncertainty import Variable, make_variable
+from splits.simulation.arguments import (
+    check_dataset_size,
+    check_direction_angles,
+    check_incidence,
+    check_integer,
+    check_medium,
+    check_n_bins,
+    check_threads,
+    check_wavelengths,
+)
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.simulation.runner import Runner
+from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
+from splits.simulation.spectral_nodes import choose_nodes
+from splits.simulation.tracer import KERNELS
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
@@ -79,7 +79,7 @@ def goniophotometer(
     Parameters
     ----------
     medium : GranularMedium or TurbidMedium
-        For example `splits.Snow` or `splits.Layer`.
+        For example `splits.Snow` or `splits.ParticleLayer`.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     incidence_deg : float or "diffuse"
@@ -163,21 +163,26 @@ def goniophotometer(
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
-    polar, azimuth = _make_directions(polar_deg, azimuth_deg, cells if estimator == "cells" else None)
+    polar, azimuth = _make_directions(
+        polar_deg, azimuth_deg, cells if estimator == "cells" else None
+    )
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
     goal = StoppingRule(side, relative_stderr, rays, max_rays)
     if estimator == "cells":
         found = estimate_by_bins(runner, nodes, absorption, cells, rays or 1_000_000)
     elif estimator == "local":
         found = from_detectors(
-            estimate_at_detectors(medium, float(incidence), polar, azimuth, goal, runner), wavelengths
+            estimate_at_detectors(medium, float(incidence), polar, azimuth, goal, runner),
+            wavelengths,
         )
     else:
         paths, result, reached = trace_expansion(runner, nodes, absorption, polar, azimuth, goal)
         found = AngularResult(result, reached, count_traced_rays(paths), paths)
     seen = make_direction_mask(polar, azimuth) | (estimator == "local")
     facts = {
-        **make_run_attributes("Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads),
+        **make_run_attributes(
+            "Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads
+        ),
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
@@ -202,7 +207,9 @@ def _get_target_side(target: str, has_ground: bool) -> int:
     """Return the side of the sample that the target is on, or refuse that of a ground."""
     side = TARGET_SIDES[check_choice("target", target, TARGET_SIDES)]
     if has_ground and side == 1:
-        raise invalid("target", target, "brdf over a ground", "what reaches it does not leave there")
+        raise invalid(
+            "target", target, "brdf over a ground", "what reaches it does not leave there"
+        )
     return side
 
 

@@ -8,20 +8,20 @@ from typing import Any
 
 import xarray as xr
 
-from splits.core.validation import reject_unknown_arguments
-from splits.instruments import goniophotometer
-from splits.simulation.arguments import check_threads, check_integer
-from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.core.progress import ProgressCallback
-from splits.media.medium import Medium
+from splits.core.validation import reject_unknown_arguments
 from splits.illumination.sky import Sky
+from splits.instruments import goniophotometer
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.sky_mixing import (
-    choose_wavelengths,
     as_sky,
-    mix_direct_and_diffuse,
+    choose_wavelengths,
     make_sky_attributes,
+    mix_direct_and_diffuse,
 )
+from splits.media.medium import Medium
+from splits.simulation.arguments import check_integer, check_threads
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 
 
 @reject_unknown_arguments
@@ -91,7 +91,9 @@ def hdrf(
     error = {"long_name": f"standard error of {term}", "units": "1"}
     about = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
     found[name].attrs, found[f"{name}_stderr"].attrs = about, error
-    facts = make_run_attributes("Reflectance factor under a sky", "hdrf", medium, begun, seed, threads)
+    facts = make_run_attributes(
+        "Reflectance factor under a sky", "hdrf", medium, begun, seed, threads
+    )
     asked_for = {"relative_stderr": relative_stderr}
     found = found.assign_coords(wavelength=make_wavelength_coordinate(w))
     return found.assign_attrs(facts | make_sky_attributes(light) | asked_for)

@@ -8,34 +8,39 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import check_array_range, check_increasing, as_1d_array
+from splits.core.arrays import as_1d_array, check_array_range, check_increasing
+from splits.core.progress import ProgressCallback, with_progress
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
-    check_range,
-    reject_unknown_arguments,
     check_choice,
+    check_range,
     invalid,
+    reject_unknown_arguments,
+)
+from splits.instruments.flux_dataset import make_flux_dataset
+from splits.instruments.flux_estimate import estimate_flux
+from splits.instruments.flux_media import TracedMedium, get_thickness, prepare_medium
+from splits.instruments.flux_stopping_rule import FluxStoppingRule
+from splits.instruments.flux_tally import FLUX_RAYS_PER_CHUNK, FluxPathTally
+from splits.media.medium import (
+    GranularMedium,
+    LayeredMedium,
+    Medium,
+    ParticleMedium,
+    compute_path_fractions,
 )
 from splits.simulation.arguments import (
     check_incidence,
+    check_integer,
     check_medium,
     check_threads,
     check_wavelengths,
-    check_integer,
 )
-from splits.simulation.tally import N_BATCHES
-from splits.instruments.flux_estimate import estimate_flux
-from splits.instruments.flux_dataset import make_flux_dataset
-from splits.instruments.flux_stopping_rule import FluxStoppingRule
-from splits.instruments.flux_media import TracedMedium, get_thickness, prepare_medium
 from splits.simulation.attributes import make_run_attributes
-from splits.simulation.spectral_nodes import MAX_NODES, IndexNodes, choose_nodes
-from splits.instruments.flux_tally import FLUX_RAYS_PER_CHUNK, FluxPathTally
-from splits.core.progress import ProgressCallback, with_progress
 from splits.simulation.runner import Runner
+from splits.simulation.spectral_nodes import MAX_NODES, IndexNodes, choose_nodes
+from splits.simulation.tally import N_BATCHES
 from splits.simulation.tracer import KERNELS
-from splits.media.medium import GranularMedium, LayeredMedium, compute_path_fractions
-from splits.media.medium import Medium, ParticleMedium
 
 MAX_DEPTHS = 200
 MAX_TALLY_VALUES = 100_000_000
@@ -69,7 +74,7 @@ def irradiance_profile(
     Parameters
     ----------
     medium : GranularMedium, LayeredMedium or TurbidMedium
-        For example `splits.Snow`, `splits.Stack` or `splits.Layer`; may have no end.
+        For example `splits.Snow`, `splits.Stack` or `splits.ParticleLayer`; may have no end.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     depth_m : array_like
@@ -96,7 +101,7 @@ def irradiance_profile(
         of the light that is absorbed there, and ``actinic_flux``, the mean path of the light in
         the interval over its thickness, grains and pores together.  ``absorptance_of_material``
         over ``material`` besides.  All with standard errors ``…_stderr``; irradiances and
-        absorptances also with ``…_groups``, see `splits.analysis.errors`.  Reflectance,
+        absorptances also with ``…_groups``, see `splits.core.uncertainty`.  Reflectance,
         absorptances, and the net irradiance at the bottom add up to 1.  The last interval of a
         medium without end goes on below all depths; its mean actinic flux is 0 if it absorbs.
 
@@ -117,7 +122,7 @@ def irradiance_profile(
 
     Actinic flux and shares of materials take weights to fall evenly along the path between planes.
     Where single grains or pores absorb much of the light that crosses them, both are rough; their
-    errors hold what that may be (`splits.instruments.inside_errors`).
+    errors hold what that may be (`splits.instruments.flux_errors`).
 
     References
     ----------
@@ -147,7 +152,9 @@ class FluxRequest(NamedTuple):
 
     def validate(self) -> FluxRequest:
         """Return it, or refuse a value outside its range."""
-        check_medium(self.medium, GranularMedium, LayeredMedium, ParticleMedium, allow_semi_infinite=True)
+        check_medium(
+            self.medium, GranularMedium, LayeredMedium, ParticleMedium, allow_semi_infinite=True
+        )
         return self._replace(
             wavelengths=check_wavelengths(self.wavelengths),
             depths=_check_depths(self.depths, get_thickness(self.medium)),
@@ -163,7 +170,9 @@ def simulate_flux(request: FluxRequest, stopping_rule: FluxStoppingRule) -> xr.D
     """Return the dataset of `irradiance_profile`, for quantities known as well as a goal asks for."""
     begun = time.perf_counter()
     medium, seed, threads = request.medium, request.seed, request.threads
-    traced = prepare_medium(medium, request.wavelengths, request.depths, stopping_rule.max_stderr, seed, threads)
+    traced = prepare_medium(
+        medium, request.wavelengths, request.depths, stopping_rule.max_stderr, seed, threads
+    )
     runner = Runner(
         traced.medium, request.incidence, seed, threads, False, request.kernel, request.progress,
         planes_m=request.depths.tolist(),
@@ -202,10 +211,14 @@ def simulate_flux(request: FluxRequest, stopping_rule: FluxStoppingRule) -> xr.D
 
 def _choose_nodes(index: np.ndarray, medium: Medium, stopping_rule: FluxStoppingRule) -> IndexNodes:
     """Return refractive indices to trace with: more of them where many share the rays of a band."""
-    found = choose_nodes(index, medium.list_interfaces(), INTERPOLATION_FRACTION * stopping_rule.max_stderr)
+    found = choose_nodes(
+        index, medium.list_interfaces(), INTERPOLATION_FRACTION * stopping_rule.max_stderr
+    )
     if stopping_rule.band_weights is None:
         return found
-    finer = choose_nodes(index, medium.list_interfaces(), BAND_INTERPOLATION_FRACTION * stopping_rule.max_stderr)
+    finer = choose_nodes(
+        index, medium.list_interfaces(), BAND_INTERPOLATION_FRACTION * stopping_rule.max_stderr
+    )
     return finer if len(finer.index) <= MAX_NODES else found
 
 
@@ -226,7 +239,10 @@ def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
 def _check_memory(traced_medium: TracedMedium, n_layers: int, n_nodes: int) -> None:
     """Refuse what would not fit into memory."""
     rows, columns = traced_medium.constants.absorption.shape
-    wavelengths, sums = traced_medium.n_wavelengths, N_BATCHES * n_layers * (columns + 3) * rows * n_nodes
+    wavelengths, sums = (
+        traced_medium.n_wavelengths,
+        N_BATCHES * n_layers * (columns + 3) * rows * n_nodes,
+    )
     if sums > MAX_TALLY_VALUES:
         raise invalid(
             "wavelength_nm", f"{wavelengths} wavelengths",

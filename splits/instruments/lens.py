@@ -12,21 +12,21 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import (
-    check_array_range,
-    find_labels,
-    check_increasing,
-    match_labels,
-    as_float_array,
     as_1d_array,
+    as_float_array,
+    check_array_range,
+    check_increasing,
+    find_labels,
+    match_labels,
 )
-from splits.core.validation import check_range, reject_unknown_arguments, check_choice, invalid
-from splits.simulation.arguments import check_half_width, check_medium, check_integer
-from splits.simulation.attributes import make_run_attributes
-from splits.media.medium import SurfaceMedium
-from splits.kernels.rough_surface.lens import RefractedRays, refract_vertical_rays
-from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, N_WAVE_LANES, PHASE, WAVE_ROWS
-from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.core.uncertainty import make_variable
+from splits.core.validation import check_choice, check_range, invalid, reject_unknown_arguments
+from splits.kernels.rough_surface.lens import RefractedRays, refract_vertical_rays
+from splits.kernels.rough_surface.realization import compute_heights_and_slopes
+from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, N_WAVE_LANES, PHASE, WAVE_ROWS
+from splits.media.medium import SurfaceMedium
+from splits.simulation.arguments import check_half_width, check_integer, check_medium
+from splits.simulation.attributes import make_run_attributes
 
 MIN_DETECTED_FRACTION = 0.5
 """Share of a ring that must reach a screen for a realisation to count there."""
@@ -56,7 +56,7 @@ def lens(
     Parameters
     ----------
     medium : SurfaceMedium
-        A `splits.Layer` with a rough surface; only the surface and the refractive index matter.
+        A `splits.ParticleLayer` with a rough surface; only the surface and the refractive index matter.
     screen_depth_m : array_like
         Distances of screens below the surface under the ring's centre (m), increasing from above 0.
     radius_m : float
@@ -133,7 +133,9 @@ def lens(
         "radius_m": radius, "over": over, "half_width_m": width, "realisations": realisations,
         "rays": rays * realisations,
     }  # fmt: skip
-    return _make_dataset(contraction, caught, _FirstRealization(start, shown, reached), depths, facts)
+    return _make_dataset(
+        contraction, caught, _FirstRealization(start, shown, reached), depths, facts
+    )
 
 
 class _FirstRealization(NamedTuple):
@@ -170,9 +172,20 @@ def _make_dataset(
     variables = {
         **make_variable("contraction", at, *size, "size of the image over the ring's"),
         **make_variable("concentration", at, *density, "inverse mean square size of the image"),
-        **make_variable("caught", ("realisation", at), detected_fraction, None, "share of rays on the screen"),
-        **make_variable("path", ("ray", "point"), first_realization.surface_point, None, "point of the surface", "m"),
-        **make_variable("place", by_ray, first_realization.screen_point, None, "place on the screen", "m"),
+        **make_variable(
+            "caught", ("realisation", at), detected_fraction, None, "share of rays on the screen"
+        ),
+        **make_variable(
+            "path",
+            ("ray", "point"),
+            first_realization.surface_point,
+            None,
+            "point of the surface",
+            "m",
+        ),
+        **make_variable(
+            "place", by_ray, first_realization.screen_point, None, "place on the screen", "m"
+        ),
         **make_variable("seen", by_ray[:2], seen, None, "whether a ray reaches it"),
     }
     coordinates = {
@@ -212,7 +225,9 @@ def find_centre(waves: np.ndarray, centre_on: str, half_width: float) -> tuple[f
     return float(x[best]), float(y[best]), float(height[best])
 
 
-def _intersect_screens(hits: RefractedRays, screen_heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _intersect_screens(
+    hits: RefractedRays, screen_heights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return places, shape (screens, rays, 2), and which rays reach them."""
     point, direction, again = hits
     way = (screen_heights[:, np.newaxis] - point[:, 2]) / direction[:, 2]
@@ -229,7 +244,9 @@ def _compute_rms_radius(points: np.ndarray, detected: np.ndarray) -> np.ndarray:
     return np.sqrt(square)
 
 
-def _average_realizations(values: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def _average_realizations(
+    values: np.ndarray, valid: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the mean over realisations that count with its standard error, of one without."""
     count = valid.sum(axis=0)
     mean = np.where(valid, values, 0.0).sum(axis=0) / count
@@ -241,7 +258,9 @@ def _average_realizations(values: np.ndarray, valid: np.ndarray) -> tuple[np.nda
     return mean, np.where(count > 1, stderr, mean)
 
 
-def _invert_with_error(mean: np.ndarray, stderr: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+def _invert_with_error(
+    mean: np.ndarray, stderr: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Return 1/mean and its standard error to first order."""
     inverse = 1.0 / np.maximum(mean, np.finfo(float).tiny)
     return inverse, None if stderr is None else stderr * inverse**2
@@ -261,4 +280,6 @@ def check_ring_radius(radius_m: Any) -> float:
 def check_ring_size(rays: Any, realisations: Any, n_screens: int) -> tuple[int, int]:
     """Return numbers of rays and of surfaces whose results fit into memory, or refuse them."""
     most = MAX_SCREEN_POINTS // n_screens
-    return check_integer("rays", rays, 3, most), check_integer("realisations", realisations, 1, most)
+    return check_integer("rays", rays, 3, most), check_integer(
+        "realisations", realisations, 1, most
+    )

@@ -12,21 +12,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splits.core.validation import invalid
-from splits.simulation import random_streams
-from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
 from splits.core.progress import Progress
-from splits.simulation.runner import RAYS_PER_CHUNK, Runner
-from splits.simulation.threads import DaemonThreadPool
-from splits.media.medium import Medium, ParticleMedium
+from splits.core.validation import invalid
+from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
 from splits.kernels.grains.scene import NO_MAX_ORDER
-from splits.kernels.optics.source import Source
 from splits.kernels.optics.forward_peak import PhaseFunctionPeak, separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
+from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.particle_layer import particle_history as kernels
 from splits.kernels.particle_layer.next_event import Detectors
 from splits.kernels.particle_layer.scene import OPEN_BOTTOM, LayerScene
+from splits.media.medium import Medium, ParticleMedium
+from splits.simulation import random_streams
+from splits.simulation.runner import RAYS_PER_CHUNK, Runner
+from splits.simulation.threads import DaemonThreadPool
 
 PILOT_BATCHES = 128
 """Batches of the first round."""
@@ -82,7 +82,9 @@ class DetectorResult:
 
     def compute_max_error(self, side: int) -> float:
         """Return the largest error that steers, of one side, relative to `angular.reference`."""
-        return compute_max_relative_error(self.to_angular_estimate(1), side, use_stopping_error=True)
+        return compute_max_relative_error(
+            self.to_angular_estimate(1), side, use_stopping_error=True
+        )
 
     def to_angular_estimate(self, n_wavelengths: int) -> AngularEstimate:
         """Return BRDF and BTDF, the same at so many wavelengths."""
@@ -134,7 +136,9 @@ def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarra
     sums = np.zeros((2, len(toward), 4))
     plane = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     peak = _check_forward_peak(medium)
-    orders = 0 if peak is None else math.ceil(math.log(NEGLIGIBLE_PROBABILITY) / math.log(peak.fraction))
+    orders = (
+        0 if peak is None else math.ceil(math.log(NEGLIGIBLE_PROBABILITY) / math.log(peak.fraction))
+    )
     room = np.zeros((1 + orders, 3))
     return Detectors(toward, plane, passing, returning, bool(below), sums, peak, room)
 
@@ -196,36 +200,62 @@ def estimate_at_detectors(
 
     def hear(batch: int) -> np.ndarray:
         heard, totals = np.zeros_like(detectors.sums), np.zeros((2, 2))
-        own = detectors._replace(sums=heard, peak_directions=np.zeros_like(detectors.peak_directions))
-        work = np.array([random_streams.NEXT_EVENT, batch * RAYS_PER_CHUNK, RAYS_PER_CHUNK, NO_MAX_ORDER])
+        own = detectors._replace(
+            sums=heard, peak_directions=np.zeros_like(detectors.peak_directions)
+        )
+        work = np.array(
+            [random_streams.NEXT_EVENT, batch * RAYS_PER_CHUNK, RAYS_PER_CHUNK, NO_MAX_ORDER]
+        )
         kernels.trace_to_detectors(runner.seed, work, scene, own, totals)
         return np.concatenate([heard.ravel(), totals.ravel()]) / RAYS_PER_CHUNK
 
     # Peaked phase functions speak rarely, and loudly.
     g = abs(medium.kernel_phase_function.g)
     pilot = int(PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
-    wanted = pilot if stopping_rule.n_rays is None else max(2, -(-stopping_rule.n_rays // RAYS_PER_CHUNK))
-    most = max(2, stopping_rule.max_rays // RAYS_PER_CHUNK) if stopping_rule.n_rays is None else wanted
+    wanted = (
+        pilot
+        if stopping_rule.n_rays is None
+        else max(2, -(-stopping_rule.n_rays // RAYS_PER_CHUNK))
+    )
+    most = (
+        max(2, stopping_rule.max_rays // RAYS_PER_CHUNK) if stopping_rule.n_rays is None else wanted
+    )
     silent = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom_albedo <= 0.0
     with DaemonThreadPool(runner.threads) as pool:
         while True:
             while sums.n_batches < wanted:
-                for one in pool.map(hear, range(sums.n_batches, min(wanted, sums.n_batches + MAX_PENDING_BATCHES))):
+                for one in pool.map(
+                    hear, range(sums.n_batches, min(wanted, sums.n_batches + MAX_PENDING_BATCHES))
+                ):
                     sums.add_batch(one)
             certain = not runner.tracer.traits.extra_absorption and layer.bottom_albedo == 1.0
-            result = sums.compute_result(detectors.has_lower_side, medium.polarized, silent, certain)
+            result = sums.compute_result(
+                detectors.has_lower_side, medium.polarized, silent, certain
+            )
             error = result.compute_max_error(stopping_rule.side)
             nothing = not silent and not result.mean[stopping_rule.side].any()
-            done = stopping_rule.n_rays is None and error <= stopping_rule.relative_stderr and not nothing
+            done = (
+                stopping_rule.n_rays is None
+                and error <= stopping_rule.relative_stderr
+                and not nothing
+            )
             if done or sums.n_batches >= most or (nothing and sums.n_batches >= 64 * pilot):
                 return replace(result, stop_reason="error" if done else "rays")
-            factor = _MAX_ROUND_GROWTH if nothing else 1.05 * (error / stopping_rule.relative_stderr) ** 2
+            factor = (
+                _MAX_ROUND_GROWTH
+                if nothing
+                else 1.05 * (error / stopping_rule.relative_stderr) ** 2
+            )
             more = sums.n_batches * factor
-            wanted = int(min(max(more, sums.n_batches + 1), _MAX_ROUND_GROWTH * sums.n_batches, most))
+            wanted = int(
+                min(max(more, sums.n_batches + 1), _MAX_ROUND_GROWTH * sums.n_batches, most)
+            )
             if runner.progress_callback:
                 spent = time.perf_counter() - begun
                 left = spent * (more / sums.n_batches - 1.0)
-                progress = Progress(wanted * RAYS_PER_CHUNK, error, stopping_rule.relative_stderr, spent, left)
+                progress = Progress(
+                    wanted * RAYS_PER_CHUNK, error, stopping_rule.relative_stderr, spent, left
+                )
                 runner.progress_callback(progress)
 
 
@@ -251,7 +281,9 @@ class _DetectorTally:
         self.sums_of_squares += score**2
         self.max_scores = np.where(np.abs(score) > np.abs(self.max_scores), score, self.max_scores)
 
-    def compute_result(self, has_lower_side: bool, polarized: bool, no_signal: bool, lossless: bool) -> DetectorResult:
+    def compute_result(
+        self, has_lower_side: bool, polarized: bool, no_signal: bool, lossless: bool
+    ) -> DetectorResult:
         """Return means and standard errors.
 
         As if one more batch had come that heard as much as the loudest so far; and where nothing

@@ -9,22 +9,21 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.uncertainty import compute_weighted_error
-from splits.core.validation import check_range, reject_unknown_arguments, check_choice
-from splits.simulation.arguments import check_threads, check_integer
-from splits.instruments.flux_stopping_rule import FluxStoppingRule
-from splits.simulation.attributes import make_run_attributes
-from splits.instruments.irradiance_profile import FluxRequest, simulate_flux
 from splits.core.progress import ProgressCallback, with_progress
-from splits.media.medium import Medium
+from splits.core.uncertainty import Variable, compute_weighted_error, make_variable
+from splits.core.validation import check_choice, check_range, reject_unknown_arguments
 from splits.illumination.sky import Sky
+from splits.instruments.flux_stopping_rule import FluxStoppingRule
+from splits.instruments.irradiance_profile import FluxRequest, simulate_flux
 from splits.instruments.sky_mixing import (
-    choose_wavelengths,
     as_sky,
-    mix_direct_and_diffuse,
+    choose_wavelengths,
     make_sky_attributes,
+    mix_direct_and_diffuse,
 )
-from splits.core.uncertainty import Variable, make_variable
+from splits.media.medium import Medium
+from splits.simulation.arguments import check_integer, check_threads
+from splits.simulation.attributes import make_run_attributes
 
 OUTPUT_VARIABLES = {
     "downward_irradiance": ("downward_irradiance", "downward irradiance"),
@@ -60,7 +59,7 @@ def radiation_profile(
     Parameters
     ----------
     medium : GranularMedium, LayeredMedium or TurbidMedium
-        For example `splits.Snow` or `splits.Stack`; see `splits.profile`.
+        For example `splits.Snow` or `splits.Stack`; see `splits.irradiance_profile`.
     sky : Sky, str or mapping
         See `splits.sky`.
     depth_m : array_like
@@ -108,7 +107,7 @@ def radiation_profile(
     >>> import splits
     >>> snow = splits.Snow.natural(specific_surface_area_m2_kg=30, depth_m=0.1)
     >>> sky = splits.sky("midlatitude_winter")
-    >>> ds = splits.light_inside(snow, sky, [0.02], [400, 700, 1000], 0.05, total_w_m2=400)
+    >>> ds = splits.radiation_profile(snow, sky, [0.02], [400, 700, 1000], 0.05, total_w_m2=400)
     >>> ds.absorbed_power.dims
     ('band', 'interval')
     """
@@ -122,7 +121,9 @@ def radiation_profile(
     named = light.make_bands(bands)
     light.check_bands(named, w)
     weights = np.array([light.compute_weights(w, band) for band in named.values()])
-    goals = _make_stopping_rules(light.compute_direct_fraction(w), weights, max_stderr, error_of == POWER_ERROR_QUANTITIES[1])
+    goals = _make_stopping_rules(
+        light.compute_direct_fraction(w), weights, max_stderr, error_of == POWER_ERROR_QUANTITIES[1]
+    )
     axes: dict[str, Any] = {}
     runs: list[dict[str, Any]] = []
 

@@ -7,13 +7,15 @@ from dataclasses import replace
 
 import xarray as xr
 
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.core.progress import ProgressCallback
+from splits.instruments.spectral_run import TITLE, SpectralRequest, SpectralResult
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.path_tally import PathSharingMedia
-from splits.instruments.spectral_run import TITLE, SpectralResult, SpectralRequest
 
 
-def simulate_spectra(path_sharing: PathSharingMedia, request: SpectralRequest, progress: ProgressCallback = None) -> list[xr.Dataset]:
+def simulate_spectra(
+    path_sharing: PathSharingMedia, request: SpectralRequest, progress: ProgressCallback = None
+) -> list[xr.Dataset]:
     """Return what `splits.spectrophotometer` would of each medium of a family, from one ensemble.
 
     Each has the error asked for.  Errors of different media go together, as their `…_groups` tell.
@@ -45,8 +47,12 @@ def simulate_spectra(path_sharing: PathSharingMedia, request: SpectralRequest, p
         )
         cut = found.truncation
         if cut is not None:
-            cut = cut._replace(depth_m=scale * cut.depth_m, semi_infinite_depth_m=scale * cut.semi_infinite_depth_m)
-        facts = make_run_attributes(TITLE, "spectrophotometer", medium, begun, request.seed, request.threads)
+            cut = cut._replace(
+                depth_m=scale * cut.depth_m, semi_infinite_depth_m=scale * cut.semi_infinite_depth_m
+            )
+        facts = make_run_attributes(
+            TITLE, "spectrophotometer", medium, begun, request.seed, request.threads
+        )
         facts |= {"estimator": "spectral"} | request.make_attributes(SpectralResult(own, cut))
         axes = {"wavelength": make_wavelength_coordinate(request.wavelengths)}
         datasets.append(xr.Dataset(request.make_variables(own, ("wavelength",)), axes, facts))

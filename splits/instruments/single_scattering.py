@@ -8,26 +8,26 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import reject_unknown_arguments, check_choice, invalid
+from splits.core.uncertainty import Variable, make_variable
+from splits.core.validation import check_choice, invalid, reject_unknown_arguments
+from splits.media.medium import GranularMedium
 from splits.simulation.arguments import (
+    check_integer,
     check_medium,
     check_threads,
     check_wavelengths,
-    check_integer,
 )
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
     INTERPOLATION_TOLERANCE,
     WET_PORE_MODELS,
     GrainOpticsRequest,
-    compute_material_constants,
     compute_grain_optics,
+    compute_material_constants,
 )
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
-from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.scene import build_scene
-from splits.media.medium import GranularMedium
-from splits.core.uncertainty import Variable, make_variable
+from splits.simulation.spectral_nodes import choose_nodes
 
 VARIABLE_LABELS = {
     "single_scattering_albedo": ("single-scattering albedo", "1"),
@@ -98,7 +98,7 @@ def single_scattering(
         by weight of the light that leaves the grain, χ_0 = 1; ``extinction`` (1/m), the grains
         met per metre plus absorption by the pores, and ``optical_thickness``.
 
-        Besides, for `splits.analysis.radiative_transfer.packed`:
+        Besides, for `splits.analysis.theory.asymptotic.correct_dense_packing`:
         ``displacement_before`` and ``displacement_after`` (m), the way from entry to exit along
         the direction before and after; ``displacement_square`` (m²); and ``wet_share``, the
         share of the scattered light that leaves into a wet pore.
@@ -152,7 +152,9 @@ def single_scattering(
         if stderr is not None:
             for end, (also, about) in ERROR_COMPONENTS.items():
                 over, label = (*also, *dims), f"{about} {long_name}"
-                variables |= make_variable(f"{name}{end}", over, values[name + end], None, label, units)
+                variables |= make_variable(
+                    f"{name}{end}", over, values[name + end], None, label, units
+                )
     order = {"long_name": "order of the Legendre moment", "units": "1"}
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),

@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 
 from splits.core.validation import invalid
-from splits.simulation.arguments import check_wavelengths
 from splits.illumination.sky import Sky, sky
+from splits.simulation.arguments import check_wavelengths
 
 DEFAULT_STEP_NM = 10.0
 MAX_DEFAULT_NM = 2495.0

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import reject_unknown_arguments, to_text_keys, invalid
-from splits.simulation.arguments import check_medium
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.core.progress import ProgressCallback, with_progress
-from splits.simulation.path_tally import PathSharingMedia, check_path_sharing
+from splits.core.validation import invalid, reject_unknown_arguments, to_text_keys
 from splits.instruments.spectral_run import TITLE, SpectralRequest
 from splits.media.medium import Medium
+from splits.simulation.arguments import check_medium
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.simulation.path_tally import PathSharingMedia, check_path_sharing
 
 
 @reject_unknown_arguments
@@ -78,7 +78,9 @@ def spectra(
     for medium in named.values():
         check_medium(medium, allow_semi_infinite=True)
     check_path_sharing(named)
-    run = SpectralRequest.from_arguments(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
+    run = SpectralRequest.from_arguments(
+        wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel
+    )
     begun = time.perf_counter()
     found = run.estimate(PathSharingMedia.from_media(list(named.values())), progress=progress)
     differing = _find_differing_inputs(list(named.values()))
@@ -91,7 +93,9 @@ def spectra(
         **differing,
     }
     variables = run.make_variables(found.estimate, ("medium", "wavelength"))
-    return xr.Dataset(variables, axes, about | {"estimator": "spectral"} | run.make_attributes(found))
+    return xr.Dataset(
+        variables, axes, about | {"estimator": "spectral"} | run.make_attributes(found)
+    )
 
 
 def _find_differing_inputs(media: Sequence[Medium]) -> dict[str, Any]:

@@ -6,23 +6,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.validation import check_range, check_choice, invalid
+from splits.core.progress import ProgressCallback
+from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
+from splits.core.validation import check_choice, check_range, invalid
+from splits.kernels.grains.scene import NO_GROUND
 from splits.simulation.arguments import (
     check_incidence,
+    check_integer,
     check_threads,
     check_wavelengths,
-    check_integer,
 )
-from splits.simulation.truncated_medium import TruncatedMedium
 from splits.simulation.deep_medium import truncate_deep_medium
-from splits.simulation.estimators import ESTIMATORS, SpectralEstimate
 from splits.simulation.derivatives import NO_PERTURBATIONS, Perturbations
-from splits.core.progress import ProgressCallback
-from splits.simulation.runner import Runner
+from splits.simulation.estimators import ESTIMATORS, SpectralEstimate
 from splits.simulation.path_tally import PathSharingMedia, SpectralRows
+from splits.simulation.runner import Runner
 from splits.simulation.tracer import KERNELS
-from splits.kernels.grains.scene import NO_GROUND
-from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
+from splits.simulation.truncated_medium import TruncatedMedium
 
 TITLE = "Virtual spectrophotometer"
 SIDE_QUANTITIES = ("reflectance", "transmittance")
@@ -75,7 +75,9 @@ class SpectralRequest(NamedTuple):
 
     def truncate(self, path_sharing: PathSharingMedia) -> TruncatedMedium | None:
         """Return where packs are cut, which does not depend on the incidence."""
-        return truncate_deep_medium(path_sharing, self.wavelengths, self.max_stderr, self.seed, self.threads)
+        return truncate_deep_medium(
+            path_sharing, self.wavelengths, self.max_stderr, self.seed, self.threads
+        )
 
     def estimate(
         self,
@@ -102,7 +104,9 @@ class SpectralRequest(NamedTuple):
         """Return what `estimated` does, where it is known where packs are cut."""
         analog = estimator == "analog"
         w, count = self.wavelengths, len(path_sharing.media) - len(perturbations.media)
-        traced = path_sharing if truncation is None else path_sharing._replace(media=truncation.media)
+        traced = (
+            path_sharing if truncation is None else path_sharing._replace(media=truncation.media)
+        )
         rows = SpectralRows.from_media(traced.select(slice(count)), w)
         if perturbations.media:
             white = [] if truncation is None else w[truncation.ground_absorption[0] == 0.0]
@@ -111,7 +115,9 @@ class SpectralRequest(NamedTuple):
                 hint = f"as at {white[0]:g} nm"
                 raise invalid("jacobian", list(perturbations.parameters), allowed, hint)
             ground = NO_GROUND if truncation is None else rows.absorption.shape[1] - 1
-            rows = rows.with_derivatives(traced.select(slice(count, None)), perturbations.steps, w, ground)
+            rows = rows.with_derivatives(
+                traced.select(slice(count, None)), perturbations.steps, w, ground
+            )
 
         def estimate(goal: float) -> SpectralEstimate:
             how = (self.seed, self.threads, analog, self.kernel, progress)
@@ -120,9 +126,13 @@ class SpectralRequest(NamedTuple):
 
         if truncation is None:
             return SpectralResult(estimate(self.max_stderr), None)
-        return SpectralResult(truncation.estimate_to_error(estimate, self.max_stderr, perturbations.steps), truncation)
+        return SpectralResult(
+            truncation.estimate_to_error(estimate, self.max_stderr, perturbations.steps), truncation
+        )
 
-    def make_variables(self, estimate: SpectralEstimate, dims: tuple[str, ...]) -> dict[str, Variable]:
+    def make_variables(
+        self, estimate: SpectralEstimate, dims: tuple[str, ...]
+    ) -> dict[str, Variable]:
         """Return what was estimated, with errors and groups, over the media and wavelengths."""
         illumination = "hemispherical" if self.incidence == "diffuse" else "directional"
         shape = (self.wavelengths.size,) if len(dims) == 1 else (-1, self.wavelengths.size)

@@ -8,22 +8,22 @@ from typing import Any
 
 import xarray as xr
 
-from splits.core.validation import reject_unknown_arguments, check_choice, invalid
+from splits.core.progress import ProgressCallback, with_progress
+from splits.core.validation import check_choice, invalid, reject_unknown_arguments
+from splits.instruments.spectral_run import SIDE_QUANTITIES, TITLE, SpectralRequest
+from splits.media.medium import Medium
 from splits.simulation.arguments import check_medium
-from splits.simulation.finite_differences import compute_finite_difference
-from splits.simulation.estimators import ESTIMATORS, SpectralEstimate
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.derivatives import (
     Perturbations,
     check_jacobian,
-    make_parameter_coordinates,
-    make_jacobian_variables,
     combine_derivatives,
+    make_jacobian_variables,
+    make_parameter_coordinates,
 )
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
-from splits.core.progress import ProgressCallback, with_progress
+from splits.simulation.estimators import ESTIMATORS, SpectralEstimate
+from splits.simulation.finite_differences import compute_finite_difference
 from splits.simulation.path_tally import PathSharingMedia
-from splits.instruments.spectral_run import SIDE_QUANTITIES, TITLE, SpectralRequest
-from splits.media.medium import Medium
 
 
 @reject_unknown_arguments
@@ -47,7 +47,7 @@ def spectrophotometer(
     Parameters
     ----------
     medium : GranularMedium or TurbidMedium
-        For example `splits.Snow` or `splits.Layer`.
+        For example `splits.Snow` or `splits.ParticleLayer`.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
         medium's refractive indices.
@@ -66,7 +66,7 @@ def spectrophotometer(
         there or might be (``impurities_ng_g.black_carbon``), one of these in a layer of a stack
         (``layers.0.depth_m``), and ``incidence_deg``.  The other keywords stay.  Those that leave
         the paths as they are cost next to nothing, each of the others four to a dozen runs more
-        (`splits.instruments.differences`); ``parameter_method`` tells which is which.
+        (`splits.simulation.finite_differences`); ``parameter_method`` tells which is which.
     max_rays : int
         The run stops once this many are traced (the first round is traced in any case);
         attribute ``stopped_by`` says whether the error or the rays came first.
@@ -84,10 +84,10 @@ def spectrophotometer(
         ``reflectance``, ``transmittance``, ``absorptance`` and their standard errors
         ``…_stderr`` over ``wavelength``; the three add up to 1.  ``reflectance_groups`` and
         ``transmittance_groups`` over ``group`` and ``wavelength`` tell how errors go together,
-        see `splits.analysis.errors`; absorptance's are minus their sum.  All inputs stand in
+        see `splits.core.uncertainty`; absorptance's are minus their sum.  All inputs stand in
         the attributes.  ``reflectance_jacobian`` and ``transmittance_jacobian`` over
         ``parameter`` and ``wavelength``, with errors and groups, where they were asked for.
-        Of packs so deep that they are cut (`splits.instruments.deep_packs`), the
+        Of packs so deep that they are cut (`splits.simulation.deep_medium`), the
         attribute ``traced_to_m`` says where, and ``optically_deep_m`` from which depth on they
         are as bright as without end; what theory may miss of the rest is in the errors.
 
@@ -103,7 +103,9 @@ def spectrophotometer(
     """
     check_medium(medium, allow_semi_infinite=estimator == "spectral")
     check_choice("estimator", estimator, ESTIMATORS)
-    run = SpectralRequest.from_arguments(wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel)
+    run = SpectralRequest.from_arguments(
+        wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel
+    )
     names = check_jacobian(medium, run.incidence, jacobian)
     if names and estimator != "spectral":
         raise invalid("jacobian", list(names), "left out for this estimator")
@@ -116,7 +118,9 @@ def spectrophotometer(
         return one.estimate(PathSharingMedia.from_media([other]), progress=progress).estimate
 
     others = [
-        compute_finite_difference(nearby, medium, run.incidence, n) for n in names if n not in moves.parameters
+        compute_finite_difference(nearby, medium, run.incidence, n)
+        for n in names
+        if n not in moves.parameters
     ]
     variables = run.make_variables(found.estimate, ("wavelength",))
     if names:
@@ -125,5 +129,10 @@ def spectrophotometer(
     facts = make_run_attributes(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
     if others:
         facts["rays_of_differences"] = sum(one.n_rays for one in others)
-    axes = {"wavelength": make_wavelength_coordinate(run.wavelengths), **make_parameter_coordinates(names, moves)}
-    return xr.Dataset(variables, axes, facts | {"estimator": estimator} | run.make_attributes(found))
+    axes = {
+        "wavelength": make_wavelength_coordinate(run.wavelengths),
+        **make_parameter_coordinates(names, moves),
+    }
+    return xr.Dataset(
+        variables, axes, facts | {"estimator": estimator} | run.make_attributes(found)
+    )

@@ -7,12 +7,12 @@ import time
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import reject_unknown_arguments, invalid
-from splits.simulation.arguments import check_half_width, check_medium, check_integer
-from splits.simulation.attributes import make_run_attributes
-from splits.media.medium import SurfaceMedium
-from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.core.uncertainty import make_variable
+from splits.core.validation import invalid, reject_unknown_arguments
+from splits.kernels.rough_surface.realization import compute_heights_and_slopes
+from splits.media.medium import SurfaceMedium
+from splits.simulation.arguments import check_half_width, check_integer, check_medium
+from splits.simulation.attributes import make_run_attributes
 
 DEFAULT_POINTS = 201
 MAX_REALIZATIONS = 10_000_000
@@ -32,7 +32,7 @@ def surface_map(
     Parameters
     ----------
     medium : SurfaceMedium
-        A `splits.Layer` with a rough surface.
+        A `splits.ParticleLayer` with a rough surface.
     half_width_m : float
         Half the side of the square shown (m).
     points : int
@@ -83,7 +83,9 @@ def surface_map(
     }
     variables = {
         **make_variable("height", ("x", "y"), height, None, "height of the surface", "m"),
-        **make_variable("rms_height", "realisation", rough[0], None, "rms height of the square", "m"),
+        **make_variable(
+            "rms_height", "realisation", rough[0], None, "rms height of the square", "m"
+        ),
         **make_variable("rms_slope", "realisation", rough[1], None, "rms slope of the square"),
     }
     about = {"units": "m", "long_name": "horizontal distance"}

@@ -18,10 +18,10 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import check_no_gaps
-from splits.core.validation import reject_unknown_arguments, invalid
 from splits.core.atomic import atomic_write
 from splits.core.parameter_names import describe_parameter
 from splits.core.provenance import get_package_version
+from splits.core.validation import invalid, reject_unknown_arguments
 
 BRDF_SCHEMA_URL = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"
 LOCATION_KEYS = ("country", "city", "street", "building_nr", "postal_code")
@@ -128,7 +128,9 @@ def _check_input(
     if len(set(angles)) < len(angles):
         raise invalid("datasets", angles, "of different angles of incidence")
     missing = [name for name in PROVENANCE_KEYS if name not in provenance]
-    missing += [f"location.{name}" for name in LOCATION_KEYS if name not in provenance.get("location", {})]
+    missing += [
+        f"location.{name}" for name in LOCATION_KEYS if name not in provenance.get("location", {})
+    ]
     if missing:
         hint = "the format asks for all of these"
         raise invalid("provenance", sorted(provenance), f"with {', '.join(missing)}", hint)

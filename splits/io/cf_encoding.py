@@ -56,7 +56,11 @@ def encode_for_netcdf(dataset: xr.Dataset) -> xr.Dataset:
     stored.attrs.pop(CHECKSUM_ATTRIBUTE, None)
     dotted = [own for own, name in names.items() if own != name == own.replace(".", "_")]
     others = {name: own for own, name in names.items() if own != name and own not in dotted}
-    notes = {DOTTED_NAMES_ATTRIBUTE: " ".join(dotted), RENAMED_NAMES_ATTRIBUTE: others, INDEX_LEVELS_ATTRIBUTE: levels}
+    notes = {
+        DOTTED_NAMES_ATTRIBUTE: " ".join(dotted),
+        RENAMED_NAMES_ATTRIBUTE: others,
+        INDEX_LEVELS_ATTRIBUTE: levels,
+    }
     for key, note in notes.items():
         if note:
             stored.attrs[key] = note if isinstance(note, str) else json.dumps(note)
@@ -70,7 +74,10 @@ def decode_from_netcdf(dataset: xr.Dataset) -> xr.Dataset:
             if name in dataset.coords and dataset[name].dims == (dimension,):
                 axis = (dimension, dataset[name].values, dataset[name].attrs)
                 dataset = dataset.drop_vars(name).assign_coords({dimension: axis})
-    own = {_to_identifier(name): name for name in str(dataset.attrs.pop(DOTTED_NAMES_ATTRIBUTE, "")).split()}
+    own = {
+        _to_identifier(name): name
+        for name in str(dataset.attrs.pop(DOTTED_NAMES_ATTRIBUTE, "")).split()
+    }
     own |= json.loads(dataset.attrs.pop(RENAMED_NAMES_ATTRIBUTE, "{}"))
     there = {*dataset.variables, *dataset.dims}
     dataset = dataset.rename({name: one for name, one in own.items() if name in there})

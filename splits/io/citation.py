@@ -7,10 +7,10 @@ from importlib.metadata import distribution, distributions
 from pathlib import Path
 from typing import Any
 
-from splits.io.ro_crate import ORCID_URL, Author, SoftwareInfo
-from splits.core.yaml import read_yaml, dump_yaml
 from splits.core.optional import DISTRIBUTION_NAME
 from splits.core.provenance import get_git_commit, get_package_version
+from splits.core.yaml import dump_yaml, read_yaml
+from splits.io.ro_crate import ORCID_URL, Author, SoftwareInfo
 
 LICENCE_FILE = "LICENSE"
 CITATION_FILE = "CITATION.cff"
@@ -80,7 +80,10 @@ def _read_licence() -> str:
 
 def _parse_author(entry: dict[str, str]) -> Author:
     """Return an author of CITATION.cff: a group has a name, a person has two."""
-    orcid, affiliation = entry.get("orcid", "").removeprefix(ORCID_URL), entry.get("affiliation", "")
+    orcid, affiliation = (
+        entry.get("orcid", "").removeprefix(ORCID_URL),
+        entry.get("affiliation", ""),
+    )
     if "name" in entry:
         return Author(entry["name"], "", affiliation, is_person=False)
     name = f"{entry.get('given-names', '')} {entry.get('family-names', '')}".strip()

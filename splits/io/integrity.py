@@ -26,7 +26,7 @@ from typing import Any
 import netCDF4
 import numpy as np
 
-from splits.core.atomic import check_disk_space, atomic_write
+from splits.core.atomic import atomic_write, check_disk_space
 
 CHECKSUM_ATTRIBUTE = "content_sha256"
 NETCDF_LOCK = threading.RLock()
@@ -196,7 +196,9 @@ def _encode_variable(variable: netCDF4.Variable) -> Iterator[bytes]:
     step = max(1, _CHUNK_BYTES // max(rows[axis], 1))
     for before in np.ndindex(*shape[:axis]):
         for first in range(0, shape[axis], step):
-            yield _to_little_endian(np.asarray(variable[(*before, slice(first, first + step))])).tobytes()
+            yield _to_little_endian(
+                np.asarray(variable[(*before, slice(first, first + step))])
+            ).tobytes()
 
 
 def _encode_values(values: Any) -> bytes:

@@ -9,32 +9,32 @@ before into the new one, and keeps a file of the layout before among the tests.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
-import numpy as np
-import xarray as xr
 import platform
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.paths import expand_path
 from splits.core.validation import (
-    reject_unknown_arguments,
-    join_names,
-    check_number,
     check_choice,
+    check_number,
     invalid,
+    join_names,
+    reject_unknown_arguments,
 )
+from splits.io.cf_encoding import decode_from_netcdf, encode_for_netcdf
 from splits.io.integrity import (
     CHECKSUM_ATTRIBUTE,
     NETCDF_LOCK,
-    verify_checksums,
     atomic_netcdf,
+    verify_checksums,
     write_checksums,
 )
-from splits.io.cf_encoding import decode_from_netcdf, encode_for_netcdf
-from splits.core.paths import expand_path
-
 
 SCHEMA_ATTRIBUTE = "splits_schema"
 """Attribute that holds the number; files from before there was one are of schema 0."""
@@ -67,7 +67,9 @@ def upgrade_schema(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
     """
     found = dataset.attrs.get(SCHEMA_ATTRIBUTE, 0)
     if not isinstance(found, (int, np.integer)) or found < 0:
-        raise ValueError(f"{path}: {SCHEMA_ATTRIBUTE} = {found!r}: must be a whole number, 0 or more")
+        raise ValueError(
+            f"{path}: {SCHEMA_ATTRIBUTE} = {found!r}: must be a whole number, 0 or more"
+        )
     if found > SCHEMA_VERSION:
         by = dataset.attrs.get("splits_version", "unknown")
         raise ValueError(
@@ -209,12 +211,12 @@ def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
 def load(path: str | Path) -> xr.Dataset:
     """Read a dataset into memory and check that this package wrote it and that it is undamaged.
 
-    A dataset of an older version is brought to the present schema (see `splits.schema`).  One
+    A dataset of an older version is brought to the present schema (see `splits.io.netcdf`).  One
     without checksum is read with a warning.
 
     Raises
     ------
-    splits.checksum.DamagedError
+    splits.io.integrity.DamagedFileError
         A ValueError: if the file cannot be read, or holds something else than was written.
     ValueError
         If the file has no provenance of this package, or a newer version wrote it.

@@ -246,7 +246,9 @@ def list_files(
         name = unquote(identifier)
         size, digest = entity.get("contentSize"), entity.get("sha256")
         if identifier not in parts or name in found:
-            raise ArchiveError(f"{short_repr(name)} is listed twice, or is no part of the root dataset")
+            raise ArchiveError(
+                f"{short_repr(name)} is listed twice, or is no part of the root dataset"
+            )
         if not (isinstance(size, str) and re.fullmatch(r"\d{1,15}", size, re.ASCII)):
             raise ArchiveError(f"{short_repr(name)} is listed without contentSize")
         if not (isinstance(digest, str) and re.fullmatch(r"[0-9a-f]{64}", digest)):

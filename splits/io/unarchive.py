@@ -1,6 +1,6 @@
 """Archives that anyone may have made: verified, and unpacked whole or not at all.
 
-An archive is a zip file with an RO-Crate (`splits.archive`).  Nothing in it is believed before it
+An archive is a zip file with an RO-Crate (`splits.experiments.archive`).  Nothing in it is believed before it
 is checked: names, kinds and sizes of its members, then the list of files in its metadata, then
 every byte.  What is checked is that the files are those listed, not who listed them: compare the
 archive's own SHA-256, which `ArchiveReport` holds, with one that you trust.
@@ -21,17 +21,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from splits.core.atomic import atomic_folder
+from splits.core.paths import expand_path
 from splits.core.validation import format_key, invalid, short_repr
 from splits.io.ro_crate import (
     METADATA_FILE,
     ArchiveError,
-    parse_entities,
-    list_files,
     find_root_dataset,
     get_text,
+    list_files,
+    parse_entities,
 )
-from splits.core.atomic import atomic_folder
-from splits.core.paths import expand_path
 
 ROOT_MEMBERS = (
     METADATA_FILE, "README.md", "LICENSE", "CITATION.cff", "requirements.txt", "versions.json",
@@ -285,7 +285,9 @@ def _read_metadata(file: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo]
     return file.read(METADATA_FILE)
 
 
-def _copy_member(file: zipfile.ZipFile, info: zipfile.ZipInfo, target: Path | None) -> tuple[int, str]:
+def _copy_member(
+    file: zipfile.ZipFile, info: zipfile.ZipInfo, target: Path | None
+) -> tuple[int, str]:
     """Read a member to its end and return its size and SHA-256; write it if there is a folder."""
     digest, size = hashlib.sha256(), 0
     path = os.devnull if target is None else target / info.filename
@@ -305,6 +307,9 @@ def _copy_member(file: zipfile.ZipFile, info: zipfile.ZipInfo, target: Path | No
 
 def _check_listing(present: set[str], listed: set[str]) -> None:
     """Refuse files that are not listed, and those that are but are not there."""
-    for names, what in ((listed - present, "listed, but missing"), (present - listed, "not listed")):
+    for names, what in (
+        (listed - present, "listed, but missing"),
+        (present - listed, "not listed"),
+    ):
         if names:
             raise ArchiveError(f"{short_repr(min(names))} is {what} ({len(names)} such)")

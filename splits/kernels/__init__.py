@@ -1,8 +1,8 @@
 """Light transport kernels: numbers in, numbers out.
 
-Nothing in this folder imports the rest of the package, but for `splits.files`.  Every function is a
+Nothing in this folder imports the rest of the package, but for `splits.core.atomic`.  Every function is a
 small Numba kernel; those outside `lanes` also run as plain Python with ``NUMBA_DISABLE_JIT=1``.
-Machine code is kept between processes (`splits.transport.compiling.cache`).
+Machine code is kept between processes (`splits.kernels.compiler.cache`).
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from splits.core.validation import InvalidValue, join_names, format_key, invalid, suggest_name
 from splits.core.paths import expand_path
+from splits.core.validation import InvalidValue, format_key, invalid, join_names, suggest_name
 
 MAX_TABLE_BYTES = 2**25
 """Size of a file."""
@@ -69,7 +69,9 @@ class CsvTable(NamedTuple):
         """Return the cells of a column, or refuse a file that does not have it."""
         if name not in self.column_names:
             near = suggest_name(name, self.column_names)
-            there = f"; {near}" if near else f" among {join_names(map(format_key, self.column_names))}"
+            there = (
+                f"; {near}" if near else f" among {join_names(map(format_key, self.column_names))}"
+            )
             raise self.invalid(f"no column {name}{there}")
         place = self.column_names.index(name)
         return [row[place] for row in self.rows]
@@ -140,7 +142,9 @@ def read_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> CsvTab
             continue
         if len(fields) != len(table.column_names):
             hint = "commas separate columns, points decimals" if fields[-1] else "a comma too many"
-            counts = f"fields in line {number}: {len(fields)}, in the header: {len(table.column_names)}"
+            counts = (
+                f"fields in line {number}: {len(fields)}, in the header: {len(table.column_names)}"
+            )
             raise table.invalid(f"{counts}; {hint}")
         table.rows.append(fields)
         table.line_numbers.append(number)
@@ -177,7 +181,9 @@ def read_numeric_csv(key: str, path: str | Path, required: Sequence[str] = ()) -
     cells = read_csv(key, path, required)
     for name in required:
         cells.get_numbers(name)
-    return pd.DataFrame({name: cells.get_numbers(name, allow_gaps=True) for name in cells.column_names})
+    return pd.DataFrame(
+        {name: cells.get_numbers(name, allow_gaps=True) for name in cells.column_names}
+    )
 
 
 def to_columns(value: Any) -> Any:

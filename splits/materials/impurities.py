@@ -17,10 +17,10 @@ import numpy as np
 import pandas as pd
 
 from splits.core.arrays import check_array_range, check_increasing, read_columns
-from splits.core.validation import check_range, invalid, suggest_name
 from splits.core.equality import ContentEquality
-from splits.materials.refractive_index import check_wavelength_range
+from splits.core.validation import check_range, invalid, suggest_name
 from splits.materials.csv_table import read_user_table
+from splits.materials.refractive_index import check_wavelength_range
 
 ALGAE_NAMES = ("ice_algae", "snow_algae")
 """Kinds whose absorption is known per cell (m²); of the others it is per mass (m²/kg)."""
@@ -100,7 +100,11 @@ def make_impurities(mass_ng_g: Any, cells_ml: Any) -> tuple[Impurity, ...]:
     found = [_make_mass_impurity(name, amount) for name, amount in mass_ng_g.items()]
     for name, amount in cells_ml.items():
         number = check_range(f"algae_cells_ml.{name}", amount, 0.0, MAX_CELLS_ML, "cells/ml")
-        found.append(_make_tabulated_impurity("algae_cells_ml", name, CELLS_PER_KG_PER_CELL_ML * number, ALGAE_NAMES))
+        found.append(
+            _make_tabulated_impurity(
+                "algae_cells_ml", name, CELLS_PER_KG_PER_CELL_ML * number, ALGAE_NAMES
+            )
+        )
     return tuple(found)
 
 
@@ -130,7 +134,9 @@ def _make_mass_impurity(name: Any, value: Any) -> Impurity:
         f"{key}.ng_g" if own else key, value["ng_g"] if own else value, 0.0, MAX_NG_G
     )
     if not own:
-        return _make_tabulated_impurity("impurities_ng_g", name, MASS_RATIO_PER_NG_G * amount, list_impurities())
+        return _make_tabulated_impurity(
+            "impurities_ng_g", name, MASS_RATIO_PER_NG_G * amount, list_impurities()
+        )
     if name in _load_known_impurities().columns:
         raise invalid("impurities_ng_g", name, "a name of its own for a table of one's own")
     if not (USER_IMPURITY_NAME_PATTERN.fullmatch(str(name)) and str(name).isprintable()):
@@ -151,7 +157,9 @@ def _make_mass_impurity(name: Any, value: Any) -> Impurity:
     return Impurity(str(name), MASS_RATIO_PER_NG_G * amount, w, values, digest, own)
 
 
-def _make_tabulated_impurity(key: str, name: Any, amount_per_kg_ice: float, known_names: tuple[str, ...]) -> Impurity:
+def _make_tabulated_impurity(
+    key: str, name: Any, amount_per_kg_ice: float, known_names: tuple[str, ...]
+) -> Impurity:
     if name not in known_names:
         hint = suggest_name(name, list(known_names))
         if name in _load_known_impurities().columns:

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from splits.core.validation import check_choice
+from splits.materials.lorentz import make_goethite
 from splits.materials.refractive_index import (
     ConstantIndex,
     RefractiveIndex,
     SellmeierIndex,
     TabulatedIndex,
 )
-from splits.materials.lorentz import make_goethite
 
 _INDEX_FOLDER = Path(__file__).parent / "indices"
 _GHOSH_REFERENCE = (
@@ -92,12 +92,16 @@ def _load_water_segelstein() -> TabulatedIndex:
 
 def _make_quartz_ordinary() -> SellmeierIndex:
     terms = (1.07044083, 1.00585997e-2), (1.10202242, 100.0)
-    return SellmeierIndex("ghosh_1999_ordinary", _GHOSH_REFERENCE, _GHOSH_RANGE_NM, 0.28604141, terms)
+    return SellmeierIndex(
+        "ghosh_1999_ordinary", _GHOSH_REFERENCE, _GHOSH_RANGE_NM, 0.28604141, terms
+    )
 
 
 def _make_quartz_extraordinary() -> SellmeierIndex:
     terms = (1.09509924, 1.02101864e-2), (1.15662475, 100.0)
-    return SellmeierIndex("ghosh_1999_extraordinary", _GHOSH_REFERENCE, _GHOSH_RANGE_NM, 0.28851804, terms)
+    return SellmeierIndex(
+        "ghosh_1999_extraordinary", _GHOSH_REFERENCE, _GHOSH_RANGE_NM, 0.28851804, terms
+    )
 
 
 def _load_hematite_ordinary() -> TabulatedIndex:

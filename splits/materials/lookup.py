@@ -14,20 +14,20 @@ import numpy as np
 from splits.core.arrays import read_columns
 from splits.core.validation import (
     InvalidValue,
-    check_range,
-    check_number,
-    check_choice,
-    invalid,
     as_scalar,
+    check_choice,
+    check_number,
+    check_range,
+    invalid,
 )
-from splits.materials.library import load_dataset, list_datasets
+from splits.materials.csv_table import read_user_table, to_columns
+from splits.materials.library import list_datasets, load_dataset
 from splits.materials.refractive_index import (
     ConstantIndex,
     RefractiveIndex,
     ScaledIndex,
     TabulatedIndex,
 )
-from splits.materials.csv_table import to_columns, read_user_table
 
 
 def make_refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
@@ -63,7 +63,9 @@ def make_refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
     return parse_refractive_index(material, spec, names)
 
 
-def parse_refractive_index(material: str, spec: Any, dataset_names: Sequence[str] = ()) -> RefractiveIndex:
+def parse_refractive_index(
+    material: str, spec: Any, dataset_names: Sequence[str] = ()
+) -> RefractiveIndex:
     """Return what `make_refractive_index` does of a material with datasets of these names, or none."""
     key, spec = f"refractive_index[{material}]", to_columns(spec)
     if isinstance(spec, str):
@@ -83,7 +85,9 @@ def parse_refractive_index(material: str, spec: Any, dataset_names: Sequence[str
         return _make_user_index(key, material, spec)
     spec = as_scalar(spec)
     if isinstance(spec, (int, float, complex)) and not isinstance(spec, bool):
-        return ConstantIndex(spec if isinstance(spec, complex) else complex(check_number(key, spec)))
+        return ConstantIndex(
+            spec if isinstance(spec, complex) else complex(check_number(key, spec))
+        )
     if callable(spec) and hasattr(spec, "name"):
         return spec
     raise invalid(key, spec, "a dataset name, a complex constant, a table or a CSV file")
@@ -93,7 +97,9 @@ def _make_scaled_index(key: str, material: str, spec: Mapping[str, Any]) -> Refr
     if set(spec) - {"dataset", "k_factor"}:
         raise invalid(key, dict(spec), "a mapping of dataset and k_factor, and nothing else")
     names = list_datasets(material)
-    index = load_dataset(material, check_choice(f"{key}.dataset", spec.get("dataset", names[0]), names))
+    index = load_dataset(
+        material, check_choice(f"{key}.dataset", spec.get("dataset", names[0]), names)
+    )
     if "k_factor" not in spec:
         return index
     factor = check_range(f"{key}.k_factor", spec["k_factor"], 0.0, np.inf, open_low=True)
@@ -106,7 +112,9 @@ def _make_user_index(key: str, material: str, spec: Mapping[str, Any]) -> Refrac
         raise invalid(key, dict(spec), allowed)
     k = spec.get("k", 0.0)
     if "wavelength_nm" not in spec:
-        return ConstantIndex(complex(check_number(f"{key}.n", spec["n"]), check_number(f"{key}.k", k)))
+        return ConstantIndex(
+            complex(check_number(f"{key}.n", spec["n"]), check_number(f"{key}.k", k))
+        )
     given = {"wavelength_nm": spec["wavelength_nm"], "n": spec["n"], "k": k}
     w, n, k = read_columns(key, given)
     k = np.broadcast_to(k, w.shape) if k.size == 1 else k

@@ -77,7 +77,11 @@ class LorentzIndex:
 
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
         """Return complex n + i k; a wavelength outside the range raises ValueError."""
-        return np.sqrt(self.permittivity(HC_EV_NM / check_wavelength_range(wavelength_nm, *self.range_nm, self.name)))
+        return np.sqrt(
+            self.permittivity(
+                HC_EV_NM / check_wavelength_range(wavelength_nm, *self.range_nm, self.name)
+            )
+        )
 
 
 def make_goethite() -> LorentzIndex:
@@ -123,5 +127,7 @@ def make_goethite() -> LorentzIndex:
         ),
         range_nm=(300.0, 2600.0),
         high_energy_permittivity=4.66,
-        oscillators=tuple(LorentzOscillator(HC_EV_NM / w, f, g) for w, f, g in wavelength_strength_width),
+        oscillators=tuple(
+            LorentzOscillator(HC_EV_NM / w, f, g) for w, f, g in wavelength_strength_width
+        ),
     )

@@ -14,8 +14,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from splits.core.arrays import as_float_array
-from splits.core.validation import check_range, invalid, snap_to_limits
 from splits.core.equality import ContentEquality
+from splits.core.validation import check_range, invalid, snap_to_limits
 
 
 class RefractiveIndex(Protocol):
@@ -53,7 +53,11 @@ def check_wavelength_range(wavelength_nm: Any, low: float, high: float, name: st
 
 def _suggest_wavelengths(valid_wavelengths: np.ndarray, low: float, high: float) -> str:
     """Return a row of wavelengths in a range (nm) as a user writes it, near those asked for."""
-    first, last = (valid_wavelengths.min(), valid_wavelengths.max()) if valid_wavelengths.size > 1 else (low, high)
+    first, last = (
+        (valid_wavelengths.min(), valid_wavelengths.max())
+        if valid_wavelengths.size > 1
+        else (low, high)
+    )
     return f"wavelength_nm=range({math.ceil(first)}, {math.floor(last) + 1}, 10)"
 
 
@@ -123,7 +127,9 @@ class TabulatedIndex(ContentEquality):
 
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
         """Return complex n + i k; a wavelength outside the table raises ValueError."""
-        w = check_wavelength_range(wavelength_nm, self.wavelength_nm[0], self.wavelength_nm[-1], self.name)
+        w = check_wavelength_range(
+            wavelength_nm, self.wavelength_nm[0], self.wavelength_nm[-1], self.name
+        )
         x, xp = np.log(w), np.log(self.wavelength_nm)
         n = np.interp(x, xp, self.n)
         k = np.interp(x, xp, self.k)

@@ -1,8 +1,8 @@
 """What a user describes: media, turned into numbers for the kernels."""
 
+from splits.media.interpretations import Interpretation, SandInterpretation
 from splits.media.medium import GranularMedium
 from splits.media.particle_layer import ParticleLayer
-from splits.media.interpretations import Interpretation, SandInterpretation
 from splits.media.rough_surface import RoughSurface
 from splits.media.sand import Sand
 from splits.media.snow import Snow
@@ -10,11 +10,11 @@ from splits.media.stack import Stack
 
 __all__ = [
     "GranularMedium",
-    "Layer",
-    "Readings",
+    "Interpretation",
+    "ParticleLayer",
     "RoughSurface",
     "Sand",
-    "SandReadings",
+    "SandInterpretation",
     "Snow",
     "Stack",
 ]

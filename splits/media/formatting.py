@@ -28,7 +28,9 @@ def find_differences(medium: Any, reference: Any) -> dict[str, Any]:
         if format_value(value) == format_value(other):
             continue
         if isinstance(value, Mapping) and isinstance(other, Mapping):
-            value = {k: v for k, v in value.items() if format_value(v) != format_value(other.get(k))}
+            value = {
+                k: v for k, v in value.items() if format_value(v) != format_value(other.get(k))
+            }
         found[name] = value
     return found
 
@@ -41,7 +43,11 @@ def format_value(value: Any) -> str:
     if isinstance(value, Real) and not isinstance(value, bool):
         return f"{value:.10g}"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{format_value(key)}: {format_value(item)}" for key, item in value.items()) + "}"
+        return (
+            "{"
+            + ", ".join(f"{format_value(key)}: {format_value(item)}" for key, item in value.items())
+            + "}"
+        )
     if isinstance(value, (np.ndarray, Sequence)) and not isinstance(value, str):
         return _format_sequence(value)
     # An index of refraction is known by its name.
@@ -50,7 +56,9 @@ def format_value(value: Any) -> str:
 
 def count_digits(value: Any) -> int:
     """Return how many digits a number, or the longest of several, is written with."""
-    return max(len(format_value(x).partition("e")[0].replace(".", "").strip("0")) for x in np.ravel(value))
+    return max(
+        len(format_value(x).partition("e")[0].replace(".", "").strip("0")) for x in np.ravel(value)
+    )
 
 
 def _format_sequence(values: Any) -> str:

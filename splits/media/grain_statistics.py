@@ -20,7 +20,9 @@ N_TABLE_POINTS = 1025
 
 _PROBABILITIES = make_table_probabilities(N_TABLE_POINTS)
 _N_PANELS = 128
-_GAUSS_NODES, _GAUSS_WEIGHTS = (0.5 * (x + offset) for x, offset in zip(leggauss(12), (1.0, 0.0), strict=True))
+_GAUSS_NODES, _GAUSS_WEIGHTS = (
+    0.5 * (x + offset) for x, offset in zip(leggauss(12), (1.0, 0.0), strict=True)
+)
 """Gauss and Legendre's nodes and weights on (0, 1)."""
 _TAIL_SIGMA = 9.0
 """Standard deviations beyond which a normal holds less than 1e-18."""
@@ -49,7 +51,9 @@ def integrate_with_quantiles(
     width = np.diff(edges)
 
     def mass(start: np.ndarray, length: np.ndarray) -> np.ndarray:
-        return length * (density(start[:, np.newaxis] + length[:, np.newaxis] * _GAUSS_NODES) @ _GAUSS_WEIGHTS)
+        return length * (
+            density(start[:, np.newaxis] + length[:, np.newaxis] * _GAUSS_NODES) @ _GAUSS_WEIGHTS
+        )
 
     def ratio(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.divide(a, b, out=np.zeros_like(a), where=b > 0.0)
@@ -103,7 +107,9 @@ def shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) ->
     if sd == 0.0 or minimum == maximum:
         return float(surface_to_volume_ratio(_get_single_value(minimum, maximum, mean))) / 4.0
     low, high = _standardize_limits(minimum, maximum, mean, sd)
-    weighted, _ = integrate_with_quantiles(_make_weighted_normal(minimum, maximum, mean, sd), low, high)
+    weighted, _ = integrate_with_quantiles(
+        _make_weighted_normal(minimum, maximum, mean, sd), low, high
+    )
     plain, _ = integrate_with_quantiles(lambda t: np.exp(-0.5 * t * t), low, high)
     return weighted / plain / 4.0
 
@@ -129,7 +135,9 @@ def tabulate_struck_inverse_sizes(smallest: float, largest: float, weighting: st
 
 
 @cache
-def tabulate_struck_sphericities(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
+def tabulate_struck_sphericities(
+    minimum: float, maximum: float, mean: float, sd: float
+) -> np.ndarray:
     """Return the quantile function of the sphericity of struck grains (SPLITS Eq 26).
 
     Density ∝ A(Ψ) times the normal density within [minimum, maximum].
@@ -150,7 +158,9 @@ def tabulate_truncated_normal(minimum: float, maximum: float, mean: float, sd: f
     if sd == 0.0 or minimum == maximum:
         return np.full(N_TABLE_POINTS, _get_single_value(minimum, maximum, mean))
     _, score = integrate_with_quantiles(
-        lambda t: np.exp(-0.5 * t * t), *_standardize_limits(minimum, maximum, mean, sd), _PROBABILITIES
+        lambda t: np.exp(-0.5 * t * t),
+        *_standardize_limits(minimum, maximum, mean, sd),
+        _PROBABILITIES,
     )
     return np.clip(mean + sd * score, minimum, maximum)
 
@@ -159,7 +169,9 @@ def _get_single_value(minimum: float, maximum: float, mean: float) -> float:
     return minimum if minimum == maximum else mean
 
 
-def _standardize_limits(minimum: float, maximum: float, mean: float, sd: float) -> tuple[float, float]:
+def _standardize_limits(
+    minimum: float, maximum: float, mean: float, sd: float
+) -> tuple[float, float]:
     """Return the limits in standard deviations from the mean, without tails that hold nothing.
 
     In these units no peak is too narrow between its limits to be seen.

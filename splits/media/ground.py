@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 
 from splits.core.arrays import check_array_range, check_increasing, read_columns
-from splits.core.validation import check_range, check_number, invalid, suggest_name
 from splits.core.equality import ContentEquality
+from splits.core.validation import check_number, check_range, invalid, suggest_name
+from splits.materials.csv_table import read_user_table, to_columns
 from splits.materials.refractive_index import check_wavelength_range
-from splits.materials.csv_table import to_columns, read_user_table
 from splits.media.formatting import format_value
 
 OPEN = "open"
@@ -76,7 +76,9 @@ class Ground(ContentEquality):
             if set(value) != {"wavelength_nm", "albedo"}:
                 keys = sorted(map(str, value))
                 raise invalid("ground", keys, "a mapping of wavelength_nm and albedo, lists")
-            return _make_tabulated_ground(TABLE_NAME, "given by the user", value["wavelength_nm"], value["albedo"])
+            return _make_tabulated_ground(
+                TABLE_NAME, "given by the user", value["wavelength_nm"], value["albedo"]
+            )
         albedo = check_range("ground", check_number("ground", value, _ALLOWED_INPUT), 0.0, 1.0)
         return Ground(f"albedo {albedo!r}", "given by the user", np.array([albedo]))
 
@@ -121,7 +123,10 @@ def describe_ground(ground: Ground | None) -> dict[str, Any]:
         return {"ground": OPEN}
     facts: dict[str, Any] = {"ground": ground.name}
     if ground.name == TABLE_NAME:
-        facts |= {"ground_wavelength_nm": ground.wavelength_nm, "ground_albedo": ground.albedo_values}
+        facts |= {
+            "ground_wavelength_nm": ground.wavelength_nm,
+            "ground_albedo": ground.albedo_values,
+        }
     return facts | ({"ground_sha256": ground.sha256} if ground.sha256 else {})
 
 
@@ -140,7 +145,8 @@ def load_soils() -> dict[str, Ground]:
     w = table["wavelength_nm"].to_numpy(dtype=float)
     columns = [name for name in table.columns if name != "wavelength_nm"]
     return {
-        _get_soil_name(name): Ground(name, source, table[name].to_numpy(dtype=float), w) for name in columns
+        _get_soil_name(name): Ground(name, source, table[name].to_numpy(dtype=float), w)
+        for name in columns
     }
 
 
@@ -161,7 +167,9 @@ def _find_ground(name: str) -> Ground | None:
     return known[name]
 
 
-def _make_tabulated_ground(name: str, source: str, wavelength_nm: Any, albedo: Any, sha256: str = "") -> Ground:
+def _make_tabulated_ground(
+    name: str, source: str, wavelength_nm: Any, albedo: Any, sha256: str = ""
+) -> Ground:
     """Return a ground by its table, or refuse that."""
     given = {"wavelength_nm": wavelength_nm, "albedo": albedo}
     w, values = read_columns("ground", given)

@@ -134,14 +134,24 @@ def average_bessel_j0(table: np.ndarray, distance: float) -> float:
     """Return the mean of J0(λ r), in pieces of less than a period."""
     widest = float(np.diff(table).max())
     j0 = _import_scipy_special().j0
-    return average_over_quantiles(table, lambda k: j0(k * distance), 1 + int(widest * distance / math.pi))
+    return average_over_quantiles(
+        table, lambda k: j0(k * distance), 1 + int(widest * distance / math.pi)
+    )
 
 
-def integrate_bessel_j0(density: Callable[[np.ndarray], np.ndarray], limit: float, distance: float) -> float:
+def integrate_bessel_j0(
+    density: Callable[[np.ndarray], np.ndarray], limit: float, distance: float
+) -> float:
     """Return ∫ J0(λr) density dλ from 0 to the limit, in pieces of less than a period."""
     octaves = 2.0 ** np.arange(-3.0, max(math.log2(limit), -2.0) + 1.0)
-    edges = [np.array([0.0]), octaves, np.arange(0.0, limit, 2.0 * math.pi / max(distance, 1e-300))[1:]]
+    edges = [
+        np.array([0.0]),
+        octaves,
+        np.arange(0.0, limit, 2.0 * math.pi / max(distance, 1e-300))[1:],
+    ]
     edge = np.unique(np.minimum(np.concatenate([*edges, [limit]]), limit))
     half = 0.5 * np.diff(edge)[:, None]
     k = edge[:-1, None] + half * (1.0 + _GAUSS_NODES)
-    return float((half * _GAUSS_WEIGHTS * _import_scipy_special().j0(k * distance) * density(k)).sum())
+    return float(
+        (half * _GAUSS_WEIGHTS * _import_scipy_special().j0(k * distance) * density(k)).sum()
+    )

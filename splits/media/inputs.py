@@ -8,8 +8,8 @@ from dataclasses import fields
 from typing import Any
 
 from splits.core.arrays import check_named_numbers
-from splits.core.validation import check_range, invalid, as_scalar, snap_to_limits, suggest_name
-from splits.materials import RefractiveIndex, parse_refractive_index, lookup
+from splits.core.validation import as_scalar, check_range, invalid, snap_to_limits, suggest_name
+from splits.materials import RefractiveIndex, lookup, parse_refractive_index
 from splits.media.ground import describe_ground
 
 EXPANDED_INPUTS = (
@@ -57,7 +57,11 @@ def make_refractive_indices(
         If `given` is not a mapping, or for a material that the medium does not have.
     """
     known = list(materials)
-    others = [*pore_fluids, "air"] if isinstance(given, Mapping) and "air" in given else list(pore_fluids)
+    others = (
+        [*pore_fluids, "air"]
+        if isinstance(given, Mapping) and "air" in given
+        else list(pore_fluids)
+    )
     names = known + others
     if not isinstance(given, Mapping):
         raise invalid("refractive_index", given, "a mapping by material")
@@ -82,7 +86,9 @@ def describe_inputs(medium: Any) -> dict[str, Any]:
     medium : dataclass
         With fields ``make_refractive_index`` (by material), ``readings`` and ``ground`` among others.
     """
-    inputs = {f.name: getattr(medium, f.name) for f in fields(medium) if f.name not in EXPANDED_INPUTS}
+    inputs = {
+        f.name: getattr(medium, f.name) for f in fields(medium) if f.name not in EXPANDED_INPUTS
+    }
     inputs |= {f"pores_{name}": share for name, share in medium.pores.items()}
     for material, index in medium.refractive_index.items():
         inputs[f"refractive_index_{material}"] = index.name

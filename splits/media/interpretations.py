@@ -10,24 +10,24 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, TypeVar
 
 from splits.core.validation import (
-    reject_unknown_keywords,
-    join_names,
     check_choice,
     invalid,
+    join_names,
+    reject_unknown_keywords,
     suggest_name,
 )
-from splits.materials import MIXING_RULES
-from splits.media.sand_composition import EXCESS_MAGNETITE_RULES
-from splits.media.wetness import WATER_MODELS
-from splits.media.formatting import find_differences, format_value
 from splits.kernels.grains.scene import (
     ENTRY_SAMPLING,
-    GRAIN_EXTENT,
     FACET_SAMPLING,
+    GRAIN_EXTENT,
     OVERLAP_RULE,
     WRONG_SIDE_RULE,
     SamplingRules,
 )
+from splits.materials import MIXING_RULES
+from splits.media.formatting import find_differences, format_value
+from splits.media.sand_composition import EXCESS_MAGNETITE_RULES
+from splits.media.wetness import WATER_MODELS
 
 INTERPRETATION_CHOICES: dict[str, tuple[str, ...]] = {
     "entry": tuple(ENTRY_SAMPLING),
@@ -138,7 +138,11 @@ class TransportInterpretation:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            check_choice(f"readings.{field.name}", getattr(self, field.name), INTERPRETATION_CHOICES[field.name])
+            check_choice(
+                f"readings.{field.name}",
+                getattr(self, field.name),
+                INTERPRETATION_CHOICES[field.name],
+            )
         for name in ("grain_on_last_leg", "grain_across_boundary"):
             rule = getattr(self, name)
             if self.grain_extent == "point" and rule != "keep":
@@ -161,12 +165,18 @@ class TransportInterpretation:
             return cls(**INTERPRETATION_SETS[check_choice("readings", value, INTERPRETATION_SETS)])
         if not isinstance(value, Mapping):
             raise invalid(
-                "readings", value, f"a mapping of named readings, or one of {join_names(INTERPRETATION_SETS)}"
+                "readings",
+                value,
+                f"a mapping of named readings, or one of {join_names(INTERPRETATION_SETS)}",
             )
         names = [f.name for f in fields(cls)]
         if SET_KEY in value:
-            base = INTERPRETATION_SETS[check_choice(f"readings.{SET_KEY}", value[SET_KEY], INTERPRETATION_SETS)]
-            return cls.from_input({**base, **{key: given for key, given in value.items() if key != SET_KEY}})
+            base = INTERPRETATION_SETS[
+                check_choice(f"readings.{SET_KEY}", value[SET_KEY], INTERPRETATION_SETS)
+            ]
+            return cls.from_input(
+                {**base, **{key: given for key, given in value.items() if key != SET_KEY}}
+            )
         for name in value:
             if name not in names:
                 raise invalid(
@@ -247,7 +257,7 @@ class SandInterpretation(TransportInterpretation):
     sizes : {"separates", "single"}
         A log-normal per soil separate (section 4.2.6), or one over silt and sand.
     excess_magnetite : {"first", "clipped"}
-        More magnetite than the pure particles' share (Eq 9); see `splits.media.composition`.
+        More magnetite than the pure particles' share (Eq 9); see `splits.media.sand_composition`.
     attenuation : {"solid", "printed"}
         Volume of particles per volume of sand, 1 − P, as a factor of K (section 4.2.5), or K
         as Eqs 22-24 print it, without.

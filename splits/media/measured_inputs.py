@@ -18,8 +18,16 @@ from splits.media.formatting import count_digits
 
 Kind = TypeVar("Kind")
 
-SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, LIQUID_WATER_KEY = "specific_surface_area_m2_kg", "optical_radius_um", "liquid_water_content"
-REPLACED_FIELDS = {SURFACE_AREA_KEY: "grain_size_um", OPTICAL_RADIUS_KEY: "grain_size_um", LIQUID_WATER_KEY: "saturation"}
+SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, LIQUID_WATER_KEY = (
+    "specific_surface_area_m2_kg",
+    "optical_radius_um",
+    "liquid_water_content",
+)
+REPLACED_FIELDS = {
+    SURFACE_AREA_KEY: "grain_size_um",
+    OPTICAL_RADIUS_KEY: "grain_size_um",
+    LIQUID_WATER_KEY: "saturation",
+}
 """Keywords that may be given in place of a field, by name."""
 MIN_SURFACE_AREA_M2_KG, MAX_SURFACE_AREA_M2_KG = 0.2, 2000.0
 """Limits of specific surface area (m²/kg): grains of some centimetres and of a micrometre."""
@@ -86,7 +94,13 @@ def to_model_keywords(kind: Callable[..., Any], keywords: dict[str, Any]) -> dic
     if SURFACE_AREA_KEY in keywords or OPTICAL_RADIUS_KEY in keywords:
         if SURFACE_AREA_KEY in keywords:
             hint = "m2/kg: fresh snow has some 60, old snow 10, melting snow 3"
-            area = check_range(SURFACE_AREA_KEY, keywords[SURFACE_AREA_KEY], MIN_SURFACE_AREA_M2_KG, MAX_SURFACE_AREA_M2_KG, hint=hint)
+            area = check_range(
+                SURFACE_AREA_KEY,
+                keywords[SURFACE_AREA_KEY],
+                MIN_SURFACE_AREA_M2_KG,
+                MAX_SURFACE_AREA_M2_KG,
+                hint=hint,
+            )
         else:
             area = _convert_radius_to_area(keywords[OPTICAL_RADIUS_KEY], plain.temperature_c)
         factor = plain.specific_surface_area_m2_kg / area
@@ -103,7 +117,10 @@ def to_shortest_keywords(snow: Any, inputs: Mapping[str, Any]) -> dict[str, Any]
     usual = type(snow)().grain_size_um
     ratios = [largest / smallest for smallest, largest in (snow.grain_size_um, usual)]
     scaled = abs(ratios[0] / ratios[1] - 1.0) < 1e-9
-    for field, measured in (("grain_size_um", (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)), ("saturation", (LIQUID_WATER_KEY,))):
+    for field, measured in (
+        ("grain_size_um", (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)),
+        ("saturation", (LIQUID_WATER_KEY,)),
+    ):
         if field in inputs and (scaled or field != "grain_size_um"):
             words = sorted((*measured, field), key=lambda name: count_digits(getattr(snow, name)))
             del found[field]

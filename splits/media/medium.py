@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
+
 import numpy as np
+
 from splits.core.validation import invalid
+from splits.kernels.grains.scene import GrainPopulation
 from splits.materials.lookup import absorption_coefficient
 from splits.media.ground import Ground
 from splits.media.interpretations import TransportInterpretation
-from splits.kernels.grains.scene import GrainPopulation
-from typing import Any, Protocol, runtime_checkable
-
 
 N_PORE_MATERIALS = 2
 """Materials of dry and wet pores, which come first; those of other pores follow."""
@@ -77,7 +77,9 @@ class ImpureMedium(Protocol):
         ...
 
 
-def compute_absorption(medium: OpticalMedium, index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
+def compute_absorption(
+    medium: OpticalMedium, index: np.ndarray, wavelength_nm: np.ndarray
+) -> np.ndarray:
     """Return the absorption coefficients (1/m) of a medium's materials, impurities included.
 
     They apply to recorded lengths (`compute_path_fractions`).
@@ -226,7 +228,9 @@ def check_thickness(medium: GranularMedium | LayeredMedium) -> None:
     largest = medium.largest_grain_m
     if medium.depth_m <= largest:
         hint = "such a grain must fit between the boundaries"
-        raise invalid("depth_m", medium.depth_m, f"more than the largest grain, {largest:g} m", hint)
+        raise invalid(
+            "depth_m", medium.depth_m, f"more than the largest grain, {largest:g} m", hint
+        )
 
 
 pass

@@ -12,10 +12,10 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from splits.core.validation import check_range, reject_unknown_arguments, invalid
+from splits.core.validation import check_range, invalid, reject_unknown_arguments
 from splits.materials import ice_density
-from splits.media.measured_inputs import SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY
 from splits.media.interpretations import Interpretation, merge_interpretations
+from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 
 if TYPE_CHECKING:
     from splits.media.snow import Snow
@@ -25,7 +25,7 @@ NATURAL_SPHERICITY = 0.75
 
 
 class NaturalGrainShape(NamedTuple):
-    """Optical shape of dry grains at 900 nm, see `splits.analysis.grain_shape`."""
+    """Optical shape of dry grains at 900 nm, see `splits.analysis.theory.grain_shape`."""
 
     absorption_enhancement: float
     absorption_enhancement_stderr: float
@@ -129,19 +129,30 @@ def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
         key, temperature = "density_kg_m3", keywords.get("temperature_c", -1.0)
         ice = ice_density(check_range("temperature_c", temperature, -40.0, 0.0, "°C"))
         hint = f"kg/m3, not g/cm3: ice at {temperature:g} °C has {ice:g}"
-        check_range(key, keywords[key], MIN_NATURAL_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True)
+        check_range(
+            key, keywords[key], MIN_NATURAL_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True
+        )
     readings = keywords.get("readings", {})
     if isinstance(readings, Mapping):
-        keywords = {**keywords, "readings": merge_interpretations([NATURAL_INTERPRETATION, readings])}
+        keywords = {
+            **keywords,
+            "readings": merge_interpretations([NATURAL_INTERPRETATION, readings]),
+        }
     index = keywords.get("refractive_index", {})
-    indices = {"refractive_index": {**NATURAL_REFRACTIVE_INDICES, **index} if isinstance(index, Mapping) else index}
+    indices = {
+        "refractive_index": {**NATURAL_REFRACTIVE_INDICES, **index}
+        if isinstance(index, Mapping)
+        else index
+    }
     return {**usual, **keywords, **indices}
 
 
 def is_natural(snow: Any) -> bool:
     """Tell whether snow has the grains and the readings of natural snow."""
     alike = all(getattr(snow, name) == value for name, value in NATURAL_GRAINS.items())
-    return alike and snow.interpretation == type(snow.interpretation).from_input(NATURAL_INTERPRETATION)
+    return alike and snow.interpretation == type(snow.interpretation).from_input(
+        NATURAL_INTERPRETATION
+    )
 
 
 def describe_grain_shape(snow: Any) -> dict[str, float]:

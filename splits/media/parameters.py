@@ -14,16 +14,19 @@ from dataclasses import fields, replace
 from numbers import Real
 from typing import Any, NamedTuple
 
-from splits.core.validation import check_range, check_choice, invalid, unknown_key
+from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
+from splits.core.validation import check_choice, check_range, invalid, unknown_key
 from splits.materials.impurities import ALGAE_NAMES, list_impurities
 from splits.media.ground import Ground
-from splits.media.measured_inputs import SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, LIQUID_WATER_KEY
+from splits.media.measured_inputs import LIQUID_WATER_KEY, OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 from splits.media.stack import Stack
-from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
 
 SHIFTABLE_DISTRIBUTIONS = {"facetness": 3, "sphericity": 3, "roundness": 1}
 """Distributions, and how many of their first numbers move: the last is a standard deviation."""
-FRACTION_PARAMETERS = {"partition": ("pure", "mixed", "coated"), "texture": ("clay", "silt", "sand")}
+FRACTION_PARAMETERS = {
+    "partition": ("pure", "mixed", "coated"),
+    "texture": ("clay", "silt", "sand"),
+}
 """Shares that add up to 1."""
 INCIDENCE_KEY = "incidence_deg"
 _LAYER_PATTERN = re.compile(r"layers\.(\d+)\.(.+)")
@@ -72,14 +75,20 @@ def get_parameter(medium: Any, name: str) -> float:
     place = _locate_parameter(medium, name)
     owner = medium if place.layer is None else medium.layers[place.layer]
     if place.key in FRACTION_PARAMETERS:
-        return float(getattr(owner, place.key)[FRACTION_PARAMETERS[place.key].index(place.component)])
+        return float(
+            getattr(owner, place.key)[FRACTION_PARAMETERS[place.key].index(place.component)]
+        )
     if place.component:
         given = getattr(owner, place.key).get(place.component, 0.0)
         return float(given["ng_g"] if isinstance(given, Mapping) else given)
     if place.key == "ground":
         return float(owner.ground.albedo_values[0])
     value = getattr(owner, place.key)
-    return float(value[SHIFTABLE_DISTRIBUTIONS[place.key] - 1] if place.key in SHIFTABLE_DISTRIBUTIONS else value)
+    return float(
+        value[SHIFTABLE_DISTRIBUTIONS[place.key] - 1]
+        if place.key in SHIFTABLE_DISTRIBUTIONS
+        else value
+    )
 
 
 def replace_parameter(medium: Any, name: str, value: float) -> Any:
@@ -125,7 +134,9 @@ def _replace_value(owner: Any, location: _ParameterLocation, value: float) -> An
     if location.component:
         amounts = dict(getattr(owner, key))
         given = amounts.get(location.component)
-        amounts[location.component] = {**given, "ng_g": value} if isinstance(given, Mapping) else value
+        amounts[location.component] = (
+            {**given, "ng_g": value} if isinstance(given, Mapping) else value
+        )
         return replace(owner, **{key: amounts})
     if key in SHIFTABLE_DISTRIBUTIONS:
         before = getattr(owner, key)
@@ -145,7 +156,10 @@ def _replace_value(owner: Any, location: _ParameterLocation, value: float) -> An
 
 def _rescale_fractions(owner: Any, location: _ParameterLocation, value: float) -> tuple[float, ...]:
     """Return shares of which one has a value, and the others what is left in their ratios."""
-    before, which = getattr(owner, location.key), FRACTION_PARAMETERS[location.key].index(location.component)
+    before, which = (
+        getattr(owner, location.key),
+        FRACTION_PARAMETERS[location.key].index(location.component),
+    )
     value = check_range(f"{location.key}.{location.component}", value, 0.0, 1.0)
     rest = sum(share for i, share in enumerate(before) if i != which)
     if rest == 0.0:
@@ -173,17 +187,25 @@ def _locate_parameter(medium: Any, name: Any) -> _ParameterLocation:
     return _locate_own_parameter(medium.layers[number], found[2], name, number)
 
 
-def _locate_own_parameter(owner: Any, own_name: str, name: str, layer: int | None) -> _ParameterLocation:
+def _locate_own_parameter(
+    owner: Any, own_name: str, name: str, layer: int | None
+) -> _ParameterLocation:
     """Return where a parameter of a medium without layers is."""
     key, _, kind = own_name.partition(".")
     if kind and key in IMPURITY_KEYWORDS:
         if not hasattr(owner, key):
             raise invalid("parameter", name, "of a medium that takes impurities: snow")
         if kind not in getattr(owner, key):
-            check_choice(f"parameter {key}", kind, ALGAE_NAMES if key == "algae_cells_ml" else list_impurities())
+            check_choice(
+                f"parameter {key}",
+                kind,
+                ALGAE_NAMES if key == "algae_cells_ml" else list_impurities(),
+            )
         return _ParameterLocation(layer, key, kind)
     if key in FRACTION_PARAMETERS and kind and hasattr(owner, key):
-        return _ParameterLocation(layer, key, check_choice(f"parameter {key}", kind, FRACTION_PARAMETERS[key]))
+        return _ParameterLocation(
+            layer, key, check_choice(f"parameter {key}", kind, FRACTION_PARAMETERS[key])
+        )
     known = list_parameters(owner)
     if own_name not in known:
         raise unknown_key(f"parameter {name}", known)

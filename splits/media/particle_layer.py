@@ -10,18 +10,16 @@ from typing import Any
 import numpy as np
 
 from splits.core.arrays import read_columns
+from splits.core.equality import ContentEquality
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
-    check_range,
-    reject_unknown_keywords,
-    check_choice,
-    invalid,
     as_scalar,
+    check_choice,
+    check_range,
+    invalid,
+    reject_unknown_keywords,
     snap_to_limits,
 )
-from splits.core.equality import ContentEquality
-from splits.media.rough_surface import RoughSurface
-from splits.media.formatting import format_call, find_differences
 from splits.kernels.optics.phase_function import (
     PhaseFunction,
     make_henyey_greenstein,
@@ -30,6 +28,8 @@ from splits.kernels.optics.phase_function import (
 )
 from splits.kernels.particle_layer.scene import OPEN_BOTTOM, ScatteringLayer
 from splits.kernels.rough_surface.realization import HeightFields
+from splits.media.formatting import find_differences, format_call
+from splits.media.rough_surface import RoughSurface
 
 CLEARANCE_SIGMA = 8.0
 """Standard deviations of height that must fit between mean surface and bottom."""
@@ -66,7 +66,7 @@ class ParticleLayer(ContentEquality):
         Follow the Stokes vector; light comes in unpolarized.
     max_polarization : float
         Largest degree of polarization of light scattered once, 0 to 1, of Henyey–Greenstein and
-        tabulated functions (see `splits.transport.optics.phase`).
+        tabulated functions (see `splits.kernels.optics.phase_function`).
     opaque : bool
         Nothing comes back from below the surface: particles and bottom do not count.
     depth_m : float
@@ -191,8 +191,13 @@ class ParticleLayer(ContentEquality):
             if albedo == 1.0:
                 reach = max(1.0, 1.0 / (1.0 - self.kernel_phase_function.g))
                 rough = 0.0 if self.surface is None else CLEARANCE_SIGMA * self.surface.rms_height_m
-                depth, bottom = SEMI_INFINITE_TRANSPORT_MFP * reach / self.extinction_per_m + rough, 1.0
-        return ScatteringLayer(depth, self.extinction_per_m, albedo, self.refractive_index, bottom, analog)
+                depth, bottom = (
+                    SEMI_INFINITE_TRANSPORT_MFP * reach / self.extinction_per_m + rough,
+                    1.0,
+                )
+        return ScatteringLayer(
+            depth, self.extinction_per_m, albedo, self.refractive_index, bottom, analog
+        )
 
     def make_height_fields(self) -> HeightFields | None:
         """Return the rough surface as kernels take it, None where it is smooth."""
@@ -240,7 +245,9 @@ def _make_tabulated_phase(table: Mapping[str, Any], max_polarization: float) -> 
     cosine, density = read_columns("phase_function", table)
     if cosine.shape != density.shape:
         raise invalid("phase_function", (cosine.shape, density.shape), allowed)
-    if cosine.size < 2 or not np.allclose(cosine[[0, -1]], (-1.0, 1.0), rtol=ROUNDING_TOLERANCE, atol=0.0):
+    if cosine.size < 2 or not np.allclose(
+        cosine[[0, -1]], (-1.0, 1.0), rtol=ROUNDING_TOLERANCE, atol=0.0
+    ):
         raise invalid("phase_function.cosine", cosine.tolist(), "increasing from -1 to 1")
     cosine[[0, -1]] = -1.0, 1.0
     if (np.diff(cosine) <= 0.0).any():

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
+from splits.kernels.grains.scene import DRY_PORE
 from splits.materials import RefractiveIndex
 from splits.media.medium import Interface
-from splits.kernels.grains.scene import DRY_PORE
 
 AIR, WATER = "air", "water"
 
@@ -37,9 +37,14 @@ class PoreFluids(NamedTuple):
         dry = max(1.0 - saturation - sum(other_fluids.values()), 0.0)
         return cls((AIR, WATER, *other_fluids), (dry, saturation, *other_fluids.values()))
 
-    def list_grain_interfaces(self, grain_material: int, probability: float = 1.0) -> list[Interface]:
+    def list_grain_interfaces(
+        self, grain_material: int, probability: float = 1.0
+    ) -> list[Interface]:
         """Return what grains of a material, met with a probability, have in common with pores."""
-        return [Interface(probability * part, row, grain_material) for row, part in enumerate(self.fractions)]
+        return [
+            Interface(probability * part, row, grain_material)
+            for row, part in enumerate(self.fractions)
+        ]
 
     def list_boundary_interfaces(self, with_fresnel: bool) -> list[Interface]:
         """Return what wet pores have in common with the dry ones outside, if Fresnel acts there."""
@@ -50,7 +55,10 @@ class PoreFluids(NamedTuple):
         ]
 
     def fill_refractive_indices(
-        self, index: np.ndarray, refractive_index: Mapping[str, RefractiveIndex], wavelength_nm: np.ndarray
+        self,
+        index: np.ndarray,
+        refractive_index: Mapping[str, RefractiveIndex],
+        wavelength_nm: np.ndarray,
     ) -> None:
         """Write refractive indices of media that are there into their columns."""
         for row, (name, part) in enumerate(zip(self.names, self.fractions, strict=True)):

@@ -11,31 +11,31 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.arrays import read_columns, as_float_array
+from splits.core.arrays import as_float_array, read_columns
+from splits.core.equality import ContentEquality
 from splits.core.validation import (
     NON_NUMERIC_TYPES,
-    check_range,
-    reject_unknown_keywords,
-    check_choice,
-    invalid,
     as_scalar,
+    check_choice,
+    check_range,
+    invalid,
+    key_prefix,
+    reject_unknown_keywords,
     snap_to_limits,
     suggest_name,
-    key_prefix,
 )
-from splits.core.equality import ContentEquality
+from splits.kernels.math.rng import start_stream
+from splits.kernels.rough_surface import realization as kernels
+from splits.media.formatting import format_call, format_value
 from splits.media.height_spectra import (
     CORRELATIONS,
     HEIGHT_SPECTRA,
     N_QUANTILES,
-    integrate_bessel_j0,
+    average_bessel_j0,
     average_over_quantiles,
     compute_quantiles,
-    average_bessel_j0,
+    integrate_bessel_j0,
 )
-from splits.media.formatting import format_call, format_value
-from splits.kernels.math.rng import start_stream
-from splits.kernels.rough_surface import realization as kernels
 
 MAX_WAVES = 100_000
 _SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
@@ -140,7 +140,9 @@ class RandomHeightField(ContentEquality):
         """Return the expected correlation of heights at distances (m), as waves are drawn."""
         r = as_float_array("r_m", r_m, "numbers in metres")
         if self.correlation == "spectrum":
-            return np.array([average_bessel_j0(self.wave_number_quantiles, x) for x in r.ravel()]).reshape(r.shape)
+            return np.array(
+                [average_bessel_j0(self.wave_number_quantiles, x) for x in r.ravel()]
+            ).reshape(r.shape)
         law = HEIGHT_SPECTRA[self.correlation]
         assert self.wave_number_per_m is not None
         r = self.wave_number_per_m * r
@@ -154,7 +156,9 @@ class RandomHeightField(ContentEquality):
         if self.correlation == "spectrum":
             return average_over_quantiles(self.wave_number_quantiles, lambda k: k * k)
         assert self.wave_number_per_m is not None
-        return self.wave_number_per_m**2 * HEIGHT_SPECTRA[self.correlation].mean_square(self._relative_band_limit)
+        return self.wave_number_per_m**2 * HEIGHT_SPECTRA[self.correlation].mean_square(
+            self._relative_band_limit
+        )
 
 
 @reject_unknown_keywords
@@ -246,13 +250,18 @@ class RoughSurface:
     def sample_realization(self, seed: int, ray_number: int = 0) -> np.ndarray:
         """Return the waves that ray `number` of ensemble 0 draws as its first numbers.
 
-        Rows are those of `splits.transport.rough.waves`, which also evaluates them.
+        Rows are those of `splits.kernels.rough_surface.realization`, which also evaluates them.
         """
-        seed, ray_number = _check_integer("seed", seed, low=0), _check_integer("number", ray_number, low=0)
+        seed, ray_number = (
+            _check_integer("seed", seed, low=0),
+            _check_integer("number", ray_number, low=0),
+        )
         state = np.zeros(1, dtype=np.uint64)
         start_stream(state, seed, 0, ray_number)
         drawn = self.make_height_fields()
-        waves: np.ndarray = kernels.sample_realization(state, drawn, kernels.allocate_realization(drawn)).waves
+        waves: np.ndarray = kernels.sample_realization(
+            state, drawn, kernels.allocate_realization(drawn)
+        ).waves
         return waves
 
     def describe(self) -> dict[str, Any]:

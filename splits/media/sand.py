@@ -11,29 +11,29 @@ from typing import Any
 import numpy as np
 
 from splits.core.arrays import check_named_numbers
-from splits.core.validation import check_range, reject_unknown_keywords, invalid
 from splits.core.equality import ContentEquality
+from splits.core.validation import check_range, invalid, reject_unknown_keywords
+from splits.kernels.grains.scene import WET_PORE, GrainPopulation, GrainTypes
 from splits.materials import MINERAL_DENSITY_KG_M3, MIXING_RULES
 from splits.media import grain_statistics as statistics
+from splits.media.formatting import find_differences, format_call
+from splits.media.ground import Ground
+from splits.media.inputs import (
+    check_sample_depth,
+    check_truncated_normal,
+    describe_inputs,
+    make_refractive_indices,
+)
+from splits.media.interpretations import SandInterpretation
+from splits.media.medium import Interface, compute_mean_free_path_m
+from splits.media.pore_fluids import WATER, PoreFluids, check_other_fluids
 from splits.media.sand_composition import (
     SandComposition,
     compute_coating_fraction,
     make_composition,
 )
-from splits.media.medium import Interface, compute_mean_free_path_m
-from splits.media.ground import Ground
-from splits.media.inputs import (
-    describe_inputs,
-    make_refractive_indices,
-    check_truncated_normal,
-    check_sample_depth,
-)
-from splits.media.pore_fluids import WATER, PoreFluids, check_other_fluids
-from splits.media.interpretations import SandInterpretation
 from splits.media.soil_texture import SOIL_SEPARATES, SoilSizeDistribution, make_size_distribution
 from splits.media.wetness import WaterDistribution, distribute_water
-from splits.media.formatting import format_call, find_differences
-from splits.kernels.grains.scene import WET_PORE, GrainPopulation, GrainTypes
 
 WATER_FILM = "water film"
 """Name of the water on grains, among their materials."""
@@ -77,7 +77,7 @@ class Sand(ContentEquality):
         Thickness of the sample (m), more than the largest particle, to 1e4, or infinite for the
         spectrophotometer.
     size_tail : float
-        Mass beyond the outermost size limits, see `splits.media.soil_sizes.soil_sizes`.
+        Mass beyond the outermost size limits, see `splits.media.soil_texture.make_size_distribution`.
     refractive_index : mapping, optional
         Per material ("quartz", "hematite", "goethite", "magnetite", "kaolinite", "water",
         "air") a dataset's name, a constant or a table; see `splits.materials.refractive_index`.
@@ -157,7 +157,10 @@ class Sand(ContentEquality):
             hint = "which pores these media fill is not known: leave readings.water out"
             allowed = f"empty with readings.water {self.interpretation.water}"
             raise invalid("pores", dict(self.pores), allowed, hint)
-        put("refractive_index", make_refractive_indices([*MINERAL_DENSITY_KG_M3, "water"], given, self.pores))
+        put(
+            "refractive_index",
+            make_refractive_indices([*MINERAL_DENSITY_KG_M3, "water"], given, self.pores),
+        )
         # What these derive is checked here.
         _ = self.size_distribution, self.composition
 
@@ -196,7 +199,9 @@ class Sand(ContentEquality):
     @cached_property
     def attenuation_per_m(self) -> float:
         """K = K1 K2, cross-section per volume of particles (1/m), SPLITS Eqs 22-24."""
-        return self.size_distribution.size_attenuation_per_m * statistics.shape_attenuation(*self.sphericity)
+        return self.size_distribution.size_attenuation_per_m * statistics.shape_attenuation(
+            *self.sphericity
+        )
 
     @property
     def mean_grain_distance_m(self) -> float:
@@ -254,7 +259,9 @@ class Sand(ContentEquality):
             attenuation=1.0 / compute_mean_free_path_m(self),
             type_cdf=np.cumsum(self.composition.volume_fractions),
             types=GrainTypes(
-                n_shells=np.array([len(layers) for layers in self._shell_materials], dtype=np.int64),
+                n_shells=np.array(
+                    [len(layers) for layers in self._shell_materials], dtype=np.int64
+                ),
                 material=material,
                 coating_thickness=thickness,
                 curvature=2.0 * self.size_distribution.tabulate_struck_inverse_sizes()[np.newaxis],
@@ -267,11 +274,15 @@ class Sand(ContentEquality):
         """Return the pairs of materials that meet at surfaces of particles and of the slab."""
         names = self.list_materials()
         found: list[Interface] = []
-        for layers, share in zip(self._shell_materials, self.composition.volume_fractions, strict=True):
+        for layers, share in zip(
+            self._shell_materials, self.composition.volume_fractions, strict=True
+        ):
             rows = [names.index(m) for m in layers]
             found += self.pore_fluids.list_grain_interfaces(rows[0], share)
             found += [Interface(share, *pair, "inner") for pair in pairwise(rows)]
-        return found + self.pore_fluids.list_boundary_interfaces(self.interpretation.to_sampling_rules().boundary_fresnel)
+        return found + self.pore_fluids.list_boundary_interfaces(
+            self.interpretation.to_sampling_rules().boundary_fresnel
+        )
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""

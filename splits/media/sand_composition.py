@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from splits.core.arrays import check_named_numbers
-from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
 from splits.core.equality import ContentEquality
+from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
 from splits.materials import MINERAL_DENSITY_KG_M3
 from splits.media.grain_statistics import surface_to_volume_ratio
 
@@ -43,7 +43,9 @@ class ParticleType(ContentEquality):
     @property
     def density_kg_m3(self) -> float:
         """Density of the particle γ_j (kg/m³), Eq 15."""
-        return 1.0 / sum(c / MINERAL_DENSITY_KG_M3[mineral] for mineral, c in self.mineral_mass_fractions.items())
+        return 1.0 / sum(
+            c / MINERAL_DENSITY_KG_M3[mineral] for mineral, c in self.mineral_mass_fractions.items()
+        )
 
     @property
     def mineral_volume_fractions(self) -> dict[str, float]:
@@ -106,7 +108,9 @@ class SandComposition:
     @property
     def volume_fractions(self) -> tuple[float, ...]:
         """Volume of each type per volume of all particles v_j, Eq 18."""
-        return tuple(self.density_kg_m3 / t.density_kg_m3 * t.mass_fraction for t in self.particle_types)
+        return tuple(
+            self.density_kg_m3 / t.density_kg_m3 * t.mass_fraction for t in self.particle_types
+        )
 
     def to_rows(self) -> list[dict[str, float | str]]:
         """Return a table of every intermediate, one row per type."""
@@ -116,8 +120,13 @@ class SandComposition:
                 "mass_fraction": t.mass_fraction,
                 "density_kg_m3": t.density_kg_m3,
                 "volume_fraction": v,
-                **{f"mass_{m}": t.mineral_mass_fractions.get(m, 0.0) for m in MINERAL_DENSITY_KG_M3},
-                **{f"volume_{m}": t.mineral_volume_fractions.get(m, 0.0) for m in MINERAL_DENSITY_KG_M3},
+                **{
+                    f"mass_{m}": t.mineral_mass_fractions.get(m, 0.0) for m in MINERAL_DENSITY_KG_M3
+                },
+                **{
+                    f"volume_{m}": t.mineral_volume_fractions.get(m, 0.0)
+                    for m in MINERAL_DENSITY_KG_M3
+                },
                 "inclusion_fraction": t.inclusion_fraction,
                 "coating_fraction": self.coating_fraction if t.is_coated else 0.0,
             }
@@ -139,7 +148,9 @@ def compute_coating_fraction(sphericity: float, relative_thickness: float) -> fl
     return coat / (1.0 + coat)
 
 
-def compute_coated_concentrations(oxide: str, iron_oxide: float, coating_fraction: float) -> dict[str, float]:
+def compute_coated_concentrations(
+    oxide: str, iron_oxide: float, coating_fraction: float
+) -> dict[str, float]:
     """Return the concentrations by mass of quartz coated by iron oxide in kaolinite.
 
     Eqs 10-11: the mass of kaolinite follows from the volume of the coating.

@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splits.core.arrays import check_named_numbers
-from splits.core.validation import check_range, reject_unknown_keywords, check_choice, invalid
 from splits.core.equality import ContentEquality
+from splits.core.validation import check_choice, check_range, invalid, reject_unknown_keywords
+from splits.kernels.grains.scene import GrainPopulation, GrainTypes
 from splits.materials import ice_density
 from splits.materials.impurities import Impurity, describe_impurities, make_impurities
 from splits.media import grain_statistics as statistics
-from splits.media.medium import Interface, compute_mean_free_path_m
+from splits.media.formatting import find_differences, format_call
 from splits.media.ground import Ground
 from splits.media.inputs import (
+    check_sample_depth,
+    check_truncated_normal,
     describe_inputs,
     make_refractive_indices,
-    check_truncated_normal,
-    check_sample_depth,
 )
-from splits.media.measured_inputs import to_shortest_keywords, accepts_measured_inputs
-from splits.media.natural_snow import is_natural, make_natural_snow, describe_grain_shape
-from splits.media.pore_fluids import PoreFluids, check_other_fluids
 from splits.media.interpretations import Interpretation
-from splits.media.formatting import format_call, find_differences
-from splits.kernels.grains.scene import GrainPopulation, GrainTypes
+from splits.media.measured_inputs import accepts_measured_inputs, to_shortest_keywords
+from splits.media.medium import Interface, compute_mean_free_path_m
+from splits.media.natural_snow import describe_grain_shape, is_natural, make_natural_snow
+from splits.media.pore_fluids import PoreFluids, check_other_fluids
 
 MIN_DENSITY_KG_M3 = 1e-12
 """Least density: a grain in 1e11 m of a ray, far from where numbers end."""
@@ -172,7 +172,10 @@ class Snow(ContentEquality):
         ice = ice_density(self.temperature_c)
         hint = f"kg/m3, not g/cm3: ice at {self.temperature_c:g} °C has {ice:g}"
         key, density = "density_kg_m3", self.density_kg_m3
-        put(key, check_range(key, density, MIN_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True))
+        put(
+            key,
+            check_range(key, density, MIN_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True),
+        )
         put("ground", Ground.from_input(self.ground))
         put("depth_m", check_sample_depth(self.depth_m))
         put("readings", Interpretation.from_input(self.interpretation))
@@ -246,7 +249,9 @@ class Snow(ContentEquality):
 
     def make_grain_population(self) -> GrainPopulation:
         """Return the table of particle types: one, of ice."""
-        sizes = statistics.tabulate_struck_inverse_sizes(*self._diameter_limits_m, self.interpretation.struck_size)
+        sizes = statistics.tabulate_struck_inverse_sizes(
+            *self._diameter_limits_m, self.interpretation.struck_size
+        )
         return GrainPopulation(
             attenuation=1.0 / compute_mean_free_path_m(self),
             type_cdf=np.ones(1),
@@ -277,7 +282,9 @@ class Snow(ContentEquality):
     def list_interfaces(self) -> list[Interface]:
         """Return the pairs of materials that meet at surfaces of grains and of the slab."""
         fresnel = self.interpretation.to_sampling_rules().boundary_fresnel
-        return self.pore_fluids.list_grain_interfaces(self._ice_column) + self.pore_fluids.list_boundary_interfaces(fresnel)
+        return self.pore_fluids.list_grain_interfaces(
+            self._ice_column
+        ) + self.pore_fluids.list_boundary_interfaces(fresnel)
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials); 1 if absent."""

@@ -17,8 +17,8 @@ import numpy as np
 
 from splits.core.arrays import check_named_numbers
 from splits.core.validation import check_range, invalid
-from splits.media.grain_statistics import N_TABLE_POINTS, integrate_with_quantiles
 from splits.kernels.math.rng import make_table_probabilities
+from splits.media.grain_statistics import N_TABLE_POINTS, integrate_with_quantiles
 
 SEPARATE_LIMITS_M = (5e-8, 2e-6, 5e-5, 2e-3)
 """Limits of clay, silt and sand (m): USDA, with 50 nm as the smallest clay particle."""
@@ -61,7 +61,9 @@ class TruncatedLogNormal:
         """Return quantiles of the size of struck particles (m): density ∝ s⁻² f_g(s), Eq 25."""
         low, high = float(np.log(self.min_size_m)), float(np.log(self.max_size_m))
         return np.exp(
-            integrate_with_quantiles(lambda x: self._relative_density(x, -1.0), low, high, probability)[1]
+            integrate_with_quantiles(
+                lambda x: self._relative_density(x, -1.0), low, high, probability
+            )[1]
         )
 
 
@@ -71,8 +73,14 @@ def _compute_mean_inverse_size(distribution: TruncatedLogNormal) -> float:
     # Not in closed form: its error functions cancel when a separate's limits lie close
     # together in probability, while this integrand is always smooth.
     low, high = float(np.log(distribution.min_size_m)), float(np.log(distribution.max_size_m))
-    weighted, _ = integrate_with_quantiles(lambda x: distribution._relative_density(x, -1.0), low, high)
-    return weighted / integrate_with_quantiles(distribution._relative_density, low, high)[0] / distribution.min_size_m
+    weighted, _ = integrate_with_quantiles(
+        lambda x: distribution._relative_density(x, -1.0), low, high
+    )
+    return (
+        weighted
+        / integrate_with_quantiles(distribution._relative_density, low, high)[0]
+        / distribution.min_size_m
+    )
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,9 @@ class SoilSizeDistribution:
 @lru_cache(maxsize=64)
 def _tabulate_struck_inverse_sizes(distribution: SoilSizeDistribution) -> np.ndarray:
     u = make_table_probabilities(N_TABLE_POINTS)
-    weights = np.array([s.mass_fraction * s.mean_inverse_size_per_m for s in distribution.separates])[::-1]
+    weights = np.array(
+        [s.mass_fraction * s.mean_inverse_size_per_m for s in distribution.separates]
+    )[::-1]
     edges = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
     edges[-1] = 1.0
     inverse = np.empty(u.shape)
@@ -114,7 +124,9 @@ def _tabulate_struck_inverse_sizes(distribution: SoilSizeDistribution) -> np.nda
     return inverse
 
 
-def make_size_distribution(texture: object, tail_mass: float = 1e-4, size_model: str = "separates") -> SoilSizeDistribution:
+def make_size_distribution(
+    texture: object, tail_mass: float = 1e-4, size_model: str = "separates"
+) -> SoilSizeDistribution:
     """Return the particle sizes of a sand of given texture.
 
     Parameters
@@ -142,7 +154,9 @@ def make_size_distribution(texture: object, tail_mass: float = 1e-4, size_model:
             "texture", texture, f"silt + 1.5 clay at most {MAX_FINES_FRACTION:g}", "more is no sand"
         )
     tail_mass = check_range("size_tail", tail_mass, 1e-6, 0.01)
-    cumulative = np.clip([tail_mass, clay, clay + silt, 1.0 - tail_mass], tail_mass, 1.0 - tail_mass)
+    cumulative = np.clip(
+        [tail_mass, clay, clay + silt, 1.0 - tail_mass], tail_mass, 1.0 - tail_mass
+    )
     score = [NormalDist().inv_cdf(c) for c in cumulative]
     x = np.log(SEPARATE_LIMITS_M)
     if size_model == "single":
@@ -152,10 +166,19 @@ def make_size_distribution(texture: object, tail_mass: float = 1e-4, size_model:
         if mass > 0.0 and score[i + 1] > score[i]:
             sd = (x[i + 1] - x[i]) / (score[i + 1] - score[i])
             mean = x[i] - sd * score[i]
-            separates.append(TruncatedLogNormal(SEPARATE_LIMITS_M[i], SEPARATE_LIMITS_M[i + 1], mass, float(mean), float(sd)))
+            separates.append(
+                TruncatedLogNormal(
+                    SEPARATE_LIMITS_M[i], SEPARATE_LIMITS_M[i + 1], mass, float(mean), float(sd)
+                )
+            )
     total = sum(s.mass_fraction for s in separates)
     return SoilSizeDistribution(
-        tuple(TruncatedLogNormal(s.min_size_m, s.max_size_m, s.mass_fraction / total, s.log_mean, s.log_sd) for s in separates)
+        tuple(
+            TruncatedLogNormal(
+                s.min_size_m, s.max_size_m, s.mass_fraction / total, s.log_mean, s.log_sd
+            )
+            for s in separates
+        )
     )
 
 

@@ -12,20 +12,20 @@ from typing import Any, cast
 import numpy as np
 
 from splits.core.validation import (
-    reject_unknown_keywords,
     check_choice,
     invalid,
-    suggest_name,
     key_prefix,
+    reject_unknown_keywords,
+    suggest_name,
 )
-from splits.media.medium import GranularMedium, Interface
-from splits.media.ground import Ground, describe_ground
-from splits.media.particle_layer import ParticleLayer
-from splits.media.stacked_particle_layer import StackedParticleLayer
-from splits.media.pore_fluids import PoreFluids
-from splits.media.interpretations import INTERPRETATION_SETS
-from splits.media.formatting import format_value
 from splits.kernels.grains.scene import WET_PORE
+from splits.media.formatting import format_value
+from splits.media.ground import Ground, describe_ground
+from splits.media.interpretations import INTERPRETATION_SETS
+from splits.media.medium import GranularMedium, Interface
+from splits.media.particle_layer import ParticleLayer
+from splits.media.pore_fluids import PoreFluids
+from splits.media.stacked_particle_layer import StackedParticleLayer
 
 MAX_LAYERS = 200
 
@@ -50,7 +50,7 @@ class Stack:
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
         `splits.media.ground.Ground.of`.  By default light leaves below ("open").
     readings : str, optional
-        Name of a set of readings, see `splits.media.readings.SETS`, that all layers of grains take
+        Name of a set of readings, see `splits.media.interpretations.INTERPRETATION_SETS`, that all layers of grains take
         in place of their own: snow and sand have different ones by default.
 
     Raises
@@ -88,7 +88,7 @@ class Stack:
             if isinstance(layer, type) or not isinstance(layer, GranularMedium):
                 given = getattr(layer, "kind", layer)
                 near = suggest_name(str(given).capitalize(), ["Snow", "Sand", "Layer"])
-                allowed = "splits.Snow(...), splits.Sand(...) or splits.Layer(...)"
+                allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
                 raise invalid(f"layers[{number}]", given, allowed, near)
             if layer.depth_m == math.inf and number < len(layers) - 1:
                 hint = "only the lowest layer has no end"
@@ -113,16 +113,22 @@ class Stack:
     def __repr__(self) -> str:
         """Return the stack, a layer to a line, as it was given."""
         inputs = {"ground": self.ground, "readings": self.interpretation}
-        ends = [f", {key}={format_value(value)}" for key, value in inputs.items() if value is not None]
+        ends = [
+            f", {key}={format_value(value)}" for key, value in inputs.items() if value is not None
+        ]
         lines = ["Stack([", *(f"    {layer!r}," for layer in self.layers), f"]{''.join(ends)})"]
         return "\n".join(lines)
 
-    def _apply_interpretation(self, layer: GranularMedium | ParticleLayer) -> GranularMedium | ParticleLayer:
+    def _apply_interpretation(
+        self, layer: GranularMedium | ParticleLayer
+    ) -> GranularMedium | ParticleLayer:
         """Return a layer with the stack's readings."""
         if isinstance(layer, ParticleLayer):
             return layer
         own: Any = layer.interpretation
-        chosen = INTERPRETATION_SETS[check_choice("readings", self.interpretation, INTERPRETATION_SETS)]
+        chosen = INTERPRETATION_SETS[
+            check_choice("readings", self.interpretation, INTERPRETATION_SETS)
+        ]
         return replace(cast(Any, layer), readings=type(own).from_input({**own.as_dict(), **chosen}))
 
     @cached_property
@@ -157,7 +163,13 @@ class Stack:
         first = np.cumsum([0, *(len(part.list_materials()) for part in self.scene_layers)]).tolist()
         for number, layer in enumerate(self.scene_layers):
             found += [
-                Interface(i.fraction, i.outer_material + first[number], i.inner_material + first[number], i.location, number)
+                Interface(
+                    i.fraction,
+                    i.outer_material + first[number],
+                    i.inner_material + first[number],
+                    i.location,
+                    number,
+                )
                 for i in layer.list_interfaces()
             ]
         for upper, lower in pairwise(range(len(self.scene_layers))):
@@ -165,7 +177,9 @@ class Stack:
                 found += self._list_boundary_interfaces(one, other, first)
         return found
 
-    def _list_boundary_interfaces(self, number: int, neighbour_number: int, first_columns: list[int]) -> list[Interface]:
+    def _list_boundary_interfaces(
+        self, number: int, neighbour_number: int, first_columns: list[int]
+    ) -> list[Interface]:
         """Return what the pores of one layer of grains have in common with its neighbour."""
         grains, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
         if isinstance(grains, StackedParticleLayer):
@@ -179,14 +193,22 @@ class Stack:
             (r, WET_PORE if matrix else r) for r in range(len(shares)) if matrix or r <= WET_PORE
         ]
         return [
-            Interface(shares[row], first_columns[neighbour_number] + beyond, first_columns[number] + row, "face", number)
+            Interface(
+                shares[row],
+                first_columns[neighbour_number] + beyond,
+                first_columns[number] + row,
+                "face",
+                number,
+            )
             for row, beyond in rows
             if shares[row] > 0.0
         ]
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
-        return np.concatenate([layer.compute_refractive_indices(wavelength_nm) for layer in self.scene_layers], axis=1)
+        return np.concatenate(
+            [layer.compute_refractive_indices(wavelength_nm) for layer in self.scene_layers], axis=1
+        )
 
     def describe(self) -> dict[str, Any]:
         """Return inputs and derived quantities of all layers, for a dataset's attributes."""

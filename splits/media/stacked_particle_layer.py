@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.media.medium import Interface
-from splits.media.particle_layer import ParticleLayer
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE
 from splits.kernels.rough_surface.realization import HeightFields
+from splits.media.medium import Interface
+from splits.media.particle_layer import ParticleLayer
 
 UNSUPPORTED_IN_STACK = {
     "bottom_albedo": (None, "the stack's ground is below all layers: bottom_albedo=None"),

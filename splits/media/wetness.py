@@ -41,7 +41,9 @@ class WaterDistribution(NamedTuple):
     relative_film_thickness: float
 
 
-def distribute_water(saturation: float, porosity: float, sphericity: float, water_model: str) -> WaterDistribution:
+def distribute_water(
+    saturation: float, porosity: float, sphericity: float, water_model: str
+) -> WaterDistribution:
     """Return where the water of a sand is.
 
     Parameters

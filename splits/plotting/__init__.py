@@ -10,49 +10,47 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.core.validation import invalid
-from splits.plotting.sensitivity import draw_sensitivity_bars
-from splits.plotting.annotations import describe_conditions
-from splits.plotting.principal_plane import draw_bin_sizes, draw_principal_planes
-from splits.plotting.sand_fit import draw_fits
-from splits.plotting.hemispheres import draw_hemispheres
-from splits.plotting.lobes import draw_lobes
-from splits.plotting.spectra import draw_measured_albedo
-from splits.plotting.annotations import add_notes
-from splits.plotting.direction_axes import QUANTITY_LABELS
-from splits.plotting.points import draw_points
-from splits.plotting.polarization import draw_polarization
-from splits.plotting.interpretations import draw_interpretation_shifts
-from splits.plotting.spectra import draw_refractive_indices, draw_spectra
+from splits.plotting.annotations import add_notes, describe_conditions
 from splits.plotting.beam_spread import draw_beam_spread
-from splits.plotting.style import save_figure, use_style
-from splits.plotting.points import draw_summary
-from splits.plotting.surface_area import draw_area_law, draw_fitted_spectra
 from splits.plotting.colour import draw_swatches
+from splits.plotting.direction_axes import QUANTITY_LABELS
+from splits.plotting.hemispheres import draw_hemispheres
+from splits.plotting.interpretations import draw_interpretation_shifts
+from splits.plotting.lobes import draw_lobes
+from splits.plotting.points import draw_points, draw_summary
+from splits.plotting.polarization import draw_polarization
+from splits.plotting.principal_plane import draw_bin_sizes, draw_principal_planes
 from splits.plotting.rough_surface import draw_lens, draw_surface
+from splits.plotting.sand_fit import draw_fits
+from splits.plotting.sensitivity import draw_sensitivity_bars
+from splits.plotting.spectra import draw_measured_albedo, draw_refractive_indices, draw_spectra
+from splits.plotting.style import save_figure, use_style
+from splits.plotting.surface_area import draw_area_law, draw_fitted_spectra
 
 __all__ = [
-    "area_law",
-    "collectors",
-    "conditions",
+    "describe_conditions",
     "draw",
-    "fits",
-    "fitted_spectra",
-    "hemispheres",
-    "lens",
-    "lobes",
-    "measured_albedo",
-    "points",
-    "polarization",
-    "principal_planes",
-    "readings_shifts",
-    "refractive_indices",
+    "draw_area_law",
+    "draw_beam_spread",
+    "draw_bin_sizes",
+    "draw_fits",
+    "draw_fitted_spectra",
+    "draw_hemispheres",
+    "draw_interpretation_shifts",
+    "draw_lens",
+    "draw_lobes",
+    "draw_measured_albedo",
+    "draw_points",
+    "draw_polarization",
+    "draw_principal_planes",
+    "draw_refractive_indices",
+    "draw_sensitivity_bars",
+    "draw_spectra",
+    "draw_summary",
+    "draw_surface",
+    "draw_swatches",
     "save_figure",
-    "sensitivity_bars",
-    "spectra",
-    "spread",
-    "summary",
-    "surface",
-    "swatches",
+    "use_style",
 ]
 
 
@@ -71,7 +69,7 @@ def draw(
     ----------
     dataset : xarray.Dataset
     section : mapping
-        See `splits.experiments.model.FigureSection`.
+        See `splits.experiments.config.experiment.FigureSection`.
     measured : pandas.DataFrame, optional
         Measured values to show with spectra.
 

@@ -17,11 +17,11 @@ from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
-    pick_colours,
     format_parameter,
-    use_style,
-    make_subplots,
     format_value,
+    make_subplots,
+    pick_colours,
+    use_style,
 )
 
 MODEL_AXIS, SAMPLE_AXIS = "readings", "saturation"
@@ -94,7 +94,11 @@ def _draw_plane(
 
 
 def _draw_all_directions(
-    axes: Axes, rows: pd.DataFrame, misfits: pd.DataFrame, model_axis: str, colour_of: dict[str, Any]
+    axes: Axes,
+    rows: pd.DataFrame,
+    misfits: pd.DataFrame,
+    model_axis: str,
+    colour_of: dict[str, Any],
 ) -> None:
     """Draw every direction and wavelength of a sample, modelled over measured."""
     angles = sorted(rows.polar_deg.unique())
@@ -103,7 +107,11 @@ def _draw_all_directions(
         rmse = float(np.sqrt(np.average(every.rmse**2, weights=every.directions)))
         for mark, angle in zip(ANGLE_MARKERS, angles, strict=False):
             part = rows[(rows[model_axis] == model) & (rows.polar_deg == angle)]
-            label = f"{format_value(model, model_axis)}: RMSE {rmse:.3f}" if mark == ANGLE_MARKERS[0] else None
+            label = (
+                f"{format_value(model, model_axis)}: RMSE {rmse:.3f}"
+                if mark == ANGLE_MARKERS[0]
+                else None
+            )
             axes.plot(part[FACTOR_COLUMN], part.modelled, mark, color=colour, ms=2.2, alpha=0.6,
                       label=label)  # fmt: skip
     low, high = min(rows[FACTOR_COLUMN].min(), rows.modelled.min()), max(rows[FACTOR_COLUMN].max(),

@@ -5,17 +5,16 @@ What stands around the panels of a figure: their letters, and notes at the foot.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
+
 import numpy as np
 import xarray as xr
-from splits.plotting.style import BAND_SIGMA, format_parameter, format_value
-from collections.abc import Iterable
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from splits.plotting.style import SMALL_FONT_PT
 
+from splits.plotting.style import BAND_SIGMA, SMALL_FONT_PT, format_parameter, format_value
 
 Attributes = Mapping[str, Any]
 
@@ -46,7 +45,10 @@ _COMMON_FORMATTERS: dict[str, Callable[[Any], str]] = {
     "depth_m": _make_formatter("depth", "m"),
     "ground": _format_ground,
 }
-_GRAIN_FORMATTERS = {"density_kg_m3": _make_formatter("density", "kg m⁻³"), "saturation": _format_saturation}
+_GRAIN_FORMATTERS = {
+    "density_kg_m3": _make_formatter("density", "kg m⁻³"),
+    "saturation": _format_saturation,
+}
 FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
     "snow": {"grain_size_um": _make_formatter("grains", "µm"), **_GRAIN_FORMATTERS, **_COMMON_FORMATTERS},
     "natural_snow": {
@@ -92,7 +94,10 @@ def describe_conditions(
     str
         Items stay together where the line is broken.  Empty for a dataset without attributes.
     """
-    items = [*_describe_medium(dataset.attrs, dict(at or {})), _describe_light(dataset, dict(at or {}))]
+    items = [
+        *_describe_medium(dataset.attrs, dict(at or {})),
+        _describe_light(dataset, dict(at or {})),
+    ]
     if dataset.sizes.get("wavelength") == 1:
         items.append(f"{float(dataset.wavelength.values[0]):g} nm")
     items.append(_describe_error(dataset, band))
@@ -106,7 +111,11 @@ def _describe_medium(attributes: Attributes, at: dict[str, Any]) -> list[str]:
     kind = str(attributes.get("medium", ""))
     if kind not in FORMATTERS:
         return []
-    own = {key: attributes[f"{kind}_{key}"] for key in FORMATTERS[kind] if f"{kind}_{key}" in attributes} | at
+    own = {
+        key: attributes[f"{kind}_{key}"]
+        for key in FORMATTERS[kind]
+        if f"{kind}_{key}" in attributes
+    } | at
     opaque = attributes.get(f"{kind}_opaque") == "true"
     alone = opaque or attributes.get("instrument") in _SURFACE_INSTRUMENTS
     items = [kind.replace("_", " ")]

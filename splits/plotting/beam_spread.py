@@ -10,15 +10,14 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from splits.io.netcdf import select_points
-from splits.plotting.annotations import describe_conditions
+from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.lines import MAX_INSET_ENTRIES, place_legend_beside
-from splits.plotting.annotations import annotate_figure
 from splits.plotting.style import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
+    make_subplots,
     pick_colours,
     use_style,
-    make_subplots,
 )
 
 MAX_RELATIVE_ERROR = 0.25
@@ -31,7 +30,7 @@ def draw_beam_spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None =
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.bssrdf`, without a grid or at one point of it.
+        Of `splits.beam_spread`, without a grid or at one point of it.
     at : mapping, optional
         Grid labels to hold fixed.
     """

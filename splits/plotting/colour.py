@@ -10,16 +10,15 @@ from matplotlib.figure import Figure
 
 from splits.analysis.colour import make_colour_table
 from splits.io.netcdf import select_points
-from splits.plotting.annotations import describe_conditions
-from splits.plotting.annotations import annotate_figure
+from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.style import (
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
     format_parameter,
-    use_style,
-    make_subplots,
     format_value,
+    make_subplots,
+    use_style,
 )
 
 _MAX_NARROW_COLUMNS = 3
@@ -55,7 +54,8 @@ def draw_swatches(dataset: xr.Dataset, at: Mapping[str, float | str] | None = No
     light = table["L"].to_numpy().reshape(columns, rows)
     with use_style():
         figure, axes = make_subplots(
-            width=ONE_COLUMN_INCHES if columns <= _MAX_NARROW_COLUMNS else TWO_COLUMNS_INCHES, height=0.5 + 0.4 * rows
+            width=ONE_COLUMN_INCHES if columns <= _MAX_NARROW_COLUMNS else TWO_COLUMNS_INCHES,
+            height=0.5 + 0.4 * rows,
         )
         axes.imshow(np.swapaxes(patches, 0, 1), aspect="auto", interpolation="nearest")
         for i in range(columns):
@@ -65,9 +65,13 @@ def draw_swatches(dataset: xr.Dataset, at: Mapping[str, float | str] | None = No
                 axes.text(i, j, f"{code}\nL* {light[i, j]:.1f}", color=ink, fontsize=SMALL_FONT_PT,
                           ha="center", va="center")  # fmt: skip
         names = [format_value(v, dims[0]) for v in dataset[dims[0]].values]
-        axes.set_xticks(range(columns), names, rotation=90 if columns > _MAX_LABELLED_COLUMNS else 0)
+        axes.set_xticks(
+            range(columns), names, rotation=90 if columns > _MAX_LABELLED_COLUMNS else 0
+        )
         if len(dims) == 2:
-            axes.set_yticks(range(rows), [format_value(v, dims[1]) for v in dataset[dims[1]].values])
+            axes.set_yticks(
+                range(rows), [format_value(v, dims[1]) for v in dataset[dims[1]].values]
+            )
             axes.set_ylabel(format_parameter(dims[1]))
         else:
             axes.set_yticks([])

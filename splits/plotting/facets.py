@@ -10,17 +10,17 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines
-from splits.plotting.nodes import find_coarse_nodes, draw_node_ticks, make_nodes_note
 from splits.plotting.annotations import annotate_figure
+from splits.plotting.lines import MAX_INSET_ENTRIES, PlotLines
+from splits.plotting.nodes import draw_node_ticks, find_coarse_nodes, make_nodes_note
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
     format_parameter,
-    use_style,
-    make_subplots,
     format_value,
+    make_subplots,
+    use_style,
 )
 
 DEFAULT_COLUMNS = 4
@@ -49,7 +49,7 @@ def draw_facets(
     quantity : sequence of str
         A block of panels each, one below the other.
     apart : sequence of str
-        One or two parameters, see `splits.panels.facets`.
+        One or two parameters, see `splits.plotting.panels.choose_panel_parameters`.
     legend : str, optional
         Title of the legend or the colour bar; the first parameter by default.
     ylim : (low, high), optional
@@ -95,7 +95,9 @@ def draw_facets(
         if not above:
             figure.suptitle(panels_are)
         lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
-        return annotate_figure(figure, panels.flat, panels_are if above else "", note, make_nodes_note(nodes))
+        return annotate_figure(
+            figure, panels.flat, panels_are if above else "", note, make_nodes_note(nodes)
+        )
 
 
 def _compute_axis_top(dataset: xr.Dataset, name: str) -> float:

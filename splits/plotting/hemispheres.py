@@ -13,16 +13,15 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.ticker import LogLocator
 
-from splits.plotting.annotations import describe_conditions
-from splits.plotting.annotations import annotate_figure
+from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.direction_axes import (
-    QUANTITY_LABELS,
     MAX_POLAR_DEG,
+    QUANTITY_LABELS,
     get_incidence_deg,
     make_lines,
-    select_point,
-    select_line,
     make_panel_title,
+    select_line,
+    select_point,
 )
 from splits.plotting.style import (
     ONE_COLUMN_INCHES,
@@ -40,7 +39,13 @@ _MIN_RELATIVE_VALUE = 0.01
 _MAP_HEIGHT_INCHES = 1.75
 _MIN_AZIMUTH_STEPS = 180
 """Cells around from which on their borders look round."""
-_MARKER_STYLE: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": "black", "mew": 0.7, "clip_on": False}
+_MARKER_STYLE: dict[str, Any] = {
+    "ls": "none",
+    "mfc": "white",
+    "mec": "black",
+    "mew": 0.7,
+    "clip_on": False,
+}
 
 
 def draw_hemispheres(
@@ -56,7 +61,7 @@ def draw_hemispheres(
     dataset : xarray.Dataset
         Of `splits.goniophotometer`, or of an experiment with it, with azimuths all around.
     quantity : sequence of str
-        Of `splits.figures.planes.NAMES`, a block of maps each with a scale of its own.
+        Of `splits.plotting.direction_axes.QUANTITY_LABELS`, a block of maps each with a scale of its own.
     at : mapping, optional
         Grid labels to hold fixed.
     legend : str, optional
@@ -75,7 +80,9 @@ def draw_hemispheres(
         for number, name in enumerate(quantity):
             places = [grid[number * rows + i // columns, i % columns] for i in range(count)]
             panels += draw_maps(figure, places, dataset, name, legend)
-        return annotate_figure(figure, panels, describe_conditions(dataset, at, ""), make_maps_note(quantity))
+        return annotate_figure(
+            figure, panels, describe_conditions(dataset, at, ""), make_maps_note(quantity)
+        )
 
 
 def make_maps_note(quantity: Sequence[str]) -> str:
@@ -85,7 +92,9 @@ def make_maps_note(quantity: Sequence[str]) -> str:
     circles = " and ".join(f"{c:g}°" for c in RING_ANGLES_DEG)
     marks = [below] if tuple(quantity) == ("btdf",) else above + ([f"of BTDF {below}"] if below
                                                                  else [])  # fmt: skip
-    return f"Maps: rings at {circles} from the normal, up to {MAX_POLAR_DEG:g}°; {'; '.join(marks)}."
+    return (
+        f"Maps: rings at {circles} from the normal, up to {MAX_POLAR_DEG:g}°; {'; '.join(marks)}."
+    )
 
 
 def draw_maps(
@@ -103,7 +112,7 @@ def draw_maps(
     places : sequence of matplotlib.gridspec.SubplotSpec
         One per point.
     dataset : xarray.Dataset
-        See `splits.figures.planes.part_at`.
+        See `splits.plotting.direction_axes.select_point`.
     name : str
         The quantity.
     legend : str, optional

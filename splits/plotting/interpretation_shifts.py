@@ -10,16 +10,16 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splits.plotting.nodes import find_coarse_nodes, draw_node_ticks, make_nodes_note
 from splits.plotting.annotations import annotate_figure
+from splits.plotting.nodes import draw_node_ticks, find_coarse_nodes, make_nodes_note
+from splits.plotting.panels import DEFAULT_LABEL, MAX_PANELS
 from splits.plotting.style import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
-    use_style,
-    make_subplots,
     format_value,
+    make_subplots,
+    use_style,
 )
-from splits.plotting.panels import DEFAULT_LABEL, MAX_PANELS
 
 MAX_SHIFT_COLUMNS = 4
 SHIFT_COLOUR = "#1f6fb4"
@@ -109,7 +109,9 @@ def draw_shifts(
         return annotate_figure(figure, panels.flat, note, told, make_nodes_note(nodes))
 
 
-def _draw_block(panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, axis_dim: str) -> None:
+def _draw_block(
+    panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, axis_dim: str
+) -> None:
     """Draw a quantity's default in the first panel and the shifts of the others in the rest."""
     x = dataset[axis_dim].values
     default = dataset.sel({dim: DEFAULT_LABEL})
@@ -132,5 +134,7 @@ def _draw_block(panels: np.ndarray, dataset: xr.Dataset, name: str, dim: str, ax
 
 def _draw_curve(axes: Axes, x: np.ndarray, y: np.ndarray, error: np.ndarray, colour: str) -> None:
     axes.plot(x, y, color=colour)
-    axes.fill_between(x, y - BAND_SIGMA * error, y + BAND_SIGMA * error, color=colour, alpha=0.3, lw=0)
+    axes.fill_between(
+        x, y - BAND_SIGMA * error, y + BAND_SIGMA * error, color=colour, alpha=0.3, lw=0
+    )
     axes.margins(x=0.01)

@@ -13,8 +13,8 @@ from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
-    use_style,
     make_subplots,
+    use_style,
 )
 
 MAX_DISTANCE_BARS = 6.0
@@ -29,7 +29,7 @@ def draw_interpretation_shifts(statements: pd.DataFrame, default: str = "splitsn
     Parameters
     ----------
     statements : pandas.DataFrame
-        See `splits.experiments.ranking_tables.statements`.
+        See `splits.experiments.papers.interpretation_tables.make_statement_table`.
     default : str
         Name of the set of readings that the others are read against; without it among the
         combinations, the nearest one.
@@ -52,7 +52,9 @@ def draw_interpretation_shifts(statements: pd.DataFrame, default: str = "splitsn
         for axes, (number, part) in zip(panels[0, 1:], shown.items(), strict=True):
             part = part.set_index("statement").loc[base.index]
             shift = (part.ours - base.ours) / base.bar
-            _draw_strip(axes, shift.to_numpy(), np.hypot(part.stderr, base.stderr) / base.bar, SHIFT_COLOUR)
+            _draw_strip(
+                axes, shift.to_numpy(), np.hypot(part.stderr, base.stderr) / base.bar, SHIFT_COLOUR
+            )
             axes.set_title(str(number))
         if shown:
             panels[0, (1 + len(shown)) // 2].set_xlabel("shift from the default (bars)")
@@ -80,7 +82,10 @@ def _draw_strip(axes: Axes, value: np.ndarray, error: pd.Series | np.ndarray, co
         far = rows[side * value > MAX_DISTANCE_BARS]
         axes.plot(np.full(far.size, side * MAX_DISTANCE_BARS), far, marker, ms=3, color=colour)
     axes.set_xlim(-1.15 * MAX_DISTANCE_BARS, 1.15 * MAX_DISTANCE_BARS)
-    axes.set_xticks([-0.5 * MAX_DISTANCE_BARS, 0.0, 0.5 * MAX_DISTANCE_BARS], [f"−{0.5 * MAX_DISTANCE_BARS:g}", "", f"{0.5 * MAX_DISTANCE_BARS:g}"])
+    axes.set_xticks(
+        [-0.5 * MAX_DISTANCE_BARS, 0.0, 0.5 * MAX_DISTANCE_BARS],
+        [f"−{0.5 * MAX_DISTANCE_BARS:g}", "", f"{0.5 * MAX_DISTANCE_BARS:g}"],
+    )
     axes.tick_params(axis="x", labelsize=SMALL_FONT_PT)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", alpha=0.25)

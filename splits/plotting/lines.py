@@ -17,16 +17,16 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 
+from splits.plotting.panels import DEFAULT_LABEL
 from splits.plotting.style import (
     NOMINAL_PARAMETERS,
     TWO_COLUMNS_INCHES,
     Colour,
     Dash,
-    pick_colours,
     format_parameter,
     format_value,
+    pick_colours,
 )
-from splits.plotting.panels import DEFAULT_LABEL
 
 DASHES: tuple[Dash, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (8, 3)))
 MAX_INSET_ENTRIES = 6
@@ -190,7 +190,9 @@ class PlotLines:
             ScalarMappable(norm, ListedColormap(self.colours)), ax=list(axes), ticks=ticks,
             aspect=20 * rows, label=title or format_parameter(self.colour_dim), pad=0.02,
         )  # fmt: skip
-        bar.ax.set_yticklabels([format_value(self._values[self.colour_dim][i], self.colour_dim) for i in ticks])
+        bar.ax.set_yticklabels(
+            [format_value(self._values[self.colour_dim][i], self.colour_dim) for i in ticks]
+        )
         bar.ax.minorticks_off()
 
 

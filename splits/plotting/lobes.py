@@ -9,19 +9,18 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from splits.plotting.annotations import describe_conditions
-from splits.plotting.annotations import annotate_figure
+from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.direction_axes import (
-    QUANTITY_LABELS,
     MAX_POLAR_DEG,
-    to_plot_angle,
+    QUANTITY_LABELS,
+    extract_plane,
     format_half_circle,
     get_incidence_deg,
     make_lines,
-    select_point,
-    select_line,
-    extract_plane,
     make_panel_title,
+    select_line,
+    select_point,
+    to_plot_angle,
 )
 from splits.plotting.style import (
     BAND_SIGMA,
@@ -62,7 +61,9 @@ def draw_lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
     columns = min(MAX_LOBE_COLUMNS, len(lines))
     rows = -(-len(lines) // columns)
     with use_style():
-        figure = OffscreenFigure(ONE_COLUMN_INCHES if columns == 1 else TWO_COLUMNS_INCHES, 0.3 + 2.8 * rows)
+        figure = OffscreenFigure(
+            ONE_COLUMN_INCHES if columns == 1 else TWO_COLUMNS_INCHES, 0.3 + 2.8 * rows
+        )
         surfaces, planes = [], []
         for number, one in enumerate(lines):
             row, column = divmod(number, columns)

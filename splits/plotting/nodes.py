@@ -72,7 +72,9 @@ def _format_table_name(name: str) -> str:
 
 def _is_in_use(dataset: xr.Dataset, medium: str, material: str) -> bool:
     """Return whether a medium has some of a material, as far as its attributes say."""
-    shares = [dataset.attrs.get(f"{medium}_{key}") for key in _FRACTION_PARAMETERS.get(material, ())]
+    shares = [
+        dataset.attrs.get(f"{medium}_{key}") for key in _FRACTION_PARAMETERS.get(material, ())
+    ]
     return all(share is None or float(share) > 0.0 for share in shares)
 
 
@@ -101,7 +103,8 @@ def make_nodes_note(nodes: dict[str, np.ndarray]) -> str:
     if not nodes:
         return ""
     tables = ", ".join(
-        name.replace(")", f", {_get_tick_colour(name)[1]})") if len(nodes) > 1 else name for name in nodes
+        name.replace(")", f", {_get_tick_colour(name)[1]})") if len(nodes) > 1 else name
+        for name in nodes
     )
     return f"Ticks above the axis: rows of coarse tables, where spectra may kink: {tables}."
 

@@ -30,7 +30,12 @@ REDUCTION_HINT = "the dataset holds all; figure: none draws nothing"
 def make_limit_error(what: str, count: int, limit: int, selection: object) -> ValueError:
     """Return the error that says that a figure would show too much, and how to show less."""
     allowed = f"with values of so many parameters that at most {limit} {what} are left of {count}"
-    return invalid("figure.at", dict(selection) if isinstance(selection, Mapping) else selection, allowed, REDUCTION_HINT)
+    return invalid(
+        "figure.at",
+        dict(selection) if isinstance(selection, Mapping) else selection,
+        allowed,
+        REDUCTION_HINT,
+    )
 
 
 def check_count(what: str, count: int, limit: int, selection: Mapping[str, object]) -> None:

@@ -7,38 +7,37 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from splits.io.netcdf import select_points
+
 from splits.core.escaping import escape_mathtext
-from splits.plotting.annotations import describe_conditions
-from splits.plotting.lines import PlotLines, place_legend_beside
-from splits.plotting.annotations import annotate_figure
+from splits.io.netcdf import select_points
+from splits.plotting.annotations import annotate_figure, describe_conditions
+from splits.plotting.facets import draw_facets
 from splits.plotting.interpretation_shifts import (
     INDEPENDENCE_NOTE,
-    find_default_dim,
     compute_shift,
+    find_default_dim,
 )
+from splits.plotting.lines import PlotLines, place_legend_beside
+from splits.plotting.panels import DEFAULT_LABEL
+from splits.plotting.spectra import draw_spectra
 from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
-    pick_colours,
     format_parameter,
-    use_style,
-    make_subplots,
     format_value,
+    make_subplots,
+    pick_colours,
+    use_style,
 )
-from splits.plotting.panels import DEFAULT_LABEL
-from typing import Any
-from splits.plotting.facets import draw_facets
-from splits.plotting.spectra import draw_spectra
-from splits.plotting.style import format_parameter, format_value
-
 
 _SERIES_SPREAD = 0.6
 """Part of a row over which the series are spread."""
@@ -121,7 +120,9 @@ def _make_axis_label(dataset: xr.Dataset, name: str, long_name: str, dim: str | 
     return f"{long_name}, shift from the default\ndefault: {stated}"
 
 
-def _draw_series(axes: Axes, dataset: xr.Dataset, name: str, series: PlotLines, dim: str | None) -> None:
+def _draw_series(
+    axes: Axes, dataset: xr.Dataset, name: str, series: PlotLines, dim: str | None
+) -> None:
     """Draw the values of all points at every wavelength, or their shifts."""
     value, error = dataset[name], dataset[f"{name}_stderr"]
     if dim:
@@ -132,7 +133,9 @@ def _draw_series(axes: Axes, dataset: xr.Dataset, name: str, series: PlotLines, 
     count = len(series.lines)
     for number, one in enumerate(series.lines):
         x = value.sel(one.labels).values.ravel()
-        y = np.arange(x.size) + (_SERIES_SPREAD * ((number + 0.5) / count - 0.5) if count > 1 else 0.0)
+        y = np.arange(x.size) + (
+            _SERIES_SPREAD * ((number + 0.5) / count - 0.5) if count > 1 else 0.0
+        )
         axes.errorbar(
             x, y, xerr=BAND_SIGMA * error.sel(one.labels).values.ravel(),
             fmt="o", ms=2.5, color=one.colour, elinewidth=0.8, label=one.label,
@@ -168,7 +171,7 @@ def draw_summary(
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.table` returns it.
+        As `splits.build_table` returns it.
     quantity : sequence of str
     at : mapping
         From axes to the node that they are shown at; of those that have neither lines nor panels
@@ -185,10 +188,14 @@ def draw_summary(
     single = [n for n in axes if n not in at and dataset.sizes[n] == 1]
     part = part.isel({n: (dataset.sizes[n] - 1) // 2 for n in (*rest, *single)})
     part = part.isel({n: _select_evenly(dataset.sizes[n], MAX_SUMMARY_LINES) for n in lines})
-    most = MAX_SUMMARY_PANELS if len(apart) == 2 else (MAX_SUMMARY_PANELS[0] * MAX_SUMMARY_PANELS[1],)
+    most = (
+        MAX_SUMMARY_PANELS if len(apart) == 2 else (MAX_SUMMARY_PANELS[0] * MAX_SUMMARY_PANELS[1],)
+    )
     # The shorter axis of the two is the one whose panels lie below each other.
     apart = apart[::-1]
-    part = part.isel({n: _select_evenly(dataset.sizes[n], m) for n, m in zip(apart, most, strict=False)})
+    part = part.isel(
+        {n: _select_evenly(dataset.sizes[n], m) for n, m in zip(apart, most, strict=False)}
+    )
     fixed = {n: part[n].values.item() for n in (*at, *rest) if n in part.coords}
     note = "at " + " · ".join(
         f"{format_parameter(n)} {format_value(v, n)}" for n, v in fixed.items()

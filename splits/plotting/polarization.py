@@ -9,18 +9,17 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from splits.io.netcdf import select_points
-from splits.plotting.annotations import describe_conditions
-from splits.plotting.annotations import annotate_figure
+from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.direction_axes import (
     MAX_INSET_LINES,
-    QUANTITY_LABELS,
     MAX_POLAR_DEG,
+    QUANTITY_LABELS,
     VIEWING_ANGLE_LABEL,
+    extract_plane,
     make_lines,
     select_line,
-    extract_plane,
 )
-from splits.plotting.style import BAND_SIGMA, TWO_COLUMNS_INCHES, use_style, make_subplots
+from splits.plotting.style import BAND_SIGMA, TWO_COLUMNS_INCHES, make_subplots, use_style
 
 
 def draw_polarization(

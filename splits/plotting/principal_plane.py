@@ -12,36 +12,35 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from splits.analysis.directions import merge_angular_bins, select_principal_plane
-from splits.plotting.annotations import describe_conditions
-from splits.plotting.hemispheres import draw_maps, draw_dataset_maps, make_maps_note
-from splits.plotting.lines import PlotLines
-from splits.plotting.annotations import annotate_figure
+from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.direction_axes import (
     MAX_INSET_LINES,
     QUANTITY_LABELS,
     SHORT_ANGLE_LABEL,
     VIEWING_ANGLE_LABEL,
-    to_plot_angle,
+    extract_plane,
     format_half_circle,
     get_incidence_deg,
-    make_lines,
-    select_point,
-    select_line,
-    extract_plane,
     insert_zenith_gap,
+    make_lines,
+    select_line,
+    select_point,
+    to_plot_angle,
 )
-from splits.plotting.interpretation_shifts import find_default_dim, draw_shifts
+from splits.plotting.hemispheres import draw_dataset_maps, draw_maps, make_maps_note
+from splits.plotting.interpretation_shifts import draw_shifts, find_default_dim
+from splits.plotting.lines import PlotLines
+from splits.plotting.panels import can_map_hemisphere
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
     Colour,
     OffscreenFigure,
+    format_value,
     pick_colours,
     use_style,
-    format_value,
 )
-from splits.plotting.panels import can_map_hemisphere
 
 MAX_MAPS = 4
 """Up to so many points of a grid have maps of the hemisphere beside their principal planes."""
@@ -65,7 +64,7 @@ def draw_principal_planes(
     dataset : xarray.Dataset
         Of `splits.goniophotometer`, or of an experiment with it.
     quantity : sequence of str
-        Of `splits.figures.planes.NAMES`, a row of panels each.
+        Of `splits.plotting.direction_axes.QUANTITY_LABELS`, a row of panels each.
     at : mapping, optional
         Grid labels to hold fixed.
     legend : str, optional
@@ -85,7 +84,9 @@ def draw_principal_planes(
     around = can_map_hemisphere(dataset.polar.values, dataset.azimuth.values)
     maps = len(lines.lines) if around and len(lines.lines) <= MAX_MAPS else 0
     with use_style():
-        figure = OffscreenFigure(TWO_COLUMNS_INCHES, (2.2 + (1.8 if maps > 1 else 0.0)) * len(quantity))
+        figure = OffscreenFigure(
+            TWO_COLUMNS_INCHES, (2.2 + (1.8 if maps > 1 else 0.0)) * len(quantity)
+        )
         per = 2 if maps > 1 else 1
         grid = figure.add_gridspec(len(quantity) * per, 1)
         planes = []
@@ -211,7 +212,9 @@ def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool)
         # Several beams have the colours of their lines.
         own = len(shades) > 1 and used.count(used[0]) == len(used)
         turned = to_plot_angle(np.full(2, incidence if downward else -incidence), downward)
-        axes.plot(turned, [0.0, top], color=used[0] if own else "black", **_get_beam_style(downward))
+        axes.plot(
+            turned, [0.0, top], color=used[0] if own else "black", **_get_beam_style(downward)
+        )
     axes.set_ylim(0.0, top)
     told = Line2D([], [], color="black" if len(shades) == 1 else "0.5", **_get_beam_style(downward))
     told.set_label("straight on" if downward else "towards the source")

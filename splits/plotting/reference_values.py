@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from splits.analysis.anisotropy import fit_proportional
 from splits.core.escaping import escape_mathtext
-from splits.plotting.style import SMALL_FONT_PT, pick_colours, format_parameter, format_value
+from splits.plotting.style import SMALL_FONT_PT, format_parameter, format_value, pick_colours
 
 MIN_SLOPE_SAMPLES = 3
 """Samples from which on a slope is told."""
@@ -62,12 +62,16 @@ def draw_against_reference(
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(5))
     if any(not str(handle.get_label()).startswith("_") for handle in axes.get_lines()):
-        axes.legend(frameon=False, fontsize=SMALL_FONT_PT, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        axes.legend(
+            frameon=False, fontsize=SMALL_FONT_PT, loc="upper left", bbox_to_anchor=(1.0, 1.0)
+        )
     axes.spines[["top", "right"]].set_visible(False)
     return axes
 
 
-def select_referenced_samples(dataset: xr.Dataset, reference: Mapping[str, float], prefix: str) -> list[str]:
+def select_referenced_samples(
+    dataset: xr.Dataset, reference: Mapping[str, float], prefix: str
+) -> list[str]:
     """Return the samples of a group of which something is known."""
     return [s for s in reference if s in dataset.sample.values and s.startswith(prefix)]
 

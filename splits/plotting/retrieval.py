@@ -11,21 +11,21 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.ticker import EngFormatter
 
+from splits.plotting.annotations import annotate_figure
 from splits.plotting.reference_values import (
     MIN_SLOPE_SAMPLES,
     draw_against_reference,
     get_model_colours,
     select_referenced_samples,
 )
-from splits.plotting.annotations import annotate_figure
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
     OffscreenFigure,
     format_parameter,
-    use_style,
     format_value,
+    use_style,
 )
 
 GAP_STEP_RATIO = 2.0
@@ -70,13 +70,19 @@ def draw_retrievals(
         How names of samples begin that have a panel of what is known together.
     """
     every = dataset.sample.values
-    reference = {name: values for name, values in (reference or {}).items() if select_referenced_samples(dataset, values, "")}
+    reference = {
+        name: values
+        for name, values in (reference or {}).items()
+        if select_referenced_samples(dataset, values, "")
+    }
     most = min(len(every), MAX_ROWS - bool(reference))
     some = np.unique(np.linspace(0, len(every) - 1, most).round().astype(int))
     samples = every[some]
     rows = len(samples) + bool(reference)
     with use_style():
-        heights = [_SAMPLE_HEIGHT_INCHES] * len(samples) + [_REFERENCE_HEIGHT_INCHES] * bool(reference)
+        heights = [_SAMPLE_HEIGHT_INCHES] * len(samples) + [_REFERENCE_HEIGHT_INCHES] * bool(
+            reference
+        )
         figure = OffscreenFigure(TWO_COLUMNS_INCHES, sum(heights))
         grid = figure.add_gridspec(
             rows, 3, width_ratios=[1.3, 1.6, 0.6], height_ratios=heights
@@ -94,7 +100,10 @@ def draw_retrievals(
                 if select_referenced_samples(dataset, values, group)
             ]  # fmt: skip
             below = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
-            several = any(len(select_referenced_samples(dataset, reference[name], g)) >= MIN_SLOPE_SAMPLES for name, g in panels)
+            several = any(
+                len(select_referenced_samples(dataset, reference[name], g)) >= MIN_SLOPE_SAMPLES
+                for name, g in panels
+            )
             for column, (name, group) in enumerate(panels):
                 axes = figure.add_subplot(below[column])
                 tops.append(draw_against_reference(axes, dataset, name, reference[name], group))

@@ -13,15 +13,14 @@ from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
 
 from splits.io.netcdf import select_points
-from splits.plotting.annotations import describe_conditions
-from splits.plotting.annotations import annotate_figure
+from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
+    make_subplots,
     pick_colours,
     use_style,
-    make_subplots,
 )
 
 _REFERENCE_LINE_STYLE: dict[str, Any] = {"color": "0.6", "lw": 0.6, "ls": "--"}
@@ -120,7 +119,9 @@ def draw_lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) 
             screen.plot(*spot.T, ".", color=colour, ms=1.5, label=f"{depth[place]:g} m")
         rays.set(xlabel="x (m)", ylabel="height above the ring's centre (m)")
         seen = dataset.seen.values[shown] > 0
-        middle = np.array([np.mean(_find_range(dataset.place.values[shown][seen, i])) for i in (0, 1)])
+        middle = np.array(
+            [np.mean(_find_range(dataset.place.values[shown][seen, i])) for i in (0, 1)]
+        )
         half = 0.58 * max(np.ptp(dataset.place.values[shown][seen, i]) for i in (0, 1))
         screen.set(xlim=middle[0] + half * _LOWER_UPPER, ylim=middle[1] + half * _LOWER_UPPER)
         screen.set_aspect("equal")
@@ -142,4 +143,6 @@ def draw_lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) 
         dense.set(xlabel="depth of the screen (m)", ylabel="concentration: 1 / mean square size")
         dense.set_yscale("log" if value.max() > 10.0 * value.min() else "linear")
         band = "band" if "concentration_stderr" in dataset else ""
-        return annotate_figure(figure, [rays, screen, dense], describe_conditions(dataset, at, band))
+        return annotate_figure(
+            figure, [rays, screen, dense], describe_conditions(dataset, at, band)
+        )

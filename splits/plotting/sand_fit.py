@@ -10,17 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splits.io.netcdf import select_points
-from splits.plotting.annotations import describe_conditions
+from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.lines import PlotLines
-from splits.plotting.annotations import annotate_figure
 from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
-    use_style,
-    make_subplots,
     format_value,
+    make_subplots,
+    use_style,
 )
 
 MAX_SAMPLE_COLUMNS = 3
@@ -91,12 +90,19 @@ def _draw_sample(top: Axes, bottom: Axes, part: xr.Dataset, lines: PlotLines, ti
     for line in lines.lines:
         one = part.sel(line.labels)
         y, error = one.reflectance.values, BAND_SIGMA * one.reflectance_stderr.values
-        top.plot(x, y, label=f"{line.label or 'model'}: {float(one.rmse):.4f}", **line.to_plot_style())
+        top.plot(
+            x, y, label=f"{line.label or 'model'}: {float(one.rmse):.4f}", **line.to_plot_style()
+        )
         off = y - one.measured.values
         bottom.plot(x, off, **line.to_plot_style())
         for axes, middle in ((top, y), (bottom, off)):
             low, high = middle - error, middle + error
             axes.fill_between(x, low, high, color=line.colour, alpha=0.25, lw=0)
     bottom.axhline(0.0, color="black", lw=0.6)
-    top.legend(title=f"{title}: misfit", frameon=False, fontsize=SMALL_FONT_PT, title_fontsize=SMALL_FONT_PT)
+    top.legend(
+        title=f"{title}: misfit",
+        frameon=False,
+        fontsize=SMALL_FONT_PT,
+        title_fontsize=SMALL_FONT_PT,
+    )
     bottom.set_xlabel("wavelength (nm)")

@@ -7,22 +7,23 @@ Which wavelength tells what: Sobol indices along the spectrum.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+
 from splits.core.escaping import escape_mathtext
 from splits.plotting.annotations import annotate_figure
-from splits.plotting.style import BAND_SIGMA, pick_colours, use_style, make_subplots
-from collections.abc import Mapping
 from splits.plotting.style import (
     BAND_SIGMA,
     ONE_COLUMN_INCHES,
     SMALL_FONT_PT,
     TWO_COLUMNS_INCHES,
-    pick_colours,
     format_parameter,
-    use_style,
     make_subplots,
+    pick_colours,
+    use_style,
 )
 
 
@@ -35,7 +36,7 @@ def draw_sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
         Variables ``msi``, ``msi_stderr`` and optionally ``published`` over ``quantity`` and
         ``parameter``.
     note : str
-        For the foot, such as `splits.analysis.sensitivity_tables.ranges_said`.
+        For the foot, such as `splits.experiments.papers.sensitivity_table.describe_ranges`.
     """
     with use_style():
         figure, axes = make_subplots(height=2.5)
@@ -47,7 +48,12 @@ def draw_sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
             colour = pick_colours(2, "sample")[i]
             axes.bar(at, part.msi, width, color=colour, alpha=0.85, label=str(quantity))
             axes.errorbar(
-                at, part.msi, BAND_SIGMA * part.msi_stderr, fmt="none", ecolor="black", elinewidth=0.8
+                at,
+                part.msi,
+                BAND_SIGMA * part.msi_stderr,
+                fmt="none",
+                ecolor="black",
+                elinewidth=0.8,
             )
             if "published" in part:
                 axes.plot(
@@ -75,7 +81,7 @@ def draw_band_selection(selections: Mapping[str, xr.Dataset], conditions: str = 
     Parameters
     ----------
     found : mapping
-        From what columns are called to what `splits.best_bands` returns.
+        From what columns are called to what `splits.select_bands` returns.
     known : str
         Of noise, and of what is known, for the foot.
     """

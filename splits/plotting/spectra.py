@@ -6,31 +6,30 @@ Measured against modelled spectra.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+
 import numpy as np
 import pandas as pd
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from splits.io.netcdf import select_points
+
 from splits.core.escaping import escape_mathtext
-from splits.plotting.annotations import describe_conditions
+from splits.io.netcdf import select_points
+from splits.plotting.annotations import annotate_figure, describe_conditions
 from splits.plotting.facets import draw_facets
+from splits.plotting.interpretation_shifts import draw_shifts, find_default_dim
 from splits.plotting.lines import PlotLines, place_legend_above
-from splits.plotting.nodes import find_coarse_nodes, draw_node_ticks, make_nodes_note
-from splits.plotting.annotations import annotate_figure
-from splits.plotting.interpretation_shifts import find_default_dim, draw_shifts
-from splits.plotting.style import BAND_SIGMA, use_style, make_subplots
+from splits.plotting.nodes import draw_node_ticks, find_coarse_nodes, make_nodes_note
 from splits.plotting.panels import choose_panel_parameters
 from splits.plotting.style import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
+    format_value,
+    make_subplots,
     pick_colours,
     use_style,
-    make_subplots,
-    format_value,
 )
-
 
 MATERIAL_COLOURS = {
     "ice": "#1f6fb4",
@@ -83,7 +82,7 @@ def draw_spectra(
     Raises
     ------
     ValueError
-        For more lines than can be shown, see `splits.panels.facets`.
+        For more lines than can be shown, see `splits.plotting.panels.choose_panel_parameters`.
     """
     dataset = select_points(dataset, at or {})
     if wavelength_nm:
@@ -192,7 +191,9 @@ def _list_materials(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
     return shown
 
 
-def _draw_table_rows(axes: Axes, part: xr.Dataset, nodes: dict[str, np.ndarray], colour: str) -> None:
+def _draw_table_rows(
+    axes: Axes, part: xr.Dataset, nodes: dict[str, np.ndarray], colour: str
+) -> None:
     """Draw a dot where a coarse table has a row."""
     for name, rows in nodes.items():
         if name.startswith(str(part.material.values)):
@@ -208,7 +209,7 @@ def draw_measured_albedo(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `splits.analysis.measured.letcher_bands`.
     note : str
-        For the foot, see `splits.figures.conditions.conditions`.
+        For the foot, see `splits.plotting.annotations.describe_conditions`.
     """
     depths = sorted(table.depth_m.unique(), reverse=True)
     with use_style():
@@ -220,7 +221,9 @@ def draw_measured_albedo(table: pd.DataFrame, note: str = "") -> Figure:
             top, bottom = panels[:, column]
             part = table[table.depth_m == depth]
             groups = list(part.groupby("snow", sort=False))
-            for (snow, rows), colour in zip(groups, pick_colours(len(groups), "medium"), strict=True):
+            for (snow, rows), colour in zip(
+                groups, pick_colours(len(groups), "medium"), strict=True
+            ):
                 x, error = rows.wavelength_nm, BAND_SIGMA * rows.stderr
                 top.errorbar(x, rows.model, error, color=colour, label=format_value(snow))
                 bottom.errorbar(x, rows.difference, error, color=colour)

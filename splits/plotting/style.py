@@ -16,8 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 
-from splits.core.escaping import escape_mathtext
 from splits.core.atomic import atomic_write
+from splits.core.escaping import escape_mathtext
 from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.paths import expand_path
 
@@ -197,7 +197,12 @@ class OffscreenFigure(Figure):
 
 
 def make_subplots(
-    rows: int = 1, columns: int = 1, *, height: float, width: float = ONE_COLUMN_INCHES, **settings: Any
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    height: float,
+    width: float = ONE_COLUMN_INCHES,
+    **settings: Any,
 ) -> tuple[Figure, Any]:
     """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, but see `OffscreenFigure`.
 

@@ -10,9 +10,9 @@ from splits.plotting.annotations import annotate_figure
 from splits.plotting.style import (
     BAND_SIGMA,
     SMALL_FONT_PT,
+    make_subplots,
     pick_colours,
     use_style,
-    make_subplots,
 )
 
 _LAW_DASHES = ("--", ":", "-.")
@@ -28,7 +28,7 @@ def draw_fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `splits.analysis.surface_area.overlay`.
     note : str
-        For the foot, see `splits.figures.conditions.conditions`.
+        For the foot, see `splits.plotting.annotations.describe_conditions`.
     """
     groups = list(table.groupby("spectrum", sort=False))
     with use_style():
@@ -71,7 +71,7 @@ def draw_area_law(table: pd.DataFrame, note: str = "") -> Figure:
     table : pandas.DataFrame
         See `splits.analysis.surface_area.field_law`.
     note : str
-        For the foot, see `splits.figures.conditions.conditions`.
+        For the foot, see `splits.plotting.annotations.describe_conditions`.
     """
     ours = table[table.stderr.notna()]
     groups = list(ours.groupby("snow", sort=False))

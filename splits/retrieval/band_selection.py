@@ -13,15 +13,15 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array
-from splits.core.validation import reject_unknown_arguments, invalid
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
-from splits.simulation.arguments import check_integer
-from splits.tables.table import Table
 from splits.core.parameter_names import describe_parameter
-from splits.retrieval.state_vector import StateVector
+from splits.core.validation import invalid, reject_unknown_arguments
+from splits.illumination.bands import as_bands
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
-from splits.illumination.bands import as_bands
+from splits.retrieval.state_vector import StateVector
+from splits.simulation.arguments import check_integer
+from splits.tables.table import Table
 
 N_STATES = 200
 """Places in the ranges over which information is averaged."""

@@ -1,6 +1,6 @@
 """Values and slopes between the nodes of a table, at many places at once.
 
-The cubic through the four nearest nodes along every axis, as `splits.lookup.interpolation` has it.
+The cubic through the four nearest nodes along every axis, as `splits.tables.interpolation` has it.
 """
 
 from __future__ import annotations

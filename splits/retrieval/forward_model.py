@@ -9,14 +9,14 @@ import numpy as np
 import xarray as xr
 
 from splits.core.validation import check_choice, invalid
-from splits.tables.axes import ParameterGrid, check_axis_values
-from splits.tables.export import compute_response_weights
-from splits.tables.interpolation import transform_axis, compute_interpolation_weights
-from splits.tables.table import Table, load_selection
-from splits.retrieval.state_vector import SCALE, StateVector, ParameterRange
 from splits.retrieval.cubic_interpolation import interpolate, interpolate_states
 from splits.retrieval.map_minimization import TableGrid
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
+from splits.tables.axes import ParameterGrid, check_axis_values
+from splits.tables.export import compute_response_weights
+from splits.tables.interpolation import compute_interpolation_weights, transform_axis
+from splits.tables.table import Table, load_selection
 
 ERROR_CORRELATION_NM = 400.0
 """Over which errors of cells are taken to be alike."""
@@ -56,10 +56,15 @@ class MeasurementOperator(NamedTuple):
     interpolation_error: np.ndarray
 
     @classmethod
-    def from_measurement(cls, measurement: Measurement, wavelengths: np.ndarray) -> MeasurementOperator:
+    def from_measurement(
+        cls, measurement: Measurement, wavelengths: np.ndarray
+    ) -> MeasurementOperator:
         """Return it, or refuse wavelengths outside of the table."""
         if measurement.bands:
-            rows = [compute_response_weights(n, band, wavelengths) for n, band in measurement.bands.items()]
+            rows = [
+                compute_response_weights(n, band, wavelengths)
+                for n, band in measurement.bands.items()
+            ]
             return cls(np.stack(rows), np.zeros((len(rows), wavelengths.size)))
         matrix, missed = np.zeros((2, measurement.values.size, wavelengths.size))
         for row, off, one in zip(matrix, missed, measurement.wavelength_nm, strict=True):
@@ -95,7 +100,9 @@ class TableForwardModel:
         self.state_vector, self.table, self.quantity = state_vector, table, quantity
         self.fixed = _check_fixed_axes(table, state_vector, fixed)
         self.measurement = measurement
-        self.operator = MeasurementOperator.from_measurement(measurement, table.dataset.wavelength.values)
+        self.operator = MeasurementOperator.from_measurement(
+            measurement, table.dataset.wavelength.values
+        )
         self.axes = [name for name in state_vector.names if name != SCALE]
         if not self.axes:
             raise invalid("free", list(state_vector.names), "at least one axis of the table")
@@ -106,7 +113,10 @@ class TableForwardModel:
             values.reshape(-1, values.shape[-1]) @ self.operator.matrix.T
         )
         most = max(len(row) for row in nodes)
-        of_axes = [state_vector.to_coordinate(i, row) for i, row in zip(self._axis_indices, nodes, strict=True)]
+        of_axes = [
+            state_vector.to_coordinate(i, row)
+            for i, row in zip(self._axis_indices, nodes, strict=True)
+        ]
         self._axis_nodes = np.array([np.pad(row, (0, most - len(row))) for row in of_axes])
         self._n_nodes = np.array([len(row) for row in nodes], dtype=np.int64)
 
@@ -137,7 +147,9 @@ class TableForwardModel:
         slopes = np.zeros((count, len(self.state_vector.names)))
         slopes[:, self._axis_indices] = scale * along
         if self._scale_index is not None:
-            slopes[:, self._scale_index] = values * (self.state_vector.high - self.state_vector.low)[self._scale_index]
+            slopes[:, self._scale_index] = (
+                values * (self.state_vector.high - self.state_vector.low)[self._scale_index]
+            )
         return scale * values, slopes
 
     def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
@@ -157,10 +169,16 @@ class TableForwardModel:
         own = np.abs(self.operator.matrix) @ cells
         along = self.table.interpolation_errors(q, **given, **where) @ self.operator.matrix.T
         between = self.operator.interpolation_error @ there[q].values
-        found = self._compute_node_covariance(own, {**given, **where}) + along.T @ along + np.diag(between**2)
+        found = (
+            self._compute_node_covariance(own, {**given, **where})
+            + along.T @ along
+            + np.diag(between**2)
+        )
         return float(self._compute_scale(state)) ** 2 * found
 
-    def _compute_node_covariance(self, stderr: np.ndarray, axis_values: dict[str, Any]) -> np.ndarray:
+    def _compute_node_covariance(
+        self, stderr: np.ndarray, axis_values: dict[str, Any]
+    ) -> np.ndarray:
         """Return the covariance of the errors of cells, whose standard errors are known."""
         if f"{self.quantity}_groups" not in self.table.dataset:
             w = self.measurement.wavelength_nm
@@ -179,14 +197,20 @@ class TableForwardModel:
             natural[:, i] = grid.ravel()
         if self._scale_index is not None:
             natural[:, self._scale_index] = np.clip(
-                1.0, self.state_vector.low[self._scale_index], self.state_vector.high[self._scale_index]
+                1.0,
+                self.state_vector.low[self._scale_index],
+                self.state_vector.high[self._scale_index],
             )
-        inside = ((natural >= self.state_vector.low) & (natural <= self.state_vector.high)).all(axis=1)
+        inside = ((natural >= self.state_vector.low) & (natural <= self.state_vector.high)).all(
+            axis=1
+        )
         if not inside.any():
             places = np.full((1, len(self.state_vector.names)), 0.5)
             return places, self.evaluate(places)
         scale = natural[inside, self._scale_index] if self._scale_index is not None else 1.0
-        return self.state_vector.to_coordinates(natural[inside]), (self.node_values[inside].T * scale).T
+        return self.state_vector.to_coordinates(natural[inside]), (
+            self.node_values[inside].T * scale
+        ).T
 
 
 def get_table_ranges(table: Table) -> dict[str, ParameterRange]:
@@ -206,7 +230,9 @@ def get_grid_ranges(grid: ParameterGrid) -> dict[str, ParameterRange]:
     return found | {SCALE: ParameterRange(*SCALE_RANGE, "itself")}
 
 
-def _check_fixed_axes(table: Table, state_vector: StateVector, at: Mapping[str, Any] | None) -> dict[str, Any]:
+def _check_fixed_axes(
+    table: Table, state_vector: StateVector, at: Mapping[str, Any] | None
+) -> dict[str, Any]:
     """Return the values of the axes that are not free, or refuse them."""
     found = check_axis_values(at, table.axes[:-1], "at.", free_axes=state_vector.names)
     for name in table.axes[:-1]:

@@ -129,7 +129,10 @@ def search_minima(
     """
     survey_states = np.clip(survey_states, model.bound_margin, 1.0 - model.bound_margin)
     first = make_objective(survey_states[0], 0)
-    found = [LocalMinimum(_sum_squares(first.compute_residuals(model.evaluate(x, 0), x)), x) for x in survey_states]
+    found = [
+        LocalMinimum(_sum_squares(first.compute_residuals(model.evaluate(x, 0), x)), x)
+        for x in survey_states
+    ]
     ends: list[list[LocalMinimum]] = []
     for number, stage in enumerate(stages, 1):
         found = _select_distinct(found, stage, MIN_START_SEPARATION if number == 1 else 0.0)
@@ -137,17 +140,24 @@ def search_minima(
         # A later stage begins near its goal: it may trust its linear model less far.
         radius = INITIAL_RADIUS / 2 ** (number - 1)
         near = make_objective(found[0].state, number)
-        found = [minimize_gauss_newton(model, number, end.state, near, stage.max_evaluations, radius) for end in found]
+        found = [
+            minimize_gauss_newton(model, number, end.state, near, stage.max_evaluations, radius)
+            for end in found
+        ]
         found.sort(key=lambda end: end.cost)
         ends.append(found)
     return ends
 
 
-def _select_distinct(minima: Sequence[LocalMinimum], stage: DescentStage, min_separation: float) -> list[LocalMinimum]:
+def _select_distinct(
+    minima: Sequence[LocalMinimum], stage: DescentStage, min_separation: float
+) -> list[LocalMinimum]:
     """Return the best of so many ends that are apart."""
     kept: list[LocalMinimum] = []
     for end in sorted(minima, key=lambda end: end.cost):
-        if len(kept) == stage.n_starts or (kept and end.cost > kept[0].cost + stage.max_cost_increase):
+        if len(kept) == stage.n_starts or (
+            kept and end.cost > kept[0].cost + stage.max_cost_increase
+        ):
             break
         if all(np.abs(end.state - one.state).max() > min_separation for one in kept):
             kept.append(end)
@@ -155,7 +165,12 @@ def _select_distinct(minima: Sequence[LocalMinimum], stage: DescentStage, min_se
 
 
 def minimize_gauss_newton(
-    model: StagedForwardModel, stage: int, start: np.ndarray, objective: Objective, max_evaluations: int, radius: float
+    model: StagedForwardModel,
+    stage: int,
+    start: np.ndarray,
+    objective: Objective,
+    max_evaluations: int,
+    radius: float,
 ) -> LocalMinimum:
     """Return the nearest place found, by Gauss-Newton steps in a box.
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.retrieval.state_vector import StateVector
 from splits.retrieval.residual_covariance import average_cross_products
+from splits.retrieval.state_vector import StateVector
 
 RANGE_INFORMATION = 12.0
 """Information that says as much as the range does."""
@@ -43,14 +43,17 @@ class Linearization(NamedTuple):
 
 
 class LinearizedModel:
-    """A measurement as a straight line through one place has it; see `splits.retrieval.forward`."""
+    """A measurement as a straight line through one place has it; see `splits.retrieval.forward_model`."""
 
     def __init__(self, state_vector: StateVector, linearization: Linearization) -> None:
         self.state_vector, self.linearization = state_vector, linearization
 
     def evaluate(self, states: np.ndarray) -> np.ndarray:
         """Return what would be measured, shape (places, n)."""
-        found: np.ndarray = self.linearization.modelled + (states - self.linearization.state) @ self.linearization.jacobian.T
+        found: np.ndarray = (
+            self.linearization.modelled
+            + (states - self.linearization.state) @ self.linearization.jacobian.T
+        )
         return found
 
     def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +100,9 @@ def estimate_nonlinearity(
     return most
 
 
-def remove_jacobian_noise(jacobians: Sequence[np.ndarray], error_covariance: np.ndarray) -> np.ndarray:
+def remove_jacobian_noise(
+    jacobians: Sequence[np.ndarray], error_covariance: np.ndarray
+) -> np.ndarray:
     """Return slopes that tell as much as independent Jacobians do, less what their noise feigns.
 
     The mean of the Jacobians is K, with the information M = Kᵀ S⁻¹ K in it.  Products of different
@@ -112,7 +117,9 @@ def remove_jacobian_noise(jacobians: Sequence[np.ndarray], error_covariance: np.
     """
     values, vectors, feigned = _decompose_information(jacobians, error_covariance)
     mean: np.ndarray = np.mean(jacobians, axis=0)
-    root = (vectors * np.sqrt(np.where(values > MIN_SIGNAL_TO_NOISE * feigned, values, 0.0))) @ vectors.T
+    root = (
+        vectors * np.sqrt(np.where(values > MIN_SIGNAL_TO_NOISE * feigned, values, 0.0))
+    ) @ vectors.T
     sizes, axes = np.linalg.eigh(mean.T @ np.linalg.solve(error_covariance, mean))
     some = sizes > 1e-12 * max(sizes[-1], 1e-300)
     inverse = (axes[:, some] / np.sqrt(sizes[some])) @ axes[:, some].T
@@ -123,7 +130,11 @@ def remove_jacobian_noise(jacobians: Sequence[np.ndarray], error_covariance: np.
 def is_jacobian_noisy(jacobians: Sequence[np.ndarray], error_covariance: np.ndarray) -> bool:
     """Tell whether noise of the Jacobians may decide what counts as told."""
     values, _, feigned = _decompose_information(jacobians, error_covariance)
-    return bool(((values + feigned > RANGE_INFORMATION) & (values < CERTAIN_SIGNAL_TO_NOISE * feigned)).any())
+    return bool(
+        (
+            (values + feigned > RANGE_INFORMATION) & (values < CERTAIN_SIGNAL_TO_NOISE * feigned)
+        ).any()
+    )
 
 
 def _decompose_information(

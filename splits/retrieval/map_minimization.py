@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.retrieval.cubic_interpolation import interpolate
 from splits.kernels.compiler.jit import entry_point
+from splits.retrieval.cubic_interpolation import interpolate
 
 MAX_ITERATIONS = 60
 """Steps of a descent at most."""
@@ -68,7 +68,9 @@ def project_spectra(spectra, mean_spectrum, projection, whitening, components, r
 
 
 @entry_point
-def find_nearest_node(node_values, axis_nodes, n_nodes, measurement, prior_mean, prior_precision, state):
+def find_nearest_node(
+    node_values, axis_nodes, n_nodes, measurement, prior_mean, prior_precision, state
+):
     """Set a place to the cell in the ranges that comes nearest to a measurement."""
     axes = len(n_nodes)
     least = np.inf
@@ -144,7 +146,9 @@ def compute_damped_step(state, gradient, hessian, damping, new_state):
         blocked = False
         for a in range(axes):
             new_state[a] = state[a] + move[a]
-            over = (state[a] <= 0.0 and new_state[a] < 0.0) or (state[a] >= 1.0 and new_state[a] > 1.0)
+            over = (state[a] <= 0.0 and new_state[a] < 0.0) or (
+                state[a] >= 1.0 and new_state[a] > 1.0
+            )
             if over and not held[a]:
                 held[a] = True
                 blocked = True
@@ -166,7 +170,9 @@ def minimize_levenberg_marquardt(grid, measurement, prior_mean, prior_precision,
     axes, columns = len(state), len(measurement)
     values, slopes = np.empty(columns), np.empty((columns, axes))
     gradient, target = np.empty(axes), np.empty(axes)
-    cost = evaluate_cost(grid, measurement, (prior_mean, prior_precision), state, values, slopes, gradient, hessian)
+    cost = evaluate_cost(
+        grid, measurement, (prior_mean, prior_precision), state, values, slopes, gradient, hessian
+    )
     damping = 1e-3
     other_gradient, other = np.empty(axes), np.empty((axes, axes))
     for _ in range(MAX_ITERATIONS):
@@ -174,7 +180,16 @@ def minimize_levenberg_marquardt(grid, measurement, prior_mean, prior_precision,
         moved = np.abs(target - state).max()
         if moved < STEP_TOLERANCE:
             return cost, True
-        found = evaluate_cost(grid, measurement, (prior_mean, prior_precision), target, values, slopes, other_gradient, other)
+        found = evaluate_cost(
+            grid,
+            measurement,
+            (prior_mean, prior_precision),
+            target,
+            values,
+            slopes,
+            other_gradient,
+            other,
+        )
         if found <= cost:
             cost = found
             state[:] = target
@@ -187,7 +202,9 @@ def minimize_levenberg_marquardt(grid, measurement, prior_mean, prior_precision,
 
 
 @entry_point
-def retrieve_spectra(grid, measurements, prior_mean, prior_precision, prior_variance, states, variances, misfits):
+def retrieve_spectra(
+    grid, measurements, prior_mean, prior_precision, prior_variance, states, variances, misfits
+):
     """Descend for every measurement; set places, variances of coordinates, and misfits.
 
     Parameters
@@ -207,12 +224,24 @@ def retrieve_spectra(grid, measurements, prior_mean, prior_precision, prior_vari
     other = np.empty(axes)
     for row in range(len(measurements)):
         place = states[row]
-        find_nearest_node(grid.node_values, grid.axis_nodes, grid.n_nodes, measurements[row], prior_mean, prior_precision, place)
+        find_nearest_node(
+            grid.node_values,
+            grid.axis_nodes,
+            grid.n_nodes,
+            measurements[row],
+            prior_mean,
+            prior_precision,
+            place,
+        )
         # Ends of ranges may be places of no slope: a second descent begins away from them.
         for a in range(axes):
             other[a] = min(max(place[a], SECOND_START_MARGIN), 1.0 - SECOND_START_MARGIN)
-        cost, rests = minimize_levenberg_marquardt(grid, measurements[row], prior_mean, prior_precision, place, curvature)
-        second, other_rests = minimize_levenberg_marquardt(grid, measurements[row], prior_mean, prior_precision, other, other_curvature)
+        cost, rests = minimize_levenberg_marquardt(
+            grid, measurements[row], prior_mean, prior_precision, place, curvature
+        )
+        second, other_rests = minimize_levenberg_marquardt(
+            grid, measurements[row], prior_mean, prior_precision, other, other_curvature
+        )
         if second < cost:
             cost, rests = second, other_rests
             place[:] = other

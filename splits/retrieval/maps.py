@@ -10,17 +10,17 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_float_array
-from splits.core.validation import reject_unknown_arguments, join_names, check_choice, invalid
-from splits.io.netcdf import ANCILLARY_ATTRIBUTE, to_netcdf_attributes, make_provenance
 from splits.core.optional import import_optional
+from splits.core.parameter_names import describe_parameter
+from splits.core.uncertainty import make_variable
+from splits.core.validation import check_choice, invalid, join_names, reject_unknown_arguments
+from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
+from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.map_minimization import project_spectra, retrieve_spectra
+from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement
+from splits.retrieval.state_vector import SCALE, StateVector
 from splits.simulation.arguments import check_threads
 from splits.tables.table import Table
-from splits.core.parameter_names import describe_parameter
-from splits.retrieval.state_vector import SCALE, StateVector
-from splits.retrieval.map_minimization import retrieve_spectra, project_spectra
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
-from splits.retrieval.measurement import MAX_REFLECTANCE, Measurement
-from splits.core.uncertainty import make_variable
 
 MAX_COMPONENTS = 24
 """Components that spectra are reduced to, at most."""
@@ -127,9 +127,14 @@ def retrieve_map(
     measurement = Measurement.from_input((w, np.full(w.size, 0.5)), noise).check_noise_known()
     model = TableForwardModel(table, measurement, which, at)
     random = np.random.default_rng(1)
-    own = [model.compute_error_covariance(place) for place in random.random((N_STATES, len(which.names)))]
+    own = [
+        model.compute_error_covariance(place)
+        for place in random.random((N_STATES, len(which.names)))
+    ]
     covariance = measurement.covariance + np.mean(own, axis=0)
-    work = _MapRetrieval(which, model, _reduce_table(model, covariance), covariance, check_threads(threads))
+    work = _MapRetrieval(
+        which, model, _reduce_table(model, covariance), covariance, check_threads(threads)
+    )
     dims = [d for d in image.dims if d != "wavelength"]
     stacked = image.transpose(*dims, "wavelength")
     if stacked.chunks is not None:
@@ -190,7 +195,9 @@ class _MapRetrieval(NamedTuple):
         project, centre, cells, white = self.reduced_table
         y, rest = np.empty((len(spectra), len(project))), np.empty(len(spectra))
         # What the components leave no parameter explains.
-        project_spectra(np.where(fine[:, np.newaxis], spectra, 0.5), centre, project, white, y, rest)
+        project_spectra(
+            np.where(fine[:, np.newaxis], spectra, 0.5), centre, project, white, y, rest
+        )
         table = self.model.make_grid(cells)
         mean, precision = free.prior_mean, free.prior_precision
         places, variances = np.empty((2, len(y), count))
@@ -225,7 +232,9 @@ class _MapRetrieval(NamedTuple):
         return max(len(self.covariance) - len(self.state_vector.names), 1)
 
 
-def _make_dataset(found: xr.DataArray, state_vector: StateVector, retrieval: _MapRetrieval) -> xr.Dataset:
+def _make_dataset(
+    found: xr.DataArray, state_vector: StateVector, retrieval: _MapRetrieval
+) -> xr.Dataset:
     """Return parameters, errors, misfit and flags by name."""
     variables: dict[str, Any] = {}
     dims = tuple(str(d) for d in found.dims[:-1])
@@ -234,7 +243,9 @@ def _make_dataset(found: xr.DataArray, state_vector: StateVector, retrieval: _Ma
         pair = make_variable(name, dims, found[..., i].data, found[..., len(state_vector.names) + i].data,
                         long_name, units)  # fmt: skip
         variables |= pair
-    variables |= make_variable("chi2", dims, found[..., -2].data, None, "sum of squares of the misfit")
+    variables |= make_variable(
+        "chi2", dims, found[..., -2].data, None, "sum of squares of the misfit"
+    )
     variables["chi2"][2]["expected"] = retrieval.compute_expected_chi2()
     for _, _, about in variables.values():
         # Where values are NaN, flags say why.

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.arrays import find_labels, check_increasing, align_to_labels, as_1d_array
+from splits.core.arrays import align_to_labels, as_1d_array, check_increasing, find_labels
 from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
 from splits.illumination.bands import SpectralBand, as_bands
 
@@ -74,7 +74,9 @@ class Measurement(NamedTuple):
             raise invalid("measured", f"{gaps.size} gaps, the first {where}", "numbers", hint)
         if np.abs(values).max() > MAX_REFLECTANCE:
             largest = float(values[np.abs(values).argmax()])
-            raise invalid("measured", largest, f"at most {MAX_REFLECTANCE:g}", "a share, not per cent")
+            raise invalid(
+                "measured", largest, f"at most {MAX_REFLECTANCE:g}", "a share, not per cent"
+            )
         if noise is None:
             return cls(values, w, UNKNOWN_NOISE_STDERR**2 * np.eye(values.size), some, False)
         return cls(values, w, _make_covariance("noise", noise, w, list(some)), some)
@@ -153,7 +155,9 @@ def _make_covariance(
     return np.diag(np.broadcast_to(given, (count,)) ** 2)
 
 
-def _make_correlated_covariance(noise: Mapping[str, Any], wavelength_nm: np.ndarray, bands: Sequence[str]) -> np.ndarray:
+def _make_correlated_covariance(
+    noise: Mapping[str, Any], wavelength_nm: np.ndarray, bands: Sequence[str]
+) -> np.ndarray:
     """Return the covariance of noise that is alike at near wavelengths, or refuse it."""
     if not {"stderr", "correlation_nm"} <= set(noise) <= {*NOISE_KEYS}:
         raise invalid("noise", sorted(map(str, noise)), " and ".join(NOISE_KEYS[:2]))

@@ -8,21 +8,23 @@ from typing import Any
 import numpy as np
 
 from splits.core.arrays import check_named_numbers
-from splits.core.validation import check_range, invalid, key_prefix, unknown_key
-from splits.simulation.arguments import check_incidence, check_medium
 from splits.core.progress import ProgressCallback
-from splits.tables.axes import check_axis_values
-from splits.tables.interpolation import transform_axis
+from splits.core.validation import check_range, invalid, key_prefix, unknown_key
 from splits.media.measured_inputs import check_no_equivalents
-from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.media.medium import Medium
-from splits.retrieval.state_vector import SCALE, StateVector, ParameterRange
+from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.retrieval.forward_model import SCALE_RANGE
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.simulation_model import SimulationForwardModel
+from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
+from splits.simulation.arguments import check_incidence, check_medium
+from splits.tables.axes import check_axis_values
+from splits.tables.interpolation import transform_axis
 
 
-def make_medium_state_vector(medium: Any, ranges: Any, prior: Any, incidence: float | str) -> StateVector:
+def make_medium_state_vector(
+    medium: Any, ranges: Any, prior: Any, incidence: float | str
+) -> StateVector:
     """Return what a user leaves free of a medium, or refuse it.
 
     Parameters
@@ -64,14 +66,18 @@ def make_medium_state_vector(medium: Any, ranges: Any, prior: Any, incidence: fl
         for value in ends if name == INCIDENCE_KEY else ():
             check_incidence(float(value))
         middle = np.array([ends[0], 0.5 * ends.sum(), ends[1]])
-        known[name] = ParameterRange(float(ends[0]), float(ends[1]), transform_axis(name, middle)[0])
+        known[name] = ParameterRange(
+            float(ends[0]), float(ends[1]), transform_axis(name, middle)[0]
+        )
     return StateVector.from_ranges(dict(ranges), prior, known)
 
 
 def check_measurement_incidence(at: Mapping[str, Any] | None, ranges: Any) -> float | str:
     """Return the incidence that a measurement of a medium was made under, or refuse it."""
     free = ranges if isinstance(ranges, Mapping) else ()
-    return check_incidence(check_axis_values(at, [INCIDENCE_KEY], "at.", free_axes=free).get(INCIDENCE_KEY, 0.0))
+    return check_incidence(
+        check_axis_values(at, [INCIDENCE_KEY], "at.", free_axes=free).get(INCIDENCE_KEY, 0.0)
+    )
 
 
 def make_simulation_model(
@@ -86,4 +92,6 @@ def make_simulation_model(
     """Return a measurement as runs have it, or refuse an error of theirs."""
     if max_stderr is not None:
         max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
-    return SimulationForwardModel(medium, measurement, state_vector, incidence, max_stderr, seed, progress)
+    return SimulationForwardModel(
+        medium, measurement, state_vector, incidence, max_stderr, seed, progress
+    )

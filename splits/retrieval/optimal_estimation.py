@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.optional import import_optional
-from splits.retrieval.state_vector import StateVector
 from splits.retrieval.forward_model import ForwardModel
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.state_vector import StateVector
 
 N_STARTS = 4
 """Descents, from the places that come nearest among those looked at first."""
@@ -82,7 +82,10 @@ class PosteriorSummary(NamedTuple):
 
 
 def find_map_estimate(
-    model: ForwardModel, measurement: Measurement, start: np.ndarray, variance_inflation: float = 1.0
+    model: ForwardModel,
+    measurement: Measurement,
+    start: np.ndarray,
+    variance_inflation: float = 1.0,
 ) -> MAPEstimate:
     """Return the most probable place that a descent from a start ends at.
 
@@ -102,7 +105,9 @@ def find_map_estimate(
     pull = np.diag(1.0 / free.prior_sd)[known]
     place = np.clip(start, 1e-6, 1.0 - 1e-6)
     for _ in range(MAX_COVARIANCE_UPDATES):
-        covariance = variance_inflation * (measurement.covariance + model.compute_error_covariance(place))
+        covariance = variance_inflation * (
+            measurement.covariance + model.compute_error_covariance(place)
+        )
         lower = np.linalg.cholesky(covariance)
 
         def residuals(x: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
@@ -120,7 +125,9 @@ def find_map_estimate(
         place = np.clip(found.x, 1e-9, 1.0 - 1e-9)
         if moved < 1e-3:
             break
-    covariance = variance_inflation * (measurement.covariance + model.compute_error_covariance(place))
+    covariance = variance_inflation * (
+        measurement.covariance + model.compute_error_covariance(place)
+    )
     values, along = model.evaluate_with_jacobian(place)
     off = values - measurement.values
     sharp = np.linalg.solve(covariance, off)
@@ -158,7 +165,9 @@ def find_distinct_map_estimates(
     """
     spread = np.sqrt(np.diag(measurement.covariance))
     misfit = (((modelled - measurement.values) / spread) ** 2).sum(axis=1)
-    prior = (((first_guesses - model.state_vector.prior_mean) / model.state_vector.prior_sd) ** 2).sum(axis=1)
+    prior = (
+        ((first_guesses - model.state_vector.prior_mean) / model.state_vector.prior_sd) ** 2
+    ).sum(axis=1)
     starts: list[np.ndarray] = []
     for row in np.argsort(misfit + prior, kind="stable"):
         if all(np.abs(first_guesses[row] - other).max() > 0.2 for other in starts):
@@ -170,7 +179,10 @@ def find_distinct_map_estimates(
     found = ends[:1]
     for end in ends[1:]:
         different = all(np.abs(end.state - one.state).max() > MIN_SEPARATION for one in found)
-        if different and end.minus_two_log_posterior < found[0].minus_two_log_posterior + ALTERNATIVE_CHI2:
+        if (
+            different
+            and end.minus_two_log_posterior < found[0].minus_two_log_posterior + ALTERNATIVE_CHI2
+        ):
             found.append(end)
     return found
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.retrieval.optimal_estimation import MAPEstimate, summarize_posterior
 from splits.retrieval.forward_model import ForwardModel
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.optimal_estimation import MAPEstimate, summarize_posterior
 
 N_DRAWS = 4000
 STUDENT_T_DOF = 5.0
@@ -69,7 +69,9 @@ class _MixtureComponent(NamedTuple):
         return found
 
 
-def draw_posterior(model: ForwardModel, measurement: Measurement, estimates: Sequence[MAPEstimate], seed: int) -> PosteriorDraws:
+def draw_posterior(
+    model: ForwardModel, measurement: Measurement, estimates: Sequence[MAPEstimate], seed: int
+) -> PosteriorDraws:
     """Return draws from the posterior.
 
     Parameters
@@ -81,7 +83,12 @@ def draw_posterior(model: ForwardModel, measurement: Measurement, estimates: Seq
     seed : int
     """
     random = np.random.default_rng([seed, 20])
-    parts = [_MixtureComponent.from_covariance(end.state, 1.5 * summarize_posterior(end, model.state_vector).covariance) for end in estimates]
+    parts = [
+        _MixtureComponent.from_covariance(
+            end.state, 1.5 * summarize_posterior(end, model.state_vector).covariance
+        )
+        for end in estimates
+    ]
     constant = _compute_log_normalization(len(estimates[0].state))
     best = (0.0, np.zeros(0), np.zeros(0), parts)
     for _ in range(MAX_ITERATIONS):
@@ -90,7 +97,9 @@ def draw_posterior(model: ForwardModel, measurement: Measurement, estimates: Seq
         places = places[inside]
         height = np.logaddexp.reduce([part.compute_log_density(places) for part in parts], axis=0)
         height += constant - np.log(len(parts)) + np.log1p(-DEFENSIVE_FRACTION)
-        log = _compute_log_posterior(model, measurement, places, estimates) - np.logaddexp(height, np.log(DEFENSIVE_FRACTION))
+        log = _compute_log_posterior(model, measurement, places, estimates) - np.logaddexp(
+            height, np.log(DEFENSIVE_FRACTION)
+        )
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         effective = float(1.0 / (weight**2).sum())
@@ -105,7 +114,9 @@ def draw_posterior(model: ForwardModel, measurement: Measurement, estimates: Seq
     return PosteriorDraws(places[_resample_systematically(weight, random)], effective)
 
 
-def _draw_mixture(components: Sequence[_MixtureComponent], random: np.random.Generator) -> np.ndarray:
+def _draw_mixture(
+    components: Sequence[_MixtureComponent], random: np.random.Generator
+) -> np.ndarray:
     """Return draws from all parts, and some from everywhere."""
     everywhere = random.random((int(DEFENSIVE_FRACTION * N_DRAWS), len(components[0].centre)))
     share = (N_DRAWS - len(everywhere)) // len(components)
@@ -116,11 +127,18 @@ def _compute_log_normalization(n_dimensions: int) -> float:
     """Return the logarithm of the constant of Student's t in so many dimensions."""
     from math import lgamma, log, pi
 
-    return lgamma(0.5 * (STUDENT_T_DOF + n_dimensions)) - lgamma(0.5 * STUDENT_T_DOF) - 0.5 * n_dimensions * log(STUDENT_T_DOF * pi)
+    return (
+        lgamma(0.5 * (STUDENT_T_DOF + n_dimensions))
+        - lgamma(0.5 * STUDENT_T_DOF)
+        - 0.5 * n_dimensions * log(STUDENT_T_DOF * pi)
+    )
 
 
 def _compute_log_posterior(
-    model: ForwardModel, measurement: Measurement, states: np.ndarray, estimates: Sequence[MAPEstimate]
+    model: ForwardModel,
+    measurement: Measurement,
+    states: np.ndarray,
+    estimates: Sequence[MAPEstimate],
 ) -> np.ndarray:
     """Return the logarithm of the posterior, but for a constant."""
     off = model.evaluate(states) - measurement.values
@@ -136,7 +154,9 @@ def _compute_log_posterior(
     return found
 
 
-def _update_components(states: np.ndarray, weights: np.ndarray, components: Sequence[_MixtureComponent]) -> list[_MixtureComponent]:
+def _update_components(
+    states: np.ndarray, weights: np.ndarray, components: Sequence[_MixtureComponent]
+) -> list[_MixtureComponent]:
     """Return parts around what was found, each place with the part that it is nearest to."""
     nearest = np.argmax([part.compute_log_density(states) for part in components], axis=0)
     found = []
@@ -152,7 +172,11 @@ def _update_components(states: np.ndarray, weights: np.ndarray, components: Sequ
         # A handful of places does not tell a covariance.
         keep = 1.0 / (1.0 + few / (4.0 * len(centre)))
         before = part.cholesky @ part.cholesky.T
-        found.append(_MixtureComponent.from_covariance(centre, (1.0 - keep) * 1.5 * spread + keep * 0.5 * before))
+        found.append(
+            _MixtureComponent.from_covariance(
+                centre, (1.0 - keep) * 1.5 * spread + keep * 0.5 * before
+            )
+        )
     return found or list(components)
 
 

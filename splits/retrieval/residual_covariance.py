@@ -58,7 +58,9 @@ def estimate_misfit_variances(misfit: np.ndarray, jacobian: np.ndarray) -> np.nd
     for i, r in enumerate(NEIGHBOUR_CORRELATIONS):
         sharp = _apply_inverse_correlation(columns, r)
         inner, outer = columns.T @ sharp, sharp.T @ misfit
-        square = misfit @ _apply_inverse_correlation(misfit, r) - outer @ np.linalg.solve(inner, outer)
+        square = misfit @ _apply_inverse_correlation(misfit, r) - outer @ np.linalg.solve(
+            inner, outer
+        )
         squares[i] = max(square, np.finfo(float).tiny)
         likelihood[i] = -np.linalg.slogdet(inner)[1] - (len(misfit) - 1) * np.log(1.0 - r**2)
     likelihood = 0.5 * (likelihood - count * np.log(squares))
@@ -84,7 +86,10 @@ def make_autoregressive_covariance(variances: np.ndarray, n_wavelengths: int) ->
 
 
 def estimate_fit_covariance(
-    jacobians: Sequence[np.ndarray], misfit: np.ndarray, noise_covariance: np.ndarray, active_bounds: np.ndarray
+    jacobians: Sequence[np.ndarray],
+    misfit: np.ndarray,
+    noise_covariance: np.ndarray,
+    active_bounds: np.ndarray,
 ) -> FitCovariance:
     """Return what a least-squares fit leaves open, as the misfit says.
 
@@ -114,10 +119,14 @@ def estimate_fit_covariance(
     # At least that of as many independent wavelengths.
     sizes, axes = np.linalg.eigh(spread)
     spread = (axes * np.maximum(sizes, variances.sum())) @ axes.T
-    return FitCovariance(scale @ spread @ scale.T + _UNCONSTRAINED_VARIANCE * unknown @ unknown.T, errors)
+    return FitCovariance(
+        scale @ spread @ scale.T + _UNCONSTRAINED_VARIANCE * unknown @ unknown.T, errors
+    )
 
 
-def _split_directions(jacobians: Sequence[np.ndarray], misfit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split_directions(
+    jacobians: Sequence[np.ndarray], misfit: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return known directions, so long that each moves light by 1, and unknown ones, as columns."""
     values, vectors = np.linalg.eigh(average_cross_products(jacobians, jacobians))
     both = np.mean([((j @ vectors) ** 2).sum(axis=0) for j in jacobians], axis=0)

@@ -8,20 +8,20 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
 from splits.core.optional import import_optional
-from splits.simulation.attributes import make_wavelength_coordinate
 from splits.core.parameter_names import describe_parameter
-from splits.retrieval.state_vector import SCALE, StateVector
+from splits.core.uncertainty import make_variable
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.retrieval.measurement import Measurement
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAPEstimate,
     PosteriorSummary,
     compute_fit_degrees_of_freedom,
 )
-from splits.retrieval.measurement import Measurement
-from splits.retrieval.posterior import N_DRAWS, MIN_EFFECTIVE_DRAWS, PosteriorDraws
-from splits.core.uncertainty import make_variable
+from splits.retrieval.posterior import MIN_EFFECTIVE_DRAWS, N_DRAWS, PosteriorDraws
+from splits.retrieval.state_vector import SCALE, StateVector
+from splits.simulation.attributes import make_wavelength_coordinate
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
 UNDETERMINED_FRACTION = 0.5
@@ -133,7 +133,9 @@ class Solution(NamedTuple):
     nonlinearity: float = 0.0
 
 
-def make_result(state_vector: StateVector, measurement: Measurement, solution: Solution) -> RetrievalResult:
+def make_result(
+    state_vector: StateVector, measurement: Measurement, solution: Solution
+) -> RetrievalResult:
     """Return what was found as a dataset."""
     (best, *_), told, draws, excess, _, off, *_ = solution
     names = list(state_vector.names)
@@ -186,9 +188,13 @@ def make_result(state_vector: StateVector, measurement: Measurement, solution: S
     return RetrievalResult(xr.Dataset(variables, axes, to_netcdf_attributes(facts)))
 
 
-def compute_prior_tension(state_vector: StateVector, state: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def compute_prior_tension(
+    state_vector: StateVector, state: np.ndarray, variance: np.ndarray
+) -> np.ndarray:
     """Return how far priors are from a place that is told without them, in standard errors."""
-    found: np.ndarray = np.abs(state - state_vector.prior_mean) / np.sqrt(state_vector.prior_sd**2 + variance)
+    found: np.ndarray = np.abs(state - state_vector.prior_mean) / np.sqrt(
+        state_vector.prior_sd**2 + variance
+    )
     return found
 
 
@@ -202,7 +208,9 @@ def compute_variance_inflation(estimate: MAPEstimate, state_vector: StateVector)
     return estimate.chi2 / left
 
 
-def _list_warnings(state_vector: StateVector, solution: Solution, determined: np.ndarray) -> list[str]:
+def _list_warnings(
+    state_vector: StateVector, solution: Solution, determined: np.ndarray
+) -> list[str]:
     """Return what is to be known of the numbers."""
     ends, told, draws, excess, tension, *_ = solution
     best, found = ends[0], []
@@ -218,7 +226,10 @@ def _list_warnings(state_vector: StateVector, solution: Solution, determined: np
         if off > MAX_PRIOR_TENSION:
             found.append(f"{name}: prior and measurement are {off:.1f} standard deviations apart")
     for i, name in enumerate(state_vector.names):
-        low, high = (float(state_vector.to_physical(np.full(len(state_vector.names), x))[i]) for x in (0.0, 1.0))
+        low, high = (
+            float(state_vector.to_physical(np.full(len(state_vector.names), x))[i])
+            for x in (0.0, 1.0)
+        )
         if not (determined[i] or best.active_bounds[i]):
             continue
         if best.state[i] < BOUND_DISTANCE and low != 0.0:
@@ -230,7 +241,10 @@ def _list_warnings(state_vector: StateVector, solution: Solution, determined: np
         if off @ np.linalg.solve(told.covariance, off) < ALTERNATIVE_CHI2:
             # Within the errors: no other answer.
             continue
-        words = [f"{n} {v:.3g}" for n, v in zip(state_vector.names, state_vector.to_physical(other), strict=True)]
+        words = [
+            f"{n} {v:.3g}"
+            for n, v in zip(state_vector.names, state_vector.to_physical(other), strict=True)
+        ]
         found.append(f"another answer is nearly as good: {', '.join(words)}")
     if solution.nonlinearity > MAX_NONLINEARITY:
         found.append(

@@ -7,12 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.validation import reject_unknown_arguments, check_choice, invalid
-from splits.simulation.arguments import check_integer
 from splits.core.progress import ProgressCallback, with_progress
-from splits.tables.table import Table
+from splits.core.validation import check_choice, invalid, reject_unknown_arguments
 from splits.retrieval import least_squares
-from splits.retrieval.state_vector import StateVector
+from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
+from splits.retrieval.measurement import Measurement
+from splits.retrieval.media import (
+    check_measurement_incidence,
+    make_medium_state_vector,
+    make_simulation_model,
+)
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAPEstimate,
@@ -20,24 +25,19 @@ from splits.retrieval.optimal_estimation import (
     find_map_estimate,
     summarize_posterior,
 )
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
-from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
-from splits.retrieval.measurement import Measurement
-from splits.retrieval.media import (
-    make_medium_state_vector,
-    check_measurement_incidence,
-    make_simulation_model,
-)
 from splits.retrieval.posterior import draw_posterior
 from splits.retrieval.result import (
     MAX_PRIOR_TENSION,
-    Solution,
     RetrievalResult,
+    Solution,
+    compute_prior_tension,
     compute_variance_inflation,
     make_result,
-    compute_prior_tension,
 )
 from splits.retrieval.simulation_model import SimulationForwardModel
+from splits.retrieval.state_vector import StateVector
+from splits.simulation.arguments import check_integer
+from splits.tables.table import Table
 
 
 @reject_unknown_arguments
@@ -68,7 +68,7 @@ def retrieve(
         Reflectances over ``wavelength`` (nm), or (wavelengths, reflectances); a row of them where
         there are `bands`.
     model : Table or medium
-        A table of the light to be expected, see `splits.table` and `splits.open_table`; or a snow,
+        A table of the light to be expected, see `splits.build_table` and `splits.open_table`; or a snow,
         a sand, a layer or a stack, of which as many runs are made as it takes, some minutes.
     free : sequence of str or mapping
         Axes of the table to be found, or their (low, high) by name.  Of a medium the latter, of
@@ -120,7 +120,7 @@ def retrieve(
     Examples
     --------
     >>> import splits
-    >>> snow = splits.table(
+    >>> snow = splits.build_table(
     ...     splits.Snow.natural,
     ...     {"optical_radius_um": [50, 100, 200, 400, 800], "incidence_deg": [50]},
     ...     [860, 1030, 1240],
@@ -147,7 +147,7 @@ def retrieve(
         return make_result(which, measurement, found)
     if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
         given = type(model).__name__
-        hint = "splits.Table(splits.table(…)), open_table, or a snow, sand, layer or stack"
+        hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
         raise invalid("model", given, "a Table, or a medium", hint)
     check_choice("quantity", quantity, ["reflectance"])
     measurement = Measurement.from_input(measured, noise, bands)
@@ -161,17 +161,29 @@ def retrieve(
     return make_result(which, measurement, found)
 
 
-def _solve_by_simulation(model: SimulationForwardModel, measurement: Measurement, seed: int) -> Solution:
+def _solve_by_simulation(
+    model: SimulationForwardModel, measurement: Measurement, seed: int
+) -> Solution:
     """Return what a measurement of known noise tells by runs."""
     settled = model.find_minima()
     around = LinearizedModel(model.state_vector, settled.linearize(measurement.covariance))
     found = _solve(around, measurement, seed)
     noise = found.variance_inflation * (measurement.covariance + settled.noise_covariance)
-    off = estimate_nonlinearity(model.evaluate_last_stage, around, found.estimates[0].state, found.posterior.covariance, noise)
-    return found._replace(nonlinearity=off, alternatives=settled.find_alternatives(ALTERNATIVE_CHI2))
+    off = estimate_nonlinearity(
+        model.evaluate_last_stage,
+        around,
+        found.estimates[0].state,
+        found.posterior.covariance,
+        noise,
+    )
+    return found._replace(
+        nonlinearity=off, alternatives=settled.find_alternatives(ALTERNATIVE_CHI2)
+    )
 
 
-def _solve(model: TableForwardModel | LinearizedModel, measurement: Measurement, seed: int) -> Solution:
+def _solve(
+    model: TableForwardModel | LinearizedModel, measurement: Measurement, seed: int
+) -> Solution:
     """Return the most probable places, and draws around them."""
     free, nodes = model.state_vector, model.evaluate_first_guesses()
     ends = find_distinct_map_estimates(model, measurement, *nodes)
@@ -181,7 +193,9 @@ def _solve(model: TableForwardModel | LinearizedModel, measurement: Measurement,
     excess = compute_variance_inflation(fair, free)
     if excess > 1.0:
         ends = find_distinct_map_estimates(model, measurement, *nodes, excess)
-    spread = summarize_posterior(alone._replace(error_covariance=excess * alone.error_covariance), free.drop_priors()).covariance
+    spread = summarize_posterior(
+        alone._replace(error_covariance=excess * alone.error_covariance), free.drop_priors()
+    ).covariance
     tension = compute_prior_tension(free, alone.state, np.diag(spread))
     if ends[0].chi2 - fair.chi2 / excess < MAX_PRIOR_TENSION**2:
         # As well followed with the priors as without: they do not contradict it.
@@ -191,7 +205,9 @@ def _solve(model: TableForwardModel | LinearizedModel, measurement: Measurement,
     return Solution(ends, summarize_posterior(ends[0], free), draws, excess, tension, off)
 
 
-def _solve_without_priors(model: TableForwardModel | LinearizedModel, measurement: Measurement, estimate: MAPEstimate) -> MAPEstimate:
+def _solve_without_priors(
+    model: TableForwardModel | LinearizedModel, measurement: Measurement, estimate: MAPEstimate
+) -> MAPEstimate:
     """Return the optimum that the measurement has by itself, near that with priors."""
     free = model.state_vector
     if not np.isfinite(free.prior_sd).any():

@@ -1,7 +1,7 @@
 """Which sand has a measured spectrum: a retrieval of what SPLITS Table 2 leaves open.
 
-Every place of the unit cube is a sand (`splits.experiments.parameters.Cube`).  Noise is not told:
-`splits.retrieval.search` finds the least misfit, `splits.retrieval.least_squares` what that leaves
+Every place of the unit cube is a sand (`splits.retrieval.sand_parameters.UnitCube`).  Noise is not told:
+`splits.retrieval.gauss_newton` finds the least misfit, `splits.retrieval.least_squares` what that leaves
 open.  A spectrum seldom fixes all parameters: the error of each says how far it may move before
 the misfit tells.
 """
@@ -16,17 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.arrays import check_array_range, find_labels, align_to_labels
-from splits.core.validation import invalid
-from splits.retrieval.sand_parameters import UnitCube, FitResult, FittedParameter
+from splits.core.arrays import align_to_labels, check_array_range, find_labels
 from splits.core.optional import import_optional
+from splits.core.validation import invalid
 from splits.instruments import spectrophotometer
-from splits.simulation.arguments import check_incidence, check_wavelengths, check_integer
-from splits.simulation.fixed_budget import estimate_fixed_budget, choose_node_rows
-from splits.retrieval.optimal_estimation import find_active_bounds
+from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
 from splits.retrieval.least_squares import apply_priors
+from splits.retrieval.optimal_estimation import find_active_bounds
 from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF, estimate_fit_covariance
-from splits.retrieval.gauss_newton import Objective, LocalMinimum, DescentStage, search_minima
+from splits.retrieval.sand_parameters import FitResult, FittedParameter, UnitCube
+from splits.simulation.arguments import check_incidence, check_integer, check_wavelengths
+from splits.simulation.fixed_budget import choose_node_rows, estimate_fixed_budget
 
 JACOBIAN_STEP = 0.05
 """Difference of a coordinate for derivatives: large enough against what noise is not shared."""
@@ -66,7 +66,7 @@ class Effort:
 
 
 class SandForwardModel:
-    """Reflectance of sands as runs of fixed numbers of rays have it, see `splits.retrieval.search`.
+    """Reflectance of sands as runs of fixed numbers of rays have it, see `splits.retrieval.gauss_newton`.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def fit(
     incidence_deg : float or "diffuse"
         Polar angle of the beam it was measured under, 0 to 89.9999 degrees.
     ranges : mapping, optional
-        (low, high) by name, instead of those of `splits.experiments.parameters.RANGES`.
+        (low, high) by name, instead of those of `splits.retrieval.sand_parameters.DEFAULT_RANGES`.
     seed : int
         Non-negative; the same seed gives the same result on any number of threads.
     threads : int, optional
@@ -225,7 +225,9 @@ def fit(
         coordinates=best,
         coordinates_stderr=np.sqrt(np.mean((draws - best) ** 2, axis=0)),
         correlation=np.corrcoef(draws, rowvar=False),
-        alternatives=[(_compute_rms_misfit(end, wanted), cube.to_parameters(end.state)) for end in ends[0]],
+        alternatives=[
+            (_compute_rms_misfit(end, wanted), cube.to_parameters(end.state)) for end in ends[0]
+        ],
         evaluations=runs.n_simulations,
         seconds=seconds,
     )
@@ -246,7 +248,9 @@ def _run_descents(
         log(f"{model.n_simulations} sands, best misfit {np.sqrt(cost / len(measured)):.4f}")
 
     ends = search_minima(model, lambda place, stage: aim, places, stages, tell)
-    log(f"{model.n_simulations} sands, best misfit {_compute_rms_misfit(ends[-1][0], measured):.4f}; now its errors")
+    log(
+        f"{model.n_simulations} sands, best misfit {_compute_rms_misfit(ends[-1][0], measured):.4f}; now its errors"
+    )
     return ends
 
 
@@ -254,7 +258,9 @@ def _compute_rms_misfit(minimum: LocalMinimum, measured: np.ndarray) -> float:
     return float(np.sqrt(minimum.cost / len(measured)))
 
 
-def check_measured_reflectance(measured: Any, wavelengths: np.ndarray, labels: Any = None) -> np.ndarray:
+def check_measured_reflectance(
+    measured: Any, wavelengths: np.ndarray, labels: Any = None
+) -> np.ndarray:
     """Return measured reflectances, each in [0, 1], in the order of wavelengths, or refuse them.
 
     Parameters
@@ -272,7 +278,9 @@ def check_measured_reflectance(measured: Any, wavelengths: np.ndarray, labels: A
     return check_array_range("measured", values, 0.0, 1.0)
 
 
-def compute_central_differences(model: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
+def compute_central_differences(
+    model: Callable[[np.ndarray], np.ndarray], x: np.ndarray
+) -> np.ndarray:
     """Return derivatives between neighbours on both sides, as far as the cube reaches."""
     columns = []
     for i in range(len(x)):
@@ -283,7 +291,9 @@ def compute_central_differences(model: Callable[[np.ndarray], np.ndarray], x: np
     return np.column_stack(columns)
 
 
-def estimate_parameter_errors(cube: UnitCube, best: np.ndarray, draws: np.ndarray) -> dict[str, FittedParameter]:
+def estimate_parameter_errors(
+    cube: UnitCube, best: np.ndarray, draws: np.ndarray
+) -> dict[str, FittedParameter]:
     """Return the parameters with errors, from draws around the best fit.
 
     What a parameter may be off by is also counted in ranks among sands drawn from the whole cube,
@@ -297,7 +307,9 @@ def estimate_parameter_errors(cube: UnitCube, best: np.ndarray, draws: np.ndarra
         order = np.sort([a[name] for a in anywhere])
         rank, ranks = np.searchsorted(order, value), np.searchsorted(order, near)
         unmeasured = _compute_rms(np.arange(len(order)) - rank)
-        found[name] = FittedParameter(value, _compute_rms(near - value), bool(_compute_rms(ranks - rank) < 0.5 * unmeasured))
+        found[name] = FittedParameter(
+            value, _compute_rms(near - value), bool(_compute_rms(ranks - rank) < 0.5 * unmeasured)
+        )
     return found
 
 

@@ -18,7 +18,7 @@ import xarray as xr
 from splits.core.arrays import check_named_numbers
 from splits.core.validation import check_range, invalid, suggest_name
 from splits.media import Sand
-from splits.retrieval.state_vector import StateVector, ParameterRange
+from splits.retrieval.state_vector import ParameterRange, StateVector
 
 DEFAULT_RANGES: dict[str, tuple[float, float]] = {
     "iron_oxide": (0.0005, 0.05),
@@ -80,11 +80,15 @@ class UnitCube:
         self.fixed_keywords = dict(base)
         for key in self.fixed_keywords:
             if key in FITTED_KEYWORDS:
-                raise invalid(key, self.fixed_keywords[key], "left out", "the fit decides it; see ranges")
+                raise invalid(
+                    key, self.fixed_keywords[key], "left out", "the fit decides it; see ranges"
+                )
         self.ranges = resolve_ranges(ranges or {})
         self.names = tuple(self.ranges)
         unit = ParameterRange(0.0, 1.0, "itself")
-        self.state_vector = StateVector.from_ranges(self.names, None, dict.fromkeys(self.names, unit))
+        self.state_vector = StateVector.from_ranges(
+            self.names, None, dict.fromkeys(self.names, unit)
+        )
         for corner in itertools.product((0.0, 1.0), repeat=len(self.names)):
             try:
                 self.to_sand(np.array(corner))
@@ -104,7 +108,11 @@ class UnitCube:
         def at(name: str, most: float = np.inf) -> float:
             low, high = self.ranges[name]
             high = min(high, most)
-            bend = (high / low if low > 0.0 else _ZERO_START_SLOPE_RATIO) if name in LOGARITHMIC_PARAMETERS else 1.0
+            bend = (
+                (high / low if low > 0.0 else _ZERO_START_SLOPE_RATIO)
+                if name in LOGARITHMIC_PARAMETERS
+                else 1.0
+            )
             part = u[name] if bend == 1.0 else (bend ** u[name] - 1.0) / (bend - 1.0)
             return float(min(max(low + part * (high - low), low), high))
 
@@ -145,7 +153,9 @@ def resolve_ranges(given: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
         if name not in DEFAULT_RANGES:
             allowed = "one of " + ", ".join(DEFAULT_RANGES)
             raise invalid("ranges", name, allowed, suggest_name(name, DEFAULT_RANGES))
-        low, high = check_named_numbers(f"ranges.{name}", values, ("low", "high"), RANGE_LIMITS[name])
+        low, high = check_named_numbers(
+            f"ranges.{name}", values, ("low", "high"), RANGE_LIMITS[name]
+        )
         for end, value in (("low", low), ("high", high)):
             check_range(f"ranges.{name} ({end})", value, *RANGE_LIMITS[name])
         if not low < high:

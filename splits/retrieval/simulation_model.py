@@ -1,8 +1,8 @@
 """Retrieval by runs of its own: descents with derivatives from the same paths, and no table.
 
 Where a medium is looked at once, a table of it would cost more than it tells.  Spectra with their
-derivatives (`splits.instruments.jacobian`, `splits.instruments.differences`) lead to the most
-probable medium (`splits.retrieval.search`).  Around the end light is taken as linear in the
+derivatives (`splits.simulation.derivatives`, `splits.simulation.finite_differences`) lead to the most
+probable medium (`splits.retrieval.gauss_newton`).  Around the end light is taken as linear in the
 coordinates.
 """
 
@@ -16,11 +16,10 @@ import numpy as np
 from splits.core.optional import import_optional
 from splits.core.progress import Progress, ProgressCallback
 from splits.instruments.spectrophotometer import spectrophotometer
-from splits.media.parameters import INCIDENCE_KEY, replace_parameter
 from splits.media.medium import Medium
-from splits.retrieval.state_vector import SCALE, StateVector
-from splits.retrieval.optimal_estimation import MIN_SEPARATION, ALTERNATIVE_CHI2
+from splits.media.parameters import INCIDENCE_KEY, replace_parameter
 from splits.retrieval.forward_model import MeasurementOperator
+from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
 from splits.retrieval.linearization import (
     BOUND_MARGIN,
     Linearization,
@@ -28,7 +27,8 @@ from splits.retrieval.linearization import (
     remove_jacobian_noise,
 )
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.gauss_newton import Objective, LocalMinimum, DescentStage, search_minima
+from splits.retrieval.optimal_estimation import ALTERNATIVE_CHI2, MIN_SEPARATION
+from splits.retrieval.state_vector import SCALE, StateVector
 
 N_SURVEY = 16
 """Media looked at first."""
@@ -73,7 +73,9 @@ class ConvergedRuns(NamedTuple):
 
     def linearize(self, measurement_covariance: np.ndarray) -> Linearization:
         """Return the best end, with slopes for measurements of some noise."""
-        slopes = remove_jacobian_noise(self.jacobians, measurement_covariance + self.noise_covariance)
+        slopes = remove_jacobian_noise(
+            self.jacobians, measurement_covariance + self.noise_covariance
+        )
         return Linearization(self.minima[0].state, self.modelled, slopes, self.noise_covariance)
 
     def find_alternatives(self, max_increase: float) -> tuple[np.ndarray, ...]:
@@ -83,7 +85,7 @@ class ConvergedRuns(NamedTuple):
 
 
 class SimulationForwardModel:
-    """A measurement as runs have it; see `splits.retrieval.search.Runs`.
+    """A measurement as runs have it; see `splits.retrieval.gauss_newton.StagedForwardModel`.
 
     Parameters
     ----------
@@ -113,7 +115,11 @@ class SimulationForwardModel:
         self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
         self.incidence, self.seed = incidence, seed
         least = float(np.sqrt(np.diag(measurement.covariance).min()))
-        usual = min(max(NOISE_FRACTION * least, MIN_STDERR), MAX_STDERR) if measurement.noise_known else UNKNOWN_NOISE_MAX_STDERR
+        usual = (
+            min(max(NOISE_FRACTION * least, MIN_STDERR), MAX_STDERR)
+            if measurement.noise_known
+            else UNKNOWN_NOISE_MAX_STDERR
+        )
         self.max_stderr = max_stderr or usual
         self.wavelengths = select_simulation_wavelengths(measurement)
         self.operator = MeasurementOperator.from_measurement(measurement, self.wavelengths).matrix
@@ -144,7 +150,9 @@ class SimulationForwardModel:
         )  # fmt: skip
         return found, 1.0 if self._scale_index is None else float(natural[self._scale_index])
 
-    def evaluate_with_covariance(self, state: np.ndarray, stage: int) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_with_covariance(
+        self, state: np.ndarray, stage: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return what would be measured, shape (n,), and the covariance of the runs' noise."""
         key = (state.tobytes(), stage)
         if key not in self._cache:
@@ -165,7 +173,9 @@ class SimulationForwardModel:
         """Return what would be measured, shape (n,), as exactly as runs say it."""
         return self.evaluate(state, LAST_STAGE)
 
-    def compute_jacobian(self, state: np.ndarray, stage: int, seed: int | None = None) -> np.ndarray:
+    def compute_jacobian(
+        self, state: np.ndarray, stage: int, seed: int | None = None
+    ) -> np.ndarray:
         """Return its derivatives to the coordinates, shape (n, parameters)."""
         error = max(self.get_stage_stderr(stage), MIN_JACOBIAN_STDERR)
         found, level = self.simulate(state, error, self.axes, self.seed if seed is None else seed)
@@ -176,14 +186,18 @@ class SimulationForwardModel:
             slopes[:, row] = level * per_unit[row] * along
         if self._scale_index is not None:
             values = self.operator @ found.reflectance.values
-            slopes[:, self._scale_index] = values * (self.state_vector.high - self.state_vector.low)[self._scale_index]
+            slopes[:, self._scale_index] = (
+                values * (self.state_vector.high - self.state_vector.low)[self._scale_index]
+            )
         return slopes
 
     def _compute_coordinate_derivatives(self, state: np.ndarray) -> np.ndarray:
         """Return how fast parameters change with their coordinates."""
         step = 1e-6
         low, high = np.clip(state - step, 0.0, 1.0), np.clip(state + step, 0.0, 1.0)
-        rate: np.ndarray = (self.state_vector.to_physical(high) - self.state_vector.to_physical(low)) / (high - low)
+        rate: np.ndarray = (
+            self.state_vector.to_physical(high) - self.state_vector.to_physical(low)
+        ) / (high - low)
         return rate
 
     def _make_objective(self, state: np.ndarray, stage: int) -> Objective:
@@ -201,11 +215,17 @@ class SimulationForwardModel:
         places = qmc.Sobol(len(free.names), seed=self.seed).random(N_SURVEY)
         known = np.isfinite(free.prior_sd)
         places[:, known] = free.prior_mean[known] + (places[:, known] - 0.5) * free.prior_sd[known]
-        best, *others = search_minima(self, self._make_objective, np.clip(places, 0.02, 0.98), DESCENT_STAGES)[-1]
-        ends = [best] + [end for end in others if np.abs(end.state - best.state).max() > MIN_SEPARATION]
+        best, *others = search_minima(
+            self, self._make_objective, np.clip(places, 0.02, 0.98), DESCENT_STAGES
+        )[-1]
+        ends = [best] + [
+            end for end in others if np.abs(end.state - best.state).max() > MIN_SEPARATION
+        ]
         values, own = self.evaluate_with_covariance(best.state, LAST_STAGE)
         least, most = N_JACOBIANS_RANGE
-        jacobians = [self.compute_jacobian(best.state, LAST_STAGE, self.seed + 1 + n) for n in range(least)]
+        jacobians = [
+            self.compute_jacobian(best.state, LAST_STAGE, self.seed + 1 + n) for n in range(least)
+        ]
         while self.measurement.noise_known and len(jacobians) < most:
             if not is_jacobian_noisy(jacobians, self.measurement.covariance + own):
                 break
@@ -227,12 +247,17 @@ class ProgressTracker:
 
     def __init__(self, report: ProgressCallback, max_stderr: float, n_parameters: int) -> None:
         self.report, self.max_stderr = report, max_stderr
-        fine, slopes = _estimate_cost(max_stderr), _count_runs(n_parameters) * _estimate_cost(max(max_stderr, MIN_JACOBIAN_STDERR))
+        fine, slopes = (
+            _estimate_cost(max_stderr),
+            _count_runs(n_parameters) * _estimate_cost(max(max_stderr, MIN_JACOBIAN_STDERR)),
+        )
         # Each descent takes slopes about twice, then a few steps; last ones mostly begin at the
         # end.  Then come Jacobians, and runs that tell how far light is off a straight line.
         rough = N_SURVEY + DESCENT_STAGES[0].n_starts * 2 * (2 + _count_runs(n_parameters))
         last = DESCENT_STAGES[1].n_starts * (4 * fine + slopes)
-        self.total_cost = rough + last + float(np.mean(N_JACOBIANS_RANGE)) * slopes + 2 * n_parameters * fine
+        self.total_cost = (
+            rough + last + float(np.mean(N_JACOBIANS_RANGE)) * slopes + 2 * n_parameters * fine
+        )
         self.spent_cost, self.start_time = 0.0, time.perf_counter()
 
     def track_run(self, max_stderr: float, n_runs: int) -> ProgressCallback:
@@ -245,8 +270,12 @@ class ProgressTracker:
         def show(one: Progress) -> None:
             spent = time.perf_counter() - self.start_time
             done = before + one.fraction_done * cost
-            left = max(self.total_cost - done, 0.0) * spent / done if done > 0.0 else one.seconds_left
-            report(Progress(one.rays, one.stderr, self.max_stderr, spent, max(left, one.seconds_left)))
+            left = (
+                max(self.total_cost - done, 0.0) * spent / done if done > 0.0 else one.seconds_left
+            )
+            report(
+                Progress(one.rays, one.stderr, self.max_stderr, spent, max(left, one.seconds_left))
+            )
 
         return show
 

@@ -12,16 +12,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import reject_unknown_arguments, check_choice, invalid
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
 from splits.core.optional import import_optional
+from splits.core.uncertainty import make_variable as with_error
+from splits.core.validation import check_choice, invalid, reject_unknown_arguments
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.measurement import Measurement
+from splits.retrieval.state_vector import SCALE, StateVector
 from splits.simulation.arguments import check_integer
 from splits.simulation.attributes import make_wavelength_coordinate
 from splits.tables.table import Table
-from splits.retrieval.state_vector import SCALE, StateVector
-from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
-from splits.retrieval.measurement import Measurement
-from splits.core.uncertainty import make_variable as with_error
 
 N_REPEATS = 16
 """Independent estimates, from whose scatter the errors are."""
@@ -97,7 +97,9 @@ def sobol_indices(
         error = rows.std(axis=0, ddof=1) / np.sqrt(N_REPEATS)
         variables |= with_error(name, dims, rows.mean(axis=0), error, label)
     long_name = f"standard deviation of {quantity}"
-    variables |= with_error("standard_deviation", "wavelength", shares.standard_deviation, None, long_name)
+    variables |= with_error(
+        "standard_deviation", "wavelength", shares.standard_deviation, None, long_name
+    )
     axes = {
         "parameter": ("parameter", list(which.names), {"long_name": "parameter"}),
         "low": ("parameter", which.low, {"long_name": "low end of its range"}),
@@ -105,7 +107,9 @@ def sobol_indices(
         "wavelength": make_wavelength_coordinate(w),
     }
     facts = {"title": "Sobol indices", "points": points, "repeats": N_REPEATS, "seed": seed}
-    return xr.Dataset(variables, axes, to_netcdf_attributes({**facts, **make_provenance("Sobol indices")}))
+    return xr.Dataset(
+        variables, axes, to_netcdf_attributes({**facts, **make_provenance("Sobol indices")})
+    )
 
 
 class _VarianceFractions(NamedTuple):
@@ -122,7 +126,9 @@ class _VarianceFractions(NamedTuple):
     standard_deviation: np.ndarray
 
 
-def _estimate_variance_fractions(model: TableForwardModel, points: int, seed: int) -> _VarianceFractions:
+def _estimate_variance_fractions(
+    model: TableForwardModel, points: int, seed: int
+) -> _VarianceFractions:
     """Return the shares of the variance, 0 where nothing varies."""
     stats = import_optional("scipy.stats", "retrieval", "Sobol indices need")
     many, count = len(model.state_vector.names), model.node_values.shape[1]

@@ -1,7 +1,7 @@
 """What a retrieval is free to vary: ranges, priors, and coordinates from 0 to 1.
 
 A coordinate goes evenly where light changes evenly, by the laws of
-`splits.lookup.interpolation.spaced`: the logarithm of a size, the root of an amount from 0 on.
+`splits.tables.interpolation.transform_axis`: the logarithm of a size, the root of an amount from 0 on.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ class StateVector(NamedTuple):
     prior_sd: np.ndarray
 
     @classmethod
-    def from_ranges(cls, ranges: Any, prior: Any, allowed_ranges: Mapping[str, ParameterRange]) -> StateVector:
+    def from_ranges(
+        cls, ranges: Any, prior: Any, allowed_ranges: Mapping[str, ParameterRange]
+    ) -> StateVector:
         """Return what a user leaves free, or refuse it.
 
         Parameters
@@ -97,7 +99,9 @@ class StateVector(NamedTuple):
         if not low <= mean <= high:
             raise invalid(key, pair, f"a mean in the range {low:g} to {high:g}")
         ends = [np.clip(mean + sign * sd, low, high) for sign in (-1.0, 1.0)]
-        below, middle, above = self.to_coordinate(index, np.array([ends[0], mean, ends[1]])).tolist()
+        below, middle, above = self.to_coordinate(
+            index, np.array([ends[0], mean, ends[1]])
+        ).tolist()
         # Where the range cuts one side off, the other one tells.
         cut = [ends[0] > mean - sd, ends[1] < mean + sd]
         sides = [d for d, off in zip((middle - below, above - middle), cut, strict=True) if not off]
@@ -117,8 +121,12 @@ class StateVector(NamedTuple):
 
     def to_coordinate(self, index: int, values: np.ndarray) -> np.ndarray:
         """Return coordinates of values of one parameter."""
-        first, last = apply_axis_transform(self.transforms[index], np.array([self.low[index], self.high[index]]))
-        row: np.ndarray = (apply_axis_transform(self.transforms[index], values) - first) / (last - first)
+        first, last = apply_axis_transform(
+            self.transforms[index], np.array([self.low[index], self.high[index]])
+        )
+        row: np.ndarray = (apply_axis_transform(self.transforms[index], values) - first) / (
+            last - first
+        )
         return row
 
     def to_physical(self, coordinates: np.ndarray) -> np.ndarray:
@@ -126,7 +134,9 @@ class StateVector(NamedTuple):
         found = np.empty(np.shape(coordinates))
         for i, kind in enumerate(self.transforms):
             first, last = apply_axis_transform(kind, np.array([self.low[i], self.high[i]]))
-            found[..., i] = _invert_axis_transform(kind, first + coordinates[..., i] * (last - first))
+            found[..., i] = _invert_axis_transform(
+                kind, first + coordinates[..., i] * (last - first)
+            )
         return np.clip(found, self.low, self.high)
 
     @property
@@ -141,7 +151,7 @@ class StateVector(NamedTuple):
 
 
 def _invert_axis_transform(transform: str, transformed: np.ndarray) -> np.ndarray:
-    """Return the values that a law has made these of, see `splits.lookup.interpolation.law`."""
+    """Return the values that a law has made these of, see `splits.tables.interpolation.apply_axis_transform`."""
     if transform == "cosine":
         return np.degrees(np.arccos(np.clip(-transformed, -1.0, 1.0)))
     if transform == "logarithm":
@@ -149,7 +159,9 @@ def _invert_axis_transform(transform: str, transformed: np.ndarray) -> np.ndarra
     return np.square(transformed) if transform == "root" else np.asarray(transformed, dtype=float)
 
 
-def _check_ranges(free: Any, allowed_ranges: Mapping[str, ParameterRange]) -> dict[str, tuple[float, float]]:
+def _check_ranges(
+    free: Any, allowed_ranges: Mapping[str, ParameterRange]
+) -> dict[str, tuple[float, float]]:
     """Return (low, high) by name, or refuse them."""
     if isinstance(free, str) or not isinstance(free, Mapping | Sequence) or not len(free):
         raise invalid("free", free, "names of parameters, or their (low, high) by name")

@@ -10,18 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.arrays import check_array_range, check_increasing, as_1d_array
+from splits.core.arrays import as_1d_array, check_array_range, check_increasing
 from splits.core.validation import (
     NON_NUMERIC_TYPES,
+    as_scalar,
     check_range,
     invalid,
-    as_scalar,
     snap_to_limits,
     suggest_name,
 )
+from splits.media.medium import (
+    GranularMedium,
+    LayeredMedium,
+    ParticleMedium,
+    SurfaceMedium,
+    check_thickness,
+)
 from splits.simulation.threads import count_cpus
-from splits.media.medium import GranularMedium, LayeredMedium, check_thickness
-from splits.media.medium import SurfaceMedium, ParticleMedium
 
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
 HALF_WIDTH_RANGE_M = {"bssrdf": (1e-9, 1e6), "surface": (1e-9, 1e9), "lens": (1e-9, 1e6)}
@@ -161,7 +166,9 @@ def check_threads(threads: Any) -> int:
 def check_direction_angles(key: str, values: Any, upper_deg: float) -> np.ndarray:
     """Return increasing angles from 0 to below `end` degrees, or refuse them."""
     angles = as_1d_array(key, values, "numbers in degrees")
-    return check_increasing(key, check_array_range(key, angles, 0.0, upper_deg, "degrees", open_high=True))
+    return check_increasing(
+        key, check_array_range(key, angles, 0.0, upper_deg, "degrees", open_high=True)
+    )
 
 
 def check_n_bins(n_bins: Any) -> tuple[int, int]:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
-from splits.media.medium import Medium
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import Variable
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.media.medium import Medium
 
 
 def make_run_attributes(

@@ -21,31 +21,30 @@ import numpy as np
 import xarray as xr
 
 from splits.core.validation import invalid
+from splits.kernels.grains.scene import DRY_PORE, WET_PORE
+from splits.media.ground import Ground
+from splits.media.medium import GranularMedium, Medium, compute_absorption
+from splits.media.stack import Stack
+from splits.media.stacked_particle_layer import StackedParticleLayer
 from splits.simulation.diffusion import (
     DiffusiveSubstrate,
     diffuse_reflectance,
     effective_mean_free_path,
 )
-from splits.simulation.truncated_medium import (
-    THEORY_UNCERTAINTY,
-    ERROR_BUDGET_FRACTION,
-    TruncatedMedium,
-)
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
     GrainOpticsRequest,
     compute_material_constants,
-    pool_optics_by_type,
     estimate_pilot_optics,
+    pool_optics_by_type,
 )
-from splits.simulation.scene import OpticalConstants
 from splits.simulation.path_tally import PathSharingMedia
-from splits.media.medium import GranularMedium, compute_absorption
-from splits.media.ground import Ground
-from splits.media.stacked_particle_layer import StackedParticleLayer
-from splits.media.stack import Stack
-from splits.media.medium import Medium
-from splits.kernels.grains.scene import DRY_PORE, WET_PORE
+from splits.simulation.scene import OpticalConstants
+from splits.simulation.truncated_medium import (
+    ERROR_BUDGET_FRACTION,
+    THEORY_UNCERTAINTY,
+    TruncatedMedium,
+)
 
 MIN_DEPTH_MFP = 600.0
 """Mean distances between grains below which no pack is cut: it is traced in no time."""
@@ -93,7 +92,9 @@ class _DiffusionProperties(NamedTuple):
         diffusion = step / (3.0 * np.maximum(turn, np.finfo(float).tiny))
         return cls(loss, turn, diffusion, np.sqrt(loss / step / diffusion))
 
-    def compute_truncation_depth(self, lowest_layer: Any, max_stderr: float, undisturbed_depth_m: float = 0.0) -> float:
+    def compute_truncation_depth(
+        self, lowest_layer: Any, max_stderr: float, undisturbed_depth_m: float = 0.0
+    ) -> float:
         """Return how far below the top of its layer a cut has to lie (m), see `truncate_deep_medium`."""
         # What the cut misses is at most DOUBT/4 of the light that reaches it, 4 D over its depth.
         needed = THEORY_UNCERTAINTY / (ERROR_BUDGET_FRACTION * max_stderr)
@@ -106,7 +107,9 @@ class _DiffusionProperties(NamedTuple):
         """Return the rate (1/m), almost 0 where nothing is absorbed: that says the same, no 0/0."""
         return np.maximum(self.decay_rate, 1e-9 / truncation_depth_m)
 
-    def is_truncation_worthwhile(self, lowest_layer: Any, max_stderr: float, margin: float = 1.0) -> bool:
+    def is_truncation_worthwhile(
+        self, lowest_layer: Any, max_stderr: float, margin: float = 1.0
+    ) -> bool:
         """Return whether a layer that ends is worth a cut, or may be if this is off by a margin."""
         height = self.compute_truncation_depth(lowest_layer, max_stderr)
         deep = lowest_layer.depth_m * margin >= 4.0 * height
@@ -161,7 +164,12 @@ def truncate_deep_medium(
     if not math.isinf(depth):
         look = estimate_pilot_optics(finite, constants, plan._replace(n_rays=OPTICS_PILOT_RAYS))
         looks = _split_by_medium(look, len(lowest))
-        if not any(_DiffusionProperties.from_optics(one).is_truncation_worthwhile(part, max_stderr, PILOT_MARGIN) for one in looks):
+        if not any(
+            _DiffusionProperties.from_optics(one).is_truncation_worthwhile(
+                part, max_stderr, PILOT_MARGIN
+            )
+            for one in looks
+        ):
             return None
     optics = _split_by_medium(pool_optics_by_type(finite, constants, plan), len(lowest))
     return _truncate(path_sharing, wavelengths, optics, max_stderr, undisturbed_depth_m)
@@ -202,7 +210,9 @@ def _truncate(
             raise invalid("depth_m", math.inf, "finite", "these grains hardly turn light")
     elif not any(one.is_truncation_worthwhile(part, max_stderr) for one in found):
         return None
-    height = max(one.compute_truncation_depth(part, max_stderr, undisturbed_depth_m) for one in found)
+    height = max(
+        one.compute_truncation_depth(part, max_stderr, undisturbed_depth_m) for one in found
+    )
     rests = [
         _SubstrateResponse.from_diffusion(medium, scale, one, wavelengths, height)
         for medium, scale, one in zip(media, scales, found, strict=True)
@@ -210,12 +220,20 @@ def _truncate(
     # Media that share paths all have a ground, or none.
     least = np.finfo(float).tiny if len(media) > 1 else 0.0
     sent = [
-        _compute_albedo_below_interface(rest.reflected_fraction, compute_material_constants(_get_lowest_layer(m), wavelengths).indices, _get_lowest_layer(m), o)
+        _compute_albedo_below_interface(
+            rest.reflected_fraction,
+            compute_material_constants(_get_lowest_layer(m), wavelengths).indices,
+            _get_lowest_layer(m),
+            o,
+        )
         for m, rest, o in zip(media, rests, optics, strict=True)
     ]
     grounds = [_make_ground(wavelengths, np.maximum(one, least)) for one in sent]
     return TruncatedMedium(
-        tuple(_truncate_lowest_layer(m, s * height, g) for m, s, g in zip(media, scales, grounds, strict=True)),
+        tuple(
+            _truncate_lowest_layer(m, s * height, g)
+            for m, s, g in zip(media, scales, grounds, strict=True)
+        ),
         height,
         np.stack([rest.transmitted_fraction for rest in rests]),
         np.stack([rest.conservative for rest in rests]),
@@ -265,15 +283,22 @@ class _SubstrateResponse(NamedTuple):
     ) -> _SubstrateResponse:
         """Return it for a pack of a size among whose grains light diffuses so."""
         depth = float(_get_lowest_layer(medium).depth_m) / size_ratio
-        rate, diffusion = properties.compute_regularized_rate(truncation_depth_m), properties.diffusion_coefficient
+        rate, diffusion = (
+            properties.compute_regularized_rate(truncation_depth_m),
+            properties.diffusion_coefficient,
+        )
         below = Ground.from_input(medium.ground)  # type: ignore[union-attr]
         open_below = below is None or math.isinf(depth)
         albedo = np.zeros_like(rate) if open_below else below.albedo(wavelengths)  # type: ignore[union-attr]
         rest = DiffusiveSubstrate(
-            rate * diffusion, rate * (depth - truncation_depth_m), 0.5 * (1.0 - albedo) / (1.0 + albedo)
+            rate * diffusion,
+            rate * (depth - truncation_depth_m),
+            0.5 * (1.0 - albedo) / (1.0 + albedo),
         )
         clear = properties.coalbedo <= 0.0
-        sent = np.where(clear & (math.isinf(depth) | (albedo == 1.0)), 1.0, rest.compute_reflected_fraction())
+        sent = np.where(
+            clear & (math.isinf(depth) | (albedo == 1.0)), 1.0, rest.compute_reflected_fraction()
+        )
         passed = np.where(clear & (sent < 1.0), 1.0, rest.compute_transmitted_fraction())
         arriving = 1.0 / (1.0 + 0.75 * truncation_depth_m / (diffusion * 3.0))
         escape = arriving / (arriving + 1.0 - sent)
@@ -286,42 +311,64 @@ def _has_absorption_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray
     if not isinstance(medium, Stack):
         return np.zeros(wavelengths.size, dtype=bool)
     above = len(medium.list_materials()) - len(medium.scene_layers[-1].list_materials())
-    absorption = compute_absorption(medium, medium.compute_refractive_indices(wavelengths), wavelengths)
+    absorption = compute_absorption(
+        medium, medium.compute_refractive_indices(wavelengths), wavelengths
+    )
     pale = [
-        p.layer.single_scattering_albedo < 1.0 for p in medium.scene_layers if isinstance(p, StackedParticleLayer)
+        p.layer.single_scattering_albedo < 1.0
+        for p in medium.scene_layers
+        if isinstance(p, StackedParticleLayer)
     ]
     dark = (absorption[:, :above] > 0.0).any(axis=1)
     return np.asarray(dark | any(pale))
 
 
-def _select_least_attenuated(properties: Sequence[_DiffusionProperties], truncation_depth_m: float) -> tuple[np.ndarray, np.ndarray]:
+def _select_least_attenuated(
+    properties: Sequence[_DiffusionProperties], truncation_depth_m: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return rate (1/m) and D (m) of the medium that light gets deepest in, by wavelength."""
     rate, diffusion = (
-        np.stack(x) for x in ([one.compute_regularized_rate(truncation_depth_m) for one in properties], [f.diffusion_coefficient for f in properties])
+        np.stack(x)
+        for x in (
+            [one.compute_regularized_rate(truncation_depth_m) for one in properties],
+            [f.diffusion_coefficient for f in properties],
+        )
     )
     clearest = rate.argmin(axis=0), np.arange(rate.shape[1])
     return rate[clearest], diffusion[clearest]
 
 
-def _compute_semi_infinite_depth(decay_rate: np.ndarray, diffusion_coefficient: np.ndarray, max_stderr: float) -> float:
+def _compute_semi_infinite_depth(
+    decay_rate: np.ndarray, diffusion_coefficient: np.ndarray, max_stderr: float
+) -> float:
     """Return the least depth (m) over a black ground that is as bright as any."""
     depths = np.geomspace(1e-4, 1e4, 1601)[:, np.newaxis]
     black = np.full_like(decay_rate, 0.5)
-    shallow = DiffusiveSubstrate(decay_rate * diffusion_coefficient, decay_rate * depths, black).compute_reflected_fraction()
-    endless = DiffusiveSubstrate(decay_rate * diffusion_coefficient, np.full_like(decay_rate, np.inf), black).compute_reflected_fraction()
+    shallow = DiffusiveSubstrate(
+        decay_rate * diffusion_coefficient, decay_rate * depths, black
+    ).compute_reflected_fraction()
+    endless = DiffusiveSubstrate(
+        decay_rate * diffusion_coefficient, np.full_like(decay_rate, np.inf), black
+    ).compute_reflected_fraction()
     far = np.abs(endless - shallow).max(axis=1) > max_stderr
     return float(depths[min(far.sum(), len(depths) - 1), 0])
 
 
 def _compute_albedo_below_interface(
-    reflected_fraction: np.ndarray, indices: np.ndarray, lowest_layer: GranularMedium, optics: xr.Dataset
+    reflected_fraction: np.ndarray,
+    indices: np.ndarray,
+    lowest_layer: GranularMedium,
+    optics: xr.Dataset,
 ) -> np.ndarray:
     """Return the albedo of a ground that, below the face of wet pores, sends back so much.
 
     A face keeps diffuse light of wet pores from leaving, more than it keeps that from outside from
     entering: by n², as reciprocity asks for.
     """
-    if not lowest_layer.wet_fraction or not lowest_layer.interpretation.to_sampling_rules(False).boundary_fresnel:
+    if (
+        not lowest_layer.wet_fraction
+        or not lowest_layer.interpretation.to_sampling_rules(False).boundary_fresnel
+    ):
         return reflected_fraction
     index = indices.real
     n = index[:, WET_PORE] / index[:, DRY_PORE]

@@ -2,7 +2,7 @@
 
 What only changes how much is absorbed along the same paths (impurities, the albedo of a ground, the
 size of everything in a pack without end) has exact derivatives, from the paths of the spectrum
-itself.  All else changes the paths: `splits.instruments.differences`.
+itself.  All else changes the paths: `splits.simulation.finite_differences`.
 """
 
 from __future__ import annotations
@@ -13,20 +13,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.core.validation import invalid
-from splits.simulation.finite_differences import FiniteDifference
-from splits.simulation.path_reuse import compute_path_signature
-from splits.simulation.path_tally import PathSharingMedia, Derivatives
-from splits.media.medium import GranularMedium, LayeredMedium
-from splits.media.parameters import (
-    INCIDENCE_KEY,
-    shift_parameter,
-    get_derivative_unit,
-    get_parameter,
-)
-from splits.media.medium import Medium
 from splits.core.parameter_names import IMPURITY_KEYWORDS
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
+from splits.core.validation import invalid
+from splits.media.medium import GranularMedium, LayeredMedium, Medium
+from splits.media.parameters import (
+    INCIDENCE_KEY,
+    get_derivative_unit,
+    get_parameter,
+    shift_parameter,
+)
+from splits.simulation.finite_differences import FiniteDifference
+from splits.simulation.path_reuse import compute_path_signature
+from splits.simulation.path_tally import Derivatives, PathSharingMedia
 
 MAX_ABSORPTION_STEP = 1e-3
 """Part of what any wavelength's absorption is moved by at most: what absorbs is linear in amounts
@@ -57,7 +56,9 @@ class Perturbations(NamedTuple):
     steps: np.ndarray
 
     @classmethod
-    def select_exact(cls, medium: Medium, names: Sequence[str], wavelengths: np.ndarray) -> Perturbations:
+    def select_exact(
+        cls, medium: Medium, names: Sequence[str], wavelengths: np.ndarray
+    ) -> Perturbations:
         """Return the moves of those parameters that leave the paths as they are."""
         own, found = compute_path_signature(medium) if _is_granular(medium) else (b"", 1.0), []
         for name in names:
@@ -128,13 +129,20 @@ def _choose_step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:
             steps.append(MAX_ABSORPTION_STEP * float((before[both] / rise[both]).min()))
         elif rise.any():
             # Clean pores, for example: what else absorbs is there to be compared with.
-            least = MAX_ABSORPTION_STEP * before[absorbing].min() if absorbing.any() else MIN_ABSORPTION_STEP_PER_M
+            least = (
+                MAX_ABSORPTION_STEP * before[absorbing].min()
+                if absorbing.any()
+                else MIN_ABSORPTION_STEP_PER_M
+            )
             steps.append(float(least / rise.max()))
     return min(steps)
 
 
 def combine_derivatives(
-    names: Sequence[str], exact: Derivatives, perturbations: Perturbations, finite_differences: Sequence[FiniteDifference]
+    names: Sequence[str],
+    exact: Derivatives,
+    perturbations: Perturbations,
+    finite_differences: Sequence[FiniteDifference],
 ) -> Derivatives:
     """Return derivatives in the order asked for, of paths and of differences."""
     found = {name: exact.select(slice(i, i + 1)) for i, name in enumerate(perturbations.parameters)}
@@ -163,7 +171,9 @@ def make_jacobian_variables(
     return found
 
 
-def make_parameter_coordinates(parameters: Sequence[str], perturbations: Perturbations) -> dict[str, object]:
+def make_parameter_coordinates(
+    parameters: Sequence[str], perturbations: Perturbations
+) -> dict[str, object]:
     """Return the coordinates of parameters, none without any."""
     if not parameters:
         return {}

@@ -88,7 +88,13 @@ class DiffusiveSubstrate(NamedTuple):
     def compute_transmitted_fraction(self) -> np.ndarray:
         """Return the share of the net flux at the cut that enters the bottom."""
         kappa = np.minimum(self.decay_depth, 700.0)
-        fluence = self.decay_flux_ratio / (self.decay_flux_ratio * np.cosh(kappa) + self.bottom_flux_ratio * np.sinh(kappa))
-        gone = np.where(self.decay_depth > 700.0, 0.0, self.bottom_flux_ratio * fluence / self.compute_flux_ratio())
+        fluence = self.decay_flux_ratio / (
+            self.decay_flux_ratio * np.cosh(kappa) + self.bottom_flux_ratio * np.sinh(kappa)
+        )
+        gone = np.where(
+            self.decay_depth > 700.0,
+            0.0,
+            self.bottom_flux_ratio * fluence / self.compute_flux_ratio(),
+        )
         values: np.ndarray = np.clip(gone, 0.0, 1.0)
         return values

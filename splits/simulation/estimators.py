@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splits.simulation.path_tally import Derivatives, SharedPathTally, SpectralRows
+from splits.simulation.runner import Runner
+from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.tally import (
-    RAYS_PER_CHUNK,
     N_BATCHES,
+    RAYS_PER_CHUNK,
     RAYS_PER_LARGE_CHUNK,
     PathTally,
     Stratum,
     Tally,
     rescale_deviations,
 )
-from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
-from splits.simulation.runner import Runner
-from splits.simulation.path_tally import SpectralRows, SharedPathTally, Derivatives
 
 PILOT_RAYS = 256
 ANALOG_PILOT_RAYS = 2048
@@ -71,7 +71,9 @@ class SpectralEstimate:
     derivatives: Derivatives
 
 
-def estimate_spectral(runner: Runner, rows: SpectralRows, max_stderr: float, max_rays: int) -> SpectralEstimate:
+def estimate_spectral(
+    runner: Runner, rows: SpectralRows, max_stderr: float, max_rays: int
+) -> SpectralEstimate:
     """Estimate all rows from path ensembles at a few refractive indices.
 
     The lengths of a path in each material give its weight at every wavelength (SPLITSnow Eqs
@@ -92,13 +94,17 @@ def estimate_spectral(runner: Runner, rows: SpectralRows, max_stderr: float, max
     runner.trace([(e, level, PILOT_RAYS) for e, level in levels], 1.0, max_stderr)
     while True:
         mean = np.einsum(
-            "jw,jqw->qw", nodes.weights, np.stack([e.expand_to_all_rows(e.compute_means()) for e in ensembles])
+            "jw,jqw->qw",
+            nodes.weights,
+            np.stack([e.expand_to_all_rows(e.compute_means()) for e in ensembles]),
         )
         mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
         # Near 0 and 1 a share changes in proportion to its distance from there; 8 allows for
         # elasticities up to 2.4, what a single reflection has is 4/(2 + c).
         bias = nodes.interpolation_bound * np.clip(8.0 * mean * (1.0 - mean), 0.0, 1.0)
-        parts = weights**2 * np.stack([e.expand_to_all_rows(e.compute_variances()) for e in ensembles])
+        parts = weights**2 * np.stack(
+            [e.expand_to_all_rows(e.compute_variances()) for e in ensembles]
+        )
         count = np.stack([np.maximum(e.expand_to_all_rows(e.n_rays), 1.0) for e in ensembles])
         variance = (parts / count[:, np.newaxis]).sum(axis=0)
         stderr = np.sqrt(variance + bias**2)
@@ -140,10 +146,14 @@ def _interpolate_derivatives(nodes: IndexNodes, tallies: Sequence[SharedPathTall
         mean[..., e.rows] += w[e.rows] * own
         groups[..., e.rows] += w[e.rows] * off
     # As much of themselves as of light that is nearly all reflected or nearly all absorbed.
-    return Derivatives(mean, groups, np.clip(8.0 * nodes.interpolation_bound, 0.0, 1.0) * np.abs(mean))
+    return Derivatives(
+        mean, groups, np.clip(8.0 * nodes.interpolation_bound, 0.0, 1.0) * np.abs(mean)
+    )
 
 
-def allocate_spectral_rays(weighted_variances: np.ndarray, target_variances: np.ndarray, tallies: Sequence[Tally]) -> np.ndarray:
+def allocate_spectral_rays(
+    weighted_variances: np.ndarray, target_variances: np.ndarray, tallies: Sequence[Tally]
+) -> np.ndarray:
     """Return the rays per level that bring every variance to its target at the least cost.
 
     Parameters
@@ -156,11 +166,19 @@ def allocate_spectral_rays(weighted_variances: np.ndarray, target_variances: np.
     """
     levels = [level for e in tallies for level in e.strata]
     owner = np.repeat(np.eye(len(tallies)), [len(e.strata) for e in tallies], axis=1)
-    return allocate_rays(weighted_variances / target_variances, owner, np.stack([x.wavelength_mask for x in levels]), levels)
+    return allocate_rays(
+        weighted_variances / target_variances,
+        owner,
+        np.stack([x.wavelength_mask for x in levels]),
+        levels,
+    )
 
 
 def allocate_rays(
-    relative_variances: np.ndarray, membership: np.ndarray, column_mask: np.ndarray, strata: Sequence[Stratum]
+    relative_variances: np.ndarray,
+    membership: np.ndarray,
+    column_mask: np.ndarray,
+    strata: Sequence[Stratum],
 ) -> np.ndarray:
     """Return the rays per level that bring sums of variances to their targets at the least cost.
 
@@ -233,7 +251,9 @@ def _select_binding_rows(relative_variances: np.ndarray, column_mask: np.ndarray
     return np.unique(chosen)
 
 
-def estimate_analog(runner: Runner, rows: SpectralRows, max_stderr: float, max_rays: int) -> SpectralEstimate:
+def estimate_analog(
+    runner: Runner, rows: SpectralRows, max_stderr: float, max_rays: int
+) -> SpectralEstimate:
     """Estimate each row by itself, with absorption decided by coin toss on every leg.
 
     This is the algorithm of SPLITS section 4.3 and SPLITSnow section 3, kept as the reference.

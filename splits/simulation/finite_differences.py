@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
+from splits.media.medium import Medium
+from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.simulation.estimators import SpectralEstimate
 from splits.simulation.path_tally import Derivatives
-from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
-from splits.media.medium import Medium
 
 FIRST_STEP_FRACTION = 0.25
 """First step, as a part of the value: noise falls with the step, until the rule is off by more."""
@@ -30,7 +30,11 @@ MIN_FIRST_STEP = {INCIDENCE_KEY: 4.0, **dict.fromkeys(
 FIRST_STEP_AT_ZERO = 0.01
 """First step of any other where the value is 0."""
 MAX_HALVINGS = 10
-SQUARE_ROOT_ENDPOINTS = {"saturation": 0.0, "liquid_water_content": 0.0, "single_scattering_albedo": 1.0}
+SQUARE_ROOT_ENDPOINTS = {
+    "saturation": 0.0,
+    "liquid_water_content": 0.0,
+    "single_scattering_albedo": 1.0,
+}
 """Ends of ranges near which light goes as a root: of the water in narrow pores, of what absorbs.
 Differences are taken in the root of the distance from there."""
 MIN_CONVERGENCE_RATIO = 1.2
@@ -117,7 +121,9 @@ def compute_finite_difference(
     return FiniteDifference(parameter, way.to_value_derivatives(best), rays)
 
 
-def _check_convergence(parameter: str, value: float, derivatives: Derivatives, one_sided_derivatives: list[Derivatives]) -> None:
+def _check_convergence(
+    parameter: str, value: float, derivatives: Derivatives, one_sided_derivatives: list[Derivatives]
+) -> None:
     """Refuse a derivative that grows as often as the step is halved."""
     if len(one_sided_derivatives) < 3:
         return
@@ -161,7 +167,9 @@ class _Coordinate(NamedTuple):
         """Return the step of the coordinate to begin with."""
         own = parameter.rpartition(".")[2]
         size = self.start**2 if self.sign else abs(self.start)
-        step = max(FIRST_STEP_FRACTION * size, MIN_FIRST_STEP.get(own, 0.0 if size else FIRST_STEP_AT_ZERO))
+        step = max(
+            FIRST_STEP_FRACTION * size, MIN_FIRST_STEP.get(own, 0.0 if size else FIRST_STEP_AT_ZERO)
+        )
         return float((size + step) ** 0.5 - self.start if self.sign else step)
 
     def to_value(self, coordinate: float) -> float:
@@ -171,7 +179,11 @@ class _Coordinate(NamedTuple):
     def to_value_derivatives(self, derivatives: Derivatives) -> Derivatives:
         """Return derivatives to the value of those to the coordinate."""
         rate = 1.0 / (2.0 * self.sign * self.start) if self.sign else 1.0
-        return Derivatives(rate * derivatives.mean, rate * derivatives.batch_deviations, abs(rate) * derivatives.bias_bound)
+        return Derivatives(
+            rate * derivatives.mean,
+            rate * derivatives.batch_deviations,
+            abs(rate) * derivatives.bias_bound,
+        )
 
 
 class _Stencil(NamedTuple):
@@ -192,7 +204,11 @@ def _make_stencil(
             continue
         try:
             return _Stencil(
-                offsets, {x: _perturb_input(medium, incidence, parameter, coordinate.to_value(x)) for x in places}
+                offsets,
+                {
+                    x: _perturb_input(medium, incidence, parameter, coordinate.to_value(x))
+                    for x in places
+                },
             )
         except ValueError as error:
             refusal = error
@@ -210,7 +226,9 @@ def _perturb_input(
     return medium, value
 
 
-def _differentiate(offsets: tuple[float, ...], step: float, estimates: Sequence[SpectralEstimate]) -> Derivatives:
+def _differentiate(
+    offsets: tuple[float, ...], step: float, estimates: Sequence[SpectralEstimate]
+) -> Derivatives:
     """Return derivatives from runs at places in steps."""
     means = np.stack([one.mean[:2] for one in estimates])
     groups = np.stack([one.batch_deviations for one in estimates])
@@ -223,7 +241,9 @@ def _differentiate(offsets: tuple[float, ...], step: float, estimates: Sequence[
     size = np.abs(mean)
     part = np.divide(off, size, out=np.ones_like(off), where=size > 0.0)
     rule = off * (part if sum(offsets) == 0.0 else np.sqrt(part))
-    bias = np.clip(8.0 * np.max([one.interpolation_error[:2] for one in estimates], axis=0), 0.0, 1.0)
+    bias = np.clip(
+        8.0 * np.max([one.interpolation_error[:2] for one in estimates], axis=0), 0.0, 1.0
+    )
     missed = np.hypot(np.minimum(rule, off), bias * size)
     return Derivatives(mean[:, None], np.tensordot(fine, groups, 1)[:, :, None], missed[:, None])
 
@@ -244,7 +264,9 @@ def _bound_step_error(one_sided_derivatives: Sequence[Derivatives]) -> Derivativ
     return last._replace(bias_bound=np.maximum(last.bias_bound, moved))
 
 
-def _compute_stencil_weights(offsets: tuple[float, ...], step: float) -> tuple[np.ndarray, np.ndarray]:
+def _compute_stencil_weights(
+    offsets: tuple[float, ...], step: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the weights of the most exact rule, and those of one of lower order."""
     places = np.array(offsets, dtype=float)
     fine = _compute_difference_weights(places) / step

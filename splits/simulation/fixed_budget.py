@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 
 from splits.core.validation import invalid
+from splits.media.medium import Medium
 from splits.simulation.arguments import (
     check_incidence,
+    check_integer,
     check_medium,
     check_wavelengths,
-    check_integer,
 )
-from splits.simulation.tally import N_BATCHES, PathTally, rescale_deviations
-from splits.simulation.spectral_nodes import make_nodes
 from splits.simulation.runner import Runner
 from splits.simulation.scene import compute_optical_constants
-from splits.media.medium import Medium
+from splits.simulation.spectral_nodes import make_nodes
+from splits.simulation.tally import N_BATCHES, PathTally, rescale_deviations
 
 SINGLE_STRATUM = (-1.0,)
 """One level per ensemble: every wavelength listens to every ray, so that all share their noise."""
@@ -65,7 +65,7 @@ def estimate_fixed_budget(
         what interpolation between nodes misses is not in it.
     groups : float, shape (GROUPS, 2, wavelengths)
         How far groups of rays take the reflected and transmitted means off, see
-        `splits.instruments.estimators.Estimate`.
+        `splits.simulation.estimators.SpectralEstimate`.
 
     Raises
     ------
@@ -88,7 +88,11 @@ def estimate_fixed_budget(
     ]
     weights = nodes.weights[nodes.weights.any(axis=1)]
     runner.trace([(e, level, rays_per_node) for e in ensembles for level in e.strata], 1.0, 0.0)
-    mean = np.einsum("jw,jqw->qw", weights, np.stack([e.expand_to_all_rows(e.compute_means()) for e in ensembles]))
+    mean = np.einsum(
+        "jw,jqw->qw",
+        weights,
+        np.stack([e.expand_to_all_rows(e.compute_means()) for e in ensembles]),
+    )
     variance = np.zeros((3, len(wavelengths)))
     groups = np.zeros((N_BATCHES, 2, len(wavelengths)))
     for e, w in zip(ensembles, weights, strict=True):
@@ -113,6 +117,8 @@ def _check_node_rows(node_rows: Sequence[int], n_wavelengths: int) -> list[int]:
     rows = [int(row) for row in node_rows]
     if not rows or len(set(rows)) < len(rows) or min(rows) < 0 or max(rows) >= n_wavelengths:
         raise invalid(
-            "node_rows", list(node_rows), f"different positions from 0 to {n_wavelengths - 1}, at least one"
+            "node_rows",
+            list(node_rows),
+            f"different positions from 0 to {n_wavelengths - 1}, at least one",
         )
     return rows

@@ -9,24 +9,24 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.simulation import random_streams
-from splits.simulation.spectral_nodes import IndexNodes, choose_nodes, make_nodes
-from splits.simulation.scene import OpticalConstants, build_scene
-from splits.simulation.threads import DaemonThreadPool
-from splits.media.medium import GranularMedium, compute_absorption
+from splits.core.uncertainty import compute_leave_one_out_means
+from splits.kernels.grains.scene import DRY_PORE, WET_PORE, Optics, Scene, make_bounding_optics
 from splits.kernels.grains.single_grain import (
     N_SCATTERING_BATCHES,
     IsolatedGrain,
     tally_single_scattering,
 )
-from splits.kernels.grains.scene import DRY_PORE, WET_PORE, Optics, Scene, make_bounding_optics
-from splits.core.uncertainty import compute_leave_one_out_means
+from splits.media.medium import GranularMedium, compute_absorption
+from splits.simulation import random_streams
+from splits.simulation.scene import OpticalConstants, build_scene
+from splits.simulation.spectral_nodes import IndexNodes, choose_nodes, make_nodes
+from splits.simulation.threads import DaemonThreadPool
 
 GRAIN_RAYS_PER_CHUNK = 2048
 """Rays per batch: the grain of parallel work."""
 
 INTERPOLATION_TOLERANCE = 0.0005
-"""Interpolation error allowed, as for a reflectance (see `splits.instruments.nodes`)."""
+"""Interpolation error allowed, as for a reflectance (see `splits.simulation.spectral_nodes`)."""
 
 MOMENT_SLOPE_RATIO = 2.0
 """How much steeper a Legendre moment may be in the contrast than a reflectance: a forward lobe as
@@ -62,7 +62,7 @@ class _NodeTally:
         Weight of this node in the wavelengths' means.
     sums : float, shape (3, orders + 4, served)
     parts : float, shape (parts, orders + 4, served)
-        See `splits.transport.grains.scattering.scatter`.
+        See `splits.kernels.grains.single_grain.tally_single_scattering`.
     """
 
     wavelength_mask: np.ndarray
@@ -78,7 +78,11 @@ def compute_material_constants(medium: GranularMedium, wavelengths: np.ndarray) 
 
 
 def compute_grain_optics(
-    medium: GranularMedium, scene: Scene, constants: OpticalConstants, request: GrainOpticsRequest, nodes: IndexNodes
+    medium: GranularMedium,
+    scene: Scene,
+    constants: OpticalConstants,
+    request: GrainOpticsRequest,
+    nodes: IndexNodes,
 ) -> dict[str, np.ndarray]:
     """Return what a scene's grains do to light, by the names of `single_scattering`.
 
@@ -97,7 +101,9 @@ def compute_grain_optics(
     wet = _compute_wet_fraction(medium.wet_fraction, index, request.wet_pores)
     at_nodes = _compute_wet_fraction(medium.wet_fraction, nodes.index, request.wet_pores)
     traced = _trace_nodes(scene, nodes, at_nodes, absorption, request)
-    values = _estimate_means(traced, nodes.interpolation_bound, request.max_moment + 1, request.n_rays)
+    values = _estimate_means(
+        traced, nodes.interpolation_bound, request.max_moment + 1, request.n_rays
+    )
     pore = (1.0 - wet) * absorption[:, DRY_PORE] + wet * absorption[:, WET_PORE]
     grains = medium.make_grain_population().attenuation
     values["extinction"] = grains + pore
@@ -107,7 +113,9 @@ def compute_grain_optics(
     return values
 
 
-def estimate_pilot_optics(medium: GranularMedium, constants: OpticalConstants, request: GrainOpticsRequest) -> xr.Dataset:
+def estimate_pilot_optics(
+    medium: GranularMedium, constants: OpticalConstants, request: GrainOpticsRequest
+) -> xr.Dataset:
     """Return about what `pool_optics_by_type` does, for a part of its time.
 
     All grains together, and everything but absorption as at one row: that of the least, at which
@@ -123,7 +131,9 @@ def estimate_pilot_optics(medium: GranularMedium, constants: OpticalConstants, r
     return xr.Dataset(found)
 
 
-def pool_optics_by_type(medium: GranularMedium, constants: OpticalConstants, request: GrainOpticsRequest) -> xr.Dataset:
+def pool_optics_by_type(
+    medium: GranularMedium, constants: OpticalConstants, request: GrainOpticsRequest
+) -> xr.Dataset:
     """Return means over grains of which each type was met by so many rays, however rare it is.
 
     A few rays among all types would miss rare ones, and all that these absorb.
@@ -175,15 +185,27 @@ def _compute_wet_fraction(saturation: float, index: np.ndarray, wet_pores: str) 
 
 
 def _trace_nodes(
-    scene: Scene, nodes: IndexNodes, wet_fractions: np.ndarray, absorption: np.ndarray, request: GrainOpticsRequest
+    scene: Scene,
+    nodes: IndexNodes,
+    wet_fractions: np.ndarray,
+    absorption: np.ndarray,
+    request: GrainOpticsRequest,
 ) -> list[_NodeTally]:
     """Trace so many rays at every node."""
     orders, rays, seed = request.max_moment + 1, request.n_rays, request.seed
 
     def run(job: tuple[int, int, Optics, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         node, first, optics, part = job
-        work = np.array([random_streams.SINGLE_SCATTERING + node, first, min(rays - first, GRAIN_RAYS_PER_CHUNK)])
-        return tally_single_scattering(seed, work, orders, IsolatedGrain(wet_fractions[node], scene, optics), part)
+        work = np.array(
+            [
+                random_streams.SINGLE_SCATTERING + node,
+                first,
+                min(rays - first, GRAIN_RAYS_PER_CHUNK),
+            ]
+        )
+        return tally_single_scattering(
+            seed, work, orders, IsolatedGrain(wet_fractions[node], scene, optics), part
+        )
 
     served = nodes.weights > 0.0
     rows = [absorption[some] for some in served]
@@ -201,7 +223,9 @@ def _trace_nodes(
                 sums += one
                 parts += other
             # Parts per ray of theirs: their mean is that of all rays.
-            traced.append(_NodeTally(some, weight[some], sums / rays, parts * (N_SCATTERING_BATCHES / rays)))
+            traced.append(
+                _NodeTally(some, weight[some], sums / rays, parts * (N_SCATTERING_BATCHES / rays))
+            )
     return traced
 
 
@@ -227,12 +251,18 @@ def _estimate_means(
     for node in node_tallies:
         first, mixed, square = node.sums
         chi = ratio[:, node.wavelength_mask]
-        variance[node.wavelength_mask] += node.weight**2 * np.maximum(square[0] - first[0] ** 2, 0.0)
+        variance[node.wavelength_mask] += node.weight**2 * np.maximum(
+            square[0] - first[0] ** 2, 0.0
+        )
         residual = square - 2.0 * chi * mixed + chi**2 * square[0]
         residual -= (first - chi * first[0]) ** 2
         spread[:, node.wavelength_mask] += node.weight**2 * np.maximum(residual, 0.0)
     missed = MOMENT_SLOPE_RATIO * interpolation_bound * np.abs(ratio)
-    missed[:n_orders] = MOMENT_SLOPE_RATIO * interpolation_bound * np.clip(8.0 * np.abs(_bernoulli_variance(ratio[:n_orders])), 0.0, 1.0)
+    missed[:n_orders] = (
+        MOMENT_SLOPE_RATIO
+        * interpolation_bound
+        * np.clip(8.0 * np.abs(_bernoulli_variance(ratio[:n_orders])), 0.0, 1.0)
+    )
     error = np.sqrt(spread / (n_rays * share**2) + missed**2)
     left_out = compute_leave_one_out_means(parts)
     ratios = left_out / np.maximum(left_out[:, :1], np.finfo(float).tiny)

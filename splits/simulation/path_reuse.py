@@ -17,17 +17,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
+from splits.media.medium import GranularMedium, LayeredMedium, compute_absorption
+from splits.media.stack import Stack
+from splits.media.stacked_particle_layer import StackedParticleLayer
+from splits.simulation.path_tally import PathSharingMedia
 from splits.simulation.scene import (
     OpticalConstants,
-    compute_optical_constants,
-    make_height_fields,
     build_scene,
+    compute_optical_constants,
     get_reflecting_ground,
+    make_height_fields,
 )
-from splits.simulation.path_tally import PathSharingMedia
-from splits.media.medium import GranularMedium, LayeredMedium, compute_absorption
-from splits.media.stacked_particle_layer import StackedParticleLayer
-from splits.media.stack import Stack
 
 MAX_SHARED_ROWS = 200_000
 """Wavelengths of different media that one ensemble serves: what bounds its memory."""
@@ -131,8 +131,19 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
         *(t for t, n in zip(types, types._fields, strict=True) if n != "curvature"),
         *scene.particles,
         np.array(scene.rules, dtype=float),
-        np.array([(i.fraction, i.outer_material, i.inner_material, i.layer) for i in medium.list_interfaces()], dtype=float),
-        np.array([len(medium.list_materials()), not endless and get_reflecting_ground(medium) is not None]),
+        np.array(
+            [
+                (i.fraction, i.outer_material, i.inner_material, i.layer)
+                for i in medium.list_interfaces()
+            ],
+            dtype=float,
+        ),
+        np.array(
+            [
+                len(medium.list_materials()),
+                not endless and get_reflecting_ground(medium) is not None,
+            ]
+        ),
     ):
         digest.update(repr(np.shape(table)).encode())
         digest.update(_round_significands(np.asarray(table, dtype=float)).tobytes())
@@ -156,7 +167,9 @@ def _round_significands(values: np.ndarray) -> np.ndarray:
     """
     mantissa, exponent = np.frexp(values * (1.0 + 1e-6 * 2.0 ** (-_COMPARED_BITS / 2)))
     finite = np.isfinite(values)
-    whole = np.where(finite, np.round(np.where(finite, mantissa, 0.0) * 2.0**_COMPARED_BITS), values)
+    whole = np.where(
+        finite, np.round(np.where(finite, mantissa, 0.0) * 2.0**_COMPARED_BITS), values
+    )
     return np.stack([whole, exponent.astype(float)])
 
 

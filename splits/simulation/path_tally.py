@@ -14,18 +14,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.simulation.tally import N_BATCHES, PathTally, Stratum, TransportTraits
-from splits.simulation.scene import (
-    OpticalConstants,
-    compute_optical_constants,
-    build_scene,
-    get_reflecting_ground,
-)
-from splits.media.medium import GranularMedium, Interface, LayeredMedium
-from splits.media.medium import Medium
 from splits.kernels.grains.scene import NO_GROUND
 from splits.kernels.tallies.derivatives import tally_derivatives
 from splits.kernels.tallies.exits import BLOCK_SIZE
+from splits.media.medium import GranularMedium, Interface, LayeredMedium, Medium
+from splits.simulation.scene import (
+    OpticalConstants,
+    build_scene,
+    compute_optical_constants,
+    get_reflecting_ground,
+)
+from splits.simulation.tally import N_BATCHES, PathTally, Stratum, TransportTraits
 
 
 class PathSharingMedia(NamedTuple):
@@ -112,7 +111,11 @@ class SpectralRows:
         )
 
     def with_derivatives(
-        self, perturbed: PathSharingMedia, steps: np.ndarray, wavelength_nm: np.ndarray, ground_column: int
+        self,
+        perturbed: PathSharingMedia,
+        steps: np.ndarray,
+        wavelength_nm: np.ndarray,
+        ground_column: int,
     ) -> SpectralRows:
         """Return these rows, of one medium, with the derivatives that moved ones tell.
 
@@ -152,7 +155,11 @@ class Derivatives(NamedTuple):
 
     def select(self, selection: slice) -> Derivatives:
         """Return the derivatives to some of the parameters."""
-        return Derivatives(self.mean[:, selection], self.batch_deviations[:, :, selection], self.bias_bound[:, selection])
+        return Derivatives(
+            self.mean[:, selection],
+            self.batch_deviations[:, :, selection],
+            self.bias_bound[:, selection],
+        )
 
     @property
     def stderr(self) -> np.ndarray:
@@ -170,11 +177,18 @@ class SharedPathTally(PathTally):
     """
 
     def __init__(
-        self, stream_index: int, index: np.ndarray, rows: SpectralRows, wavelength_mask: np.ndarray, traits: TransportTraits
+        self,
+        stream_index: int,
+        index: np.ndarray,
+        rows: SpectralRows,
+        wavelength_mask: np.ndarray,
+        traits: TransportTraits,
     ) -> None:
         super().__init__(stream_index, index, rows.min_absorption, wavelength_mask, traits)
         self.absorption, self.absorption_derivatives = rows.absorption, rows.absorption_derivatives
-        self.derivative_sums = np.zeros((N_BATCHES, 2, len(rows.absorption_derivatives), len(self.rows)))
+        self.derivative_sums = np.zeros(
+            (N_BATCHES, 2, len(rows.absorption_derivatives), len(self.rows))
+        )
         for level in self.strata:
             some = self.absorption[level.wavelength_mask].max(axis=0) > 0.0
             some |= (self.absorption_derivatives[:, level.wavelength_mask] != 0.0).any(axis=(0, 1))
@@ -184,14 +198,18 @@ class SharedPathTally(PathTally):
         """Return how many numbers a tally holds."""
         return super().size() + len(self.absorption_derivatives) * len(self.rows) * (1 + BLOCK_SIZE)
 
-    def score_chunk(self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Any:
+    def score_chunk(
+        self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
+    ) -> Any:
         """Return the sums of a batch of a level, and their derivatives by block."""
         sums = super().tally(stratum, first_ray, exits, crossings)
         if not len(self.absorption_derivatives):
             return sums, None
         served = self.rows[self.select_rows(stratum)]
         absorption, changes = self.absorption[served], self.absorption_derivatives[:, served]
-        return sums, tally_derivatives(exits, crossings, absorption, changes, self.traits.ground_column)
+        return sums, tally_derivatives(
+            exits, crossings, absorption, changes, self.traits.ground_column
+        )
 
     def add_scores(self, stratum: Stratum, scores: Sequence[Any]) -> None:
         """Add the tallies of batches one by one."""
@@ -199,7 +217,9 @@ class SharedPathTally(PathTally):
             first = stratum.n_rays // BLOCK_SIZE % N_BATCHES
             super().add(stratum, [sums])
             if blocks is not None:
-                self.derivative_sums[first : first + len(blocks), :, :, self.select_rows(stratum)] += blocks
+                self.derivative_sums[
+                    first : first + len(blocks), :, :, self.select_rows(stratum)
+                ] += blocks
 
     def compute_derivatives(self) -> tuple[np.ndarray, np.ndarray]:
         """Return mean derivatives, and how far groups take them off, as `deviations` does."""

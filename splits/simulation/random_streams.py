@@ -1,6 +1,6 @@
 """Which random streams each way of measuring has: with one seed, no two draw the same numbers.
 
-A stream is named by seed, level and ray (`splits.transport.numerics.rng`).  Each of these is the
+A stream is named by seed, level and ray (`splits.kernels.math.rng`).  Each of these is the
 number of the first level of one of them, which has all numbers up to the next.
 """
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from splits.simulation.tally import RAYS_PER_CHUNK, Stratum, Tally
 from splits.core.progress import Progress, ProgressCallback
-from splits.simulation.threads import DaemonThreadPool, count_cpus
-from splits.simulation.tracer import make_tracer
-from splits.media.medium import Medium
 from splits.kernels.compiler.features import Features
 from splits.kernels.tallies.crossings import CROSSING_RAY
+from splits.media.medium import Medium
+from splits.simulation.tally import RAYS_PER_CHUNK, Stratum, Tally
+from splits.simulation.threads import DaemonThreadPool, count_cpus
+from splits.simulation.tracer import make_tracer
 
 MAX_JOB_BYTES = 2**27
 MAX_SEGMENTS_PER_JOB = 2e7
@@ -42,7 +42,7 @@ class Runner:
     report : callable, optional
         Receives a `Progress` a few times per second at most.
     planes_m : sequence of float
-        Depths (m) of planes to listen at, see `splits.instruments.tracers.GrainTracer`.
+        Depths (m) of planes to listen at, see `splits.simulation.tracer.GrainTracer`.
 
     Attributes
     ----------
@@ -93,7 +93,9 @@ class Runner:
         """
         jobs = self.make_jobs(work)
         begun = time.perf_counter()
-        costs = [sum(self.estimate_cost(level) * count for _, level, _, count in job) for job in jobs]
+        costs = [
+            sum(self.estimate_cost(level) * count for _, level, _, count in job) for job in jobs
+        ]
         rays = self.rays_per_chunk * sum(count for job in jobs for *_, count in job)
         total = sum(costs) * (1.0 + remaining_rays / rays)
         done = 0.0
@@ -129,7 +131,10 @@ class Runner:
 
     def compute_job_capacity(self, tally: Tally) -> int:
         """Return how many batches a job may hold: exits of their rays, and tallies."""
-        numbers = self.rays_per_chunk * self.tracer.allocate_exits(1).shape[1] + tally.count_score_values()
+        numbers = (
+            self.rays_per_chunk * self.tracer.allocate_exits(1).shape[1]
+            + tally.count_score_values()
+        )
         return max(1, MAX_JOB_BYTES // (8 * numbers))
 
     def split_jobs(
@@ -220,8 +225,12 @@ class Runner:
             sums.append(ensemble.score_chunk(level, first + int(start), batch, part))
         return sums
 
-    def _report_progress(self, n_rays: int, stderr: float, target: float, seconds_left: float) -> None:
+    def _report_progress(
+        self, n_rays: int, stderr: float, target: float, seconds_left: float
+    ) -> None:
         now = time.perf_counter()
         if self.progress_callback and now - self._last_report_time > 0.5:
             self._last_report_time = now
-            self.progress_callback(Progress(n_rays, stderr, target, now - self.start_time, seconds_left))
+            self.progress_callback(
+                Progress(n_rays, stderr, target, now - self.start_time, seconds_left)
+            )

@@ -7,23 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.media.medium import GranularMedium, LayeredMedium, compute_absorption
-from splits.media.ground import Ground
-from splits.media.stacked_particle_layer import StackedParticleLayer
-from splits.media.interpretations import Interpretation
-from splits.media.medium import Medium
 from splits.kernels.grains.rough_top import MAX_HEIGHT_SIGMA
 from splits.kernels.grains.scene import (
-    NO_PARTICLES,
     NO_GROUND,
+    NO_PARTICLES,
     GrainPopulation,
+    GrainTypes,
     Layers,
     ParticleScattering,
     Scene,
-    GrainTypes,
 )
 from splits.kernels.optics.source import Source
 from splits.kernels.rough_surface.realization import HeightFields
+from splits.media.ground import Ground
+from splits.media.interpretations import Interpretation
+from splits.media.medium import GranularMedium, LayeredMedium, Medium, compute_absorption
+from splits.media.stacked_particle_layer import StackedParticleLayer
 
 LayerModel = GranularMedium | StackedParticleLayer
 MIN_ATTENUATION_PER_M = 1e-12
@@ -109,7 +108,9 @@ def build_scene(
         boundaries=face,
         attenuation=np.array([one.attenuation for one in grains]),
         saturation=np.array([float(one.wet_fraction) for one in media]),
-        type_cdf=np.array([np.pad(one.type_cdf, (0, most - len(one.type_cdf)), "edge") for one in grains]),
+        type_cdf=np.array(
+            [np.pad(one.type_cdf, (0, most - len(one.type_cdf)), "edge") for one in grains]
+        ),
         first_type=types[:-1],
         pore=materials[:-1],
         pore_cdf=_compute_pore_cdf(media),
@@ -124,7 +125,9 @@ def build_scene(
 
 def _compute_pore_cdf(media: Sequence[LayerModel]) -> np.ndarray:
     """Return cumulative shares of what fills pores besides air and water."""
-    shares = [[] if isinstance(one, StackedParticleLayer) else list(one.pores.values()) for one in media]
+    shares = [
+        [] if isinstance(one, StackedParticleLayer) else list(one.pores.values()) for one in media
+    ]
     most = max(len(row) for row in shares)
     return np.array(
         [
@@ -188,7 +191,9 @@ def make_particle_table(media: Sequence[StackedParticleLayer]) -> ParticleScatte
     )
 
 
-def _merge_grain_types(populations: Sequence[GrainPopulation], first_materials: np.ndarray) -> GrainTypes:
+def _merge_grain_types(
+    populations: Sequence[GrainPopulation], first_materials: np.ndarray
+) -> GrainTypes:
     """Return one table of the types of all layers, whose materials begin at given rows."""
     if len(populations) == 1:
         return populations[0].types
@@ -210,7 +215,9 @@ def _merge_grain_types(populations: Sequence[GrainPopulation], first_materials: 
     return GrainTypes(
         n_shells=np.concatenate([one.types.n_shells for one in populations]),
         material=np.concatenate([wide(one.types.material + first) for one, first in shift]),
-        coating_thickness=np.concatenate([wide(one.types.coating_thickness) for one in populations]),
+        coating_thickness=np.concatenate(
+            [wide(one.types.coating_thickness) for one in populations]
+        ),
         curvature=every("curvature"),
         sphericity=every("sphericity"),
         facetness=every("facetness"),

@@ -82,7 +82,9 @@ class IndexNodes:
 
 def compute_contrasts(index: np.ndarray, interfaces: Sequence[Interface]) -> np.ndarray:
     """Return the contrast of every interface times its share, shape (wavelengths, interfaces)."""
-    return _compute_weighted_contrasts(*_get_interface_indices(index, select_grain_interfaces(interfaces)))
+    return _compute_weighted_contrasts(
+        *_get_interface_indices(index, select_grain_interfaces(interfaces))
+    )
 
 
 def select_grain_interfaces(interfaces: Sequence[Interface]) -> list[Interface]:
@@ -90,7 +92,9 @@ def select_grain_interfaces(interfaces: Sequence[Interface]) -> list[Interface]:
     return [i for i in interfaces if i.location != "face"]
 
 
-def _compute_weighted_contrasts(near: np.ndarray, far: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+def _compute_weighted_contrasts(
+    near: np.ndarray, far: np.ndarray, fraction: np.ndarray
+) -> np.ndarray:
     # 2√F/(1 − √F) without the difference, which has no digits left for perfect conductors.
     away, along = np.abs(far - near), np.abs(far + near)
     magnitude = away * (along + away) / (2.0 * (far * near.conj()).real)
@@ -117,7 +121,9 @@ def _get_interface_indices(
     return near, far, np.array([i.fraction for i in interfaces])
 
 
-def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: float) -> IndexNodes:
+def choose_nodes(
+    index: np.ndarray, interfaces: Sequence[Interface], tolerance: float
+) -> IndexNodes:
     """Return few nodes, such that the interpolation error stays below a tolerance everywhere.
 
     Nodes are added one by one, each the wavelength served worst so far.
@@ -125,7 +131,7 @@ def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: 
     Parameters
     ----------
     index : complex, shape (wavelengths, materials)
-        Refractive indices (see `splits.transport.grains.scene`).
+        Refractive indices (see `splits.kernels.grains.scene`).
     interfaces : sequence of Interface
         What light meets, and how often.
     tolerance : float
@@ -145,7 +151,9 @@ def choose_nodes(index: np.ndarray, interfaces: Sequence[Interface], tolerance: 
             _check_separate_nodes(len(distinct), tolerance)
             draws.assign_separate_nodes()
     rows = draws.get_used_nodes()
-    return IndexNodes(distinct[rows], draws.compute_weights(rows)[:, which], draws.interpolation_bound[which])
+    return IndexNodes(
+        distinct[rows], draws.compute_weights(rows)[:, which], draws.interpolation_bound[which]
+    )
 
 
 def _check_separate_nodes(n_wavelengths: int, tolerance: float) -> None:
@@ -158,7 +166,9 @@ def _check_separate_nodes(n_wavelengths: int, tolerance: float) -> None:
         )  # fmt: skip
 
 
-def make_nodes(index: np.ndarray, interfaces: Sequence[Interface], rows: Sequence[int]) -> IndexNodes:
+def make_nodes(
+    index: np.ndarray, interfaces: Sequence[Interface], rows: Sequence[int]
+) -> IndexNodes:
     """Return the nodes at given wavelengths, each wavelength served by the best of them.
 
     All of `rows` are kept, in their order, even if no wavelength draws on one.
@@ -216,7 +226,10 @@ class _NodeAssignment:
         # What all layers miss together is at most what the worst would, alone in its place.
         worst = np.zeros(len(t))
         for parts in self.layer_criteria:
-            missed = (part.weight * _bound_smooth_error(part, a, b, t) + _bound_kink_error(part, a, b, t) for part in parts)
+            missed = (
+                part.weight * _bound_smooth_error(part, a, b, t) + _bound_kink_error(part, a, b, t)
+                for part in parts
+            )
             worst = np.maximum(worst, sum(missed, np.zeros(len(t))))
         return worst
 
@@ -228,7 +241,9 @@ class _NodeAssignment:
 
     def get_used_nodes(self) -> np.ndarray:
         """Return the rows of the nodes that some wavelength draws on, in order."""
-        return np.unique(np.concatenate([self.first[self.first_weight > 0], self.second[self.first_weight < 1]]))
+        return np.unique(
+            np.concatenate([self.first[self.first_weight > 0], self.second[self.first_weight < 1]])
+        )
 
     def compute_weights(self, rows: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return convex weights, shape (rows, wavelengths), of nodes that hold all drawn on."""
@@ -236,7 +251,10 @@ class _NodeAssignment:
         place[np.asarray(rows)] = np.arange(len(rows))
         every = np.arange(len(self.first_weight))
         weights = np.zeros((len(rows), len(every)))
-        for node, share in ((self.first, self.first_weight), (self.second, 1.0 - self.first_weight)):
+        for node, share in (
+            (self.first, self.first_weight),
+            (self.second, 1.0 - self.first_weight),
+        ):
             used = share > 0.0
             weights[place[node[used]], every[used]] += share[used]
         return weights
@@ -271,8 +289,12 @@ def _make_criteria(index: np.ndarray, interfaces: Sequence[Interface]) -> list[_
     for face in (i for i in interfaces if i.location == "face"):
         near, far, share = _get_interface_indices(index, [face])
         values = _compute_weighted_contrasts(near, far, np.ones_like(share))
-        weight = INTERFACE_WEIGHT * face.fraction * (DENSE_SIDE_FACTOR if (values < 0.0).any() else 1.0)
-        parts.append(_Criterion(weight, values, MIN_INTERFACE_CONTRAST, CONTRAST_KINK * face.fraction))
+        weight = (
+            INTERFACE_WEIGHT * face.fraction * (DENSE_SIDE_FACTOR if (values < 0.0).any() else 1.0)
+        )
+        parts.append(
+            _Criterion(weight, values, MIN_INTERFACE_CONTRAST, CONTRAST_KINK * face.fraction)
+        )
     return parts
 
 
@@ -285,7 +307,9 @@ def _project_on_chord(u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray
     return np.clip((u - b) @ along / square, 0.0, 1.0)
 
 
-def _bound_smooth_error(criterion: _Criterion, first: int, second: int, t: np.ndarray) -> np.ndarray:
+def _bound_smooth_error(
+    criterion: _Criterion, first: int, second: int, t: np.ndarray
+) -> np.ndarray:
     """Bound what t·f(a) + (1 − t)·f(b) misses of f(u), for every row u, of two rows a and b.
 
     The first order is SLOPE times the relative distance of u from the chord; the second, the gap

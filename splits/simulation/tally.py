@@ -8,9 +8,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from splits.simulation import random_streams
 from splits.kernels.grains.scene import NO_GROUND, NO_MAX_ORDER, Optics, make_bounding_optics
 from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, tally_weights
+from splits.simulation import random_streams
 
 STRATUM_BOUNDS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
 """Absorption over one mean distance between grains from which wavelengths have rays of their own.
@@ -66,7 +66,7 @@ class TransportTraits(NamedTuple):
     attenuation : float
         Scatterings to expect per metre.
     ground : int
-        Column of meetings with the ground, see `splits.transport.grains.scene.Scene`.
+        Column of meetings with the ground, see `splits.kernels.grains.scene.Scene`.
     fading : bool
         Whether a ray's weight may fall for another reason than absorption by materials.
     analog : bool
@@ -80,7 +80,7 @@ class TransportTraits(NamedTuple):
 
 
 class Tally(Protocol):
-    """What a `splits.instruments.runner.Runner` asks of an ensemble."""
+    """What a `splits.simulation.runner.Runner` asks of an ensemble."""
 
     absorption: np.ndarray
     strata: list[Stratum]
@@ -89,7 +89,9 @@ class Tally(Protocol):
         """Return how many numbers a tally holds."""
         ...
 
-    def score_chunk(self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> Any:
+    def score_chunk(
+        self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
+    ) -> Any:
         """Return what a batch of a level's exits and notes, from that ray on, adds up to."""
         ...
 
@@ -172,7 +174,9 @@ class PathTally:
         self.absorption = absorption
         self.traits = traits
         rows = np.flatnonzero(wavelength_mask)
-        self.rows = rows[np.argsort(compute_absorption_per_mfp(absorption[rows], traits), kind="stable")]
+        self.rows = rows[
+            np.argsort(compute_absorption_per_mfp(absorption[rows], traits), kind="stable")
+        ]
         self.moments = np.zeros((3, 3, len(rows)))
         self.min_weight = np.full(len(rows), np.inf)
         self.batch_sums = np.zeros((N_BATCHES, 2, len(rows)))
@@ -189,7 +193,9 @@ class PathTally:
         """Return which of the rows a level serves."""
         return slice(len(self.rows) - int(stratum.wavelength_mask.sum()), None)
 
-    def score_chunk(self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray) -> SpectralScore:
+    def score_chunk(
+        self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
+    ) -> SpectralScore:
         """Return the sums of a batch of a level, for the rows it serves."""
         absorption = self.absorption[self.rows[self.select_rows(stratum)]]
         weighted, ground = not self.traits.analog, self.traits.ground_column
@@ -240,7 +246,9 @@ class PathTally:
         rays = np.zeros((N_BATCHES, len(self.rows)))
         for level in self.strata:
             turns, rest = divmod(level.n_rays // BLOCK_SIZE, N_BATCHES)
-            rays[:, self.select_rows(level)] += BLOCK_SIZE * (turns + (np.arange(N_BATCHES) < rest))[:, np.newaxis]
+            rays[:, self.select_rows(level)] += (
+                BLOCK_SIZE * (turns + (np.arange(N_BATCHES) < rest))[:, np.newaxis]
+            )
         return rays
 
     def compute_variances(self) -> np.ndarray:

@@ -11,21 +11,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.simulation.tally import Stratum, TransportTraits
-from splits.simulation.scene import (
-    count_length_columns,
-    make_height_fields,
-    build_scene,
-    make_source,
-    add_recording_planes,
-)
-from splits.media.medium import GranularMedium, LayeredMedium
-from splits.media.medium import Medium, ParticleMedium
 from splits.kernels import vectorized
 from splits.kernels.compiler.features import Features
 from splits.kernels.grains import history
 from splits.kernels.grains.scene import Optics
-from splits.kernels.vectorized.eligibility import select_features
 from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.particle_layer import particle_history
@@ -33,6 +22,16 @@ from splits.kernels.particle_layer.scene import LayerScene
 from splits.kernels.rough_surface.realization import allocate_realization
 from splits.kernels.tallies.crossings import CROSSING_RAY
 from splits.kernels.tallies.exits import EXIT_LENGTH, allocate_exits
+from splits.kernels.vectorized.eligibility import select_features
+from splits.media.medium import GranularMedium, LayeredMedium, Medium, ParticleMedium
+from splits.simulation.scene import (
+    add_recording_planes,
+    build_scene,
+    count_length_columns,
+    make_height_fields,
+    make_source,
+)
+from splits.simulation.tally import Stratum, TransportTraits
 
 KERNELS = ("auto", "lanes", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
@@ -46,7 +45,7 @@ class TraceResult(NamedTuple):
     legs : int, shape (pieces,)
     notes : list of float, shape (notes, columns)
         Of each piece, ray by ray, rays counted from its first; see
-        `splits.transport.sums.tally.Notes`.
+        `splits.kernels.tallies.exits.Notes`.
     lost : str
         Why a ray was lost, or nothing.
     """
@@ -96,7 +95,7 @@ class Tracer(Protocol):
         Parameters
         ----------
         work : int64, shape (pieces, 4)
-            See `splits.transport.grains.granular.batch`.
+            See `splits.kernels.grains.history.trace_batch`.
         levels : sequence of Level
             One for each piece.
         exits : float, shape (rays, columns)
@@ -231,7 +230,9 @@ class LayerTracer:
         As in `GrainTracer`.
     """
 
-    LOST_MESSAGE = "a ray lost its way at the rough surface: please report this with the configuration"
+    LOST_MESSAGE = (
+        "a ray lost its way at the rough surface: please report this with the configuration"
+    )
 
     def __init__(
         self,
@@ -244,7 +245,13 @@ class LayerTracer:
         if kernel == "lanes":
             raise invalid("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
         stokes = UNPOLARIZED if medium.polarized else None
-        self.scene = LayerScene(source, medium.make_scattering_layer(analog), medium.kernel_phase_function, medium.make_height_fields(), stokes)
+        self.scene = LayerScene(
+            source,
+            medium.make_scattering_layer(analog),
+            medium.kernel_phase_function,
+            medium.make_height_fields(),
+            stokes,
+        )
         self.boundary_depths_m = np.array([0.0, self.scene.layer.depth])
         extinction = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
         fading = self.scene.layer.albedo < 1.0
@@ -256,7 +263,9 @@ class LayerTracer:
         self.first_stokes_column = EXIT_LENGTH + self.n_materials
         self.stokes_columns: tuple[int, ...] = ()
         if medium.polarized:
-            self.stokes_columns = tuple(range(self.first_stokes_column, self.first_stokes_column + 3))
+            self.stokes_columns = tuple(
+                range(self.first_stokes_column, self.first_stokes_column + 3)
+            )
         self.seed = seed
 
     def share_kernel(self, strata: Sequence[Stratum]) -> None:
@@ -275,7 +284,9 @@ class LayerTracer:
         room = None if self.scene.fields is None else allocate_realization(self.scene.fields)
         parts = np.split(exits, np.cumsum(work[:, particle_history.N_RAYS])[:-1])
         results = [
-            particle_history.trace_batch(self.seed, item, self.scene, room, self.first_stokes_column, part)
+            particle_history.trace_batch(
+                self.seed, item, self.scene, room, self.first_stokes_column, part
+            )
             for item, part in zip(work, parts, strict=True)
         ]
         return TraceResult(

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.media.medium import Medium
 from splits.simulation.estimators import SpectralEstimate
 from splits.simulation.path_tally import Derivatives
-from splits.media.medium import Medium
 
 THEORY_UNCERTAINTY = 0.3
 """How far, as a part of itself, theory may be off in what the rest of a pack keeps."""
@@ -53,7 +53,10 @@ class TruncatedMedium(NamedTuple):
     semi_infinite_depth_m: float
 
     def estimate_to_error(
-        self, estimate_above: Callable[[float], SpectralEstimate], max_stderr: float, steps: np.ndarray = NO_STEPS
+        self,
+        estimate_above: Callable[[float], SpectralEstimate],
+        max_stderr: float,
+        steps: np.ndarray = NO_STEPS,
     ) -> SpectralEstimate:
         """Return the estimate of the whole pack to an error.
 
@@ -76,12 +79,19 @@ class TruncatedMedium(NamedTuple):
             if result.converged or not found.converged:
                 break
             goal *= 0.5
-        return replace(result, derivatives=self.complete_derivatives(found, steps)) if steps.size else result
+        return (
+            replace(result, derivatives=self.complete_derivatives(found, steps))
+            if steps.size
+            else result
+        )
 
     def complete_estimate(self, above: SpectralEstimate, max_stderr: float) -> SpectralEstimate:
         """Return the estimate of the whole pack from that of the part above the cut."""
         media = above.mean.shape[1] // self.transmitted_fraction.shape[1]
-        passed, clear, escape = (x[:media].ravel() for x in (self.transmitted_fraction, self.conservative, self.escape_probability))
+        passed, clear, escape = (
+            x[:media].ravel()
+            for x in (self.transmitted_fraction, self.conservative, self.escape_probability)
+        )
         kept = above.mean[1]
         back = np.minimum(above.mean[0], 1.0)
         # Where nothing is absorbed, all that does not come back goes through, in error as in size.
@@ -103,7 +113,12 @@ class TruncatedMedium(NamedTuple):
         bias = np.hypot(scale * above.interpolation_error, missed)
         converged = bool(stderr.max() <= max_stderr)
         return replace(
-            above, mean=mean, stderr=stderr, interpolation_error=bias, batch_deviations=groups, converged=converged
+            above,
+            mean=mean,
+            stderr=stderr,
+            interpolation_error=bias,
+            batch_deviations=groups,
+            converged=converged,
         )
 
     def complete_derivatives(self, above: SpectralEstimate, steps: np.ndarray) -> Derivatives:
@@ -114,7 +129,10 @@ class TruncatedMedium(NamedTuple):
         step = steps[:, np.newaxis]
         darker = (self.ground_absorption[1:] - self.ground_absorption[0]) / step
         passing = (self.transmitted_fraction[1:] - self.transmitted_fraction[0]) / step
-        of_paths, ground = above.derivatives.select(slice(None, -1)), above.derivatives.select(slice(-1, None))
+        of_paths, ground = (
+            above.derivatives.select(slice(None, -1)),
+            above.derivatives.select(slice(-1, None)),
+        )
         kept, passed = above.mean[1], self.transmitted_fraction[0]
         scale = np.stack([np.ones_like(passed), passed])[:, np.newaxis]
         more = np.stack([np.zeros_like(passing), kept * passing])

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
-from splits.simulation.tally import N_BATCHES
-from splits.simulation.attributes import make_wavelength_coordinate
+from splits.core.provenance import hash_physics_sources
 from splits.instruments.spectral_run import QUANTITY_LABELS
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.simulation.attributes import make_wavelength_coordinate
+from splits.simulation.tally import N_BATCHES
 from splits.tables.axes import INCIDENCE
 from splits.tables.block import TableRequest
 from splits.tables.plan import TablePlan
-from splits.core.provenance import hash_physics_sources
 
 
 def compute_array_shapes(plan: TablePlan, request: TableRequest) -> dict[str, tuple[int, ...]]:
@@ -66,14 +66,19 @@ def assemble_dataset(
             values.reshape(*values.shape[: len(lead)], *shape),
             about,
         )
-    coordinates = {**plan.grid.to_coordinates(), "wavelength": make_wavelength_coordinate(plan.wavelengths)}
+    coordinates = {
+        **plan.grid.to_coordinates(),
+        "wavelength": make_wavelength_coordinate(plan.wavelengths),
+    }
     run = request.spectral_request
     facts_of_all: dict[str, Any] = {
         "title": f"Table of {plan.grid.size} spectra",
         "axes_that_share_paths": ", ".join(plan.path_sharing_axes) or "none",
         "max_stderr": run.max_stderr,
         "max_stderr_reached": max(float(one["max_stderr_reached"]) for one in block_attrs),
-        "interpolation_error_bound": max(float(one["interpolation_error_bound"]) for one in block_attrs),
+        "interpolation_error_bound": max(
+            float(one["interpolation_error_bound"]) for one in block_attrs
+        ),
         "stopped_by": "error" if all(o["stopped_by"] == "error" for o in block_attrs) else "rays",
         "seed": run.seed,
         "rays": int(sum(int(one["rays"]) for one in block_attrs)),

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.arrays import as_1d_array
-from splits.core.validation import format_key, invalid, as_scalar, unknown_key
 from splits.core.parameter_names import describe_parameter
+from splits.core.validation import as_scalar, format_key, invalid, unknown_key
 
 INCIDENCE = "incidence_deg"
 AXIS_ALIASES = {"sza": INCIDENCE}
@@ -49,7 +49,9 @@ class ParameterGrid(NamedTuple):
         """
         if not isinstance(grid, Mapping) or not grid:
             raise invalid("grid", grid, "a mapping from parameters to rows of values")
-        axes = cls(tuple(map(str, grid)), tuple(_check_grid_axis(str(k), v) for k, v in grid.items()))
+        axes = cls(
+            tuple(map(str, grid)), tuple(_check_grid_axis(str(k), v) for k, v in grid.items())
+        )
         if axes.size > MAX_SPECTRA:
             raise invalid("grid", f"{axes.size} spectra", f"at most {MAX_SPECTRA}")
         return axes
@@ -107,7 +109,11 @@ def check_axis_values(
         if own not in known:
             raise unknown_key(f"{prefix}{name}", known)
         if own in found:
-            other = own if name != own else next(short for short in AXIS_ALIASES if AXIS_ALIASES[short] == own)
+            other = (
+                own
+                if name != own
+                else next(short for short in AXIS_ALIASES if AXIS_ALIASES[short] == own)
+            )
             raise invalid(f"{prefix}{name}", value, f"left out beside {prefix}{other}, the same")
         if own in free_axes:
             raise invalid(f"{prefix}{name}", value, "left out, as it is free")

@@ -15,7 +15,7 @@ def sort_axes(dataset: Any) -> xr.Dataset:
 
     Selections, sorting, transposing and conversions leave tables as xarray has them.
     """
-    allowed = "what splits.table returned, or wrote"
+    allowed = "what splits.build_table returned, or wrote"
     if not isinstance(dataset, xr.Dataset):
         hint = "splits.open_table(…) takes a path" if isinstance(dataset, str) else ""
         raise invalid("table", type(dataset).__name__, allowed, hint)

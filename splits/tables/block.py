@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.io.netcdf import load, make_provenance, save
-from splits.simulation.truncated_medium import TruncatedMedium
-from splits.simulation.tally import N_BATCHES
 from splits.core.progress import ProgressCallback
-from splits.simulation.path_tally import PathSharingMedia
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
+from splits.io.netcdf import load, make_provenance, save
+from splits.simulation.path_tally import PathSharingMedia
+from splits.simulation.tally import N_BATCHES
+from splits.simulation.truncated_medium import TruncatedMedium
 from splits.tables.plan import PathGroup
 
 DIGEST_ATTRIBUTE = "table_digest"
@@ -45,15 +45,24 @@ class TruncationCache:
         self._path_sharing: PathSharingMedia | None = None
         self._truncation: TruncatedMedium | None = None
 
-    def get(self, spectral_request: SpectralRequest, path_sharing: PathSharingMedia) -> TruncatedMedium | None:
+    def get(
+        self, spectral_request: SpectralRequest, path_sharing: PathSharingMedia
+    ) -> TruncatedMedium | None:
         """Return the cut of a family; that of the last one asked for is at hand."""
         if path_sharing is not self._path_sharing:
-            self._path_sharing, self._truncation = path_sharing, spectral_request.truncate(path_sharing)
+            self._path_sharing, self._truncation = (
+                path_sharing,
+                spectral_request.truncate(path_sharing),
+            )
         return self._truncation
 
 
 def compute_block(
-    path_group: PathGroup, request: TableRequest, truncations: TruncationCache, digest: str, progress: ProgressCallback = None
+    path_group: PathGroup,
+    request: TableRequest,
+    truncations: TruncationCache,
+    digest: str,
+    progress: ProgressCallback = None,
 ) -> xr.Dataset:
     """Return a block: values and errors over ``point`` and ``wavelength``.
 
@@ -78,7 +87,9 @@ def compute_block(
             values = table[row].reshape(shape)[path_group.media_indices]
             variables[name] = (("point", "wavelength"), values.astype(np.float32))
         if request.covariance:
-            groups = found.batch_deviations[:, row].reshape(N_BATCHES, *shape)[:, path_group.media_indices]
+            groups = found.batch_deviations[:, row].reshape(N_BATCHES, *shape)[
+                :, path_group.media_indices
+            ]
             variables[f"{side}_groups"] = (
                 ("group", "point", "wavelength"), groups.astype(np.float32),
             )  # fmt: skip
@@ -117,4 +128,6 @@ def load_block(folder: Path, number: int, digest: str) -> xr.Dataset | None:
 
 def save_block(block: xr.Dataset, folder: Path) -> None:
     """Write a block, whole or not at all."""
-    save(block, make_block_path(folder, int(block.attrs["ensemble"]), block.attrs[DIGEST_ATTRIBUTE]))
+    save(
+        block, make_block_path(folder, int(block.attrs["ensemble"]), block.attrs[DIGEST_ATTRIBUTE])
+    )

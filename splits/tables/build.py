@@ -11,24 +11,24 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import reject_unknown_arguments, check_choice, invalid
 from splits.core.atomic import check_writable
-from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature
+from splits.core.paths import expand_path
 from splits.core.progress import Progress, ProgressCallback, with_progress
+from splits.core.provenance import hash_physics_sources
+from splits.core.validation import check_choice, invalid, reject_unknown_arguments
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
-from splits.tables.assembly import allocate_arrays, insert_block, assemble_dataset
+from splits.media.medium import Medium
+from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature
+from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
 from splits.tables.axes import ParameterGrid
 from splits.tables.block import (
-    TruncationCache,
     TableRequest,
-    save_block,
-    load_block,
+    TruncationCache,
     compute_block,
+    load_block,
+    save_block,
 )
 from splits.tables.plan import PathGroup, TablePlan
-from splits.media.medium import Medium
-from splits.core.paths import expand_path
-from splits.core.provenance import hash_physics_sources
 
 
 @reject_unknown_arguments
@@ -93,7 +93,7 @@ def build_table(
     Examples
     --------
     >>> import splits
-    >>> found = splits.table(
+    >>> found = splits.build_table(
     ...     splits.Snow.natural,
     ...     {"optical_radius_um": [50, 100, 200], "incidence_deg": [0, 60]},
     ...     [500, 1030],
@@ -103,9 +103,13 @@ def build_table(
     {'optical_radius_um': 3, 'incidence_deg': 2, 'wavelength': 2}
     """
     begun = time.perf_counter()
-    run = SpectralRequest.from_arguments(wavelength_nm, 0.0, max_stderr, seed, max_rays, threads, kernel)
+    run = SpectralRequest.from_arguments(
+        wavelength_nm, 0.0, max_stderr, seed, max_rays, threads, kernel
+    )
     order = TableRequest(run, _check_quantities(quantities), bool(covariance))
-    plan = TablePlan.from_grid(make, ParameterGrid.from_mapping(grid), run.wavelengths, incidence_deg)
+    plan = TablePlan.from_grid(
+        make, ParameterGrid.from_mapping(grid), run.wavelengths, incidence_deg
+    )
     place = None if folder is None else expand_path(folder, "folder")
     found = allocate_arrays(plan, order)
     facts = []
@@ -163,7 +167,9 @@ def iterate_blocks(
         block = None if folder is None else load_block(folder, ensemble.number, digest)
         if block is None:
             left = len(path_groups) - number - 1
-            show = _report_whole_table(progress, begun, measured, left) if callable(progress) else None
+            show = (
+                _report_whole_table(progress, begun, measured, left) if callable(progress) else None
+            )
             block = compute_block(ensemble, request, cuts, digest, show)
             measured += 1
             if folder is not None:

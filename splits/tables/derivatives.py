@@ -1,6 +1,6 @@
 """Derivatives of a table's light to the parameters along its axes, between nodes.
 
-They are those of the polynomials that values are drawn from, see `splits.lookup.interpolation`.
+They are those of the polynomials that values are drawn from, see `splits.tables.interpolation`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 import xarray as xr
 
 from splits.core.validation import invalid, unknown_key
-from splits.tables.interpolation import InterpolationWeights, apply_axis_transform, transform_axis
 from splits.media.parameters import get_derivative_unit
+from splits.tables.interpolation import InterpolationWeights, apply_axis_transform, transform_axis
 
 _TINY = 1e-300
 
@@ -33,7 +33,9 @@ class DerivativeEstimate(NamedTuple):
     interpolation_error: np.ndarray
 
 
-def compute_derivative_weights(name: str, nodes: np.ndarray, stencil: np.ndarray, value: float) -> DerivativeWeights:
+def compute_derivative_weights(
+    name: str, nodes: np.ndarray, stencil: np.ndarray, value: float
+) -> DerivativeWeights:
     """Return how the derivative to a parameter is drawn from some nodes of its axis.
 
     Parameters
@@ -72,7 +74,11 @@ def compute_derivative_weights(name: str, nodes: np.ndarray, stencil: np.ndarray
 
 
 def differentiate(
-    part: xr.Dataset, quantity: str, weights: Sequence[InterpolationWeights], axis: int, derivative_weights: DerivativeWeights
+    part: xr.Dataset,
+    quantity: str,
+    weights: Sequence[InterpolationWeights],
+    axis: int,
+    derivative_weights: DerivativeWeights,
 ) -> DerivativeEstimate:
     """Return the derivative along one axis at a place.
 
@@ -97,7 +103,10 @@ def differentiate(
     for i, w in enumerate(weights):
         if i != axis and len(w.error_weights):
             missed = missed + max(
-                (_apply_full_axis_weights(values, weights, along, i, row) ** 2 for row in w.error_weights),
+                (
+                    _apply_full_axis_weights(values, weights, along, i, row) ** 2
+                    for row in w.error_weights
+                ),
                 key=lambda off: float(off.sum()),
             )
     groups = f"{quantity}_groups"
@@ -111,7 +120,10 @@ def differentiate(
 
 
 def make_derivative_dataset(
-    estimates: dict[str, list[DerivativeEstimate]], names: Sequence[str], wavelength: Any, attrs: dict[str, Any]
+    estimates: dict[str, list[DerivativeEstimate]],
+    names: Sequence[str],
+    wavelength: Any,
+    attrs: dict[str, Any],
 ) -> xr.Dataset:
     """Return derivatives by quantity as a dataset, over ``parameter`` and ``wavelength``."""
     dims = ("parameter", "wavelength")

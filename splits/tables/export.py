@@ -10,18 +10,18 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import check_no_gaps
+from splits.core.atomic import atomic_write
+from splits.core.escaping import escape_cells
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
-    check_number,
-    check_choice,
-    invalid,
     as_scalar,
+    check_choice,
+    check_number,
+    invalid,
     snap_to_limits,
 )
-from splits.core.escaping import escape_cells
-from splits.core.atomic import atomic_write
-from splits.tables.axes import INCIDENCE, check_axis_values
 from splits.illumination.bands import SpectralBand, as_bands
+from splits.tables.axes import INCIDENCE, check_axis_values
 
 RADIUS = "optical_radius_um"
 
@@ -34,7 +34,7 @@ def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.table` returns it; deviations by group are left out.
+        As `splits.build_table` returns it; deviations by group are left out.
     path : path
         The file appears whole or not at all.
     """
@@ -87,7 +87,9 @@ def convert_to_spires(
     solar_angles=a.solar_angle.values, dust_concentrations=a.dust_concentration.values,
     grain_sizes=a.grain_size.values)`` for an array ``a``.
     """
-    part = select_at_fixed_axes(dataset, ("reflectance",), [INCIDENCE, RADIUS, impurity], at).reflectance
+    part = select_at_fixed_axes(
+        dataset, ("reflectance",), [INCIDENCE, RADIUS, impurity], at
+    ).reflectance
     w = dataset.wavelength.values
     named = as_bands(bands)
     if not named:
@@ -127,7 +129,9 @@ def compute_response_weights(name: str, band: SpectralBand, wavelengths: np.ndar
     grid = np.stack([ends[:-1], 0.5 * (ends[:-1] + ends[1:]), ends[1:]])
     simpson = np.array([[1.0], [4.0], [1.0]]) * np.diff(ends) / 6.0
     response = np.interp(grid, nodes, band.response) * simpson
-    weights = np.array([(np.interp(grid, wavelengths, unit) * response).sum() for unit in np.eye(wavelengths.size)])
+    weights = np.array(
+        [(np.interp(grid, wavelengths, unit) * response).sum() for unit in np.eye(wavelengths.size)]
+    )
     total: float = weights.sum()
     return weights / total
 

@@ -40,8 +40,12 @@ class InterpolationWeights(NamedTuple):
 
     def restrict_to(self, kept_nodes: np.ndarray) -> InterpolationWeights:
         """Return the same of an axis that has only some of its nodes, in their order."""
-        nodes, left_out = (np.searchsorted(kept_nodes, row) for row in (self.nodes, self.validation_nodes))
-        return InterpolationWeights(nodes, self.weights, left_out, self.error_weights[:, kept_nodes])
+        nodes, left_out = (
+            np.searchsorted(kept_nodes, row) for row in (self.nodes, self.validation_nodes)
+        )
+        return InterpolationWeights(
+            nodes, self.weights, left_out, self.error_weights[:, kept_nodes]
+        )
 
 
 def transform_axis(name: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
@@ -84,7 +88,9 @@ def check_within_axis(name: str, nodes: np.ndarray, value: object) -> float:
     return x
 
 
-def compute_interpolation_weights(name: str, nodes: np.ndarray, value: object) -> InterpolationWeights:
+def compute_interpolation_weights(
+    name: str, nodes: np.ndarray, value: object
+) -> InterpolationWeights:
     """Return how a value is drawn from the nodes of an axis.
 
     Raises
@@ -99,7 +105,9 @@ def compute_interpolation_weights(name: str, nodes: np.ndarray, value: object) -
     beyond = float(np.prod(x - at[drawn]))
     if len(at) == 2 and beyond != 0.0:
         # No node can be left out: a quarter of the difference, in the middle.
-        return InterpolationWeights(drawn, share, drawn[:1], np.prod(share) * np.array([[-1.0, 1.0]]))
+        return InterpolationWeights(
+            drawn, share, drawn[:1], np.prod(share) * np.array([[-1.0, 1.0]])
+        )
     if beyond == 0.0:
         # At a node nothing is missed.
         return InterpolationWeights(drawn, share, drawn[:0], np.zeros((0, len(at))))

@@ -16,7 +16,9 @@ from splits.tables.interpolation import compute_interpolation_weights
 ISOFIT_DIMS = ("solar_zenith", "observer_zenith", "relative_azimuth", "grain_radius", "wl")
 
 
-def convert_to_isofit(dataset: xr.Dataset, directions: xr.Dataset | None = None, **at: Any) -> xr.Dataset:
+def convert_to_isofit(
+    dataset: xr.Dataset, directions: xr.Dataset | None = None, **at: Any
+) -> xr.Dataset:
     """Return a table as isofit's surface model looks it up.
 
     The reflectance of diffuse light into a direction is, by reciprocity, that of a beam from there
@@ -53,7 +55,9 @@ def convert_to_isofit(dataset: xr.Dataset, directions: xr.Dataset | None = None,
         zenith = part[INCIDENCE].values
         axes = dict(zip(ISOFIT_DIMS, (zenith, zenith, np.array([0.0, 180.0]), part[RADIUS].values,
                                part.wavelength.values), strict=True))  # fmt: skip
-        return _make_isofit_dataset({"rho_dif_dir": _broadcast_over_axes(part.values, axes)}, axes, dataset)
+        return _make_isofit_dataset(
+            {"rho_dif_dir": _broadcast_over_axes(part.values, axes)}, axes, dataset
+        )
     factor = _order_reflectance_factor(directions)
     axes = {
         "solar_zenith": factor[INCIDENCE].values,
@@ -63,7 +67,10 @@ def convert_to_isofit(dataset: xr.Dataset, directions: xr.Dataset | None = None,
         "wl": _match_nodes(factor, part, "wavelength"),
     }
     part = part.sel({RADIUS: axes["grain_radius"], "wavelength": axes["wl"]})
-    seen = [compute_interpolation_weights(INCIDENCE, part[INCIDENCE].values, x) for x in axes["observer_zenith"]]
+    seen = [
+        compute_interpolation_weights(INCIDENCE, part[INCIDENCE].values, x)
+        for x in axes["observer_zenith"]
+    ]
     diffuse = np.stack([np.tensordot(w.weights, part.values[w.nodes], 1) for w in seen])
     both = {"rho_dif_dir": _broadcast_over_axes(diffuse, axes), "rho_dir_dir": factor.values}
     return _make_isofit_dataset(both, axes, dataset)
@@ -117,7 +124,10 @@ def _make_isofit_dataset(
     state = {"statevec_names": ("n_state", ["GRAIN_RADIUS"])}
     return xr.Dataset(
         state
-        | {name: (ISOFIT_DIMS, v, {"long_name": about[name], "units": "1"}) for name, v in values.items()},
+        | {
+            name: (ISOFIT_DIMS, v, {"long_name": about[name], "units": "1"})
+            for name, v in values.items()
+        },
         {name: (name, axis, units[name]) for name, axis in axes.items()},
         {"title": "Surface table for isofit", "source": dataset.attrs.get("source", "splits")},
     )

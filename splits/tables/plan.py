@@ -101,7 +101,9 @@ class TablePlan(NamedTuple):
     def __str__(self) -> str:
         """Return what is shared by what, in a line."""
         names, count = self.grid.names, self.grid.size
-        ensembles = "1 ensemble" if len(self.path_groups) == 1 else f"{len(self.path_groups)} ensembles"
+        ensembles = (
+            "1 ensemble" if len(self.path_groups) == 1 else f"{len(self.path_groups)} ensembles"
+        )
         those = f" ({', '.join(self.path_sharing_axes)})" if self.path_sharing_axes else ""
         return (
             f"{len(self.path_sharing_axes)} of {len(names)} axes share paths{those}: {ensembles} for "

@@ -10,10 +10,10 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
+from splits.io.cf_encoding import encode_for_netcdf
 from splits.io.integrity import atomic_netcdf, write_checksums
 from splits.simulation.tally import N_BATCHES
-from splits.io.cf_encoding import encode_for_netcdf
-from splits.tables.assembly import compute_array_shapes, assemble_dataset
+from splits.tables.assembly import assemble_dataset, compute_array_shapes
 from splits.tables.block import TableRequest
 from splits.tables.plan import TablePlan
 
@@ -55,7 +55,9 @@ def write_table_blockwise(
         If there is no space for it, or the file does not hold the blocks afterwards.
     """
     with atomic_netcdf(path, compute_table_bytes(plan, request)) as aside:
-        skeleton = encode_for_netcdf(add_attributes(_make_skeleton(plan, request, [block.attrs for block in read_blocks()])))
+        skeleton = encode_for_netcdf(
+            add_attributes(_make_skeleton(plan, request, [block.attrs for block in read_blocks()]))
+        )
         values = [str(name) for name in skeleton.data_vars]
         skeleton.drop_vars(values).to_netcdf(aside, engine="netcdf4")
         with netCDF4.Dataset(aside, "a") as file:
@@ -76,13 +78,17 @@ def write_table_blockwise(
         write_checksums(aside)
 
 
-def _make_skeleton(plan: TablePlan, request: TableRequest, block_attrs: Sequence[Mapping[str, Any]]) -> xr.Dataset:
+def _make_skeleton(
+    plan: TablePlan, request: TableRequest, block_attrs: Sequence[Mapping[str, Any]]
+) -> xr.Dataset:
     """Return a table without values, which takes no memory for them."""
     nothing = {
         name: np.broadcast_to(np.float32(np.nan), shape)
         for name, shape in compute_array_shapes(plan, request).items()
     }
-    return assemble_dataset(nothing, plan, request, block_attrs, sum(float(one["wall_time_s"]) for one in block_attrs))
+    return assemble_dataset(
+        nothing, plan, request, block_attrs, sum(float(one["wall_time_s"]) for one in block_attrs)
+    )
 
 
 def _create_variable(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> None:
@@ -99,7 +105,9 @@ def _create_variable(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> 
         made.coordinates = " ".join(beside)
 
 
-def _iterate_points(block: xr.Dataset, shape: tuple[int, ...]) -> Iterable[tuple[int, tuple[Any, ...]]]:
+def _iterate_points(
+    block: xr.Dataset, shape: tuple[int, ...]
+) -> Iterable[tuple[int, tuple[Any, ...]]]:
     """Yield where the points of a block are among its own, and in the table."""
     places = np.unravel_index(block.point.values, shape)
     yield from enumerate(zip(*(axis.tolist() for axis in places), strict=True))

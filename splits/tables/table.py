@@ -9,17 +9,19 @@ from typing import Any, TypeVar
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import check_no_gaps, as_1d_array
-from splits.core.validation import reject_unknown_arguments, check_choice, invalid
+from splits.core.arrays import as_1d_array, check_no_gaps
+from splits.core.paths import expand_path
+from splits.core.validation import check_choice, invalid, reject_unknown_arguments
 from splits.io.integrity import NETCDF_LOCK
-from splits.io.netcdf import to_netcdf_attributes, load, open_lazily
+from splits.io.netcdf import load, open_lazily, to_netcdf_attributes
 from splits.tables.axes import check_axis_values
+from splits.tables.axis_order import check_complete, sort_axes
 from splits.tables.derivatives import (
     DerivativeEstimate,
     check_derivative_axes,
-    make_derivative_dataset,
-    differentiate,
     compute_derivative_weights,
+    differentiate,
+    make_derivative_dataset,
 )
 from splits.tables.export import convert_to_spires, write_csv
 from splits.tables.interpolation import (
@@ -29,8 +31,6 @@ from splits.tables.interpolation import (
 )
 from splits.tables.isofit import convert_to_isofit
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
-from splits.tables.axis_order import check_complete, sort_axes
-from splits.core.paths import expand_path
 
 Part = TypeVar("Part", xr.Dataset, xr.DataArray)
 
@@ -41,7 +41,7 @@ class Table:
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.table` returns it, or a part of it, its axes in any order.
+        As `splits.build_table` returns it, or a part of it, its axes in any order.
 
     Attributes
     ----------
@@ -207,7 +207,9 @@ class Table:
         for name in chosen:
             which, nodes = axes.index(name), self.dataset[name].values
             here = np.searchsorted(nodes, part[name].values[weights[which].nodes])
-            slope = compute_derivative_weights(name, nodes, here, check_within_axis(name, nodes, at.get(name, nodes[0])))
+            slope = compute_derivative_weights(
+                name, nodes, here, check_within_axis(name, nodes, at.get(name, nodes[0]))
+            )
             for quantity, rows in found.items():
                 rows.append(differentiate(part, quantity, weights, which, slope))
         wavelength = ("wavelength", self.dataset.wavelength.values, self.dataset.wavelength.attrs)
@@ -232,23 +234,25 @@ class Table:
 
     @reject_unknown_arguments
     def to_csv(self, path: str | Path) -> None:
-        """Write it as CSV, see `splits.lookup.formats.write_csv`."""
+        """Write it as CSV, see `splits.tables.export.write_csv`."""
         write_csv(self.dataset, path)
 
     @reject_unknown_arguments
     def to_spires(self, impurity: str, bands: Any, per_unit: float = 1000.0, **at: Any) -> Any:
-        """Return it as the package spires takes it, see `splits.lookup.formats.for_spires`."""
+        """Return it as the package spires takes it, see `splits.tables.export.convert_to_spires`."""
         return convert_to_spires(self.dataset, impurity, bands, per_unit, **at)
 
     @reject_unknown_arguments
     def to_isofit(self, directions: xr.Dataset | None = None, **at: Any) -> xr.Dataset:
-        """Return it as isofit looks it up, see `splits.lookup.isofit.for_isofit`."""
+        """Return it as isofit looks it up, see `splits.tables.isofit.convert_to_isofit`."""
         return convert_to_isofit(self.dataset, directions, **at)
 
     def _list_variables(self) -> list[str]:
         return [f"{q}{end}" for q in self.quantities for end in ("", "_stderr")]
 
-    def _make_dataset(self, spectra: list[_InterpolatedSpectra], wavelengths: np.ndarray, at: Any) -> xr.Dataset:
+    def _make_dataset(
+        self, spectra: list[_InterpolatedSpectra], wavelengths: np.ndarray, at: Any
+    ) -> xr.Dataset:
         """Return what was read as a dataset."""
         variables: dict[str, Any] = {}
         for name, read in zip(self.quantities, spectra, strict=True):
@@ -257,7 +261,11 @@ class Table:
             for end, values, about in (
                 ("", read.value, label),
                 ("_stderr", error, f"standard error of {label}"),
-                ("_interpolation_error", read.interpolation_error, f"error of interpolation of {label}"),
+                (
+                    "_interpolation_error",
+                    read.interpolation_error,
+                    f"error of interpolation of {label}",
+                ),
             ):
                 facts = {"long_name": about, "units": "1"}
                 variables[name + end] = ("wavelength", values, facts)
@@ -281,7 +289,9 @@ class _InterpolatedSpectra:
         self, value: np.ndarray, stderr: np.ndarray, interpolation_error: np.ndarray | None = None
     ) -> None:
         self.value, self.stderr = value, stderr
-        self.interpolation_error = np.zeros_like(value) if interpolation_error is None else interpolation_error
+        self.interpolation_error = (
+            np.zeros_like(value) if interpolation_error is None else interpolation_error
+        )
 
 
 def _compute_axis_weights(name: str, nodes: np.ndarray, axis_value: Any) -> InterpolationWeights:
@@ -293,9 +303,15 @@ def _compute_axis_weights(name: str, nodes: np.ndarray, axis_value: Any) -> Inte
     return InterpolationWeights(place, np.ones(1), place[:0], np.zeros((0, nodes.size)))
 
 
-def _interpolate_first_axis(spectra: _InterpolatedSpectra, axis_weights: InterpolationWeights) -> _InterpolatedSpectra:
+def _interpolate_first_axis(
+    spectra: _InterpolatedSpectra, axis_weights: InterpolationWeights
+) -> _InterpolatedSpectra:
     """Return what is read at a place of the first axis."""
-    some = [spectra.value[axis_weights.nodes], spectra.stderr[axis_weights.nodes], spectra.interpolation_error[axis_weights.nodes]]
+    some = [
+        spectra.value[axis_weights.nodes],
+        spectra.stderr[axis_weights.nodes],
+        spectra.interpolation_error[axis_weights.nodes],
+    ]
     value = np.tensordot(axis_weights.weights, some[0], 1)
     # Cells share paths, or at least random numbers: how alike they are off is between the two.
     alike = np.abs(np.tensordot(axis_weights.weights, some[1], 1))
@@ -306,9 +322,16 @@ def _interpolate_first_axis(spectra: _InterpolatedSpectra, axis_weights: Interpo
     return _InterpolatedSpectra(value, stderr, np.hypot(before, here))
 
 
-def _interpolate_wavelengths(spectra: _InterpolatedSpectra, nodes: np.ndarray, wavelengths: np.ndarray) -> _InterpolatedSpectra:
+def _interpolate_wavelengths(
+    spectra: _InterpolatedSpectra, nodes: np.ndarray, wavelengths: np.ndarray
+) -> _InterpolatedSpectra:
     """Return what is read at other wavelengths."""
-    points = [_interpolate_first_axis(spectra, compute_interpolation_weights("wavelength", nodes, float(one))) for one in wavelengths]
+    points = [
+        _interpolate_first_axis(
+            spectra, compute_interpolation_weights("wavelength", nodes, float(one))
+        )
+        for one in wavelengths
+    ]
     value, stderr, missed = (
         np.array([getattr(one, name) for one in points]) for name in ("value", "stderr", "missed")
     )

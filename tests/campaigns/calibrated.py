@@ -3,7 +3,7 @@
 Seeds show scatter only.  What interpolation between refractive indices may miss is the same for all
 of them, and errors hold a bound on it.  So the scenes are of one wavelength, or of two so far apart
 that each is traced by itself: there the bound is 0.  Actinic flux and the shares of materials of
-`splits.profile` hold a bound on what large steps of absorption do, too; it is next to nothing where
+`splits.irradiance_profile` hold a bound on what large steps of absorption do, too; it is next to nothing where
 grains hardly absorb.  Of a BRDF by polynomials detail too weak for the data is dropped, and added
 to the errors: runs are held against a long one, which drops less.
 """
@@ -45,7 +45,10 @@ ROUGH_LAYER = splits.ParticleLayer(
 )
 SKY = splits.sky("midlatitude_winter")
 DISTANT_WAVELENGTHS_NM = [600.0, 1300.0]
-VIEW_DIRECTIONS = {"polar_deg": [0.0, 20.0, 40.0, 60.0, 75.0], "azimuth_deg": [0.0, 60.0, 120.0, 180.0]}
+VIEW_DIRECTIONS = {
+    "polar_deg": [0.0, 20.0, 40.0, 60.0, 75.0],
+    "azimuth_deg": [0.0, 60.0, 120.0, 180.0],
+}
 FEW_DIRECTIONS = {"polar_deg": [0.0, 40.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0]}
 
 
@@ -150,14 +153,22 @@ def make_spectrum_run(medium, wavelengths, incidence=0.0, error=0.01, **settings
 
 def make_angular_run(medium, wavelength, incidence, error=0.05):
     return lambda seed: splits.goniophotometer(
-        medium, [wavelength], incidence, seed=seed, relative_stderr=error, **VIEW_DIRECTIONS, **ONE_THREAD
+        medium,
+        [wavelength],
+        incidence,
+        seed=seed,
+        relative_stderr=error,
+        **VIEW_DIRECTIONS,
+        **ONE_THREAD,
     )
 
 
 def make_expansion_case(name, *scene):
     """Return the case of a BRDF by polynomials."""
     run, long_run = make_angular_run(*scene), make_angular_run(*scene, error=0.01)
-    return CalibrationCase("goniophotometer", name, run, ANGULAR_READERS, 100, lambda: long_run(LONG_RUN_SEED))
+    return CalibrationCase(
+        "goniophotometer", name, run, ANGULAR_READERS, 100, lambda: long_run(LONG_RUN_SEED)
+    )
 
 
 def make_bins_run(medium, wavelength, rays=30_000):
@@ -200,7 +211,9 @@ def run_soot(seed):
 
 
 def run_lens(seed):
-    return splits.lens(ROUGH_LAYER, [2.0, 5.0], 0.5, over="origin", realisations=100, seed=seed, rays=36)
+    return splits.lens(
+        ROUGH_LAYER, [2.0, 5.0], 0.5, over="origin", realisations=100, seed=seed, rays=36
+    )
 
 
 def run_surface_map(seed):
@@ -210,11 +223,15 @@ def run_surface_map(seed):
 
 def make_albedo_run(medium):
     # Diffuse light takes the next seed.
-    return lambda seed: splits.albedo(medium, SKY, DISTANT_WAVELENGTHS_NM, 0.005, 2 * seed, **ONE_THREAD)
+    return lambda seed: splits.albedo(
+        medium, SKY, DISTANT_WAVELENGTHS_NM, 0.005, 2 * seed, **ONE_THREAD
+    )
 
 
 def make_hdrf_run(error):
-    return lambda seed: splits.hdrf(SNOW, SKY, [600.0], error, 2 * seed, **VIEW_DIRECTIONS, **ONE_THREAD)
+    return lambda seed: splits.hdrf(
+        SNOW, SKY, [600.0], error, 2 * seed, **VIEW_DIRECTIONS, **ONE_THREAD
+    )
 
 
 def run_radiation_profile(seed):

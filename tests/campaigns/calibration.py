@@ -24,17 +24,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from calibrated import CASES, CalibrationCase, ValuesAndErrors
-
 from calibration_figure import ALL_LABEL, draw_calibration
-from splits.plotting.style import use_style
+
 from splits.core.atomic import atomic_write
+from splits.plotting.style import use_style
 
 MIN_SIGNAL_SIGMA = 4.0
 """Errors of what few rays see are not known from these rays: quantities that are not, on the whole,
 this many stated errors large are left out."""
 
 
-def compute_deviations(runs: Sequence[ValuesAndErrors], reference: ValuesAndErrors | None = None) -> np.ndarray:
+def compute_deviations(
+    runs: Sequence[ValuesAndErrors], reference: ValuesAndErrors | None = None
+) -> np.ndarray:
     """Return what runs are off in units of their stated errors, shape (runs, quantities)."""
     values, errors = (np.array(part) for part in zip(*runs, strict=True))
     size = np.abs(values.mean(axis=0)), np.sqrt((errors**2).mean(axis=0))
@@ -48,7 +50,9 @@ def compute_deviations(runs: Sequence[ValuesAndErrors], reference: ValuesAndErro
     return (values - others) / errors * np.sqrt((n - 1) / n)
 
 
-def compute_mean_squares(case: CalibrationCase, seeds: Iterable[int], use_reference: bool = True) -> dict[str, np.ndarray]:
+def compute_mean_squares(
+    case: CalibrationCase, seeds: Iterable[int], use_reference: bool = True
+) -> dict[str, np.ndarray]:
     """Return mean squares of what every seed is off, by group of quantities.
 
     Parameters
@@ -80,7 +84,9 @@ def compute_rms_ratio(square: np.ndarray) -> tuple[float, float]:
     return root, float(square.std(ddof=1) / np.sqrt(square.size) / (2.0 * root))
 
 
-def make_rows(case: CalibrationCase, mean_squares: Mapping[str, np.ndarray]) -> list[dict[str, object]]:
+def make_rows(
+    case: CalibrationCase, mean_squares: Mapping[str, np.ndarray]
+) -> list[dict[str, object]]:
     """Return the rows of a case: one for each group of quantities, and one for all of them."""
     groups = dict(mean_squares) | {ALL_LABEL: np.mean(list(mean_squares.values()), axis=0)}
     rows = []
@@ -111,7 +117,9 @@ def add_instrument_rows(table: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
 
 
-def run_calibration(cases: Sequence[CalibrationCase], seeds: int | None = None, first: int = 1) -> pd.DataFrame:
+def run_calibration(
+    cases: Sequence[CalibrationCase], seeds: int | None = None, first: int = 1
+) -> pd.DataFrame:
     """Run cases with successive seeds, printing as it goes, and return the table."""
     rows: list[dict[str, object]] = []
     for case in cases:

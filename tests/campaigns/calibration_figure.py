@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from splits.plotting.style import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
+    make_subplots,
     pick_colours,
     use_style,
-    make_subplots,
 )
 
 SHADED_RATIOS = (0.85, 1.15)

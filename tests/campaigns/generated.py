@@ -12,7 +12,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from splits.experiments.config.grid import make_label
-from splits.experiments.config.sections import FIGURE_KINDS, SINGLE_POINT_KINDS, KINDS_OF_SETTING
+from splits.experiments.config.sections import FIGURE_KINDS, KINDS_OF_SETTING, SINGLE_POINT_KINDS
 
 
 class RawText(str):
@@ -26,7 +26,9 @@ def to_flow_yaml(value: Any) -> str:
     if isinstance(value, RawText):
         return str(value)
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{to_flow_yaml(k)}: {to_flow_yaml(v)}" for k, v in value.items()) + "}"
+        return (
+            "{" + ", ".join(f"{to_flow_yaml(k)}: {to_flow_yaml(v)}" for k, v in value.items()) + "}"
+        )
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(to_flow_yaml, value)) + "]"
     if isinstance(value, float):
@@ -38,7 +40,9 @@ def to_file_text(content: Any) -> str:
     """Return the text of a file: one section a line where there are sections."""
     if not isinstance(content, dict) or not content:
         return to_flow_yaml(content)
-    return "".join(f"{to_flow_yaml(key)}: {to_flow_yaml(value)}\n" for key, value in content.items())
+    return "".join(
+        f"{to_flow_yaml(key)}: {to_flow_yaml(value)}\n" for key, value in content.items()
+    )
 
 
 RARELY = st.sampled_from([False] * 9 + [True])
@@ -58,7 +62,9 @@ def numbers_within(low: float, high: float) -> st.SearchStrategy:
 
 
 def increasing_numbers(low: float, high: float, count: int = 2) -> st.SearchStrategy:
-    return st.lists(numbers_within(low, high), min_size=count, max_size=count, unique=True).map(sorted)
+    return st.lists(numbers_within(low, high), min_size=count, max_size=count, unique=True).map(
+        sorted
+    )
 
 
 def optional_keys(**strategies: st.SearchStrategy) -> st.SearchStrategy:
@@ -77,7 +83,9 @@ TABLE = {"wavelength_nm": [200, 100_000], "n": [1.3, 1.4], "k": [1e-9, 1e-3]}
 INDEX = (
     numbers_within(1.0, 2.5)
     | st.sampled_from(["1.31+1e-7j", "1.5", "1+1j", "warren_brandt_2008", "nowhere.csv", TABLE])
-    | numbers_within(0.1, 10.0).map(lambda factor: {"dataset": "warren_brandt_2008", "k_factor": factor})
+    | numbers_within(0.1, 10.0).map(
+        lambda factor: {"dataset": "warren_brandt_2008", "k_factor": factor}
+    )
 )
 INTERPRETATIONS = optional_keys(
     entry=st.sampled_from(["uniform", "projected"]),
@@ -157,7 +165,11 @@ LAYER_OF_STACK = st.one_of(
     }),
 )  # fmt: skip
 TOP_LAYER = st.fixed_dictionaries(
-    {"kind": st.just("layer"), "optical_thickness": numbers_within(0.0, 5.0), "depth_m": numbers_within(0.1, 1.0)},
+    {
+        "kind": st.just("layer"),
+        "optical_thickness": numbers_within(0.0, 5.0),
+        "depth_m": numbers_within(0.1, 1.0),
+    },
     optional={
         key: KEYWORDS["layer"][key]
         for key in ("single_scattering_albedo", "asymmetry", "refractive_index", "surface")
@@ -166,7 +178,8 @@ TOP_LAYER = st.fixed_dictionaries(
 """A layer of particles; its surface is refused but on top."""
 GRAIN_LAYERS = st.lists(LAYER_OF_STACK, min_size=1, max_size=3)
 KEYWORDS["stack"] = {
-    "layers": GRAIN_LAYERS | st.tuples(TOP_LAYER, GRAIN_LAYERS).map(lambda both: [both[0], *both[1]]),
+    "layers": GRAIN_LAYERS
+    | st.tuples(TOP_LAYER, GRAIN_LAYERS).map(lambda both: [both[0], *both[1]]),
     "ground": GROUNDS,
 }
 BASE_FILES = {
@@ -277,7 +290,10 @@ def grids(draw, kind: str) -> dict[str, Any]:
         "medium": optional_keys(**KEYWORDS[kind]),
     }
     if kind == "stack":
-        values |= {"layers.0.depth_m": numbers_within(1e-3, 0.01), "layers.1.saturation": numbers_within(0.0, 1.0)}
+        values |= {
+            "layers.0.depth_m": numbers_within(1e-3, 0.01),
+            "layers.1.saturation": numbers_within(0.0, 1.0),
+        }
     grid = {}
     for parameter in draw(st.lists(st.sampled_from(sorted(values)), max_size=2, unique=True)):
         given = draw(st.lists(values[parameter], min_size=1, max_size=3))
@@ -293,7 +309,9 @@ def grids(draw, kind: str) -> dict[str, Any]:
 def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
     figure = {}
     if draw(st.booleans()):
-        figure["kind"] = draw(st.sampled_from([name for name in FIGURE_KINDS[kind] if name != "fit"]))
+        figure["kind"] = draw(
+            st.sampled_from([name for name in FIGURE_KINDS[kind] if name != "fit"])
+        )
     shown = figure.get("kind", FIGURE_KINDS[kind][0])
     if kind in QUANTITIES and shown in ("spectra", "points", "principal_plane") and draw(OFTEN):
         several = st.lists(st.sampled_from(QUANTITIES[kind]), min_size=1, max_size=3, unique=True)

@@ -12,18 +12,23 @@ from pathlib import Path
 import numba
 
 import splits
-from splits.experiments.archive import pack_archive
-from splits.plotting import save_figure, draw_surface
 from splits.core.atomic import atomic_write
-from splits.kernels.compiler import cache_folders as kernels
+from splits.experiments.archive import pack_archive
 from splits.io.unarchive import unpack_archive
+from splits.kernels.compiler import cache_folders as kernels
+from splits.plotting import draw_surface, save_figure
 
 DATA_FILE, TABLE_FILE, FIGURE_STEM = "data/made.nc", "tables/made.csv", "figures/made"
 ARCHIVE_FILE = "archive/made.zip"
 FIGURE_FILES = tuple(f"{FIGURE_STEM}{suffix}" for suffix in (".png", ".svg", ".pdf"))
 UNPACKED_FOLDER = "unpacked"
 ALL_OUTPUTS = (DATA_FILE, TABLE_FILE, *FIGURE_FILES, ARCHIVE_FILE, UNPACKED_FOLDER)
-ROUGH_SURFACE = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 8, "correlation": "gaussian"}
+ROUGH_SURFACE = {
+    "rms_height_m": 0.1,
+    "wave_number_per_m": 1.0,
+    "waves": 8,
+    "correlation": "gaussian",
+}
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload([__name__, "splits.instruments.surface_map"])
 
@@ -44,7 +49,9 @@ def make_missing_outputs(results: Path, cache: Path) -> None:
     if not all(path.exists() for path in (results / name for name in FIGURE_FILES)):
         save_figure(draw_surface(dataset), results / FIGURE_STEM)
     if not archive.exists():
-        pack_archive([results / name for name in (DATA_FILE, TABLE_FILE, *FIGURE_FILES)], {}, archive)
+        pack_archive(
+            [results / name for name in (DATA_FILE, TABLE_FILE, *FIGURE_FILES)], {}, archive
+        )
     if not (results / UNPACKED_FOLDER).exists():
         unpack_archive(archive, results / UNPACKED_FOLDER)
 

@@ -62,7 +62,9 @@ FILES = [
     "fit: {measured: aviris_ng_varsa2021.csv}\nfigure: {kind: fit}\nmedium: {kind: sand}\n",
 ]  # fmt: skip
 
-ODD_VALUES = st.sampled_from([*NUMBERS, *SCALARS, *COLLECTIONS, *YAML_SYNTAX]).map(RawText) | st.text(max_size=12)
+ODD_VALUES = st.sampled_from([*NUMBERS, *SCALARS, *COLLECTIONS, *YAML_SYNTAX]).map(
+    RawText
+) | st.text(max_size=12)
 ODD_KEYS = [
     "densty_kg_m3", "Medium", "wavelength", "wavelength_nm ", "kinds", "", " ", "ä", "__class__",
     "self", "base", "kind", "medium", "at", "seed", "x" * 3000, "a\nb", "\x1b[0m", "model_config",

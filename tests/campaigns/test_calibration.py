@@ -17,18 +17,18 @@ import pytest
 from calibrated import CASES
 from calibration import (
     MIN_SIGNAL_SIGMA,
-    run_calibration,
-    compute_deviations,
-    make_rows,
-    compute_mean_squares,
     add_instrument_rows,
+    compute_deviations,
+    compute_mean_squares,
+    make_rows,
+    run_calibration,
 )
+from calibration_figure import ALL_LABEL, SHADED_RATIOS, draw_calibration
 from chi2 import NEEDS_JIT, SIGNIFICANCE
 from scipy import stats
 
 import splits
-from splits import instruments, illumination
-from calibration_figure import ALL_LABEL, SHADED_RATIOS, draw_calibration
+from splits import illumination, instruments
 
 FULL_CAMPAIGN = os.environ.get("CALIBRATION") == "all"
 FEW_SEEDS = 6
@@ -42,7 +42,9 @@ INSTRUMENTS = {case.instrument: case for case in reversed(CASES)}
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
 def test_few_seeds_are_not_off_by_more_than_they_may_be(instrument):
     """Quantities of a seed share its rays: they count as one."""
-    found = compute_mean_squares(INSTRUMENTS[instrument], range(1, FEW_SEEDS + 1), use_reference=False)
+    found = compute_mean_squares(
+        INSTRUMENTS[instrument], range(1, FEW_SEEDS + 1), use_reference=False
+    )
     assert found
     each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / len(INSTRUMENTS) / len(found))
     most = float(stats.chi2.isf(each, FEW_SEEDS - 1) / (FEW_SEEDS - 1))

@@ -20,9 +20,9 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
+from splits.experiments import ConfigError, load_experiment
 from splits.experiments.archive import pack_archive
 from splits.io.integrity import DamagedFileError
-from splits.experiments import ConfigError, load_experiment
 from splits.io.unarchive import ArchiveError, unpack_archive
 
 N_DAMAGES = int(os.environ.get("DAMAGES", "4"))
@@ -30,7 +30,7 @@ CONFIG = Path(__file__).parents[2] / "config"
 SHIPPED_FILES = sorted((CONFIG / "experiments").rglob("*.yaml"))
 WORK_PROGRAM = """
 import splits
-dataset = splits.spectrophotometer(splits.Layer(), [500], max_stderr=0.3, seed=1, threads=1)
+dataset = splits.spectrophotometer(splits.ParticleLayer(), [500], max_stderr=0.3, seed=1, threads=1)
 print(dataset.reflectance.values[0].hex())
 """
 

@@ -28,10 +28,10 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from splits.experiments import ConfigError
-from splits.experiments.config.load import load_experiment
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.run import run
+from splits.experiments.config.load import load_experiment
 from splits.experiments.config.settings import Accuracy
+from splits.experiments.run import run
 from splits.plotting import draw
 
 CAMPAIGN = os.environ.get("CAMPAIGN", "300,10")

@@ -208,7 +208,9 @@ def test_a_killed_process_leaves_nothing_half(finished_folder, tmp_path, number,
             (folder / "results" / name).unlink()
     there = read_contents(folder)
     process = killed.start_worker(folder / "results", folder / "cache")
-    hit = wait_for_file(process.is_alive, folder, appears, chance.uniform(0.0, longest.get(step, 0.005)))
+    hit = wait_for_file(
+        process.is_alive, folder, appears, chance.uniform(0.0, longest.get(step, 0.005))
+    )
     process.kill()
     process.join()
     counted("kills of processes", number, f"{step} {'hit' if hit else 'too late'}")

@@ -10,16 +10,16 @@ import time
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z, compute_z_bound, compute_pooled_z
+from chi2 import NEEDS_JIT, compute_pooled_z, compute_z_bound, judge_z
 from oracle import granular as oracle_granular
-from scenes import make_medium_scene, compute_optics, make_oracle_slab
+from scenes import compute_optics, make_medium_scene, make_oracle_slab
 
 import splits
 from splits.kernels import vectorized
 from splits.kernels.grains import history
 from splits.kernels.grains.scene import NO_MAX_ORDER, Optics
-from splits.kernels.vectorized.eligibility import select_features
 from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, allocate_exits
+from splits.kernels.vectorized.eligibility import select_features
 
 pytestmark = [NEEDS_JIT, pytest.mark.long]
 

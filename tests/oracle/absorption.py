@@ -46,7 +46,7 @@ def survives(state, leg, material, optics, rules, length, purse):
         Metres.
     material : int
     optics, rules
-        See `splits.transport.grains.scene`.
+        See `splits.kernels.grains.scene`.
     length : float64[materials]
         Path lengths (m), advanced in place.
     purse : float64[3]

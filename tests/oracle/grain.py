@@ -96,7 +96,7 @@ def grain_walk(
     length : float64[materials]
         Path lengths (m), advanced in place by those inside the grain.
     purse : float64[3]
-        See `splits.transport.absorption`; advanced in place.
+        See `splits.kernels.absorption`; advanced in place.
 
     Returns
     -------

@@ -62,7 +62,7 @@ def cross_boundary(state, dx, dy, dz, n1, n2, k2):
 
 
 class Window(NamedTuple):
-    """Bounds on what a ray is worth, weight · exp(κ·depth) (see `splits.transport.grains.deep`).
+    """Bounds on what a ray is worth, weight · exp(κ·depth) (see `splits.kernels.grains.splitting`).
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
         Distance to the grain; `to_boundary` when no grain comes first; −1 when none ever fits.
     kind, minor, flattening : int, float, float
     q, w, n : 3 float each
-        Entry point, major axis, outward normal, see `splits.transport.grains.spheroid`.
+        Entry point, major axis, outward normal, see `splits.kernels.grains.spheroid`.
     """
     g1, g2, g3, lx, ly, lz, last = last_leg
     skipped = 0.0
@@ -298,11 +298,11 @@ def trace(state, grains, slab, rules, optics, length, purse, most):
     state : uint64[1]
         The ray's random stream.
     grains, slab, rules, optics
-        See `splits.transport.grains.scene`.
+        See `splits.kernels.grains.scene`.
     length : float64[materials]
         Set to the path length in each material (m).
     purse : float64[3]
-        Set to the roulette's account, see `splits.transport.absorption`.
+        Set to the roulette's account, see `splits.kernels.absorption`.
     most : int
         Grains met after which the ray counts as absorbed, or `UNLIMITED`.
 
@@ -340,9 +340,9 @@ def batch(seed, work, grains, slab, rules, optics, exits):
         Ensemble, first ray, number of rays, and grains met after which a ray counts as absorbed.
         Seed, ensemble and number name a ray's random stream: it is the same whoever traces it.
     grains, slab, rules, optics
-        See `splits.transport.grains.scene`.
+        See `splits.kernels.grains.scene`.
     exits : float64[rays, columns]
-        A row for each ray, see `splits.transport.sums.tally`; must come from `exit_rows`.
+        A row for each ray, see `splits.kernels.tallies.exits`; must come from `exit_rows`.
 
     Returns
     -------

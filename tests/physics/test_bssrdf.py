@@ -8,7 +8,6 @@ from chi2 import NEEDS_JIT, judge_scatter, judge_z
 
 import splits
 from splits.instruments.beam_spread import N_MAP_PIXELS
-from splits.kernels.tallies.radial import tally_radial
 from splits.kernels.tallies.exits import (
     EXIT_DIRECTION,
     EXIT_LENGTH,
@@ -18,6 +17,7 @@ from splits.kernels.tallies.exits import (
     EXIT_WEIGHT,
     allocate_exits,
 )
+from splits.kernels.tallies.radial import tally_radial
 
 SNOW = splits.Snow(depth_m=0.02)
 
@@ -116,7 +116,8 @@ def test_radii_scale_with_the_sample():
 @pytest.mark.long
 def test_errors_are_those_of_repeated_runs():
     runs = [
-        splits.beam_spread(SNOW, [900.0], 45.0, 10_000, seed=s, half_width_m=0.01) for s in range(200)
+        splits.beam_spread(SNOW, [900.0], 45.0, 10_000, seed=s, half_width_m=0.01)
+        for s in range(200)
     ]
     for name in ("mean_radius", "quantile_radius", "share"):
         values, stated = ([run[f"{name}{end}"].values for run in runs] for end in ("", "_stderr"))

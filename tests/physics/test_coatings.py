@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, draw_samples, judge_z
-from events import trace_grain, play_roulette
+from events import play_roulette, trace_grain
 from numba import njit
-from scenes import make_coated_grains, make_optics, sample_pore, make_scene
+from scenes import make_coated_grains, make_optics, make_scene, sample_pore
 from scipy import integrate
 
 import splits

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z, compute_z_bound
+from chi2 import NEEDS_JIT, compute_z_bound, judge_z
 from scipy import stats
 
 import splits

@@ -10,9 +10,9 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.simulation.diffusion import DiffusiveSubstrate, diffuse_reflectance
 from splits.simulation import deep_medium
 from splits.simulation.deep_medium import THEORY_UNCERTAINTY, truncate_deep_medium
+from splits.simulation.diffusion import DiffusiveSubstrate, diffuse_reflectance
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
     WEIGHTED_MEANS,
@@ -58,12 +58,23 @@ def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
             for one in (cut.media[0], pack)
         )
         kept = part.transmittance.values
-        doubts = {"reflectance": THEORY_UNCERTAINTY * kept * cut.escape_probability[0], "transmittance": THEORY_UNCERTAINTY * kept}
-        guessed = {"reflectance": part.reflectance.values, "transmittance": kept * cut.transmitted_fraction[0]}
+        doubts = {
+            "reflectance": THEORY_UNCERTAINTY * kept * cut.escape_probability[0],
+            "transmittance": THEORY_UNCERTAINTY * kept,
+        }
+        guessed = {
+            "reflectance": part.reflectance.values,
+            "transmittance": kept * cut.transmitted_fraction[0],
+        }
         for quantity, doubt in doubts.items():
             noise = np.hypot(part[f"{quantity}_stderr"], whole[f"{quantity}_stderr"]).values
             off = np.abs(guessed[quantity] - whole[quantity].values)
-            print(name, incidence, quantity, np.round(off / np.maximum(doubt / THEORY_UNCERTAINTY, 1e-9), 2))
+            print(
+                name,
+                incidence,
+                quantity,
+                np.round(off / np.maximum(doubt / THEORY_UNCERTAINTY, 1e-9), 2),
+            )
             assert (off <= doubt + 3.0 * noise).all(), (name, incidence, quantity, off, doubt)
 
 
@@ -79,15 +90,26 @@ def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
         splits.Snow(**FINE, depth_m=0.3),
         splits.Snow(**FINE, saturation=0.0, depth_m=2.0),
     ]
-    decided = [truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    decided = [
+        truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2)
+        for pack in packs
+    ]
     monkeypatch.setattr(deep_medium, "CLEARLY", math.inf)
-    better = [truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2) for pack in packs]
+    better = [
+        truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2)
+        for pack in packs
+    ]
     assert [cut and cut.depth_m for cut in decided] == [cut and cut.depth_m for cut in better]
     assert 0 < better.count(None) < len(packs)
     looked = []
     monkeypatch.undo()
     monkeypatch.setattr(deep_medium, "pooled_by_type", lambda *_: looked.append(1))
-    assert truncate_deep_medium(PathSharingMedia.from_media([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2) is None
+    assert (
+        truncate_deep_medium(
+            PathSharingMedia.from_media([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2
+        )
+        is None
+    )
     assert not looked
 
 
@@ -162,8 +184,14 @@ def test_clear_sand_of_several_types_absorbs_nothing(depth_m):
 def test_types_measured_one_by_one_are_the_mixture():
     sand = splits.Sand(hematite_ratio=0.5, magnetite=0.05, saturation=0.3, texture=(0.0, 0.1, 0.9))
     light = np.array([500.0, 800.0])
-    each = pool_optics_by_type(sand, compute_material_constants(sand, light), GrainOpticsRequest(1, 50 * GRAIN_RAYS_PER_CHUNK, 1, 2, "equilibrium"))
-    mixed = splits.single_scattering(sand, light, 1, 50 * GRAIN_RAYS_PER_CHUNK, 2, wet_pores="equilibrium")
+    each = pool_optics_by_type(
+        sand,
+        compute_material_constants(sand, light),
+        GrainOpticsRequest(1, 50 * GRAIN_RAYS_PER_CHUNK, 1, 2, "equilibrium"),
+    )
+    mixed = splits.single_scattering(
+        sand, light, 1, 50 * GRAIN_RAYS_PER_CHUNK, 2, wet_pores="equilibrium"
+    )
     z = []
     for name in ("single_scattering_albedo", "asymmetry_parameter", *WEIGHTED_MEANS):
         # Types by themselves know a mean at least as well as a mixture.

@@ -8,19 +8,19 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.simulation.finite_differences import (
-    _compute_stencil_weights,
-    _compute_difference_weights,
-    compute_finite_difference,
-)
-from splits.simulation.estimators import SpectralEstimate
-from splits.simulation.path_tally import Derivatives
 from splits.media.parameters import (
-    list_parameters,
     get_derivative_unit,
     get_parameter,
+    list_parameters,
     replace_parameter,
 )
+from splits.simulation.estimators import SpectralEstimate
+from splits.simulation.finite_differences import (
+    _compute_difference_weights,
+    _compute_stencil_weights,
+    compute_finite_difference,
+)
+from splits.simulation.path_tally import Derivatives
 
 W = [450.0, 850.0, 1250.0]
 THIN = splits.Snow.natural(
@@ -159,7 +159,9 @@ def formula(make, noise):
 def test_one_sided_differences_say_how_far_they_are_off(law, noise):
     """Where a range begins, without noise in the means: what is left is the rule's own."""
     make, slope = LAWS[law]
-    found = compute_finite_difference(formula(make, noise), splits.Snow(saturation=0.0), 0.0, "saturation").derivatives
+    found = compute_finite_difference(
+        formula(make, noise), splits.Snow(saturation=0.0), 0.0, "saturation"
+    ).derivatives
     assert abs(found.mean[0, 0, 0] - slope) < 2.0 * found.stderr[0, 0, 0] + 2e-3
 
 
@@ -173,7 +175,9 @@ def test_a_root_has_its_slope_wherever_it_has_one(saturation):
     slope = -0.2 / np.sqrt(2.0 * saturation)
     assert found.mean[0, 0, 0] == pytest.approx(slope, rel=1e-3)
     with pytest.raises(InvalidValue, match=r"saturation\) = 0\.0: must be where .* is finite"):
-        compute_finite_difference(formula(root, 1e-6), splits.Snow(saturation=0.0), 0.0, "saturation")
+        compute_finite_difference(
+            formula(root, 1e-6), splits.Snow(saturation=0.0), 0.0, "saturation"
+        )
 
 
 def test_an_albedo_near_one_has_its_slope():

@@ -7,11 +7,11 @@ import pytest
 from chi2 import NEEDS_JIT, draw_samples, judge_z
 from events import sample_entry
 from numba import njit
-from spheroids import to_real_space, to_unit_sphere, normalize
+from spheroids import normalize, to_real_space, to_unit_sphere
 
 import splits
 from splits.kernels.grains import spheroid
-from splits.kernels.grains.spheroid import EntryPoint, Segment, GrainSize, Spheroid
+from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Segment, Spheroid
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import Vector
 
@@ -64,7 +64,8 @@ def test_points_on_the_unit_sphere_are_points_of_the_surface(random, psi):
         z = q @ axis
         # The normal before it is scaled to 1, in units of q.
         assert spheroid.normal_length_squared(z, flattening) == pytest.approx(
-            np.square(spheroid.scale_along_axis(Vector(*q), Vector(*axis), flattening)).sum(), abs=1e-13
+            np.square(spheroid.scale_along_axis(Vector(*q), Vector(*axis), flattening)).sum(),
+            abs=1e-13,
         )
         assert z == pytest.approx(p @ axis / B, abs=1e-13)
 
@@ -187,7 +188,9 @@ def _struck_chord(state, types, entry):
     b = 1.0 / rng.interpolate_quantile(types.curvature, 0, rng.uniform(state))
     psi = rng.interpolate_quantile(types.sphericity, 0, rng.uniform(state))
     d = Vector(0.48, -0.64, 0.6)
-    return spheroid.compute_chord(sample_entry(state, d, GrainSize(b, 1.0 - psi * psi), entry).grain, d).length
+    return spheroid.compute_chord(
+        sample_entry(state, d, GrainSize(b, 1.0 - psi * psi), entry).grain, d
+    ).length
 
 
 MEDIA = {
@@ -203,7 +206,9 @@ def test_mean_chord_is_the_inverse_attenuation():
     z = []
     for settings in MEDIA.values():
         snow = splits.Snow(**settings)
-        chords = draw_samples(_struck_chord, 400_000, snow.make_grain_population().types, spheroid.PROJECTED_ENTRY)
+        chords = draw_samples(
+            _struck_chord, 400_000, snow.make_grain_population().types, spheroid.PROJECTED_ENTRY
+        )
         error = chords.std() / np.sqrt(chords.size)
         z.append((chords.mean() - 1.0 / snow.attenuation_per_m) / error)
     judge_z(z, "mean chord")
@@ -214,6 +219,8 @@ def test_mean_chord_is_the_inverse_attenuation():
 def test_uniform_entry_shortens_the_chord_of_a_sphere():
     # Entry even over the facing half: cos even, chord s cos, so s/2 instead of 2s/3.
     snow = splits.Snow(**MEDIA["one sphere"])
-    chords = draw_samples(_struck_chord, 400_000, snow.make_grain_population().types, spheroid.UNIFORM_ENTRY)
+    chords = draw_samples(
+        _struck_chord, 400_000, snow.make_grain_population().types, spheroid.UNIFORM_ENTRY
+    )
     error = chords.std() / np.sqrt(chords.size)
     judge_z([(chords.mean() - 250e-6) / error], "uniform entry")

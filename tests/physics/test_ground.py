@@ -8,13 +8,13 @@ from chi2 import judge_z
 from scenes import make_medium_scene
 
 import splits
-from splits.simulation.scene import compute_optical_constants
 from splits.kernels import vectorized
 from splits.kernels.grains import history
 from splits.kernels.grains.scene import Optics, make_bounding_optics
-from splits.kernels.vectorized.eligibility import select_features
 from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY, CROSSING_WEIGHT
 from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, allocate_exits
+from splits.kernels.vectorized.eligibility import select_features
+from splits.simulation.scene import compute_optical_constants
 
 WAVELENGTHS = [500.0, 900.0, 1300.0]
 ALBEDOS = (0.1, 0.5, 0.9, 1.0)
@@ -110,7 +110,9 @@ def test_what_leaves_and_what_the_ground_keeps_is_all_where_nothing_else_absorbs
     else:
         told = history.trace_batch(1, work[0], scene, optics, exits, None, None)
     kept = np.zeros(len(exits))
-    weights = told.crossings[:, CROSSING_WEIGHT] * np.exp(-told.crossings[:, CROSSING_LENGTH:] @ absorption[0])
+    weights = told.crossings[:, CROSSING_WEIGHT] * np.exp(
+        -told.crossings[:, CROSSING_LENGTH:] @ absorption[0]
+    )
     np.add.at(kept, told.crossings[:, CROSSING_RAY].astype(int), (1.0 - 0.6) * weights)
     left = exits[:, EXIT_SIDE] == 0.0
     assert not (exits[:, EXIT_SIDE] == 1.0).any() and len(told.crossings) > len(exits) / 4

@@ -11,14 +11,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z, compute_z_bound
+from chi2 import NEEDS_JIT, compute_z_bound, judge_z
 from scipy import integrate
 
 import splits
-from splits.simulation.arguments import WAVELENGTH_RANGE_NM
-from splits.materials.library import _DATASET_LOADERS, load_dataset
-from splits.kernels.vectorized.eligibility import MAX_INDEX
 from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.vectorized.eligibility import MAX_INDEX
+from splits.materials.library import _DATASET_LOADERS, load_dataset
+from splits.simulation.arguments import WAVELENGTH_RANGE_NM
 
 pytestmark = NEEDS_JIT
 

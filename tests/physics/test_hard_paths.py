@@ -9,9 +9,9 @@ import pytest
 from chi2 import NEEDS_JIT, draw_samples, judge_z, start_random_stream
 from events import (
     compute_facet_normal,
-    sample_facet,
     resolve_interaction,
     sample_entry,
+    sample_facet,
     trace_grain,
 )
 from numba import njit
@@ -19,14 +19,14 @@ from scenes import make_medium_scene, make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
-from splits.kernels.grains import microfacet, history, spheroid
-from splits.kernels.grains.spheroid import EntryPoint, Segment, GrainSize, Spheroid
-from splits.kernels.grains.interaction import InterfaceState, relative_index
+from splits.kernels.grains import history, microfacet, spheroid
 from splits.kernels.grains.grain_path import sample_interaction
+from splits.kernels.grains.interaction import InterfaceState, relative_index
+from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Segment, Spheroid
 from splits.kernels.math import vectors
 from splits.kernels.math.vectors import Vector, add_scaled, dot, scale
-from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.optics.fresnel import FresnelResult, fresnel, refract
+from splits.kernels.optics.interface import ComplexIndex
 
 MANY = 10_000_000
 DRIFT = 1e-9
@@ -206,7 +206,12 @@ def test_rays_tangent_to_a_grain(axis, psi):
             for ray in range(20):
                 for d_on in (d, (d - 1e-17 * n), (d + 1e-17 * n)):
                     passed, out = resolve_interaction(
-                        start_random_stream(ray), Vector(*d_on), Vector(*n), facetness, *AIR_TO_ICE, RULES
+                        start_random_stream(ray),
+                        Vector(*d_on),
+                        Vector(*n),
+                        facetness,
+                        *AIR_TO_ICE,
+                        RULES,
                     )
                     assert np.isfinite(out).all()
                     assert abs(math.hypot(*out) - 1.0) < 1e-11
@@ -218,7 +223,9 @@ def test_rays_tangent_to_a_grain(axis, psi):
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
 @pytest.mark.parametrize("facetness", [0.0, 1e-9, 0.5, 1.0])
-@pytest.mark.parametrize("rule", [microfacet.PROJECTED_FACETS, microfacet.UNWEIGHTED_FACETS, microfacet.ANY_FACETS])
+@pytest.mark.parametrize(
+    "rule", [microfacet.PROJECTED_FACETS, microfacet.UNWEIGHTED_FACETS, microfacet.ANY_FACETS]
+)
 def test_facets_struck_exactly_along_the_normal(axis, facetness, rule):
     rules = splits.Interpretation().rules()._replace(facets=rule)
     n, d = Vector(*axis), Vector(*-axis)
@@ -226,7 +233,9 @@ def test_facets_struck_exactly_along_the_normal(axis, facetness, rule):
         facet = sample_facet(start_random_stream(ray), d, n, facetness, rule)
         assert 0.0 < facet.cos_facet <= 1.0
         assert facet.cos_facet == pytest.approx(abs(facet.tilt.cos), rel=1e-9)
-        passed, out = resolve_interaction(start_random_stream(ray), d, n, facetness, *AIR_TO_ICE, rules)
+        passed, out = resolve_interaction(
+            start_random_stream(ray), d, n, facetness, *AIR_TO_ICE, rules
+        )
         assert abs(math.hypot(*out) - 1.0) < 1e-14
         assert (np.dot(out, axis) < 0.0) == passed
 
@@ -239,7 +248,10 @@ def tilted(sine):
 
 def worst_norm(sine):
     n, d = tilted(sine)
-    drawn = (sample_facet(start_random_stream(ray), d, n, 1.0, microfacet.PROJECTED_FACETS) for ray in range(300))
+    drawn = (
+        sample_facet(start_random_stream(ray), d, n, 1.0, microfacet.PROJECTED_FACETS)
+        for ray in range(300)
+    )
     return max(abs(math.hypot(*compute_facet_normal(d, facet)) - 1.0) for facet in drawn)
 
 

@@ -7,21 +7,21 @@ import time
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_z, compute_pooled_z
-from scenes import to_single_item, make_medium_scene, get_vectorized_scene
+from chi2 import NEEDS_JIT, compute_pooled_z, judge_z
+from scenes import get_vectorized_scene, make_medium_scene, to_single_item
 
 import splits
-from splits.simulation.tally import PathTally, TransportTraits
-from splits.simulation.fixed_budget import SINGLE_STRATUM
-from splits.simulation.runner import RAYS_PER_CHUNK, Runner
-from splits.materials.lookup import absorption_coefficient
 from splits.kernels import vectorized
 from splits.kernels.compiler.features import Features
 from splits.kernels.grains.scene import NO_MAX_ORDER, Optics
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.lane_state import N_LANES
-from splits.kernels.vectorized.interaction import run_surface_pass
 from splits.kernels.tallies.exits import EXIT_DIRECTION, EXIT_POSITION, allocate_exits
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.interaction import run_surface_pass
+from splits.kernels.vectorized.lane_state import N_LANES
+from splits.materials.lookup import absorption_coefficient
+from splits.simulation.fixed_budget import SINGLE_STRATUM
+from splits.simulation.runner import RAYS_PER_CHUNK, Runner
+from splits.simulation.tally import PathTally, TransportTraits
 
 pytestmark = NEEDS_JIT
 
@@ -47,7 +47,9 @@ def ensembles(medium, wavelengths, attenuation):
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
     one = np.ones(1, dtype=bool)
     return [
-        PathTally(number, m, alpha[np.newaxis], one, TransportTraits(attenuation), strata=SINGLE_STRATUM)
+        PathTally(
+            number, m, alpha[np.newaxis], one, TransportTraits(attenuation), strata=SINGLE_STRATUM
+        )
         for number, (m, alpha) in enumerate(zip(index, absorption, strict=True))
     ]
 
@@ -129,7 +131,9 @@ def test_a_path_does_not_depend_on_lane_or_batch():
     def exits(first, rays):
         rows = allocate_exits(rays, 3)
         work = np.array([[0, first, rays, NO_MAX_ORDER]])
-        _, lost, _ = vectorized.batch(3, work, runner.tracer.scene, to_single_item(optics), rows, features)
+        _, lost, _ = vectorized.batch(
+            3, work, runner.tracer.scene, to_single_item(optics), rows, features
+        )
         assert not lost
         return rows
 
@@ -161,7 +165,9 @@ def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
             runner.share_kernel(work)
             for number, e in enumerate(work):
                 for batch in range(job, batches, jobs):
-                    ((tally,), _), *_ = runner.trace_job([(e, e.strata[0], batch * RAYS_PER_CHUNK, 1)])
+                    ((tally,), _), *_ = runner.trace_job(
+                        [(e, e.strata[0], batch * RAYS_PER_CHUNK, 1)]
+                    )
                     parts[number, batch] = tally
         work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
         for (number, _), tally in sorted(parts.items(), key=lambda item: item[0]):
@@ -183,7 +189,9 @@ def test_light_is_neither_lost_nor_made():
     features = runner.tracer.get_features(ensemble.strata[0])
     rows = allocate_exits(3000, 3)
     work = np.array([[0, 0, 3000, NO_MAX_ORDER]])
-    _, lost, _ = vectorized.batch(5, work, runner.tracer.scene, to_single_item(optics), rows, features)
+    _, lost, _ = vectorized.batch(
+        5, work, runner.tracer.scene, to_single_item(optics), rows, features
+    )
     assert not lost
     assert (rows[:, 0] >= 0.0).all()
     directions = rows[:, EXIT_DIRECTION : EXIT_DIRECTION + 3]

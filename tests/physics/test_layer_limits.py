@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, judge_scatter, judge_z, compute_z_bound
+from chi2 import NEEDS_JIT, compute_z_bound, judge_scatter, judge_z
 
 import splits
 from splits.kernels.optics.fresnel import fresnel
@@ -228,7 +228,10 @@ def test_what_was_not_heard_is_not_certain():
     # Hardly a ray enters at 89.9999 degrees, and hardly one meets a particle at 1e-6.
     for layer, incidence in (
         (splits.ParticleLayer(), 89.9999),
-        (splits.ParticleLayer(optical_thickness=1e-6, refractive_index=1.0, bottom_albedo=None), 0.0),
+        (
+            splits.ParticleLayer(optical_thickness=1e-6, refractive_index=1.0, bottom_albedo=None),
+            0.0,
+        ),
     ):
         ds = splits.goniophotometer(
             layer, NM, incidence, estimator="local", polar_deg=[0.0, 60.0], azimuth_deg=[0.0],

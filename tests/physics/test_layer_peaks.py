@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from chi2 import NEEDS_JIT, SIGNIFICANCE, judge_z, compute_z_bound
+from chi2 import NEEDS_JIT, SIGNIFICANCE, compute_z_bound, judge_z
 from scipy import stats
 
 import splits
@@ -36,7 +36,10 @@ def moments_of(layer: splits.ParticleLayer, count: int = 1000) -> np.ndarray:
     if isinstance(layer.phase_function, str):
         return layer.asymmetry ** np.arange(count)
     nodes, weights = np.polynomial.legendre.leggauss(24)
-    low, high = layer.kernel_phase_function.cosines[:-1, np.newaxis], layer.kernel_phase_function.cosines[1:, np.newaxis]
+    low, high = (
+        layer.kernel_phase_function.cosines[:-1, np.newaxis],
+        layer.kernel_phase_function.cosines[1:, np.newaxis],
+    )
     x = (0.5 * (high + low) + 0.5 * (high - low) * nodes).ravel()
     density = np.interp(x, layer.kernel_phase_function.cosines, layer.kernel_phase_function.density)
     share = math.pi * ((high - low) * weights).ravel() * density
@@ -156,10 +159,17 @@ def test_peaks_take_what_is_above_a_limit_and_nothing_else():
     for layer in functions:
         narrow = forward_peak.separate_peak(layer.kernel_phase_function)
         total = np.array([evaluate_phase_function(layer.kernel_phase_function, x) for x in cosine])
-        above = narrow.fraction * np.array([evaluate_phase_function(narrow.phase, x) for x in cosine])
-        np.testing.assert_allclose(above, np.maximum(total - forward_peak.PEAK_BASE_PER_SR, 0.0), rtol=0.02, atol=0.02)
+        above = narrow.fraction * np.array(
+            [evaluate_phase_function(narrow.phase, x) for x in cosine]
+        )
+        np.testing.assert_allclose(
+            above, np.maximum(total - forward_peak.PEAK_BASE_PER_SR, 0.0), rtol=0.02, atol=0.02
+        )
         assert 0.4 < narrow.fraction < 0.7
-    for layer in (splits.ParticleLayer(asymmetry=0.9), splits.ParticleLayer(phase_function="rayleigh")):
+    for layer in (
+        splits.ParticleLayer(asymmetry=0.9),
+        splits.ParticleLayer(phase_function="rayleigh"),
+    ):
         assert forward_peak.separate_peak(layer.kernel_phase_function) is None
 
 

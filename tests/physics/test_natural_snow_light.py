@@ -10,9 +10,9 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.analysis.directions import select_principal_plane
-from splits.analysis.theory.grain_shape import compute_optical_shape
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.analysis.theory.asymptotic import correct_dense_packing
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
+from splits.analysis.theory.grain_shape import compute_optical_shape
 from splits.materials import ice_density
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 
@@ -40,8 +40,18 @@ def snow(area=20.0, **settings):
 def test_grains_have_the_shape_of_natural_snow(area):
     shape = compute_optical_shape(snow(area), rays=131_072)
     for found, measured, kept, error in (
-        (shape.absorption_enhancement, B, NATURAL_GRAIN_SHAPE.absorption_enhancement, NATURAL_GRAIN_SHAPE.absorption_enhancement_stderr),
-        (shape.asymmetry_parameter, G, NATURAL_GRAIN_SHAPE.asymmetry_parameter, NATURAL_GRAIN_SHAPE.asymmetry_parameter_stderr),
+        (
+            shape.absorption_enhancement,
+            B,
+            NATURAL_GRAIN_SHAPE.absorption_enhancement,
+            NATURAL_GRAIN_SHAPE.absorption_enhancement_stderr,
+        ),
+        (
+            shape.asymmetry_parameter,
+            G,
+            NATURAL_GRAIN_SHAPE.asymmetry_parameter,
+            NATURAL_GRAIN_SHAPE.asymmetry_parameter_stderr,
+        ),
     ):
         assert abs(found.value - measured[0]) < measured[1] + 3.0 * found.stderr
         # A coarse grain absorbs a little of what it is met by, which is beyond "little".
@@ -103,7 +113,9 @@ def test_dense_snow_obeys_discrete_ordinates():
         ((550.0, 1.0, None), (550.0, 0.02, 0.5), (100.0, 0.05, None))
     ):
         layer = snow(density_kg_m3=density, depth_m=depth, ground=ground)
-        optics = correct_dense_packing(splits.single_scattering(layer, wavelengths, rays=400_000, seed=number + 3))
+        optics = correct_dense_packing(
+            splits.single_scattering(layer, wavelengths, rays=400_000, seed=number + 3)
+        )
         for incidence in (75.0, "diffuse"):
             expected = solve_discrete_ordinates(optics, incidence, ground=ground)
             found = splits.spectrophotometer(layer, wavelengths, incidence, 0.001, number)

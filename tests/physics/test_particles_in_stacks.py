@@ -17,7 +17,9 @@ LAYERS = {
               "single_scattering_albedo": 0.6},
     "dark": {"optical_thickness": 3.0, "single_scattering_albedo": 0.0, "refractive_index": 1.33},
 }  # fmt: skip
-LID = splits.ParticleLayer(optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.01)
+LID = splits.ParticleLayer(
+    optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.01
+)
 SNOW = splits.Snow(depth_m=0.006, saturation=0.0)
 SAND = splits.Sand(depth_m=0.004, readings="splitsnow_2021")
 WAVELENGTHS = [500.0, 900.0]
@@ -131,7 +133,9 @@ def test_particles_in_a_matrix_like_the_pores_obey_beer():
     for incidence in (0.0, 60.0):
         without_face, with_face = (
             measured(
-                splits.Stack([splits.ParticleLayer(**haze, refractive_index=n), thin]), incidence, seed
+                splits.Stack([splits.ParticleLayer(**haze, refractive_index=n), thin]),
+                incidence,
+                seed,
             )
             for seed, n in ((21, 1.0), (22, 1.0 + 1e-9))
         )

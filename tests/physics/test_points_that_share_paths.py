@@ -7,10 +7,10 @@ import pytest
 from chi2 import NEEDS_JIT, compute_z_bound
 
 import splits
-from splits.experiments.run import run
-from splits.experiments.run_points import simulate_points
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run import run
+from splits.experiments.run_points import simulate_points
 
 pytestmark = NEEDS_JIT
 ERROR = 0.01

@@ -184,7 +184,9 @@ def test_light_decays_with_depth_as_deep_transmittance_does():
     """Far from both boundaries, where radiance keeps its shape."""
     snow = {"grain_size_um": (100, 200), "saturation": 0.0}
     depths = [0.01, 0.02]
-    ds = splits.irradiance_profile(splits.Snow(**snow, depth_m=0.05), 1000.0, depths, max_stderr=0.002)
+    ds = splits.irradiance_profile(
+        splits.Snow(**snow, depth_m=0.05), 1000.0, depths, max_stderr=0.002
+    )
     inside = ds.downward_irradiance.sel(depth=depths)[0]
     relative = (ds.downward_irradiance_stderr.sel(depth=depths)[0] / inside).values
     rate = -np.log(inside.values[1] / inside.values[0]) / np.diff(depths)[0]

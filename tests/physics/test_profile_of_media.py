@@ -74,7 +74,8 @@ def test_layers_of_particles_have_the_fluxes_of_discrete_ordinates(error):
     layers = [(1.5, 0.95, 0.6), (3.0, 0.8, 0.2)]
     ground = 0.3
     stack = splits.Stack(
-        [splits.ParticleLayer(tau, ssa, g, 1.0, None, depth_m=tau) for tau, ssa, g in layers], ground
+        [splits.ParticleLayer(tau, ssa, g, 1.0, None, depth_m=tau) for tau, ssa, g in layers],
+        ground,
     )
     at = np.array([0.3, 1.0, 1.5, 2.0, 3.0, 4.2])
     ds = splits.irradiance_profile(stack, [500.0], at, 60.0, error)
@@ -153,7 +154,9 @@ def test_a_pack_without_end_is_a_very_deep_one(error):
 )
 def test_profiles_have_the_errors_that_seeds_scatter_by(medium, depths, seeds):
     runs = [
-        splits.irradiance_profile(medium, [700.0], depths, 40.0, 0.03, seed, error_of="absorptance", threads=1)
+        splits.irradiance_profile(
+            medium, [700.0], depths, 40.0, 0.03, seed, error_of="absorptance", threads=1
+        )
         for seed in range(seeds)
     ]
     z = []
@@ -171,7 +174,9 @@ def test_profiles_have_the_errors_that_seeds_scatter_by(medium, depths, seeds):
 @NEEDS_JIT
 @pytest.mark.parametrize("albedo", [0.9, 1.0])
 def test_an_interval_without_end_is_saved(albedo, tmp_path):
-    ds = splits.irradiance_profile(splits.ParticleLayer(math.inf, albedo, refractive_index=1.0), 500.0, [1.0, 8.0])
+    ds = splits.irradiance_profile(
+        splits.ParticleLayer(math.inf, albedo, refractive_index=1.0), 500.0, [1.0, 8.0]
+    )
     splits.save(ds, tmp_path / "inside.nc")
     assert splits.load(tmp_path / "inside.nc").equals(ds)
     # Where nothing absorbs, light is the same everywhere far from the top.

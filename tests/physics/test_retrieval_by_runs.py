@@ -7,9 +7,9 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.core.validation import InvalidValue
 from splits.core.progress import Progress
-from splits.retrieval.linearization import LinearizedModel, Linearization, estimate_nonlinearity
+from splits.core.validation import InvalidValue
+from splits.retrieval.linearization import Linearization, LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import make_medium_state_vector
 from splits.retrieval.simulation_model import ProgressTracker, select_simulation_wavelengths
@@ -75,7 +75,7 @@ def test_runs_tell_errors_where_noise_is_not_known():
 def test_time_left_is_foretold_from_what_runs_took(monkeypatch):
     """On a clock that every rough run moves by a second."""
     clock, told = [0.0], []
-    monkeypatch.setattr("splits.retrieval.runs.time.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("splits.retrieval.simulation_model.time.perf_counter", lambda: clock[0])
     way = ProgressTracker(told.append, 0.005, 2)
     for _ in range(4):
         show = way.track_run(0.01, 1)
@@ -120,14 +120,21 @@ def test_how_far_light_is_off_a_straight_line_is_told_in_its_noise():
     """By the square of a standard deviation along any way, over the noise."""
     free = make_medium_state_vector(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
     place, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.25]), np.array([0.02, 0.02, 0.01])
-    line = LinearizedModel(free, Linearization(place, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3))))
+    line = LinearizedModel(
+        free, Linearization(place, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3)))
+    )
 
     def curved(x):
         return (x - place).sum() + np.array([0.0, 0.0, 3.0]) * (x[0] - place[0]) ** 2
 
     covariance = np.diag(spread**2), np.diag(noise**2)
-    assert estimate_nonlinearity(curved, line, place, *covariance) == pytest.approx(3.0 * spread[0] ** 2 / noise[2])
-    assert estimate_nonlinearity(lambda x: line.evaluate(x[np.newaxis])[0], line, place, *covariance) < 1e-12
+    assert estimate_nonlinearity(curved, line, place, *covariance) == pytest.approx(
+        3.0 * spread[0] ** 2 / noise[2]
+    )
+    assert (
+        estimate_nonlinearity(lambda x: line.evaluate(x[np.newaxis])[0], line, place, *covariance)
+        < 1e-12
+    )
 
 
 WRONG = {

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import judge_p, judge_z, compute_p_of_counts
+from chi2 import compute_p_of_counts, judge_p, judge_z
 
 import splits
 from splits.instruments.lens import lens
@@ -51,7 +51,9 @@ def test_a_rough_surface_without_contrast_is_not_there():
 def test_a_flattening_surface_becomes_the_flat_one(incidence):
     plain = {"optical_thickness": 3.0, "single_scattering_albedo": 0.9}
     rough, smooth = (
-        splits.spectrophotometer(splits.ParticleLayer(**plain, surface=s), NM, incidence, 0.002, seed)
+        splits.spectrophotometer(
+            splits.ParticleLayer(**plain, surface=s), NM, incidence, 0.002, seed
+        )
         for seed, s in ((1, gaussian(1e-4)), (2, None))
     )
     z = []

@@ -101,7 +101,10 @@ def test_one_type_of_ice_has_the_tables_of_snow():
             [*ours[:-1], *ours.types], [*theirs[:-1], *theirs.types], strict=True
         ):
             np.testing.assert_allclose(one, other, rtol=1e-12)
-        np.testing.assert_array_equal(sand.compute_refractive_indices(ICE_WAVELENGTHS), snow.compute_refractive_indices(ICE_WAVELENGTHS))
+        np.testing.assert_array_equal(
+            sand.compute_refractive_indices(ICE_WAVELENGTHS),
+            snow.compute_refractive_indices(ICE_WAVELENGTHS),
+        )
 
 
 @pytest.mark.parametrize("types", [ONE_TYPE, EIGHT_TYPES], ids=["one type", "eight types"])
@@ -115,7 +118,11 @@ def test_sand_of_ice_is_snow(types):
             for medium, seed in ((snow, 10 + number), (sand, 20 + number))
         ]
         z.append(difference(*measured))
-    judge_z(z, f"sand against snow, types {sand.make_grain_population().type_cdf.size}", independent=len(SAMPLES))
+    judge_z(
+        z,
+        f"sand against snow, types {sand.make_grain_population().type_cdf.size}",
+        independent=len(SAMPLES),
+    )
     assert np.abs(z).max() < 3.0
 
 

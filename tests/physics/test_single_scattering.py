@@ -11,9 +11,9 @@ from scipy import stats
 
 import splits
 from splits.analysis.theory.asymptotic import compute_shape_factors
-from splits.simulation.arguments import check_wavelengths
 from splits.instruments.single_scattering import GRAIN_RAYS_PER_CHUNK, single_scattering
 from splits.materials import ice_density
+from splits.simulation.arguments import check_wavelengths
 
 pytestmark = NEEDS_JIT
 
@@ -93,7 +93,8 @@ def test_first_moment_is_the_asymmetry_and_zeroth_is_one():
 @pytest.mark.parametrize("medium", [splits.Snow(), splits.Sand()])
 def test_same_numbers_on_one_and_two_threads(medium):
     runs = [
-        single_scattering(medium, [500.0, 900.0], rays=5 * GRAIN_RAYS_PER_CHUNK, seed=4, threads=n) for n in (1, 2)
+        single_scattering(medium, [500.0, 900.0], rays=5 * GRAIN_RAYS_PER_CHUNK, seed=4, threads=n)
+        for n in (1, 2)
     ]
     assert runs[0].equals(runs[1])
     other = single_scattering(medium, [500.0, 900.0], rays=5 * GRAIN_RAYS_PER_CHUNK, seed=5)

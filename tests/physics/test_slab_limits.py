@@ -80,7 +80,13 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
     for ensemble, (mu, depth) in enumerate(((1.0, 3e-4), (1.0, 2e-3), (0.5, 1e-3))):
         for analog in (False, True):
             exits = allocate_exits(rays, 3)
-            scene = make_scene(snow.make_grain_population(), depth, 0.0, snow.interpretation.to_sampling_rules(analog), mu)
+            scene = make_scene(
+                snow.make_grain_population(),
+                depth,
+                0.0,
+                snow.interpretation.to_sampling_rules(analog),
+                mu,
+            )
             work = np.array([ensemble, 0, rays, NO_MAX_ORDER])
             told = history.trace_batch(seed + 10 * analog, work, scene, optics, exits, None, None)
             assert not told.lost
@@ -122,11 +128,18 @@ def test_hardly_any_grains_let_everything_through(incidence):
 @pytest.mark.parametrize("mu", [1.0, 0.5, 0.1])
 def test_a_ray_that_meets_no_grain_goes_straight(mu):
     snow = splits.Snow(density_kg_m3=1e-9, saturation=0.0)
-    scene = make_scene(snow.make_grain_population(), 0.12, rules=snow.interpretation.to_sampling_rules(), cos=mu)
+    scene = make_scene(
+        snow.make_grain_population(), 0.12, rules=snow.interpretation.to_sampling_rules(), cos=mu
+    )
     ray, length = trace_ray(start_random_stream(), scene, make_optics([1.0, 1.0, 1.31]))
     place, d = ray.geometry.position, ray.payload.direction
     sine = math.sqrt(1.0 - mu * mu)
-    assert (ray.status, ray.payload.roulette.weight, place.y, d.y) == (history.TRANSMITTED, 1.0, 0.0, 0.0)
+    assert (ray.status, ray.payload.roulette.weight, place.y, d.y) == (
+        history.TRANSMITTED,
+        1.0,
+        0.0,
+        0.0,
+    )
     assert (d.x, d.z, place.z) == (pytest.approx(sine, rel=1e-15), -mu, -0.12)
     assert (ray.n_segments, ray.order) == (1, 0)
     assert place.x == pytest.approx(0.12 * sine / mu, rel=1e-14)

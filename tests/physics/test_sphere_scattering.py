@@ -42,7 +42,9 @@ def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog
     rules = splits.Interpretation(entry=entry).rules(analog)
     scene = make_scene(splits.Snow().make_grain_population(), rules=rules)
     optics = make_optics([1.0, 1.33, n], absorption=[0.0, 0.0, absorption])
-    out = draw_samples(_scatter, COUNT, psi, facetness, scene, optics, np.zeros(3), width=15, ray=ray)
+    out = draw_samples(
+        _scatter, COUNT, psi, facetness, scene, optics, np.zeros(3), width=15, ray=ray
+    )
     alive = out[:, 2] == 1.0
     # Rays leave at a point of the surface, outwards.
     q, w, way, direction = (out[alive, i : i + 3] for i in (3, 6, 9, 12))

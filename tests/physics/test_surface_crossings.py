@@ -6,28 +6,28 @@ import math
 
 import numpy as np
 import pytest
-from chi2 import NEEDS_JIT, SEED, draw_samples, judge_p, judge_z, compute_p_of_values
+from chi2 import NEEDS_JIT, SEED, compute_p_of_values, draw_samples, judge_p, judge_z
 from chi2 import scale_sample_size as sample_size
 from events import sample_unit_sphere
 from numba import njit
 from scipy import stats
 
-from splits.media.rough_surface import RoughSurface
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import Vector, add_scaled, scale
+from splits.kernels.rough_surface.intersection import NO_HIT, find_first_intersection
 from splits.kernels.rough_surface.leak_census import (
     INTERSECTIONS,
     LEAKS,
-    SEGMENTS,
     LOST_RAYS,
+    SEGMENTS,
     count_leaks,
 )
-from splits.kernels.rough_surface.intersection import NO_HIT, find_first_intersection
 from splits.kernels.rough_surface.realization import (
-    sample_realization,
-    compute_height_and_slope,
     allocate_realization,
+    compute_height_and_slope,
+    sample_realization,
 )
+from splits.media.rough_surface import RoughSurface
 
 GAUSSIAN = {"wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 SEA = GAUSSIAN | {"rms_height_m": 0.1}
@@ -97,7 +97,9 @@ def _there_and_back(state, fields, room, side):
 @pytest.mark.parametrize("name", ["water", "glass, steep", "glass, exponential"])
 def test_points_in_sight_see_where_they_are_seen_from(name, side):
     fields = RoughSurface(CASES[name][0]).make_height_fields()
-    out = draw_samples(_there_and_back, sample_size(50_000), fields, allocate_realization(fields), side, width=3)
+    out = draw_samples(
+        _there_and_back, sample_size(50_000), fields, allocate_realization(fields), side, width=3
+    )
     s, t, into = out[out[:, 0] != 0.0].T
     assert s.size > 0.3 * len(out) and s.min() > 0.0
     assert into.max() < 0.0

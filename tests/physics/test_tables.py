@@ -11,9 +11,9 @@ from chi2 import NEEDS_JIT, judge_z
 
 import splits
 from splits.core.validation import InvalidValue
+from splits.instruments.spectral_run import SpectralRequest
 from splits.simulation.path_reuse import compute_path_signature
 from splits.simulation.path_tally import PathSharingMedia
-from splits.instruments.spectral_run import SpectralRequest
 from splits.tables import build
 from splits.tables.axes import ParameterGrid
 from splits.tables.block import TableRequest
@@ -85,7 +85,10 @@ def test_depths_that_go_with_sizes_share_paths():
         )
 
     assert plan_of(scaled, {"by": [1.0, 1.7, 3.0]}).path_sharing_axes == ("by",)
-    assert compute_path_signature(scaled(1.0))[0] != compute_path_signature(splits.Snow(depth_m=0.1, saturation=0.0))[0]
+    assert (
+        compute_path_signature(scaled(1.0))[0]
+        != compute_path_signature(splits.Snow(depth_m=0.1, saturation=0.0))[0]
+    )
 
 
 def test_stacks_and_rough_tops():
@@ -169,7 +172,9 @@ def test_members_of_a_family_are_what_runs_of_their_own_give(water):
     told = run.estimate(PathSharingMedia(media, radii / radii[0])).estimate
     z = []
     for number, medium in enumerate(media):
-        own = run._replace(seed=100 + number).estimate(PathSharingMedia.from_media([medium])).estimate
+        own = (
+            run._replace(seed=100 + number).estimate(PathSharingMedia.from_media([medium])).estimate
+        )
         rows = slice(number * WAVELENGTHS.size, (number + 1) * WAVELENGTHS.size)
         error = np.hypot(told.stderr[0, rows], own.stderr[0])
         z.append((told.mean[0, rows] - own.mean[0]) / error)
@@ -283,7 +288,9 @@ def test_a_table_written_is_opened_and_read(tmp_path):
 
 
 def test_points_that_cannot_be_are_named():
-    with pytest.raises(InvalidValue, match=r"^grid = 'optical_radius_um = 100000.0': must be a medium"):
+    with pytest.raises(
+        InvalidValue, match=r"^grid = 'optical_radius_um = 100000.0': must be a medium"
+    ):
         plan_of(pack, {"optical_radius_um": [100.0, 1e5]})
     with pytest.raises(InvalidValue, match=r"^grid = 'size = 1.0': must be a medium .*size"):
         plan_of(pack, {"size": [1.0]})

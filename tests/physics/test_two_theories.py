@@ -12,8 +12,8 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.analysis.theory.asymptotic import correct_dense_packing
+from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.instruments.single_scattering import single_scattering
 
 pytest.importorskip("PythonicDISORT")

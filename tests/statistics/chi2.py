@@ -25,7 +25,9 @@ SEED = 20_240_611
 
 CELL_PROBABILITIES = np.arange(1, 53) / 53
 TAIL_PROBABILITIES = np.array([1e-4, 5e-4, 2e-3])
-CELL_EDGES = np.concatenate([TAIL_PROBABILITIES, CELL_PROBABILITIES, 1.0 - TAIL_PROBABILITIES[::-1]])
+CELL_EDGES = np.concatenate(
+    [TAIL_PROBABILITIES, CELL_PROBABILITIES, 1.0 - TAIL_PROBABILITIES[::-1]]
+)
 """Cells of a probability, finer in both tails."""
 
 

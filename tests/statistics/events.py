@@ -14,19 +14,19 @@ from numba import njit
 from scenes import make_beam_state
 
 from splits.kernels.compiler.features import ALL_FEATURES
-from splits.kernels.grains import microfacet, history, state, spheroid, interaction
+from splits.kernels.grains import history, interaction, microfacet, spheroid
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, Collision
-from splits.kernels.grains.state import GrainSample, NextEvent
-from splits.kernels.grains.scene import WRONG_SIDE_LOBE, NO_MAX_ORDER
-from splits.kernels.grains.spheroid import Spheroid
-from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
 from splits.kernels.grains.grain_path import sample_interaction, trace_through_grain
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.interaction import draw_interaction_variates
+from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
+from splits.kernels.grains.scene import NO_MAX_ORDER, WRONG_SIDE_LOBE
+from splits.kernels.grains.spheroid import Spheroid
+from splits.kernels.grains.state import GrainSample, NextEvent
 from splits.kernels.math import rng
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import UP, Vector
 from splits.kernels.optics.interface import InterfaceSample
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.interaction import draw_interaction_variates
 
 single = np.float32
 
@@ -79,7 +79,9 @@ def trace_grain(state, d, size, facetness, wet, scene, optics, length):
     limit = math.inf if scene.rules.analog else FIRST_ROULETTE_DEPTH
     candidate = GrainSample(0, size, 0.5 * facetness)
     found = NextEvent(candidate, Collision(0.0, 0.0, entry, False, True, 0.0), 0, False)
-    return trace_through_grain(state, make_beam_state(d, wet, limit), found, scene, optics, length), entry
+    return trace_through_grain(
+        state, make_beam_state(d, wet, limit), found, scene, optics, length
+    ), entry
 
 
 @njit
@@ -110,7 +112,9 @@ def sample_facet(state, d, normal, facetness, rule):
     while True:
         azimuth = rng.sample_azimuth(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
-        numbers = InteractionVariates(rng.uniform(state), 0.5, 0.0, rng.sample_half_normal(state), azimuth)
+        numbers = InteractionVariates(
+            rng.uniform(state), 0.5, 0.0, rng.sample_half_normal(state), azimuth
+        )
         facet = microfacet.sample_microfacet(d, smooth, 0.5 * facetness, numbers, False, rule)
         if facet.accepted:
             return facet
@@ -130,7 +134,9 @@ def sample_facet_by_lane(words, d, normal, sigma, rule):
 @njit
 def compute_facet_normal(d, facet):
     """Return a facet's normal on the side of the ray, as `surface.outcome` takes it."""
-    normal = interaction.compute_facet_normal(d, facet.normal, facet.cos_i, facet.tilt, facet.azimuth)
+    normal = interaction.compute_facet_normal(
+        d, facet.normal, facet.cos_i, facet.tilt, facet.azimuth
+    )
     sign = -1.0 if facet.back_side else 1.0
     return Vector(sign * normal.x, sign * normal.y, sign * normal.z)
 
@@ -138,7 +144,9 @@ def compute_facet_normal(d, facet):
 @njit
 def attempt_interaction(state, d, interface_state, normal, facetness, media, rules):
     """Return what a trial at a surface leads to."""
-    return sample_interaction(state, d, interface_state, make_flat_surface(normal), 0.5 * facetness, media, rules)
+    return sample_interaction(
+        state, d, interface_state, make_flat_surface(normal), 0.5 * facetness, media, rules
+    )
 
 
 @njit
@@ -147,9 +155,13 @@ def attempt_interaction_by_lane(words, d, interface_state, normal, sigma, media,
     numbers = draw_interaction_variates(words, 0, True, True)
     facet = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), interface_state.side)
     if sigma > single(0.0):
-        facet = microfacet.sample_microfacet(d, facet, sigma, numbers, interface_state.in_lobe, rules.facet_sampling)
+        facet = microfacet.sample_microfacet(
+            d, facet, sigma, numbers, interface_state.in_lobe, rules.facet_sampling
+        )
     mirrored = rules.wrong_side != WRONG_SIDE_LOBE
-    return interaction.reflect_or_refract(d, interface_state, facet, media, numbers.u_fresnel, mirrored, ALL_FEATURES)
+    return interaction.reflect_or_refract(
+        d, interface_state, facet, media, numbers.u_fresnel, mirrored, ALL_FEATURES
+    )
 
 
 @njit

@@ -9,27 +9,27 @@ from numba import njit
 from oracle import scene as oracle_scene
 
 import splits
-from splits.simulation.scene import build_scene, make_particle_table
-from splits.materials.lookup import absorption_coefficient
 from splits.kernels.grains import history, state
 from splits.kernels.grains.free_path import RayGeometry, RouletteState
-from splits.kernels.grains.state import RayPayload
 from splits.kernels.grains.scene import (
-    NO_PARTICLES,
-    OVERLAP_KEEP,
     NO_GROUND,
     NO_MAX_ORDER,
+    NO_PARTICLES,
+    OVERLAP_KEEP,
     GrainPopulation,
+    GrainTypes,
     Layers,
     Optics,
     Scene,
-    GrainTypes,
     make_bounding_optics,
 )
 from splits.kernels.grains.spheroid import Segment
-from splits.kernels.vectorized.batch import make_pass_constants
+from splits.kernels.grains.state import RayPayload
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.optics.source import Source
+from splits.kernels.vectorized.batch import make_pass_constants
+from splits.materials.lookup import absorption_coefficient
+from splits.simulation.scene import build_scene, make_particle_table
 
 
 def make_coated_grains(thickness, materials, facetness=0.0):
@@ -114,7 +114,9 @@ def get_vectorized_scene(scene):
 
 def keep_all_grains(scene):
     """Return a scene in which every grain fits."""
-    return scene._replace(rules=scene.rules._replace(segment_overlap=OVERLAP_KEEP, boundary_overlap=OVERLAP_KEEP))
+    return scene._replace(
+        rules=scene.rules._replace(segment_overlap=OVERLAP_KEEP, boundary_overlap=OVERLAP_KEEP)
+    )
 
 
 @njit

@@ -1,6 +1,6 @@
 """Grains in real space, for tests: kernels keep them as points on the unit sphere.
 
-Written down independently of `transport/grains/spheroid.py`; all functions take stacks of vectors.
+Written down independently of `kernels/grains/spheroid.py`; all functions take stacks of vectors.
 """
 
 from __future__ import annotations
@@ -50,4 +50,6 @@ def compute_normal(p, w, minor, flattening):
 def find_closest_approach(start, end, w, minor, flattening, steps=500):
     """Return the least `evaluate_quadratic` over points along a segment; positions from the centre."""
     part = np.linspace(0.0, 1.0, steps)
-    return np.min([evaluate_quadratic(start + t * (end - start), w, minor, flattening) for t in part], 0)
+    return np.min(
+        [evaluate_quadratic(start + t * (end - start), w, minor, flattening) for t in part], 0
+    )

@@ -8,42 +8,42 @@ import numpy as np
 import pytest
 from chi2 import (
     NEEDS_JIT,
+    compute_p_of_values,
     draw_samples,
     judge_p,
     judge_z,
-    compute_p_of_values,
     scale_sample_size,
     tabulate_cdf,
 )
 from events import (
-    sample_facet,
-    sample_facet_by_lane,
+    make_lane_words,
     resolve_interaction,
     resolve_interaction_by_lane,
-    make_lane_words,
+    sample_facet,
+    sample_facet_by_lane,
     to_single_precision,
 )
 from numba import njit
 from scenes import (
-    make_ray_after_segment,
-    make_medium_scene,
     find_next_event,
-    make_optics,
-    sample_pore,
-    make_scene,
     get_pore_space,
+    make_medium_scene,
+    make_optics,
+    make_ray_after_segment,
+    make_scene,
+    sample_pore,
 )
-from spheroids import dot_product, compute_normal, find_closest_approach, to_real_space
+from spheroids import compute_normal, dot_product, find_closest_approach, to_real_space
 
 import splits
-from splits.media import grain_statistics
 from splits.kernels.grains import history, state
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import ORIGIN, UP, Vector
-from splits.kernels.optics import interface, fresnel
+from splits.kernels.optics import fresnel, interface
 from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.optics.source import Source, sample_source_direction
+from splits.media import grain_statistics
 
 N_SAMPLES = scale_sample_size(200_000)
 # Way from the end of the last leg, its direction, its length.
@@ -85,7 +85,16 @@ def _sample_next_grain(state, z, d, scene, optics, displacement, direction_back,
 def sample_next_grains(count, z, d, snow, slab=None, previous_segment=NO_SEGMENT):
     """Draw next grains; vectors as (count, 3).  Rays that reach a boundary first are left out."""
     scene = make_medium_scene(snow, **(slab or DEEP_SLAB))
-    out = draw_samples(_sample_next_grain, count, z, Vector(*d), scene, TRANSPARENT_OPTICS, *previous_segment, width=13)
+    out = draw_samples(
+        _sample_next_grain,
+        count,
+        z,
+        Vector(*d),
+        scene,
+        TRANSPARENT_OPTICS,
+        *previous_segment,
+        width=13,
+    )
     out = out[out[:, 12] == 0.0]
     return *out[:, :3].T, out[:, 3:6], out[:, 6:9], out[:, 9:12]
 
@@ -95,7 +104,9 @@ def test_free_path_and_grain_in_a_deep_medium():
     for entry in ("uniform", "projected"):
         snow = splits.Snow(depth_m=1e4, saturation=0.0, readings={"entry": entry})
         d = (0.48, -0.64, 0.6)
-        leg, minor, flattening, q, w, n = sample_next_grains(scale_sample_size(100_000), -5e3, d, snow)
+        leg, minor, flattening, q, w, n = sample_next_grains(
+            scale_sample_size(100_000), -5e3, d, snow
+        )
         # A grain that the ray strikes from outside, with the normal of the point it strikes.
         assert np.abs((q * q).sum(axis=1) - 1.0).max() < 1e-12
         assert np.abs((w * w).sum(axis=1) - 1.0).max() < 1e-12
@@ -105,7 +116,9 @@ def test_free_path_and_grain_in_a_deep_medium():
         b, psi = minor / (1.0 - flattening), np.sqrt(1.0 - flattening)
         distance = snow.mean_grain_distance_m
         p[entry, "distance"] = compute_p_of_values(leg, lambda x, d=distance: -np.expm1(-x / d))
-        p[entry, "size"] = compute_p_of_values(b, lambda s: (1 / MIN_SEMI_AXIS_M - 1 / s) / (1 / MIN_SEMI_AXIS_M - 1 / MAX_SEMI_AXIS_M))
+        p[entry, "size"] = compute_p_of_values(
+            b, lambda s: (1 / MIN_SEMI_AXIS_M - 1 / s) / (1 / MIN_SEMI_AXIS_M - 1 / MAX_SEMI_AXIS_M)
+        )
         limits = snow.sphericity
 
         def density(x, limits=limits):
@@ -119,7 +132,14 @@ def test_free_path_and_grain_in_a_deep_medium():
 def test_grain_is_forgotten_when_the_boundary_comes_first():
     snow = splits.Snow(depth_m=1e4, readings={"grain_across_boundary": "keep"})
     ahead = snow.mean_grain_distance_m
-    out = draw_samples(_sample_next_segment, scale_sample_size(50_000), -ahead, make_medium_scene(snow, **DEEP_SLAB), TRANSPARENT_OPTICS, width=4)
+    out = draw_samples(
+        _sample_next_segment,
+        scale_sample_size(50_000),
+        -ahead,
+        make_medium_scene(snow, **DEEP_SLAB),
+        TRANSPARENT_OPTICS,
+        width=4,
+    )
     legs, heights, reached, lost = out.T
     # The boundary lies one mean distance ahead: e^-1 of all rays get there.
     reached = reached == 1.0
@@ -143,7 +163,9 @@ def _sample_next_segment(state, z, scene, optics):
 def _sample_crossing(state, mu, n1, n2):
     d = Vector(math.sqrt(1.0 - mu * mu), 0.0, mu)
     near, far = ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0)
-    passed, d = interface.sample_interface(d, interface.orient_horizontal_normal(d), near, far, rng.uniform(state))
+    passed, d = interface.sample_interface(
+        d, interface.orient_horizontal_normal(d), near, far, rng.uniform(state)
+    )
     return 1.0 if passed else 0.0, d.x, d.y, d.z
 
 
@@ -173,7 +195,9 @@ def _sample_interaction(state, cos_i, near, far, facetness, rules):
 @njit
 def _sample_interaction_by_lane(state, words, cos_i, near, far, sigma, rules):
     d = to_single_precision(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
-    passed, d = resolve_interaction_by_lane(words, d, to_single_precision(UP), sigma, near, far, rules)
+    passed, d = resolve_interaction_by_lane(
+        words, d, to_single_precision(UP), sigma, near, far, rules
+    )
     return 1.0 if passed else 0.0, np.float64(d.x), np.float64(d.y), np.float64(d.z)
 
 
@@ -181,7 +205,9 @@ def sample_interactions(precision, count, cos_i, n1, n2, k2, facetness, rules, r
     """Draw what becomes of rays at a surface: whether they passed, and their directions."""
     if precision == "double":
         near, far = ComplexIndex(n1, 0.0), ComplexIndex(n2, k2)
-        return draw_samples(_sample_interaction, count, cos_i, near, far, facetness, rules, width=4, ray=ray)
+        return draw_samples(
+            _sample_interaction, count, cos_i, near, far, facetness, rules, width=4, ray=ray
+        )
     near, far = ComplexIndex(single(n1), single(0.0)), ComplexIndex(single(n2), single(k2))
     return draw_samples(
         _sample_interaction_by_lane, count, make_lane_words(ray), cos_i, near, far, single(0.5 * facetness),
@@ -241,7 +267,9 @@ def test_share_reflected_at_a_rough_grain(precision):
                 for cos_i in (0.9, 0.3):
                     how = cos_i, n1, n2
                     expected = sample_reflectances(precision, N_SAMPLES // 8, *how, 0.8, rules, ray)
-                    out = sample_interactions(precision, N_SAMPLES // 8, *how, 0.0, 0.8, rules, ray + 1)
+                    out = sample_interactions(
+                        precision, N_SAMPLES // 8, *how, 0.0, 0.8, rules, ray + 1
+                    )
                     passed, dz = out[:, 0], out[:, 3]
                     reflected = 1.0 - passed
                     assert ((dz < 0.0) == (passed == 1.0)).all()
@@ -260,7 +288,11 @@ def _sample_pore(state, scene):
 def test_pore_medium_follows_saturation():
     z = []
     for saturation in (0.0, 0.05, 0.3, 1.0):
-        pore = draw_samples(_sample_pore, N_SAMPLES, make_scene(splits.Snow().make_grain_population(), saturation=saturation))
+        pore = draw_samples(
+            _sample_pore,
+            N_SAMPLES,
+            make_scene(splits.Snow().make_grain_population(), saturation=saturation),
+        )
         assert set(np.unique(pore)) <= {float(DRY_PORE), float(WET_PORE)}
         z += compute_binomial_z(pore == WET_PORE, saturation)
     judge_z(z, "pore")
@@ -319,7 +351,9 @@ def test_no_grain_crosses_a_boundary_unless_kept(z):
     for fate in ("reject", "keep", "skip"):
         snow = splits.Snow(depth_m=1e-3, readings={"grain_across_boundary": fate})
         # Close below the boundary, one ray in 75 finds a grain that fits before it gets there.
-        leg, minor, flattening, q, w, _ = sample_next_grains(scale_sample_size(400_000), z, d, snow, slab)
+        leg, minor, flattening, q, w, _ = sample_next_grains(
+            scale_sample_size(400_000), z, d, snow, slab
+        )
         assert leg.size > 50 and leg.max() <= -z / d[2]
         centre = z + leg * d[2] - to_real_space(q, w, minor, flattening)[:, 2]
         # Where the gradient is vertical: c² + (b² − c²) w_z² is the square of the half height.

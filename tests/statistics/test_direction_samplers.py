@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from chi2 import (
     NEEDS_JIT,
-    draw_samples,
-    judge_p,
     compute_p_of_counts,
     compute_p_of_values,
+    draw_samples,
+    judge_p,
     scale_sample_size,
 )
 from events import (
-    make_lane_words,
-    to_single_precision,
     attempt_interaction,
     attempt_interaction_by_lane,
+    make_lane_words,
     sample_unit_sphere,
+    to_single_precision,
 )
 from numba import njit
 from scipy import stats
@@ -66,7 +66,9 @@ def test_half_normal():
     edges = np.concatenate([np.arange(1, 50) / 50, 1.0 - np.array([1e-2, 3e-3, 1e-3, 3e-4])])
     p = {
         "half normal": compute_p_of_values(x, stats.halfnorm.cdf, edges),
-        "successive": compute_p_of_unit_square(stats.halfnorm.cdf(x[::2]), stats.halfnorm.cdf(x[1::2])),
+        "successive": compute_p_of_unit_square(
+            stats.halfnorm.cdf(x[::2]), stats.halfnorm.cdf(x[1::2])
+        ),
     }
     judge_p(p)
 
@@ -140,7 +142,9 @@ def judge_lobe(sampler, rounding, *args, sign=1.0):
         cosine = points @ normal
         assert cosine.min() > (0.0 if rounding < 1e-7 else -rounding)
         square = np.clip(cosine, 0.0, 1.0) ** 2
-        p[tuple(normal)] = compute_p_of_unit_square(square, compute_azimuth_fraction(points @ u, points @ v))
+        p[tuple(normal)] = compute_p_of_unit_square(
+            square, compute_azimuth_fraction(points @ u, points @ v)
+        )
     judge_p(p)
 
 
@@ -164,8 +168,14 @@ def _sample_grain_lobe(state, x, y, z, through):
     # Any direction against the normal.
     t = vectors.make_tangents(normal)
     d = vectors.linear_combination(0.6, t.u, -0.8, normal)
-    after = attempt_interaction(state, d, InterfaceState(0.0, 1.0, True, through), normal, 0.5, MEDIA, RULES)
-    return after.direction if after.accepted and after.transmitted == through else Vector(0.0, 0.0, 0.0)
+    after = attempt_interaction(
+        state, d, InterfaceState(0.0, 1.0, True, through), normal, 0.5, MEDIA, RULES
+    )
+    return (
+        after.direction
+        if after.accepted and after.transmitted == through
+        else Vector(0.0, 0.0, 0.0)
+    )
 
 
 @njit
@@ -176,7 +186,9 @@ def _sample_grain_lobe_by_lane(state, x, y, z, words, through):
     stand = InterfaceState(np.float32(0.0), np.float32(1.0), True, through)
     zero, one = np.float32(0.0), np.float32(1.0)
     media = relative_index(ComplexIndex(one, zero), ComplexIndex(np.float32(1.31), zero))
-    after = attempt_interaction_by_lane(words, d, stand, to_single_precision(normal), np.float32(0.25), media, RULES)
+    after = attempt_interaction_by_lane(
+        words, d, stand, to_single_precision(normal), np.float32(0.25), media, RULES
+    )
     sound = after.accepted and after.transmitted == through
     return after.direction if sound else to_single_precision(Vector(0.0, 0.0, 0.0))
 
@@ -219,7 +231,9 @@ def test_around_keeps_the_polar_angle():
     for cosine in (-1.0, -0.3, 0.0, 0.4, 1.0):
         sine = np.sqrt(1.0 - cosine**2)
         for normal in NORMALS[:6]:
-            d = np.array(vectors.rotate_around(Vector(*normal), Angle(cosine, sine), Angle(0.28, -0.96)))
+            d = np.array(
+                vectors.rotate_around(Vector(*normal), Angle(cosine, sine), Angle(0.28, -0.96))
+            )
             assert abs(d @ normal - cosine) < 1e-14
             assert abs(d @ d - 1.0) < 1e-14
 

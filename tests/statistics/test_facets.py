@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chi2 import (
-    draw_samples,
-    judge_p,
     compute_p_of_counts,
     compute_p_of_values,
+    draw_samples,
+    judge_p,
     scale_sample_size,
 )
 from events import compute_facet_normal, sample_facet, sample_unit_sphere
@@ -21,7 +21,11 @@ from splits.kernels.math.vectors import UP, Vector, dot
 N_SAMPLES = scale_sample_size(200_000)
 FACETNESS = (0.3, 1.0)
 COSINES = (0.05, 0.5, 1.0)
-RULES = {"projected": microfacet.PROJECTED_FACETS, "unweighted": microfacet.UNWEIGHTED_FACETS, "any": microfacet.ANY_FACETS}
+RULES = {
+    "projected": microfacet.PROJECTED_FACETS,
+    "unweighted": microfacet.UNWEIGHTED_FACETS,
+    "any": microfacet.ANY_FACETS,
+}
 TILT_CELLS, AZIMUTH_CELLS = 8, 12
 
 
@@ -33,7 +37,10 @@ def make_tilt_distribution(facetness):
 @njit
 def _sample_tilt(state, facetness):
     """Return 1 − n·n' of any facet, whether it faces the ray or not."""
-    return 1.0 - sample_facet(state, Vector(0.6, 0.0, -0.8), UP, facetness, microfacet.ANY_FACETS).tilt.cos
+    return (
+        1.0
+        - sample_facet(state, Vector(0.6, 0.0, -0.8), UP, facetness, microfacet.ANY_FACETS).tilt.cos
+    )
 
 
 def test_lean():
@@ -85,7 +92,9 @@ def test_facet_angles(rule):
     for facetness in FACETNESS:
         for cos_i in COSINES:
             sin_i = np.sqrt(1.0 - cos_i**2)
-            out = draw_samples(_sample_facet_angles, N_SAMPLES, facetness, cos_i, sin_i, RULES[rule], width=5)
+            out = draw_samples(
+                _sample_facet_angles, N_SAMPLES, facetness, cos_i, sin_i, RULES[rule], width=5
+            )
             c, s, cp, sp, cos_facet = out.T
             assert np.abs(c * c + s * s - 1.0).max() < 1e-12
             assert np.abs(cp * cp + sp * sp - 1.0).max() < 1e-12
@@ -98,7 +107,9 @@ def test_facet_angles(rule):
                 share, turn, bins=(TILT_CELLS, AZIMUTH_CELLS), range=((0, 1), (0, 1))
             )[0]
             assert counts.sum() == N_SAMPLES
-            p[facetness, cos_i] = compute_p_of_counts(counts, compute_cell_probabilities(facetness, cos_i, rule))
+            p[facetness, cos_i] = compute_p_of_counts(
+                counts, compute_cell_probabilities(facetness, cos_i, rule)
+            )
     judge_p(p)
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from chi2 import (
     SIGNIFICANCE,
-    judge_scatter,
-    judge_z,
-    compute_z_bound,
     compute_pooled_z,
     compute_rms_limits,
+    compute_z_bound,
+    judge_scatter,
+    judge_z,
 )
 from scipy import stats
 

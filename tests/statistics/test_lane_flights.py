@@ -9,21 +9,21 @@ import pytest
 from chi2 import (
     CELL_EDGES,
     NEEDS_JIT,
-    uniform_cdf,
-    judge_p,
-    judge_z,
     compute_p_of_counts,
     compute_p_of_values,
+    judge_p,
+    judge_z,
+    uniform_cdf,
 )
 from events import make_lane_words
 from numba import njit
-from scenes import keep_all_grains, make_medium_scene, get_vectorized_scene
+from scenes import get_vectorized_scene, keep_all_grains, make_medium_scene
 from scipy import stats
 
 import splits
-from splits.media import grain_statistics
 from splits.kernels.compiler.features import Features
-from splits.kernels.vectorized import sampling, flight, lane_state
+from splits.kernels.vectorized import flight, lane_state, sampling
+from splits.media import grain_statistics
 
 pytestmark = NEEDS_JIT
 
@@ -116,7 +116,11 @@ def test_flight_strikes_grains_as_the_laws_say(psi, entry):
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     facing = np.clip(-n @ RAY, 0.0, 1.0)
     v = np.cross(n, RAY)
-    turn = np.arctan2(dot_product(w, v)[:, 0], dot_product(w, np.cross(n, v))[:, 0]) / (2 * np.pi) % 1.0
+    turn = (
+        np.arctan2(dot_product(w, v)[:, 0], dot_product(w, np.cross(n, v))[:, 0])
+        / (2 * np.pi)
+        % 1.0
+    )
     u = np.cross(RAY, [1.0, 0.0, 0.0])
     u /= np.linalg.norm(u)
     azimuth = np.arctan2(n @ np.cross(RAY, u), n @ u) / (2 * np.pi) % 1.0
@@ -130,13 +134,17 @@ def test_flight_strikes_grains_as_the_laws_say(psi, entry):
     judge_p(
         {
             "axial": compute_p_of_values(np.clip(z, -1, 1), compute_axial_cdf(psi, entry)),
-            "axis": compute_p_of_values(np.clip(np.abs(w @ RAY), 0, 1), compute_axis_cdf(psi, entry)),
+            "axis": compute_p_of_values(
+                np.clip(np.abs(w @ RAY), 0, 1), compute_axis_cdf(psi, entry)
+            ),
             "axis side": compute_p_of_counts([side, N_SAMPLES - side], [0.5, 0.5]),
             "facing": compute_p_of_values(facing, lambda x: compute_facing_cdf(x, entry)),
             "joint": compute_p_of_counts(cells, np.full(100, 0.01)),
             "turn": compute_p_of_values(turn, uniform_cdf),
             "azimuth": compute_p_of_values(azimuth, uniform_cdf),
-            "distance": compute_p_of_values(rows_of(lane_state.PREV_LENGTH), stats.expon(scale=scale).cdf, CELL_EDGES),
+            "distance": compute_p_of_values(
+                rows_of(lane_state.PREV_LENGTH), stats.expon(scale=scale).cdf, CELL_EDGES
+            ),
             "size": compute_p_of_values(
                 curvature,
                 lambda x: np.clip((x - 1 / 3.75e-4) / (1 / 1.5e-4 - 1 / 3.75e-4), 0.0, 1.0),
@@ -167,10 +175,17 @@ def test_shapes_that_are_drawn_again_keep_their_law():
         "size": compute_p_of_values(
             curvature, lambda x: np.clip((x - 1 / 3.75e-4) / (1 / 1.5e-4 - 1 / 3.75e-4), 0, 1)
         ),
-        "roughness": compute_p_of_values(facetness, lambda x: np.clip(law.cdf(x), 0, 1), CELL_EDGES),
+        "roughness": compute_p_of_values(
+            facetness, lambda x: np.clip(law.cdf(x), 0, 1), CELL_EDGES
+        ),
     }
     judge_p(p)
-    pairs = ((psi, curvature), (psi, rows_of(lane_state.PREV_LENGTH)), (curvature, facetness), (psi, facetness))
+    pairs = (
+        (psi, curvature),
+        (psi, rows_of(lane_state.PREV_LENGTH)),
+        (curvature, facetness),
+        (psi, facetness),
+    )
     z = [stats.spearmanr(a, b).statistic * math.sqrt(N_SAMPLES - 1) for a, b in pairs]
     judge_z(z, "shape, size, distance, roughness")
 

@@ -8,29 +8,29 @@ from itertools import product
 import numpy as np
 import pytest
 from chi2 import (
-    CELL_PROBABILITIES,
     CELL_EDGES,
+    CELL_PROBABILITIES,
     NEEDS_JIT,
     TAIL_PROBABILITIES,
-    draw_samples,
-    uniform_cdf,
-    judge_p,
     compute_p_of_counts,
     compute_p_of_values,
+    draw_samples,
+    judge_p,
     start_random_stream,
+    uniform_cdf,
 )
-from events import sample_facet_by_lane, make_lane_words, to_single_precision
+from events import make_lane_words, sample_facet_by_lane, to_single_precision
 from numba import njit
 from scipy import stats
 
-from splits.media import grain_statistics
 from splits.kernels.grains import microfacet
-from splits.kernels.vectorized import sampling, lane_rng, lane_state
+from splits.kernels.math import rng
+from splits.kernels.math.elementary import log, sample_circle
+from splits.kernels.math.vectors import UP, Vector
+from splits.kernels.vectorized import lane_rng, lane_state, sampling
 from splits.kernels.vectorized.interaction import draw_interaction_variates
 from splits.kernels.vectorized.intrinsics import gather_interpolate
-from splits.kernels.math import rng
-from splits.kernels.math.elementary import sample_circle, log
-from splits.kernels.math.vectors import UP, Vector
+from splits.media import grain_statistics
 
 pytestmark = NEEDS_JIT
 
@@ -133,7 +133,13 @@ def _draw_three(state):
 @njit
 def _to_uniform(word):
     a, b, c = lane_rng.to_three_uniforms(word)
-    return float(a), float(b), float(c), float(lane_rng.to_uniform_46(word)), lane_rng.to_uniform_52(word)
+    return (
+        float(a),
+        float(b),
+        float(c),
+        float(lane_rng.to_uniform_46(word)),
+        lane_rng.to_uniform_52(word),
+    )
 
 
 def test_three_numbers_are_uniform_and_independent():
@@ -188,7 +194,9 @@ def test_fine_numbers_are_uniform_down_to_their_lower_tail():
             tail = np.concatenate([CELL_PROBABILITIES, 1.0 - TAIL_PROBABILITIES[::-1]])
             # Less than the smallest number's own cell is not resolved: 6e-8 in the logarithm.
             flown = draw_samples(_draw_path_remainder, N_SAMPLES, zeros, ray=100 + zeros)
-            p["exponential", zeros] = compute_p_of_values(np.maximum(flown, 0.0), stats.expon.cdf, tail)
+            p["exponential", zeros] = compute_p_of_values(
+                np.maximum(flown, 0.0), stats.expon.cdf, tail
+            )
     judge_p(p)
 
 
@@ -202,7 +210,9 @@ def _sample_circle(state):
 def test_azimuths_are_uniform():
     x, y = draw_samples(_sample_circle, N_SAMPLES, width=2).T
     assert np.abs(x * x + y * y - 1.0).max() < 2e-6
-    judge_p({"azimuth": compute_p_of_values(np.arctan2(y, x) / (2.0 * np.pi) % 1.0, uniform_cdf, 101)})
+    judge_p(
+        {"azimuth": compute_p_of_values(np.arctan2(y, x) / (2.0 * np.pi) % 1.0, uniform_cdf, 101)}
+    )
 
 
 # --- leaning facets ---------------------------------------------------------------------------
@@ -248,11 +258,15 @@ def test_leaning_is_half_normal():
     p = {}
     for facetness in (0.1, 0.3, 1.0):
         sigma = 0.5 * facetness
-        x = draw_samples(_sample_tilt, N_SAMPLES, make_lane_words(int(100 * facetness)), single(sigma))
+        x = draw_samples(
+            _sample_tilt, N_SAMPLES, make_lane_words(int(100 * facetness)), single(sigma)
+        )
         assert x.min() >= 0.0 and x.max() < 1.0
         law = stats.truncnorm(0.0, 1.0 / sigma, scale=sigma)
         p[facetness] = compute_p_of_values(x, law.cdf, CELL_EDGES)
-        p[facetness, "far"] = compute_p_of_values(x, law.cdf, 1.0 - 10.0 ** -np.arange(1.0, 4.5, 0.5))
+        p[facetness, "far"] = compute_p_of_values(
+            x, law.cdf, 1.0 - 10.0 ** -np.arange(1.0, 4.5, 0.5)
+        )
     judge_p(p)
 
 
@@ -305,7 +319,9 @@ def test_facets_are_chosen_as_the_density_says(rule):
             range=((0, 1), (0, 1)),
         )[0]  # fmt: skip
         assert counts.sum() == N_SAMPLES
-        p[facetness, cos_i] = compute_p_of_counts(counts, compute_cell_probabilities(facetness, cos_i, rule))
+        p[facetness, cos_i] = compute_p_of_counts(
+            counts, compute_cell_probabilities(facetness, cos_i, rule)
+        )
     judge_p(p)
 
 
@@ -325,7 +341,9 @@ def _look_up(table, row, x):
 def _sample_quantile(state, table):
     """Return a quantile as `draw_types` does: 31 bits, and a position in single precision."""
     u = (single(np.int32(draw_bits(state) >> np.uint64(33))) + single(0.5)) * single(2.0**-31)
-    return float(_look_up(table, 0, sampling.compute_quantile_position(u, single(table.shape[1] - 1))))
+    return float(
+        _look_up(table, 0, sampling.compute_quantile_position(u, single(table.shape[1] - 1)))
+    )
 
 
 @njit
@@ -366,7 +384,9 @@ def test_tables_are_read_as_their_quantile_function(name):
         {
             "cells": compute_p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), CELL_EDGES),
             "low": compute_p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), far),
-            "high": compute_p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), 1.0 - far[::-1]),
+            "high": compute_p_of_values(
+                sample, lambda x: np.clip(cdf(x), 0.0, 1.0), 1.0 - far[::-1]
+            ),
         }
     )
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from splits.instruments.angular_estimate import estimate_brdf
-from splits.instruments.angular_truncation import make_direction_grid, is_significant
 from splits.instruments.angular_tally import N_ANGULAR_BATCHES
+from splits.instruments.angular_truncation import is_significant, make_direction_grid
 from splits.kernels.tallies.angular import make_basis
 
 POLAR = np.array([0.0, 20.0, 40.0, 60.0, 65.0, 70.0, 72.5, 75.0, 77.5, 80.0])
@@ -81,7 +81,9 @@ def compare_errors(width, rays, classes):
     error = np.sqrt((stated**2).mean(axis=0))
     z = np.sqrt((off**2).mean(axis=0)) / error
     bias = np.abs(off.mean(axis=0)) / error
-    print(f"off over stated: lobe {compute_rms(z[LOBE]):.2f}, elsewhere {compute_rms(z[~LOBE]):.2f}, at most")
+    print(
+        f"off over stated: lobe {compute_rms(z[LOBE]):.2f}, elsewhere {compute_rms(z[~LOBE]):.2f}, at most"
+    )
     print(f"{z.max():.2f}; bias over stated at most {bias.max():.2f}")
     # 40 values know a root mean square to 11 %, and a mean to 16 % of their scatter.
     assert 0.6 < compute_rms(z[LOBE]) < 1.2 and 0.6 < compute_rms(z[~LOBE]) < 1.2
@@ -112,7 +114,9 @@ class FewRays(SyntheticExits):
         )
         self.basis, self.wavelength_rows, self.rays = BASIS, {0: 0}, 100_000
         self.groups = np.zeros((N_ANGULAR_BATCHES, 1, 2, BASIS.norms.size))
-        for at, around, group in zip(polar, azimuth, rng.integers(0, N_ANGULAR_BATCHES, number), strict=True):
+        for at, around, group in zip(
+            polar, azimuth, rng.integers(0, N_ANGULAR_BATCHES, number), strict=True
+        ):
             values = make_direction_grid(np.array([at]), np.array([around]), BASIS).polynomials[0]
             self.groups[group, 0] += values * N_ANGULAR_BATCHES / self.rays
 
@@ -156,7 +160,9 @@ def test_noise_is_hardly_ever_taken_for_detail(count):
     generator = np.random.default_rng(count)
     found = 0
     for _ in range(10):
-        groups = generator.normal(size=(N_ANGULAR_BATCHES, draws // 10, count)) * np.linspace(1.0, 2.0, count)
+        groups = generator.normal(size=(N_ANGULAR_BATCHES, draws // 10, count)) * np.linspace(
+            1.0, 2.0, count
+        )
         mean, variance = groups.mean(axis=0), groups.var(axis=0, ddof=1) / N_ANGULAR_BATCHES
         found += int(is_significant(mean, variance).sum())
     # A normal variable lies 4 of its deviations above its mean in 3 of 100 000 cases; few groups

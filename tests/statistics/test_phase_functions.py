@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from chi2 import (
     CELL_EDGES,
+    compute_p_of_counts,
     draw_samples,
     judge_p,
     judge_z,
-    compute_p_of_counts,
     scale_sample_size,
 )
 from numba import njit
@@ -108,7 +108,9 @@ def test_density_of_henyey_and_greenstein_keeps_its_digits():
                 a = mp.mpf(g)
                 exact = (1 - a * a) / (4 * mp.pi * (1 + a * a - 2 * a * mp.mpf(mu)) ** mp.mpf(1.5))
             model = phase_function.make_henyey_greenstein(g)
-            assert phase_function.evaluate_phase_function(model, mu) == pytest.approx(float(exact), rel=2e-15)
+            assert phase_function.evaluate_phase_function(model, mu) == pytest.approx(
+                float(exact), rel=2e-15
+            )
 
 
 def test_table():
@@ -120,16 +122,22 @@ def test_table():
     for mu, u in ((-0.625, 0.75), (0.125, 2.0625), (0.75, 2.5)):
         out = phase_function.table_quantile(table.cosines, table.density, table.cdf, u / 3.25)
         assert out == pytest.approx(mu, abs=1e-15)
-        assert phase_function.evaluate_phase_function(table, mu) == pytest.approx(np.interp(mu, x, table.density))
+        assert phase_function.evaluate_phase_function(table, mu) == pytest.approx(
+            np.interp(mu, x, table.density)
+        )
     for mu in x:
-        assert phase_function.evaluate_phase_function(table, mu) == pytest.approx(np.interp(mu, x, table.density))
+        assert phase_function.evaluate_phase_function(table, mu) == pytest.approx(
+            np.interp(mu, x, table.density)
+        )
 
 
 def test_mean_of_a_fine_table():
     theta = np.radians(np.arange(181.0))
     table = phase_function.make_tabulated(np.cos(theta), 1.0 + np.cos(theta) ** 2)
     assert table.g == pytest.approx(0.0, abs=1e-15)
-    assert phase_function.evaluate_phase_function(table, 1.0) == pytest.approx(3 / (8 * math.pi), rel=1e-3)
+    assert phase_function.evaluate_phase_function(table, 1.0) == pytest.approx(
+        3 / (8 * math.pi), rel=1e-3
+    )
 
 
 @njit
@@ -192,13 +200,17 @@ def test_azimuths_of_polarised_light():
     for model_name, model in models.items():
         for i, (name, s) in enumerate(LIGHT.items()):
             light = stokes.Stokes(REFERENCE, *s)
-            out = draw_samples(_sample_direction, N_SAMPLES // 2, model, ALONG, light, width=3, ray=i)
+            out = draw_samples(
+                _sample_direction, N_SAMPLES // 2, model, ALONG, light, width=3, ray=i
+            )
             edges, share = make_joint_cells(model, s, levels)
             share /= share.sum()
             p[model_name, name] = compute_p_of_counts(count_directions(out, edges), share)
         out = draw_samples(_sample_unpolarized, N_SAMPLES // 2, model, ALONG, width=3)
         edges, share = make_joint_cells(model, LIGHT["unpolarised"], levels)
-        p[model_name, "scalar"] = compute_p_of_counts(count_directions(out, edges), share / share.sum())
+        p[model_name, "scalar"] = compute_p_of_counts(
+            count_directions(out, edges), share / share.sum()
+        )
     judge_p(p)
 
 

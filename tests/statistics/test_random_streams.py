@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from chi2 import (
     SEED,
+    compute_p_of_counts,
+    compute_p_of_values,
     draw_samples,
     judge_p,
     judge_z,
-    compute_p_of_counts,
-    compute_p_of_values,
     scale_sample_size,
 )
 from numba import njit

@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 from chi2 import (
+    compute_p_of_counts,
+    compute_p_of_values,
     draw_samples,
     judge_p,
     judge_z,
-    compute_p_of_counts,
-    compute_p_of_values,
     scale_sample_size,
 )
 from numba import njit
-from scenes import make_medium_scene, find_next_event, make_optics, make_new_ray
+from scenes import find_next_event, make_medium_scene, make_new_ray, make_optics
 from scipy import stats
 
 import splits
@@ -104,7 +104,10 @@ def test_shares_of_the_separates():
     p = {}
     for name, texture in TEXTURES.items():
         sizes = 2.0 / draw_samples(
-            evaluate_quantile, N_SAMPLES, splits.Sand(texture=texture).make_grain_population().types.curvature, ray=1
+            evaluate_quantile,
+            N_SAMPLES,
+            splits.Sand(texture=texture).make_grain_population().types.curvature,
+            ray=1,
         )
         counts, _ = np.histogram(np.log(sizes), [-np.inf, *LIMITS[1:3], np.inf])
         shares = np.diff([0.0, *compute_struck_cdf(texture)(np.exp(LIMITS[1:3])), 1.0])
@@ -137,7 +140,9 @@ def test_facetness_is_one_less_roundness():
         facetness = splits.Sand(roundness=(mean, sd)).make_grain_population().types.facetness
         roundness = stats.truncnorm((0.0 - mean) / sd, (1.0 - mean) / sd, loc=mean, scale=sd)
         p[mean, sd] = compute_p_of_values(
-            draw_samples(evaluate_quantile, N_SAMPLES, facetness), lambda f, r=roundness: r.sf(1.0 - f), EDGES
+            draw_samples(evaluate_quantile, N_SAMPLES, facetness),
+            lambda f, r=roundness: r.sf(1.0 - f),
+            EDGES,
         )
     judge_p(p)
 
@@ -147,7 +152,9 @@ def test_next_grains_are_of_every_type_by_volume_and_alike_in_size():
     shares = np.array(sand.composition.volume_fractions)
     assert shares.size == 8
     scene, empty = make_medium_scene(sand, depth=1.0), make_optics(np.ones(12))
-    leg, kind, size, sphericity = draw_samples(sample_struck_grain, N_SAMPLES, -0.5, scene, empty, width=4).T
+    leg, kind, size, sphericity = draw_samples(
+        sample_struck_grain, N_SAMPLES, -0.5, scene, empty, width=4
+    ).T
     assert np.isfinite(leg).all()
     u = compute_struck_cdf(sand.texture)(size)
     p = {
@@ -189,7 +196,8 @@ def test_each_type_by_itself_is_met_at_its_own_distance():
         {
             "types": compute_p_of_counts(nearest, cells),
             "distance": compute_p_of_values(
-                distance.min(axis=1), stats.expon(scale=1.0 / sand.make_grain_population().attenuation).cdf
+                distance.min(axis=1),
+                stats.expon(scale=1.0 / sand.make_grain_population().attenuation).cdf,
             ),
         }
     )

@@ -5,24 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chi2 import (
-    draw_samples,
-    judge_p,
     compute_p_of_counts,
     compute_p_of_values,
+    draw_samples,
+    judge_p,
     scale_sample_size,
     tabulate_cdf,
 )
 from events import sample_entry as strike
 from numba import njit
 from scipy import integrate, stats
-from spheroids import dot_product, compute_normal, evaluate_quadratic, to_real_space
+from spheroids import compute_normal, dot_product, evaluate_quadratic, to_real_space
 
-from splits.media import grain_statistics
-from splits.kernels.grains import state, spheroid
+from splits.kernels.grains import spheroid
 from splits.kernels.grains.spheroid import GrainSize
 from splits.kernels.math import rng
 from splits.kernels.math.rng import make_table_probabilities
 from splits.kernels.math.vectors import Vector
+from splits.media import grain_statistics
 
 N_SAMPLES = scale_sample_size(200_000)
 SPHERICITIES = (0.3, 0.6, 0.798, 0.95, 1.0)
@@ -58,7 +58,9 @@ def compute_area_per_volume(sphericity):
 @pytest.mark.parametrize("limits", [(3e-4, 7.5e-4), (5e-5, 2e-3)], ids=str)
 def test_struck_sizes(limits):
     low, high = limits
-    attenuation = 1 / sample_table(grain_statistics.tabulate_struck_inverse_sizes(low, high, "attenuation"))
+    attenuation = 1 / sample_table(
+        grain_statistics.tabulate_struck_inverse_sizes(low, high, "attenuation")
+    )
     uniform = 1 / sample_table(grain_statistics.tabulate_struck_inverse_sizes(low, high, "uniform"))
     judge_p(
         {
@@ -96,7 +98,9 @@ def test_struck_sphericities():
         values = sample_table(grain_statistics.tabulate_struck_sphericities(low, high, mean, sd))
 
         def density(psi, mean=mean, sd=sd):
-            return compute_area_per_volume(np.minimum(psi, 1.0 - 1e-9)) * stats.norm.pdf(psi, mean, sd)
+            return compute_area_per_volume(np.minimum(psi, 1.0 - 1e-9)) * stats.norm.pdf(
+                psi, mean, sd
+            )
 
         p[name] = compute_p_of_values(values, tabulate_cdf(density, low, high), EDGES)
     judge_p(p)
@@ -142,17 +146,40 @@ ENTRIES = {"uniform": spheroid.UNIFORM_ENTRY, "projected": spheroid.PROJECTED_EN
 def _sample_entry(state, x, y, z, size, rule):
     entry = strike(state, Vector(x, y, z), size, rule)
     q, w, n = entry.grain.q, entry.grain.w, entry.normal
-    return q.x, q.y, q.z, w.x, w.y, w.z, n.x, n.y, n.z, entry.axial_position, entry.semi_major, entry.grain.semi_minor
+    return (
+        q.x,
+        q.y,
+        q.z,
+        w.x,
+        w.y,
+        w.z,
+        n.x,
+        n.y,
+        n.z,
+        entry.axial_position,
+        entry.semi_major,
+        entry.grain.semi_minor,
+    )
 
 
 def sample_entries(psi, entry):
     """Return entry points from the centre, major axes and normals of grains of semi-axis B."""
     flattening = 1.0 - psi * psi
-    out = draw_samples(_sample_entry, N_SAMPLES, *RAY, GrainSize(SEMI_AXIS_M, flattening), ENTRIES[entry], width=12, ray=1)
+    out = draw_samples(
+        _sample_entry,
+        N_SAMPLES,
+        *RAY,
+        GrainSize(SEMI_AXIS_M, flattening),
+        ENTRIES[entry],
+        width=12,
+        ray=1,
+    )
     q, axis, normal = out[:, :3], out[:, 3:6], out[:, 6:9]
     # What the kernel needs later, to see whether the grain fits.
     assert np.abs((q * axis).sum(axis=1) - out[:, 9]).max() < 1e-13
-    assert (out[:, 10] == SEMI_AXIS_M).all() and np.abs(out[:, 11] - SEMI_AXIS_M * psi * psi).max() < 1e-15 * SEMI_AXIS_M
+    assert (out[:, 10] == SEMI_AXIS_M).all() and np.abs(
+        out[:, 11] - SEMI_AXIS_M * psi * psi
+    ).max() < 1e-15 * SEMI_AXIS_M
     assert np.abs((q * q).sum(axis=1) - 1.0).max() < 1e-13
     return to_real_space(q, axis, SEMI_AXIS_M * psi * psi, flattening), axis, normal
 
@@ -215,7 +242,10 @@ def test_struck_point(entry):
         p[psi, "axial"] = compute_p_of_values(z, compute_axial_cdf(psi, entry))
         # Height on the body and angle to the ray are independent under both rules.
         cells = np.histogram2d(
-            compute_area_below(z, psi), compute_facing_cdf(facing, entry), bins=10, range=((0, 1), (0, 1))
+            compute_area_below(z, psi),
+            compute_facing_cdf(facing, entry),
+            bins=10,
+            range=((0, 1), (0, 1)),
         )[0]
         p[psi, "joint"] = compute_p_of_counts(cells, np.full(100, 0.01))
         # Around the ray nothing distinguishes one azimuth from another.
@@ -249,4 +279,6 @@ def test_sphericity_limits_of_the_area_formula():
             lambda z, c=c: 2 * np.pi * c * np.sqrt(1 - (1 - c * c) * z * z), -1.0, 1.0
         )[0]
         expected = 2.0 * area / (4.0 / 3.0 * np.pi * c * c)
-        assert float(grain_statistics.surface_to_volume_ratio(psi)) == pytest.approx(expected, rel=1e-9)
+        assert float(grain_statistics.surface_to_volume_ratio(psi)) == pytest.approx(
+            expected, rel=1e-9
+        )

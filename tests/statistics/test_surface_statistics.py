@@ -9,19 +9,19 @@ import pytest
 from chi2 import (
     NEEDS_JIT,
     SEED,
-    uniform_cdf,
+    compute_p_of_values,
     judge_p,
     judge_z,
-    compute_p_of_values,
     scale_sample_size,
+    uniform_cdf,
 )
 from numba import njit
 from scipy import stats
 
-from splits.media.rough_surface import RoughSurface
 from splits.kernels.math import rng
 from splits.kernels.rough_surface import realization as kernels
 from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, PHASE
+from splits.media.rough_surface import RoughSurface
 
 N_REALISATIONS = scale_sample_size(60_000)
 K0, SIGMA = 2.0, 0.3
@@ -61,7 +61,9 @@ def sample_heights(name, x, y):
     surface = RoughSurface.from_input(SPECTRA[name])
     found = np.empty((N_REALISATIONS, len(x)))
     ensemble = list(SPECTRA).index(name)
-    _evaluate_heights(SEED, ensemble, surface.make_height_fields(), np.asarray(x), np.asarray(y), found)
+    _evaluate_heights(
+        SEED, ensemble, surface.make_height_fields(), np.asarray(x), np.asarray(y), found
+    )
     return found / surface.rms_height_m
 
 

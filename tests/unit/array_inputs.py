@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from formula_tables import W, make_snowlike_table, evaluate_spectrum
+from formula_tables import W, evaluate_spectrum, make_snowlike_table
 from test_phase_functions_by_angle import make_optics
 
 import splits
+from splits.analysis.theory.phase_function import to_eradiate
+from splits.materials import lookup
 from splits.retrieval.sand_fit import check_measured_reflectance
 from splits.tables.axes import ParameterGrid
-from splits.materials import lookup
-from splits.analysis.theory.phase_function import to_eradiate
 
 NM = [400.0, 800.0, 1600.0]
 PARAMETERS = [0.25, 0.5, 0.125]

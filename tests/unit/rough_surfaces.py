@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.media.rough_surface import RoughSurface
-from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, PHASE
 from splits.kernels.rough_surface.realization import make_realization
+from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, PHASE
+from splits.media.rough_surface import RoughSurface
 
 GAUSSIAN = {"rms_height_m": 0.5, "wave_number_per_m": 1.0, "correlation": "gaussian", "waves": 16}
 EXPONENTIAL = {"rms_height_m": 0.2, "wave_number_per_m": 1.0, "band_limit_per_m": 50.0}

@@ -9,16 +9,16 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.experiments.papers.agreement import _compare_with_published, read_published
 from splits.analysis.measured import (
     DIFFUSE_FRACTION,
     LETCHER_COLUMNS,
-    compare_with_spectrum,
     compare_with_letcher,
+    compare_with_spectrum,
     compute_measured_rmse,
-    read_measured,
     compute_rmse,
+    read_measured,
 )
+from splits.experiments.papers.agreement import _compare_with_published, read_published
 from splits.experiments.papers.paper_tables import write_table
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -67,7 +67,10 @@ def test_a_number_whose_error_reaches_over_its_bar_has_no_verdict(published, nam
 
 
 def test_bars_are_told_as_they_are_applied(published):
-    bars = {name: _compare_with_published(name, row, (1.0, 0.0))["bar"] for name, row in published.iterrows()}
+    bars = {
+        name: _compare_with_published(name, row, (1.0, 0.0))["bar"]
+        for name, row in published.iterrows()
+    }
     assert bars["absolute"] == "±0.03"
     assert bars["relative"] == "±3 %"
     assert bars["between"] == "0.02 to 0.032"
@@ -109,7 +112,10 @@ def test_rmse_of_errors_that_go_together_is_bounded():
     assert value == pytest.approx(0.03)
     # Both shift alike, which changes the differences' squares in the second order alone.
     assert error == pytest.approx(0.5 * 1e-4 / 0.03)
-    assert compute_rmse([0.0, 0.0], [0.01, 0.03], lambda _: 9.0) == (0.0, pytest.approx(np.sqrt(5e-4)))
+    assert compute_rmse([0.0, 0.0], [0.01, 0.03], lambda _: 9.0) == (
+        0.0,
+        pytest.approx(np.sqrt(5e-4)),
+    )
     assert compute_rmse([0.01, 0.0], stderr, lambda _: 9.0)[1] == pytest.approx(0.01)
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import pytest
-from array_inputs import FIXED, SOOT, SIZE, TABLE
+from array_inputs import FIXED, SIZE, SOOT, TABLE
 from formula_tables import W, evaluate_spectrum, make_table
 
 import splits
 from splits.core.validation import InvalidValue
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.retrieval.media import check_measurement_incidence, make_medium_state_vector
 from splits.tables.export import convert_to_spires
 from splits.tables.isofit import convert_to_isofit
-from splits.retrieval.media import make_medium_state_vector, check_measurement_incidence
 
 BOTH_SPELLINGS = {"sza": 30.0, "incidence_deg": 50.0}
 PLACE = {SIZE: 100.0, SOOT: 64.0}
@@ -76,7 +76,9 @@ def test_short_names_are_taken_wherever_axes_are():
         lambda at: TABLE.interp(**PLACE, **at).reflectance,
         lambda at: TABLE.derivatives([SIZE], **PLACE, **at).reflectance_jacobian,
         lambda at: TABLE.interpolation_errors("reflectance", **PLACE, **at),
-        lambda at: splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, at={SOOT: 64.0} | at).dataset.value,
+        lambda at: (
+            splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, at={SOOT: 64.0} | at).dataset.value
+        ),
     ):
         assert (abs(look(whole) - look(short)) == 0.0).all()
     assert FIXED["incidence_deg"] == 30.0

@@ -25,7 +25,9 @@ GRAIN_CALLS = ("single_scattering", "deep_transmittance")
 SURFACE_CALLS = ("lens", "surface_map")
 
 
-@pytest.mark.parametrize("medium", ["snow", "layer", splits.Snow, splits.ParticleLayer, None, [600], 5])
+@pytest.mark.parametrize(
+    "medium", ["snow", "layer", splits.Snow, splits.ParticleLayer, None, [600], 5]
+)
 @pytest.mark.parametrize("instrument", VIEW_CALLS)
 def test_what_is_no_medium_is_refused(instrument, medium):
     allowed = "Layer" if instrument in SURFACE_CALLS else "Snow"

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from array_inputs import FIXED, CASES, SIZE, TABLE, retrieve_image
+from array_inputs import CASES, FIXED, SIZE, TABLE, retrieve_image
 from chi2 import NEEDS_JIT
 from formula_tables import W
 from test_bird import AUTHOR, make_brdf
@@ -16,8 +16,8 @@ import splits
 from splits.core.uncertainty import compute_weighted_error
 from splits.core.validation import InvalidValue
 from splits.io.netcdf import drop_run_specific_attributes
-from splits.tables.export import convert_to_spires
 from splits.retrieval.maps import FLAGS
+from splits.tables.export import convert_to_spires
 
 EQUIVALENT_INPUTS = {
     "read-only": lambda a: np.lib.stride_tricks.as_strided(a, writeable=False),
@@ -72,7 +72,9 @@ def list_case_names(cases, runs=False):
 
 def assert_same(one, other):
     if isinstance(one, xr.Dataset):
-        xr.testing.assert_identical(drop_run_specific_attributes(one), drop_run_specific_attributes(other))
+        xr.testing.assert_identical(
+            drop_run_specific_attributes(one), drop_run_specific_attributes(other)
+        )
     else:
         for left, right in zip(np.atleast_1d(one), np.atleast_1d(other), strict=True):
             np.testing.assert_array_equal(left, right)
@@ -192,7 +194,10 @@ def make_table(form, dataset):
 @pytest.mark.parametrize("form", EQUIVALENT_INPUTS)
 def test_tables_of_every_form_read_alike(form):
     plain = TABLE.dataset.astype(np.float16)
-    found = [make_table(look, plain).interp(**FIXED, **{SIZE: 100.0}) for look in (np.array, EQUIVALENT_INPUTS[form])]
+    found = [
+        make_table(look, plain).interp(**FIXED, **{SIZE: 100.0})
+        for look in (np.array, EQUIVALENT_INPUTS[form])
+    ]
     assert_same(*found)
 
 
@@ -213,7 +218,9 @@ GAP = {
 @pytest.mark.parametrize("look", GAP)
 def test_datasets_with_gaps_are_refused(look):
     broken = TABLE.dataset.where(TABLE.dataset[SIZE] > 40.0)
-    with pytest.raises(InvalidValue, match=r"gaps in .*masked, NaN or missing|a number at every node"):
+    with pytest.raises(
+        InvalidValue, match=r"gaps in .*masked, NaN or missing|a number at every node"
+    ):
         GAP[look](broken)
 
 

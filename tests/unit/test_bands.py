@@ -9,7 +9,11 @@ import splits
 from splits.illumination.bands import SENSORS, SpectralBand, as_bands
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
-OWN_BANDS = {"wavelength_nm": [300, 600, 1200], "direct": [1.0, 3.0, 0.0], "diffuse": [1.0, 0.0, 1.0]}
+OWN_BANDS = {
+    "wavelength_nm": [300, 600, 1200],
+    "direct": [1.0, 3.0, 0.0],
+    "diffuse": [1.0, 0.0, 1.0],
+}
 
 
 def test_weights_are_integrals_of_responses_too():

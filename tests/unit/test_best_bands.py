@@ -56,6 +56,12 @@ INVALID_CALLS = {
 @pytest.mark.parametrize("name", INVALID_CALLS)
 def test_bad_input_is_refused(name):
     other, message = INVALID_CALLS[name]
-    given = {"table": make_snowlike_table(), "bands": W, "free": [SIZE, SOOT], "noise": 0.01, "at": FIXED}
+    given = {
+        "table": make_snowlike_table(),
+        "bands": W,
+        "free": [SIZE, SOOT],
+        "noise": 0.01,
+        "at": FIXED,
+    }
     with pytest.raises(InvalidValue, match=message):
         splits.select_bands(**(given | other))

@@ -54,7 +54,9 @@ def written(tmp_path, *datasets, **keywords):
 
 
 def test_it_holds_what_the_format_asks_for_and_nothing_else(tmp_path):
-    found = written(tmp_path, make_brdf(30.0), license={"type": "CC-BY-4.0", "rights_holder": "Ada"})
+    found = written(
+        tmp_path, make_brdf(30.0), license={"type": "CC-BY-4.0", "rights_holder": "Ada"}
+    )
     assert set(found) == {"metadata", "data"}
     about, data = found["metadata"], found["data"]
     needed = {"schema", "id", "type", "timestamp", "provenance", "method", "instrumentation",
@@ -144,7 +146,11 @@ def test_what_a_goniophotometer_measures_can_be_written(tmp_path):
         ([], {}, "datasets = "),
         ([make_brdf(0.0), make_brdf(30.0, snow_depth_m=0.2)], {}, "datasets = 'another medium'"),
         ([make_brdf(0.0).drop_vars("brdf")], {}, "datasets = 'BRDF'"),
-        ([make_brdf(30.0), make_brdf(30.0)], {}, r"datasets = \[30.0, 30.0\]: must be of different"),
+        (
+            [make_brdf(30.0), make_brdf(30.0)],
+            {},
+            r"datasets = \[30.0, 30.0\]: must be of different",
+        ),
         ([make_brdf(0.0)], {"path": "snow.nc"}, "path = 'snow.nc'"),
         ([make_brdf(0.0)], {"provenance": {"email": "a@b.org"}}, "provenance = .*organization"),
         ([make_brdf(0.0)], {"license": {"type": "MIT"}}, "license = .*rights_holder"),

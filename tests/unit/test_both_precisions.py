@@ -14,10 +14,10 @@ from chi2 import NEEDS_JIT
 from numba import njit
 
 from splits.kernels.compiler.features import ALL_FEATURES, Features
-from splits.kernels.grains import microfacet, free_path, spheroid, interaction
-from splits.kernels.grains.free_path import RejectionRules, RayGeometry, LayerGeometry
-from splits.kernels.grains.spheroid import EntryVariates, EntryPoint, Segment, GrainSize, Spheroid
+from splits.kernels.grains import free_path, interaction, microfacet, spheroid
+from splits.kernels.grains.free_path import LayerGeometry, RayGeometry, RejectionRules
 from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
+from splits.kernels.grains.spheroid import EntryPoint, EntryVariates, GrainSize, Segment, Spheroid
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import ComplexIndex
@@ -58,7 +58,9 @@ def draw_circle(random, count=N_SAMPLES):
 
 def draw_sizes(random):
     """Return semi-major axis and flattening."""
-    return np.column_stack([RELATIVE_SCALE * random.uniform(0.5, 2.0, N_SAMPLES), random.uniform(0, 0.9, N_SAMPLES)])
+    return np.column_stack(
+        [RELATIVE_SCALE * random.uniform(0.5, 2.0, N_SAMPLES), random.uniform(0, 0.9, N_SAMPLES)]
+    )
 
 
 def run_both_precisions(loop, columns, width, *args):
@@ -103,11 +105,18 @@ def _compute_outcomes(x, lobe, through, features, rule, turn, out):
         numbers = InteractionVariates(row[8], row[9], row[9], row[10], Angle(abs(row[11]), row[12]))
         if features.faceted is not None:
             facet = microfacet.sample_microfacet(d, facet, row[13], numbers, lobe, rule)
-        media = interaction.relative_index(ComplexIndex(row[14], row[15]), ComplexIndex(row[16], row[17]))
+        media = interaction.relative_index(
+            ComplexIndex(row[14], row[15]), ComplexIndex(row[16], row[17])
+        )
         stand = InterfaceState(zero, one, lobe, through)
         after = interaction.reflect_or_refract(d, stand, facet, media, row[9], turn, features)
         goes = interaction.find_next_region(stand, after, one, features.mixed)
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = after.direction.x, after.direction.y, after.direction.z, after.cos_out
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = (
+            after.direction.x,
+            after.direction.y,
+            after.direction.z,
+            after.cos_out,
+        )
         out[i, 4], out[i, 5], out[i, 6] = facet.cos_facet, goes.interface.shell, goes.interface.side
         out[i, 7], out[i, 8], out[i, 9] = after.transmitted, after.accepted, after.needs_lobe
         out[i, 10], out[i, 11], out[i, 12] = goes.in_pore, goes.in_coating, goes.in_core
@@ -143,7 +152,9 @@ def test_trials_at_a_surface(random, name, lobe):
         for turn in (False, True):
             for through in (False, True) if lobe else (False,):
                 label = f"{name}, lobe {lobe}, through {through}, rule {rule}, turn {turn}"
-                one, other = run_both_precisions(_compute_outcomes, columns, 13, lobe, through, features, rule, turn)
+                one, other = run_both_precisions(
+                    _compute_outcomes, columns, 13, lobe, through, features, rule, turn
+                )
                 same = check_decisions(one[:, 7:], other[:, 7:], label)
                 check_agreement(one[same, :4], other[same, :4], label)
                 assert (one[same, 5:7] == other[same, 5:7]).all()
@@ -157,7 +168,16 @@ def test_features_leave_out_only_what_is_not_there(random, name):
     columns = draw_surfaces(random, [1.0, 1.33, 1.31, 2.5], 0.0)
     columns[8] = np.where(columns[8] == columns[10], 1.55, columns[8])
     plain, more = (
-        run_both_precisions(_compute_outcomes, columns, 13, False, False, features, microfacet.PROJECTED_FACETS, False)
+        run_both_precisions(
+            _compute_outcomes,
+            columns,
+            13,
+            False,
+            False,
+            features,
+            microfacet.PROJECTED_FACETS,
+            False,
+        )
         for features in (FEATURES["rough"], FEATURES[name])
     )
     for one, other, allowed in zip(plain, more, (1e-4, 1e-10), strict=True):
@@ -193,14 +213,21 @@ def _compute_chords(x, out):
 
 
 def test_normals_and_ways_through_grains(random):
-    columns = [draw_directions(random), draw_directions(random), draw_sizes(random), draw_directions(random)]
+    columns = [
+        draw_directions(random),
+        draw_directions(random),
+        draw_sizes(random),
+        draw_directions(random),
+    ]
     columns.append(random.uniform(-1.0, 1.0, N_SAMPLES))
     one, other = run_both_precisions(_compute_chords, columns, 11)
     check_agreement(one[:, :3], other[:, :3], "normal")
     check_agreement(one[:, 3:6], other[:, 3:6], "squeezed")
     check_agreement(one[:, 6:9], other[:, 6:9], "other end")
     check_agreement(one[:, 9:10], other[:, 9:10], "slope")
-    check_agreement(one[:, 10:], other[:, 10:], "chord", columns[2][:, 0] / (1.0 - columns[2][:, 1]))
+    check_agreement(
+        one[:, 10:], other[:, 10:], "chord", columns[2][:, 0] / (1.0 - columns[2][:, 1])
+    )
 
 
 @njit
@@ -282,7 +309,11 @@ def _find_next_grains(x, fates, out):
         out[i, 0], out[i, 1], out[i, 2] = met.distance, met.height, there.distance
         out[i, 3], out[i, 4], out[i, 5] = there.position.x, there.position.y, there.position.z
         out[i, 6], out[i, 7], out[i, 8] = n.x, n.y, n.z
-        out[i, 9], out[i, 10], out[i, 11] = met.leaves_layer, met.accepted, met.start_distance > zero
+        out[i, 9], out[i, 10], out[i, 11] = (
+            met.leaves_layer,
+            met.accepted,
+            met.start_distance > zero,
+        )
 
 
 DEPTH = 30.0 * RELATIVE_SCALE
@@ -297,7 +328,9 @@ OVERLAP_RULES = {
 def test_next_grains(random, name):
     ones = np.ones(N_SAMPLES)
     d = draw_directions(random)
-    skipped = RELATIVE_SCALE * random.uniform(0.0, 3.0, N_SAMPLES) * random.integers(0, 2, N_SAMPLES)
+    skipped = (
+        RELATIVE_SCALE * random.uniform(0.0, 3.0, N_SAMPLES) * random.integers(0, 2, N_SAMPLES)
+    )
     columns = [
         d, draw_sizes(random), *draw_entry_variates(random), 0.0 * ones, -DEPTH * random.uniform(0.15, 0.85, N_SAMPLES),
         0.5 * RELATIVE_SCALE * random.normal(size=(N_SAMPLES, 3)), draw_directions(random),
@@ -319,7 +352,9 @@ def test_next_grains(random, name):
 def _play_roulettes(x, out):
     for i in range(len(x)):
         row = x[i]
-        played = free_path.russian_roulette(free_path.RouletteState(row[0], row[1], row[2]), row[3], row[4] > row[5])
+        played = free_path.russian_roulette(
+            free_path.RouletteState(row[0], row[1], row[2]), row[3], row[4] > row[5]
+        )
         out[i, 0], out[i, 1] = played.roulette.next_roulette, played.roulette.weight
         out[i, 2] = played.terminated
 

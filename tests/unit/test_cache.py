@@ -27,7 +27,7 @@ from splits.kernels.compiler.cache_folders import CacheFolder, list_cache_folder
 
 SCRIPT = """
 import numpy as np
-from splits.transport.numerics.rng import mix64, start_stream, uniform
+from splits.kernels.math.rng import mix64, start_stream, uniform
 state = np.zeros(1, dtype=np.uint64)
 start_stream(state, 1, 2, 3)
 print(uniform(state), mix64(np.uint64(7)))
@@ -53,7 +53,10 @@ def count_cache_hits(kernel):
 @pytest.fixture
 def places(monkeypatch, tmp_path):
     """Return two folders for kernels, the user's own and one for when that fails."""
-    found = CacheFolder(tmp_path / "own" / "numba", False), CacheFolder(tmp_path / "temporary", False)
+    found = (
+        CacheFolder(tmp_path / "own" / "numba", False),
+        CacheFolder(tmp_path / "temporary", False),
+    )
     monkeypatch.setattr(cache, "folders", lambda: found)
     places_of_kernels.warn_once.cache_clear()
     return found
@@ -158,7 +161,9 @@ def test_a_full_disk_stops_nothing(places, caplog, monkeypatch):
     assert compiled()(1) == 2
     (said,) = caplog.messages
     assert str(places[0].path) in said and "No space left" in said
-    assert {path.name for place in places for path in place.path.iterdir()} <= {cache_lock.LOCK_FILE}
+    assert {path.name for place in places for path in place.path.iterdir()} <= {
+        cache_lock.LOCK_FILE
+    }
 
 
 @NEEDS_JIT
@@ -199,7 +204,7 @@ def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
 
 KILLED_PROGRAM = """
 import os, pathlib, signal, sys
-from splits.transport.compiling.folders import Folder
+from splits.kernels.compiler.cache_folders import CacheFolder
 
 os.replace = lambda *paths: os.kill(os.getpid(), signal.SIGKILL)
 Folder(pathlib.Path(sys.argv[1]), True).write("killed", b"content")
@@ -290,7 +295,9 @@ def test_the_shared_folder_is_checked_even_if_another_is_named(monkeypatch, tmp_
     assert first.path.is_relative_to(tmp_path) and first.user_defined
     assert first.path.name == f"numba-{places_of_kernels.compute_kernels_digest()}"
     assert last.path.parent == Path(tempfile.gettempdir()) and not last.user_defined
-    assert last.path.name == f"splits-{os.getuid()}-numba-{places_of_kernels.compute_kernels_digest()}"
+    assert (
+        last.path.name == f"splits-{os.getuid()}-numba-{places_of_kernels.compute_kernels_digest()}"
+    )
 
 
 def test_a_user_without_a_home_has_the_shared_folder_only(monkeypatch):
@@ -346,7 +353,7 @@ def test_processes_share_what_they_compile_and_survive_damage(tmp_path):
 KERNEL = """
 import sys, time
 from numba import njit
-from splits.transport.compiling.cache import keep
+from splits.kernels.compiler.cache import enable_caching
 
 def slow(x):
     return x + 1
@@ -379,7 +386,7 @@ def test_of_processes_that_start_together_one_compiles(tmp_path):
 
 @NEEDS_JIT
 def test_nobody_waits_for_a_process_that_is_gone(tmp_path):
-    holds = "import sys, pathlib; from splits.transport.compiling import turns\n"
+    holds = "import sys, pathlib; from splits.kernels.compiler import turns\n"
     holds += "turns.take(pathlib.Path(sys.argv[1]), 'kernel'); print(1, flush=True); input()"
     command = [sys.executable, "-c", holds, tmp_path]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}

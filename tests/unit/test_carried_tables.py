@@ -45,7 +45,10 @@ def test_a_table_is_the_databases_bit_for_bit(name):
 
 @pytest.mark.parametrize("name", FORMULAS)
 def test_a_formula_is_the_databases(name):
-    formula, given = library.load_dataset("quartz", name), load_database_page("SiO2", FORMULAS[name])
+    formula, given = (
+        library.load_dataset("quartz", name),
+        load_database_page("SiO2", FORMULAS[name]),
+    )
     assert given["type"] == "formula 2"
     coefficients = [formula.constant, *(x for term in formula.terms for x in term)]
     assert coefficients == [float(x) for x in given["coefficients"].split()]

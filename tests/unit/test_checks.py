@@ -10,9 +10,9 @@ import pytest
 
 from splits.core.arrays import check_named_numbers
 from splits.core.validation import (
-    check_range,
-    check_number,
     check_choice,
+    check_number,
+    check_range,
     invalid,
     suggest_name,
     unknown_key,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.analysis.colour import make_colour_table, to_cielab, to_srgb, compute_tristimulus
+from splits.analysis.colour import compute_tristimulus, make_colour_table, to_cielab, to_srgb
 from splits.plotting import colour
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)

@@ -35,7 +35,7 @@ def test_an_experiment_becomes_a_dataset_and_a_figure(tmp_path, capsys):
     file = tmp_path / "small.yaml"
     file.write_text(SMALL, encoding="utf-8")
     code = subprocess.run(
-        [sys.executable, "-m", "splits.command", "run", file, "--output", tmp_path / "made",
+        [sys.executable, "-m", "splits.cli", "run", file, "--output", tmp_path / "made",
          "--accuracy", "tiny", "--seed", "3", "--threads", "1"],
         capture_output=True, text=True,
     )  # fmt: skip

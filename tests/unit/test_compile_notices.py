@@ -11,9 +11,9 @@ import pytest
 
 import splits
 from splits.core import compile_notice as notices
+from splits.core.compile_notice import COMPILING_MESSAGE, DONE_MESSAGE, WAITING_MESSAGE, announce
 from splits.kernels.compiler import cache_lock
 from splits.kernels.compiler.cache import KernelCache
-from splits.core.compile_notice import COMPILING_MESSAGE, DONE_MESSAGE, WAITING_MESSAGE, announce
 
 openpty = getattr(os, "openpty", None)
 NEEDS_TERMINAL = pytest.mark.skipif(openpty is None, reason="no terminals here")

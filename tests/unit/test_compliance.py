@@ -13,10 +13,14 @@ GREY_GROUND = splits.Snow(depth_m=0.01, impurities_ng_g={"black_carbon": 100})
 SNOWPACK = splits.Stack([SNOW, splits.Sand(depth_m=0.004)], ground=0.3, readings="geometric")
 SKY = "midlatitude_winter"
 EXAMPLES = {
-    "profile": lambda: splits.irradiance_profile(SNOWPACK, [500, 900], [0.002, 0.012], max_stderr=0.2),
+    "profile": lambda: splits.irradiance_profile(
+        SNOWPACK, [500, 900], [0.002, 0.012], max_stderr=0.2
+    ),
     "deep": lambda: splits.deep_transmittance(SNOW, [500], relative_stderr=0.5),
     "single": lambda: splits.single_scattering(SNOW, [500, 900], 8, 2000),
-    "spectra": lambda: splits.spectra({"clean": SNOW, "grey": GREY_GROUND}, [500, 900], max_stderr=0.2),
+    "spectra": lambda: splits.spectra(
+        {"clean": SNOW, "grey": GREY_GROUND}, [500, 900], max_stderr=0.2
+    ),
     "albedo": lambda: splits.albedo(
         SNOW, SKY, [600, 650, 700], max_stderr=0.2, bands={"red": (600, 700)}
     ),

@@ -60,7 +60,9 @@ def test_volume_of_a_coating():
     per_volume = 3.0 * (1.0 + math.asin(e) / (0.798**2 * e))
     assert per_volume == pytest.approx(8.37961828046923, rel=1e-14)
     layer = per_volume * 5.0 / 1200.0
-    assert compute_coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(layer / (1.0 + layer), rel=1e-14)
+    assert compute_coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(
+        layer / (1.0 + layer), rel=1e-14
+    )
     assert compute_coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(COATING, rel=1e-14)
     # Six faces' worth of surface per volume and diameter of a sphere.
     assert compute_coating_fraction(1.0, 0.01) == pytest.approx(0.06 / 1.06, rel=1e-14)
@@ -123,7 +125,10 @@ def test_kaolinite_fills_the_coating(oxide, iron, coat):
 
 @pytest.mark.parametrize(("oxide", "printed"), [("hematite", "0.0647"), ("goethite", "0.0536")])
 def test_more_iron_oxide_than_the_coating_holds_is_refused_by_name(oxide, printed):
-    assert compute_coated_concentrations(oxide, LIMIT[oxide] * (1 - 1e-12), COATING)["kaolinite"] >= 0.0
+    assert (
+        compute_coated_concentrations(oxide, LIMIT[oxide] * (1 - 1e-12), COATING)["kaolinite"]
+        >= 0.0
+    )
     beyond = LIMIT[oxide] * 1.001
     ratio = 1.0 if oxide == "hematite" else 0.0
     with pytest.raises(ValueError, match=r"^iron_oxide = ") as caught:
@@ -175,7 +180,10 @@ def test_impossible_sands_are_refused(change, message):
 
 
 def test_types_without_mass_are_absent():
-    names = {case: {t.name for t in make_composition(*CASES[case], COATING).particle_types} for case in CASES}
+    names = {
+        case: {t.name for t in make_composition(*CASES[case], COATING).particle_types}
+        for case in CASES
+    }
     everything = names["all eight types"]
     assert len(everything) == 8
     assert names["no goethite"] == {n for n in everything if "goethite" not in n}

@@ -12,8 +12,8 @@ import pytest
 import splits
 from splits.analysis.measured import read_measured
 from splits.experiments import load_experiment
-from splits.materials.csv_table import MAX_TABLE_BYTES, read_user_table
 from splits.illumination.bands import as_bands
+from splits.materials.csv_table import MAX_TABLE_BYTES, read_user_table
 
 ROOT = Path(__file__).parents[2]
 SHIPPED_TABLES = sorted((ROOT / "config" / "measured").glob("*.csv"))

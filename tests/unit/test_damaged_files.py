@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
 
 VALUES = np.linspace(0.1, 0.9, 24).reshape(2, 3, 4)
 
@@ -27,7 +27,9 @@ def make_dataset(name="first"):
             "depth_m": [3.0, 1.0, 2.0],
             "wavelength": ("wavelength", [500.0, 600.0, 700.0, 800.0], {"units": "nm"}),
         },
-        to_netcdf_attributes({"title": f"made up: {name}", "experiment": name, **make_provenance()}),
+        to_netcdf_attributes(
+            {"title": f"made up: {name}", "experiment": name, **make_provenance()}
+        ),
     )
 
 

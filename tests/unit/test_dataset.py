@@ -12,10 +12,10 @@ import splits
 from splits.io.netcdf import (
     CF_CONVENTIONS,
     RUN_SPECIFIC_ATTRIBUTES,
+    drop_run_specific_attributes,
+    make_provenance,
     select_points,
     to_netcdf_attributes,
-    make_provenance,
-    drop_run_specific_attributes,
 )
 
 
@@ -32,7 +32,9 @@ def make_dataset(**changes):
             "incidence_deg": ["beam", "diffuse"],
             "wavelength": ("wavelength", [500.0, 600.0, 700.0], {"units": "nm"}),
         },
-        to_netcdf_attributes({"title": "made up", "sizes": (300, 750), "flag": True, **make_provenance()}),
+        to_netcdf_attributes(
+            {"title": "made up", "sizes": (300, 750), "flag": True, **make_provenance()}
+        ),
     )
 
 
@@ -104,7 +106,9 @@ def test_names_have_no_dots_in_the_file_and_their_own_when_loaded(tmp_path):
     }
     dims = ("layers.0.depth_m", "layers.1.surface", "layers.2.ground")
     about = {"units": "1", "long_name": "reflectance"}
-    dataset = xr.Dataset({"reflectance": (dims, np.zeros((2, 2, 2)), about)}, axes, make_provenance())
+    dataset = xr.Dataset(
+        {"reflectance": (dims, np.zeros((2, 2, 2)), about)}, axes, make_provenance()
+    )
     path = tmp_path / "pack.nc"
     splits.save(dataset, path)
     with xr.open_dataset(path) as file:
@@ -154,7 +158,9 @@ def test_provenance_names_program_versions_and_time():
 
 
 def test_attributes_fit_netcdf():
-    facts = to_netcdf_attributes({"a": None, "b": True, "c": np.False_, "d": (1, 2.5), "e": "text", "f": 3})
+    facts = to_netcdf_attributes(
+        {"a": None, "b": True, "c": np.False_, "d": (1, 2.5), "e": "text", "f": 3}
+    )
     assert [facts[key] for key in "abcef"] == ["none", "true", "false", "text", 3]
     assert facts["d"].tolist() == [1.0, 2.5]
 

@@ -9,16 +9,16 @@ import xarray as xr
 from splits.analysis.directions import merge_angular_bins, select_principal_plane
 from splits.instruments.angular_bins import compute_bin_centres
 from splits.instruments.angular_truncation import (
-    VARIANCE_PENALTY,
     MAX_POWER_RATIO,
-    make_direction_grid,
+    VARIANCE_PENALTY,
     estimate_truncation_error,
+    make_direction_grid,
     select_terms,
 )
 from splits.kernels.tallies.angular import (
+    evaluate_basis_at,
     make_basis,
     tally_angular_bins,
-    evaluate_basis_at,
     tally_expansion,
 )
 from splits.kernels.tallies.exits import (
@@ -138,7 +138,8 @@ def test_noise_is_not_taken_for_structure():
     signal = np.zeros(basis.norms.size)
     signal[0] = 1.0
     kept = [
-        select_terms(draw_coefficients(signal, 0.01, seed=seed), basis, False).sum() for seed in range(50)
+        select_terms(draw_coefficients(signal, 0.01, seed=seed), basis, False).sum()
+        for seed in range(50)
     ]
     # Only the constant one and its neighbours, but for what a fluctuation lets in.
     assert np.median(kept) == 4

@@ -8,17 +8,17 @@ import sys
 from pathlib import Path
 
 import pytest
+from _numbers.gallery_images import MAX_IMAGE_BYTES, MAX_WIDTH_PX, compress_figure, write_gallery
 
 import splits
+from splits.core.yaml import read_yaml
 from splits.experiments import load_settings
-from splits.experiments.config.instrument import InstrumentSection
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.instrument import InstrumentSection
 from splits.experiments.config.retrieve import NoiseSection, RetrieveSection
 from splits.experiments.config.sections import FigureSection, FitSection
 from splits.experiments.config.settings import Accuracy, Settings
 from splits.experiments.config.study import SensitivityPair, Study
-from splits.core.yaml import read_yaml
-from _numbers.gallery_images import MAX_IMAGE_BYTES, MAX_WIDTH_PX, compress_figure, write_gallery
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -144,7 +144,7 @@ def test_copies_of_figures_are_written_once_and_go_with_their_figures(tmp_path):
 def test_a_figure_that_cannot_be_small_is_refused(tmp_path, monkeypatch):
     image = pytest.importorskip("PIL.Image")
     image.effect_noise((100, 100), 90).save(tmp_path / "noise.png")
-    monkeypatch.setattr("splits.figures.gallery.BYTES", 100)
+    monkeypatch.setattr("_numbers.gallery_images.MAX_IMAGE_BYTES", 100)
     with pytest.raises(ValueError, match="fits into 100 bytes"):
         compress_figure(tmp_path / "noise.png")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
 from numba.core.runtime import _nrt_python, rtsys
-from scenes import make_medium_scene, compute_optics
+from scenes import compute_optics, make_medium_scene
 
 import splits
 from splits.kernels.compiler import cache
@@ -149,7 +149,10 @@ def test_arrays_that_kernels_own_are_let_go(folder):
 
 
 def test_a_kernel_lets_go_of_the_arrays_of_its_scene():
-    scene, optics = make_medium_scene(splits.Snow(), analog=True), compute_optics(splits.Snow(), 500.0)
+    scene, optics = (
+        make_medium_scene(splits.Snow(), analog=True),
+        compute_optics(splits.Snow(), 500.0),
+    )
     exits = allocate_exits(8, optics.n.size)
     arrays = (*scene.layers, *scene.types, *optics, exits)
     before = [sys.getrefcount(array) for array in arrays]

@@ -15,13 +15,13 @@ import xarray as xr
 import splits
 from splits.experiments.papers import performance
 from splits.experiments.papers.performance import (
-    PAPER_ADAPTIVE,
-    VECTORIZED,
     MEASURED,
-    METHODS,
     MEASURED_PARTLY,
-    SCALED,
+    METHODS,
+    PAPER_ADAPTIVE,
     PAPER_UNIFORM,
+    SCALED,
+    VECTORIZED,
 )
 from splits.experiments.papers.performance_figure import draw_speed_against_error
 
@@ -114,7 +114,9 @@ def test_deviations_from_a_reference():
     assert off["deviation_largest"] == pytest.approx(0.002)
     # Reflectance and absorptance are off by 0.002, transmittance not at all.
     assert off["deviation_z"] == pytest.approx(0.002 / np.hypot(0.001, 0.001) * np.sqrt(2.0 / 3.0))
-    few = performance.compute_deviations(make_spectrum(0.002, wavelength=(500.0, 1000.0)), make_spectrum())
+    few = performance.compute_deviations(
+        make_spectrum(0.002, wavelength=(500.0, 1000.0)), make_spectrum()
+    )
     assert few["deviation_largest"] == pytest.approx(0.002)
 
 

@@ -77,7 +77,9 @@ LOG_ARGUMENTS = {
     "its range": lambda: list_floats(*LOG_RANGE, 997),
     "every number from ½ to 2": lambda: list_floats(0.5, 2.0, 1),
     "steps of the exponent": lambda: list_neighbours(*(2.0 ** np.arange(-99, 99))),
-    "steps of the significand": lambda: list_neighbours(*(math.sqrt(2.0) * 2.0 ** np.arange(-99, 99))),
+    "steps of the significand": lambda: list_neighbours(
+        *(math.sqrt(2.0) * 2.0 ** np.arange(-99, 99))
+    ),
     "random numbers": lambda: (np.arange(2**16) + 0.5) / 2**16,
     "their lower tail": lambda: (np.arange(2**16) + 0.5) * 2.0**-46,
 }

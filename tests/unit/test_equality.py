@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 
 import splits
+from splits.illumination.bands import SpectralBand
 from splits.materials import lookup
 from splits.media.ground import Ground
-from splits.illumination.bands import SpectralBand
 
 END_LAYERS = [200.0, 3000.0]
-SOOT = {"ng_g": 5.0, "wavelength_nm": np.array(END_LAYERS), "absorption_m2_kg": np.array([2.0, 1.0])}
+SOOT = {
+    "ng_g": 5.0,
+    "wavelength_nm": np.array(END_LAYERS),
+    "absorption_m2_kg": np.array([2.0, 1.0]),
+}
 WAVES = {"wave_number_per_m": [0.0, 1.0, 2.0], "density": [1.0, 2.0, 0.0]}
 ROUGH = {"rms_height_m": 0.01, "correlation": "spectrum", "spectrum": WAVES}
 LAW = {"cosine": np.array([-1.0, 0.5, 1.0]), "density": np.array([1.0, 1.0, 2.0])}

@@ -8,22 +8,22 @@ import xarray as xr
 
 import splits
 from splits.analysis.colour import (
-    make_colour_table,
     compute_cielab_gradient,
-    to_cielab,
     compute_tristimulus,
+    make_colour_table,
+    to_cielab,
 )
 from splits.core.uncertainty import (
-    make_band_weights,
     compute_band_error,
     compute_difference,
     compute_error_parts,
     compute_weighted_error,
+    make_band_weights,
 )
-from splits.experiments.papers.snow_trends import compute_band_mean, compute_steps
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.run import run
 from splits.experiments.config.settings import Accuracy
+from splits.experiments.papers.snow_trends import compute_band_mean, compute_steps
+from splits.experiments.run import run
 from splits.simulation.tally import N_BATCHES, rescale_deviations
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
@@ -144,11 +144,15 @@ def test_the_gradient_of_colours_holds_for_dark_and_bright_ones():
     for xyz in ([0.95, 1.0, 1.09], [0.2, 0.18, 0.1], [0.002, 0.002, 0.001]):
         step = 1e-3 * np.array([0.5, -0.2, 0.9]) * min(xyz)
         far = to_cielab(np.array(xyz) + step) - to_cielab(np.array(xyz) - step)
-        np.testing.assert_allclose(compute_cielab_gradient(np.array(xyz)) @ (2.0 * step), far, rtol=1e-4)
+        np.testing.assert_allclose(
+            compute_cielab_gradient(np.array(xyz)) @ (2.0 * step), far, rtol=1e-4
+        )
 
 
 def test_steps_of_a_grid_use_the_groups():
-    step, error = compute_steps(make_dataset(make_two_node_batches(), x=[1.0, 2.0, 3.0]), "reflectance", "x", 400, 780)
+    step, error = compute_steps(
+        make_dataset(make_two_node_batches(), x=[1.0, 2.0, 3.0]), "reflectance", "x", 400, 780
+    )
     assert step.shape == error.shape == (2,)
     share = RED.mean()
     np.testing.assert_allclose(error, np.sqrt(2.0) * ERROR * np.hypot(share, 1.0 - share))

@@ -14,7 +14,6 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from splits.experiments.papers.paper_tables import write_table
 from splits.core.escaping import (
     escape_cell,
     escape_json,
@@ -23,11 +22,11 @@ from splits.core.escaping import (
     escape_rst,
 )
 from splits.experiments import ConfigError, load_experiments, load_settings
+from splits.experiments.papers.paper_tables import write_table
 from splits.plotting import draw_sensitivity_bars, spectra
-from splits.plotting.sensitivity import draw_band_selection
 from splits.plotting.interpretation_shifts import draw_shifts
-from splits.plotting.sensitivity import draw_sobol_indices
-from splits.plotting.style import format_parameter, use_style, format_value
+from splits.plotting.sensitivity import draw_band_selection, draw_sobol_indices
+from splits.plotting.style import format_parameter, format_value, use_style
 from splits.plotting.surface_area import draw_fitted_spectra
 from splits.tables.export import write_csv
 

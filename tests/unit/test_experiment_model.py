@@ -11,10 +11,10 @@ import pytest
 
 from splits import Snow
 from splits.experiments import ConfigError, ExperimentConfig, load_experiments, load_settings
+from splits.experiments.config.experiment import RESERVED_NAMES
 from splits.experiments.config.grid import make_label
 from splits.experiments.config.instrument import WavelengthGrid
 from splits.experiments.config.load import read_yaml
-from splits.experiments.config.experiment import RESERVED_NAMES
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
@@ -29,7 +29,9 @@ def points(**content):
 def test_names_of_rules_are_known():
     files = [ROOT / "Snakefile", *sorted((ROOT / "workflow" / "rules").glob("*.smk"))]
     text = "\n".join(path.read_text(encoding="utf-8") for path in files)
-    assert set(re.findall(r"^(?:rule|checkpoint)\s+(\w+)\s*:", text, re.MULTILINE)) == set(RESERVED_NAMES)
+    assert set(re.findall(r"^(?:rule|checkpoint)\s+(\w+)\s*:", text, re.MULTILINE)) == set(
+        RESERVED_NAMES
+    )
 
 
 @pytest.mark.parametrize("name", RESERVED_NAMES)
@@ -50,7 +52,9 @@ def test_an_experiment_needs_no_more_than_a_name():
     ((labels, medium, incidence),) = experiment.iter_points()
     assert (labels, incidence) == ({}, 0.0)
     assert medium.describe() == Snow().describe()
-    np.testing.assert_array_equal(experiment.instrument.get_wavelengths(), np.arange(400.0, 2501, 10))
+    np.testing.assert_array_equal(
+        experiment.instrument.get_wavelengths(), np.arange(400.0, 2501, 10)
+    )
     assert experiment.instrument.kind == "spectrophotometer"
     assert experiment.figure.quantity == ("reflectance",)
     assert experiment.resolve_figure()["kind"] == "spectra"
@@ -127,7 +131,9 @@ def test_what_cannot_be_run_is_refused(content, message):
 def test_wavelength_grids_hold_both_ends_and_single_ones():
     assert WavelengthGrid(start=400, stop=500, step=50).to_array().tolist() == [400, 450, 500]
     assert WavelengthGrid(start=400, stop=499, step=50).to_array().tolist() == [400, 450]
-    assert WavelengthGrid(start=0.1, stop=0.3, step=0.1).to_array() == pytest.approx([0.1, 0.2, 0.3])
+    assert WavelengthGrid(start=0.1, stop=0.3, step=0.1).to_array() == pytest.approx(
+        [0.1, 0.2, 0.3]
+    )
     assert WavelengthGrid(start=400, stop=400, step=1, also=(842.25,)).to_array().tolist() == [
         400, 842.25,
     ]  # fmt: skip
@@ -138,9 +144,14 @@ def test_wavelength_grids_hold_both_ends_and_single_ones():
 
 def test_words_and_figures_do_not_decide_the_numbers():
     plain = ExperimentConfig(name="made")
-    worded = ExperimentConfig(name="made", title="T", caption="C", figure={"quantity": "transmittance"})
+    worded = ExperimentConfig(
+        name="made", title="T", caption="C", figure={"quantity": "transmittance"}
+    )
     assert worded.dump_simulation() == plain.dump_simulation()
-    assert ExperimentConfig(name="made", medium={"depth_m": 1}).dump_simulation() != plain.dump_simulation()
+    assert (
+        ExperimentConfig(name="made", medium={"depth_m": 1}).dump_simulation()
+        != plain.dump_simulation()
+    )
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -201,7 +201,9 @@ def test_colours_are_those_of_the_analysis():
 
 def test_what_a_page_cannot_show_is_refused(tmp_path, monkeypatch):
     texts = table().dataset.assign_coords(saturation=["dry", "wet"])
-    with pytest.raises(InvalidValue, match=r"^explorer = 'saturation': must be an axis of at least two"):
+    with pytest.raises(
+        InvalidValue, match=r"^explorer = 'saturation': must be an axis of at least two"
+    ):
         write_explorer({"a": ExplorerTable(Table(texts), "a.nc", "")}, tmp_path / "a.html")
     monkeypatch.setattr(page, "LARGEST_BYTES", 1000)
     with pytest.raises(InvalidValue, match=r"^explorer = '\d+ bytes': must be small enough"):

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.io.netcdf import select_points
 from splits.experiments import ExperimentConfig
-from splits.experiments.config.grid import to_coordinate_values
-from splits.experiments.config.grid import find_label, label_grid
+from splits.experiments.config.grid import find_label, label_grid, to_coordinate_values
+from splits.io.netcdf import select_points
 
 CROSSED_GRID = {"0.1": 1.0, "1": 0.1}
 

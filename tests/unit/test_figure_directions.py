@@ -8,10 +8,10 @@ import xarray as xr
 
 from splits.plotting import (
     draw_bin_sizes,
+    draw_principal_planes,
     hemispheres,
     lobes,
     polarization,
-    draw_principal_planes,
 )
 from splits.plotting.style import ONE_COLUMN_INCHES, TWO_COLUMNS_INCHES
 
@@ -19,7 +19,9 @@ POLAR = np.arange(0.0, 90.0, 5.0)
 AZIMUTH = np.arange(0.0, 360.0, 30.0)
 
 
-def make_dataset(grid=None, polar=POLAR, estimator="expansion", wavelength=(600.0,), azimuth=AZIMUTH):
+def make_dataset(
+    grid=None, polar=POLAR, estimator="expansion", wavelength=(600.0,), azimuth=AZIMUTH
+):
     """Return BRDFs that lean forward, and BTDFs of half their size."""
     coords = {
         **{k: np.array(v) for k, v in (grid or {}).items()},
@@ -113,7 +115,9 @@ def test_lines_of_cells_do_not_cross_the_zenith():
             gap = np.flatnonzero(np.isnan(value))
             assert gap.size == 1 and angle[gap[0]] == 0.0
     for estimator in ("expansion", "local"):
-        line = draw_principal_planes(make_dataset(polar=CELLS, estimator=estimator)).axes[1].lines[0]
+        line = (
+            draw_principal_planes(make_dataset(polar=CELLS, estimator=estimator)).axes[1].lines[0]
+        )
         assert np.isfinite(line.get_ydata()).all()
 
 

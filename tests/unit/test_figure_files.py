@@ -21,8 +21,8 @@ PROGRAM = """
 import matplotlib
 before = dict.__getitem__(matplotlib.rcParams, "backend")
 from test_figure_files import SECTION, spectrum
-from splits.figures import draw, save_figure
-from splits.figures.style import colours
+from splits.plotting import draw, save_figure
+from splits.plotting.style import pick_colours
 save_figure(draw(spectrum(), SECTION), "one")
 colours(3, "medium")
 assert dict.__getitem__(matplotlib.rcParams, "backend") == before

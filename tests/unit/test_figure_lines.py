@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.plotting import draw, points, spectra, beam_spread
+from splits.plotting import beam_spread, draw, points, spectra
 from splits.plotting.lines import DASHES, PlotLines
-from splits.plotting.style import pick_colours, format_value
+from splits.plotting.style import format_value, pick_colours
 
 X = np.linspace(400.0, 1000.0, 13)
 
@@ -135,7 +135,14 @@ def test_many_lines_of_two_parameters_name_each_value_once():
     figure = spectra(make_dataset({"density_kg_m3": np.arange(9.0), "depth_m": [0.1, 0.2, 0.3]}))
     (legend,) = figure.legends
     names = [str(i) for i in range(9)]
-    assert list_legend_entries(legend) == ["density (kg m⁻³)", *names, "depth (m)", "0.1", "0.2", "0.3"]
+    assert list_legend_entries(legend) == [
+        "density (kg m⁻³)",
+        *names,
+        "depth (m)",
+        "0.1",
+        "0.2",
+        "0.3",
+    ]
     assert is_legend_clear(figure)
     assert figure.axes[0].get_window_extent().height > 0.6 * figure.bbox.height
 

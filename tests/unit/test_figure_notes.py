@@ -11,21 +11,21 @@ from test_figure_directions import make_dataset as directions
 from test_figure_lines import X
 from test_figure_lines import make_dataset as spectral
 
-from splits.experiments.papers.sensitivity_table import describe_ranges
 from splits.experiments import ExperimentConfig
+from splits.experiments.papers.performance_figure import draw_speed_against_error
+from splits.experiments.papers.sensitivity_table import describe_ranges
 from splits.plotting import (
-    draw_area_law,
     annotations,
     draw,
-    sand_fit,
+    draw_area_law,
     draw_fitted_spectra,
-    draw_measured_albedo,
     draw_interpretation_shifts,
+    draw_measured_albedo,
     draw_sensitivity_bars,
+    sand_fit,
 )
-from splits.experiments.papers.performance_figure import draw_speed_against_error
-from splits.plotting.nodes import find_coarse_nodes
 from splits.plotting.annotations import format_panel_letter
+from splits.plotting.nodes import find_coarse_nodes
 from splits.plotting.style import ONE_COLUMN_INCHES, SMALL_FONT_PT, TWO_COLUMNS_INCHES
 
 ATTRIBUTES = {

@@ -15,15 +15,15 @@ import xarray as xr
 
 import splits
 from splits.core import atomic
+from splits.core.atomic import atomic_write, remove_stale_files
 from splits.experiments.papers.paper_tables import write_table
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
-from splits.core.atomic import remove_stale_files, atomic_write
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
 
 KILLED_PROGRAM = """
 import os, signal, sys
 import xarray as xr
 import splits
-from splits.dataset import attributes, provenance
+from splits.io.netcdf import to_netcdf_attributes, make_provenance
 
 def die(dataset, target, **options):
     open(target, "wb").write(b"half a fi")
@@ -58,7 +58,7 @@ def test_what_a_killed_save_leaves_is_swept_by_the_next(tmp_path):
 
 WRITE_FUNCTIONS = """
 import sys
-from splits.files import whole
+from splits.core.atomic import atomic_write
 
 with whole(sys.argv[1]) as aside:
     aside.write_text("whole")
@@ -108,7 +108,7 @@ def test_only_what_writers_that_have_ended_left_is_swept(tmp_path):
 )
 def test_what_another_container_writes_stays(tmp_path):
     process, name = start_writing(tmp_path / "live.csv", *OTHER_MACHINE)
-    script = "import sys; from splits.files import sweep; print(len(sweep(sys.argv[1])))"
+    script = "import sys; from splits.core.atomic import sweep; print(len(sweep(sys.argv[1])))"
     sweeps = [sys.executable, "-c", script, str(tmp_path)]
     for command in (sweeps, [*OTHER_MACHINE, *sweeps]):
         assert subprocess.run(command, capture_output=True, text=True).stdout == "0\n"

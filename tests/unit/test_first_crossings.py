@@ -10,24 +10,26 @@ from chi2 import NEEDS_JIT, scale_sample_size, start_random_stream
 from rough_surfaces import GAUSSIAN, SURFACES, draw_realization, sum_waves
 from scipy import optimize
 
-from splits.media.rough_surface import RoughSurface
 from splits.kernels.math.vectors import Vector
 from splits.kernels.rough_surface import intersection as kernels
 from splits.kernels.rough_surface.intersection import NO_HIT, STEP_LIMIT_REACHED
-from splits.kernels.rough_surface.wave_sums import KX, KY, N_WAVE_LANES
 from splits.kernels.rough_surface.realization import (
     SurfaceSlope,
-    sample_realization,
-    compute_height_and_slope,
     allocate_realization,
+    compute_height_and_slope,
     make_realization,
+    sample_realization,
 )
+from splits.kernels.rough_surface.wave_sums import KX, KY, N_WAVE_LANES
+from splits.media.rough_surface import RoughSurface
 
 
 def find_first_crossing(surface, ray, side, farthest=math.inf):
     """Return the `Hit` of a ray (x, y, z, dx, dy, dz)."""
     ray = [float(x) for x in ray]
-    return kernels.find_first_intersection(surface, Vector(*ray[:3]), Vector(*ray[3:]), side, farthest)
+    return kernels.find_first_intersection(
+        surface, Vector(*ray[:3]), Vector(*ray[3:]), side, farthest
+    )
 
 
 def compute_tolerance(surface, x, y, s):
@@ -80,7 +82,9 @@ def test_crossings_of_one_wave(side, steepness):
         assert s == pytest.approx(expected, rel=1e-9)
         at = ray[0] + s * ray[3], ray[1] + s * ray[4]
         assert slope == pytest.approx(compute_height_and_slope(waves, *at).slope)
-        assert abs(compute_gaps(waves, ray, side, np.array([s]))[0]) <= compute_tolerance(surface, *at, s)
+        assert abs(compute_gaps(waves, ray, side, np.array([s]))[0]) <= compute_tolerance(
+            surface, *at, s
+        )
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -118,13 +122,17 @@ def test_rays_that_stand_on_the_surface(side):
         assert n @ ray[3:] < 0.0
         for grazing in (0.0, 1e-15, 1e-12, 1e-6, 0.5):
             d = np.cross(n, generator.normal(size=3))
-            d = kernels.nudge_off_surface(Vector(*(d / np.linalg.norm(d) + grazing * n)), Vector(*n))
+            d = kernels.nudge_off_surface(
+                Vector(*(d / np.linalg.norm(d) + grazing * n)), Vector(*n)
+            )
             assert np.dot(d, n) > 0.5 * kernels.MIN_COS_EXIT
             t = find_first_crossing(surface, (*start, *d), side).distance
             assert t == NO_HIT or t > 0.0
             away += t == NO_HIT
             length = t if t > 0.0 else (high - side * start[2]) / (side * d[2])
-            probed = compute_gaps(waves, (*start, *d), side, length * np.linspace(0.0, 1.0 - 1e-9, 2001))
+            probed = compute_gaps(
+                waves, (*start, *d), side, length * np.linspace(0.0, 1.0 - 1e-9, 2001)
+            )
             assert probed.min() >= -2.0 * compute_tolerance(surface, *start[:2], length)
     assert 20 < away < 180
 
@@ -136,7 +144,9 @@ def test_a_surface_without_height_is_a_plane():
     for dz in (-1.0, -0.3, -1e-3):
         flat = math.sqrt(1.0 - dz * dz)
         for side in (1.0, -1.0):
-            s, slope, _ = find_first_crossing(surface, (1.0, 2.0, 3.0 * side, flat, 0.0, dz * side), side)
+            s, slope, _ = find_first_crossing(
+                surface, (1.0, 2.0, 3.0 * side, flat, 0.0, dz * side), side
+            )
             assert s == pytest.approx(-3.0 / dz, rel=1e-14) and slope == (0.0, 0.0)
             away = find_first_crossing(surface, (1.0, 2.0, 0.0, flat, 0.0, -dz * side), side)
             assert away[:2] == (NO_HIT, (0.0, 0.0))

@@ -7,15 +7,15 @@ import pytest
 from chi2 import NEEDS_JIT
 
 from splits import Sand, spectrophotometer
+from splits.retrieval.gauss_newton import Objective, minimize_gauss_newton
 from splits.retrieval.sand_fit import (
     Effort,
-    compute_central_differences,
     check_measured_reflectance,
+    compute_central_differences,
     fit,
 )
 from splits.retrieval.sand_parameters import DEFAULT_RANGES, UnitCube, resolve_ranges
-from splits.retrieval.state_vector import StateVector, ParameterRange
-from splits.retrieval.gauss_newton import Objective, minimize_gauss_newton
+from splits.retrieval.state_vector import ParameterRange, StateVector
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 SMALL_EFFORT = Effort(
@@ -120,7 +120,9 @@ def test_a_descent_finds_the_least_misfit_also_on_the_border(truth):
     calls = []
 
     class Smooth:
-        free = StateVector.from_ranges(("a", "b", "c"), None, dict.fromkeys("abc", ParameterRange(0.0, 1.0, "itself")))
+        free = StateVector.from_ranges(
+            ("a", "b", "c"), None, dict.fromkeys("abc", ParameterRange(0.0, 1.0, "itself"))
+        )
         margin = 0.0
 
         def values(self, place, stage):

@@ -7,9 +7,9 @@ import pytest
 from chi2 import NEEDS_JIT, compute_z_bound
 
 from splits import Sand, Snow, spectrophotometer
-from splits.simulation.fixed_budget import estimate_fixed_budget, choose_node_rows
-from splits.simulation.spectral_nodes import compute_contrasts, make_nodes
+from splits.simulation.fixed_budget import choose_node_rows, estimate_fixed_budget
 from splits.simulation.runner import RAYS_PER_CHUNK
+from splits.simulation.spectral_nodes import compute_contrasts, make_nodes
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 ROWS = choose_node_rows(len(WAVELENGTHS))
@@ -52,14 +52,18 @@ def test_it_agrees_with_the_spectrophotometer(medium):
 
 @NEEDS_JIT
 def test_more_rays_mean_smaller_errors():
-    few, many = (simulate_fixed(Sand(**SAND), rays, 1)[1][0] for rays in (4 * RAYS_PER_CHUNK, 64 * RAYS_PER_CHUNK))
+    few, many = (
+        simulate_fixed(Sand(**SAND), rays, 1)[1][0]
+        for rays in (4 * RAYS_PER_CHUNK, 64 * RAYS_PER_CHUNK)
+    )
     np.testing.assert_allclose(few / many, 4.0, rtol=0.3)
 
 
 @NEEDS_JIT
 def test_the_same_seed_gives_the_same_numbers_on_any_number_of_threads():
     one, two, other = (
-        simulate_fixed(Sand(**SAND), 256, seed, threads)[0] for seed, threads in ((5, 1), (5, 3), (6, 1))
+        simulate_fixed(Sand(**SAND), 256, seed, threads)[0]
+        for seed, threads in ((5, 1), (5, 3), (6, 1))
     )
     np.testing.assert_array_equal(one, two)
     assert (one[0] != other[0]).all()
@@ -89,7 +93,9 @@ def test_nodes_at_given_wavelengths_are_kept_and_serve_all():
     assert ((nodes.weights > 0.0).sum(axis=0) <= 2).all()
     np.testing.assert_array_equal(nodes.weights[:, list(ROWS)], np.eye(len(ROWS)))
     assert (nodes.interpolation_bound[list(ROWS)] == 0.0).all()
-    own, drawn = (compute_contrasts(i, medium.list_interfaces()).sum(axis=1) for i in (index, nodes.index))
+    own, drawn = (
+        compute_contrasts(i, medium.list_interfaces()).sum(axis=1) for i in (index, nodes.index)
+    )
     np.testing.assert_allclose(nodes.weights.T @ drawn, own, rtol=0.05)
 
 

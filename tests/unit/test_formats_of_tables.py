@@ -8,9 +8,9 @@ import pytest
 import xarray as xr
 
 from splits.core.validation import InvalidValue
+from splits.illumination.bands import SpectralBand
 from splits.tables.export import compute_response_weights
 from splits.tables.table import Table
-from splits.illumination.bands import SpectralBand
 
 AXES = {
     "optical_radius_um": np.array([50.0, 100.0, 200.0, 400.0]),

@@ -15,11 +15,11 @@ from chi2 import NEEDS_JIT
 
 import splits
 from splits import cli
-from splits.experiments.papers.paper_tables import write_table
-from splits.experiments.archive import pack_archive
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
-from splits.plotting.style import save_figure
 from splits.core.atomic import check_writable
+from splits.experiments.archive import pack_archive
+from splits.experiments.papers.paper_tables import write_table
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.plotting.style import save_figure
 from splits.tables.storage import write_table_blockwise
 
 VALUES = np.random.default_rng(1).random(300_000)
@@ -86,14 +86,14 @@ def test_no_space_is_said_and_nothing_stays(disk, write):
 
 
 def test_a_large_table_is_not_begun_where_it_does_not_fit(disk, monkeypatch):
-    monkeypatch.setattr("splits.lookup.large.bytes_of", lambda plan, order: 2**22)
+    monkeypatch.setattr("splits.tables.storage.compute_table_bytes", lambda plan, order: 2**22)
     with pytest.raises(OSError, match=r"No space left on device: '.*made\.nc'"):
         write_table_blockwise(disk / "made.nc", None, None, list, lambda table: table)
     assert os.listdir(disk) == []
 
 
 def test_a_disk_that_fills_meanwhile_gets_its_space_back(disk, monkeypatch):
-    monkeypatch.setattr("splits.checksum.check_room", lambda path, size: None)
+    monkeypatch.setattr("splits.io.integrity.check_room", lambda path, size: None)
     with pytest.raises(OSError, match=r"perhaps no space is left .*made\.nc'"):
         save_dataset(disk)
     assert os.listdir(disk) == []
@@ -105,7 +105,7 @@ def test_a_run_without_space_ends_with_one_line(disk, tmp_path, capsys):
     text = "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\nfigure: none\n"
     file.write_text(text, encoding="utf-8")
     (disk / "other").write_bytes(bytes(2**19))
-    words = [sys.executable, "-m", "splits.command", "run", str(file), "--output", str(disk)]
+    words = [sys.executable, "-m", "splits.cli", "run", str(file), "--output", str(disk)]
     done = subprocess.run(words, capture_output=True, text=True)
     (disk / "other").unlink()
     assert done.returncode == 1

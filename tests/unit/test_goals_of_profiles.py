@@ -6,17 +6,17 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from splits.simulation.tally import N_BATCHES
 from splits.instruments.flux_errors import (
     MIN_NONZERO_BATCHES,
-    estimate_rare_event_error,
     bound_unsampled_light,
+    estimate_rare_event_error,
 )
 from splits.instruments.flux_stopping_rule import (
     FluxStoppingRule,
-    make_variance_terms,
     allocate_flux_rays,
+    make_variance_terms,
 )
+from splits.simulation.tally import N_BATCHES
 
 RANDOM = np.random.default_rng(1)
 
@@ -76,7 +76,10 @@ def test_quantities_are_irradiances_or_only_what_is_absorbed_and_reflected():
 
 def test_limits_share_the_variance_of_a_band():
     parts = np.array([0.3, 1.0])
-    one, other = (FluxStoppingRule(0.01, band_weights=np.ones((2, 1)), variance_fractions=share) for share in (parts, 1 - parts))
+    one, other = (
+        FluxStoppingRule(0.01, band_weights=np.ones((2, 1)), variance_fractions=share)
+        for share in (parts, 1 - parts)
+    )
     np.testing.assert_allclose(one.stderr_limits**2 + other.stderr_limits**2, 1e-4)
 
 

@@ -12,9 +12,9 @@ from splits.materials import ice_density
 from splits.media.grain_statistics import (
     shape_attenuation,
     size_attenuation,
+    surface_to_volume_ratio,
     tabulate_struck_inverse_sizes,
     tabulate_struck_sphericities,
-    surface_to_volume_ratio,
     tabulate_truncated_normal,
 )
 
@@ -117,4 +117,6 @@ def test_inverse_sizes_increase_between_the_limits(weighting):
 
 
 def test_struck_grains_are_more_elongated_than_the_grains_present():
-    assert (tabulate_struck_sphericities(*TABLE1)[1:-1] < tabulate_truncated_normal(*TABLE1)[1:-1]).all()
+    assert (
+        tabulate_struck_sphericities(*TABLE1)[1:-1] < tabulate_truncated_normal(*TABLE1)[1:-1]
+    ).all()

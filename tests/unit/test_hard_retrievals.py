@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from formula_tables import W, make_snowlike_table, evaluate_spectrum, make_table
+from formula_tables import W, evaluate_spectrum, make_snowlike_table, make_table
 from scipy.stats import binom, f
 
 import splits
-from splits.retrieval.state_vector import StateVector, ParameterRange
-from splits.retrieval.linearization import is_jacobian_noisy, remove_jacobian_noise
 from splits.retrieval.gauss_newton import Objective, minimize_gauss_newton
+from splits.retrieval.linearization import is_jacobian_noisy, remove_jacobian_noise
+from splits.retrieval.state_vector import ParameterRange, StateVector
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 FIXED = {"incidence_deg": 30.0}
@@ -24,7 +24,9 @@ def table():
 
 def make_unit_state(*names):
     """Return what is free where coordinates are the values themselves."""
-    return StateVector.from_ranges(list(names), None, {name: ParameterRange(0.0, 1.0, "itself") for name in names})
+    return StateVector.from_ranges(
+        list(names), None, {name: ParameterRange(0.0, 1.0, "itself") for name in names}
+    )
 
 
 def test_a_valley_of_which_less_is_known_is_no_better():
@@ -120,7 +122,9 @@ def test_a_prior_of_what_is_hardly_told_contradicts_nothing():
 
 def test_least_squares_know_what_an_end_keeps_them_from(table):
     """A range that excludes the truth leaves a misfit that counts as one, and in the errors."""
-    measured = evaluate_spectrum(400.0, 50.0) + 0.002 * np.random.default_rng(6).standard_normal(W.size)
+    measured = evaluate_spectrum(400.0, 50.0) + 0.002 * np.random.default_rng(6).standard_normal(
+        W.size
+    )
     free, at = {SIZE: (50.0, 150.0)}, {**FIXED, SOOT: 50.0}
     found = splits.retrieve((W, measured), table, free, at=at)
     about = found.dataset.attrs
@@ -141,7 +145,10 @@ class LinearModel:
     bound_margin = 0.0
 
     def __init__(self, slopes):
-        self.slopes_, self.state_vector = slopes, make_unit_state(*(f"x{i}" for i in range(slopes.shape[1])))
+        self.slopes_, self.state_vector = (
+            slopes,
+            make_unit_state(*(f"x{i}" for i in range(slopes.shape[1]))),
+        )
 
     def evaluate(self, state, stage):
         return self.slopes_ @ state + 0.3 * (state**2).sum()
@@ -162,7 +169,9 @@ def test_descents_of_many_values_end_near_the_optimum():
         rough = minimize_gauss_newton(runs, 1, np.array([0.5, 0.4]), aim, 60, 0.3)
         exact = rough.state.copy()
         for _ in range(20):
-            exact += np.linalg.lstsq(runs.compute_jacobian(exact, 1), wanted - runs.evaluate(exact, 1))[0]
+            exact += np.linalg.lstsq(
+                runs.compute_jacobian(exact, 1), wanted - runs.evaluate(exact, 1)
+            )[0]
         slopes = runs.compute_jacobian(exact, 1)
         off = slopes @ (rough.state - exact)
         assert np.sqrt(off @ off) < 0.5 * 0.02

@@ -15,14 +15,14 @@ from formula_tables import make_snowlike_table
 import splits
 from splits import cli
 from splits.analysis.measured import read_measured
-from splits.experiments.archive import make_configuration_members, pack_archive
+from splits.analysis.theory.phase_function import write_libradtran
 from splits.core.validation import InvalidValue
 from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
+from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.medium import identify_by_content
-from splits.plotting.explorer.page import ExplorerTable, write_explorer
-from splits.plotting import save_figure
-from splits.analysis.theory.phase_function import write_libradtran
 from splits.io.unarchive import unpack_archive, verify_archive
+from splits.plotting import save_figure
+from splits.plotting.explorer.page import ExplorerTable, write_explorer
 
 TABLES = {
     "ice": "wavelength_nm,n,k\n200,1.3,0\n3000,1.3,1e-5\n",
@@ -32,7 +32,9 @@ TABLES = {
     "band": "wavelength_nm,response\n500,1\n900,1\n",
     "measured": "# of others\nwavelength_nm,reflectance\n500,0.9\n",
 }
-SMALL_EXPERIMENT = "medium: {kind: layer}\ninstrument: {wavelength_nm: [800]}\nfigure: {kind: none}\n"
+SMALL_EXPERIMENT = (
+    "medium: {kind: layer}\ninstrument: {wavelength_nm: [800]}\nfigure: {kind: none}\n"
+)
 MAIN_SETTINGS = {"accuracies": {"standard": {"max_stderr": 0.1}}}
 FOLDERS = {f"{kind}_folder": f"~/{kind}" for kind in ("experiments", "media", "measured")}
 OTHER_FOLDER = dict.fromkeys(["country", "city", "street", "building_nr", "postal_code"], "-")
@@ -86,7 +88,10 @@ def make_archive():
 WRITE_FUNCTIONS = {
     "save": (lambda path: splits.save(make_snowlike_table().dataset, path), "new/kept.nc"),
     "Table.to_csv": (lambda path: make_snowlike_table().to_csv(path), "new/table.csv"),
-    "write_page": (lambda path: write_explorer({"a": ExplorerTable(make_snowlike_table(), "t.nc", "-")}, path), "a.html"),
+    "write_page": (
+        lambda path: write_explorer({"a": ExplorerTable(make_snowlike_table(), "t.nc", "-")}, path),
+        "a.html",
+    ),
     "save_figure": (lambda path: save_figure(make_figure(), path), "figure.png"),
     "pack": (lambda path: pack_archive([], {"config/a.yaml": b""}, path), "archives/a.zip"),
 }
@@ -103,7 +108,8 @@ RUN_WRITE_FUNCTIONS = {
 
 
 @pytest.mark.parametrize(
-    "name", [*WRITE_FUNCTIONS, *(pytest.param(name, marks=NEEDS_JIT) for name in RUN_WRITE_FUNCTIONS)]
+    "name",
+    [*WRITE_FUNCTIONS, *(pytest.param(name, marks=NEEDS_JIT) for name in RUN_WRITE_FUNCTIONS)],
 )
 def test_what_is_written_lies_at_home(name, home):
     write, path = {**WRITE_FUNCTIONS, **RUN_WRITE_FUNCTIONS}[name]
@@ -182,10 +188,14 @@ def test_a_home_that_is_not_known_is_refused_in_a_line(home, capsys):
 
 
 @pytest.mark.parametrize("call", [splits.load, splits.open_table])
-@pytest.mark.parametrize("given", [make_snowlike_table().dataset, make_snowlike_table(), None, 5, np.ones(3), b"a.nc"])
+@pytest.mark.parametrize(
+    "given", [make_snowlike_table().dataset, make_snowlike_table(), None, 5, np.ones(3), b"a.nc"]
+)
 def test_what_is_no_path_is_refused_in_a_line(call, given):
     kind = type(given).__name__
-    with pytest.raises(InvalidValue, match=f"^path = '{kind}': must be the path of a file") as refused:
+    with pytest.raises(
+        InvalidValue, match=f"^path = '{kind}': must be the path of a file"
+    ) as refused:
         call(given)
     told = kind == "Dataset" and call is splits.open_table
     assert ("splits.Table(…) takes a dataset" in str(refused.value)) == told

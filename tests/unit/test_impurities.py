@@ -8,9 +8,9 @@ from chi2 import judge_z
 
 import splits
 from splits.experiments.config.medium import list_table_paths
-from splits.simulation.scene import compute_optical_constants
 from splits.materials import ice_density
 from splits.materials.impurities import list_impurities
+from splits.simulation.scene import compute_optical_constants
 
 W = np.array([400.0, 550.0, 700.0])
 ICE, DRY, WET = 2, 0, 1
@@ -18,7 +18,10 @@ ICE, DRY, WET = 2, 0, 1
 
 def compute_added_absorption(snow, wavelengths=W):
     clean = splits.Snow(temperature_c=snow.temperature_c)
-    return compute_optical_constants(snow, wavelengths).absorption - compute_optical_constants(clean, wavelengths).absorption
+    return (
+        compute_optical_constants(snow, wavelengths).absorption
+        - compute_optical_constants(clean, wavelengths).absorption
+    )
 
 
 def test_soot_absorbs_by_its_mass_per_volume_of_ice():
@@ -33,9 +36,13 @@ def test_as_much_is_absorbed_wherever_it_is():
     dirt = {"impurities_ng_g": {"dust_sahara": 2000.0}, "algae_cells_ml": {"snow_algae": 1e4}}
     ice, pores = (splits.Snow(impurities_in=place, **dirt) for place in ("ice", "pores"))
     np.testing.assert_allclose(
-        ice.ice_fraction * compute_added_absorption(ice)[:, ICE], compute_added_absorption(pores)[:, DRY], rtol=1e-12
+        ice.ice_fraction * compute_added_absorption(ice)[:, ICE],
+        compute_added_absorption(pores)[:, DRY],
+        rtol=1e-12,
     )
-    np.testing.assert_allclose(compute_added_absorption(pores)[:, DRY], compute_added_absorption(pores)[:, WET], rtol=1e-12)
+    np.testing.assert_allclose(
+        compute_added_absorption(pores)[:, DRY], compute_added_absorption(pores)[:, WET], rtol=1e-12
+    )
     assert (compute_added_absorption(pores)[:, ICE] == 0.0).all()
 
 
@@ -48,8 +55,14 @@ def test_kinds_add_up_and_tables_of_ones_own_serve(tmp_path):
         impurities_ng_g={"black_carbon": 5.0, "mine": {"ng_g": 10.0, "table": str(path)}}
     )
     alone = splits.Snow(impurities_ng_g={"mine": lists})
-    np.testing.assert_allclose(compute_added_absorption(both), compute_added_absorption(soot) + compute_added_absorption(alone), rtol=1e-9)
-    assert compute_added_absorption(alone)[0, ICE] == pytest.approx(90.0 * 1e-8 * ice_density(-1.0), rel=1e-9)
+    np.testing.assert_allclose(
+        compute_added_absorption(both),
+        compute_added_absorption(soot) + compute_added_absorption(alone),
+        rtol=1e-9,
+    )
+    assert compute_added_absorption(alone)[0, ICE] == pytest.approx(
+        90.0 * 1e-8 * ice_density(-1.0), rel=1e-9
+    )
     facts = both.describe()
     assert facts["black_carbon_ng_g"] == pytest.approx(5.0)
     assert len(facts["mine_sha256"]) == 64
@@ -60,7 +73,10 @@ def test_layers_of_a_stack_have_their_own():
     clean, dirty = splits.Snow(), splits.Snow(impurities_ng_g={"black_carbon": 500.0})
     stack = splits.Stack([clean, dirty, splits.Sand(), clean], readings="splits_2007")
     plain = splits.Stack([clean, clean, splits.Sand(), clean], readings="splits_2007")
-    more = compute_optical_constants(stack, W).absorption - compute_optical_constants(plain, W).absorption
+    more = (
+        compute_optical_constants(stack, W).absorption
+        - compute_optical_constants(plain, W).absorption
+    )
     assert stack.list_materials()[5] == "layers.1.ice"
     assert (more[:, 5] > 0.0).all()
     assert (np.delete(more, 5, axis=1) == 0.0).all()
@@ -69,7 +85,9 @@ def test_layers_of_a_stack_have_their_own():
 def test_every_kind_absorbs_over_the_whole_solar_spectrum():
     w = np.linspace(300.0, 2500.0, 221)
     for kind in list_impurities():
-        assert (compute_added_absorption(splits.Snow(impurities_ng_g={kind: 1.0}), w)[:, ICE] > 0.0).all(), kind
+        assert (
+            compute_added_absorption(splits.Snow(impurities_ng_g={kind: 1.0}), w)[:, ICE] > 0.0
+        ).all(), kind
 
 
 def test_tables_of_ones_own_are_inputs_of_an_experiment():

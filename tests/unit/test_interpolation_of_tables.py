@@ -10,8 +10,8 @@ from splits.core.validation import InvalidValue
 from splits.tables.axes import ParameterGrid
 from splits.tables.interpolation import (
     apply_axis_transform,
-    transform_axis,
     compute_interpolation_weights,
+    transform_axis,
 )
 from splits.tables.table import Table
 
@@ -115,7 +115,9 @@ def test_errors_of_cells_do_not_cancel():
 
 
 def test_wavelengths_between_those_of_the_table():
-    found = make_table().interp(optical_radius_um=100.0, incidence_deg=0.0, wavelength=[500.0, 700.0])
+    found = make_table().interp(
+        optical_radius_um=100.0, incidence_deg=0.0, wavelength=[500.0, 700.0]
+    )
     assert found.wavelength.values.tolist() == [500.0, 700.0]
     assert found.reflectance_interpolation_error[0] < found.reflectance_interpolation_error[1]
 
@@ -140,7 +142,9 @@ def test_what_the_table_does_not_hold_is_refused(at, line):
 
 
 def test_a_dataset_that_is_no_table_is_refused():
-    with pytest.raises(InvalidValue, match=r"^table = 'a dataset': must be what splits.table"):
+    with pytest.raises(
+        InvalidValue, match=r"^table = 'a dataset': must be what splits.build_table"
+    ):
         Table(xr.Dataset())
 
 

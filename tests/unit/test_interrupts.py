@@ -17,7 +17,7 @@ BUSY_PROGRAM = "import hashlib; hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)"
 IDLE_PROGRAM = "import time; time.sleep(300)"
 JOB_PROGRAM = """
 from pathlib import Path
-from splits.interrupts import end_on_signals, half_written
+from splits.core.interrupts import exit_on_signals, track_unfinished_file
 end_on_signals('a job')
 with half_written(Path({path!r})):
     Path({path!r}).touch()
@@ -26,7 +26,7 @@ with half_written(Path({path!r})):
 """
 PARENT_PROGRAM = """
 import subprocess, sys
-from splits.interrupts import pass_on_interrupts
+from splits.core.interrupts import forward_interrupts
 pass_on_interrupts()
 child = subprocess.Popen([sys.executable, '-c', sys.argv[1]])
 child.wait()
@@ -71,7 +71,9 @@ def test_a_job_ends_soon_with_one_line_and_no_half_file(work, number, tmp_path):
 
 
 def test_errors_of_a_job_are_shown_as_ever(tmp_path):
-    process = start_process(JOB_PROGRAM.format(path=str(tmp_path / "half.nc"), work="raise ValueError('bad')"))
+    process = start_process(
+        JOB_PROGRAM.format(path=str(tmp_path / "half.nc"), work="raise ValueError('bad')")
+    )
     _, err = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "Traceback" in err and err.endswith("ValueError: bad\n")

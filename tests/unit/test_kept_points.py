@@ -11,11 +11,11 @@ import xarray as xr
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.io.netcdf import drop_run_specific_attributes
 from splits.experiments import run_points
-from splits.experiments.run import write_run
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run import write_run
+from splits.io.netcdf import drop_run_specific_attributes
 
 pytestmark = NEEDS_JIT
 
@@ -35,7 +35,7 @@ PATH_SHARING_POINTS = {
 }
 LAST_POINT = """
 import signal
-from splits import command
+from splits import cli
 from splits.experiments import run_points
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -100,7 +100,9 @@ def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch, content, points):
         1 if content is INDEPENDENT_POINTS else 2
     )
     whole, cut = (splits.load(tmp_path / name / "some.nc") for name in ("whole", "cut"))
-    xr.testing.assert_identical(drop_run_specific_attributes(cut), drop_run_specific_attributes(whole))
+    xr.testing.assert_identical(
+        drop_run_specific_attributes(cut), drop_run_specific_attributes(whole)
+    )
     for name in whole.variables:
         assert cut[name].values.tobytes() == whole[name].values.tobytes()
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["some.nc"]
@@ -115,8 +117,14 @@ def test_points_of_other_runs_stay_and_do_not_count(tmp_path, monkeypatch):
     others = [
         {"seed": 2},
         {"accuracy": TINY_ACCURACY.model_copy(update={"max_rays": 5000})},
-        {"content": INDEPENDENT_POINTS | {"instrument": INDEPENDENT_POINTS["instrument"] | {"rays": 600}}},
-        {"content": INDEPENDENT_POINTS | {"medium": {**INDEPENDENT_POINTS["medium"], "refractive_index": {"ice": table}}}},
+        {
+            "content": INDEPENDENT_POINTS
+            | {"instrument": INDEPENDENT_POINTS["instrument"] | {"rays": 600}}
+        },
+        {
+            "content": INDEPENDENT_POINTS
+            | {"medium": {**INDEPENDENT_POINTS["medium"], "refractive_index": {"ice": table}}}
+        },
     ]
     for other in others:
         said = write_dataset(**{"content": INDEPENDENT_POINTS, "folder": tmp_path} | other)

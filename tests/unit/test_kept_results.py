@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
-from formula_tables import W, make_snowlike_table, evaluate_spectrum
+from formula_tables import W, evaluate_spectrum, make_snowlike_table
 
 import splits
 from splits.core.validation import InvalidValue
@@ -56,7 +56,9 @@ def small_table(**keywords):
 
 def image():
     """Return an image over bands whose pixels are stacked, one of which has a gap."""
-    values = np.array([[evaluate_spectrum(size, dirt) for dirt in (20.0, 200.0)] for size in (60.0, 900.0)])
+    values = np.array(
+        [[evaluate_spectrum(size, dirt) for dirt in (20.0, 200.0)] for size in (60.0, 900.0)]
+    )
     values[0, 1, 3] = np.nan
     axes = {"wavelength": ("band", W), "y": [10.0, 20.0], "x": [1.0, 2.0]}
     return xr.DataArray(values, axes, ("y", "x", "band"))
@@ -87,14 +89,24 @@ RESULTS = {
     "albedo": lambda: splits.albedo(snow(), SKY, [500, 800], 0.1, bands=BANDS),
     "albedo of several": lambda: splits.albedo(make_several_media(), SKY, [500, 800], 0.1),
     "hdrf": lambda: splits.hdrf(layer(), SKY, PAIR, 0.5),
-    "light_inside": lambda: splits.radiation_profile(snow(), SKY, [0.01], PAIR, 0.1, total_w_m2=400),
-    "retrieve": lambda: splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED).dataset,
-    "retrieve_map": lambda: splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED),
+    "light_inside": lambda: splits.radiation_profile(
+        snow(), SKY, [0.01], PAIR, 0.1, total_w_m2=400
+    ),
+    "retrieve": lambda: (
+        splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED).dataset
+    ),
+    "retrieve_map": lambda: splits.retrieve_map(
+        image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED
+    ),
     "retrieve_map, stacked": lambda: splits.retrieve_map(
         image().stack(pixel=("y", "x")), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED
     ),
-    "best_bands": lambda: splits.select_bands(make_snowlike_table(), W[:4], FREE_PARAMETERS, 0.01, 2, at=FIXED),
-    "sobol_indices": lambda: splits.sobol_indices(make_snowlike_table(), FREE_PARAMETERS, at=FIXED, points=64),
+    "best_bands": lambda: splits.select_bands(
+        make_snowlike_table(), W[:4], FREE_PARAMETERS, 0.01, 2, at=FIXED
+    ),
+    "sobol_indices": lambda: splits.sobol_indices(
+        make_snowlike_table(), FREE_PARAMETERS, at=FIXED, points=64
+    ),
 }
 """What every public function returns that returns data, by its name and what differs."""
 MISSING_DATA = {
@@ -146,11 +158,17 @@ def make_odd_dataset(**coordinates):
 
 ODD_DATASETS = {
     "names alike but for dots": make_odd_dataset(),
-    "a label of an axis of texts": make_odd_dataset(wave=["a", "b"], wave_label=("wave", ["first", "second"])),
-    "a value of an axis in no order": make_odd_dataset(wave=[2.0, 2.0], wave_value=("wave", [1.0, 3.0])),
+    "a label of an axis of texts": make_odd_dataset(
+        wave=["a", "b"], wave_label=("wave", ["first", "second"])
+    ),
+    "a value of an axis in no order": make_odd_dataset(
+        wave=[2.0, 2.0], wave_value=("wave", [1.0, 3.0])
+    ),
     "a label of no axis": make_odd_dataset(wave_label=("wave", ["first", "second"])),
     "blanks": make_odd_dataset(**{"my soot. 2": ("wave", [1.0, 2.0])}),
-    "a dimension with dots and blanks": make_odd_dataset(wave=["a", "b"]).rename(wave="my wave.length"),
+    "a dimension with dots and blanks": make_odd_dataset(wave=["a", "b"]).rename(
+        wave="my wave.length"
+    ),
 }
 
 

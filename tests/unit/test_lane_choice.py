@@ -14,23 +14,23 @@ from scipy import integrate
 import splits
 from splits.kernels.compiler.features import Features
 from splits.kernels.grains.free_path import (
-    RejectionRules,
-    RayGeometry,
     LayerGeometry,
+    RayGeometry,
+    RejectionRules,
     sample_collision,
 )
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE
-from splits.kernels.grains.spheroid import UNIFORM_ENTRY, EntryVariates, Segment, GrainSize
+from splits.kernels.grains.spheroid import UNIFORM_ENTRY, EntryVariates, GrainSize, Segment
+from splits.kernels.math.elementary import sample_circle
+from splits.kernels.math.vectors import Vector, make_tangents
+from splits.kernels.optics.fresnel import fresnel
 from splits.kernels.vectorized.eligibility import (
-    MAX_DEPTH_MFP,
     EXTINCTION_TOLERANCE,
+    MAX_DEPTH_MFP,
     MIN_FIRST_DEPTH,
     compute_extinction_effect,
     select_features,
 )
-from splits.kernels.math.elementary import sample_circle
-from splits.kernels.math.vectors import Vector, make_tangents
-from splits.kernels.optics.fresnel import fresnel
 
 
 def find_features(medium, k=0.0, analog=False, depth=None):
@@ -101,9 +101,17 @@ def test_precisions_decide_alike_whether_the_first_grain_of_a_grazing_beam_fits(
         """Tell whether a grain fits, with all numbers in one precision."""
         facing, turn, axial, leg = width * u[0], u[2], u[3], u[4]
         azimuth = (up + width * (u[1] - 0.5) / math.pi) % 1.0
-        aim = EntryVariates(real(facing), sample_circle(real(azimuth)), sample_circle(real(turn)), real(axial), real(0.5))
+        aim = EntryVariates(
+            real(facing),
+            sample_circle(real(azimuth)),
+            sample_circle(real(turn)),
+            real(axial),
+            real(0.5),
+        )
         origin, down = Vector(*map(real, (0, 0, 0))), Vector(*map(real, (0, 0, -1)))
-        ray = RayGeometry(origin, origin, Vector(*map(real, d)), Segment(down, down, real(-1)), real(0))
+        ray = RayGeometry(
+            origin, origin, Vector(*map(real, d)), Segment(down, down, real(-1)), real(0)
+        )
         space = LayerGeometry(*map(real, (mean_leg, -0.1, 0.0, -0.1, 0.0, 0.0)))
         return sample_collision(
             ray, GrainSize(real(major), real(flattening)), aim, real(leg), space, fates
@@ -150,7 +158,9 @@ GRAINS = {
 def is_extinction_omitted(n_pore, n_core, k_pore, k_core, saturation):
     """Return whether extinction coefficients of wet pores and of grains are left out."""
     optics = make_optics([1.0, n_pore, n_core], [0.0, k_pore, k_core])
-    found = select_features(make_scene(splits.Snow().make_grain_population(), 0.1, saturation), optics)
+    found = select_features(
+        make_scene(splits.Snow().make_grain_population(), 0.1, saturation), optics
+    )
     return found.absorbing is None
 
 
@@ -173,7 +183,10 @@ def test_extinction_that_is_left_out_moves_no_interface_by_more_than_promised(wh
     print(f"left out up to k = {last:.1e}, which moves R by {moved:.1e}")
     assert moved < QUADRATURE * EXTINCTION_TOLERANCE
     # Nor is more asked for than needed: a step of the grid further it would show.
-    assert max(compute_reflectance_shift(*pair, last * EDGES[1] / EDGES[0]) for pair in pairs) > EXTINCTION_TOLERANCE / 4.0
+    assert (
+        max(compute_reflectance_shift(*pair, last * EDGES[1] / EDGES[0]) for pair in pairs)
+        > EXTINCTION_TOLERANCE / 4.0
+    )
 
 
 def test_the_public_interface_refuses_lanes_that_cannot_serve():
@@ -223,7 +236,10 @@ def test_what_extinction_does_to_diffuse_light(k, inwards):
     for m in INDICES:
         n1, n2 = (1.0, m) if inwards else (m, 1.0)
         optics = make_optics([n1, n2], [0.0, k])
-        estimate, exact = compute_extinction_effect(optics, 0, 1), compute_reflectance_shift(n1, n2, k)
+        estimate, exact = (
+            compute_extinction_effect(optics, 0, 1),
+            compute_reflectance_shift(n1, n2, k),
+        )
         ratios.append(estimate / max(exact, 1e-8))
         assert estimate > exact / QUADRATURE - 1e-8, (n1, n2)
         # R may rise at some angles and fall at others, where indices are about equal.

@@ -10,11 +10,11 @@ import pytest
 from chi2 import NEEDS_JIT
 from llvmlite import binding
 from numba import njit
-from scenes import make_medium_scene, compute_optics, get_vectorized_scene
+from scenes import compute_optics, get_vectorized_scene, make_medium_scene
 
 import splits
 from splits.kernels.compiler.passes import RefcountCheckedCompiler
-from splits.kernels.vectorized import flight, lane_state, interaction
+from splits.kernels.vectorized import flight, interaction, lane_state
 from splits.kernels.vectorized.eligibility import select_features
 
 ARITHMETIC = re.compile(
@@ -32,16 +32,26 @@ pytestmark = [
 def count_arithmetic(function, medium):
     """Return how often sums and products of single precision stand in a pass, by kind."""
     scene, optics = make_medium_scene(medium), compute_optics(medium, 500.0)
-    compiled = njit(error_model="numpy", _nrt=False, pipeline_class=RefcountCheckedCompiler)(function.py_func)
+    compiled = njit(error_model="numpy", _nrt=False, pipeline_class=RefcountCheckedCompiler)(
+        function.py_func
+    )
     state = np.zeros(lane_state.STATE_SIZE, dtype=np.float32)
     state[lane_state.STATUS : lane_state.STATUS + lane_state.N_LANES] = lane_state.IDLE
     words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
-    compiled(state, words, lane_state.N_LANES, select_features(scene, optics), get_vectorized_scene(scene))
+    compiled(
+        state,
+        words,
+        lane_state.N_LANES,
+        select_features(scene, optics),
+        get_vectorized_scene(scene),
+    )
     (code,) = compiled.inspect_asm().values()
     return Counter(kind + width for kind, width in ARITHMETIC.findall(code))
 
 
-@pytest.mark.parametrize("function", [flight.run_flight_pass, interaction.run_surface_pass], ids=["flight", "surface"])
+@pytest.mark.parametrize(
+    "function", [flight.run_flight_pass, interaction.run_surface_pass], ids=["flight", "surface"]
+)
 @pytest.mark.parametrize(
     "medium",
     [splits.Snow(), splits.Sand(texture=(0.0, 0.1, 0.9)), splits.Stack([splits.Snow()] * 2)],

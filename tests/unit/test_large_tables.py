@@ -76,7 +76,7 @@ def test_damage_is_found(both, tmp_path):
 def test_a_file_that_does_not_hold_its_blocks_does_not_appear(both, tmp_path, monkeypatch):
     experiment, folder, _, _ = both
     monkeypatch.setattr(module, "IN_MEMORY", 0)
-    monkeypatch.setattr("splits.lookup.large._put", lambda *_arguments: None)
+    monkeypatch.setattr("splits.tables.storage._write_block", lambda *_arguments: None)
     path = tmp_path / "never.nc"
     with pytest.raises(OSError, match="does not hold the table"):
         module.write_table(experiment, ACCURACY, 1, folder, path)

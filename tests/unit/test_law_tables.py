@@ -42,7 +42,9 @@ def test_a_radius_stands_for_its_area():
 
 def test_impurities_absorb_as_in_the_package():
     """2 c M/SSA more of 1 − ω, whose root the logarithm of albedo goes as."""
-    found = make_law_table(blank(**{AREA: [20.0, 30.0], SOOT: [0.0, 100.0]})).dataset.reflectance.values
+    found = make_law_table(
+        blank(**{AREA: [20.0, 30.0], SOOT: [0.0, 100.0]})
+    ).dataset.reflectance.values
     clean, dirty = np.log(found[0])
     per_ice = make_impurities({"black_carbon": 100.0}, {})[0].compute_absorption_per_kg_ice(W)
     k = 3.0 / 7.0 * (1.0 + 2.0)

@@ -7,8 +7,8 @@ import pytest
 
 import splits
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.run import run
 from splits.experiments.config.settings import Accuracy
+from splits.experiments.run import run
 from splits.plotting import draw
 
 WAVES = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}

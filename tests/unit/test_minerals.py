@@ -8,8 +8,8 @@ import pytest
 from splits.core.validation import invalid
 from splits.materials import (
     MINERAL_DENSITY_KG_M3,
-    LorentzOscillator,
     LorentzIndex,
+    LorentzOscillator,
     list_datasets,
     lookup,
 )
@@ -113,8 +113,12 @@ def test_goethite_has_the_index_of_optical_mineralogy():
 
 
 def test_goethite_absorbs_blue_more_than_red():
-    assert (average_goethite_k(400, 450) > 0.08).all() and (average_goethite_k(400, 450) < 0.2).all()
-    assert (average_goethite_k(600, 700) > 0.01).all() and (average_goethite_k(600, 700) < 0.05).all()
+    assert (average_goethite_k(400, 450) > 0.08).all() and (
+        average_goethite_k(400, 450) < 0.2
+    ).all()
+    assert (average_goethite_k(600, 700) > 0.01).all() and (
+        average_goethite_k(600, 700) < 0.05
+    ).all()
     assert (average_goethite_k(1000, 2600) < 0.0125).all()
     assert (np.diff(average_goethite_k(480, 600)) < 0.0).all()
     assert average_goethite_k(420, 450).max() > average_goethite_k(450, 520).max()

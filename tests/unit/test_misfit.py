@@ -7,35 +7,35 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.experiments.papers.misfit import PublishedStatement, compute_misfit, select_statements
 from splits.experiments.papers import interpretation_ranking
-from splits.experiments.papers.snow_statements import (
-    TRANSMITTANCE_FLOORS,
-    STATED_NUMBERS,
-    PARAMETER_EXTREMES,
-    STAGES,
-    STATED_TRENDS,
-    list_extreme_pairs,
-)
 from splits.experiments.papers.interpretation_ranking import (
     OVERLAP_CHOICES,
     PAPER_SETS,
     STAGE_QUOTAS,
     InterpretationSet,
-    find_choice,
     expand_boundaries,
-)
-from splits.experiments.papers.interpretation_tables import (
-    make_leave_out_table,
-    make_ranking_table,
-    make_statement_table,
-    find_differing_keys,
+    find_choice,
 )
 from splits.experiments.papers.interpretation_runs import (
     WATER_TABLES,
+    average_sectors,
     interleave_waters,
     repeat_for_waters,
-    average_sectors,
+)
+from splits.experiments.papers.interpretation_tables import (
+    find_differing_keys,
+    make_leave_out_table,
+    make_ranking_table,
+    make_statement_table,
+)
+from splits.experiments.papers.misfit import PublishedStatement, compute_misfit, select_statements
+from splits.experiments.papers.snow_statements import (
+    PARAMETER_EXTREMES,
+    STAGES,
+    STATED_NUMBERS,
+    STATED_TRENDS,
+    TRANSMITTANCE_FLOORS,
+    list_extreme_pairs,
 )
 from splits.materials import lookup
 from splits.media import Interpretation
@@ -56,7 +56,8 @@ def test_noise_adds_nothing_on_average():
     error, truth = 0.02, 0.95
     exact = float(STATED_NUMBER.normalize_difference(truth)) ** 2
     found = [
-        compute_misfit([STATED_NUMBER], [value], [error]) for value in truth + error * random.normal(size=4000)
+        compute_misfit([STATED_NUMBER], [value], [error])
+        for value in truth + error * random.normal(size=4000)
     ]
     totals = np.array([one.total for one in found])
     assert totals.mean() == pytest.approx(exact, abs=4.0 * totals.std() / np.sqrt(totals.size))
@@ -75,7 +76,9 @@ def test_a_trend_that_may_fail_adds_to_the_error(z):
     error = 0.3
     one = compute_misfit([STATED_NUMBER, STATED_TREND], [0.93, z * error], [0.0, error])
     assert one.total == pytest.approx(1.0)
-    truth = (z * error + error * np.random.default_rng(3).normal(size=400_000)) / STATED_TREND.tolerance
+    truth = (
+        z * error + error * np.random.default_rng(3).normal(size=400_000)
+    ) / STATED_TREND.tolerance
     fourth = np.minimum(truth, 0.0) ** 4
     uncertainty = fourth.std() / np.sqrt(fourth.size)
     assert one.stderr**2 == pytest.approx(fourth.mean(), abs=4.0 * uncertainty)
@@ -116,11 +119,18 @@ def make_free_combination(**values):
 
 
 def test_what_is_free_is_chosen_for_both_quantities_together():
-    stated = {name: PublishedStatement(name, "", 0.5, 0.1) for name in ("msi_r_density", "msi_t_density")}
+    stated = {
+        name: PublishedStatement(name, "", 0.5, 0.1) for name in ("msi_r_density", "msi_t_density")
+    }
     pairs = len(list_extreme_pairs("density"))
-    reflectance, transmittance = np.zeros((pairs, 1)), np.full((pairs, len(TRANSMITTANCE_FLOORS)), 3.0)
+    reflectance, transmittance = (
+        np.zeros((pairs, 1)),
+        np.full((pairs, len(TRANSMITTANCE_FLOORS)), 3.0),
+    )
     reflectance[:2, 0], transmittance[:2, 1] = [0.5, 0.45], [0.8, 0.52]
-    choice = make_free_combination(msi_r_density=reflectance, msi_t_density=transmittance).find_best_matches(stated)[0]
+    choice = make_free_combination(
+        msi_r_density=reflectance, msi_t_density=transmittance
+    ).find_best_matches(stated)[0]
     assert choice.values["msi_r_density"][0] == pytest.approx(0.45)
     assert choice.values["msi_t_density"][0] == pytest.approx(0.52)
     assert (
@@ -135,7 +145,9 @@ def test_one_floor_holds_for_all_parameters():
     stated = {name: PublishedStatement(name, "", 0.5, 0.1) for name in names}
     rows = {}
     for name, best in zip(names, ([0.5, 0.6, 0.9], [0.9, 0.6, 0.5]), strict=True):
-        rows[name] = np.broadcast_to(best, (len(list_extreme_pairs("density")), len(TRANSMITTANCE_FLOORS)))
+        rows[name] = np.broadcast_to(
+            best, (len(list_extreme_pairs("density")), len(TRANSMITTANCE_FLOORS))
+        )
     choice = make_free_combination(**rows).find_best_matches(stated)[0]
     assert choice.floor == TRANSMITTANCE_FLOORS[1] and choice.misfit.total == pytest.approx(2.0)
 
@@ -143,7 +155,10 @@ def test_one_floor_holds_for_all_parameters():
 def test_pairs_are_named_by_their_ends():
     assert list_extreme_pairs("grain_size") == ["100-200 / 900-1000"]
     assert list_extreme_pairs("facetness") == ["0-0.2 / 0.8-1"]
-    assert list_extreme_pairs("saturation")[:2] == ["0 / 0.1", "0 / 0.3"] and len(PARAMETER_EXTREMES["saturation"]) == 4
+    assert (
+        list_extreme_pairs("saturation")[:2] == ["0 / 0.1", "0 / 0.3"]
+        and len(PARAMETER_EXTREMES["saturation"]) == 4
+    )
 
 
 def test_sectors_are_means_of_three_angles_with_errors_that_go_together():
@@ -166,11 +181,16 @@ def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
     }  # fmt: skip
     assert expand_boundaries({"entry": "uniform"}) == {"entry": "uniform"}
     for fate in OVERLAP_CHOICES:
-        assert find_choice(Interpretation(**expand_boundaries({"boundaries": fate})), "boundaries") == fate
+        assert (
+            find_choice(Interpretation(**expand_boundaries({"boundaries": fate})), "boundaries")
+            == fate
+        )
 
 
 def test_every_stage_states_something():
-    assert set(STATED_NUMBERS) | set(STATED_TRENDS) == set(STAGES) and set(STAGE_QUOTAS) <= set(STAGES)
+    assert set(STATED_NUMBERS) | set(STATED_TRENDS) == set(STAGES) and set(STAGE_QUOTAS) <= set(
+        STAGES
+    )
 
 
 def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
@@ -188,7 +208,9 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
          "high": [np.nan]}
     ).set_index("id")  # fmt: skip
     choices = {"entry": ["uniform", "projected"], "facets": ["projected", "any"]}
-    found, stated = interpretation_ranking.rank_interpretations(table, choices, {"entry": "uniform"})
+    found, stated = interpretation_ranking.rank_interpretations(
+        table, choices, {"entry": "uniform"}
+    )
     # Uniform entry and any facet are splitsnow_2021, all other readings being its own.
     assert len(found) == 4 + len(PAPER_SETS) - 1 and set(stated) == {"a"}
     complete = [one for one in found if one.n_stages == 2]
@@ -236,6 +258,8 @@ def test_tables_of_a_ranking():
 
 def test_tables_with_one_complete_combination_have_no_margin():
     one = make_combination(0.5)
-    assert find_differing_keys([one, make_combination(0.1, stages=2)]) == [next(iter(Interpretation().as_dict()))]
+    assert find_differing_keys([one, make_combination(0.1, stages=2)]) == [
+        next(iter(Interpretation().as_dict()))
+    ]
     without = make_leave_out_table([one], {"table3_842": STATED_NUMBER}, ["entry"])
     assert without.empty and "margin" in without

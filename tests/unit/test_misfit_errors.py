@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.retrieval.sand_fit import estimate_parameter_errors
-from splits.retrieval.sand_parameters import UnitCube
-from splits.retrieval.state_vector import StateVector, ParameterRange
 from splits.retrieval.least_squares import apply_priors
 from splits.retrieval.residual_covariance import (
     NEIGHBOUR_CORRELATIONS,
     estimate_fit_covariance,
     estimate_misfit_variances,
 )
+from splits.retrieval.sand_fit import estimate_parameter_errors
+from splits.retrieval.sand_parameters import UnitCube
+from splits.retrieval.state_vector import ParameterRange, StateVector
 
 UNIFORM = np.sqrt(1.0 / 12.0)
 SILENT_MODEL = np.zeros((25, 25))
@@ -22,7 +22,9 @@ SILENT_MODEL = np.zeros((25, 25))
 def draw_states(best, covariance):
     """Return draws around a best place of the unit cube."""
     names = [f"x{i}" for i in range(len(best))]
-    free = StateVector.from_ranges(names, None, dict.fromkeys(names, ParameterRange(0.0, 1.0, "itself")))
+    free = StateVector.from_ranges(
+        names, None, dict.fromkeys(names, ParameterRange(0.0, 1.0, "itself"))
+    )
     return apply_priors(free, best, covariance, 1).draws.states
 
 
@@ -79,7 +81,10 @@ def test_variances_of_a_long_series_are_those_of_its_correlation():
 
 
 def test_noise_counts_by_group_of_rays():
-    jacobian, misfit = make_jacobian(12, 3), 1e-3 * draw_autoregressive_series(np.random.default_rng(6), 12, 0.0, 1)[0]
+    jacobian, misfit = (
+        make_jacobian(12, 3),
+        1e-3 * draw_autoregressive_series(np.random.default_rng(6), 12, 0.0, 1)[0],
+    )
     plain, one, two = (
         compute_covariance([jacobian, jacobian], misfit, noise.T @ noise)
         for noise in (np.zeros((1, 12)), np.ones((1, 12)), np.repeat(np.eye(2), 6, axis=1))
@@ -168,4 +173,6 @@ def test_half_of_not_having_measured_is_more_at_an_end_of_the_range(edge, known,
     for sd, determined in ((known, True), (unknown, False)):
         best = np.where(np.array(cube.names) == "hematite_ratio", edge, 0.5)
         draws = draw_states(best, np.eye(7) * sd**2)
-        assert estimate_parameter_errors(cube, best, draws)["hematite_ratio"].determined == determined
+        assert (
+            estimate_parameter_errors(cube, best, draws)["hematite_ratio"].determined == determined
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.materials import MIXING_RULES, linear_mixing, maxwell_garnett, lookup
+from splits.materials import MIXING_RULES, linear_mixing, lookup, maxwell_garnett
 
 QUARTZ, HEMATITE = 1.55 + 0j, 3.0 + 0.5j
 PAIRS = [(QUARTZ, HEMATITE), (HEMATITE, QUARTZ), (1.33 + 1e-9j, 1.2 + 2.0j), (1.56 + 5e-4j, 1.55)]
@@ -63,7 +63,9 @@ def test_roles_matter_in_second_order_of_contrast_only():
         one = maxwell_garnett(1.5, 1.5 + contrast, 0.3)
         other = maxwell_garnett(1.5 + contrast, 1.5, 0.7)
         assert 0.0 < other.real - one.real < tolerance
-        assert one.real == pytest.approx(linear_mixing(1.5, 1.5 + contrast, 0.3).real, abs=contrast**2)
+        assert one.real == pytest.approx(
+            linear_mixing(1.5, 1.5 + contrast, 0.3).real, abs=contrast**2
+        )
 
 
 @pytest.mark.parametrize("rule", RULES)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import splits
-from splits.experiments.config.load import load_experiment
 from splits.core.yaml import ConfigError
+from splits.experiments.config.load import load_experiment
 from splits.media.measured_inputs import override_keywords
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 

@@ -7,6 +7,7 @@ import pytest
 
 import splits
 from splits import Snow
+from splits.media.medium import Interface
 from splits.simulation.diffusion import diffuse_reflectance
 from splits.simulation.spectral_nodes import (
     MAX_LOG_CURVATURE,
@@ -15,7 +16,6 @@ from splits.simulation.spectral_nodes import (
     compute_contrasts,
     compute_entering_light,
 )
-from splits.media.medium import Interface
 
 SPECTRA = {
     "solar": np.arange(400.0, 2501.0, 10.0),
@@ -223,7 +223,11 @@ def test_faces_met_from_either_side_stay_within_their_bound(lid, below):
         nodes = choose_nodes(index, stack.list_interfaces(), tolerance)
         rows = [np.flatnonzero((index == node).all(axis=1))[0] for node in nodes.index]
         missed = np.abs(seen[rows] @ nodes.weights - seen)
-        assert (missed <= nodes.interpolation_bound + 1e-12).all(), (tolerance, missed.max(), nodes.interpolation_bound.max())
+        assert (missed <= nodes.interpolation_bound + 1e-12).all(), (
+            tolerance,
+            missed.max(),
+            nodes.interpolation_bound.max(),
+        )
 
 
 def test_faces_between_layers_are_judged_wherever_indices_may_change():

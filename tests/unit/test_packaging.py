@@ -29,7 +29,9 @@ def list_required_bounds(*extras):
         for text in PROJECT["optional-dependencies"][extra]:
             own = re.fullmatch(re.escape(PROJECT["name"]) + r"\[([\w,]+)\]", text)
             wanted += (
-                [f"{n}>={b}" for n, b in list_required_bounds(*own[1].split(",")).items()] if own else [text]
+                [f"{n}>={b}" for n, b in list_required_bounds(*own[1].split(",")).items()]
+                if own
+                else [text]
             )
     return parse_lower_bounds(wanted)
 

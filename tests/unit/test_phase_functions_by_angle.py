@@ -9,12 +9,12 @@ from chi2 import NEEDS_JIT
 from scipy.special import eval_legendre, j1
 
 import splits
-from splits.core.validation import InvalidValue
 from splits.analysis.theory.phase_function import (
     diffraction_moments,
     to_eradiate,
     write_libradtran,
 )
+from splits.core.validation import InvalidValue
 
 G = 0.6
 ORDERS = np.arange(201)
@@ -166,7 +166,10 @@ def test_what_grains_do_can_be_handed_on():
         (lambda: to_eradiate(make_optics(), np.arange(0.0, 181.0, 30.0)), "angle_deg = '7 angles'"),
         (lambda: splits.with_diffraction(make_optics(), -1.0), "radius_um = -1.0"),
         (lambda: splits.with_diffraction(make_optics(medium="sand")), "radius_um = None"),
-        (lambda: splits.with_diffraction(splits.with_diffraction(make_optics())), "optics = 'Fraun"),
+        (
+            lambda: splits.with_diffraction(splits.with_diffraction(make_optics())),
+            "optics = 'Fraun",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(call, line):

@@ -12,12 +12,12 @@ from polarized_light import (
     GEOMETRIES,
     IDENTITY,
     assert_frame,
+    compute_stokes,
+    draw_polarized_light,
+    draw_unit_vectors,
     make_coherency,
     make_frame,
     to_kernel_light,
-    draw_polarized_light,
-    draw_unit_vectors,
-    compute_stokes,
     to_vector,
 )
 
@@ -74,7 +74,9 @@ def draw_incident_light(rng, cos_i, pure):
 
 def compute_reflection(d, e, s, n, n1, n2):
     """Return the share of light that a face reflects, and what it becomes."""
-    share, d, out = faces.reflect_polarized(to_vector(d), to_kernel_light(e, s), to_vector(n), n1, n2)
+    share, d, out = faces.reflect_polarized(
+        to_vector(d), to_kernel_light(e, s), to_vector(n), n1, n2
+    )
     return share, *to_arrays(d, out)
 
 

@@ -12,12 +12,12 @@ from polarized_light import (
     GEOMETRIES,
     IDENTITY,
     assert_frame,
+    compute_stokes,
+    draw_polarized_light,
+    draw_unit_vectors,
     make_coherency,
     make_frame,
     to_kernel_light,
-    draw_polarized_light,
-    draw_unit_vectors,
-    compute_stokes,
     to_vector,
 )
 
@@ -34,7 +34,9 @@ def rotate_linear(q, u, e, d, t):
 
 def scatter_towards(model, d, e, s, t):
     """Return density, q, u, v, and the reference of light scattered towards t, in one array."""
-    density, out = stokes.evaluate_polarized_scattering(model, to_vector(d), to_kernel_light(e, s), to_vector(t))
+    density, out = stokes.evaluate_polarized_scattering(
+        model, to_vector(d), to_kernel_light(e, s), to_vector(t)
+    )
     return np.array([density, *out[1:], *out.e])
 
 

@@ -11,8 +11,7 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.core.progress import with_progress
-from splits.core.progress import open_progress_log, write_line
+from splits.core.progress import open_progress_log, with_progress, write_line
 
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
 SMALL_EXPERIMENT = """
@@ -20,7 +19,9 @@ medium: {kind: snow, depth_m: 0.005}
 instrument: {wavelength_nm: [800, 1300]}
 figure: none
 """
-FULL_DISK = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no file that is always full")
+FULL_DISK = pytest.mark.skipif(
+    not os.path.exists("/dev/full"), reason="no file that is always full"
+)
 
 
 @with_progress
@@ -88,7 +89,7 @@ def test_other_errors_of_a_function_are_shown():
 def run_in_shell(tmp_path, before="", after="", **environment):
     """Run an experiment in a shell, and return its exit status and the dataset."""
     (tmp_path / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
-    command = f"{sys.executable} -m splits.command run small.yaml --output é --accuracy tiny"
+    command = f"{sys.executable} -m splits.cli run small.yaml --output é --accuracy tiny"
     shell = f"{before} {command} --threads 1 {after}"
     done = subprocess.run(
         ["bash", "-c", f"{shell}; exit ${{PIPESTATUS[0]}}"], cwd=tmp_path, capture_output=True,
@@ -119,7 +120,7 @@ def test_a_run_ends_well_in_a_terminal_of_ascii(tmp_path):
 def test_a_run_ends_well_after_its_terminal_is_closed(tmp_path):
     (tmp_path / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
     terminal, side = os.openpty()
-    command = [sys.executable, "-m", "splits.command", "run", "small.yaml", "--accuracy", "tiny"]
+    command = [sys.executable, "-m", "splits.cli", "run", "small.yaml", "--accuracy", "tiny"]
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=side, stderr=side, start_new_session=True
     ) as process:
@@ -132,7 +133,7 @@ def test_a_run_ends_well_after_its_terminal_is_closed(tmp_path):
 @FULL_DISK
 def test_an_interrupt_ends_a_run_whose_lines_cannot_be_written():
     script = (
-        "import os, signal, time\nfrom splits.interrupts import end_on_signals\n"
+        "import os, signal, time\nfrom splits.core.interrupts import end_on_signals\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\nend_on_signals('a job')\n"
         "os.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
     )

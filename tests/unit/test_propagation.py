@@ -58,5 +58,8 @@ def test_no_way_of_being_off_exceeds_what_may_be_missed(theory):
 
 
 def test_without_rays_left_out_the_response_is_that_bound():
-    np.testing.assert_array_equal(propagate_errors(evaluate_product, make_optics()), compute_interpolation_bound(evaluate_product, make_optics()))
+    np.testing.assert_array_equal(
+        propagate_errors(evaluate_product, make_optics()),
+        compute_interpolation_bound(evaluate_product, make_optics()),
+    )
     assert (propagate_errors(evaluate_product, make_optics(0.0, 0.0)) == 0.0).all()

@@ -10,12 +10,12 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.core.validation import reject_unknown_keywords, check_number, short_repr
+from splits.core.validation import check_number, reject_unknown_keywords, short_repr
 from splits.simulation.arguments import (
     check_beam_angle,
     check_incidence,
-    check_wavelengths,
     check_integer,
+    check_wavelengths,
 )
 
 

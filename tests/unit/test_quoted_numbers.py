@@ -9,25 +9,25 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import xarray as xr
-
-import splits
 from _numbers import values as room
-from _numbers.marks import (
-    COMMENT_START,
-    MARK_PATTERN,
-    list_documents,
-    find_marks,
-    replace_marked_numbers,
-    update_documents,
-)
-from _numbers.values import CODE_SOURCE, QUOTED_NUMBERS, collect_quoted_numbers
 from _numbers.formatting import (
     QuotedNumber,
     select_cell,
     select_extreme,
-    select_point,
     select_max_magnitude,
+    select_point,
 )
+from _numbers.marks import (
+    COMMENT_START,
+    MARK_PATTERN,
+    find_marks,
+    list_documents,
+    replace_marked_numbers,
+    update_documents,
+)
+from _numbers.values import CODE_SOURCE, QUOTED_NUMBERS, collect_quoted_numbers
+
+import splits
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = list_documents(ROOT)
@@ -90,7 +90,9 @@ def test_keys_are_known_used_and_recorded():
 
 def test_constants_of_the_code_are_the_codes():
     known = read_record()
-    constants = {key: n.format_text(None) for key, n in QUOTED_NUMBERS.items() if n.source == CODE_SOURCE}
+    constants = {
+        key: n.format_text(None) for key, n in QUOTED_NUMBERS.items() if n.source == CODE_SOURCE
+    }
     assert constants["draws"] == "10⁷"
     assert {key: known[key] for key in constants} == constants
 
@@ -148,7 +150,9 @@ WRITTEN_TEXT = {
     "0.000 ± 0.0002": QuotedNumber(TABLE, select_cell(*BOTH_DOCUMENTS, quantity="level"), "+.3f"),
     "−0.5": QuotedNumber(TABLE, select_cell("ours", low="0.05"), ".1f"),
     "0.5": QuotedNumber(TABLE, select_max_magnitude("ours"), ".1f"),
-    "0.12 ± 0.002": QuotedNumber(DATA, select_point("reflectance", texture="no clay", wavelength=400.0), ".2f"),
+    "0.12 ± 0.002": QuotedNumber(
+        DATA, select_point("reflectance", texture="no clay", wavelength=400.0), ".2f"
+    ),
     "300": QuotedNumber(DATA, select_point("realisations", attribute=True), "g"),
     "0": QuotedNumber(CODE_SOURCE, lambda _: (0.0, None, ""), "+.3f"),
     "0.2": QuotedNumber(CODE_SOURCE, lambda _: (0.2, None, ""), "#.2g"),
@@ -190,7 +194,12 @@ def test_a_mark_takes_the_number_before_it_and_nothing_else():
     line = (
         "| 0.8 / 0.9 ± 0.1<!--a--> (± 0.002<!--b-->) | 0.02-0.051<!--c--> | **+3 (x y)<!--d-->** |"
     )
-    assert find_marks(line) == [("a", "0.9 ± 0.1"), ("b", "0.002"), ("c", "0.051"), ("d", "+3 (x y)")]
+    assert find_marks(line) == [
+        ("a", "0.9 ± 0.1"),
+        ("b", "0.002"),
+        ("c", "0.051"),
+        ("d", "+3 (x y)"),
+    ]
     new = replace_marked_numbers(line, {"a": "−0.5 ± 0.01", "b": "0", "c": "4.3e-4", "d": "10⁷"})
     assert new == (
         "| 0.8 / −0.5 ± 0.01<!--a--> (± 0<!--b-->) | 0.02-4.3e-4<!--c--> | **10⁷<!--d-->** |"
@@ -214,6 +223,10 @@ def test_documents_are_written_whole_or_not_at_all(tmp_path):
     assert first.read_text(encoding="utf-8") == "0.3<!--a--> and 0.2<!--b-->\n"
     assert json.loads(record.read_text(encoding="utf-8")) == {"a": "0.3", "b": "0.2"}
     # What a run did not make stays; a key that no document marks is forgotten.
-    assert update_documents({"b": "0.4", "c": "9"}, [first, second], record) == [first, second, record]
+    assert update_documents({"b": "0.4", "c": "9"}, [first, second], record) == [
+        first,
+        second,
+        record,
+    ]
     assert json.loads(record.read_text(encoding="utf-8")) == {"a": "0.3", "b": "0.4"}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.md", "b.md", "numbers.json"]

@@ -10,8 +10,8 @@ import pytest
 import snowoptics
 import xarray as xr
 
+from splits.analysis.theory.asymptotic import compute_shape_factors, correct_dense_packing, kz04
 from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
-from splits.analysis.theory.asymptotic import kz04, correct_dense_packing, compute_shape_factors
 
 WAVELENGTHS = np.array([500.0, 900.0, 1030.0])
 
@@ -83,7 +83,9 @@ def test_more_streams_change_less_than_the_stated_truncation():
 @pytest.mark.parametrize("incidence", [30.0, "diffuse"])
 def test_a_layer_cut_in_three_is_the_same(incidence):
     pytest.importorskip("PythonicDISORT")
-    whole = solve_discrete_ordinates(make_layer_optics([0.99, 0.9], 3.0, 0.7), incidence, ground=0.4)
+    whole = solve_discrete_ordinates(
+        make_layer_optics([0.99, 0.9], 3.0, 0.7), incidence, ground=0.4
+    )
     cut = [make_layer_optics([0.99, 0.9], part, 0.7) for part in (0.5, 1.5, 1.0)]
     pieces = solve_discrete_ordinates(cut, incidence, ground=0.4)
     for name in ("reflectance", "transmittance"):
@@ -93,7 +95,10 @@ def test_a_layer_cut_in_three_is_the_same(incidence):
 def test_light_goes_to_and_fro_between_layers_and_ground():
     pytest.importorskip("PythonicDISORT")
     pack = [make_layer_optics([0.99], 1.0, 0.8), make_layer_optics([0.8], 0.5, 0.3)]
-    beam, below = solve_discrete_ordinates(pack, 40.0), solve_discrete_ordinates(pack[::-1], "diffuse")
+    beam, below = (
+        solve_discrete_ordinates(pack, 40.0),
+        solve_discrete_ordinates(pack[::-1], "diffuse"),
+    )
     for albedo in (0.1, 0.5, 1.0):
         found = solve_discrete_ordinates(pack, 40.0, ground=albedo)
         series = beam.transmittance / (1.0 - albedo * below.reflectance)
@@ -187,6 +192,10 @@ def test_packing_thins_a_layer():
     )
     # (1 + 0.3)(1 + 0.1) + (1 − 0.5) 0.08/2, in units of the mean distance squared.
     expected = 10.0 / math.sqrt(1.3 * 1.1 + 0.02)
-    assert float(correct_dense_packing(optics).optical_thickness[0]) == pytest.approx(expected, rel=1e-12)
-    assert float(correct_dense_packing(optics).extinction[0]) == pytest.approx(100.0 * expected, rel=1e-12)
+    assert float(correct_dense_packing(optics).optical_thickness[0]) == pytest.approx(
+        expected, rel=1e-12
+    )
+    assert float(correct_dense_packing(optics).extinction[0]) == pytest.approx(
+        100.0 * expected, rel=1e-12
+    )
     assert float(optics.optical_thickness[0]) == 10.0

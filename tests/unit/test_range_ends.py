@@ -6,16 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from array_inputs import FIXED, SOOT, SIZE, TABLE, compute_refraction
+from array_inputs import FIXED, SIZE, SOOT, TABLE, compute_refraction
 from chi2 import NEEDS_JIT
 from formula_tables import W, evaluate_spectrum, make_table
 
 import splits
 from splits.analysis.colour import covers_visible
 from splits.core.validation import InvalidValue, check_range, snap_to_limits
+from splits.materials import lookup
 from splits.simulation.arguments import check_direction_angles, check_wavelengths
 from splits.tables.export import convert_to_spires
-from splits.materials import lookup
 
 FROM_30 = make_table(lambda size, _: evaluate_spectrum(size, 0.0), {SIZE: [50.0, 100.0], "incidence_deg": [
     30.0, 60.0]})  # fmt: skip

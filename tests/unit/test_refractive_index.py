@@ -90,7 +90,13 @@ def test_outside_the_table_the_message_names_dataset_and_range(material, name):
 
 @pytest.mark.parametrize(
     "spec",
-    [1.31 + 1e-7j, "1.31+1e-7j", "1.31 + 1e-7j", {"n": 1.31, "k": 1e-7}, ConstantIndex(1.31 + 1e-7j)],
+    [
+        1.31 + 1e-7j,
+        "1.31+1e-7j",
+        "1.31 + 1e-7j",
+        {"n": 1.31, "k": 1e-7},
+        ConstantIndex(1.31 + 1e-7j),
+    ],
 )
 def test_constants_in_every_spelling(spec):
     index = lookup("ice", spec)([400.0, 5000.0])

@@ -7,14 +7,14 @@ import pandas as pd
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
-from formula_tables import W, make_snowlike_table, evaluate_spectrum, make_table
+from formula_tables import W, evaluate_spectrum, make_snowlike_table, make_table
 from scipy.stats import binom
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.retrieval.state_vector import StateVector
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.state_vector import StateVector
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 FIXED = {"incidence_deg": 30.0}
@@ -151,7 +151,9 @@ def test_one_band_does_not_tell_two_parameters(table):
 
 def test_a_misfit_enlarges_the_errors(table):
     bumpy = evaluate_spectrum(200.0, 50.0) * (1.0 + 0.1 * np.sin(W / 60.0))
-    plain = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.005, at={**FIXED, SOOT: 50.0})
+    plain = splits.retrieve(
+        (W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.005, at={**FIXED, SOOT: 50.0}
+    )
     found = splits.retrieve((W, bumpy), table, [SIZE], 0.005, at={**FIXED, SOOT: 50.0})
     assert any("does not follow" in line for line in found.warnings)
     assert found.stderr[SIZE] > 3.0 * plain.stderr[SIZE]
@@ -177,7 +179,9 @@ def test_unknown_noise_is_found_from_the_misfit(table):
 
 
 def test_priors_count_where_noise_is_not_known(table):
-    measured = evaluate_spectrum(200.0, 50.0) + 0.01 * np.random.default_rng(12).standard_normal(W.size)
+    measured = evaluate_spectrum(200.0, 50.0) + 0.01 * np.random.default_rng(12).standard_normal(
+        W.size
+    )
     free, at = [SIZE], {**FIXED, SOOT: 50.0}
     plain = splits.retrieve((W, measured), table, free, at=at)
     held = splits.retrieve((W, measured), table, free, at=at, prior={SIZE: (300.0, 1.0)})
@@ -188,7 +192,9 @@ def test_priors_count_where_noise_is_not_known(table):
 
 def test_too_few_values_do_not_tell_noise(table):
     with pytest.raises(InvalidValue, match=r"noise = None: must be given .*too few"):
-        splits.retrieve((W[:2], evaluate_spectrum(200.0, 50.0)[:2]), table, [SIZE], at={**FIXED, SOOT: 50.0})
+        splits.retrieve(
+            (W[:2], evaluate_spectrum(200.0, 50.0)[:2]), table, [SIZE], at={**FIXED, SOOT: 50.0}
+        )
 
 
 def test_a_prior_that_excludes_the_truth_is_said(table):
@@ -278,7 +284,13 @@ INVALID_CALLS = {
 @pytest.mark.parametrize("name", INVALID_CALLS)
 def test_bad_input_is_refused_in_one_line(table, name):
     other, message = INVALID_CALLS[name]
-    given = {"measured": VALID_CALLS, "model": table, "free": [SIZE, SOOT], "noise": 0.01, "at": FIXED}
+    given = {
+        "measured": VALID_CALLS,
+        "model": table,
+        "free": [SIZE, SOOT],
+        "noise": 0.01,
+        "at": FIXED,
+    }
     with pytest.raises(InvalidValue, match=message) as caught:
         splits.retrieve(**(given | other))
     assert "\n" not in str(caught.value)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import emcee
 import numpy as np
 from chi2 import NEEDS_JIT
-from formula_tables import W, make_snowlike_table, evaluate_spectrum
+from formula_tables import W, evaluate_spectrum, make_snowlike_table
 
 import splits
-from splits.retrieval.state_vector import StateVector
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.state_vector import StateVector
 
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 FIXED = {"incidence_deg": 30.0}
@@ -25,7 +25,9 @@ def test_quantiles_are_those_of_an_ensemble_of_walkers():
     ranges = {SIZE: (40.0, 2000.0), SOOT: (0.0, 1600.0), "level": (0.8, 1.2)}
     found = splits.retrieve((w, measured), table, ranges, 0.05, at=FIXED)
     measurement = Measurement.from_input((w, measured), 0.05)
-    model = TableForwardModel(table, measurement, StateVector.from_ranges(ranges, None, get_table_ranges(table)), FIXED)
+    model = TableForwardModel(
+        table, measurement, StateVector.from_ranges(ranges, None, get_table_ranges(table)), FIXED
+    )
     best = model.state_vector.to_coordinates(found.dataset.value.values)
     covariance = measurement.covariance + model.compute_error_covariance(best)
     lower = np.linalg.cholesky(covariance)
@@ -48,6 +50,7 @@ def test_quantiles_are_those_of_an_ensemble_of_walkers():
             other = np.quantile(chain[:, :, i], share)
             here = float((places[:, i] <= other).mean())
             many = 1.0 / (
-                1.0 / found.dataset.attrs["effective_draws"] + time[i] / (N_WALKERS * (N_STEPS - N_BURN_IN))
+                1.0 / found.dataset.attrs["effective_draws"]
+                + time[i] / (N_WALKERS * (N_STEPS - N_BURN_IN))
             )
             assert abs(here - share) < 4.0 * np.sqrt(share * (1.0 - share) / many), names[i]

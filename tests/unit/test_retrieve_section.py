@@ -6,15 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from formula_tables import W, make_snowlike_table, evaluate_spectrum
+from formula_tables import W, evaluate_spectrum, make_snowlike_table
 from pydantic import ValidationError
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.retrieve import NoiseSection, RetrieveSection
-from splits.experiments.run_retrieve import make_retrieval_table, run_retrieve, combine_samples
+from splits.experiments.config.retrieve_checks import check_measured_spectra
+from splits.experiments.run_retrieve import combine_samples, make_retrieval_table, run_retrieve
 from splits.plotting.retrieval import draw_retrievals
 from splits.plotting.style import save_figure
 
@@ -60,7 +60,9 @@ def test_samples_are_retrieved_where_the_table_reaches():
 
 def test_what_is_left_out_does_not_count():
     section = RetrieveSection.model_validate({**SECTION, "left_out_nm": [[650, 850]]})
-    found = index_by_sample(run_retrieve(section, make_snowlike_table(), measured()))["dirty@60"].dataset
+    found = index_by_sample(run_retrieve(section, make_snowlike_table(), measured()))[
+        "dirty@60"
+    ].dataset
     assert found.wavelength.values.tolist() == [500, 600, 900, 1000, 1100, 1200, 1300, 1400, 1500]
 
 
@@ -68,7 +70,9 @@ def test_the_first_sample_tells_what_is_known_of_others():
     table = {k: measured()[k] for k in ("wavelength_nm", "clean@30")}
     table["wetter@30"] = [0.5, *evaluate_spectrum(150.0, 400.0)]
     given = {**SECTION, "prior_from": {"sample": "clean@30", "at": {SOOT: 1.0}}}
-    readings = run_retrieve(RetrieveSection.model_validate(given), make_snowlike_table(), pd.DataFrame(table))
+    readings = run_retrieve(
+        RetrieveSection.model_validate(given), make_snowlike_table(), pd.DataFrame(table)
+    )
     found = index_by_sample(readings)
     assert list(found["clean@30"].values) == [SIZE]
     section = RetrieveSection.model_validate(SECTION)
@@ -111,7 +115,9 @@ def test_tables_and_figures_show_all_samples(tmp_path):
     assert sizes.known.tolist() == [150.0, 600.0]
     assert (sizes["2.5 %"] < sizes["median"]).all() and (sizes["median"] < sizes["97.5 %"]).all()
     assert sizes["told by the spectrum"].tolist() == ["yes", "yes"]
-    for path in save_figure(draw_retrievals(combine_samples(found, "some"), known), tmp_path / "figure"):
+    for path in save_figure(
+        draw_retrievals(combine_samples(found, "some"), known), tmp_path / "figure"
+    ):
         assert path.stat().st_size > 10_000
 
 
@@ -139,7 +145,10 @@ EXPERIMENT_ERRORS = {
         r"retrieve\.models = .*no axis",
     ),
     "models and at": (
-        {"grid": NAMED_SAMPLES, "retrieve": {**SECTION, "models": "readings", "at": {"readings": "one"}}},
+        {
+            "grid": NAMED_SAMPLES,
+            "retrieve": {**SECTION, "models": "readings", "at": {"readings": "one"}},
+        },
         r"retrieve\.at\.readings",
     ),
     "no such model axis": (
@@ -218,7 +227,9 @@ def test_samples_that_are_not_there_are_refused():
     with pytest.raises(InvalidValue, match=r"retrieve\.samples"):
         section.select_spectra(measured(), W)
     with pytest.raises(InvalidValue, match="column wavelength_nm"):
-        RetrieveSection.model_validate(SECTION).select_spectra(measured().drop(columns="wavelength_nm"), W)
+        RetrieveSection.model_validate(SECTION).select_spectra(
+            measured().drop(columns="wavelength_nm"), W
+        )
     with pytest.raises(InvalidValue, match="as the table has them"):
         RetrieveSection.model_validate(SECTION).select_spectra(measured(), 1100.0 + W)
 

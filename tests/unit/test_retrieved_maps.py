@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
-from formula_tables import W, make_snowlike_table, evaluate_spectrum, make_table
+from formula_tables import W, evaluate_spectrum, make_snowlike_table, make_table
 
 import splits
 from splits.core.validation import InvalidValue
@@ -153,7 +153,10 @@ def test_stacked_pixels_are_unstacked_to_the_same(table, image):
 
 WARNING_LINES = xr.DataArray(np.full((2, W.size), 0.5), {}, ("x", "band"))
 INVALID_CALLS = {
-    "bands without wavelengths": ({"image": WARNING_LINES}, r"over x, band.*assign_coords\(wavelength="),
+    "bands without wavelengths": (
+        {"image": WARNING_LINES},
+        r"over x, band.*assign_coords\(wavelength=",
+    ),
     "wavelengths by pixel": (
         {"image": WARNING_LINES.assign_coords(wavelength=(("x", "band"), np.tile(W, (2, 1))))},
         "over x, band",
@@ -180,6 +183,12 @@ INVALID_CALLS = {
 @pytest.mark.parametrize("name", INVALID_CALLS)
 def test_bad_input_is_refused(table, image, name):
     other, message = INVALID_CALLS[name]
-    given = {"image": image, "table": table, "free": [SIZE], "noise": 0.01, "at": {**FIXED, SOOT: 9.0}}
+    given = {
+        "image": image,
+        "table": table,
+        "free": [SIZE],
+        "noise": 0.01,
+        "at": {**FIXED, SOOT: 9.0},
+    }
     with pytest.raises(InvalidValue, match=message):
         splits.retrieve_map(**(given | other))

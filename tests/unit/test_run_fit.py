@@ -10,13 +10,13 @@ from chi2 import NEEDS_JIT
 from stated_errors import list_variables_with_errors
 
 from splits import load, save
-from splits.experiments.papers.sand_trends import UNDETERMINED_VERDICT, make_fit_table
 from splits.experiments import ConfigError, load_experiment
 from splits.experiments import run_fit as module
-from splits.retrieval.sand_fit import Effort
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.settings import Accuracy
+from splits.experiments.papers.sand_trends import UNDETERMINED_VERDICT, make_fit_table
 from splits.plotting import draw
+from splits.retrieval.sand_fit import Effort
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 TINY_ACCURACY = Effort(points=2, starts=(1,), evaluations=(2,), rays=(32, 32), max_stderr=0.05)
@@ -105,7 +105,11 @@ def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
 )
 def test_fits_that_cannot_be_run_are_refused(experiment, tmp_path, line, message):
     path = tmp_path / "wrong.yaml"
-    text = EXPERIMENT_TEXT.replace("medium: {kind: sand}\n", "") if "medium:" in line else EXPERIMENT_TEXT
+    text = (
+        EXPERIMENT_TEXT.replace("medium: {kind: sand}\n", "")
+        if "medium:" in line
+        else EXPERIMENT_TEXT
+    )
     path.write_text(text.replace("fit: {measured: mine.csv}", line), encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
         load_experiment(path, tmp_path / "media")

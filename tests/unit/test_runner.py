@@ -7,8 +7,8 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
+from splits.simulation.runner import MAX_SEGMENTS_PER_JOB, RAYS_PER_CHUNK, Runner
 from splits.simulation.tally import PathTally, TransportTraits
-from splits.simulation.runner import RAYS_PER_CHUNK, MAX_SEGMENTS_PER_JOB, Runner
 
 WAVELENGTHS = [500.0, 1000.0, 1500.0]
 SNOW = splits.Snow(depth_m=0.02)

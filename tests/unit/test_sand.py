@@ -11,11 +11,11 @@ import yaml
 
 import splits
 from splits import Sand, SandInterpretation
-from splits.io.netcdf import to_netcdf_attributes, make_provenance
-from splits.simulation.spectral_nodes import select_grain_interfaces
+from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import lookup
 from splits.media.grain_statistics import surface_to_volume_ratio
 from splits.media.interpretations import INTERPRETATION_CHOICES
+from splits.simulation.spectral_nodes import select_grain_interfaces
 
 MEDIA = Path(__file__).parents[2] / "config" / "media"
 ORDER = "min <= mean <= max <= 1"
@@ -176,7 +176,9 @@ def test_water_is_asked_for_only_where_there_is_some():
     dry = Sand(saturation=0.0, refractive_index={"water": UnusedIndex()})
     assert (dry.compute_refractive_indices(WAVELENGTHS)[:, 1] == 1.0).all()
     with pytest.raises(AssertionError, match="asked for"):
-        Sand(saturation=0.01, refractive_index={"water": UnusedIndex()}).compute_refractive_indices(WAVELENGTHS)
+        Sand(saturation=0.01, refractive_index={"water": UnusedIndex()}).compute_refractive_indices(
+            WAVELENGTHS
+        )
     # Nor are minerals that are not there.
     absent = dict.fromkeys(("magnetite", "hematite"), UnusedIndex())
     assert np.isfinite(Sand(refractive_index=absent).compute_refractive_indices(WAVELENGTHS)).all()
@@ -204,7 +206,9 @@ def test_description_is_written_to_a_file_and_read_again(tmp_path):
     assert facts["refractive_index_water"] == "1.33+0j"
     assert len(facts["particle_types"].split(", ")) == len(facts["particle_volume_fractions"]) == 8
     path = tmp_path / "sand.nc"
-    splits.save(xr.Dataset({"x": 1.0}, attrs=to_netcdf_attributes({**facts, **make_provenance()})), path)
+    splits.save(
+        xr.Dataset({"x": 1.0}, attrs=to_netcdf_attributes({**facts, **make_provenance()})), path
+    )
     read = splits.load(path).attrs
     for key, value in facts.items():
         if isinstance(value, str):
@@ -222,12 +226,16 @@ def test_mean_grain_distance():
     assert sand.mean_grain_distance_m == pytest.approx(1.0 / (0.6 * 1.5 * k1), rel=1e-12)
     printed = Sand(**spheres, readings={"attenuation": "printed"})
     assert printed.mean_grain_distance_m == pytest.approx(1.0 / (1.5 * k1), rel=1e-12)
-    assert 1.0 / sand.make_grain_population().attenuation == pytest.approx(sand.mean_grain_distance_m, rel=1e-15)
+    assert 1.0 / sand.make_grain_population().attenuation == pytest.approx(
+        sand.mean_grain_distance_m, rel=1e-15
+    )
     # Surface per mass of spheres: 6 per diameter and volume.
     assert sand.specific_surface_area_m2_kg == pytest.approx(6.0 * k1 / sand.density_kg_m3)
     one_shape = Sand(sphericity=(0.8, 0.8, 0.8, 0.1))
     k2 = float(surface_to_volume_ratio(0.8)) / 4.0
-    assert one_shape.attenuation_per_m == pytest.approx(k2 * one_shape.sizes.size_attenuation_per_m, rel=1e-12)
+    assert one_shape.attenuation_per_m == pytest.approx(
+        k2 * one_shape.sizes.size_attenuation_per_m, rel=1e-12
+    )
 
 
 def test_meetings_with_interfaces_add_up():
@@ -236,7 +244,11 @@ def test_meetings_with_interfaces_add_up():
     outer = [i for i in select_grain_interfaces(sand.list_interfaces()) if i.outer_material < 2]
     assert sum(i.fraction for i in outer if i.outer_material == 1) == pytest.approx(0.3)
     assert sum(i.fraction for i in outer) == pytest.approx(1.0)
-    (face,) = [i for i in sand.list_interfaces() if i not in select_grain_interfaces(sand.list_interfaces())]
+    (face,) = [
+        i
+        for i in sand.list_interfaces()
+        if i not in select_grain_interfaces(sand.list_interfaces())
+    ]
     assert face[:3] == (pytest.approx(0.3), 0, 1)
     inner = {
         (MATERIALS[i.near], MATERIALS[i.far]): i.share for i in sand.list_interfaces() if i.near > 1

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
 from splits.experiments import load_experiment
+from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
 from splits.experiments.run import make_composition_table
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 10.0)
@@ -60,7 +60,10 @@ def test_trends_that_do_not_hold_are_told_apart():
 
 def test_shifts_are_differences_to_the_reference_with_errors():
     both = xr.concat(
-        [make_spectra("medium", ["one", "two"], 0.0, 0.003), make_spectra("medium", ["one", "two"], 0.1, 0.004)],
+        [
+            make_spectra("medium", ["one", "two"], 0.0, 0.003),
+            make_spectra("medium", ["one", "two"], 0.1, 0.004),
+        ],
         dim=xr.DataArray(["default", "other"], dims="readings", name="readings"),
     )
     table = make_shift_table(both, "readings", "default").set_index("medium")

@@ -12,9 +12,9 @@ from stated_errors import list_variables_with_errors
 from splits.analysis.sensitivity import NOISE_THRESHOLD_SIGMA, compute_mean_sensitivity_index
 from splits.experiments.papers.sensitivity_table import (
     QUANTITY_CONDITIONS,
-    select_chosen_sensitivities,
     compute_pair_sensitivity,
     make_sensitivity_table,
+    select_chosen_sensitivities,
 )
 
 WAVELENGTHS = np.array([400.0, 1000.0, 1500.0, 2500.0])
@@ -68,7 +68,12 @@ def test_a_spectrum_that_vanishes_is_fully_sensitive():
 
 def test_the_noise_limit_is_not_seen():
     for factor, resolved in ((1.0, 0.0), (1.001, 1.0)):
-        assert compute_mean_sensitivity_index([NOISE_THRESHOLD_SIGMA * factor], [1.0], [0.0], [1.0]).resolved_fraction == resolved
+        assert (
+            compute_mean_sensitivity_index(
+                [NOISE_THRESHOLD_SIGMA * factor], [1.0], [0.0], [1.0]
+            ).resolved_fraction
+            == resolved
+        )
 
 
 def test_the_error_is_that_of_many_noisy_pairs():
@@ -97,17 +102,21 @@ def test_the_error_covers_wavelengths_that_are_seen_in_some_runs_only(level, oth
 def test_what_is_clearly_seen_has_the_error_of_its_ratio_alone():
     y, e, z, f = 0.8, 0.1, 0.4, 0.05
     exact = np.hypot(f / y, z * e / y**2)
-    assert compute_mean_sensitivity_index([y], [e], [z], [f]).stderr == pytest.approx(exact, rel=1e-4)
+    assert compute_mean_sensitivity_index([y], [e], [z], [f]).stderr == pytest.approx(
+        exact, rel=1e-4
+    )
 
 
 def test_pairs_are_taken_at_the_published_depth_and_wavelengths():
     dataset = make_spectra([0.8, 0.4], "saturation", [0.0, 1.0])
     dataset.reflectance[0, 1] = 0.0
-    assert compute_pair_sensitivity(dataset, "saturation", 0, 1, "reflectance").index == pytest.approx(0.5)
+    assert compute_pair_sensitivity(
+        dataset, "saturation", 0, 1, "reflectance"
+    ).index == pytest.approx(0.5)
     dataset.transmittance[1, 1, 2:] = 0.0
-    assert compute_pair_sensitivity(dataset, "saturation", 0, 1, "transmittance").index == pytest.approx(
-        0.5
-    )
+    assert compute_pair_sensitivity(
+        dataset, "saturation", 0, 1, "transmittance"
+    ).index == pytest.approx(0.5)
 
 
 def test_the_table_has_all_ranges_and_readings_and_one_chosen_row_per_quantity():

@@ -13,8 +13,8 @@ from chi2 import NEEDS_JIT
 import splits
 from splits import cli
 from splits.experiments import ConfigError, SimulationConfig, load_experiment, load_settings
-from splits.experiments.run import run
 from splits.experiments.config.settings import Accuracy
+from splits.experiments.run import run
 
 ROOT = Path(__file__).parents[2]
 MEDIA = ROOT / "config" / "media"
@@ -139,7 +139,7 @@ def test_the_command_reads_measured_spectra(tmp_path):
     path.write_text(TABLE + RETRIEVE + "free: [optical_radius_um, level]}\n", encoding="utf-8")
     made = tmp_path / "made"
     done = subprocess.run(
-        [sys.executable, "-m", "splits.command", "run", path, "--output", made,
+        [sys.executable, "-m", "splits.cli", "run", path, "--output", made,
          "--accuracy", "tiny", "--threads", "1", "--media", MEDIA],
         capture_output=True, text=True,
     )  # fmt: skip

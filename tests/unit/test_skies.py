@@ -29,7 +29,10 @@ def test_weights_are_integrals_of_irradiance_times_hats():
         found = mine.compute_weights(W, SpectralBand.from_limits(450.0, 900.0)) @ albedo
         assert found == pytest.approx(exact, rel=1e-9)
     # Light beyond the wavelengths, or beyond the sky, is not there.
-    wide, narrow = (mine.compute_weights(W, SpectralBand.from_limits(*e)).sum() for e in ((300, 5000), (400, 1000)))
+    wide, narrow = (
+        mine.compute_weights(W, SpectralBand.from_limits(*e)).sum()
+        for e in ((300, 5000), (400, 1000))
+    )
     assert wide == narrow
     assert (mine.compute_weights(W, SpectralBand.from_limits(1100.0, 1200.0)) == 0.0).all()
 
@@ -42,7 +45,9 @@ def test_columns_of_a_frame_are_taken_as_lists_of_these_names():
                   FRAME.set_index("wavelength_nm")):  # fmt: skip
         assert splits.sky(frame, 50.0) == splits.sky(OWN_SKY, 50.0)
     response = FRAME[["wavelength_nm", "direct"]].rename(columns={"direct": "response"})
-    assert SpectralBand.from_input("mine", response) == SpectralBand.from_input("mine", response.to_dict("list"))
+    assert SpectralBand.from_input("mine", response) == SpectralBand.from_input(
+        "mine", response.to_dict("list")
+    )
     albedo = pd.DataFrame({"wavelength_nm": [200, 3000], "albedo": [0.1, 0.2]})
     assert splits.Snow(ground=albedo) == splits.Snow(ground=albedo.to_dict("list"))
     index = pd.DataFrame({"wavelength_nm": [200, 3000], "n": [1.3, 1.4], "k": [0.0, 0.0]})
@@ -75,7 +80,11 @@ def test_a_ground_that_knows_less_than_the_sky_says_how_to_go_on():
     assert re.search(how, str(caught.value))[1] == "400, 1001"
     # Those are known to the ground and to the sky.
     w = np.arange(400.0, 1001.0, 10.0)
-    assert medium.ground.albedo(w).size == splits.sky(OWN_SKY, 50.0).compute_direct_fraction(w).size == 61
+    assert (
+        medium.ground.albedo(w).size
+        == splits.sky(OWN_SKY, 50.0).compute_direct_fraction(w).size
+        == 61
+    )
     with pytest.raises(ValueError, match=r"range of the sky table .*range\(400, 1201, 10\)"):
         splits.sky(OWN_SKY, 50.0).check_coverage(np.array([400.0, 1200.0, 1210.0]))
 
@@ -144,7 +153,10 @@ def test_what_a_sky_cannot_tell_is_refused(more, text):
     given = {"wavelength_nm": W} | more
     with pytest.raises(ValueError, match=text):
         splits.albedo(
-            splits.ParticleLayer(optical_thickness=0.1), splits.sky(OWN_SKY, 50.0), max_stderr=0.1, **given
+            splits.ParticleLayer(optical_thickness=0.1),
+            splits.sky(OWN_SKY, 50.0),
+            max_stderr=0.1,
+            **given,
         )
     if "wavelength_nm" not in more:
         with pytest.raises(ValueError, match=text):
@@ -183,7 +195,9 @@ def test_what_interpolation_misses_of_sun_and_sky_is_added_up_in_size():
 
 @pytest.mark.slow
 def test_a_white_layer_is_white_over_all_bands():
-    white = splits.ParticleLayer(optical_thickness=1.0, single_scattering_albedo=1.0, bottom_albedo=1.0)
+    white = splits.ParticleLayer(
+        optical_thickness=1.0, single_scattering_albedo=1.0, bottom_albedo=1.0
+    )
     found = splits.albedo(white, splits.sky(OWN_SKY, 50.0), W, 0.02, bands={"green": (500, 560)})
     assert found.band.values.tolist() == ["broadband", "green"]
     np.testing.assert_allclose(found.band_albedo, 1.0, atol=1e-12)

@@ -11,8 +11,8 @@ import yaml
 
 from splits import Interpretation, Snow
 from splits.materials import ice_density
-from splits.media.medium import check_thickness
 from splits.media.interpretations import INTERPRETATION_CHOICES, merge_interpretations
+from splits.media.medium import check_thickness
 
 TABLE1 = Path(__file__).parents[2] / "config" / "media" / "splitsnow_table1.yaml"
 ORDER = "min <= mean <= max <= 1"
@@ -145,7 +145,10 @@ def test_sets_of_readings_have_names():
 
 def test_readings_given_one_after_the_other():
     assert merge_interpretations(["geometric"]) == "geometric"
-    assert merge_interpretations(["geometric", {"facets": "any"}]) == {"set": "geometric", "facets": "any"}
+    assert merge_interpretations(["geometric", {"facets": "any"}]) == {
+        "set": "geometric",
+        "facets": "any",
+    }
     assert merge_interpretations([{"facets": "any"}, "splits_2007"]) == "splits_2007"
     assert merge_interpretations([{"facets": "any"}, {"entry": "projected"}, {}]) == {
         "facets": "any", "entry": "projected",
@@ -160,7 +163,9 @@ def test_a_snow_does_not_change():
 
 
 def test_indices_have_air_water_and_ice():
-    index = Snow(refractive_index={"ice": 1.31 + 1e-3j, "water": 1.33}).compute_refractive_indices([500.0, 900.0])
+    index = Snow(refractive_index={"ice": 1.31 + 1e-3j, "water": 1.33}).compute_refractive_indices(
+        [500.0, 900.0]
+    )
     np.testing.assert_array_equal(index, [[1.0, 1.33, 1.31 + 1e-3j]] * 2)
     dry = Snow(saturation=0, refractive_index={"ice": 1.31}).compute_refractive_indices([500.0])
     np.testing.assert_array_equal(dry, [[1.0, 1.0, 1.31]])

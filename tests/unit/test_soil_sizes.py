@@ -20,7 +20,9 @@ TEXTURES = {
     "no silt": (0.1, 0.0, 0.9),
 }
 # Clay barely more than the tail: its log-normal is so wide that only its slope is left.
-NEARLY_PURE = {gap: (TAIL * (1.0 + gap), 0.0, 1.0 - TAIL * (1.0 + gap)) for gap in (1e-14, 1e-9, 1e-3)}
+NEARLY_PURE = {
+    gap: (TAIL * (1.0 + gap), 0.0, 1.0 - TAIL * (1.0 + gap)) for gap in (1e-14, 1e-9, 1e-3)
+}
 ALL_TEXTURES = {**TEXTURES, **NEARLY_PURE}
 
 
@@ -34,7 +36,9 @@ def integrate_power(piece: TruncatedLogNormal, power: float):
     """Return ∫ s^power f_g(s) ds over the piece, by adaptive quadrature in sections."""
     edges = np.geomspace(piece.min_size_m, piece.max_size_m, 9)
     return sum(
-        integrate.quad(lambda s: s**power * evaluate_density(piece, s), a, b, epsabs=0.0, epsrel=1e-11)[0]
+        integrate.quad(
+            lambda s: s**power * evaluate_density(piece, s), a, b, epsabs=0.0, epsrel=1e-11
+        )[0]
         for a, b in pairwise(edges)
     )
 
@@ -45,7 +49,9 @@ def test_each_piece_has_the_cumulative_mass_at_its_limits(name):
     bounds = np.clip([TAIL, *np.cumsum(texture)], TAIL, 1.0 - TAIL)
     pieces = make_size_distribution(texture).separates
     present = [i for i, mass in enumerate(texture) if mass > 0.0]
-    assert [(p.min_size_m, p.max_size_m) for p in pieces] == [list(LIMITS.values())[i] for i in present]
+    assert [(p.min_size_m, p.max_size_m) for p in pieces] == [
+        list(LIMITS.values())[i] for i in present
+    ]
     for piece, i in zip(pieces, present, strict=True):
         normal = stats.norm(piece.log_mean, piece.log_sd)
         assert normal.cdf(np.log(piece.min_size_m)) == pytest.approx(bounds[i], rel=1e-9)
@@ -71,7 +77,10 @@ def test_mean_inverse_size_is_the_quotient_of_eq_23(name):
         exact = integrate_power(piece, -2.0) / integrate_power(piece, -1.0)
         assert piece.mean_inverse_size_per_m == pytest.approx(exact, rel=1e-9)
         assert 1.0 / piece.max_size_m < piece.mean_inverse_size_per_m < 1.0 / piece.min_size_m
-    by_mass = sum(p.mass_fraction * integrate_power(p, -2.0) / integrate_power(p, -1.0) for p in sizes.separates)
+    by_mass = sum(
+        p.mass_fraction * integrate_power(p, -2.0) / integrate_power(p, -1.0)
+        for p in sizes.separates
+    )
     assert sizes.size_attenuation_per_m == pytest.approx(by_mass, rel=1e-9)
 
 
@@ -91,10 +100,14 @@ def test_struck_sizes_of_one_piece_have_the_density_of_eq_25(name):
         median = float(piece.compute_struck_sizes(np.array([0.5]))[0])
         whole = integrate_power(piece, -2.0)
         below = integrate.quad(
-            lambda x, p=piece: np.exp(-x) * evaluate_density(p, np.exp(x)), np.log(piece.min_size_m), np.log(median)
+            lambda x, p=piece: np.exp(-x) * evaluate_density(p, np.exp(x)),
+            np.log(piece.min_size_m),
+            np.log(median),
         )[0]
         assert below / whole == pytest.approx(0.5, abs=1e-6)
-        assert piece.compute_struck_sizes(np.array([0.0, 1.0])) == pytest.approx([piece.min_size_m, piece.max_size_m])
+        assert piece.compute_struck_sizes(np.array([0.0, 1.0])) == pytest.approx(
+            [piece.min_size_m, piece.max_size_m]
+        )
 
 
 @pytest.mark.parametrize("name", ALL_TEXTURES)
@@ -125,7 +138,9 @@ def test_hardly_more_clay_than_the_tail(gap):
     even = (1.0 / low - 1.0 / high) / np.log(high / low)
     assert np.isfinite([clay.log_mean, clay.log_sd, clay.mean_inverse_size_per_m]).all()
     assert clay.mean_inverse_size_per_m == pytest.approx(even, rel=gap + 1e-9)
-    assert clay.mass_fraction == pytest.approx(TAIL, rel=2e-3) and sand.mass_fraction == pytest.approx(1.0 - TAIL)
+    assert clay.mass_fraction == pytest.approx(
+        TAIL, rel=2e-3
+    ) and sand.mass_fraction == pytest.approx(1.0 - TAIL)
     half = float(clay.compute_struck_sizes(np.array([0.5]))[0])
     assert half == pytest.approx(2.0 / (1.0 / low + 1.0 / high), rel=1e-3)
 
@@ -135,7 +150,9 @@ def test_clay_no_more_than_the_tail_is_left_out():
         sizes = make_size_distribution((clay, 0.0, 1.0 - clay))
         (sand,) = sizes.separates
         assert (sand.min_size_m, sand.max_size_m) == LIMITS["sand"] and sand.mass_fraction == 1.0
-        assert sizes.size_attenuation_per_m == pytest.approx(make_size_distribution((0.0, 0.0, 1.0)).size_attenuation_per_m, rel=1e-4)
+        assert sizes.size_attenuation_per_m == pytest.approx(
+            make_size_distribution((0.0, 0.0, 1.0)).size_attenuation_per_m, rel=1e-4
+        )
     assert len(make_size_distribution((TAIL, 0.0, 1.0 - TAIL), tail_mass=1e-5).separates) == 2
 
 

@@ -39,8 +39,8 @@ def test_the_ends_of_lines_do_not_matter(package):
     [
         "materials/mixing.py",
         "media/snow.py",
-        "transport/lanes/batch.py",
-        "instruments/runner.py",
+        "kernels/vectorized/batch.py",
+        "simulation/runner.py",
         "experiments/run.py",
         "experiments/run_points.py",
     ],
@@ -70,7 +70,7 @@ def test_a_moved_file_changes_the_digest(package):
 
 def test_what_draws_and_compares_does_not_count(package):
     before = digest(fit=True)
-    for name in ("figures/lines.py", "analysis/colour.py", "transport/notes.txt"):
+    for name in ("plotting/lines.py", "analysis/colour.py", "transport/notes.txt"):
         with open(package / name, "a", encoding="utf-8") as file:
             file.write("# changed\n")
     assert digest(fit=True) == before

@@ -14,18 +14,18 @@ import pytest
 from chi2 import start_random_stream
 
 import splits
-from splits.materials import ice_density
-from splits.materials.mixing import maxwell_garnett
-from splits.media import grain_statistics as statistics
-from splits.media.soil_texture import SEPARATE_LIMITS_M, make_size_distribution
 from splits.kernels.grains import microfacet, spheroid
-from splits.kernels.grains.spheroid import Spheroid
 from splits.kernels.grains.interaction import InteractionVariates
+from splits.kernels.grains.spheroid import Spheroid
 from splits.kernels.math import rng
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import make_table_probabilities
 from splits.kernels.math.vectors import UP, Vector
 from splits.kernels.optics.fresnel import fresnel
+from splits.materials import ice_density
+from splits.materials.mixing import maxwell_garnett
+from splits.media import grain_statistics as statistics
+from splits.media.soil_texture import SEPARATE_LIMITS_M, make_size_distribution
 
 M = mp.mpf
 RELATIVE = 1e-12
@@ -112,7 +112,10 @@ def test_mean_and_quantiles_of_sphericity(shape):
 
         total = integrate_bell(low, high, weighted)
         plain = integrate_bell(low, high, lambda t: M(1))
-        assert compute_relative_error(statistics.shape_attenuation(*shape), total / plain / 4) < RELATIVE
+        assert (
+            compute_relative_error(statistics.shape_attenuation(*shape), total / plain / 4)
+            < RELATIVE
+        )
         for i in (1, 100, 512, 900, statistics.N_TABLE_POINTS - 2):
             score = (M(float(table[i])) - mean) / sd
             gap = integrate_bell(low, score, weighted) / total - M(float(u[i]))
@@ -140,9 +143,18 @@ def test_truncated_normal(limits):
 @pytest.mark.parametrize("sd", [5e-324, 1e-308, 1e-20])
 def test_a_spread_too_small_to_see_is_one_value(sd):
     limits = (0.6, 0.95, 0.8, sd)
-    assert compute_relative_error(statistics.shape_attenuation(*limits), evaluate_area(M(0.8)) / 4) < RELATIVE
-    for table in (statistics.tabulate_truncated_normal(*limits), statistics.tabulate_struck_sphericities(*limits)):
-        assert compute_relative_error(table[1], M(0.8)) < RELATIVE and compute_relative_error(table[-2], M(0.8)) < RELATIVE
+    assert (
+        compute_relative_error(statistics.shape_attenuation(*limits), evaluate_area(M(0.8)) / 4)
+        < RELATIVE
+    )
+    for table in (
+        statistics.tabulate_truncated_normal(*limits),
+        statistics.tabulate_struck_sphericities(*limits),
+    ):
+        assert (
+            compute_relative_error(table[1], M(0.8)) < RELATIVE
+            and compute_relative_error(table[-2], M(0.8)) < RELATIVE
+        )
         assert table.min() >= 0.6 and table.max() <= 0.95
 
 
@@ -157,7 +169,12 @@ TEXTURES = [
 def test_soil_sizes(texture, tail):
     bounds = [min(max(b, tail), 1 - tail) for b in (tail, texture[0], sum(texture[:2]), 1 - tail)]
     for piece in make_size_distribution(texture, tail).separates:
-        x0, x1, mean, sd = mp.log(piece.min_size_m), mp.log(piece.max_size_m), M(piece.log_mean), M(piece.log_sd)
+        x0, x1, mean, sd = (
+            mp.log(piece.min_size_m),
+            mp.log(piece.max_size_m),
+            M(piece.log_mean),
+            M(piece.log_sd),
+        )
         i = SEPARATE_LIMITS_M.index(piece.min_size_m)
         for x, bound in ((x0, bounds[i]), (x1, bounds[i + 1])):
             assert float(abs(mp.ncdf((x - mean) / sd) - M(bound))) < RELATIVE * max(bound, 1e-3)
@@ -170,7 +187,12 @@ def test_soil_sizes(texture, tail):
                 return mp.quad(lambda y: shape(y, power), mp.linspace(x0, end, 12))
 
             inverse = integral(x1, -1)
-            assert compute_relative_error(piece.mean_inverse_size_per_m, inverse / integral(x1, 0) / M(piece.min_size_m)) < RELATIVE
+            assert (
+                compute_relative_error(
+                    piece.mean_inverse_size_per_m, inverse / integral(x1, 0) / M(piece.min_size_m)
+                )
+                < RELATIVE
+            )
             u = np.array([1e-6, 0.1, 0.5, 0.9, 1.0 - 1e-6])
             for p, size in zip(u, piece.compute_struck_sizes(u), strict=True):
                 x = mp.log(M(float(size)))
@@ -205,7 +227,9 @@ def test_maxwell_garnett_keeps_the_digits_of_n_and_of_k(matrix, inclusion):
 def test_porosity_up_to_solid_ice(below):
     ice = ice_density(-1.0)
     snow = splits.Snow(density_kg_m3=ice - below)
-    assert compute_relative_error(snow.porosity, (M(ice) - M(snow.density_kg_m3)) / M(ice)) < RELATIVE
+    assert (
+        compute_relative_error(snow.porosity, (M(ice) - M(snow.density_kg_m3)) / M(ice)) < RELATIVE
+    )
     distance = M(ice) / M(snow.density_kg_m3) / M(snow.attenuation_per_m)
     assert compute_relative_error(snow.mean_grain_distance_m, distance) < RELATIVE
 
@@ -243,7 +267,9 @@ NEARLY_MATCHED = [
 def check_reflectance(indices, cosines):
     for cos_i in map(float, cosines):
         exact = compute_exact_reflectance(*indices, M(cos_i))
-        allowed = RELATIVE + 4.0 * compute_last_digit_change(lambda c: compute_exact_reflectance(*indices, c), cos_i)
+        allowed = RELATIVE + 4.0 * compute_last_digit_change(
+            lambda c: compute_exact_reflectance(*indices, c), cos_i
+        )
         assert compute_relative_error(fresnel(*indices, cos_i)[0], exact) < allowed, cos_i
 
 
@@ -338,6 +364,8 @@ def check_tilt(facetness):
             continue
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
         numbers = InteractionVariates(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
-        facet = microfacet.sample_microfacet(d, smooth, 0.5 * facetness, numbers, False, microfacet.UNWEIGHTED_FACETS)
+        facet = microfacet.sample_microfacet(
+            d, smooth, 0.5 * facetness, numbers, False, microfacet.UNWEIGHTED_FACETS
+        )
         assert facet.tilt.cos == 1.0 - tilt
         assert compute_relative_error(0.6 * facet.tilt.sin, exact) < RELATIVE

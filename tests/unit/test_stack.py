@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import splits
-from splits.simulation.arguments import check_medium
-from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.scene import build_scene
 from splits.media.interpretations import INTERPRETATION_SETS
+from splits.simulation.arguments import check_medium
+from splits.simulation.scene import build_scene
+from splits.simulation.spectral_nodes import choose_nodes
 
 FRESH_SNOW = splits.Snow(grain_size_um=(50, 100), density_kg_m3=120, saturation=0.0, depth_m=0.02)
 SAND = splits.Sand(hematite_ratio=0.5, magnetite=0.05, depth_m=0.1)
@@ -85,8 +85,12 @@ def test_every_layer_bounds_what_interpolation_misses():
     wavelengths = np.arange(400.0, 1001.0, 20.0)
     for order in ([FRESH_SNOW, SAND], [SAND, FRESH_SNOW]):
         stack = splits.Stack(order, readings="splits_2007")
-        nodes = choose_nodes(stack.compute_refractive_indices(wavelengths), stack.list_interfaces(), 1e-3)
-        alone = choose_nodes(SAND.compute_refractive_indices(wavelengths), SAND.list_interfaces(), 1e-3)
+        nodes = choose_nodes(
+            stack.compute_refractive_indices(wavelengths), stack.list_interfaces(), 1e-3
+        )
+        alone = choose_nodes(
+            SAND.compute_refractive_indices(wavelengths), SAND.list_interfaces(), 1e-3
+        )
         assert len(nodes.index) >= len(alone.index)
         assert nodes.interpolation_bound.max() <= 1e-3
 

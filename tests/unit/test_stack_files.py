@@ -9,12 +9,12 @@ import pytest
 from pydantic import ValidationError
 
 import splits
-from splits.io.netcdf import save
 from splits.experiments import ConfigError, load_experiment
-from splits.experiments.config.grid import make_grid_coordinates
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.run import run
+from splits.experiments.config.grid import make_grid_coordinates
 from splits.experiments.config.settings import Accuracy
+from splits.experiments.run import run
+from splits.io.netcdf import save
 from splits.plotting.style import format_parameter
 
 MEDIA = Path(__file__).parents[2] / "config" / "media"
@@ -82,7 +82,10 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
             "medium: {kind: stack, layers: [{kind: layer, bottom_albedo: 1}]}",
             "layers.0.bottom_albedo: unknown key",
         ),
-        (SNOWPACK_TEXT + "grid: {layers: {a: [{kind: snw}]}}", "grid.layers.a.layers.0.kind = 'snw'"),
+        (
+            SNOWPACK_TEXT + "grid: {layers: {a: [{kind: snw}]}}",
+            "grid.layers.a.layers.0.kind = 'snw'",
+        ),
         (SNOWPACK_TEXT + "grid: {layers: {a: [fresh]}}", "grid.layers.a.layers.0 = 'fresh'"),
         (
             SNOWPACK_TEXT + "grid: {layers.1.depth_m: [1], layers: {a: [{depth_m: 1}]}}",
@@ -103,12 +106,19 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
         ("medium: {kind: stack, layers: [{ground: 1}]}", "layers.0.ground = 1: must be left out"),
         ("medium: {kind: stack, layers: [{base: non}]}", "medium.layers.0.base = 'non'"),
         ("medium: {kind: stack, layers: [{depth_m: 1e-5}]}", "more than the largest grain"),
-        (SNOWPACK_TEXT + "grid: {layers.2.depth_m: [1]}", r"must be 0 to 1 \(counted from the top\)"),
-        (SNOWPACK_TEXT + "grid: {layers.1.density_kg_m3: [1]}", "layers.1.density_kg_m3: unknown key"),
+        (
+            SNOWPACK_TEXT + "grid: {layers.2.depth_m: [1]}",
+            r"must be 0 to 1 \(counted from the top\)",
+        ),
+        (
+            SNOWPACK_TEXT + "grid: {layers.1.density_kg_m3: [1]}",
+            "layers.1.density_kg_m3: unknown key",
+        ),
         (SNOWPACK_TEXT + "grid: {layers.1.depth_m: [1, -2]}", r"grid.layers.1.depth_m = -2"),
         ("grid: {layers.1.depth_m: [1]}", "grid.layers.1.depth_m: unknown key"),
         (
-            SNOWPACK_TEXT.replace("{wave", "{kind: goniophotometer, wave") + "figure: {quantity: btdf}",
+            SNOWPACK_TEXT.replace("{wave", "{kind: goniophotometer, wave")
+            + "figure: {quantity: btdf}",
             "figure.quantity = 'btdf': must be brdf over a ground",
         ),
     ],
@@ -129,7 +139,9 @@ def test_a_path_leads_into_each_of_several_lists_of_layers(tmp_path, first):
     grid = "grid: {" + ", ".join(f"{key}: {values[key]}" for key in order) + "}\n"
     experiment = load_text(tmp_path, SNOWPACK_TEXT + grid)
     before = experiment.dump_simulation()
-    found = sorted(tuple(one.depth_m for one in pack.layers) for _, pack, _ in experiment.iter_points())
+    found = sorted(
+        tuple(one.depth_m for one in pack.layers) for _, pack, _ in experiment.iter_points()
+    )
     assert found == [(0.05,), (0.05, 0.01), (0.06,), (0.06, 0.01)]
     assert experiment.dump_simulation() == before
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.simulation import random_streams
 from splits.instruments.angular_tally import ORDER_CLASSES
-from splits.simulation.tally import STRATUM_BOUNDS, PathTally, TransportTraits
-from splits.simulation.spectral_nodes import MAX_SEPARATE_NODES
 from splits.instruments.flux_tally import FluxPathTally
+from splits.simulation import random_streams
+from splits.simulation.spectral_nodes import MAX_SEPARATE_NODES
+from splits.simulation.tally import STRATUM_BOUNDS, PathTally, TransportTraits
 
 
 def test_every_instrument_has_room_for_its_levels():

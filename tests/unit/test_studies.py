@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
 from splits.experiments import ConfigError, ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.study import find_incomplete_studies
+from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
 
 ROOT = Path(__file__).parents[2]
 SETTINGS_CONTENT = read_yaml(ROOT / "config" / "config.yaml")
@@ -34,7 +34,12 @@ def test_shipped_studies_have_all_that_they_need(shipped):
     made = load_settings(SETTINGS_CONTENT)
     assert set(made.select_experiments(shipped)) == set(shipped)
     assert find_incomplete_studies(made.studies, shipped, shipped) == {}
-    paths = {p for name, one in made.studies.items() for ps in one.list_product_paths(name).values() for p in ps}
+    paths = {
+        p
+        for name, one in made.studies.items()
+        for ps in one.list_product_paths(name).values()
+        for p in ps
+    }
     figures = (
         "fig23_sensitivity", "readings_together", "letcher2022_measured",
         "surface_area_spectra_found", "surface_area_law", "which_wavelength_tells_what",
@@ -162,7 +167,9 @@ def test_a_study_of_some_roles_has_their_rows():
         "forward side (60°) over the nadir rises with incidence, 0°, 40°: smallest step",
     ]
     assert all(row["verdict"] == "agrees" for row in rows)
-    assert len(make_brdf_trend_rows({"grazing": mine.assign_coords(incidence_deg=[20.0, 60.0])})) == 2
+    assert (
+        len(make_brdf_trend_rows({"grazing": mine.assign_coords(incidence_deg=[20.0, 60.0])})) == 2
+    )
 
 
 def test_a_table_of_a_retrieval_has_its_name_alone(shipped):

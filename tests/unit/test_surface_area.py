@@ -7,18 +7,18 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.analysis.theory.asymptotic import kz04
 from splits.analysis.surface_area import (
     AREA,
     FIELD_WAVELENGTH_NM,
-    PUBLISHED_ALBEDO_LAWS,
     FIT_WINDOWS_NM,
-    make_field_table,
+    PUBLISHED_ALBEDO_LAWS,
     fit_surface_area,
     is_in_windows,
+    make_field_table,
     make_overlay_table,
     retrieve_surface_areas,
 )
+from splits.analysis.theory.asymptotic import kz04
 from splits.plotting import draw_area_law, draw_fitted_spectra
 
 AREAS = np.array([2.5, 4.0, 6.0, 9.0, 13.0, 20.0, 30.0, 45.0, 70.0])
@@ -51,7 +51,10 @@ def make_dataset(angles=(30.0, 60.0), noise=0.0, seed=1):
 def measured(**areas):
     """Return spectra of snow of these areas under 60° at other wavelengths, a tenth too bright."""
     wavelengths = np.arange(400.0, 2501.0, 5.0)
-    columns = {f"{name}@60": 1.1 * compute_reflectance([area], wavelengths)[0] for name, area in areas.items()}
+    columns = {
+        f"{name}@60": 1.1 * compute_reflectance([area], wavelengths)[0]
+        for name, area in areas.items()
+    }
     return pd.DataFrame({"wavelength_nm": wavelengths, **columns})
 
 
@@ -71,7 +74,9 @@ def test_a_spectrum_beyond_the_grid_is_flagged():
 
 def test_stated_errors_are_the_scatter_between_runs():
     spectra = measured(one=16.0)
-    found = [retrieve_surface_areas(make_dataset(noise=0.001, seed=seed), spectra) for seed in range(60)]
+    found = [
+        retrieve_surface_areas(make_dataset(noise=0.001, seed=seed), spectra) for seed in range(60)
+    ]
     for window in FIT_WINDOWS_NM:
         rows = [table[table.window == window].iloc[0] for table in found]
         for name in ("area", "level"):
@@ -87,7 +92,9 @@ def test_overlay_has_the_level_and_says_what_was_fitted():
     assert list(table.wavelength_nm) == list(WAVELENGTHS)
     used = table[table.fitted]
     assert used.difference.abs().max() < 2e-3
-    assert set(used.wavelength_nm) == set(WAVELENGTHS[is_in_windows(WAVELENGTHS, FIT_WINDOWS_NM["all"])])
+    assert set(used.wavelength_nm) == set(
+        WAVELENGTHS[is_in_windows(WAVELENGTHS, FIT_WINDOWS_NM["all"])]
+    )
     assert not table.fitted[table.wavelength_nm == 1400.0].any()
     assert draw_fitted_spectra(table).axes
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 import yaml
-from rough_surfaces import GAUSSIAN, TABULATED, SPECTRUM, TABLE
+from rough_surfaces import GAUSSIAN, SPECTRUM, TABLE, TABULATED
 from scipy import integrate, special
 
-from splits.media.rough_surface import RoughSurface, RandomHeightField
-from splits.media.height_spectra import HEIGHT_SPECTRA
 from splits.kernels.rough_surface import realization as kernels
+from splits.media.height_spectra import HEIGHT_SPECTRA
+from splits.media.rough_surface import RandomHeightField, RoughSurface
 
 INVALID_SURFACES = [
     ("rms_height_m", -0.1, "in [0, 1e+06] m"),

@@ -9,9 +9,9 @@ from chi2 import NEEDS_JIT
 from formula_tables import make_snowlike_table
 
 import splits
+from splits.analysis.theory.phase_function import to_eradiate
 from splits.core.validation import InvalidValue
 from splits.tables.isofit import convert_to_isofit
-from splits.analysis.theory.phase_function import to_eradiate
 
 SIZE, SOOT, ANGLE = "optical_radius_um", "impurities_ng_g.black_carbon", "incidence_deg"
 FIXED = {SIZE: 300.0, SOOT: 50.0, ANGLE: 33.0}
@@ -67,7 +67,7 @@ def test_a_file_of_a_table_in_any_order(way, dataset, tmp_path, monkeypatch):
     splits.save(CONVERSIONS[way](dataset), tmp_path / "table.nc")
     expected = splits.Table(dataset).interp(**FIXED)
     for limit in (2**28, 1):
-        monkeypatch.setattr("splits.lookup.reading.IN_MEMORY", limit)
+        monkeypatch.setattr("splits.tables.table.IN_MEMORY", limit)
         found = splits.open_table(tmp_path / "table.nc").interp(**FIXED)
         xr.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
 
@@ -80,7 +80,7 @@ def test_a_part_of_a_table(dataset):
 
 
 INVALID_TABLES = {
-    "no dataset": (lambda ds: ds.reflectance, "table = 'DataArray': must be what splits.table"),
+    "no dataset": (lambda ds: ds.reflectance, "table = 'DataArray': must be what splits.build_table"),
     "a path": (lambda ds: "table.nc", r"table = 'str': must be .*splits.open_table\(…\) takes"),
     "a table": (splits.Table, "table = 'Table': must be"),
     "another dataset": (lambda ds: ds.drop_attrs(), "table = 'a dataset': must be"),

@@ -8,12 +8,12 @@ import xarray as xr
 
 from splits.experiments.papers.snow_trends import (
     MIN_TREND_SIGMA,
-    _make_depth_rows,
     _make_band_comparison_row,
+    _make_depth_rows,
     compute_band_mean,
-    make_significance_row,
-    make_monotone_row,
     compute_steps,
+    make_monotone_row,
+    make_significance_row,
 )
 
 WAVELENGTHS = np.array([400.0, 500.0, 600.0, 900.0])
@@ -52,7 +52,10 @@ def test_steps_and_their_errors():
 
 
 def test_steps_along_any_dimension_of_a_grid():
-    first, second = make_transmittance([0.8, 0.5, 0.4], [0.03, 0.04, 0.0]), make_transmittance([0.9, 0.2, 0.1])
+    first, second = (
+        make_transmittance([0.8, 0.5, 0.4], [0.03, 0.04, 0.0]),
+        make_transmittance([0.9, 0.2, 0.1]),
+    )
     dataset = xr.concat([first, second], dim="saturation")
     step, error = compute_steps(dataset, "transmittance", "depth_m", 400, 600)
     assert step.shape == error.shape == (2, 2)

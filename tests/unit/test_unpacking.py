@@ -31,7 +31,9 @@ def packed(tmp_path_factory):
         path.parent.mkdir(parents=True)
         path.write_bytes(name.encode() * 100)
     results = [path for path in (root / "out").rglob("*") if path.is_file()]
-    pack_archive(results, {"config/config.yaml": b"seed: 1\n"}, root / "out" / "archive" / "made.zip")
+    pack_archive(
+        results, {"config/config.yaml": b"seed: 1\n"}, root / "out" / "archive" / "made.zip"
+    )
     return root / "out" / "archive" / "made.zip"
 
 
@@ -47,7 +49,10 @@ def refused(tmp_path):
 
     def check(path, match):
         before = sorted(tmp_path.rglob("*"))
-        for attempt in (verify_archive, lambda archive: unpack_archive(archive, tmp_path / "target")):
+        for attempt in (
+            verify_archive,
+            lambda archive: unpack_archive(archive, tmp_path / "target"),
+        ):
             with pytest.raises(ArchiveError, match=match) as caught:
                 attempt(path)
             assert "\n" not in str(caught.value)
@@ -123,7 +128,9 @@ def test_an_empty_folder_is_filled_and_another_one_is_not(packed, tmp_path):
 
 def test_unpacking_needs_no_more_than_the_core():
     lacking = ("pydantic", "yaml", "rocrate", "snakemake", "scipy")
-    code = f"import sys\nfor name in {lacking}: sys.modules[name] = None\nimport splits.unpacking"
+    code = (
+        f"import sys\nfor name in {lacking}: sys.modules[name] = None\nimport splits.io.unarchive"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -272,9 +279,13 @@ def test_members_missing_unlisted_or_changed_are_refused(members, tmp_path, refu
     path = tmp_path / "bad.zip"
     less = {name: content for name, content in members.items() if name != DATA}
     refused(write_zip(path, less), r"'data/a\.nc' is listed, but missing \(1 such\)")
-    refused(write_zip(path, members | {"data/b.nc": b"x"}), r"'data/b\.nc' is not listed \(1 such\)")
+    refused(
+        write_zip(path, members | {"data/b.nc": b"x"}), r"'data/b\.nc' is not listed \(1 such\)"
+    )
     other = members | {DATA: members[DATA][:-1] + b"!"}
-    refused(write_zip(path, other), r"data/a\.nc is not the file that ro-crate-metadata\.json lists")
+    refused(
+        write_zip(path, other), r"data/a\.nc is not the file that ro-crate-metadata\.json lists"
+    )
     longer = members | {DATA: members[DATA] + b"!"}
     refused(write_zip(path, longer), r"data/a\.nc is not the file that")
     less = {name: content for name, content in members.items() if name != METADATA_FILE}
@@ -298,7 +309,10 @@ def _make_set_edit(identifier, key, value):
         (lambda crate, graph: crate["@graph"].append({"@id": DATA}), r"an @id of their own"),
         (lambda crate, graph: crate["@graph"].append({"@type": "File"}), r"an @id of their own"),
         (_make_set_edit(METADATA_FILE, "about", {"@id": "data/"}), "does not describe itself"),
-        (_make_set_edit(METADATA_FILE, "conformsTo", {"@id": "https://example.org"}), "does not describe itself"),
+        (
+            _make_set_edit(METADATA_FILE, "conformsTo", {"@id": "https://example.org"}),
+            "does not describe itself",
+        ),
         (_make_set_edit("./", "@type", "File"), "no root dataset"),
         (_make_drop_edit("./", "name"), "has no name"),
         (_make_drop_edit("./", "description"), "has no description"),
@@ -321,7 +335,10 @@ def test_metadata_that_are_no_crate_are_refused(change, why, members, tmp_path, 
     "content", [b"", b"\xff", b"{", b"[" * 100_000, b'{"a": 1, "a": 2}', b"[]", b"9" * 5000]
 )
 def test_metadata_that_are_no_json_are_refused(content, members, tmp_path, refused):
-    refused(write_zip(tmp_path / "bad.zip", members | {METADATA_FILE: content}), "is not JSON|no RO-Crate")
+    refused(
+        write_zip(tmp_path / "bad.zip", members | {METADATA_FILE: content}),
+        "is not JSON|no RO-Crate",
+    )
 
 
 def test_what_is_no_zip_file_is_refused(packed, tmp_path, refused):
@@ -357,7 +374,10 @@ def test_no_damage_gets_through(packed, members, tmp_path):
             assert "\n" not in str(error)
             refusals += 1
         else:
-            assert (report.n_files, report.n_bytes) == (len(members), sum(map(len, members.values())))
+            assert (report.n_files, report.n_bytes) == (
+                len(members),
+                sum(map(len, members.values())),
+            )
     assert refusals > 150
 
 
@@ -369,14 +389,14 @@ def test_words_of_the_metadata_cannot_steer_a_terminal(members, tmp_path):
 
 KILLED_PROGRAM = """
 import os, signal, sys
-import splits.unpacking
+import splits.io.unarchive
 
 def die(file, info, target):
     (target / "half").write_bytes(b"half a fi")
     os.kill(os.getpid(), signal.SIGKILL)
 
-splits.unpacking._copied = die
-splits.unpacking.unpack(*sys.argv[1:])
+splits.io.unarchive._copy_member = die
+splits.io.unarchive.unpack_archive(*sys.argv[1:])
 """
 
 

@@ -10,11 +10,11 @@ from chi2 import scale_sample_size
 from mpmath import mp
 from rough_surfaces import SURFACES, draw_realization, sum_waves
 
-from splits.media.rough_surface import RoughSurface
 from splits.kernels.math.vectors import Vector
 from splits.kernels.rough_surface import intersection
 from splits.kernels.rough_surface import realization as kernels
 from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, N_WAVE_LANES, PHASE
+from splits.media.rough_surface import RoughSurface
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -32,7 +32,10 @@ def test_heights_are_sums_of_waves_and_slopes_their_derivatives(name):
     for slope, dx, dy in ((slope_x, step, 0.0), (slope_y, 0.0, step)):
         rise = sum_waves(waves, x + dx, y + dy) - sum_waves(waves, x - dx, y - dy)
         np.testing.assert_allclose(slope, rise / (2.0 * step), atol=1e-10 * scale / step)
-    assert kernels.compute_height_and_slope(waves, x[0], y[0]) == (height[0], (slope_x[0], slope_y[0]))
+    assert kernels.compute_height_and_slope(waves, x[0], y[0]) == (
+        height[0],
+        (slope_x[0], slope_y[0]),
+    )
 
 
 def test_arguments_up_to_a_million_are_reduced_exactly():

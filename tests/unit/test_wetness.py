@@ -8,10 +8,10 @@ import pytest
 from splits import Sand
 from splits.media.grain_statistics import surface_to_volume_ratio
 from splits.media.wetness import (
-    MAX_SERIES_SATURATION,
     MAX_RELATIVE_FILM_THICKNESS,
-    narrow_pore_fraction,
+    MAX_SERIES_SATURATION,
     distribute_water,
+    narrow_pore_fraction,
 )
 
 W = np.array([700.0, 1450.0])
@@ -28,7 +28,9 @@ def test_the_shortest_legs_fill_first(saturation):
 
 def test_narrow_pores_at_the_ends_of_the_range():
     assert (narrow_pore_fraction(0.0), narrow_pore_fraction(1.0)) == (0.0, 1.0)
-    assert narrow_pore_fraction(MAX_SERIES_SATURATION * 0.999999) == pytest.approx(narrow_pore_fraction(MAX_SERIES_SATURATION), rel=1e-5)
+    assert narrow_pore_fraction(MAX_SERIES_SATURATION * 0.999999) == pytest.approx(
+        narrow_pore_fraction(MAX_SERIES_SATURATION), rel=1e-5
+    )
     assert narrow_pore_fraction(1e-18) == pytest.approx(np.sqrt(2e-18), rel=1e-8)
     rising = [narrow_pore_fraction(s) for s in np.linspace(0.0, 1.0, 201)]
     assert (np.diff(rising) > 0.0).all()
@@ -41,8 +43,13 @@ def test_every_reading_holds_the_same_water(saturation):
     for reading in ("whole_pores", "narrow_pores", "film"):
         water = distribute_water(saturation, porosity, sphericity, reading)
         on_grains = water.relative_film_thickness * surface * (1.0 - porosity) / porosity
-        assert water.wet_fraction * water.filled_fraction + on_grains == pytest.approx(saturation, rel=1e-9)
-        assert water.relative_film_thickness <= MAX_RELATIVE_FILM_THICKNESS and 0.0 <= water.wet_fraction <= 1.0
+        assert water.wet_fraction * water.filled_fraction + on_grains == pytest.approx(
+            saturation, rel=1e-9
+        )
+        assert (
+            water.relative_film_thickness <= MAX_RELATIVE_FILM_THICKNESS
+            and 0.0 <= water.wet_fraction <= 1.0
+        )
 
 
 def test_films_are_the_outermost_coating():
@@ -75,9 +82,14 @@ def test_wet_legs_absorb_by_the_part_that_is_water():
         Sand(saturation=0.1, readings={"water": reading})
         for reading in ("whole_pores", "narrow_pores")
     )
-    ratio = narrow.compute_refractive_indices(W)[:, 1].imag / whole.compute_refractive_indices(W)[:, 1].imag
+    ratio = (
+        narrow.compute_refractive_indices(W)[:, 1].imag
+        / whole.compute_refractive_indices(W)[:, 1].imag
+    )
     np.testing.assert_allclose(ratio * narrow.wet_fraction, whole.wet_fraction, rtol=1e-12)
-    np.testing.assert_array_equal(narrow.compute_refractive_indices(W).real, whole.compute_refractive_indices(W).real)
+    np.testing.assert_array_equal(
+        narrow.compute_refractive_indices(W).real, whole.compute_refractive_indices(W).real
+    )
 
 
 def test_dry_and_full_sands_do_not_ask_where_water_is():
@@ -86,7 +98,9 @@ def test_dry_and_full_sands_do_not_ask_where_water_is():
             Sand(saturation=saturation, readings={"water": reading})
             for reading in ("whole_pores", "narrow_pores")
         ]
-        np.testing.assert_array_equal(sands[0].compute_refractive_indices(W), sands[1].compute_refractive_indices(W))
+        np.testing.assert_array_equal(
+            sands[0].compute_refractive_indices(W), sands[1].compute_refractive_indices(W)
+        )
         assert sands[0].wet_fraction == sands[1].wet_fraction == saturation
 
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import splits
+from splits.illumination.bands import SpectralBand
 from splits.media.ground import Ground
 from splits.media.parameters import replace_parameter
 from splits.media.rough_surface import RandomHeightField
-from splits.illumination.bands import SpectralBand
 
 WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 50, "correlation": "gaussian"}
 LIMITED_NORMAL = {"rms_height_m": 0.02, "wave_number_per_m": 50, "band_limit_per_m": 1000}
@@ -88,7 +88,9 @@ def test_tables_do_not_fill_the_page():
         splits.Snow(ground=table),
         Ground.from_input(table),
         splits.Snow(refractive_index={"ice": {"wavelength_nm": w, "n": w / w, "k": 0.0 * w}}),
-        splits.ParticleLayer(phase_function={"cosine": np.linspace(-1, 1, 900), "density": np.ones(900)}),
+        splits.ParticleLayer(
+            phase_function={"cosine": np.linspace(-1, 1, 900), "density": np.ones(900)}
+        ),
         RandomHeightField(0.1, correlation="spectrum", spectrum=spectrum),
         splits.sky({"wavelength_nm": w, "direct": w, "diffuse": w}, zenith_deg=50),
         splits.sky("midlatitude_winter"),

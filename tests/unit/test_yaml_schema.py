@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from splits.core.yaml import MAX_NUMBER_CHARS, dump_yaml, read_yaml
 from splits.experiments import ConfigError, load_experiment
-from splits.core.yaml import MAX_NUMBER_CHARS, read_yaml, dump_yaml
 
 ROOT = Path(__file__).parents[2]
 SHIPPED_FILES = [*sorted((ROOT / "config").rglob("*.y*ml")), ROOT / "CITATION.cff"]
@@ -65,7 +65,9 @@ def test_shipped_files_say_the_same_in_both_versions(path):
     assert read_yaml(path) == yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("value", [*TEXTS, *NUMBERS, *OTHER_SCALARS, 1e-7, 1e22, 45, math.inf, None, True])
+@pytest.mark.parametrize(
+    "value", [*TEXTS, *NUMBERS, *OTHER_SCALARS, 1e-7, 1e22, 45, math.inf, None, True]
+)
 def test_what_is_written_is_read_in_both_versions(tmp_path, value):
     content = {"key": value, "keys": {str(value): [value]}}
     text = dump_yaml(content)
@@ -89,7 +91,9 @@ def test_long_scalars_are_texts_soon(tmp_path, scalar):
 def test_long_numbers_are_refused(tmp_path, number):
     text = number + 40_000 * "1"
     begun = time.perf_counter()
-    with pytest.raises(ConfigError, match=rf"line 1: .*number of more than {MAX_NUMBER_CHARS} digits"):
+    with pytest.raises(
+        ConfigError, match=rf"line 1: .*number of more than {MAX_NUMBER_CHARS} digits"
+    ):
         read_text(tmp_path, f"key: {text}\n")
     assert time.perf_counter() - begun < 2.0
 

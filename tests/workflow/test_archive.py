@@ -13,12 +13,12 @@ import yaml
 from rocrate.rocrate import ROCrate
 
 import splits
-from splits.experiments.archive import make_configuration_members, pack_archive
-from splits.io.ro_crate import METADATA_FILE, Author
-from splits.io.citation import make_software_info
-from splits.io.netcdf import get_git_commit, get_package_version, drop_run_specific_attributes
 from splits.experiments import ConfigError, load_experiment, load_settings
+from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.settings import Settings
+from splits.io.citation import make_software_info
+from splits.io.netcdf import drop_run_specific_attributes, get_git_commit, get_package_version
+from splits.io.ro_crate import METADATA_FILE, Author
 from splits.io.unarchive import unpack_archive
 
 EXPERIMENT = "title: Alone\nmedium: {depth_m: 0.01}\ninstrument: {wavelength_nm: [500, 900]}\n"
@@ -81,7 +81,9 @@ def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_fa
     assert run.code == 0, run.text
     packed = splits.load(empty / "data" / "single.nc")
     repeated = splits.load(empty / "results" / "tiny" / "data" / "single.nc")
-    xr.testing.assert_identical(drop_run_specific_attributes(repeated), drop_run_specific_attributes(packed))
+    xr.testing.assert_identical(
+        drop_run_specific_attributes(repeated), drop_run_specific_attributes(packed)
+    )
     assert packed.attrs["seed"] == 7
     assert packed.attrs["snow_refractive_index_ice"] == "my_ice.csv"
     assert len(packed.attrs["snow_refractive_index_ice_sha256"]) == 64
@@ -113,7 +115,9 @@ def test_an_archive_of_one_experiment_repeats_that_one(project, tmp_path_factory
 def test_experiments_to_pack_are_given_as_those_to_run(given, names):
     accuracies = {"accuracies": {"standard": {"max_stderr": 0.1}}}
     settings = load_settings(accuracies | {"archive": given, "experiments": given})
-    assert settings.archive == settings.experiments == settings.select_archived().experiments == names
+    assert (
+        settings.archive == settings.experiments == settings.select_archived().experiments == names
+    )
 
 
 def test_a_time_that_is_none_is_refused_before_anything_runs(project, monkeypatch):
@@ -345,7 +349,9 @@ def test_words_of_authors_are_no_markdown(made):
 
 def test_nothing_is_left_when_a_result_is_missing(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"a\.nc"):
-        pack_archive([tmp_path / "out" / "data" / "a.nc"], {}, tmp_path / "out" / "archive" / "made.zip")
+        pack_archive(
+            [tmp_path / "out" / "data" / "a.nc"], {}, tmp_path / "out" / "archive" / "made.zip"
+        )
     assert not list(tmp_path.rglob("*.zip"))
 
 

@@ -18,7 +18,7 @@ EXPERIMENT = "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
 NAMES = ("damaged", "swapped", "sound")
 KILLED = """
 import os, signal, sys
-from splits.files import whole
+from splits.core.atomic import atomic_write
 
 with whole(sys.argv[1]) as aside:
     aside.write_text("half")
@@ -54,7 +54,8 @@ def test_damaged_and_swapped_datasets_are_made_again(project):
         assert what in line
         assert f"set aside as {name}.nc.damaged" in line
         xr.testing.assert_identical(
-            drop_run_specific_attributes(splits.load(data / f"{name}.nc")), drop_run_specific_attributes(before[name])
+            drop_run_specific_attributes(splits.load(data / f"{name}.nc")),
+            drop_run_specific_attributes(before[name]),
         )
     assert (data / "damaged.nc.damaged").read_bytes() == content
     assert not list(data.glob(".aside.*"))

@@ -77,7 +77,11 @@ def test_only_a_changed_source_of_physics_reruns_simulations(moved):
     package = moved.folder / "splits"
     for touched in (package / "media" / "snow.py", package / "instruments" / "lens.py"):
         os.utime(touched)
-    for name in ("analysis/tables.py", "figures/style.py", "experiments/fit.py"):
+    for name in (
+        "experiments/papers/paper_tables.py",
+        "plotting/style.py",
+        "retrieval/sand_fit.py",
+    ):
         with open(package / name, "a", encoding="utf-8") as file:
             file.write("# changed\n")
     assert nothing_to_do(moved)

@@ -116,4 +116,6 @@ def test_threads_do_not_change_the_numbers(finished, project):
     for name in names:
         two, one = (splits.load(data_file(p, name)) for p in (project, finished))
         assert (two.attrs["threads"], one.attrs["threads"]) == (2, 1)
-        xr.testing.assert_identical(drop_run_specific_attributes(two), drop_run_specific_attributes(one))
+        xr.testing.assert_identical(
+            drop_run_specific_attributes(two), drop_run_specific_attributes(one)
+        )

@@ -15,12 +15,12 @@ import yaml
 from compliance import remarks
 
 import splits
+from splits.core.atomic import atomic_write
 from splits.experiments import ExperimentConfig, SimulationConfig, load_experiment, load_settings
-from splits.experiments.run import run
 from splits.experiments.config.sections import FIGURE_KINDS
+from splits.experiments.run import run
 from splits.plotting import draw
 from splits.plotting.style import FIGURE_SUFFIXES
-from splits.core.atomic import atomic_write
 
 pytestmark = pytest.mark.slow
 
@@ -141,7 +141,9 @@ def do(project, name, results):
     content = yaml.safe_load((project.folder / "config" / "config.yaml").read_text())
     settings = load_settings(content)
     experiment = read(project, name)
-    simulation, figure = json.loads(json.dumps([experiment.dump_simulation(), experiment.resolve_figure()]))
+    simulation, figure = json.loads(
+        json.dumps([experiment.dump_simulation(), experiment.resolve_figure()])
+    )
     accuracy = settings.accuracies["tiny"]
     dataset = run(SimulationConfig.model_validate(simulation), accuracy, settings.seed)
     path = results / "data" / f"{name}.nc"
@@ -168,7 +170,9 @@ def test_each_kind_is_there(finished):
     project, _ = finished
     made = [read(project, name) for name in CASES]
     assert {one.instrument.kind for one in made} == set(FIGURE_KINDS)
-    assert {one.resolve_figure()["kind"] for one in made} >= {kinds[0] for kinds in FIGURE_KINDS.values()}
+    assert {one.resolve_figure()["kind"] for one in made} >= {
+        kinds[0] for kinds in FIGURE_KINDS.values()
+    }
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -8,8 +8,8 @@ import xarray as xr
 
 import splits
 from splits.core.validation import InvalidValue
-from splits.io.netcdf import drop_run_specific_attributes
 from splits.experiments import load_experiment
+from splits.io.netcdf import drop_run_specific_attributes
 
 pytestmark = pytest.mark.slow
 
@@ -72,7 +72,9 @@ def test_a_table_is_made_in_parts_and_again_from_what_is_kept(project):
     assert run.code == 0, run.text
     assert _block(blocks, 0).stat().st_mtime_ns == before
     again = splits.load(results / "data" / "snow.nc")
-    xr.testing.assert_identical(drop_run_specific_attributes(again), drop_run_specific_attributes(made.dataset))
+    xr.testing.assert_identical(
+        drop_run_specific_attributes(again), drop_run_specific_attributes(made.dataset)
+    )
     # What no part has made any more goes with it.
     assert len(list(blocks.glob("block_*.nc"))) == 3
     assert "Nothing to be done" in project.snakemake(target, "--cores", 1).text

@@ -1,17 +1,17 @@
-from splits.archive import configuration_files, packing_time
+from splits.experiments.archive import list_configuration_files, get_packing_time
 
 ARCHIVED = SETTINGS.archived()
 PACKED = EXPERIMENTS if ARCHIVED.experiments == "all" else ARCHIVED.experiments
 if "archive" in sys.argv[1:]:
     # Refused before anything runs.
     try:
-        packing_time()
+        get_packing_time()
     except ValueError as error:
         raise WorkflowError(str(error)) from None
 
 
 if "archive" in sys.argv[1:]:
-    for path in map(str, configuration_files(SETTINGS).values()):
+    for path in map(str, list_configuration_files(SETTINGS).values()):
         if {"{", "}"} & set(path):
             raise WorkflowError(f"archive = {path!r}: must be paths without {{ and }}")
 
@@ -20,7 +20,7 @@ rule archive:
     input:
         results=[products(name) for name in PACKED]
         + (study_products() if SETTINGS.archive == "all" else []),
-        configuration=lambda wildcards: configuration_files(ARCHIVED).values(),
+        configuration=lambda wildcards: list_configuration_files(ARCHIVED).values(),
         tables=lambda wildcards: sorted(
             {t for name in PACKED for t in EXPERIMENTS[name].tables()}
         ),

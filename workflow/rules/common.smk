@@ -1,20 +1,20 @@
-from splits.escaping import escape_json, escape_rst
-from splits.experiments.run_table import parts_of
-from splits.experiments.studies import lacked, left_out
-from splits.experiments.study_kinds import FIGURE, FILES
-from splits.sources import PACKAGE, RETRIEVING, files_digest, physics_digest
+from splits.core.escaping import escape_json, escape_rst
+from splits.experiments.run_table import count_parts
+from splits.experiments.config.study import describe_missing, find_incomplete_studies
+from splits.experiments.config.study_kinds import FIGURE_SUFFIXES, STUDY_FILES
+from splits.core.provenance import PACKAGE_FOLDER, RETRIEVAL_SOURCES, hash_files, hash_physics_sources
 
 STUDIES = SETTINGS.studies
 # Studies that lack experiments, each with the line that says so.
-LEFT_OUT = left_out(STUDIES, EXPERIMENTS, AVAILABLE)
+LEFT_OUT = find_incomplete_studies(STUDIES, EXPERIMENTS, AVAILABLE)
 for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
     raise WorkflowError(LEFT_OUT[NAME])
 
 TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
 # What the explorer lacks, which is made where all of its tables are selected; it shows where light
 # goes as far as that is selected.
-UNEXPLORED = lacked(SETTINGS.explorer.values(), EXPERIMENTS, AVAILABLE)
-UNSEEN = lacked(SETTINGS.explorer_directions.values(), EXPERIMENTS, AVAILABLE)
+UNEXPLORED = describe_missing(SETTINGS.explorer.values(), EXPERIMENTS, AVAILABLE)
+UNSEEN = describe_missing(SETTINGS.explorer_directions.values(), EXPERIMENTS, AVAILABLE)
 EXPLORED = {} if UNEXPLORED else SETTINGS.explorer
 WHERE = {
     label: name
@@ -95,7 +95,7 @@ def data(names):
 
 def table_parts(name):
     """Return what the parts of a table note of the blocks that they have made."""
-    number = parts_of(EXPERIMENTS[name])
+    number = count_parts(EXPERIMENTS[name])
     return [f"{RESULTS}/blocks/{name}/part_{part}.json" for part in range(number)]
 
 
@@ -201,4 +201,4 @@ def study_files(name):
 
 def program_digest(*names):
     """Return what changes with the sources of a benchmark."""
-    return files_digest(Path(workflow.basedir) / "benchmarks", list(names))
+    return hash_files(Path(workflow.basedir) / "benchmarks", list(names))

@@ -2,8 +2,8 @@ import re
 
 from snakemake.logging import logger
 
-from splits.checksum import damage
-from splits.files import set_aside, sweep
+from splits.io.integrity import find_damage
+from splits.core.atomic import rename_damaged_file, remove_stale_files
 
 DRY = any(re.fullmatch(r"-[a-zA-Z]*n[a-zA-Z]*|--dry-?run", word) for word in sys.argv)
 
@@ -18,14 +18,14 @@ def check_files():
     for path in map(Path, data(EXPERIMENTS) + studies):
         experiment = path.stem if path.stem in EXPERIMENTS else ""
         try:
-            wrong = damage(path, experiment) if path.is_file() else ""
+            wrong = find_damage(path, experiment) if path.is_file() else ""
         except OSError as error:
             raise WorkflowError(str(error)) from None
         if wrong:
-            done = "" if DRY else f"; set aside as {set_aside(path).name}"
+            done = "" if DRY else f"; set aside as {rename_damaged_file(path).name}"
             logger.warning(wrong + done)
     for folder in Path(RESULTS).glob("*") if not DRY else ():
-        sweep(folder)
+        remove_stale_files(folder)
 
 
 if workflow.is_main_process:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from splits import load
-from splits.experiments.papers.agreement import make_agreement_table, read_published
 from splits.analysis.measured import compare_with_letcher, read_spectra
+from splits.experiments.papers.agreement import make_agreement_table, read_published
 from splits.experiments.papers.paper_tables import make_table1, make_table3, write_table
 from splits.plotting import annotations, draw_measured_albedo, save_figure
 
@@ -13,7 +13,9 @@ datasets = {role: load(path) for role, path in roles}
 aviris = read_spectra(snakemake.input.aviris)
 letcher = read_spectra(snakemake.input.letcher)
 published = read_published(snakemake.input.published)
-agreement = make_agreement_table(datasets, published, load(snakemake.input.sensitivity), aviris, letcher)
+agreement = make_agreement_table(
+    datasets, published, load(snakemake.input.sensitivity), aviris, letcher
+)
 write_table(agreement, snakemake.output.agreement)
 albedo = compare_with_letcher(datasets["letcher"], letcher)
 write_table(albedo, snakemake.output.bands)

@@ -1,4 +1,4 @@
-"""Pack results for deposit (map snakemake to `splits.archive`)."""
+"""Pack results for deposit (map snakemake to `splits.experiments.archive`)."""
 
 from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.settings import Settings

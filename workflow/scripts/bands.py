@@ -1,4 +1,4 @@
-"""Choose the bands that tell most (map snakemake to `splits.best_bands`)."""
+"""Choose the bands that tell most (map snakemake to `splits.select_bands`)."""
 
 import json
 from pathlib import Path

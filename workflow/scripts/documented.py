@@ -3,9 +3,10 @@
 import sys
 from pathlib import Path
 
+from _numbers.gallery_images import write_gallery
 from _numbers.marks import list_documents, update_documents
 from _numbers.values import collect_quoted_numbers
-from _numbers.gallery_images import write_gallery
+
 from splits.core.progress import write_line
 
 RESULTS = Path(snakemake.log[0]).parents[1]

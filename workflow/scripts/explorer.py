@@ -1,4 +1,4 @@
-"""Write the explorer of tables (map snakemake to `splits.explorer.page`)."""
+"""Write the explorer of tables (map snakemake to `splits.plotting.explorer.page`)."""
 
 import splits
 from splits.plotting.explorer.page import ExplorerTable, write_explorer

@@ -1,4 +1,4 @@
-"""Draw one experiment's figure (map snakemake to `splits.figures`)."""
+"""Draw one experiment's figure (map snakemake to `splits.plotting`)."""
 
 import json
 from pathlib import Path

@@ -1,11 +1,11 @@
-"""Draw error against time (map snakemake to `splits.figures`)."""
+"""Draw error against time (map snakemake to `splits.plotting`)."""
 
 from pathlib import Path
 
 import pandas as pd
 
-from splits.plotting import save_figure
 from splits.experiments.papers.performance_figure import draw_speed_against_error
+from splits.plotting import save_figure
 
 figure = draw_speed_against_error(pd.read_csv(snakemake.input[0]))
 save_figure(figure, Path(snakemake.output[0]).with_suffix(""))

@@ -6,17 +6,17 @@ from splits.core.interrupts import exit_on_signals
 
 exit_on_signals("readings")
 
+from splits.core.progress import open_progress_log
 from splits.experiments.papers.agreement import read_published
-from splits.experiments.papers.paper_tables import write_table
 from splits.experiments.papers.interpretation_ranking import rank_interpretations
 from splits.experiments.papers.interpretation_tables import (
+    find_differing_keys,
     make_leave_out_table,
     make_ranking_table,
     make_statement_table,
-    find_differing_keys,
 )
+from splits.experiments.papers.paper_tables import write_table
 from splits.plotting import draw_interpretation_shifts, save_figure
-from splits.core.progress import open_progress_log
 
 with open_progress_log(snakemake.log[0]) as say:
     choices, text = snakemake.params.readings, snakemake.params.text

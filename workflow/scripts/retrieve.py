@@ -4,12 +4,12 @@ from pathlib import Path
 
 import splits
 from splits.analysis.measured import read_spectra
-from splits.experiments.papers.paper_tables import write_table
+from splits.core.progress import open_progress_log
 from splits.experiments.config.retrieve import RetrieveSection
-from splits.experiments.run_retrieve import make_retrieval_table, run_retrieve, combine_samples
+from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.run_retrieve import combine_samples, make_retrieval_table, run_retrieve
 from splits.plotting.retrieval import draw_retrievals
 from splits.plotting.style import save_figure
-from splits.core.progress import open_progress_log
 
 with open_progress_log(snakemake.log[0]) as say:
     section = RetrieveSection.model_validate_json(snakemake.params.retrieve)

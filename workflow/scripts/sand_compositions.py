@@ -2,9 +2,9 @@
 
 import json
 
+from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.papers.paper_tables import write_table
 from splits.experiments.run import make_composition_table
-from splits.experiments.config.simulation import SimulationConfig
 
 experiments = {
     name: SimulationConfig.model_validate(content)

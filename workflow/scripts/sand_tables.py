@@ -4,8 +4,8 @@ import pandas as pd
 
 from splits import load
 from splits.analysis.colour import make_colour_table
-from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
 from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}

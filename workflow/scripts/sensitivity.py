@@ -5,13 +5,13 @@ from pathlib import Path
 
 from splits import load, save
 from splits.experiments.papers.agreement import read_published
+from splits.experiments.papers.paper_tables import write_table
 from splits.experiments.papers.sensitivity_table import (
-    select_chosen_sensitivities,
     describe_ranges,
     make_sensitivity_table,
+    select_chosen_sensitivities,
 )
-from splits.experiments.papers.paper_tables import write_table
-from splits.plotting import save_figure, draw_sensitivity_bars
+from splits.plotting import draw_sensitivity_bars, save_figure
 
 pairs = json.loads(snakemake.params.pairs)
 datasets = {Path(path).stem: load(path) for path in snakemake.input.data}

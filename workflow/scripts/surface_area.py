@@ -10,7 +10,7 @@ from splits.analysis.surface_area import (
     retrieve_surface_areas,
 )
 from splits.experiments.papers.paper_tables import write_table
-from splits.plotting import draw_area_law, annotations, draw_fitted_spectra, save_figure
+from splits.plotting import annotations, draw_area_law, draw_fitted_spectra, save_figure
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}

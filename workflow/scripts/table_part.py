@@ -6,10 +6,10 @@ from splits.core.interrupts import exit_on_signals
 
 exit_on_signals(snakemake.wildcards.experiment)
 
-from splits.experiments.run_table import write_part_manifest, run_part
+from splits.core.progress import open_progress_log
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.core.progress import open_progress_log
+from splits.experiments.run_table import run_part, write_part_manifest
 
 made, part = Path(snakemake.output[0]), int(snakemake.wildcards.part)
 with open_progress_log(snakemake.log[0]) as say:

@@ -1,6 +1,6 @@
 """What theories need beside the model's own optics, and one of them: asymptotic transfer.
 
-Discrete ordinates stand in `splits.analysis.ordinates`.  Both take grains for points that scatter.
+Discrete ordinates stand in `splits.analysis.theory.discrete_ordinates`.  Both take grains for points that scatter.
 The sets of the papers do not: a ray leaves a grain where it comes out of it, and a grain that cuts
 the last leg or a boundary is drawn again.  In all of them wet pores reflect at the boundaries.
 docs/theory/radiative-transfer.md says how far that matters.
@@ -14,17 +14,17 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.theory.error_propagation import (
-    JACKKNIFE_SUFFIX,
     BOUND_SUFFIX,
-    compute_jackknife_results,
+    JACKKNIFE_SUFFIX,
     compute_interpolation_bound,
+    compute_jackknife_results,
     propagate_errors,
 )
-from splits.core.arrays import as_float_array, as_1d_array
-from splits.core.validation import check_range, check_choice
-from splits.simulation.diffusion import effective_mean_free_path
+from splits.core.arrays import as_1d_array, as_float_array
 from splits.core.optional import import_optional
 from splits.core.uncertainty import make_variable
+from splits.core.validation import check_choice, check_range
+from splits.simulation.diffusion import effective_mean_free_path
 
 EXTRAPOLATION_LENGTH = 1.072
 """Extrapolation length of a half-space times 3/2, see `kz04`."""
@@ -34,7 +34,7 @@ def correct_dense_packing(optics: xr.Dataset) -> xr.Dataset:
     """Return optics whose optical thickness allows for the way of light through the grains.
 
     Radiative transfer counts the way between grains.  The model's rays also advance by the grains
-    themselves: see `splits.diffusion.scattering_mean_step`.
+    themselves: see `splits.simulation.diffusion.effective_mean_free_path`.
 
     Parameters
     ----------
@@ -48,7 +48,10 @@ def correct_dense_packing(optics: xr.Dataset) -> xr.Dataset:
         ``…_stderr``; the latter remains proportional to depth.
     """
     thinner = _compute_packing_ratio(optics)
-    apart, bound = compute_jackknife_results(_compute_packing_ratio, optics), compute_interpolation_bound(_compute_packing_ratio, optics)
+    apart, bound = (
+        compute_jackknife_results(_compute_packing_ratio, optics),
+        compute_interpolation_bound(_compute_packing_ratio, optics),
+    )
     error = propagate_errors(_compute_packing_ratio, optics)
     variables: dict[str, Any] = {}
     for name in ("extinction", "optical_thickness"):

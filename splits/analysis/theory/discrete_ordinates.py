@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.analysis.theory.error_propagation import propagate_errors
 from splits.analysis.theory.asymptotic import compute_incidence_cosine
-from splits.core.validation import invalid
+from splits.analysis.theory.error_propagation import propagate_errors
 from splits.core.optional import import_optional
-from splits.media.ground import Ground, describe_ground
 from splits.core.uncertainty import Variable, make_variable
+from splits.core.validation import invalid
+from splits.media.ground import Ground, describe_ground
 
 MAX_ALBEDO = 1.0 - 1e-9
 """PythonicDISORT refuses an albedo of 1 and loses digits as it comes near: at 1 − 10⁻⁹ fluxes are
@@ -90,7 +90,9 @@ def solve_discrete_ordinates(
     wavelengths = layers[0].wavelength.values
     for number, one in enumerate(layers):
         if not np.array_equal(one.wavelength.values, wavelengths):
-            raise invalid(f"optics[{number}].wavelength", one.wavelength.values, "that of optics[0]")
+            raise invalid(
+                f"optics[{number}].wavelength", one.wavelength.values, "that of optics[0]"
+            )
     albedo = np.zeros(wavelengths.shape) if below is None else below.albedo(wavelengths)
     fine, coarse = (_solve_stack(layers, cosine, n, albedo) for n in (streams, 2 * (streams // 4)))
     truncation = np.abs(fine - coarse)
@@ -99,7 +101,9 @@ def solve_discrete_ordinates(
     parts = []
     for i, one in enumerate(used):
         above, under = used[:i], used[i + 1 :]
-        parts.append(propagate_errors(partial(_solve_with_layer, above, under, cosine, few, albedo), one))
+        parts.append(
+            propagate_errors(partial(_solve_with_layer, above, under, cosine, few, albedo), one)
+        )
     stderr = np.sqrt(truncation**2 + sum(part**2 for part in parts))
     variables: dict[str, Variable] = {}
     for row, name in enumerate(("reflectance", "transmittance", "absorptance")):

@@ -80,4 +80,6 @@ def _iterate_jackknife_optics(optics: xr.Dataset) -> Iterator[xr.Dataset]:
 
 
 def _list_names_with_suffix(optics: xr.Dataset, suffix: str) -> list[str]:
-    return [str(name).removesuffix(suffix) for name in optics.data_vars if str(name).endswith(suffix)]
+    return [
+        str(name).removesuffix(suffix) for name in optics.data_vars if str(name).endswith(suffix)
+    ]

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.core.uncertainty import compute_jackknife_stderr
 from splits.core.validation import invalid
 from splits.instruments import single_scattering
 from splits.media import Snow
-from splits.core.uncertainty import compute_jackknife_stderr
 
 DEFAULT_WAVELENGTH_NM = 900.0
 """Where Robledano et al. measured; a hundredth of the light that meets a grain is absorbed."""

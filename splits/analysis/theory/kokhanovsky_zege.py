@@ -6,12 +6,12 @@ import numpy as np
 import snowoptics
 import xarray as xr
 
+from splits.core.parameter_names import parse_impurity_parameter
 from splits.core.validation import invalid
+from splits.materials.impurities import make_impurities
+from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 from splits.tables.axes import INCIDENCE
 from splits.tables.table import Table
-from splits.materials.impurities import make_impurities
-from splits.media.measured_inputs import SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY
-from splits.core.parameter_names import parse_impurity_parameter
 
 KOKHANOVSKY_ZEGE = "kokhanovsky_zege_2004"
 ALBEDO_LAWS = (KOKHANOVSKY_ZEGE,)
@@ -22,7 +22,9 @@ FORMULA_STDERR = 1e-6
 IMPURITY_KEYWORD = "impurities_ng_g"
 
 
-def make_law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, model_axis: str | None = None) -> Table:
+def make_law_table(
+    table: Table, law: str = KOKHANOVSKY_ZEGE, model_axis: str | None = None
+) -> Table:
     """Return what a law says of the snow of a table, over the axes that it knows.
 
     Kokhanovsky & Zege (2004, Appl. Opt. 43, 1589-1602, doi:10.1364/AO.43.001589) for deep snow, as
@@ -51,8 +53,14 @@ def make_law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, model_axis: str | 
     axes = [a for a in table.axes if a != "wavelength"]
     size = next((a for a in axes if a in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)), None)
     if size is None:
-        raise invalid("retrieve.beside", law, f"with {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid")
-    kept = [a for a in axes if a in (size, INCIDENCE) or (parse_impurity_parameter(a) or ("",))[0] == IMPURITY_KEYWORD]
+        raise invalid(
+            "retrieve.beside", law, f"with {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid"
+        )
+    kept = [
+        a
+        for a in axes
+        if a in (size, INCIDENCE) or (parse_impurity_parameter(a) or ("",))[0] == IMPURITY_KEYWORD
+    ]
     for name in [a for a in axes if a not in (*kept, model_axis)]:
         if given[name].dtype.kind != "f" or float(given[name].values.min()) != 0.0:
             raise invalid("retrieve.beside", law, f"left out where {name} is on the grid without 0")
@@ -62,8 +70,15 @@ def make_law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, model_axis: str | 
     values = np.empty((*shape, w.size))
     for place in np.ndindex(*shape):
         at = {a: given[a].values[i] for a, i in zip(kept, place, strict=True)}
-        amounts = {str(parse_impurity_parameter(a)[1]): float(at[a]) for a in kept if parse_impurity_parameter(a)}  # type: ignore[index]
-        per_ice = sum((one.compute_absorption_per_kg_ice(w) for one in make_impurities(amounts, {})), np.zeros(w.size))
+        amounts = {
+            str(parse_impurity_parameter(a)[1]): float(at[a])
+            for a in kept
+            if parse_impurity_parameter(a)
+        }  # type: ignore[index]
+        per_ice = sum(
+            (one.compute_absorption_per_kg_ice(w) for one in make_impurities(amounts, {})),
+            np.zeros(w.size),
+        )
         # In 1/m of ice, and as the imaginary part of an index, which the law takes.
         more = per_ice * ICE_DENSITY_KG_M3 / snowoptics.default_B * (1e-9 * w) / (4.0 * np.pi)
         area = at[size] if size == SURFACE_AREA_KEY else 3e6 / (ICE_DENSITY_KG_M3 * at[size])
@@ -83,7 +98,10 @@ def make_law_table(table: Table, law: str = KOKHANOVSKY_ZEGE, model_axis: str | 
 
 
 def _compute_albedo(
-    wavelength_m: np.ndarray, incidence: object, ssa_m2_kg: float, index: tuple[np.ndarray, np.ndarray]
+    wavelength_m: np.ndarray,
+    incidence: object,
+    ssa_m2_kg: float,
+    index: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
     """Return the albedo of deep snow under a beam (degrees), or under diffuse light."""
     if incidence == "diffuse":

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.core.arrays import check_array_range, check_no_gaps, as_1d_array
-from splits.core.validation import check_range, reject_unknown_arguments, invalid
-from splits.io.netcdf import to_netcdf_attributes
+from splits.core.arrays import as_1d_array, check_array_range, check_no_gaps
 from splits.core.atomic import atomic_write
 from splits.core.uncertainty import compute_jackknife_stderr, make_variable
+from splits.core.validation import check_range, invalid, reject_unknown_arguments
+from splits.io.netcdf import to_netcdf_attributes
 
 ALBEDO, ASYMMETRY, MOMENT = "single_scattering_albedo", "asymmetry_parameter", "legendre_moment"
 DEFAULT_ANGLES_DEG = tuple(np.linspace(0.0, 180.0, 361).tolist())
@@ -93,7 +93,9 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
     found |= make_variable(ALBEDO, "wavelength", albedo, error, "single-scattering albedo")
     error = np.hypot(compute_jackknife_stderr(left), missed)
     dims = ("wavelength", "order")
-    found |= make_variable(ASYMMETRY, "wavelength", moment[:, 1], error[:, 1], "asymmetry parameter")
+    found |= make_variable(
+        ASYMMETRY, "wavelength", moment[:, 1], error[:, 1], "asymmetry parameter"
+    )
     found |= make_variable(MOMENT, dims, moment, error, "Legendre moment of the phase function")
     found[f"{MOMENT}_left_out"] = (("part", *dims), left, optics[f"{MOMENT}_left_out"].attrs)
     found[f"{MOMENT}_missed"] = (dims, missed, optics[f"{MOMENT}_missed"].attrs)
@@ -189,11 +191,17 @@ def _compute_damping_factors(max_order: int) -> np.ndarray:
     mu = np.cos(angle)
     root = np.zeros(count)
     for k, (own, there) in enumerate(
-        zip(_generate_legendre_polynomials(x, half), _generate_legendre_polynomials(mu, half), strict=True)
+        zip(
+            _generate_legendre_polynomials(x, half),
+            _generate_legendre_polynomials(mu, half),
+            strict=True,
+        )
     ):
         root += (2.0 * k + 1.0) * own * there
     peak = weight * root**2
-    moments = np.array([(peak * one).sum() for one in _generate_legendre_polynomials(mu, max_order)])
+    moments = np.array(
+        [(peak * one).sum() for one in _generate_legendre_polynomials(mu, max_order)]
+    )
     damped: np.ndarray = moments / moments[0]
     return damped
 
@@ -202,7 +210,10 @@ def _find_largest_zero(order: int) -> float:
     """Return the largest zero of a Legendre polynomial, by Newton's steps from Bessel's zero."""
     x = np.cos(2.404825557695773 / (order + 0.5))
     for _ in range(20):
-        *_, before, last = [1.0, *(float(p[0]) for p in _generate_legendre_polynomials(np.array([x]), order))]
+        *_, before, last = [
+            1.0,
+            *(float(p[0]) for p in _generate_legendre_polynomials(np.array([x]), order)),
+        ]
         step = last * (1.0 - x * x) / (order * (before - x * last))
         x -= step
         if abs(step) < 1e-15:

@@ -9,31 +9,31 @@ from pydantic import Field, field_validator, model_validator
 
 from splits.analysis.colour import covers_visible
 from splits.core.validation import check_choice, invalid
-from splits.experiments.config.retrieve_checks import check_retrieve_section
-from splits.experiments.config.grid import to_coordinate_values
-from splits.experiments.config.grid import find_label
+from splits.experiments.config.grid import find_label, to_coordinate_values
 from splits.experiments.config.retrieve import RetrieveSection
+from splits.experiments.config.retrieve_checks import check_retrieve_section
 from splits.experiments.config.sections import (
     FIGURE_KINDS,
-    SINGLE_POINT_KINDS,
     FIGURE_QUANTITIES,
     KINDS_OF_SETTING,
+    MAX_CAPTION_CHARS,
+    MAX_TITLE_CHARS,
+    SINGLE_POINT_KINDS,
     FigureSection,
+    check_text,
 )
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.config.sections import MAX_CAPTION_CHARS, MAX_TITLE_CHARS, check_text
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
-from splits.simulation.scene import get_reflecting_ground
-from splits.media.medium import LayeredMedium
-from splits.media.medium import Medium, ParticleMedium
+from splits.media.medium import LayeredMedium, Medium, ParticleMedium
 from splits.plotting.panels import (
     DEFAULT_LABEL,
+    MAX_AZIMUTH_GAP_DEG,
+    MAX_PANELS,
     MIN_AZIMUTHS,
     MIN_POLAR_ANGLES,
-    MAX_PANELS,
-    MAX_AZIMUTH_GAP_DEG,
     can_map_hemisphere,
 )
+from splits.simulation.scene import get_reflecting_ground
 
 RESERVED_NAMES = (
     "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "documented", "figure",
@@ -55,7 +55,9 @@ class ExperimentConfig(SimulationConfig):
     @classmethod
     def _check_name_is_free(cls, value: str) -> str:
         if value in RESERVED_NAMES:
-            raise invalid("name", value, "none of the workflow's rules " + ", ".join(RESERVED_NAMES))
+            raise invalid(
+                "name", value, "none of the workflow's rules " + ", ".join(RESERVED_NAMES)
+            )
         return value
 
     @field_validator("figure", mode="before")
@@ -104,7 +106,9 @@ class ExperimentConfig(SimulationConfig):
             )
         if "quantity" in self.figure.model_fields_set:
             for quantity in self.figure.quantity:
-                check_choice("figure.quantity", quantity, FIGURE_QUANTITIES.get(instrument.kind, ()))
+                check_choice(
+                    "figure.quantity", quantity, FIGURE_QUANTITIES.get(instrument.kind, ())
+                )
         if self.figure.kind == "hemisphere":
             self._check_hemisphere()
         turned = instrument.azimuth_deg
@@ -209,7 +213,7 @@ class ExperimentConfig(SimulationConfig):
             raise invalid("figure.quantity", "mean_grain_distance", why)
 
     def resolve_figure(self) -> dict[str, Any]:
-        """Return the section `figure` for `splits.figures.draw`, with a kind that fits.
+        """Return the section `figure` for `splits.plotting.draw`, with a kind that fits.
 
         What is held fixed is given as the dataset's coordinates have it.
         """

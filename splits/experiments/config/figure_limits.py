@@ -7,11 +7,11 @@ import math
 from splits.core.validation import invalid
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.plotting.panels import (
-    REDUCTION_HINT,
     MAX_COLUMNS,
     MAX_LINES,
     MAX_PANELS,
     MAX_ROWS,
+    REDUCTION_HINT,
     check_count,
     choose_panel_parameters,
 )
@@ -39,7 +39,9 @@ def check_figure_size(experiment: ExperimentConfig) -> None:
     if kind == "spectra":
         if choose_panel_parameters(sizes, len(figure.quantity), at) and figure.measured:
             allowed = f"left out for a figure of more than {MAX_LINES} lines"
-            raise invalid("figure.measured", figure.measured, allowed, "or hold more with figure.at")
+            raise invalid(
+                "figure.measured", figure.measured, allowed, "or hold more with figure.at"
+            )
     elif kind == "points":
         check_count("points", points, MAX_ROWS, at)
         _check_wavelengths(wavelengths, MAX_LINES)

@@ -6,15 +6,15 @@ Grids of an experiment: labels, values, evenly spaced values, coordinates.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
-import numpy as np
-from splits.core.parameter_names import describe_parameter, parse_layer_parameter
-from collections.abc import Mapping
 from pathlib import PurePath
-from splits.core.arrays import MAX_NUMBERS
-from splits.core.validation import format_key, check_number, invalid
-from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
+from typing import Any
 
+import numpy as np
+
+from splits.core.arrays import MAX_NUMBERS
+from splits.core.parameter_names import describe_parameter, parse_layer_parameter
+from splits.core.validation import check_number, format_key, invalid
+from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
 
 MEAN_FUNCTIONS: dict[str, Callable[[Sequence[float]], float]] = {
     "facetness": lambda given: given[2],

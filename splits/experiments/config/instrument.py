@@ -14,24 +14,24 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from splits.core.validation import check_range, invalid, key_prefix
 from splits.experiments.config.grid import make_even_spacing
 from splits.experiments.config.sections import ConfigSection
-from splits.simulation.arguments import (
-    check_direction_angles,
-    check_n_bins,
-    check_half_width,
-    check_incidence,
-    check_wavelengths,
-    check_integer,
-)
-from splits.instruments.beam_spread import N_MAP_PIXELS, SIDES
 from splits.instruments.angular_bins import DEFAULT_N_BINS
+from splits.instruments.beam_spread import N_MAP_PIXELS, SIDES
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.lens import (
     DEFAULT_RAYS,
-    check_screen_depths,
     check_ring_radius,
     check_ring_size,
+    check_screen_depths,
 )
-from splits.instruments.surface_map import MAX_REALIZATIONS, DEFAULT_POINTS
+from splits.instruments.surface_map import DEFAULT_POINTS, MAX_REALIZATIONS
+from splits.simulation.arguments import (
+    check_direction_angles,
+    check_half_width,
+    check_incidence,
+    check_integer,
+    check_n_bins,
+    check_wavelengths,
+)
 
 ESTIMATORS = {
     "spectrophotometer": ("spectral", "analog"),

@@ -10,24 +10,24 @@ import pandas as pd
 from pydantic import BaseModel, ValidationError
 
 from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
+from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid
-from splits.experiments.config.retrieve_checks import check_measured_spectra
-from splits.experiments.config.figure_limits import check_figure_size
-from splits.experiments.config.messages import format_validation_error
+from splits.core.yaml import ConfigError, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.run_fit import check_fit
+from splits.experiments.config.figure_limits import check_figure_size
+from splits.experiments.config.medium import LAYERS_KEY, apply_bases
+from splits.experiments.config.messages import format_validation_error
+from splits.experiments.config.retrieve_checks import check_measured_spectra
+from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SAMPLE_KEY
-from splits.experiments.config.medium import LAYERS_KEY, apply_bases
-from splits.experiments.config.sections import check_path
 from splits.experiments.config.unused_settings import (
-    collect_keywords,
     check_replaced_settings,
     check_unused_keywords,
+    collect_keywords,
 )
-from splits.core.yaml import ConfigError, read_yaml
+from splits.experiments.run_fit import check_fit
 from splits.media.measured_inputs import override_keywords
-from splits.core.paths import expand_path
 from splits.retrieval.measurement import MAX_REFLECTANCE
 
 SectionType = TypeVar("Model", bound=BaseModel)
@@ -86,7 +86,9 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
         grid = content["grid"] = grid | {SAMPLE_KEY: _resolve_samples(grid[SAMPLE_KEY], media)}
     if isinstance(grid, dict) and isinstance(grid.get(LAYERS_KEY), dict):
         whole = {
-            label: _apply_all_bases({LAYERS_KEY: layers}, f"grid.{LAYERS_KEY}.{label}", media)[LAYERS_KEY]
+            label: _apply_all_bases({LAYERS_KEY: layers}, f"grid.{LAYERS_KEY}.{label}", media)[
+                LAYERS_KEY
+            ]
             for label, layers in grid[LAYERS_KEY].items()
         }
         content["grid"] = grid | {LAYERS_KEY: whole}
@@ -94,7 +96,9 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
     check_unused_keywords(experiment, given)
     check_figure_size(experiment)
     if experiment.figure.measured:
-        _check_figure_table(experiment, _read_measured("figure.measured", measured, experiment.figure.measured))
+        _check_figure_table(
+            experiment, _read_measured("figure.measured", measured, experiment.figure.measured)
+        )
     if experiment.retrieve:
         name = experiment.retrieve.measured
         check_measured_spectra(experiment, _read_measured("retrieve.measured", measured, name))
@@ -143,7 +147,9 @@ def _resolve_samples(given: Any, folder: Path) -> dict[str, Any]:
     named = {name: name for name in given} if isinstance(given, list) else given
     return {
         label: _apply_all_bases(
-            {"base": value} if isinstance(value, str) else value, f"grid.{SAMPLE_KEY}.{label}", folder
+            {"base": value} if isinstance(value, str) else value,
+            f"grid.{SAMPLE_KEY}.{label}",
+            folder,
         )
         for label, value in named.items()
     }

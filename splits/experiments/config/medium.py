@@ -6,29 +6,33 @@ Users' own tables of indices, grounds and impurities that an experiment's settin
 from __future__ import annotations
 
 import copy
+import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
+
+from splits.core.parameter_names import parse_layer_parameter
+from splits.core.paths import expand_path
 from splits.core.validation import (
-    list_keywords,
-    format_key,
     check_choice,
+    format_key,
     invalid,
     key_prefix,
+    list_keywords,
     unknown_key,
 )
 from splits.media import ParticleLayer, Sand, Snow, Stack
-from splits.media.measured_inputs import override_keywords
 from splits.media.interpretations import merge_interpretations
-from splits.core.parameter_names import parse_layer_parameter
-import hashlib
-from collections.abc import Callable
-from splits.core.paths import expand_path
-
+from splits.media.measured_inputs import override_keywords
 
 LAYERS_KEY = "layers"
 MERGED_KEYWORDS = ("readings", "refractive_index", "pores", "impurities_ng_g", "algae_cells_ml")
 """Keywords that are mappings: a grid's values add to those of the medium."""
-LAYER_CLASSES: dict[str, Any] = {"snow": Snow, "natural_snow": Snow, "sand": Sand, "layer": ParticleLayer}
+LAYER_CLASSES: dict[str, Any] = {
+    "snow": Snow,
+    "natural_snow": Snow,
+    "sand": Sand,
+    "layer": ParticleLayer,
+}
 """Media that a stack may hold."""
 MEDIUM_FACTORIES: dict[str, Callable[..., Any]] = LAYER_CLASSES | {"natural_snow": Snow.natural}
 """What makes a medium of a kind of its settings."""
@@ -71,7 +75,9 @@ def check_layers(place: str, layers: Any) -> None:
                 raise unknown_key(f"{here}.{format_key(key)}", known)
 
 
-def check_grid_layers(base: Mapping[str, Any], grid: Mapping[str, Mapping[str, Any]], sample: str) -> None:
+def check_grid_layers(
+    base: Mapping[str, Any], grid: Mapping[str, Mapping[str, Any]], sample: str
+) -> None:
     """Refuse layers, and paths to them, that do not exist at some point of a grid.
 
     Parameters
@@ -114,7 +120,9 @@ def check_parameter_path(parameter: str, layers: list[Mapping[str, Any]]) -> boo
 
 def apply_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return a stack's settings with the values that paths name put in their places."""
-    found = override_keywords(settings, {k: value for k, value in values.items() if parse_layer_parameter(k) is None})
+    found = override_keywords(
+        settings, {k: value for k, value in values.items() if parse_layer_parameter(k) is None}
+    )
     paths = {key: value for key, value in values.items() if parse_layer_parameter(key) is not None}
     if paths:
         found[LAYERS_KEY] = copy.deepcopy(found[LAYERS_KEY])
@@ -174,7 +182,10 @@ def replace_table_paths(settings: Any, replace: Callable[[str], str], inside: bo
         Whether `settings` stands below one of `TABLE_KEYS`.
     """
     if isinstance(settings, dict):
-        return {k: replace_table_paths(v, replace, inside or _is_table_key(k)) for k, v in settings.items()}
+        return {
+            k: replace_table_paths(v, replace, inside or _is_table_key(k))
+            for k, v in settings.items()
+        }
     if isinstance(settings, (list, tuple)):
         return [replace_table_paths(value, replace, inside) for value in settings]
     if inside and isinstance(settings, str) and settings.endswith(".csv"):

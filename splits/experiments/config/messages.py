@@ -37,7 +37,11 @@ def format_validation_error(model: type[BaseModel], error: ValidationError) -> s
     key, kind = _resolve_location(model, place[:-1] if of_list else place)
     if problem == "missing" and not of_list:
         return f"{key}: missing, must be {_describe_type(kind)}"
-    limits = [f"{LIMIT_DESCRIPTIONS[k]} {v:g}" for k, v in first.get("ctx", {}).items() if k in LIMIT_DESCRIPTIONS]
+    limits = [
+        f"{LIMIT_DESCRIPTIONS[k]} {v:g}"
+        for k, v in first.get("ctx", {}).items()
+        if k in LIMIT_DESCRIPTIONS
+    ]
     finite = "finite " if problem == "finite_number" else ""
     allowed = limits[0] if limits else _describe_type(kind).replace("a number", f"a {finite}number")
     return str(invalid(key, first["input"], allowed, _suggest_value(kind, first["input"])))
@@ -91,12 +95,18 @@ def _describe_option(kind: Any) -> str:
     if origin is Literal:
         return "one of " + ", ".join(inner) if len(inner) > 1 else f'"{inner[0]}"'
     if origin is tuple:
-        several = TYPE_DESCRIPTIONS[inner[0]][1] if inner[0] in TYPE_DESCRIPTIONS else ", ".join(get_args(inner[0]))
+        several = (
+            TYPE_DESCRIPTIONS[inner[0]][1]
+            if inner[0] in TYPE_DESCRIPTIONS
+            else ", ".join(get_args(inner[0]))
+        )
         return f"a list of {several if inner[-1] is Ellipsis else f'{len(inner)} {several}'}"
     if _is_section(kind):
         needed = [name for name, field in kind.model_fields.items() if field.is_required()]
         return "a mapping with " + ", ".join(needed) if needed else "a mapping of keys to values"
-    return TYPE_DESCRIPTIONS[kind][0] if kind in TYPE_DESCRIPTIONS else "a mapping of keys to values"
+    return (
+        TYPE_DESCRIPTIONS[kind][0] if kind in TYPE_DESCRIPTIONS else "a mapping of keys to values"
+    )
 
 
 def _suggest_value(kind: Any, value: Any) -> str:

@@ -10,12 +10,12 @@ import pandas as pd
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from splits.core.validation import (
+    check_choice,
     check_range,
     format_key,
-    check_choice,
     invalid,
-    snap_to_limits,
     key_prefix,
+    snap_to_limits,
 )
 from splits.experiments.config.sections import ConfigSection, check_measured_file
 from splits.tables.axes import INCIDENCE
@@ -129,7 +129,9 @@ class RetrieveSection(ConfigSection):
                 raise invalid("retrieve.left_out_nm", [low, high], "low < high")
         return self
 
-    def select_spectra(self, measured: pd.DataFrame, wavelengths: np.ndarray) -> dict[str, pd.Series]:
+    def select_spectra(
+        self, measured: pd.DataFrame, wavelengths: np.ndarray
+    ) -> dict[str, pd.Series]:
         """Return the spectra to read, by sample, where the table has them and nothing leaves out.
 
         Raises
@@ -153,7 +155,9 @@ class RetrieveSection(ConfigSection):
             allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, as the table has them"
             raise invalid("retrieve.measured", f"{w.min():g} to {w.max():g} nm", allowed)
         names = [check_choice("retrieve.samples", s, known) for s in self.samples] or known
-        early = [check_choice("retrieve.prior_from.sample", f.sample, names) for f in self.prior_from]
+        early = [
+            check_choice("retrieve.prior_from.sample", f.sample, names) for f in self.prior_from
+        ]
         later = [name for name in names if name not in early]
         if len(set(early)) < len(early):
             raise invalid("retrieve.prior_from.sample", early, "different samples")

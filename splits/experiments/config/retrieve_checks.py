@@ -6,14 +6,14 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from splits.core.validation import check_choice, invalid, snap_to_limits, key_prefix
+from splits.core.validation import check_choice, invalid, key_prefix, snap_to_limits
 from splits.experiments.config.retrieve import RetrieveSection, parse_incidence_deg
-from splits.tables.axes import INCIDENCE
-from splits.media.measured_inputs import SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY
-from splits.retrieval.state_vector import SCALE, StateVector
+from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
 from splits.retrieval.forward_model import get_grid_ranges
 from splits.retrieval.least_squares import check_enough_values
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.state_vector import SCALE, StateVector
+from splits.tables.axes import INCIDENCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +48,9 @@ def check_retrieve_section(experiment: ExperimentConfig) -> None:
         for name in getattr(section, key):
             check_choice(f"retrieve.{key}", name, allowed)
     with key_prefix("retrieve"):
-        StateVector.from_ranges(section.free, section.prior or None, get_grid_ranges(experiment.make_axes()))
+        StateVector.from_ranges(
+            section.free, section.prior or None, get_grid_ranges(experiment.make_axes())
+        )
     for name in [n for n in section.at if n in section.free]:
         raise invalid(f"retrieve.at.{name}", section.at[name], "left out", "it is free")
     named = {*section.free, *section.at, section.models, INCIDENCE}
@@ -79,10 +81,14 @@ def check_measured_spectra(experiment: ExperimentConfig, measured: pd.DataFrame)
         return
     rows = dict(zip(*experiment.make_axes(), strict=True))
     first = {one.sample: one.at for one in section.prior_from}
-    for name, spectrum in section.select_spectra(measured, experiment.instrument.get_wavelengths()).items():
+    for name, spectrum in section.select_spectra(
+        measured, experiment.instrument.get_wavelengths()
+    ).items():
         with key_prefix(f"retrieve ({name})"):
             known = Measurement.from_input(spectrum, section.compute_noise(spectrum.to_numpy()))
-            check_enough_values(len([n for n in section.free if n not in first.get(name, {})]), known)
+            check_enough_values(
+                len([n for n in section.free if n not in first.get(name, {})]), known
+            )
         _check_sample_angle(name, experiment)
         where = section.get_fixed_values(name, list(rows))
         for axis, value in where.items():
@@ -150,7 +156,9 @@ def _check_law(section: RetrieveSection, axes: AxisNodes, medium: Mapping[str, A
     if kind not in ("snow", "natural_snow"):
         raise invalid(key, law, "left out but for snow")
     if not {SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY} & set(axes):
-        raise invalid(key, law, f"left out without {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid")
+        raise invalid(
+            key, law, f"left out without {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid"
+        )
     held = [name for name in LAW_UNSUPPORTED_KEYWORDS if medium.get(name)]
     depth = medium.get("depth_m", math.inf if kind == "natural_snow" else None)
     if held or depth != math.inf:

@@ -5,9 +5,9 @@ Words that figures and reports show: what can be set, and what cannot.
 
 from __future__ import annotations
 
-from splits.core.validation import invalid
 from pathlib import PurePath
 from typing import Any, Literal
+
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -16,9 +16,9 @@ from pydantic import (
     model_validator,
 )
 from pydantic_core import PydanticCustomError
+
 from splits.core.validation import invalid, key_prefix
 from splits.retrieval.sand_parameters import resolve_ranges
-
 
 MAX_LABEL_CHARS = 80
 MAX_TITLE_CHARS = 200
@@ -197,7 +197,7 @@ class FitSection(ConfigSection):
 
     `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
     sample; `samples` chooses some of them.  `ranges` replaces those of
-    `splits.experiments.parameters.RANGES`.
+    `splits.retrieval.sand_parameters.DEFAULT_RANGES`.
     """
 
     measured: str

@@ -10,20 +10,20 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid, suggest_name
-from splits.io.ro_crate import ORCID_URL, Author
-from splits.experiments.config.study_checks import check_studies
+from splits.core.yaml import ConfigError
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.sections import ConfigSection
-from splits.experiments.config.study import Study
 from splits.experiments.config.sections import (
     MAX_LABEL_CHARS,
     MAX_TITLE_CHARS,
+    ConfigSection,
     check_path,
     check_text,
 )
-from splits.core.yaml import ConfigError
-from splits.core.paths import expand_path
+from splits.experiments.config.study import Study
+from splits.experiments.config.study_checks import check_studies
+from splits.io.ro_crate import ORCID_URL, Author
 
 DEFAULT_LICENCE = "MIT"
 """Of results, unless the configuration says another: that of the software."""
@@ -79,7 +79,13 @@ EXPLORER_DIRECTION_AXES = ("optical_radius_um", "incidence_deg")
 """Axes of experiments that show where the light of the explorer goes."""
 
 
-FOLDER_KEYS = ("experiments_folder", "media_folder", "measured_folder", "published_folder", "results")
+FOLDER_KEYS = (
+    "experiments_folder",
+    "media_folder",
+    "measured_folder",
+    "published_folder",
+    "results",
+)
 """Settings that are paths of folders."""
 
 
@@ -191,11 +197,15 @@ class Settings(ConfigSection):
             if name not in available:
                 continue
             one = available[name]
-            if one.instrument.kind != "goniophotometer" or {*one.grid} != {*EXPLORER_DIRECTION_AXES}:
+            if one.instrument.kind != "goniophotometer" or {*one.grid} != {
+                *EXPLORER_DIRECTION_AXES
+            }:
                 allowed = f"a goniophotometer over {' and '.join(EXPLORER_DIRECTION_AXES)}"
                 raise ConfigError(f"{key}: must be {allowed}")
 
-    def select_experiments(self, available: Mapping[str, ExperimentConfig]) -> dict[str, ExperimentConfig]:
+    def select_experiments(
+        self, available: Mapping[str, ExperimentConfig]
+    ) -> dict[str, ExperimentConfig]:
         """Return the experiments chosen among those available.
 
         Raises

@@ -1,6 +1,6 @@
 """What an experiment file says that decides numbers: medium, instrument, grid, fit.
 
-One pydantic model per section (those of its parts are in `splits.experiments.sections`).  Unknown
+One pydantic model per section (those of its parts are in `splits.experiments.config.sections`).  Unknown
 keys are refused everywhere; physical ranges are checked by the media and instruments themselves,
 so that a limit stands in one place only.
 """
@@ -17,45 +17,48 @@ from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
+from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
 from splits.core.validation import (
     InvalidValue,
-    list_keywords,
-    format_key,
     check_choice,
+    format_key,
     invalid,
+    list_keywords,
     unknown_key,
 )
 from splits.experiments.config.grid import MAX_GRID_POINTS, label_grid
 from splits.experiments.config.instrument import (
-    USE_GRID_HINT,
     SURFACE_INSTRUMENTS,
+    USE_GRID_HINT,
     InstrumentSection,
 )
-from splits.experiments.config.sections import FitSection, ConfigSection
+from splits.experiments.config.medium import LAYER_CLASSES as LAYER_MEDIA
 from splits.experiments.config.medium import (
     LAYERS_KEY,
     MEDIUM_FACTORIES,
     MERGED_KEYWORDS,
+    apply_paths,
     check_grid_layers,
     check_layers,
-    make_stack,
-    apply_paths,
-)
-from splits.experiments.config.medium import LAYER_CLASSES as LAYER_MEDIA
-from splits.experiments.config.medium import (
     identify_by_content,
-    replace_table_paths,
     list_table_paths,
+    make_stack,
+    replace_table_paths,
+)
+from splits.experiments.config.sections import ConfigSection, FitSection
+from splits.media import Stack
+from splits.media.interpretations import merge_interpretations
+from splits.media.measured_inputs import override_keywords
+from splits.media.medium import (
+    GranularMedium,
+    LayeredMedium,
+    Medium,
+    ParticleMedium,
+    check_thickness,
 )
 from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
 from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
 from splits.tables.axes import ParameterGrid
-from splits.media import Stack
-from splits.media.medium import GranularMedium, LayeredMedium, check_thickness
-from splits.media.measured_inputs import override_keywords
-from splits.media.interpretations import merge_interpretations
-from splits.media.medium import Medium, ParticleMedium
-from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
 
 MEDIUM_CLASSES: dict[str, Any] = {**LAYER_MEDIA, "stack": Stack}
 SAMPLE_KEY = "medium"
@@ -63,7 +66,9 @@ SAMPLE_KEY = "medium"
 SEMI_INFINITE_INSTRUMENTS = ("spectrophotometer", "refractive_index", "table")
 """Instruments that take packs without end."""
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
-NAME_RULE = "lower-case letters, digits and underscores, a letter first, no device such as con or nul"
+NAME_RULE = (
+    "lower-case letters, digits and underscores, a letter first, no device such as con or nul"
+)
 """What names of experiments, of studies and of what these make are: files on all systems."""
 
 
@@ -200,7 +205,9 @@ class SimulationConfig(ConfigSection):
             given = kind if not layer else "a layer without surface"
             raise invalid("medium.kind", given, f"a layer with a surface for {instrument.kind}")
         endless = not layer and math.isinf(medium.depth_m)  # type: ignore[union-attr]
-        if endless and (instrument.kind not in SEMI_INFINITE_INSTRUMENTS or instrument.estimator == "analog"):
+        if endless and (
+            instrument.kind not in SEMI_INFINITE_INSTRUMENTS or instrument.estimator == "analog"
+        ):
             hint = "the spectrophotometer takes packs without end"
             raise invalid("medium.depth_m", math.inf, "finite", hint)
         if instrument.estimator == "local" and (rough or not layer):
@@ -297,7 +304,9 @@ class SimulationConfig(ConfigSection):
 
     def make_axes(self) -> ParameterGrid:
         """Return the grid as the axes of a table: increasing numbers, or texts."""
-        return ParameterGrid.from_mapping({p: list(_get_axis_nodes(values)) for p, values in self.grid.items()})
+        return ParameterGrid.from_mapping(
+            {p: list(_get_axis_nodes(values)) for p, values in self.grid.items()}
+        )
 
     def make_medium(self, **values: Any) -> Medium:
         """Return the medium at a point of the grid, without the incidence."""
@@ -308,7 +317,9 @@ class SimulationConfig(ConfigSection):
 
     def _make_medium(self, settings: Mapping[str, Any]) -> Medium:
         kind = self.medium.get("kind", "snow")
-        made: Medium = make_stack(**settings) if kind == "stack" else MEDIUM_FACTORIES[kind](**settings)
+        made: Medium = (
+            make_stack(**settings) if kind == "stack" else MEDIUM_FACTORIES[kind](**settings)
+        )
         return made
 
     def dump_simulation(self) -> dict[str, Any]:
@@ -320,7 +331,9 @@ class SimulationConfig(ConfigSection):
 
     def dump_configuration(self) -> str:
         """Return `simulation` as JSON for a dataset, users' tables by name and content."""
-        return json.dumps(replace_table_paths(self.dump_simulation(), identify_by_content), sort_keys=True)
+        return json.dumps(
+            replace_table_paths(self.dump_simulation(), identify_by_content), sort_keys=True
+        )
 
 
 def _get_axis_nodes(values: Mapping[str, Any]) -> Iterable[Any]:
@@ -331,7 +344,9 @@ def _get_axis_nodes(values: Mapping[str, Any]) -> Iterable[Any]:
 
 def _map_sample_keys(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return the media of a grid by the place that an error message names."""
-    places = {f"grid.{SAMPLE_KEY}.{format_key(label)}": settings for label, settings in samples.items()}
+    places = {
+        f"grid.{SAMPLE_KEY}.{format_key(label)}": settings for label, settings in samples.items()
+    }
     for place, settings in places.items():
         if not isinstance(settings, Mapping):
             raise invalid(place, settings, "a mapping of the medium's keywords")

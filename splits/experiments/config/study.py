@@ -70,7 +70,9 @@ class Study(ConfigSection):
 
 
 def describe_missing(
-    required: Iterable[str], selected: Mapping[str, ExperimentConfig], available: Mapping[str, ExperimentConfig]
+    required: Iterable[str],
+    selected: Mapping[str, ExperimentConfig],
+    available: Mapping[str, ExperimentConfig],
 ) -> list[str]:
     """Return which experiments are needed and not selected, in words."""
     required = [one for one in dict.fromkeys(required) if one not in selected]

@@ -9,34 +9,36 @@ from typing import Any
 
 import numpy as np
 
-from splits.experiments.papers.agreement import read_published
 from splits.analysis.measured import read_measured, read_spectra
-from splits.experiments.config.study_inputs import SENSITIVITY_DEPTHS_M, StudyInput
-from splits.core.validation import check_range, check_choice, invalid, unknown_key
-from splits.experiments.config.retrieve_checks import check_within_axis
+from splits.core.validation import check_choice, check_range, invalid, unknown_key
+from splits.core.yaml import ConfigError
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
-from splits.experiments.papers.interpretation_ranking import BOUNDARIES_KEY, OVERLAP_CHOICES
+from splits.experiments.config.retrieve_checks import check_within_axis
+from splits.experiments.config.sections import check_path
 from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
 from splits.experiments.config.study import SensitivityPair, Study
+from splits.experiments.config.study_inputs import SENSITIVITY_DEPTHS_M, StudyInput
 from splits.experiments.config.study_kinds import (
-    STUDY_FILES,
-    TABLE_KINDS,
-    STUDY_PRODUCTS,
-    STUDY_INPUTS,
     PARTIAL_KINDS,
+    STUDY_FILES,
+    STUDY_INPUTS,
+    STUDY_PRODUCTS,
+    TABLE_KINDS,
 )
-from splits.experiments.config.sections import check_path
-from splits.core.yaml import ConfigError
-from splits.simulation.arguments import check_integer
-from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
+from splits.experiments.papers.agreement import read_published
+from splits.experiments.papers.interpretation_ranking import BOUNDARIES_KEY, OVERLAP_CHOICES
 from splits.illumination.bands import SENSORS
+from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
+from splits.simulation.arguments import check_integer
 
 TABLE_READERS = {"published": read_published, "directions": read_measured}
 """What reads tables of studies that do not hold spectra."""
 
 
 def check_studies(
-    studies: Mapping[str, Study], available: Mapping[str, ExperimentConfig], tables: Mapping[str, Path]
+    studies: Mapping[str, Study],
+    available: Mapping[str, ExperimentConfig],
+    tables: Mapping[str, Path],
 ) -> None:
     """Refuse studies that cannot be made, and names that two things would have.
 
@@ -62,7 +64,9 @@ def check_studies(
                 if name in available and about.kind in TABLE_KINDS:
                     _check_table(f"experiments.{role}", available[name])
                 elif name in available:
-                    _check_input(f"experiments.{role}", available[name], STUDY_INPUTS[about.kind][role])
+                    _check_input(
+                        f"experiments.{role}", available[name], STUDY_INPUTS[about.kind][role]
+                    )
             for pair, given in about.pairs.items():
                 _check_pair(f"pairs.{pair}", given, available)
         except ValueError as error:
@@ -115,7 +119,9 @@ def _check_interpretations(study: Study) -> None:
     if (study.kind == "readings") != bool(study.readings):
         allowed = "choices by reading" if study.kind == "readings" else "left out"
         raise invalid("readings", study.readings, f"{allowed} for kind = {study.kind!r}")
-    known = {f.name: INTERPRETATION_CHOICES[f.name] for f in fields(Interpretation)} | {BOUNDARIES_KEY: tuple(OVERLAP_CHOICES)}
+    known = {f.name: INTERPRETATION_CHOICES[f.name] for f in fields(Interpretation)} | {
+        BOUNDARIES_KEY: tuple(OVERLAP_CHOICES)
+    }
     for key, choices in study.readings.items():
         if key not in known:
             raise unknown_key(f"readings.{key}", known)
@@ -231,7 +237,9 @@ def _has_value(values: Mapping[str, Any], wanted: float | str) -> bool:
     return f"{wanted:g}" in values or bool(np.isclose(numbers, wanted).any())
 
 
-def check_unique_names(studies: Mapping[str, Study], available: Mapping[str, ExperimentConfig]) -> None:
+def check_unique_names(
+    studies: Mapping[str, Study], available: Mapping[str, ExperimentConfig]
+) -> None:
     """Refuse names of experiments and studies under which something else is made.
 
     Raises
@@ -250,7 +258,9 @@ def check_unique_names(studies: Mapping[str, Study], available: Mapping[str, Exp
         for end, section in (("parameters", experiment.fit), ("retrieved", experiment.retrieve)):
             table = f"{name}_{end}"
             if table in made_by_studies:
-                raise ConfigError(_describe_name_conflict(f"experiment {name}", table, taken[table]))
+                raise ConfigError(
+                    _describe_name_conflict(f"experiment {name}", table, taken[table])
+                )
             if section:
                 taken[table] = f"the table of the experiment {name}"
     for name in available:

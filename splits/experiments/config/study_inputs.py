@@ -36,7 +36,7 @@ _VISIBLE_NM = (400.0, 700.0)
 _SAND_RANGE_NM = (400.0, 1000.0)
 
 SENSITIVITY_DEPTHS_M: Mapping[str, tuple[float | str, ...]] = {"depth_m": (0.12, 0.02)}
-"""Depths for reflectance and transmittance, see `splits.analysis.sensitivity_tables.QUANTITIES`."""
+"""Depths for reflectance and transmittance, see `splits.experiments.papers.sensitivity_table.QUANTITY_CONDITIONS`."""
 
 SNOW_INPUTS = {
     "sample": StudyInput(("density_kg_m3",), {"density_kg_m3": (450,)}),
@@ -65,7 +65,9 @@ SAND_INPUTS = {
     "magnetite": StudyInput(("magnetite",), band_nm=_SAND_RANGE_NM),
     "texture": StudyInput(("texture",), band_nm=_SAND_RANGE_NM),
     "fine_fraction": StudyInput(("texture",), band_nm=(400.0, 500.0)),
-    "mineral_weight": StudyInput(("medium", "refractive_index"), {"refractive_index": ("as modelled",)}),
+    "mineral_weight": StudyInput(
+        ("medium", "refractive_index"), {"refractive_index": ("as modelled",)}
+    ),
     "readings": StudyInput(("medium", "readings"), {"readings": ("default",)}),
     "size_tail": StudyInput(("medium", "size_tail"), {"size_tail": (1e-4,)}),
 }
@@ -89,7 +91,9 @@ ANISOTROPY_INPUTS = {"directions": _make_goniophotometer_input("readings", "satu
 
 LAYER_INPUTS = {
     "lens": StudyInput(instrument="lens"),
-    "volume": _make_goniophotometer_input("medium", labels={"medium": ("surface only", "surface and volume")}),
+    "volume": _make_goniophotometer_input(
+        "medium", labels={"medium": ("surface only", "surface and volume")}
+    ),
     "slope_correlation": _make_goniophotometer_input("surface"),
     "polarization": _make_goniophotometer_input("polarized"),
     "multiple_reflection": _make_goniophotometer_input("polarized"),
@@ -98,7 +102,9 @@ LAYER_INPUTS = {
 """Roles of what is stated of rough layers."""
 
 SURFACE_AREA_INPUTS = {
-    "spectra": StudyInput(("specific_surface_area_m2_kg", "incidence_deg"), band_nm=(700.0, 2400.0)),
+    "spectra": StudyInput(
+        ("specific_surface_area_m2_kg", "incidence_deg"), band_nm=(700.0, 2400.0)
+    ),
     "field": StudyInput(("specific_surface_area_m2_kg", "medium"), at_nm=(1310.0,)),
 }
 """Roles of the surface area of snow from measured spectra."""

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from splits.experiments.config.study_inputs import (
-    BRDF_INPUTS,
     ANISOTROPY_INPUTS,
+    BRDF_INPUTS,
     LAYER_INPUTS,
     SAND_INPUTS,
     SNOW_INPUTS,

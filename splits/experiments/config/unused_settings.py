@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from splits.core.validation import format_key, invalid
-from splits.experiments.config.simulation import SAMPLE_KEY, SimulationConfig
 from splits.experiments.config.medium import LAYERS_KEY, MERGED_KEYWORDS
-from splits.tables.axes import INCIDENCE
+from splits.experiments.config.simulation import SAMPLE_KEY, SimulationConfig
 from splits.media import ParticleLayer
 from splits.media.measured_inputs import REPLACED_FIELDS
+from splits.tables.axes import INCIDENCE
 
 UNUSED_KEYWORDS: tuple[tuple[tuple[str, ...], Callable[[ParticleLayer], bool], str], ...] = (
     (
@@ -87,7 +87,9 @@ def check_replaced_settings(content: Mapping[str, Any]) -> None:
                 raise invalid(f"{place}.{key}", value, "left out", f"grid.{by} has its values")
 
 
-def check_unused_keywords(experiment: SimulationConfig, given: Mapping[str, tuple[str, Any]]) -> None:
+def check_unused_keywords(
+    experiment: SimulationConfig, given: Mapping[str, tuple[str, Any]]
+) -> None:
     """Refuse keywords given, see `collect_keywords`, that count at no point of the grid.
 
     Raises
@@ -97,7 +99,9 @@ def check_unused_keywords(experiment: SimulationConfig, given: Mapping[str, tupl
     """
     if experiment.medium.get("kind") != "layer":
         return
-    layers = [medium for _, medium, _ in experiment.iter_points() if isinstance(medium, ParticleLayer)]
+    layers = [
+        medium for _, medium, _ in experiment.iter_points() if isinstance(medium, ParticleLayer)
+    ]
     for keys, idle, why in UNUSED_KEYWORDS:
         for key in keys:
             place, value = given.get(key, ("", None))

@@ -12,15 +12,15 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.uncertainty import compute_weighted_error
 from splits.analysis.measured import (
     LETCHER_COLUMNS,
     compare_with_spectrum,
-    select_letcher_column,
-    mix_letcher_illumination,
     compute_measured_rmse,
     compute_rmse,
+    mix_letcher_illumination,
+    select_letcher_column,
 )
+from splits.core.uncertainty import compute_weighted_error
 from splits.experiments.papers.snow_trends import (
     UNRESOLVED_VERDICT,
     make_ranking_rows,
@@ -41,7 +41,9 @@ def read_published(path: str | Path, key: str = "published") -> pd.DataFrame:
     cells = read_csv(key, path, ["published", "low", "high"])
     columns: dict[str, Any] = {name: cells.get_texts(name) for name in ("quantity", "place", "bar")}
     columns["bar"] = [bar or None for bar in columns["bar"]]
-    columns |= {name: cells.get_numbers(name, allow_gaps=True) for name in ("published", "low", "high")}
+    columns |= {
+        name: cells.get_numbers(name, allow_gaps=True) for name in ("published", "low", "high")
+    }
     return pd.DataFrame(columns, index=pd.Index(cells.get_texts("id"), name="id"))
 
 
@@ -57,11 +59,11 @@ def make_agreement_table(
     Parameters
     ----------
     datasets : mapping
-        By role, see `splits.analysis.roles.SNOW`.
+        By role, see `splits.experiments.config.study_inputs.SNOW_INPUTS`.
     published : pandas.DataFrame
         See `read_published`.
     sensitivities : xarray.Dataset
-        See `splits.analysis.sensitivity_tables.chosen_sensitivities`.
+        See `splits.experiments.papers.sensitivity_table.select_chosen_sensitivities`.
     aviris, letcher : pandas.DataFrame
         Measured values.
 
@@ -71,14 +73,19 @@ def make_agreement_table(
         Columns id, quantity, place, published, ours, stderr, difference, bar, verdict.
     """
     values = _compute_values(datasets, sensitivities, aviris)
-    rows = [_compare_with_published(name, row, values.get(str(name))) for name, row in published.iterrows()]
+    rows = [
+        _compare_with_published(name, row, values.get(str(name)))
+        for name, row in published.iterrows()
+    ]
     rows += make_snow_trend_rows(datasets)
     rows += make_ranking_rows(sensitivities)
     rows += _make_measured_rows(datasets, aviris, letcher)
     return pd.DataFrame(rows)
 
 
-def _compare_with_published(name: object, row: pd.Series, value: ValueAndStderr | None) -> dict[str, object]:
+def _compare_with_published(
+    name: object, row: pd.Series, value: ValueAndStderr | None
+) -> dict[str, object]:
     """Return the verdict on one published number."""
     fixed = {"id": name, "quantity": row.quantity, "place": row.place, "published": row.published}
     if value is None:
@@ -160,7 +167,9 @@ def _compute_density_effect(dataset: xr.Dataset) -> dict[str, ValueAndStderr]:
 
     def combined(weights: np.ndarray) -> float:
         weight = xr.DataArray(weights, dims="wavelength")
-        errors = [float(compute_weighted_error(one, "reflectance", weight)) for one in (loose, dense)]
+        errors = [
+            float(compute_weighted_error(one, "reflectance", weight)) for one in (loose, dense)
+        ]
         return math.hypot(*errors)
 
     return {

@@ -1,6 +1,6 @@
 """What SPLITSnow's paper says in words of how snow's BRDF varies with angle (Figs 16 to 22).
 
-Peaks and limbs are means over 60° to 75° in the principal plane, see `splits.experiments.trial`:
+Peaks and limbs are means over 60° to 75° in the principal plane, see `splits.experiments.papers.interpretation_runs`:
 the trends are about directions, not about the brightest of several noisy values.
 """
 
@@ -27,8 +27,13 @@ ValueWithError = tuple[float, float]
 
 def compute_incidence_trends(run: InterpretationRun) -> StatementValues:
     """Return the trends of Fig 19: nearly Lambertian at 0°, a peak at 30°, a larger one at 60°."""
-    upright, tilted = run.simulate_plane(600.0, 0.0, run_number=1), run.simulate_plane(600.0, 30.0, run_number=2)
-    peaks = [_compute_nadir_contrast(plane, LIMB_ANGLE_DEG) for plane in (tilted, run.oblique_plane)]
+    upright, tilted = (
+        run.simulate_plane(600.0, 0.0, run_number=1),
+        run.simulate_plane(600.0, 30.0, run_number=2),
+    )
+    peaks = [
+        _compute_nadir_contrast(plane, LIMB_ANGLE_DEG) for plane in (tilted, run.oblique_plane)
+    ]
     value, noise = _compute_sector_range(upright.sel(angle=slice(-60.0, 60.0)))
     return {
         "fig19_lambertian": repeat_for_waters(MAX_LAMBERTIAN_RANGE - value, noise),
@@ -42,7 +47,9 @@ def compute_nadir_trends(run: InterpretationRun) -> StatementValues:
     """Return the trends of Figs 16 to 18: where light falls steeply the nadir is dark."""
     steep = run.simulate_plane([600.0, 1800.0], 69.3, run_number=3, depth_m=0.25)
     bright, dark = (steep.isel(wavelength=[i]) for i in (0, 1))
-    darker = min(_compute_nadir_contrast(dark, angle) for angle in (-LIMB_ANGLE_DEG, LIMB_ANGLE_DEG))
+    darker = min(
+        _compute_nadir_contrast(dark, angle) for angle in (-LIMB_ANGLE_DEG, LIMB_ANGLE_DEG)
+    )
     limbs = [
         max(_compute_nadir_contrast(plane, angle) for angle in (-LIMB_ANGLE_DEG, LIMB_ANGLE_DEG))
         for plane in (
@@ -55,7 +62,9 @@ def compute_nadir_trends(run: InterpretationRun) -> StatementValues:
         "fig16_nadir_dark": repeat_for_waters(*min(limbs)),
         "fig16_grows": repeat_for_waters(*min(grows)),
         "fig17_nadir_dark": repeat_for_waters(*darker),
-        "fig18_varies_more": repeat_for_waters(*_subtract(_compute_forward_rise(dark), _compute_forward_rise(bright))),
+        "fig18_varies_more": repeat_for_waters(
+            *_subtract(_compute_forward_rise(dark), _compute_forward_rise(bright))
+        ),
     }
 
 
@@ -66,16 +75,22 @@ def compute_grain_trends(run: InterpretationRun) -> StatementValues:
         (600.0, "fig20_fine_least", -1.0), (1450.0, "fig21_fine_most", 1.0),
     ):  # fmt: skip
         *others, fine = (
-            _get_forward_peak(run.simulate_plane(place, 67.0, size[1] > 300, run_number=6 + i, grain_size_um=size))
+            _get_forward_peak(
+                run.simulate_plane(place, 67.0, size[1] > 300, run_number=6 + i, grain_size_um=size)
+            )
             for i, size in enumerate(((1500, 3000), (300, 750), (30, 300)))
         )
         steps = [(sign * (fine[0] / o[0] - 1.0), _compute_ratio_error(fine, o)) for o in others]
         shown[name] = repeat_for_waters(*min(steps))
     rounded, faceted = (
-        _compute_forward_rise(run.simulate_plane(600.0, 60.0, True, run_number=9 + i, facetness=facetness))
+        _compute_forward_rise(
+            run.simulate_plane(600.0, 60.0, True, run_number=9 + i, facetness=facetness)
+        )
         for i, facetness in enumerate(((0, 0.2, 0.1, 0.072), (0.8, 1, 0.9, 0.072)))
     )
-    steps = [_subtract(rounded, other) for other in (_compute_forward_rise(run.oblique_plane), faceted)]
+    steps = [
+        _subtract(rounded, other) for other in (_compute_forward_rise(run.oblique_plane), faceted)
+    ]
     return {**shown, "fig22_rounded_varies_most": repeat_for_waters(*min(steps))}
 
 

@@ -30,7 +30,9 @@ def compute_forward_peak(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     return ratio - 1.0, error
 
 
-def compute_relative_range(plane: xr.Dataset, max_angle_deg: float) -> tuple[np.ndarray, np.ndarray]:
+def compute_relative_range(
+    plane: xr.Dataset, max_angle_deg: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the range of the BRDF up to an angle, relative to its mean, and its error."""
     part = plane.sel(angle=slice(-max_angle_deg, max_angle_deg))
     high, low = part.brdf.argmax("angle"), part.brdf.argmin("angle")
@@ -46,7 +48,7 @@ def make_brdf_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
     Parameters
     ----------
     datasets : mapping
-        By role, some or all of `splits.analysis.roles.ANGULAR`.
+        By role, some or all of `splits.experiments.config.study_inputs.BRDF_INPUTS`.
     """
     planes = {role: select_principal_plane(dataset) for role, dataset in datasets.items()}
     rows: list[dict[str, object]] = []
@@ -110,7 +112,9 @@ def _make_incidence_rows(plane: xr.Dataset) -> list[dict[str, object]]:
 def _make_grazing_rows(plane: xr.Dataset) -> list[dict[str, object]]:
     """Compare the brightest of both limbs with the nadir."""
     tilt = np.abs(plane.angle)
-    limb = plane.where((tilt >= FORWARD_PEAK_ANGLES_DEG[0]) & (tilt <= FORWARD_PEAK_ANGLES_DEG[1]), drop=True)
+    limb = plane.where(
+        (tilt >= FORWARD_PEAK_ANGLES_DEG[0]) & (tilt <= FORWARD_PEAK_ANGLES_DEG[1]), drop=True
+    )
     top = limb.isel(angle=limb.brdf.argmax("angle"))
     ratio, error = _normalize_by_nadir(top.brdf.values, top.brdf_stderr.values, plane)
     *most, last = (f"{angle:g}" for angle in plane.incidence_deg.values)
@@ -139,7 +143,9 @@ def _make_wavelength_rows(plane: xr.Dataset) -> list[dict[str, object]]:
     errors = np.array([float(np.hypot(s.brdf_stderr, nadir.brdf_stderr)) for s in sides])
     value, error = compute_relative_range(plane.sel(wavelength=[600.0, 1800.0]), 82.5)
     return [
-        make_significance_row("nadir darkening at 1800 nm: below both sides at 60°", "Fig 17", above, errors),
+        make_significance_row(
+            "nadir darkening at 1800 nm: below both sides at 60°", "Fig 17", above, errors
+        ),
         make_significance_row(
             "relative range larger at 1800 nm than at 600 nm",
             "Fig 18",
@@ -158,10 +164,34 @@ def _make_grain_size_rows(planes: Mapping[str, xr.Dataset]) -> list[dict[str, ob
     rows = []
     for role, sign, place, statement, measure in (
         ("grain_size", -1.0, "Fig 20", "fine grains have the smallest peak", _find_forward_maximum),
-        ("grain_size_uniform", -1.0, uniform, "fine grains have the smallest peak", _find_forward_maximum),
-        ("grain_size", -1.0, "Fig 20", "fine grains' peak is least above the nadir", compute_forward_peak),
-        ("grain_size_uniform", -1.0, uniform, "fine grains' peak is least above the nadir", compute_forward_peak),
-        ("grain_size_infrared", +1.0, "Fig 21", "fine grains have the largest peak", _find_forward_maximum),
+        (
+            "grain_size_uniform",
+            -1.0,
+            uniform,
+            "fine grains have the smallest peak",
+            _find_forward_maximum,
+        ),
+        (
+            "grain_size",
+            -1.0,
+            "Fig 20",
+            "fine grains' peak is least above the nadir",
+            compute_forward_peak,
+        ),
+        (
+            "grain_size_uniform",
+            -1.0,
+            uniform,
+            "fine grains' peak is least above the nadir",
+            compute_forward_peak,
+        ),
+        (
+            "grain_size_infrared",
+            +1.0,
+            "Fig 21",
+            "fine grains have the largest peak",
+            _find_forward_maximum,
+        ),
     ):
         if role not in planes:
             continue

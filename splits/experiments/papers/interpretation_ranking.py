@@ -1,7 +1,7 @@
 """Which readings did a paper's authors run?  All combinations against all that it states.
 
 The misfit of a combination is the sum of squared differences in bars from every number and trend
-(`splits.analysis.misfit`).  But for noise it grows from stage to stage.  All combinations go
+(`splits.experiments.papers.misfit`).  But for noise it grows from stage to stage.  All combinations go
 through the cheap stages; of the costly ones each takes fewer, those with the least sum so far
 (`STAGE_QUOTAS`).  What is left behind may still have a smaller misfit than the first: this is a search,
 not a proof.
@@ -19,6 +19,12 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from splits.experiments.papers.interpretation_runs import (
+    WATER_TABLES,
+    InterpretationRun,
+    StatementValues,
+    TargetErrors,
+)
 from splits.experiments.papers.misfit import (
     Misfit,
     PublishedStatement,
@@ -26,17 +32,11 @@ from splits.experiments.papers.misfit import (
     select_statements,
 )
 from splits.experiments.papers.snow_statements import (
-    TRANSMITTANCE_FLOORS,
-    STATED_NUMBERS,
     STAGES,
-    list_extreme_pairs,
+    STATED_NUMBERS,
+    TRANSMITTANCE_FLOORS,
     get_stated_trends,
-)
-from splits.experiments.papers.interpretation_runs import (
-    WATER_TABLES,
-    TargetErrors,
-    InterpretationRun,
-    StatementValues,
+    list_extreme_pairs,
 )
 from splits.media import Interpretation
 from splits.media.interpretations import INTERPRETATION_SETS
@@ -54,7 +54,9 @@ MAX_MISFIT = 100.0
 """Sum of squares (ten bars once) from which a combination is simulated no further."""
 
 BOUNDARIES_KEY = "boundaries"
-PAPER_SETS = tuple(name for name in INTERPRETATION_SETS if Interpretation.from_input(name).grain_extent == "finite")
+PAPER_SETS = tuple(
+    name for name in INTERPRETATION_SETS if Interpretation.from_input(name).grain_extent == "finite"
+)
 """Sets that can be ranked by what the papers state: the papers' grains have an extent."""
 OVERLAP_KEYS = ("grain_on_last_leg", "grain_across_boundary")
 """Readings that ``boundaries`` stands for together."""
@@ -95,7 +97,7 @@ class InterpretationSet:
     ----------
     trial : Trial
     values : dict
-        Ours and its standard error by statement, see `splits.experiments.trial.Values`.
+        Ours and its standard error by statement, see `splits.experiments.papers.interpretation_runs.StatementValues`.
     done : int
         How many stages are behind it.
     least : float
@@ -110,7 +112,10 @@ class InterpretationSet:
     def is_consistent_with(self, stated_choices: Mapping[str, str]) -> bool:
         """Tell whether the readings are those of a text."""
         own = self.run.interpretation
-        return all(getattr(own, name) == choice for name, choice in expand_boundaries(stated_choices).items())
+        return all(
+            getattr(own, name) == choice
+            for name, choice in expand_boundaries(stated_choices).items()
+        )
 
     def find_set_name(self) -> str:
         """Return the name that these readings have as a set, nothing if they have none."""
@@ -124,11 +129,16 @@ class InterpretationSet:
         """
         known = {name: stated[name] for name in stated if name in self.values}
         return [
-            min((self._match(known, w, f) for f in range(len(TRANSMITTANCE_FLOORS))), key=lambda c: c.misfit.total)
+            min(
+                (self._match(known, w, f) for f in range(len(TRANSMITTANCE_FLOORS))),
+                key=lambda c: c.misfit.total,
+            )
             for w in range(len(WATER_TABLES))
         ]
 
-    def _match(self, statements: Mapping[str, PublishedStatement], water: int, floor: int) -> BestMatch:
+    def _match(
+        self, statements: Mapping[str, PublishedStatement], water: int, floor: int
+    ) -> BestMatch:
         """Return the choice with one water and one floor."""
         rows = {
             name: np.array([array[water] if array.ndim == 1 else _select_floor(array[water], floor)
@@ -138,13 +148,17 @@ class InterpretationSet:
         values: dict[str, tuple[float, float]] = {}
         ranges: dict[str, str] = {}
         for parameter, names in _group_by_parameter(rows).items():
-            distance = sum(statements[name].normalize_difference(rows[name][0]) ** 2 for name in names)
+            distance = sum(
+                statements[name].normalize_difference(rows[name][0]) ** 2 for name in names
+            )
             pair = int(np.argmin(distance))
             label = list_extreme_pairs(parameter)[pair]
             ranges |= dict.fromkeys(names, label)
             values |= {name: _to_pair(rows[name][:, pair]) for name in names}
         values |= {name: _to_pair(row) for name, row in rows.items() if row.ndim == 1}
-        ours, errors = zip(*(values[name] for name in statements), strict=True) if statements else ((), ())
+        ours, errors = (
+            zip(*(values[name] for name in statements), strict=True) if statements else ((), ())
+        )
         found = compute_misfit(statements.values(), ours, errors)
         return BestMatch(found, values, TRANSMITTANCE_FLOORS[floor], ranges)
 
@@ -181,7 +195,7 @@ def rank_interpretations(
     Parameters
     ----------
     published : pandas.DataFrame
-        See `splits.analysis.agreement.read_published`.
+        See `splits.experiments.papers.agreement.read_published`.
     choices : mapping
         Names of `splits.Interpretation` to the choices tried; ``boundaries`` says what becomes of both
         kinds of grains that do not fit.
@@ -205,7 +219,8 @@ def rank_interpretations(
     """
     begun, given = time.perf_counter(), TargetErrors().scale(error_factor)
     stages = {
-        stage: select_statements(published, STATED_NUMBERS.get(stage, ())) | get_stated_trends(stage)
+        stage: select_statements(published, STATED_NUMBERS.get(stage, ()))
+        | get_stated_trends(stage)
         for stage in STAGES
     }
     stated = {name: s for stage in stages.values() for name, s in stage.items()}

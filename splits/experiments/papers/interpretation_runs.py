@@ -82,7 +82,10 @@ class InterpretationRun:
         places, table = interleave_waters(np.asarray(wavelength_nm, dtype=float))
         snow = self.make_snow(refractive_index={"water": table}, **settings)
         found = spectrophotometer(snow, places, incidence, error, self.seed + run_number, threads=1)
-        return [found.isel(wavelength=slice(w, None, len(WATER_TABLES))) for w in range(len(WATER_TABLES))]
+        return [
+            found.isel(wavelength=slice(w, None, len(WATER_TABLES)))
+            for w in range(len(WATER_TABLES))
+        ]
 
     def simulate_plane(
         self, wavelength_nm: float | list[float], incidence: float, lobes: bool = False,
@@ -108,7 +111,9 @@ class InterpretationRun:
 
 def interleave_waters(wavelength_nm: np.ndarray) -> tuple[np.ndarray, dict[str, list[float]]]:
     """Return wavelengths (nm) at which each water stands, and a table of water that has them."""
-    places = (wavelength_nm[:, np.newaxis] + _WATER_OFFSET_NM * np.arange(len(WATER_TABLES))).ravel()
+    places = (
+        wavelength_nm[:, np.newaxis] + _WATER_OFFSET_NM * np.arange(len(WATER_TABLES))
+    ).ravel()
     hale = cast(TabulatedIndex, load_dataset("water", "hale_querry_1973"))
     linear = [np.interp(wavelength_nm, hale.wavelength_nm, y) for y in (hale.n, hale.k)]
     index = np.stack(

@@ -1,4 +1,4 @@
-"""Tables of a ranking of readings, see `splits.experiments.rank_readings`."""
+"""Tables of a ranking of readings, see `splits.experiments.papers.interpretation_ranking`."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splits.experiments.papers.misfit import PublishedStatement
-from splits.experiments.papers.snow_statements import STAGES
 from splits.experiments.papers.interpretation_ranking import (
     BestMatch,
     InterpretationSet,
     find_choice,
 )
 from splits.experiments.papers.interpretation_runs import WATER_TABLES
+from splits.experiments.papers.misfit import PublishedStatement
+from splits.experiments.papers.snow_statements import STAGES
 
 STATEMENT_GROUPS = {
     "Table 3": ("table3",),
@@ -48,7 +48,9 @@ def make_ranking_table(
         order = _sort_waters(found)
         for water in order if complete else order[:1]:
             row = _make_ranking_row(one, int(water), found[water], stated, choices)
-            rows.append({**row, "text": one.is_consistent_with(stated_choices), "complete": complete})
+            rows.append(
+                {**row, "text": one.is_consistent_with(stated_choices), "complete": complete}
+            )
     table = pd.DataFrame(rows)
     table = table.sort_values(["complete", "stages", "misfit"], ascending=[False, False, True])
     rank = np.where(table.complete, np.arange(1, len(table) + 1), 0)
@@ -63,7 +65,9 @@ def _make_ranking_row(
     stated: Mapping[str, PublishedStatement],
     choices: Mapping[str, Sequence[str]],
 ) -> dict[str, Any]:
-    distances = {name: float(stated[name].normalize_difference(v)) for name, (v, _) in match.values.items()}
+    distances = {
+        name: float(stated[name].normalize_difference(v)) for name, (v, _) in match.values.items()
+    }
     worst = max(distances, key=lambda name: abs(distances[name]))
     rms, _ = match.misfit.compute_rms(len(distances))
     return {
@@ -80,14 +84,16 @@ def _make_ranking_row(
 
 
 def make_statement_table(
-    combinations: Sequence[InterpretationSet], stated: Mapping[str, PublishedStatement], names: Sequence[str]
+    combinations: Sequence[InterpretationSet],
+    stated: Mapping[str, PublishedStatement],
+    names: Sequence[str],
 ) -> pd.DataFrame:
     """Return one row per statement, complete combination and water, the nearest water first.
 
     Parameters
     ----------
     combinations, stated
-        See `splits.experiments.rank_readings.rank_readings`.
+        See `splits.experiments.papers.interpretation_ranking.rank_interpretations`.
     names : sequence of str
         Readings that tell combinations apart.
     """
@@ -118,7 +124,9 @@ def make_statement_table(
 
 
 def make_leave_out_table(
-    combinations: Sequence[InterpretationSet], stated: Mapping[str, PublishedStatement], names: Sequence[str]
+    combinations: Sequence[InterpretationSet],
+    stated: Mapping[str, PublishedStatement],
+    names: Sequence[str],
 ) -> pd.DataFrame:
     """Return which combination is first with all statements, and without each group of them.
 

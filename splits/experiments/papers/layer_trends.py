@@ -15,12 +15,12 @@ MAX_ANGLE_DEG = 75.0
 
 
 def make_layer_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
-    """Return one row per statement; see `splits.analysis.trends.beyond` for its columns.
+    """Return one row per statement; see `splits.experiments.papers.snow_trends.make_significance_row` for its columns.
 
     Parameters
     ----------
     datasets : mapping
-        By role, some or all of `splits.analysis.roles.LAYER`.
+        By role, some or all of `splits.experiments.config.study_inputs.LAYER_INPUTS`.
     """
     rows: dict[str, Callable[[xr.Dataset], dict[str, object]]] = {
         "lens": _make_lens_row,
@@ -73,7 +73,9 @@ def _make_volume_row(plane: xr.Dataset) -> dict[str, object]:
     )
 
 
-def _make_change_row(plane: xr.Dataset, dimension: str, statement: str, place: str) -> dict[str, object]:
+def _make_change_row(
+    plane: xr.Dataset, dimension: str, statement: str, place: str
+) -> dict[str, object]:
     """Return the most significant relative change between the ends of a grid's dimension."""
     first, last = plane.isel({dimension: 0}), plane.isel({dimension: -1})
     change = (last.brdf / first.brdf - 1.0).values
@@ -81,7 +83,9 @@ def _make_change_row(plane: xr.Dataset, dimension: str, statement: str, place: s
     at = int(np.argmax(np.abs(change) - 2.0 * error.values))
     angle = float(plane.angle.values[at])
     sign = "" if change[at] > 0.0 else "less, "
-    return make_significance_row(f"{statement} ({sign}at {angle:g}°)", place, np.abs(change[at]), error.values[at])
+    return make_significance_row(
+        f"{statement} ({sign}at {angle:g}°)", place, np.abs(change[at]), error.values[at]
+    )
 
 
 def _make_band_limit_row(dataset: xr.Dataset) -> dict[str, object]:

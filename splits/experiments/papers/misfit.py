@@ -49,13 +49,15 @@ class PublishedStatement:
         return np.minimum(difference, 0.0) if self.is_trend else difference
 
 
-def select_statements(published: pd.DataFrame, names: Iterable[str]) -> dict[str, PublishedStatement]:
+def select_statements(
+    published: pd.DataFrame, names: Iterable[str]
+) -> dict[str, PublishedStatement]:
     """Return statements of numbers by name.
 
     Parameters
     ----------
     published : pandas.DataFrame
-        See `splits.analysis.agreement.read_published`.  Where limits stand instead of a bar, half
+        See `splits.experiments.papers.agreement.read_published`.  Where limits stand instead of a bar, half
         the distance between them is the bar.
     names : iterable of str
         Ids in that table.

@@ -9,8 +9,8 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.measured import compare_with_spectrum
-from splits.core.escaping import escape_cells
 from splits.core.atomic import atomic_write
+from splits.core.escaping import escape_cells
 
 TABLE1_LABELS = {
     "snow_grain_size_um": "grain size min, max (µm)",
@@ -47,7 +47,9 @@ def make_table1(sample: xr.Dataset) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["quantity", "value"])
 
 
-def make_table3(interpretations: xr.Dataset, aviris: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
+def make_table3(
+    interpretations: xr.Dataset, aviris: pd.DataFrame, published: pd.DataFrame
+) -> pd.DataFrame:
     """Return measured, published and our reflectance in the AVIRIS-NG bands (Table 3).
 
     Parameters
@@ -58,7 +60,7 @@ def make_table3(interpretations: xr.Dataset, aviris: pd.DataFrame, published: pd
     aviris : pandas.DataFrame
         Measured bands.
     published : pandas.DataFrame
-        See `splits.analysis.agreement.read_published`.
+        See `splits.experiments.papers.agreement.read_published`.
     """
     names = [name for name in published.index if str(name).startswith("table3_")]
     tables = []

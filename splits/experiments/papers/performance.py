@@ -190,7 +190,10 @@ def find_best_row(table: pd.DataFrame, medium: str, method: str, error: float) -
 
 def format_headline(table: pd.DataFrame, medium: str, error: float, wavelengths: int) -> str:
     """Return one line that says how much sooner lanes reach an error than the papers' algorithm."""
-    rows = {name: find_best_row(table, medium, name, error) for name in (VECTORIZED, PAPER_UNIFORM, PAPER_ADAPTIVE)}
+    rows = {
+        name: find_best_row(table, medium, name, error)
+        for name in (VECTORIZED, PAPER_UNIFORM, PAPER_ADAPTIVE)
+    }
     missing = [name for name, row in rows.items() if row is None]
     if missing:
         raise ValueError(f"{medium}, error {error:g}: no row of {', '.join(missing)}")

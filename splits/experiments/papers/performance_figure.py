@@ -12,9 +12,9 @@ from splits.plotting.annotations import annotate_figure
 from splits.plotting.style import (
     TWO_COLUMNS_INCHES,
     Colour,
+    make_subplots,
     pick_colours,
     use_style,
-    make_subplots,
 )
 
 METHOD_MARKERS = ("s", "D", "v", "^", "o", "P", "X")

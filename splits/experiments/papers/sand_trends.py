@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.uncertainty import make_band_weights, compute_band_error, compute_weighted_error
+from splits.core.uncertainty import compute_band_error, compute_weighted_error, make_band_weights
 from splits.experiments.papers.snow_trends import (
     compute_band_mean,
-    make_significance_row,
     make_monotone_row,
+    make_significance_row,
 )
 
 RISING_BANDS_NM = ((400, 500), (500, 600), (600, 700), (700, 1000))
@@ -29,7 +29,7 @@ def make_sand_trend_table(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
     Parameters
     ----------
     datasets : mapping
-        By role, see `splits.analysis.roles.SAND`.
+        By role, see `splits.experiments.config.study_inputs.SAND_INPUTS`.
 
     Returns
     -------
@@ -57,7 +57,9 @@ def _make_rise_rows(samples: xr.Dataset) -> list[dict[str, object]]:
     rows = []
     for sample in samples.medium.values:
         part = samples.sel(medium=sample)
-        means = np.array([float(compute_band_mean(part, "reflectance", *b)) for b in RISING_BANDS_NM])
+        means = np.array(
+            [float(compute_band_mean(part, "reflectance", *b)) for b in RISING_BANDS_NM]
+        )
         weights = [make_band_weights(part, *b) for b in RISING_BANDS_NM]
         errors = [
             float(compute_weighted_error(part, "reflectance", after - before))
@@ -78,8 +80,13 @@ def _make_rise_rows(samples: xr.Dataset) -> list[dict[str, object]]:
 
 def _make_reddening_row(dataset: xr.Dataset) -> dict[str, object]:
     """Return how the ratio of red to green reflectance grows with hematite."""
-    red, green = (compute_band_mean(dataset, "reflectance", *b) for b in (RED_BAND_NM, GREEN_BAND_NM))
-    slope = make_band_weights(dataset, *RED_BAND_NM) / red - make_band_weights(dataset, *GREEN_BAND_NM) / green
+    red, green = (
+        compute_band_mean(dataset, "reflectance", *b) for b in (RED_BAND_NM, GREEN_BAND_NM)
+    )
+    slope = (
+        make_band_weights(dataset, *RED_BAND_NM) / red
+        - make_band_weights(dataset, *GREEN_BAND_NM) / green
+    )
     ratio = (red / green).values
     error = ratio * compute_weighted_error(dataset, "reflectance", slope).values
     return make_significance_row(

@@ -10,8 +10,8 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.sensitivity import SensitivityIndex, compute_spectral_sensitivity
-from splits.io.netcdf import select_points, to_netcdf_attributes, make_provenance
 from splits.core.uncertainty import make_variable as quantity_of
+from splits.io.netcdf import make_provenance, select_points, to_netcdf_attributes
 
 QUANTITY_CONDITIONS: dict[str, dict[str, Any]] = {
     "reflectance": {"depth_m": 0.12, "wavelength_nm": (400.0, 2500.0)},
@@ -83,7 +83,9 @@ def make_sensitivity_table(
     return pd.DataFrame(rows)
 
 
-def select_chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame | None = None) -> xr.Dataset:
+def select_chosen_sensitivities(
+    table: pd.DataFrame, published: pd.DataFrame | None = None
+) -> xr.Dataset:
     """Return the chosen pairs' indices over quantity and parameter, beside published ones.
 
     Parameters
@@ -91,7 +93,7 @@ def select_chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame | N
     table : pandas.DataFrame
         See `make_sensitivity_table`.
     published : pandas.DataFrame, optional
-        See `splits.analysis.agreement.read_published`; with a row for each index.
+        See `splits.experiments.papers.agreement.read_published`; with a row for each index.
     """
     chosen = table[table.chosen]
     parameters = list(dict.fromkeys(chosen.parameter))
@@ -117,7 +119,9 @@ def select_chosen_sensitivities(table: pd.DataFrame, published: pd.DataFrame | N
             "quantity": ("quantity", list(QUANTITY_CONDITIONS), {"long_name": "quantity"}),
             "parameter": ("parameter", parameters, {"long_name": "parameter of the snow"}),
         },
-        to_netcdf_attributes({"title": "Mean sensitivity index of snow", **make_provenance("sensitivity")}),
+        to_netcdf_attributes(
+            {"title": "Mean sensitivity index of snow", **make_provenance("sensitivity")}
+        ),
     )
 
 
@@ -147,7 +151,13 @@ def _is_same_label(value: Any, label: Any) -> bool:
 
 
 def _make_row(
-    parameter: str, quantity: str, interpretation: str, low: Any, high: Any, chosen: bool, sensitivity: SensitivityIndex
+    parameter: str,
+    quantity: str,
+    interpretation: str,
+    low: Any,
+    high: Any,
+    chosen: bool,
+    sensitivity: SensitivityIndex,
 ) -> dict[str, Any]:
     return {
         "parameter": parameter,

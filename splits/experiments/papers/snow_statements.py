@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from splits.experiments.papers.misfit import TREND_TOLERANCE, PublishedStatement
 from splits.analysis.sensitivity import compute_spectral_sensitivity
 from splits.experiments.papers.angular_statements import (
     compute_grain_trends,
@@ -26,6 +25,7 @@ from splits.experiments.papers.interpretation_runs import (
     StatementValues,
     repeat_for_waters,
 )
+from splits.experiments.papers.misfit import TREND_TOLERANCE, PublishedStatement
 
 TABLE3_WAVELENGTHS_NM = {"table3_842": 842.25, "table3_1074": 1073.76, "table3_1238": 1237.93}
 PARAMETER_EXTREMES: dict[str, tuple[Any, ...]] = {
@@ -54,11 +54,17 @@ two of them are small their ratio is large."""
 
 
 def _compute_grain_distance(run: InterpretationRun) -> StatementValues:
-    return {"grain_distance": repeat_for_waters(run.make_snow(density_kg_m3=450.0).mean_grain_distance_m, 0.0)}
+    return {
+        "grain_distance": repeat_for_waters(
+            run.make_snow(density_kg_m3=450.0).mean_grain_distance_m, 0.0
+        )
+    }
 
 
 def _compute_table3(run: InterpretationRun) -> StatementValues:
-    spectra = run.simulate_spectra(list(TABLE3_WAVELENGTHS_NM.values()), run.errors.bands, 62.3, depth_m=0.25)
+    spectra = run.simulate_spectra(
+        list(TABLE3_WAVELENGTHS_NM.values()), run.errors.bands, 62.3, depth_m=0.25
+    )
     both = [
         np.array([one[name].values for one in spectra])
         for name in ("reflectance", "reflectance_stderr")
@@ -77,7 +83,9 @@ def _compute_max_transmittance(run: InterpretationRun) -> StatementValues:
     return {"transmittance_max": (value, error)}
 
 
-def _make_sensitivity_stage(parameters: Sequence[str], letters: Sequence[str]) -> Callable[[InterpretationRun], StatementValues]:
+def _make_sensitivity_stage(
+    parameters: Sequence[str], letters: Sequence[str]
+) -> Callable[[InterpretationRun], StatementValues]:
     """Return the stage that takes indices: arrays of shape (waters, pairs, floors)."""
 
     def measured(trial: InterpretationRun) -> StatementValues:
@@ -87,12 +95,19 @@ def _make_sensitivity_stage(parameters: Sequence[str], letters: Sequence[str]) -
             error = getattr(trial.errors, f"{quantity}s")
             ends = [
                 trial.simulate_spectra(
-                    places, error, run_number=1 + i, **{SNOW_KEYWORDS[parameter]: value, "depth_m": depth}
+                    places,
+                    error,
+                    run_number=1 + i,
+                    **{SNOW_KEYWORDS[parameter]: value, "depth_m": depth},
                 )
                 for i, value in enumerate(PARAMETER_EXTREMES[parameter])
             ]
-            floors = TRANSMITTANCE_FLOORS if quantity == "transmittance" else TRANSMITTANCE_FLOORS[:1]
-            found[f"msi_{letter}_{parameter}"] = _compute_sensitivity_indices(ends, quantity, floors)
+            floors = (
+                TRANSMITTANCE_FLOORS if quantity == "transmittance" else TRANSMITTANCE_FLOORS[:1]
+            )
+            found[f"msi_{letter}_{parameter}"] = _compute_sensitivity_indices(
+                ends, quantity, floors
+            )
         return found
 
     return measured
@@ -105,7 +120,10 @@ def list_extreme_pairs(parameter: str) -> list[str]:
         ends = np.atleast_1d(value)[:2]
         return "-".join(f"{end:g}" for end in ends)
 
-    return [f"{named(a)} / {named(b)}" for a, b in itertools.combinations(PARAMETER_EXTREMES[parameter], 2)]
+    return [
+        f"{named(a)} / {named(b)}"
+        for a, b in itertools.combinations(PARAMETER_EXTREMES[parameter], 2)
+    ]
 
 
 def _compute_sensitivity_indices(

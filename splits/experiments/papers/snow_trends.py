@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from splits.core.uncertainty import make_band_weights, compute_band_error
+from splits.core.uncertainty import compute_band_error, make_band_weights
 
 UNRESOLVED_VERDICT = "not resolved at this accuracy"
 """Verdict on a number whose error is too large for one."""
@@ -44,7 +44,7 @@ def make_snow_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
     Parameters
     ----------
     datasets : mapping
-        By role, see `splits.analysis.roles.SNOW`.
+        By role, see `splits.experiments.config.study_inputs.SNOW_INPUTS`.
     """
     wetness, through = datasets["saturation_transmittance"], "transmittance"
     ends = wetness.isel(saturation=[0, -1])
@@ -118,7 +118,9 @@ def _make_row(
     }
 
 
-def make_significance_row(quantity: str, place: str, value: np.ndarray, error: np.ndarray) -> dict[str, object]:
+def make_significance_row(
+    quantity: str, place: str, value: np.ndarray, error: np.ndarray
+) -> dict[str, object]:
     """Return the row of the least significant of several values that should be positive.
 
     Columns id, quantity, place, ours, stderr, bar, verdict; shown when the value exceeds
@@ -127,7 +129,9 @@ def make_significance_row(quantity: str, place: str, value: np.ndarray, error: n
     value, error = np.ravel(value), np.ravel(error)
     worst = int(np.argmin(value / error))
     v, e = float(value[worst]), float(error[worst])
-    row = _make_row(quantity, place, v, e, v > MIN_TREND_SIGMA * e, f"above {MIN_TREND_SIGMA:g} standard errors")
+    row = _make_row(
+        quantity, place, v, e, v > MIN_TREND_SIGMA * e, f"above {MIN_TREND_SIGMA:g} standard errors"
+    )
     if not abs(v) > MIN_TREND_SIGMA * e:
         row["verdict"] = UNRESOLVED_VERDICT
     return row
@@ -179,7 +183,9 @@ def _make_band_comparison_row(dataset: xr.Dataset) -> dict[str, object]:
     )
 
 
-def _make_peak_row(dataset: xr.Dataset, peak: float, left: float, right: float) -> dict[str, object]:
+def _make_peak_row(
+    dataset: xr.Dataset, peak: float, left: float, right: float
+) -> dict[str, object]:
     at = dataset.sel(wavelength=[left, peak, right])
     r, e = at.reflectance.values, at.reflectance_stderr.values
     height = np.minimum(r[..., 1] - r[..., 0], r[..., 1] - r[..., 2])

@@ -19,9 +19,9 @@ import numba
 from numba.core import serialize
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
+from splits.core.compile_notice import COMPILING_MESSAGE, announce
 from splits.kernels.compiler import cache_lock
 from splits.kernels.compiler.cache_folders import list_cache_folders, warn_once
-from splits.core.compile_notice import COMPILING_MESSAGE, announce
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
 

@@ -127,7 +127,11 @@ class CacheFolder:
         if self.user_defined:
             return True
         about = self.path.lstat()
-        return stat.S_ISDIR(about.st_mode) and about.st_uid == _get_user_id() and _is_writable_by_owner_only(about)
+        return (
+            stat.S_ISDIR(about.st_mode)
+            and about.st_uid == _get_user_id()
+            and _is_writable_by_owner_only(about)
+        )
 
 
 def _is_trusted(status: os.stat_result) -> bool:

@@ -10,8 +10,7 @@ from numba import config, njit
 from numba.extending import overload
 
 from splits.kernels.compiler.cache import enable_caching
-from splits.kernels.compiler.passes import DEFERRED_CODEGEN_OPTIONS
-from splits.kernels.compiler.passes import RefcountCheckedCompiler
+from splits.kernels.compiler.passes import DEFERRED_CODEGEN_OPTIONS, RefcountCheckedCompiler
 
 COMMON_OPTIONS: Any = {"error_model": "numpy", "forceinline": True}
 """Options of every small function: see `inline`."""
@@ -26,7 +25,9 @@ class InlineFunction:
 
     def __init__(self, function: Any) -> None:
         functools.update_wrapper(self, function)
-        self.dispatcher = enable_caching(njit(**COMMON_OPTIONS, pipeline_class=RefcountCheckedCompiler)(function))
+        self.dispatcher = enable_caching(
+            njit(**COMMON_OPTIONS, pipeline_class=RefcountCheckedCompiler)(function)
+        )
         _register_overload(self, function)
 
     def __call__(self, *values: Any) -> Any:
@@ -68,7 +69,9 @@ def inline_allocating(function: Any) -> Any:
 
 def entry_point(function: Any) -> Any:
     """Compile a function that Python calls, free of the interpreter's lock."""
-    return enable_caching(njit(error_model="numpy", nogil=True, pipeline_class=RefcountCheckedCompiler)(function))
+    return enable_caching(
+        njit(error_model="numpy", nogil=True, pipeline_class=RefcountCheckedCompiler)(function)
+    )
 
 
 def entry_point_no_refcount(function: Any) -> Any:

@@ -25,16 +25,14 @@ from __future__ import annotations
 
 import operator
 from typing import Any
-from numba.core import ir, types
-from numba.core.compiler import Compiler
-from numba.core.compiler_machinery import FunctionPass, register_pass
-from numba.core.untyped_passes import DeadBranchPrune
-from numba.core.compiler_machinery import AnalysisPass, register_pass
-from numba.core.typed_passes import NativeLowering
-from numba import _dynfunc  # type: ignore[attr-defined]
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler_machinery import register_pass
 
+from numba import _dynfunc  # type: ignore[attr-defined]
+from numba.core import ir, types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.compiler_machinery import AnalysisPass, FunctionPass, register_pass
+from numba.core.typed_passes import NativeLowering
+from numba.core.untyped_passes import DeadBranchPrune
 
 _COMPARISONS = {operator.is_: True, operator.is_not: False}
 
@@ -127,7 +125,9 @@ class _RefcountCheck(AnalysisPass):
         AnalysisPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
-        if not state.flags.nrt and any(_is_refcounted(state, kind) for kind in _list_return_types(state)):
+        if not state.flags.nrt and any(
+            _is_refcounted(state, kind) for kind in _list_return_types(state)
+        ):
             name = state.func_id.func_qualname
             raise TypeError(f"{name}: makes or returns arrays, but is no `owner`")
         return False
@@ -202,7 +202,8 @@ class DeferredCodegenCompiler(RefcountCheckedCompiler):
         found = super().define_pipelines()
         for way in found:
             way.passes = [
-                (_DeferredLowering if step is NativeLowering else step, why) for step, why in way.passes
+                (_DeferredLowering if step is NativeLowering else step, why)
+                for step, why in way.passes
             ]
         return found
 

@@ -10,25 +10,25 @@ from __future__ import annotations
 
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.grains.free_path import (
-    RejectionRules,
     RayGeometry,
-    sample_collision,
+    RejectionRules,
     compute_boundary_hit,
+    sample_collision,
 )
+from splits.kernels.grains.scene import MAX_REJECTIONS, NO_PARTICLES
+from splits.kernels.grains.spheroid import Segment
 from splits.kernels.grains.state import (
-    RayPayload,
-    NextEvent,
     AttenuationResult,
+    NextEvent,
+    RayPayload,
+    attenuate,
+    get_layer_geometry,
+    make_rejection_rules,
+    pore_material,
+    refractive_index_of,
     sample_entry_variates,
     sample_grain,
-    make_rejection_rules,
-    refractive_index_of,
-    attenuate,
-    pore_material,
-    get_layer_geometry,
 )
-from splits.kernels.grains.scene import NO_PARTICLES, MAX_REJECTIONS
-from splits.kernels.grains.spheroid import Segment
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing
@@ -52,7 +52,12 @@ def has_same_pore_index(layers, optics, layer, other, pore_variate):
 def record_crossing(crossings, scene, layer, upward, roulette_state, path_lengths):
     """Note a ray that passes from a layer into the next one, where somebody listens."""
     if crossings is not None and scene.record_crossings:
-        append_crossing(crossings, encode_crossing(layer if upward else layer + 1, upward), roulette_state.weight, path_lengths)
+        append_crossing(
+            crossings,
+            encode_crossing(layer if upward else layer + 1, upward),
+            roulette_state.weight,
+            path_lengths,
+        )
 
 
 @inline_only
@@ -70,13 +75,17 @@ def locate_layer(geometry, payload, scene, optics, path_lengths, crossings):
         face = layers.boundaries[layer] if step < 0 else layers.boundaries[layer + 1]
         other = layer + step
         inside = 0 <= other < layers.attenuation.size
-        if not inside or not has_same_pore_index(layers, optics, layer, other, payload.pore_variate):
+        if not inside or not has_same_pore_index(
+            layers, optics, layer, other, payload.pore_variate
+        ):
             z = face
             break
         record_crossing(crossings, scene, layer, step < 0, payload.roulette, path_lengths)
         layer = other
     way = Vector(geometry.exit_offset.x, geometry.exit_offset.y, z - geometry.position.z)
-    return RayGeometry(geometry.position, way, payload.direction, geometry.previous_segment, 0.0), RayPayload(payload.direction, layer, payload.pore_variate, payload.roulette)
+    return RayGeometry(
+        geometry.position, way, payload.direction, geometry.previous_segment, 0.0
+    ), RayPayload(payload.direction, layer, payload.pore_variate, payload.roulette)
 
 
 @inline_only
@@ -88,7 +97,9 @@ def sample_next_event(state, geometry, payload, scene, optics):
     """
     layers, usual = scene.layers, make_rejection_rules(scene.rules)
     start, layer = payload.layer, payload.layer
-    ahead = RayGeometry(geometry.position, geometry.exit_offset, geometry.direction, geometry.previous_segment, 0.0)
+    ahead = RayGeometry(
+        geometry.position, geometry.exit_offset, geometry.direction, geometry.previous_segment, 0.0
+    )
     tries = 0
     while True:
         space = get_layer_geometry(layers, layer)
@@ -104,10 +115,18 @@ def sample_next_event(state, geometry, payload, scene, optics):
         if meeting.leaves_layer:
             other = find_adjacent_layer(layers, layer, geometry.direction)
             inside = 0 <= other < layers.attenuation.size
-            if not inside or not has_same_pore_index(layers, optics, layer, other, payload.pore_variate):
+            if not inside or not has_same_pore_index(
+                layers, optics, layer, other, payload.pore_variate
+            ):
                 return NextEvent(candidate, meeting, layer, False)
             reach = compute_boundary_hit(geometry, space).distance
-            ahead = RayGeometry(geometry.position, geometry.exit_offset, geometry.direction, geometry.previous_segment, reach)
+            ahead = RayGeometry(
+                geometry.position,
+                geometry.exit_offset,
+                geometry.direction,
+                geometry.previous_segment,
+                reach,
+            )
             if layers.particle_row[layer] != NO_PARTICLES:
                 # Particles let the ray pass, whatever grain beyond them does not fit.
                 start, geometry = other, ahead
@@ -115,7 +134,13 @@ def sample_next_event(state, geometry, payload, scene, optics):
             continue
         if meeting.start_distance == meeting.distance:
             start = layer
-            geometry = RayGeometry(geometry.position, geometry.exit_offset, geometry.direction, geometry.previous_segment, meeting.start_distance)
+            geometry = RayGeometry(
+                geometry.position,
+                geometry.exit_offset,
+                geometry.direction,
+                geometry.previous_segment,
+                meeting.start_distance,
+            )
         layer = start
         ahead = geometry
         tries += 1
@@ -132,7 +157,13 @@ def move_to_event(geometry, event, layer_geometry):
         leg, height = arrival.distance, arrival.position.z
     x = geometry.position.x + geometry.exit_offset.x + leg * geometry.direction.x
     y = geometry.position.y + geometry.exit_offset.y + leg * geometry.direction.y
-    return RayGeometry(Vector(x, y, height), ORIGIN, geometry.direction, Segment(ORIGIN, geometry.direction, leg), 0.0)
+    return RayGeometry(
+        Vector(x, y, height),
+        ORIGIN,
+        geometry.direction,
+        Segment(ORIGIN, geometry.direction, leg),
+        0.0,
+    )
 
 
 @inline_only

@@ -165,9 +165,16 @@ class BoundaryHit(NamedTuple):
 def russian_roulette(roulette_state, u, active):
     """Let a ray that has become light end, or go on heavier."""
     played = active & (roulette_state.optical_depth > roulette_state.next_roulette)
-    limit = roulette_state.next_roulette + _NEXT_ROULETTE_STEP if played else roulette_state.next_roulette
+    limit = (
+        roulette_state.next_roulette + _NEXT_ROULETTE_STEP
+        if played
+        else roulette_state.next_roulette
+    )
     weight = roulette_state.weight * _SURVIVOR_WEIGHT_FACTOR if played else roulette_state.weight
-    return RouletteResult(RouletteState(roulette_state.optical_depth, limit, weight), played & (u > _SURVIVAL_PROBABILITY))
+    return RouletteResult(
+        RouletteState(roulette_state.optical_depth, limit, weight),
+        played & (u > _SURVIVAL_PROBABILITY),
+    )
 
 
 @inline
@@ -195,15 +202,27 @@ def sample_collision(geometry, size, variates, u, layer_geometry, rejection_rule
     leg = -log(u) * layer_geometry.mean_free_path
     leg += geometry.start_distance
     # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
-    start = min(max(geometry.position.z + way.z, layer_geometry.slab_bottom), layer_geometry.slab_top)
+    start = min(
+        max(geometry.position.z + way.z, layer_geometry.slab_bottom), layer_geometry.slab_top
+    )
     height = fma(leg, d.z, start)
     outside = (height > layer_geometry.top) if d.z > ZERO else (height < layer_geometry.bottom)
     entry = sample_entry_point(d, size, variates, rejection_rules.entry_sampling)
-    across = rejection_rules.reject_boundary_overlap & overlaps_boundary(entry, height, layer_geometry.slab_bottom, layer_geometry.grain_ceiling)
-    behind = Segment(linear_combination(-leg, d, -ONE, way), geometry.previous_segment.direction, geometry.previous_segment.length)
+    across = rejection_rules.reject_boundary_overlap & overlaps_boundary(
+        entry, height, layer_geometry.slab_bottom, layer_geometry.grain_ceiling
+    )
+    behind = Segment(
+        linear_combination(-leg, d, -ONE, way),
+        geometry.previous_segment.direction,
+        geometry.previous_segment.length,
+    )
     backwards = rejection_rules.reject_segment_overlap & overlaps_segment(entry.grain, behind)
     fits = (not outside) & (not across) & (not backwards)
-    skips = rejection_rules.skip_boundary_overlap if across else rejection_rules.skip_segment_overlap & backwards
+    skips = (
+        rejection_rules.skip_boundary_overlap
+        if across
+        else rejection_rules.skip_segment_overlap & backwards
+    )
     skipped = leg if (not outside) & skips else geometry.start_distance
     skipped = ZERO if fits | outside else skipped
     return Collision(leg, height, entry, outside, fits, skipped)
@@ -212,8 +231,15 @@ def sample_collision(geometry, size, variates, u, layer_geometry, rejection_rule
 @inline
 def compute_boundary_hit(geometry, layer_geometry):
     """Return where a ray meets the face of its layer ahead of it."""
-    place = Vector(geometry.position.x + geometry.exit_offset.x, geometry.position.y + geometry.exit_offset.y, geometry.position.z + geometry.exit_offset.z)
+    place = Vector(
+        geometry.position.x + geometry.exit_offset.x,
+        geometry.position.y + geometry.exit_offset.y,
+        geometry.position.z + geometry.exit_offset.z,
+    )
     goal = layer_geometry.bottom if geometry.direction.z < ZERO else layer_geometry.top
     height = min(max(place.z, layer_geometry.slab_bottom), layer_geometry.slab_top)
     leg = (goal - height) / geometry.direction.z
-    return BoundaryHit(Vector(place.x + leg * geometry.direction.x, place.y + leg * geometry.direction.y, goal), leg)
+    return BoundaryHit(
+        Vector(place.x + leg * geometry.direction.x, place.y + leg * geometry.direction.y, goal),
+        leg,
+    )

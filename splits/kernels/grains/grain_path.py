@@ -6,21 +6,21 @@ from typing import NamedTuple
 
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.grains.microfacet import make_smooth_facet, sample_microfacet
-from splits.kernels.grains.state import RayPayload, refractive_index_of, attenuate, pore_material
-from splits.kernels.grains.scene import WRONG_SIDE_LOBE
-from splits.kernels.grains.spheroid import compute_chord
 from splits.kernels.grains.interaction import (
-    RelativeIndex,
     InteractionVariates,
     InterfaceState,
-    relative_index,
+    RelativeIndex,
     compute_coating_path_length,
     find_next_region,
     reflect_or_refract,
+    relative_index,
 )
+from splits.kernels.grains.microfacet import make_smooth_facet, sample_microfacet
+from splits.kernels.grains.scene import WRONG_SIDE_LOBE
+from splits.kernels.grains.spheroid import compute_chord
+from splits.kernels.grains.state import RayPayload, attenuate, pore_material, refractive_index_of
 from splits.kernels.math.elementary import Angle
-from splits.kernels.math.rng import sample_half_normal, uniform, sample_azimuth
+from splits.kernels.math.rng import sample_azimuth, sample_half_normal, uniform
 from splits.kernels.math.vectors import ORIGIN, Vector, add_scaled
 
 
@@ -48,9 +48,15 @@ def sample_adjacent_media(state, interface, grain_type, payload, scene, optics):
     # On its way into a lobe a ray keeps the pore that let it through.
     if beyond == 0 and not interface.in_lobe:
         u = uniform(state)
-    here = materials[grain_type, shell - 1] if shell > 0 else pore_material(layers, payload.layer, u)
-    there = materials[grain_type, beyond - 1] if beyond > 0 else pore_material(layers, payload.layer, u)
-    return AdjacentMedia(relative_index(refractive_index_of(optics, here), refractive_index_of(optics, there)), u)
+    here = (
+        materials[grain_type, shell - 1] if shell > 0 else pore_material(layers, payload.layer, u)
+    )
+    there = (
+        materials[grain_type, beyond - 1] if beyond > 0 else pore_material(layers, payload.layer, u)
+    )
+    return AdjacentMedia(
+        relative_index(refractive_index_of(optics, here), refractive_index_of(optics, there)), u
+    )
 
 
 @inline_only
@@ -62,11 +68,15 @@ def sample_interaction(state, d, interface, grain, roughness, media, rules):
         azimuth = sample_azimuth(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
         numbers = InteractionVariates(uniform(state), u, 0.0, sample_half_normal(state), azimuth)
-        found = sample_microfacet(d, facet, roughness, numbers, interface.in_lobe, rules.facet_sampling)
+        found = sample_microfacet(
+            d, facet, roughness, numbers, interface.in_lobe, rules.facet_sampling
+        )
         if found.accepted or interface.in_lobe:
             facet = found
             break
-    return reflect_or_refract(d, interface, facet, media, u, rules.wrong_side != WRONG_SIDE_LOBE, ALL_FEATURES)
+    return reflect_or_refract(
+        d, interface, facet, media, u, rules.wrong_side != WRONG_SIDE_LOBE, ALL_FEATURES
+    )
 
 
 @inline_only
@@ -80,7 +90,7 @@ def trace_through_grain(state, payload, event, scene, optics, path_lengths):
         As it meets the grain.
     found : Found
     scene, optics
-        See `splits.transport.grains.scene`.
+        See `splits.kernels.grains.scene`.
     length : float64[materials]
         Path lengths (m), advanced in place by those inside the grain.
 
@@ -94,24 +104,34 @@ def trace_through_grain(state, payload, event, scene, optics, path_lengths):
     stand = InterfaceState(0.0, 1.0, False, False)
     while True:
         media = sample_adjacent_media(state, stand, kind, payload, scene, optics)
-        after = sample_interaction(state, payload.direction, stand, grain, roughness, media.relative_index, scene.rules)
+        after = sample_interaction(
+            state, payload.direction, stand, grain, roughness, media.relative_index, scene.rules
+        )
         if not after.accepted:
-            payload = RayPayload(payload.direction, payload.layer, media.pore_variate, payload.roulette)
+            payload = RayPayload(
+                payload.direction, payload.layer, media.pore_variate, payload.roulette
+            )
             stand = InterfaceState(stand.shell, stand.side, after.needs_lobe, after.transmitted)
             continue
         gone = find_next_region(stand, after, float(types.n_shells[kind]), True)
         stand = gone.interface
         if gone.in_pore:
             u = media.pore_variate if after.transmitted else uniform(state)
-            return GrainTransit(True, way, RayPayload(after.direction, payload.layer, u, payload.roulette))
+            return GrainTransit(
+                True, way, RayPayload(after.direction, payload.layer, u, payload.roulette)
+            )
         shell = int(stand.shell) - 1
         if gone.in_core:
             leg, grain = compute_chord(grain, after.direction)
             way = add_scaled(leg, after.direction, way)
         else:
-            leg = compute_coating_path_length(2.0 * size.semi_major * types.coating_thickness[kind, shell], after, True)
+            leg = compute_coating_path_length(
+                2.0 * size.semi_major * types.coating_thickness[kind, shell], after, True
+            )
         material = types.material[kind, shell]
-        payment = attenuate(state, payload.roulette, leg, material, optics, scene.rules.analog, path_lengths)
+        payment = attenuate(
+            state, payload.roulette, leg, material, optics, scene.rules.analog, path_lengths
+        )
         payload = RayPayload(after.direction, payload.layer, media.pore_variate, payment.roulette)
         if not payment.alive:
             return GrainTransit(False, way, payload)

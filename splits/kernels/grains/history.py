@@ -12,44 +12,44 @@ import math
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline_only
+from splits.kernels.grains.flight import (
+    attenuate_segment,
+    find_adjacent_layer,
+    locate_layer,
+    move_to_event,
+    record_crossing,
+    sample_next_event,
+)
 from splits.kernels.grains.free_path import (
     FIRST_ROULETTE_DEPTH,
     RayGeometry,
     RouletteState,
     russian_roulette,
 )
-from splits.kernels.grains.flight import (
-    move_to_event,
-    find_adjacent_layer,
-    sample_next_event,
-    record_crossing,
-    locate_layer,
-    attenuate_segment,
-)
+from splits.kernels.grains.grain_path import trace_through_grain
 from splits.kernels.grains.rough_top import (
+    interact_at_rough_top,
+    intersect_rough_top,
     make_incident_ray,
     stop_at_facet,
-    intersect_rough_top,
     trace_above_surface,
-    interact_at_rough_top,
 )
+from splits.kernels.grains.scene import NO_GROUND, NO_PARTICLES
+from splits.kernels.grains.spheroid import Segment
 from splits.kernels.grains.state import (
     NO_SEGMENT,
-    RayPayload,
-    EventResult,
     AttenuationResult,
+    EventResult,
     Ray,
+    RayPayload,
+    attenuate,
+    get_layer_geometry,
+    pore_material,
+    refractive_index_of,
     sample_scattering_direction,
     terminate,
-    refractive_index_of,
-    attenuate,
-    pore_material,
-    get_layer_geometry,
     with_direction,
 )
-from splits.kernels.grains.scene import NO_PARTICLES, NO_GROUND
-from splits.kernels.grains.spheroid import Segment
-from splits.kernels.grains.grain_path import trace_through_grain
 from splits.kernels.grains.weight_window import check_weight_window
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN, UP, sample_cosine_lobe
@@ -58,23 +58,23 @@ from splits.kernels.optics.source import sample_source_direction
 from splits.kernels.rough_surface.intersection import NO_HIT
 from splits.kernels.rough_surface.realization import sample_realization_if_rough
 from splits.kernels.tallies.crossings import (
-    has_capacity,
     allocate_bank,
     append_crossing,
-    set_current_ray,
+    copy_into_row,
     encode_crossing,
     ensure_capacity,
     get_recorded,
-    copy_into_row,
+    has_capacity,
+    set_current_ray,
 )
 from splits.kernels.tallies.exits import (
     ABSORBED,
-    TO_GROUND,
+    ALIVE,
     EXIT_LENGTH,
     LOST,
     REFLECTED,
+    TO_GROUND,
     TRANSMITTED,
-    ALIVE,
     BatchResult,
     record_exit,
 )
@@ -95,11 +95,15 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
     # The reading is about wet pores; what particles lie in has a face in any case.
     if not (scene.rules.boundary_fresnel or matrix):
         far = near
-    crossing = sample_interface(beam.direction, orient_horizontal_normal(beam.direction), near, far, uniform(state))
+    crossing = sample_interface(
+        beam.direction, orient_horizontal_normal(beam.direction), near, far, uniform(state)
+    )
     fate, layer, u = ALIVE, beam.layer, beam.pore_variate
     if crossing.transmitted and inside:
         layer = other
-        record_crossing(crossings, scene, beam.layer, layer < beam.layer, beam.roulette, path_lengths)
+        record_crossing(
+            crossings, scene, beam.layer, layer < beam.layer, beam.roulette, path_lengths
+        )
     elif crossing.transmitted:
         below = TRANSMITTED if scene.ground_column == NO_GROUND else TO_GROUND
         fate = REFLECTED if other < 0 else below
@@ -107,7 +111,14 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
         # Light that comes from there to pores, now or after another reflection, comes to new ones.
         u = uniform(state)
     beam = RayPayload(crossing.direction, layer, u, beam.roulette)
-    return Ray(fate, with_direction(ray.geometry, beam.direction), beam, ray.n_segments, ray.order, ray.max_order)
+    return Ray(
+        fate,
+        with_direction(ray.geometry, beam.direction),
+        beam,
+        ray.n_segments,
+        ray.order,
+        ray.max_order,
+    )
 
 
 @inline_only
@@ -119,7 +130,9 @@ def scatter_at_particle(state, payload, scene):
         return EventResult(False, payload)
     if not scene.rules.analog:
         # Roulette must hear of it; all wavelengths lose as much.
-        purse = RouletteState(purse.optical_depth - math.log(albedo), purse.next_roulette, purse.weight * albedo)
+        purse = RouletteState(
+            purse.optical_depth - math.log(albedo), purse.next_roulette, purse.weight * albedo
+        )
     d = sample_scattering_direction(state, scene.particles, row, payload.direction)
     # Another leg begins; its pore matters in the next layer, if that has two.
     return EventResult(True, RayPayload(d, payload.layer, uniform(state), purse))
@@ -138,13 +151,15 @@ def collide(state, ray, event, scene, optics, path_lengths):
     walked = trace_through_grain(state, ray.payload, event, scene, optics, path_lengths)
     fate = ALIVE if walked.alive else ABSORBED
     way = ORIGIN if scene.rules.point_grains else walked.displacement
-    flier = RayGeometry(ray.geometry.position, way, walked.payload.direction, ray.geometry.previous_segment, 0.0)
+    flier = RayGeometry(
+        ray.geometry.position, way, walked.payload.direction, ray.geometry.previous_segment, 0.0
+    )
     return Ray(fate, flier, walked.payload, ray.n_segments, ray.order + 1, ray.max_order)
 
 
 @inline_only
 def apply_roulette(state, roulette_state):
-    """Let a ray play roulette as often as it is due, see `splits.transport.grains.flight`."""
+    """Let a ray play roulette as often as it is due, see `splits.kernels.grains.free_path`."""
     alive = True
     while alive and roulette_state.optical_depth > roulette_state.next_roulette:
         result = russian_roulette(roulette_state, uniform(state), True)
@@ -162,7 +177,7 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
         The ray's random stream.
     ray : Ray
     scene, optics
-        See `splits.transport.grains.scene`.
+        See `splits.kernels.grains.scene`.
     length : float64[materials]
         Path lengths (m), advanced in place.
     notes : Notes or None
@@ -185,7 +200,9 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
         payment = apply_roulette(state, ray.payload.roulette)
         if not payment.alive:
             return terminate(ray, ABSORBED)
-        beam = RayPayload(ray.payload.direction, ray.payload.layer, ray.payload.pore_variate, payment.roulette)
+        beam = RayPayload(
+            ray.payload.direction, ray.payload.layer, ray.payload.pore_variate, payment.roulette
+        )
         flier, beam = locate_layer(ray.geometry, beam, scene, optics, path_lengths, crossings)
         found = sample_next_event(state, flier, beam, scene, optics)
         arrival = move_to_event(flier, found, get_layer_geometry(layers, found.layer))
@@ -207,7 +224,11 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
             ray = cross_interface(state, ray, scene, optics, path_lengths, crossings)
         else:
             ray = collide(state, ray, found, scene, optics, path_lengths)
-            if window is not None and ray.status == ALIVE and check_weight_window(window, ray, layers):
+            if (
+                window is not None
+                and ray.status == ALIVE
+                and check_weight_window(window, ray, layers)
+            ):
                 break
     return ray
 
@@ -220,11 +241,18 @@ def enter_layer(state, direction, layer, roulette_state, scene, optics):
     """
     layers = scene.layers
     u = uniform(state)
-    near, far = refractive_index_of(optics, layers.pore[layer]), refractive_index_of(optics, pore_material(layers, layer, u))
+    near, far = (
+        refractive_index_of(optics, layers.pore[layer]),
+        refractive_index_of(optics, pore_material(layers, layer, u)),
+    )
     if not (scene.rules.boundary_fresnel or layers.particle_row[layer] != NO_PARTICLES):
         far = near
-    crossing = sample_interface(direction, orient_horizontal_normal(direction), near, far, uniform(state))
-    return EventResult(crossing.transmitted, RayPayload(crossing.direction, layer, u, roulette_state))
+    crossing = sample_interface(
+        direction, orient_horizontal_normal(direction), near, far, uniform(state)
+    )
+    return EventResult(
+        crossing.transmitted, RayPayload(crossing.direction, layer, u, roulette_state)
+    )
 
 
 @inline_only
@@ -234,10 +262,14 @@ def sample_source(state, scene, optics, rough_top, max_order):
     d = sample_source_direction(light, uniform(state) if light.diffuse_fraction > 0.0 else 1.0)
     purse = RouletteState(0.0, math.inf if scene.rules.analog else FIRST_ROULETTE_DEPTH, 1.0)
     if rough_top is not None:
-        return trace_above_surface(state, make_incident_ray(d, purse, rough_top, max_order), scene, optics, rough_top)
+        return trace_above_surface(
+            state, make_incident_ray(d, purse, rough_top, max_order), scene, optics, rough_top
+        )
     passed, beam = enter_layer(state, d, 0, purse, scene, optics)
     fate = ALIVE if passed else REFLECTED
-    return Ray(fate, RayGeometry(ORIGIN, ORIGIN, beam.direction, NO_SEGMENT, 0.0), beam, 0, 0, max_order)
+    return Ray(
+        fate, RayGeometry(ORIGIN, ORIGIN, beam.direction, NO_SEGMENT, 0.0), beam, 0, 0, max_order
+    )
 
 
 @inline_only
@@ -258,7 +290,14 @@ def reflect_from_ground(state, ray, scene, optics, path_lengths):
     lowest = scene.layers.attenuation.size - 1
     passed, beam = enter_layer(state, d, lowest, payment.roulette, scene, optics)
     fate = ALIVE if passed else TO_GROUND
-    return Ray(fate, with_direction(ray.geometry, beam.direction), beam, ray.n_segments, ray.order + 1, ray.max_order)
+    return Ray(
+        fate,
+        with_direction(ray.geometry, beam.direction),
+        beam,
+        ray.n_segments,
+        ray.order + 1,
+        ray.max_order,
+    )
 
 
 @entry_point
@@ -272,9 +311,9 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
         Ensemble, first ray, number of rays, and grains met after which a ray counts as absorbed.
         Seed, ensemble and number name a ray's random stream: it is the same whoever traces it.
     scene, optics
-        See `splits.transport.grains.scene`.
+        See `splits.kernels.grains.scene`.
     exits : float64[rays, columns]
-        A row for each ray, see `splits.transport.sums.tally`; must come from `exit_rows`.
+        A row for each ray, see `splits.kernels.tallies.exits`; must come from `exit_rows`.
     fields, room : Fields, Surface, or None
         The rough surface on top, of which every ray has a realisation, and where that lives, see
         `waves.ensure_capacity`; None where it is smooth.
@@ -301,7 +340,12 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
                 ray = trace_history(state, ray, scene, optics, length, notes, None, roof)
             else:
                 if not scene.rules.analog:
-                    append_crossing(notes, encode_crossing(faces - 1, False), ray.payload.roulette.weight, length)
+                    append_crossing(
+                        notes,
+                        encode_crossing(faces - 1, False),
+                        ray.payload.roulette.weight,
+                        length,
+                    )
                 ray = reflect_from_ground(state, ray, scene, optics, length)
         legs += ray.n_segments
         if ray.status == LOST:

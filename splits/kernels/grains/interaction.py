@@ -25,13 +25,13 @@ from splits.kernels.math.arithmetic import fma, get_precision, rsqrt, sqrt
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import (
     Vector,
-    select,
-    linear_combination,
     dot,
-    reflect,
+    linear_combination,
     normalize,
+    reflect,
+    select,
 )
-from splits.kernels.optics.fresnel import NormalWave, unpolarized_reflectance, normal_component
+from splits.kernels.optics.fresnel import NormalWave, normal_component, unpolarized_reflectance
 
 
 class InteractionVariates(NamedTuple):

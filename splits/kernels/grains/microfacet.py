@@ -96,7 +96,9 @@ def sample_projected_facet(tilt, cos_azimuth, incidence, u):
     variate = u * max(TWO * incidence.cos, ONE)
     mirror = variate < opposite
     cos_facet = a - b if mirror else a + b
-    return FacetSample(variate < a + b + opposite, -cos_azimuth if mirror else cos_azimuth, cos_facet)
+    return FacetSample(
+        variate < a + b + opposite, -cos_azimuth if mirror else cos_azimuth, cos_facet
+    )
 
 
 @inline

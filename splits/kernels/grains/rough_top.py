@@ -9,30 +9,30 @@ from __future__ import annotations
 
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.grains.free_path import RayGeometry
+from splits.kernels.grains.spheroid import Segment
 from splits.kernels.grains.state import (
     NO_SEGMENT,
-    RayPayload,
     NextEvent,
     Ray,
-    terminate,
-    refractive_index_of,
+    RayPayload,
     pore_material,
+    refractive_index_of,
+    terminate,
     with_direction,
 )
-from splits.kernels.grains.spheroid import Segment
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, Vector, add_scaled, scale
 from splits.kernels.optics.interface import sample_interface
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
-    nudge_off_surface,
+    compute_normal_from_slope,
     find_first_intersection,
     make_no_hit,
-    compute_normal_from_slope,
+    nudge_off_surface,
 )
 from splits.kernels.rough_surface.intersection import STEP_LIMIT_REACHED as ASTRAY
 from splits.kernels.rough_surface.realization import compute_entry_position
-from splits.kernels.tallies.exits import ABSORBED, LOST, REFLECTED, ALIVE
+from splits.kernels.tallies.exits import ABSORBED, ALIVE, LOST, REFLECTED
 
 MAX_HEIGHT_SIGMA = 50.0
 """No point of a realisation is higher than so many standard deviations: `waves.EXTREME` times the
@@ -45,7 +45,10 @@ def intersect_rough_top(rough_top, geometry, event, segment_length):
     if rough_top is None:
         return make_no_hit(NO_HIT, 0)
     begin = _compute_segment_start(geometry)
-    if event.lost or max(begin.z, begin.z + segment_length * geometry.direction.z) <= -rough_top.max_height:
+    if (
+        event.lost
+        or max(begin.z, begin.z + segment_length * geometry.direction.z) <= -rough_top.max_height
+    ):
         return make_no_hit(NO_HIT, 0)
     return find_first_intersection(rough_top, begin, geometry.direction, -1.0, segment_length)
 
@@ -64,7 +67,9 @@ def stop_at_facet(geometry, event, hit, layer_bottom):
     The surface should end above the layer's lower face, `low` (m); see `Layer.depth_m`.
     """
     place = add_scaled(hit.distance, geometry.direction, _compute_segment_start(geometry))
-    geometry = RayGeometry(place, ORIGIN, geometry.direction, Segment(ORIGIN, geometry.direction, hit.distance), 0.0)
+    geometry = RayGeometry(
+        place, ORIGIN, geometry.direction, Segment(ORIGIN, geometry.direction, hit.distance), 0.0
+    )
     lost = hit.distance == ASTRAY or place.z < layer_bottom
     return geometry, NextEvent(event.grain_sample, event.collision, 0, lost)
 
@@ -72,7 +77,9 @@ def stop_at_facet(geometry, event, hit, layer_bottom):
 @inline_only
 def make_incident_ray(direction, roulette_state, rough_top, max_order):
     """Return a ray along d from outside that aims at the origin of the mean surface."""
-    flier = RayGeometry(compute_entry_position(direction, rough_top), ORIGIN, direction, NO_SEGMENT, 0.0)
+    flier = RayGeometry(
+        compute_entry_position(direction, rough_top), ORIGIN, direction, NO_SEGMENT, 0.0
+    )
     return Ray(ALIVE, flier, RayPayload(direction, 0, 0.0, roulette_state), 0, 0, max_order)
 
 
@@ -83,7 +90,7 @@ def scatter_at_facet(state, ray, slope, side, scene, optics):
     Parameters
     ----------
     state, ray, scene, optics
-        See `splits.transport.grains.granular.follow`.
+        See `splits.kernels.grains.history.trace_history`.
     slope : Slope
         Of the facet.
     side : float
@@ -96,11 +103,20 @@ def scatter_at_facet(state, ray, slope, side, scene, optics):
     near = outside if side > 0.0 else inside
     far = inside if side > 0.0 else outside
     normal = compute_normal_from_slope(slope)
-    crossing = sample_interface(ray.payload.direction, scale(side, normal), near, far, uniform(state))
+    crossing = sample_interface(
+        ray.payload.direction, scale(side, normal), near, far, uniform(state)
+    )
     side = -side if crossing.transmitted else side
     d = nudge_off_surface(crossing.direction, scale(side, normal))
     beam = RayPayload(d, 0, u, ray.payload.roulette)
-    return Ray(ray.status, with_direction(ray.geometry, d), beam, ray.n_segments, ray.order + 1, ray.max_order), side
+    return Ray(
+        ray.status,
+        with_direction(ray.geometry, d),
+        beam,
+        ray.n_segments,
+        ray.order + 1,
+        ray.max_order,
+    ), side
 
 
 @inline_only

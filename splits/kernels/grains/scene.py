@@ -45,7 +45,11 @@ GRAIN_EXTENT = {"finite": False, "point": True}
 """Whether the path through a grain displaces the ray, or the grain is a point scatterer."""
 
 ENTRY_SAMPLING = {"uniform": spheroid.UNIFORM_ENTRY, "projected": spheroid.PROJECTED_ENTRY}
-FACET_SAMPLING = {"projected": microfacet.PROJECTED_FACETS, "unweighted": microfacet.UNWEIGHTED_FACETS, "any": microfacet.ANY_FACETS}
+FACET_SAMPLING = {
+    "projected": microfacet.PROJECTED_FACETS,
+    "unweighted": microfacet.UNWEIGHTED_FACETS,
+    "any": microfacet.ANY_FACETS,
+}
 WRONG_SIDE_RULE = {"lobe": WRONG_SIDE_LOBE, "mirrored": WRONG_SIDE_MIRROR}
 OVERLAP_RULE = {"reject": OVERLAP_REJECT, "keep": OVERLAP_KEEP, "skip": OVERLAP_SKIP}
 
@@ -130,7 +134,7 @@ class Layers(NamedTuple):
 
 
 class ParticleScattering(NamedTuple):
-    """Single scattering by the small particles of layers, see `splits.transport.optics.phase`.
+    """Single scattering by the small particles of layers, see `splits.kernels.optics.phase_function`.
 
     Attributes
     ----------

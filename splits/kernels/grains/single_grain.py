@@ -13,10 +13,10 @@ import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, Collision, RouletteState
-from splits.kernels.grains.state import RayPayload, NextEvent, sample_entry_variates, sample_grain
+from splits.kernels.grains.grain_path import trace_through_grain
 from splits.kernels.grains.scene import Optics, Scene
 from splits.kernels.grains.spheroid import sample_entry_point
-from splits.kernels.grains.grain_path import trace_through_grain
+from splits.kernels.grains.state import NextEvent, RayPayload, sample_entry_variates, sample_grain
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN, UP, dot
 
@@ -100,9 +100,13 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
         length[:] = 0.0
         purse = RouletteState(0.0, FIRST_ROULETTE_DEPTH, 1.0)
         # A pore is wet where its number lies below the saturation.
-        beam = RayPayload(UP, 0, 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0, purse)
+        beam = RayPayload(
+            UP, 0, 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0, purse
+        )
         found = sample_struck_grain(state, isolated_grain)
-        walked = trace_through_grain(state, beam, found, isolated_grain.scene, isolated_grain.optics, length)
+        walked = trace_through_grain(
+            state, beam, found, isolated_grain.scene, isolated_grain.optics, length
+        )
         if not walked.alive:
             continue
         d = walked.payload.direction
@@ -113,7 +117,14 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
         told[n_orders + 1] = dot(way, d)
         told[n_orders + 2] = dot(way, way)
         told[n_orders + 3] = 1.0 if walked.payload.pore_variate < saturation else 0.0
-        score_ray(told, length, walked.payload.roulette.weight, absorption, sums, parts[number % N_SCATTERING_BATCHES])
+        score_ray(
+            told,
+            length,
+            walked.payload.roulette.weight,
+            absorption,
+            sums,
+            parts[number % N_SCATTERING_BATCHES],
+        )
     return ScatteringTally(sums, parts)
 
 

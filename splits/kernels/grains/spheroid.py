@@ -17,10 +17,10 @@ from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import (
     Vector,
     add_scaled,
-    rotate_around,
-    linear_combination,
     dot,
+    linear_combination,
     normalize,
+    rotate_around,
     scale,
 )
 
@@ -154,7 +154,9 @@ def accept_axial_position(variates, flattening):
 
     It is then uniform over the area of a spheroid, exactly and without inverting SPLITS Eq 27.
     """
-    return variates.u_accept * variates.u_accept < normal_length_squared(TWO * variates.u_axial - ONE, flattening)
+    return variates.u_accept * variates.u_accept < normal_length_squared(
+        TWO * variates.u_axial - ONE, flattening
+    )
 
 
 @inline
@@ -179,7 +181,11 @@ def sample_entry_point(d, size, variates, entry_sampling):
     flattening = size.flattening
     axial = TWO * variates.u_axial - ONE
     square = normal_length_squared(axial, flattening)
-    facing = sqrt(variates.u_cos_incidence) if entry_sampling == PROJECTED_ENTRY else variates.u_cos_incidence
+    facing = (
+        sqrt(variates.u_cos_incidence)
+        if entry_sampling == PROJECTED_ENTRY
+        else variates.u_cos_incidence
+    )
     polar = Angle(facing, sqrt(max(ONE - facing * facing, ZERO)))
     n = rotate_around(Vector(-d.x, -d.y, -d.z), polar, variates.normal_azimuth)
     per_slope = rsqrt(square)

@@ -17,12 +17,12 @@ import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline_allocating
 from splits.kernels.grains.free_path import RouletteState
-from splits.kernels.grains.history import trace_history, sample_source
-from splits.kernels.grains.state import RayPayload, Ray
+from splits.kernels.grains.history import sample_source, trace_history
 from splits.kernels.grains.scene import NO_MAX_ORDER
+from splits.kernels.grains.state import Ray, RayPayload
 from splits.kernels.grains.weight_window import WeightWindow, compute_importance
 from splits.kernels.math.rng import mix64, start_stream, uniform
-from splits.kernels.tallies.exits import LOST, REFLECTED, TRANSMITTED, ALIVE, BatchStats
+from splits.kernels.tallies.exits import ALIVE, LOST, REFLECTED, TRANSMITTED, BatchStats
 
 BANK_SIZE = 4096
 """Rays that may wait to be followed; none is split while so many do."""
@@ -107,14 +107,14 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
     work : int64[3]
         Ensemble, first ray, number of rays; they name the random streams, as in `granular.batch`.
     scene, optics
-        See `splits.transport.grains.scene`; `optics.absorption` is that of the wavelength traced.
+        See `splits.kernels.grains.scene`; `optics.absorption` is that of the wavelength traced.
     kappa : float
         Rate at which the window falls with depth (1/m).
     moments : float64[2, 3]
         For [reflected, transmitted]: sum, sum of squares and largest of the families' weights,
         advanced in place.
     profile : float64[2, slices]
-        See `splits.transport.grains.window.Window`; advanced in place.
+        See `splits.kernels.grains.weight_window.WeightWindow`; advanced in place.
 
     Returns
     -------
@@ -126,7 +126,12 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
         start_stream(state, seed, work[0], number)
         ray = sample_source(state, scene, optics, None, NO_MAX_ORDER)
         # Where worth decides, roulette does not.
-        beam = RayPayload(ray.payload.direction, ray.payload.layer, ray.payload.pore_variate, RouletteState(0.0, math.inf, 1.0))
+        beam = RayPayload(
+            ray.payload.direction,
+            ray.payload.layer,
+            ray.payload.pore_variate,
+            RouletteState(0.0, math.inf, 1.0),
+        )
         ray = Ray(ray.status, ray.geometry, beam, ray.n_segments, ray.order, ray.max_order)
         first = SplitRay(ray, 1.0, state[0])
         sent = trace_history_with_splitting(state, first, scene, optics, kappa, profile)

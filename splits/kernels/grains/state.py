@@ -7,21 +7,21 @@ from typing import NamedTuple
 
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.grains.free_path import (
-    RejectionRules,
-    RayGeometry,
     Collision,
-    RouletteState,
     LayerGeometry,
+    RayGeometry,
+    RejectionRules,
+    RouletteState,
 )
 from splits.kernels.grains.scene import OVERLAP_KEEP, OVERLAP_SKIP
 from splits.kernels.grains.spheroid import (
     EntryVariates,
-    Segment,
     GrainSize,
+    Segment,
     accept_axial_position,
 )
 from splits.kernels.math.elementary import Angle
-from splits.kernels.math.rng import interpolate_quantile, sample_discrete, uniform, sample_azimuth
+from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.optics.phase_function import PhaseFunction, sample_phase_function
@@ -115,7 +115,9 @@ def terminate(ray, status):
 @inline_only
 def with_direction(geometry, direction):
     """Return a ray at the same place that goes along d now."""
-    return RayGeometry(geometry.position, geometry.exit_offset, direction, geometry.previous_segment, 0.0)
+    return RayGeometry(
+        geometry.position, geometry.exit_offset, direction, geometry.previous_segment, 0.0
+    )
 
 
 @inline_only
@@ -129,7 +131,14 @@ def attenuate(state, roulette_state, distance, material, optics, analog, path_le
     depth = optics.absorption[material] * distance
     if analog:
         return AttenuationResult(roulette_state, depth == 0.0 or uniform(state) < math.exp(-depth))
-    return AttenuationResult(RouletteState(roulette_state.optical_depth + depth, roulette_state.next_roulette, roulette_state.weight), True)
+    return AttenuationResult(
+        RouletteState(
+            roulette_state.optical_depth + depth,
+            roulette_state.next_roulette,
+            roulette_state.weight,
+        ),
+        True,
+    )
 
 
 @inline_only
@@ -175,9 +184,17 @@ def sample_grain(state, scene, layer):
 def sample_entry_variates(state, flattening):
     """Draw how a ray strikes a grain."""
     while True:
-        aim = EntryVariates(uniform(state), _ZERO_ANGLE, _ZERO_ANGLE, uniform(state), uniform(state))
+        aim = EntryVariates(
+            uniform(state), _ZERO_ANGLE, _ZERO_ANGLE, uniform(state), uniform(state)
+        )
         if accept_axial_position(aim, flattening):
-            return EntryVariates(aim.u_cos_incidence, sample_azimuth(state), sample_azimuth(state), aim.u_axial, aim.u_accept)
+            return EntryVariates(
+                aim.u_cos_incidence,
+                sample_azimuth(state),
+                sample_azimuth(state),
+                aim.u_axial,
+                aim.u_accept,
+            )
 
 
 @inline_only

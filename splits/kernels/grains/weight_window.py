@@ -1,4 +1,4 @@
-"""Bounds on what a ray is worth, for light that gets deep (see `splits.transport.grains.deep`)."""
+"""Bounds on what a ray is worth, for light that gets deep (see `splits.kernels.grains.splitting`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from splits.kernels.compiler.jit import inline_only
 
 
 class WeightWindow(NamedTuple):
-    """Bounds on what a ray is worth, weight · exp(κ·depth) (see `splits.transport.grains.deep`).
+    """Bounds on what a ray is worth, weight · exp(κ·depth) (see `splits.kernels.grains.splitting`).
 
     Attributes
     ----------
@@ -42,7 +42,9 @@ def compute_ray_height(ray, layers):
 @inline_only
 def compute_importance(ray, layers, weight, kappa):
     """Return what a ray can be expected to contribute, see `WeightWindow`."""
-    return weight * math.exp(-ray.payload.roulette.optical_depth - kappa * compute_ray_height(ray, layers))
+    return weight * math.exp(
+        -ray.payload.roulette.optical_depth - kappa * compute_ray_height(ray, layers)
+    )
 
 
 @inline_only

@@ -41,9 +41,7 @@ def dot(a, b):
 @inline
 def cross(a, b):
     """Return the vector product of two vectors."""
-    return Vector(
-        fma(a.y, b.z, -a.z * b.y), fma(a.z, b.x, -a.x * b.z), fma(a.x, b.y, -a.y * b.x)
-    )
+    return Vector(fma(a.y, b.z, -a.z * b.y), fma(a.z, b.x, -a.x * b.z), fma(a.x, b.y, -a.y * b.x))
 
 
 @inline

@@ -82,4 +82,6 @@ def _tabulate_peak(g: float) -> tuple[np.ndarray, np.ndarray]:
 def compute_wide_fraction(peak, phase, mu):
     """Return what part of a phase function at a cosine its peak leaves."""
     narrow = evaluate_phase_function(peak.phase, mu)
-    return 1.0 if narrow == 0.0 else 1.0 - peak.fraction * narrow / evaluate_phase_function(phase, mu)
+    return (
+        1.0 if narrow == 0.0 else 1.0 - peak.fraction * narrow / evaluate_phase_function(phase, mu)
+    )

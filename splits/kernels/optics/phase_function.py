@@ -23,7 +23,7 @@ import numpy as np
 
 from splits.kernels.compiler.jit import TINY, inline
 from splits.kernels.math.elementary import Angle
-from splits.kernels.math.rng import uniform, sample_azimuth
+from splits.kernels.math.rng import sample_azimuth, uniform
 from splits.kernels.math.vectors import rotate_around
 
 HENYEY_GREENSTEIN = 0
@@ -197,7 +197,9 @@ def evaluate_polarization_ratios(phase, mu):
     """Return the `PolarizationRatios` at a cosine."""
     square = mu * mu
     per = 1.0 / (1.0 + square)
-    return PolarizationRatios(-phase.max_polarization * (1.0 - mu) * (1.0 + mu) * per, 2.0 * mu * per)
+    return PolarizationRatios(
+        -phase.max_polarization * (1.0 - mu) * (1.0 + mu) * per, 2.0 * mu * per
+    )
 
 
 @inline

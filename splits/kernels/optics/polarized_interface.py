@@ -1,4 +1,4 @@
-"""Polarised light at smooth faces, see `splits.transport.optics.stokes`.
+"""Polarised light at smooth faces, see `splits.kernels.optics.stokes`.
 
 The plane of incidence becomes the reference of both beams.
 """
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from splits.kernels.compiler.jit import inline, inline_only
 from splits.kernels.math.rng import uniform
-from splits.kernels.math.vectors import Vector, linear_combination, cross, dot, reflect, normalize
+from splits.kernels.math.vectors import Vector, cross, dot, linear_combination, normalize, reflect
 from splits.kernels.optics.fresnel import FresnelResult, normal_component, refract
 from splits.kernels.optics.stokes import compute_azimuth, normalize_stokes, rotate_reference
 
@@ -111,7 +111,9 @@ def compute_fresnel_mueller(n1, n2, cos_i):
     m = n2 / n1
     if m == 1.0:
         return InterfaceMueller(
-            ReflectionMueller(0.0, 0.0, 0.0, 0.0), TransmissionMueller(1.0, 0.0, 1.0), FresnelResult(0.0, 1.0, cos_i)
+            ReflectionMueller(0.0, 0.0, 0.0, 0.0),
+            TransmissionMueller(1.0, 0.0, 1.0),
+            FresnelResult(0.0, 1.0, cos_i),
         )
     g = (n2 - n1) / n1
     sin2 = (1.0 - cos_i) * (1.0 + cos_i)
@@ -120,7 +122,9 @@ def compute_fresnel_mueller(n1, n2, cos_i):
         wc = math.sqrt(b2) * cos_i
         per = 1.0 / (sin2 * sin2 + wc * wc)
         back = ReflectionMueller(1.0, 0.0, (sin2 - wc) * (sin2 + wc) * per, -2.0 * sin2 * wc * per)
-        return InterfaceMueller(back, TransmissionMueller(0.0, 0.0, 0.0), FresnelResult(1.0, 0.0, 0.0))
+        return InterfaceMueller(
+            back, TransmissionMueller(0.0, 0.0, 0.0), FresnelResult(1.0, 0.0, 0.0)
+        )
     wc = a * cos_i
     per_s = 1.0 / (cos_i + a)
     per_p = 1.0 / (sin2 + wc)
@@ -171,7 +175,9 @@ def _refract_light(d, normal, incident, mueller):
     cos_i, across, q, u, v = incident
     d = refract(d, normal, cos_i, mueller.fresnel_result)
     e = normalize(cross(across, d))
-    return PolarizedInterfaceSample(True, d, normalize_stokes(e, plus + minus * q, minus + plus * q, root * u, root * v))
+    return PolarizedInterfaceSample(
+        True, d, normalize_stokes(e, plus + minus * q, minus + plus * q, root * u, root * v)
+    )
 
 
 @inline

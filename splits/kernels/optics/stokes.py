@@ -20,15 +20,15 @@ import math
 from typing import Any, NamedTuple
 
 from splits.kernels.compiler.jit import TINY, inline, inline_only
-from splits.kernels.math.rng import uniform, sample_azimuth
+from splits.kernels.math.rng import sample_azimuth, uniform
 from splits.kernels.math.vectors import (
     Vector,
     add_scaled,
-    linear_combination,
     cross,
     dot,
-    normalize,
+    linear_combination,
     make_tangents,
+    normalize,
 )
 from splits.kernels.optics.phase_function import (
     evaluate_phase_function,
@@ -222,7 +222,10 @@ def evaluate_polarized_scattering(phase, d, stokes, t):
     ratios = evaluate_polarization_ratios(phase, mu)
     light = rotate_reference(stokes.q, stokes.u, at.cos, at.sin)
     part = max(1.0 + ratios.m12 * light.q, 0.0)
-    e = _transport_reference(mu, at.sin_polar, linear_combination(at.cos, stokes.e, at.sin, f), d, t)
+    e = _transport_reference(
+        mu, at.sin_polar, linear_combination(at.cos, stokes.e, at.sin, f), d, t
+    )
     return ScatteredDensity(
-        evaluate_phase_function(phase, mu) * part, _compute_scattered_stokes(e, part, light, stokes.v, ratios)
+        evaluate_phase_function(phase, mu) * part,
+        _compute_scattered_stokes(e, part, light, stokes.v, ratios),
     )

@@ -7,24 +7,24 @@ import math
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import UP, scale
+from splits.kernels.particle_layer.next_event import score_bottom
 from splits.kernels.particle_layer.scattering import (
-    reflect_or_refract_ray,
     reflect_only,
+    reflect_or_refract_ray,
     sample_lambertian_reflection,
     sample_scattering,
 )
+from splits.kernels.particle_layer.scene import OPEN_BOTTOM
 from splits.kernels.particle_layer.state import (
     LayerRay,
+    increment_order,
     set_status,
     snap_to_plane,
     update_ray,
-    increment_order,
     with_weight,
 )
-from splits.kernels.particle_layer.next_event import score_bottom
-from splits.kernels.particle_layer.scene import OPEN_BOTTOM
 from splits.kernels.rough_surface.intersection import nudge_off_surface
-from splits.kernels.tallies.exits import ABSORBED, REFLECTED, TRANSMITTED, ALIVE
+from splits.kernels.tallies.exits import ABSORBED, ALIVE, REFLECTED, TRANSMITTED
 
 ROULETTE_THRESHOLD = 0.1
 ROULETTE_SURVIVAL_PROBABILITY = 0.3
@@ -81,7 +81,9 @@ def scatter_at_bottom(state, ray, layer, phase, detectors, max_order):
     """Return a ray after a meeting with the open face or with the bottom."""
     ray = snap_to_plane(ray, -layer.depth)
     if layer.bottom_albedo == OPEN_BOTTOM:
-        meeting = reflect_or_refract_ray(state, ray.direction, ray.stokes, UP, layer.refractive_index, 1.0)
+        meeting = reflect_or_refract_ray(
+            state, ray.direction, ray.stokes, UP, layer.refractive_index, 1.0
+        )
         fate = TRANSMITTED if meeting.transmitted else ALIVE
         return update_ray(ray, meeting.direction, meeting.stokes, ray.history, fate)
     if detectors is not None:

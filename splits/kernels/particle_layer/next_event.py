@@ -99,8 +99,16 @@ def sum_interreflections(reflection, stokes, transmittance, odd, stokes_vector):
     if stokes is None:
         x = reflection.plus * transmittance
         return StokesVector(i * _sum_geometric_series(x, odd), 0.0, 0.0, 0.0)
-    p = 0.5 * (i + q) * _sum_geometric_series((reflection.plus + reflection.minus) * transmittance, odd)
-    s = 0.5 * (i - q) * _sum_geometric_series((reflection.plus - reflection.minus) * transmittance, odd)
+    p = (
+        0.5
+        * (i + q)
+        * _sum_geometric_series((reflection.plus + reflection.minus) * transmittance, odd)
+    )
+    s = (
+        0.5
+        * (i - q)
+        * _sum_geometric_series((reflection.plus - reflection.minus) * transmittance, odd)
+    )
     x, y = reflection.real * transmittance, -reflection.imaginary * transmittance
     # z/(1 − z²) or z²/(1 − z²) for z = x + iy.
     square_x, square_y = x * x - y * y, 2.0 * x * y
@@ -149,11 +157,21 @@ def score_direct(detectors, layer, detector, k, stokes, weight, last_scattering)
     """
     side = ABOVE if last_scattering.vertical_sign > 0.0 else BELOW
     if side == ABOVE or detectors.has_lower_side:
-        arriving = weight * math.exp(-layer.extinction * _vertical_distance(layer, last_scattering, side) / detector.direction.z)
+        arriving = weight * math.exp(
+            -layer.extinction
+            * _vertical_distance(layer, last_scattering, side)
+            / detector.direction.z
+        )
         sums = detectors.sums[side, k]
         score_detector(sums, detector.transmission, stokes, arriving, last_scattering.stokes_vector)
         if layer.bottom_albedo < 0.0 and detector.reflection.plus != 0.0:
-            more = sum_interreflections(detector.reflection, stokes, detector.layer_transmittance, False, last_scattering.stokes_vector)
+            more = sum_interreflections(
+                detector.reflection,
+                stokes,
+                detector.layer_transmittance,
+                False,
+                last_scattering.stokes_vector,
+            )
             score_detector(sums, detector.transmission, stokes, arriving, more)
 
 
@@ -167,7 +185,13 @@ def score_reflected(detectors, layer, detector, k, stokes, weight, last_scatteri
         side = BELOW if last_scattering.vertical_sign > 0.0 else ABOVE
         way = layer.depth - _vertical_distance(layer, last_scattering, side)
         arriving = weight * math.exp(-layer.extinction * way / detector.direction.z)
-        more = sum_interreflections(detector.reflection, stokes, detector.layer_transmittance, True, last_scattering.stokes_vector)
+        more = sum_interreflections(
+            detector.reflection,
+            stokes,
+            detector.layer_transmittance,
+            True,
+            last_scattering.stokes_vector,
+        )
         score_detector(detectors.sums[side, k], detector.transmission, stokes, arriving, more)
 
 

@@ -16,27 +16,27 @@ from splits.kernels.compiler.jit import entry_point, inline_allocating, inline_o
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.source import sample_source_direction
-from splits.kernels.optics.stokes import rotate_reference_to, make_unpolarized
+from splits.kernels.optics.stokes import make_unpolarized, rotate_reference_to
 from splits.kernels.particle_layer.collisions import (
     ROULETTE_THRESHOLD,
-    scatter_at_facet,
-    scatter_at_bottom,
-    scatter_at_surface,
-    russian_roulette,
-    scatter_at_particle,
     absorb_at_particle,
-)
-from splits.kernels.particle_layer.state import (
-    RayHistory,
-    LayerRay,
-    set_status,
-    to_surface_hit,
-    advance_ray,
-    is_near_surface,
-    intersect_smooth_surface,
-    sample_event_distances,
+    russian_roulette,
+    scatter_at_bottom,
+    scatter_at_facet,
+    scatter_at_particle,
+    scatter_at_surface,
 )
 from splits.kernels.particle_layer.next_event import score_scattering
+from splits.kernels.particle_layer.state import (
+    LayerRay,
+    RayHistory,
+    advance_ray,
+    intersect_smooth_surface,
+    is_near_surface,
+    sample_event_distances,
+    set_status,
+    to_surface_hit,
+)
 from splits.kernels.rough_surface.intersection import NO_HIT, find_first_intersection, make_no_hit
 from splits.kernels.rough_surface.intersection import STEP_LIMIT_REACHED as ASTRAY
 from splits.kernels.rough_surface.realization import (
@@ -45,16 +45,16 @@ from splits.kernels.rough_surface.realization import (
 )
 from splits.kernels.tallies.exits import (
     ABSORBED,
+    ALIVE,
     EXIT_LENGTH,
     LOST,
     REFLECTED,
-    ALIVE,
     BatchStats,
     record_exit,
 )
 
 WORK_COLUMNS = ENSEMBLE, FIRST_RAY, N_RAYS, MAX_ORDER = tuple(range(4))
-"""Entries of a piece of work, see `splits.transport.grains.granular.batch`."""
+"""Entries of a piece of work, see `splits.kernels.grains.history.trace_batch`."""
 TOTAL, UNSCATTERED = range(2)
 """All light, and light that met nothing but smooth faces."""
 
@@ -71,7 +71,7 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
     room : Surface or None
         Where realisations of the rough surface live, see `waves.room_for`; None if it is smooth.
     detectors : Detectors or None
-        What hears of every scattering, see `splits.transport.particles.local`.
+        What hears of every scattering, see `splits.kernels.particle_layer.next_event`.
     most : int
         Scatterings, meetings with the bottom or with a rough surface, after which the ray counts
         as absorbed.
@@ -81,10 +81,14 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
     Ray
     """
     layer, phase = scene.layer, scene.phase
-    d = sample_source_direction(scene.source, uniform(state) if scene.source.diffuse_fraction > 0.0 else 1.0)
+    d = sample_source_direction(
+        scene.source, uniform(state) if scene.source.diffuse_fraction > 0.0 else 1.0
+    )
     surface = sample_realization_if_rough(state, scene.fields, surface_buffer)
     stokes = make_unpolarized(d, scene.stokes)
-    ray = LayerRay(compute_entry_position(d, surface), d, stokes, False, RayHistory(1.0, 0.0, 0, 0), ALIVE)
+    ray = LayerRay(
+        compute_entry_position(d, surface), d, stokes, False, RayHistory(1.0, 0.0, 0, 0), ALIVE
+    )
     while ray.status == ALIVE:
         ways = sample_event_distances(ray, layer, uniform(state) if ray.inside else 1.0)
         if surface_buffer is None:
@@ -93,7 +97,9 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
             hit = make_no_hit(NO_HIT, 0)
             if is_near_surface(ray, surface.max_height, ways.nearest):
                 side = -1.0 if ray.inside else 1.0
-                hit = find_first_intersection(surface, ray.position, ray.direction, side, ways.nearest)
+                hit = find_first_intersection(
+                    surface, ray.position, ray.direction, side, ways.nearest
+                )
             if hit.distance == ASTRAY:
                 return set_status(ray, LOST)
             ahead = to_surface_hit(hit)
@@ -137,13 +143,13 @@ def trace_batch(seed, work, scene, surface_buffer, stokes_column, exits):
     Parameters
     ----------
     seed, work
-        See `splits.transport.grains.granular.batch`.
+        See `splits.kernels.grains.history.trace_batch`.
     scene, room
         See `trace_history`.
     first_stokes : int
         First of three columns of exits for polarized rays: Q, U, V over I.
     exits : float64[rays, columns]
-        A row for each ray, see `splits.transport.sums.tally`.
+        A row for each ray, see `splits.kernels.tallies.exits`.
 
     Returns
     -------
@@ -160,7 +166,14 @@ def trace_batch(seed, work, scene, surface_buffer, stokes_column, exits):
         if ray.status == ABSORBED:
             continue
         row = exits[number]
-        record_exit(row, ray.status == REFLECTED, ray.position, ray.direction, ray.history.weight, ray.history.order)
+        record_exit(
+            row,
+            ray.status == REFLECTED,
+            ray.position,
+            ray.direction,
+            ray.history.weight,
+            ray.history.order,
+        )
         row[EXIT_LENGTH] = ray.history.path_length
         _record_stokes(row, stokes_column, ray.direction, ray.stokes)
     return BatchStats(legs, False)

@@ -21,9 +21,9 @@ from splits.kernels.optics.forward_peak import compute_wide_fraction
 from splits.kernels.optics.phase_function import evaluate_phase_function, sample_phase_function
 from splits.kernels.optics.stokes import (
     ScatteredDensity,
-    rotate_reference_to,
     evaluate_polarized_scattering,
     make_unpolarized,
+    rotate_reference_to,
 )
 from splits.kernels.particle_layer.scattering import reflect_or_refract_ray
 
@@ -123,7 +123,9 @@ def advance_to_collision(state, layer, connection):
         left -= way
         below = d.z < 0.0
         z = -layer.depth if below else 0.0
-        meeting = reflect_or_refract_ray(state, d, stokes, scale(1.0 if below else -1.0, UP), layer.refractive_index, 1.0)
+        meeting = reflect_or_refract_ray(
+            state, d, stokes, scale(1.0 if below else -1.0, UP), layer.refractive_index, 1.0
+        )
         if meeting.transmitted or (below and layer.bottom_albedo >= 0.0):
             density = 0.0
         d, stokes, side = meeting.direction, meeting.stokes, -side
@@ -162,7 +164,9 @@ def trace_peak_directions(state, detectors, layer, phase, peak_order, connection
             break
         z, d, light, side = connection
         t = Vector(directions[row, 0], directions[row, 1], side * directions[row, 2])
-        connection = DetectorConnection(z, t, apply_polarization(phase, d, light, light.stokes, t), side)
+        connection = DetectorConnection(
+            z, t, apply_polarization(phase, d, light, light.stokes, t), side
+        )
     return connection
 
 
@@ -173,7 +177,7 @@ def complete_connection(state, detectors, layer, phase, peak_order, connection, 
     Parameters
     ----------
     state, detectors, layer, phase
-        See `splits.transport.particles.local.listen_particle`.
+        See `splits.kernels.particle_layer.next_event.score_scattering`.
     order : int
         How many scatterings into the peak follow, 0 or from `sample_peak_order`.
     connection : Connection
@@ -184,8 +188,12 @@ def complete_connection(state, detectors, layer, phase, peak_order, connection, 
     if detectors.peak is not None and peak_order > 0:
         per = 1.0 / (1.0 - detectors.peak.fraction * layer.albedo)
         connection = trace_peak_directions(state, detectors, layer, phase, peak_order, connection)
-        light = ScatteredDensity(per * connection.contribution.density, connection.contribution.stokes)
-        connection = DetectorConnection(connection.height, connection.direction, light, connection.mirror_sign)
+        light = ScatteredDensity(
+            per * connection.contribution.density, connection.contribution.stokes
+        )
+        connection = DetectorConnection(
+            connection.height, connection.direction, light, connection.mirror_sign
+        )
     density, stokes = connection.contribution
     sound = resolve_stokes_vector(density, stokes, connection.direction, plane)
     return LastScattering(connection.height, math.copysign(1.0, connection.direction.z), sound)

@@ -6,18 +6,18 @@ import math
 
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.math.elementary import Angle
-from splits.kernels.math.rng import uniform, sample_azimuth
-from splits.kernels.math.vectors import rotate_around, dot, reflect
-from splits.kernels.optics.interface import MIN_COS_INCIDENCE, ComplexIndex, sample_interface
+from splits.kernels.math.rng import sample_azimuth, uniform
+from splits.kernels.math.vectors import dot, reflect, rotate_around
 from splits.kernels.optics.fresnel import fresnel
+from splits.kernels.optics.interface import MIN_COS_INCIDENCE, ComplexIndex, sample_interface
 from splits.kernels.optics.phase_function import sample_phase_function
 from splits.kernels.optics.polarized_interface import (
     PolarizedInterfaceSample,
     ReflectedLight,
-    sample_polarized_interface,
     reflect_polarized,
+    sample_polarized_interface,
 )
-from splits.kernels.optics.stokes import DirectionSample, scatter_polarized, make_unpolarized
+from splits.kernels.optics.stokes import DirectionSample, make_unpolarized, scatter_polarized
 
 
 @inline_only
@@ -41,7 +41,9 @@ def reflect_or_refract_ray(state, d, stokes, normal, n1, n2):
     Meeting
     """
     if stokes is None:
-        crossing = sample_interface(d, normal, ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0), uniform(state))
+        crossing = sample_interface(
+            d, normal, ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0), uniform(state)
+        )
         return PolarizedInterfaceSample(crossing.transmitted, crossing.direction, stokes)
     return sample_polarized_interface(state, d, stokes, normal, n1, n2)
 

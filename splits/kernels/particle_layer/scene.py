@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from splits.kernels.optics.source import Source
 from splits.kernels.optics.phase_function import PhaseFunction
+from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import Stokes
 from splits.kernels.rough_surface.realization import HeightFields
 

@@ -12,16 +12,16 @@ from typing import NamedTuple
 
 from splits.kernels.compiler.jit import entry_point_no_refcount, inline, inline_only
 from splits.kernels.math.vectors import Vector, add_scaled, dot, normalize
-from splits.kernels.rough_surface.wave_sums import TWO_PI, sum_ray_bounds, sum_waves
 from splits.kernels.rough_surface.realization import (
-    MAX_CURVATURE,
     BAND_END,
     BOUND_SIGMA,
     FINER_HEIGHT,
+    MAX_CURVATURE,
     MAX_SLOPE,
     HeightAndSlope,
     SurfaceSlope,
 )
+from splits.kernels.rough_surface.wave_sums import TWO_PI, sum_ray_bounds, sum_waves
 
 NO_HIT = -1.0
 """No crossing: the ray leaves the surface for good."""
@@ -196,7 +196,9 @@ def refine_probe(probe, sums, band, point, d, side, tolerance):
         met = gap <= tolerance and rate < 0.0
         gap = max(gap, tolerance)
     if gap > 0.0 and not met:
-        free = max(free, compute_safe_step(gap, rate, band.max_slope, band.max_curvature, side * d.z))
+        free = max(
+            free, compute_safe_step(gap, rate, band.max_slope, band.max_curvature, side * d.z)
+        )
         # Waves without height leave nothing to the finer bands; those that decide are among them.
         enough = gap > max(band.finer_height, tolerance)
     return SurfaceProbe(HeightAndSlope(height, SurfaceSlope(slope_x, slope_y)), free, met, enough)

@@ -17,15 +17,15 @@ from splits.kernels.particle_layer.scattering import (
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
     STEP_LIMIT_REACHED,
-    nudge_off_surface,
-    find_first_intersection,
-    compute_normal_from_slope,
     compute_height_tolerance,
+    compute_normal_from_slope,
+    find_first_intersection,
+    nudge_off_surface,
 )
 from splits.kernels.rough_surface.realization import (
-    sample_realization,
-    compute_height_and_slope,
     allocate_realization,
+    compute_height_and_slope,
+    sample_realization,
 )
 
 MAX_HITS = 50
@@ -100,7 +100,9 @@ def _trace_ray(state, surface, refractive_index, ray, counts):
             if ray.side > 0.0:
                 break
             place = Vector(ray.position.x, ray.position.y, -2.0 * surface.max_height)
-            ray = SurfaceRay(place, sample_lambertian_reflection(state, UP, None).direction, ray.side)
+            ray = SurfaceRay(
+                place, sample_lambertian_reflection(state, UP, None).direction, ray.side
+            )
             continue
         counts[LEAKS] += _count_leaks(state, surface, ray, hit.distance)
         hits += 1

@@ -12,8 +12,8 @@ from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.fresnel import fresnel, refract
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
-    find_first_intersection,
     compute_normal_from_slope,
+    find_first_intersection,
 )
 from splits.kernels.rough_surface.realization import compute_height_and_slope, make_realization
 
@@ -43,7 +43,7 @@ def refract_vertical_rays(waves, refractive_index, x, y):
     Parameters
     ----------
     waves : float64[4, columns]
-        See `splits.transport.rough.waves`.
+        See `splits.kernels.rough_surface.realization`.
     index : float
         Refractive index below the surface, with 1 above.
     x, y : float64[rays]

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline, inline_allocating, inline_only
-from splits.kernels.math.rng import interpolate_quantile, uniform, sample_azimuth
+from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, uniform
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.rough_surface.wave_sums import (
     AMPLITUDE,
@@ -27,8 +27,8 @@ from splits.kernels.rough_surface.wave_sums import (
     KY,
     N_WAVE_LANES,
     PHASE,
-    WAVE_ROWS,
     TWO_PI,
+    WAVE_ROWS,
     sum_waves,
 )
 
@@ -91,7 +91,7 @@ class SurfaceRealization(NamedTuple):
     bands : float64[4, BANDS]
         A column per band, the finest first.  A band is all waves up to `BAND_END`; `FINER_HEIGHT` (m) is what
         the others reach; `MAX_SLOPE` and `MAX_CURVATURE` (1/m) bound the band along the leg that is being
-        marched, see `splits.transport.rough.march`.
+        marched, see `splits.kernels.rough_surface.intersection`.
     used : int
         Bands that there are.
     reach : float
@@ -246,7 +246,9 @@ def compute_bounds(buffer):
         steep += a2 * (waves[KX, i] ** 2 + waves[KY, i] ** 2)
     reach = min(reach, BOUND_SIGMA * math.sqrt(0.5 * square))
     count = _split_bands(waves, bands, _MAX_FINER_SIGMA * math.sqrt(0.5 * square))
-    return SurfaceRealization(waves, bands, count, reach, BOUND_SIGMA * TWO_PI * math.sqrt(0.5 * steep))
+    return SurfaceRealization(
+        waves, bands, count, reach, BOUND_SIGMA * TWO_PI * math.sqrt(0.5 * steep)
+    )
 
 
 @inline_only
@@ -292,7 +294,10 @@ def make_realization(waves):
 def compute_height_and_slope(waves, x, y):
     """Return the `HeightAndSlope` at a point (Eq 3)."""
     sums = sum_waves(waves, 0, waves.shape[1], x, y)
-    return HeightAndSlope(sums.height, SurfaceSlope(-2.0 * TWO_PI * sums.scaled_slope_x, -2.0 * TWO_PI * sums.scaled_slope_y))
+    return HeightAndSlope(
+        sums.height,
+        SurfaceSlope(-2.0 * TWO_PI * sums.scaled_slope_x, -2.0 * TWO_PI * sums.scaled_slope_y),
+    )
 
 
 @entry_point

@@ -64,7 +64,9 @@ class _WaveVector:
         self.value = ir.Constant(self.llvm_type, [value] * N_WAVE_LANES) if constant else value
 
     def _to_values(self, operands: tuple[Any, ...]) -> list[ir.Value]:
-        lanes = (x if isinstance(x, _WaveVector) else _WaveVector(self.builder, x) for x in operands)
+        lanes = (
+            x if isinstance(x, _WaveVector) else _WaveVector(self.builder, x) for x in operands
+        )
         return [self.value, *(x.value for x in lanes)]
 
     def _emit(self, instruction: str, *operands: Any) -> _WaveVector:

@@ -96,7 +96,9 @@ def evaluate_basis(basis, dx, dy, mu, values):
         last, before = 1.0, 0.0
         for i in range(basis.n_per_m[m]):
             if i > 0:
-                new = (basis.recurrence_slope[row] * t + basis.recurrence_offset[row]) * last - basis.recurrence_previous[row] * before
+                new = (
+                    basis.recurrence_slope[row] * t + basis.recurrence_offset[row]
+                ) * last - basis.recurrence_previous[row] * before
                 last, before = new, last
             values[row] = basis.norms[row] * real * last
             row += 1
@@ -129,7 +131,7 @@ def tally_expansion(exits, absorption, max_orders, basis):
     Parameters
     ----------
     exits : float64[rays, columns]
-        See `splits.transport.sums.tally`.
+        See `splits.kernels.tallies.exits`.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m).
     edges : int64[classes]

@@ -41,7 +41,9 @@ class CrossingBank(NamedTuple):
 @inline_allocating
 def allocate_bank(n_lengths):
     """Return room for notes of so many lengths, none taken."""
-    return CrossingBank(np.empty((_INITIAL_CAPACITY, CROSSING_LENGTH + n_lengths)), np.zeros(2, dtype=np.int64))
+    return CrossingBank(
+        np.empty((_INITIAL_CAPACITY, CROSSING_LENGTH + n_lengths)), np.zeros(2, dtype=np.int64)
+    )
 
 
 @inline_allocating
@@ -100,6 +102,10 @@ def append_crossing(bank, event, weight, path_lengths):
         Lengths so far.
     """
     row = bank.rows[bank.state[_N_RECORDED]]
-    row[CROSSING_RAY], row[CROSSING_EVENT], row[CROSSING_WEIGHT] = bank.state[_CURRENT_RAY], event, weight
+    row[CROSSING_RAY], row[CROSSING_EVENT], row[CROSSING_WEIGHT] = (
+        bank.state[_CURRENT_RAY],
+        event,
+        weight,
+    )
     copy_into_row(row, CROSSING_LENGTH, path_lengths)
     bank.state[_N_RECORDED] += 1

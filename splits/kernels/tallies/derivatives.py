@@ -11,8 +11,8 @@ import numpy as np
 from splits.kernels.compiler.jit import (
     ONE,
     ZERO,
-    entry_point_no_refcount,
     entry_point,
+    entry_point_no_refcount,
     inline_allocating,
 )
 from splits.kernels.math.elementary import exp_float32

@@ -14,8 +14,8 @@ import numpy as np
 from splits.kernels.compiler.jit import (
     ONE,
     ZERO,
-    entry_point_no_refcount,
     entry_point,
+    entry_point_no_refcount,
     inline,
     inline_allocating,
 )
@@ -69,7 +69,7 @@ class BatchResult(NamedTuple):
     lost : bool
         The batch ended early, as a ray was lost.
     notes : float64[notes, columns]
-        See `splits.transport.sums.notes`.
+        See `splits.kernels.tallies.crossings`.
     """
 
     n_segments: int
@@ -97,7 +97,11 @@ def record_exit(row, reflected, position, direction, weight, order):
     row[EXIT_SIDE] = 0.0 if reflected else 1.0
     row[EXIT_WEIGHT] = weight
     row[EXIT_ORDER] = order
-    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = direction.x, direction.y, direction.z
+    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = (
+        direction.x,
+        direction.y,
+        direction.z,
+    )
     row[EXIT_POSITION], row[EXIT_POSITION + 1] = position.x, position.y
 
 
@@ -143,7 +147,9 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
             if side < 0:
                 least[:] = 0.0
             else:
-                compute_path_weights(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side])
+                compute_path_weights(
+                    exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side]
+                )
                 score_moments(moments[side], sides[side])
                 update_minimum(least, sides[side])
         elif side <= 0 and not (first < crossings.shape[0] and crossings[first, CROSSING_RAY] == j):
@@ -158,7 +164,9 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
         else:
             sides[:] = ZERO
             if side >= 0:
-                compute_path_weights(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side])
+                compute_path_weights(
+                    exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side]
+                )
             first = _add_ground_absorption(crossings, first, j, alpha, ground_column, sides[1])
             score_moments(moments[0], sides[0])
             score_moments(moments[1], sides[1])
@@ -214,7 +222,9 @@ def _add_ground_absorption(crossings, first, ray, alpha, ground_column, total):
     """Add to `total` what the ground keeps of a ray, and return its first note's successor."""
     weight = np.empty_like(total)
     while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
-        compute_path_weights(crossings[first, CROSSING_LENGTH:], crossings[first, CROSSING_WEIGHT], alpha, weight)
+        compute_path_weights(
+            crossings[first, CROSSING_LENGTH:], crossings[first, CROSSING_WEIGHT], alpha, weight
+        )
         for i in range(total.size):
             total[i] += weight[i] * (ONE - exp_float32(-alpha[ground_column, i]))
         first += 1

@@ -24,7 +24,11 @@ from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT
 DOWNWARD, UPWARD = 0, 1
 _MAX_SERIES_DEPTH = float32_constant(0.05)
 """Optical depth of a stretch below which a series takes the place of a difference."""
-_HALF, _SIXTH, _TWENTY_FOURTH = float32_constant(1.0 / 2.0), float32_constant(1.0 / 6.0), float32_constant(1.0 / 24.0)
+_HALF, _SIXTH, _TWENTY_FOURTH = (
+    float32_constant(1.0 / 2.0),
+    float32_constant(1.0 / 6.0),
+    float32_constant(1.0 / 24.0),
+)
 
 
 class FluxTally(NamedTuple):
@@ -61,11 +65,11 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
     ----------
     exits : float64[rays, columns]
     notes : float64[notes, columns]
-        Of these rays, ray by ray, see `splits.transport.sums.notes`.
+        Of these rays, ray by ray, see `splits.kernels.tallies.crossings`.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m) of recorded lengths; of a ground −ln of its albedo.
     fractions : float64[materials]
-        Path over recorded length, see `splits.media.granular.path_fractions`.
+        Path over recorded length, see `splits.media.medium.compute_path_fractions`.
     layers : int
     ground : int
         Column of the ground, see `scene.Scene`.
@@ -95,7 +99,15 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
         while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
             row = crossings[first]
             _tally_segment(
-                sums, past, now, row[CROSSING_LENGTH:], row[CROSSING_WEIGHT], alpha, part, layer, ground_column
+                sums,
+                past,
+                now,
+                row[CROSSING_LENGTH:],
+                row[CROSSING_WEIGHT],
+                alpha,
+                part,
+                layer,
+                ground_column,
             )
             face, up = divmod(int(row[CROSSING_EVENT]), 2)
             _add_weighted(sums.boundary_weight[up, face], now, row[CROSSING_WEIGHT])
@@ -106,13 +118,23 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
                 past.path_lengths[ground_column] += 1.0
                 for i in range(wavelengths):
                     past.transmittance[i] *= exp_float32(-alpha[ground_column, i])
-                _add_weighted(sums.boundary_weight[UPWARD, face], past.transmittance, row[CROSSING_WEIGHT])
+                _add_weighted(
+                    sums.boundary_weight[UPWARD, face], past.transmittance, row[CROSSING_WEIGHT]
+                )
             first += 1
         side = int(exits[ray, EXIT_SIDE])
         if side >= 0:
             weight = exits[ray, EXIT_WEIGHT]
-            _tally_segment(sums, past, now, exits[ray, EXIT_LENGTH:], weight, alpha, part, layer, ground_column)
-            _add_weighted(sums.boundary_weight[UPWARD if side == 0 else DOWNWARD, 0 if side == 0 else n_layers], now, weight)
+            _tally_segment(
+                sums, past, now, exits[ray, EXIT_LENGTH:], weight, alpha, part, layer, ground_column
+            )
+            _add_weighted(
+                sums.boundary_weight[
+                    UPWARD if side == 0 else DOWNWARD, 0 if side == 0 else n_layers
+                ],
+                now,
+                weight,
+            )
     return sums
 
 
@@ -124,7 +146,9 @@ def _add_weighted(total, light, weight):
 
 
 @inline
-def _tally_segment(sums, last, light, path_lengths, weight, alpha, path_fractions, layer, ground_column):
+def _tally_segment(
+    sums, last, light, path_lengths, weight, alpha, path_fractions, layer, ground_column
+):
     """Add what a ray leaves on a stretch, and bring its past to the end of that.
 
     Roulette on the way counts from the beginning of the stretch: on average that is the same.

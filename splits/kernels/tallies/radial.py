@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point
-from splits.kernels.tallies.angular import WEIGHT_SQUARED, WEIGHT, compute_path_weight
+from splits.kernels.tallies.angular import WEIGHT, WEIGHT_SQUARED, compute_path_weight
 from splits.kernels.tallies.exits import EXIT_ORDER, EXIT_POSITION, EXIT_SIDE
 
 
@@ -32,7 +32,9 @@ class RadialTally(NamedTuple):
 
 
 @entry_point
-def tally_radial(exits, absorption, min_distance, bins_per_decade, n_bins, map_half_width, n_pixels):
+def tally_radial(
+    exits, absorption, min_distance, bins_per_decade, n_bins, map_half_width, n_pixels
+):
     """Add up the weights of rays by distance from their point of entry and by place.
 
     Rays that met no grain do not count.
@@ -40,7 +42,7 @@ def tally_radial(exits, absorption, min_distance, bins_per_decade, n_bins, map_h
     Parameters
     ----------
     exits : float64[rays, columns]
-        See `splits.transport.sums.tally`; with positions and orders.
+        See `splits.kernels.tallies.exits`; with positions and orders.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m).
     shortest : float

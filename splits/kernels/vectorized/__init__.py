@@ -13,4 +13,6 @@ The formulas are those of the scalar kernel: `facets`, `fresnel`, `spheroid` ser
 
 from splits.kernels.vectorized.batch import trace_batch
 
-__all__ = ["batch"]
+__all__ = [
+    "trace_batch",
+]

@@ -10,44 +10,47 @@ from numpy import float32 as single
 from splits.kernels.compiler.alignment import align_stack, allocate_aligned
 from splits.kernels.compiler.jit import ZERO, entry_point, inline_allocating, inline_only
 from splits.kernels.grains.free_path import LayerGeometry
-from splits.kernels.grains.state import make_rejection_rules
 from splits.kernels.grains.scene import WRONG_SIDE_LOBE
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.sampling import draw_grain_properties
-from splits.kernels.vectorized.lifecycle import (
-    LaneState,
-    BatchJob,
-    cross_boundary,
-    compact_lanes,
-    set_grain_optics,
-    sample_source,
-    record_lane_exit,
-    flush_path_lengths,
-)
-from splits.kernels.vectorized.flight import run_flight_pass
-from splits.kernels.vectorized.ground import reflect_from_ground, reaches_ground
-from splits.kernels.vectorized.layers import (
-    cross_interface,
-    restart_flight,
-    attenuate_segment,
-    locate_layer,
-)
-from splits.kernels.vectorized.lane_state import PassConstants
-from splits.kernels.vectorized.interaction import run_surface_pass
+from splits.kernels.grains.state import make_rejection_rules
 from splits.kernels.tallies.crossings import (
-    has_capacity,
     allocate_bank,
     ensure_capacity,
     get_recorded,
+    has_capacity,
 )
 from splits.kernels.tallies.exits import BatchResult
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.flight import run_flight_pass
+from splits.kernels.vectorized.ground import reaches_ground, reflect_from_ground
+from splits.kernels.vectorized.interaction import run_surface_pass
+from splits.kernels.vectorized.lane_state import PassConstants
+from splits.kernels.vectorized.layers import (
+    attenuate_segment,
+    cross_interface,
+    locate_layer,
+    restart_flight,
+)
+from splits.kernels.vectorized.lifecycle import (
+    BatchJob,
+    LaneState,
+    compact_lanes,
+    cross_boundary,
+    flush_path_lengths,
+    record_lane_exit,
+    sample_source,
+    set_grain_optics,
+)
+from splits.kernels.vectorized.sampling import draw_grain_properties
 
 
 @inline_only
 def make_pass_constants(scene):
     """Return what the passes need to know of a scene."""
     layers, rules = scene.layers, scene.rules
-    top, bottom = single(layers.boundaries[0]), single(layers.boundaries[layers.boundaries.size - 1])
+    top, bottom = (
+        single(layers.boundaries[0]),
+        single(layers.boundaries[layers.boundaries.size - 1]),
+    )
     space = LayerGeometry(single(1.0 / layers.attenuation[0]), bottom, top, bottom, top, top)
     mirrored = rules.wrong_side != WRONG_SIDE_LOBE
     saturation = single(layers.saturation[0])
@@ -63,14 +66,19 @@ def allocate_lanes(n_materials):
     state[lane_state.STATUS : lane_state.STATUS + lane_state.N_LANES] = lane_state.IDLE
     words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
     length = np.zeros((lane_state.N_LANES, n_materials))
-    ray, item = np.zeros(lane_state.N_LANES, dtype=np.int64), np.zeros(lane_state.N_LANES, dtype=np.int64)
+    ray, item = (
+        np.zeros(lane_state.N_LANES, dtype=np.int64),
+        np.zeros(lane_state.N_LANES, dtype=np.int64),
+    )
     return LaneState(state, words, length, ray, item, np.zeros(1, dtype=np.uint64))
 
 
 @inline_only
 def advance_flights(lanes, width, features, tables, job, crossings):
     """Give all lanes between grains their next grain; see `run_flight_pass` for what it returns."""
-    draw_grain_properties(lanes.state, lanes.words, width, features, tables, job.scene.layers.type_cdf)
+    draw_grain_properties(
+        lanes.state, lanes.words, width, features, tables, job.scene.layers.type_cdf
+    )
     if features.mixed is not None:
         for lane in range(width):
             if lanes.state[lane_state.STATUS + lane] == lane_state.IN_FLIGHT:
@@ -81,7 +89,10 @@ def advance_flights(lanes, width, features, tables, job, crossings):
             met = lanes.state[lane_state.STATUS + lane] == lane_state.AT_SURFACE
             if met and lanes.state[lane_state.SHELL + lane] == ZERO:
                 set_grain_optics(lanes, lane, job)
-                if features.layered is not None and lanes.state[lane_state.SEGMENT_ATTENUATED + lane] == ZERO:
+                if (
+                    features.layered is not None
+                    and lanes.state[lane_state.SEGMENT_ATTENUATED + lane] == ZERO
+                ):
                     attenuate_segment(lanes, lane, job, crossings)
     return waiting
 
@@ -130,7 +141,9 @@ def launch_next_ray(lanes, lane, job, exits, queue):
         lanes.item[lane] = queue.item
         entered = sample_source(lanes, lane, job, queue.ray_in_item)
         busy = queue.n_active + 1 if entered else queue.n_active
-        queue = SourceQueue(queue.next_ray + 1, queue.n_rays, queue.item, queue.ray_in_item + 1, busy, False)
+        queue = SourceQueue(
+            queue.next_ray + 1, queue.n_rays, queue.item, queue.ray_in_item + 1, busy, False
+        )
         if entered:
             return queue
         record_lane_exit(lanes, lane, exits)
@@ -162,7 +175,14 @@ def service_lanes(lanes, width, job, crossings, exits, n_segments, queue):
         while state[lane_state.STATUS + lane] >= lane_state.AT_BOUNDARY:
             status = state[lane_state.STATUS + lane]
             if status == lane_state.LOST:
-                return SourceQueue(queue.next_ray, queue.n_rays, queue.item, queue.ray_in_item, queue.n_active, True)
+                return SourceQueue(
+                    queue.next_ray,
+                    queue.n_rays,
+                    queue.item,
+                    queue.ray_in_item,
+                    queue.n_active,
+                    True,
+                )
             if status == lane_state.IDLE and queue.next_ray == queue.n_rays:
                 break
             leaves = False
@@ -180,7 +200,9 @@ def service_lanes(lanes, width, job, crossings, exits, n_segments, queue):
             if leaves:
                 flush_path_lengths(lanes, lane, job.scene)
                 record_lane_exit(lanes, lane, exits)
-            queue = SourceQueue(queue.next_ray, queue.n_rays, queue.item, queue.ray_in_item, busy, False)
+            queue = SourceQueue(
+                queue.next_ray, queue.n_rays, queue.item, queue.ray_in_item, busy, False
+            )
             queue = launch_next_ray(lanes, lane, job, exits, queue)
             break
     return queue
@@ -211,11 +233,11 @@ def trace_batch(seed, work, scene, optics, exits, features):
         Seed, ensemble and number name a ray's random stream: it is the same in whatever lane and
         batch, and in whatever company.
     scene : Scene
-        See `splits.transport.grains.scene`; at most one coating.
+        See `splits.kernels.grains.scene`; at most one coating.
     optics : Optics
         With a row for each item.
     exits : float64[rays, columns]
-        A row for each ray, item after item, see `splits.transport.sums.tally`; must come from
+        A row for each ray, item after item, see `splits.kernels.tallies.exits`; must come from
         `exit_rows`.
     features : Features
 
@@ -237,7 +259,9 @@ def trace_batch(seed, work, scene, optics, exits, features):
     legs = np.zeros(len(work), dtype=np.int64)
     queue = SourceQueue(0, work[:, 2].sum(), 0, 0, 0, False)
     notes = allocate_bank(optics.n.shape[1])
-    width = min(lane_state.N_LANES, max(1, -(-queue.n_rays // lane_state.STRIDE)) * lane_state.STRIDE)
+    width = min(
+        lane_state.N_LANES, max(1, -(-queue.n_rays // lane_state.STRIDE)) * lane_state.STRIDE
+    )
     flying, ended = 0, width
     # Between two looks at the room, a ray may land once and be served once.
     most = 2 * width * scene.layers.boundaries.size

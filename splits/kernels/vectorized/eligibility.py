@@ -41,7 +41,7 @@ def select_features(scene: Scene, optics: Optics) -> Features | None:
     Parameters
     ----------
     scene, optics
-        See `splits.transport.grains.scene`.
+        See `splits.kernels.grains.scene`.
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
@@ -63,7 +63,10 @@ def select_features(scene: Scene, optics: Optics) -> Features | None:
         core = types.material[0, 0]
         pores = [DRY_PORE, WET_PORE] if layers.saturation.max() > 0.0 else [DRY_PORE]
         pairs = [(pore, core) for pore in pores] + [(core, pore) for pore in pores]
-        absorbing = any(compute_extinction_effect(optics, near, far) > EXTINCTION_TOLERANCE for near, far in pairs)
+        absorbing = any(
+            compute_extinction_effect(optics, near, far) > EXTINCTION_TOLERANCE
+            for near, far in pairs
+        )
     return Features(
         wet=_to_feature(layers.saturation.max() > 0.0),
         faceted=_to_feature(bool((types.facetness > 0.0).any())),

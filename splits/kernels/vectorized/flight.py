@@ -1,6 +1,6 @@
 """Roulette, the next grain and the way to it, for every lane between grains.
 
-See `splits.transport.grains.flight` for the physics.
+See `splits.kernels.grains.free_path` for the physics.
 """
 
 from __future__ import annotations
@@ -12,29 +12,29 @@ from numpy import float32 as single
 
 from splits.kernels.compiler.jit import ONE, ZERO, entry_point_no_refcount, inline_only
 from splits.kernels.grains.free_path import (
+    LayerGeometry,
     RayGeometry,
     RouletteState,
-    LayerGeometry,
-    sample_collision,
     russian_roulette,
+    sample_collision,
 )
 from splits.kernels.grains.scene import MAX_REJECTIONS
 from splits.kernels.grains.spheroid import (
     EntryVariates,
-    Segment,
     GrainSize,
+    Segment,
     accept_axial_position,
 )
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.lane_rng import (
-    to_uniform_46,
-    to_three_uniforms,
-    compute_random_bits,
-)
-from splits.kernels.vectorized.lane_state import store_vector, load_vector
-from splits.kernels.vectorized.intrinsics import interleave_loops, prefer_512_bit_vectors
 from splits.kernels.math.elementary import sample_circle
 from splits.kernels.math.vectors import Vector, select
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.intrinsics import interleave_loops, prefer_512_bit_vectors
+from splits.kernels.vectorized.lane_rng import (
+    compute_random_bits,
+    to_three_uniforms,
+    to_uniform_46,
+)
+from splits.kernels.vectorized.lane_state import load_vector, store_vector
 
 _MAX_REJECTIONS = single(MAX_REJECTIONS)
 _N_VARIATES = np.uint32(5)
@@ -65,14 +65,25 @@ def draw_flight_variates(words, i, active):
     words[lane_state.N_DRAWN + i] = np.uint32(count + _N_VARIATES) if active else count
     legs = words[lane_state.N_SEGMENTS + i]
     words[lane_state.N_SEGMENTS + i] = np.uint32(legs + np.uint32(1)) if active else legs
-    return FlightVariates(roulette_, leg, EntryVariates(facing, sample_circle(azimuth), sample_circle(turn), axial, area))
+    return FlightVariates(
+        roulette_,
+        leg,
+        EntryVariates(facing, sample_circle(azimuth), sample_circle(turn), axial, area),
+    )
 
 
 @inline_only
 def load_ray(state, i, layered):
     """Return a lane's ray between grains."""
-    last = Segment(load_vector(state, lane_state.PREV_DIR_X + i), load_vector(state, lane_state.PREV_DIR_X + i), state[lane_state.PREV_LENGTH + i])
-    place, way = load_vector(state, lane_state.X + i), load_vector(state, lane_state.EXIT_OFFSET_X + i)
+    last = Segment(
+        load_vector(state, lane_state.PREV_DIR_X + i),
+        load_vector(state, lane_state.PREV_DIR_X + i),
+        state[lane_state.PREV_LENGTH + i],
+    )
+    place, way = (
+        load_vector(state, lane_state.X + i),
+        load_vector(state, lane_state.EXIT_OFFSET_X + i),
+    )
     skipped = state[lane_state.SKIP_DISTANCE + i]
     if layered is not None:
         skipped = state[lane_state.START_DISTANCE + i]
@@ -88,7 +99,9 @@ def load_layer_geometry(state, i, constants, layered):
     mean_leg, low, high = (
         state[lane_state.MEAN_FREE_PATH + i], state[lane_state.LAYER_BOTTOM + i], state[lane_state.LAYER_TOP + i]
     )  # fmt: skip
-    return LayerGeometry(mean_leg, low, high, space.slab_bottom, space.slab_top, space.grain_ceiling)
+    return LayerGeometry(
+        mean_leg, low, high, space.slab_bottom, space.slab_top, space.grain_ceiling
+    )
 
 
 @inline_only
@@ -107,7 +120,11 @@ def has_left_layer(state, i, geometry, layer_geometry):
 def update_restart(state, i, geometry, collision, rejected):
     """Note from where a lane's next grain is drawn; tell whether that is in another layer."""
     left_out = rejected & (collision.start_distance == collision.distance)
-    ahead, skip, start = state[lane_state.START_DISTANCE + i], state[lane_state.SKIP_DISTANCE + i], state[lane_state.DRAW_LAYER + i]
+    ahead, skip, start = (
+        state[lane_state.START_DISTANCE + i],
+        state[lane_state.SKIP_DISTANCE + i],
+        state[lane_state.DRAW_LAYER + i],
+    )
     layer = state[lane_state.LAYER + i]
     back = rejected & (not left_out) & (layer != start)
     again = rejected & (not left_out) & (layer == start)
@@ -124,15 +141,26 @@ def run_flight_step(state, words, i, features, constants):
     status = state[lane_state.STATUS + i]
     active = status == lane_state.IN_FLIGHT
     numbers = draw_flight_variates(words, i, active)
-    purse = RouletteState(state[lane_state.OPTICAL_DEPTH + i], state[lane_state.NEXT_ROULETTE + i], state[lane_state.WEIGHT + i])
+    purse = RouletteState(
+        state[lane_state.OPTICAL_DEPTH + i],
+        state[lane_state.NEXT_ROULETTE + i],
+        state[lane_state.WEIGHT + i],
+    )
     played = russian_roulette(purse, numbers.roulette, active)
-    state[lane_state.NEXT_ROULETTE + i], state[lane_state.WEIGHT + i] = played.roulette.next_roulette, played.roulette.weight
+    state[lane_state.NEXT_ROULETTE + i], state[lane_state.WEIGHT + i] = (
+        played.roulette.next_roulette,
+        played.roulette.weight,
+    )
     ray = load_ray(state, i, features.layered)
     space = load_layer_geometry(state, i, constants, features.layered)
     # The trial of the axial position comes before all else that a draw can lead to, so that its
     # failures leave no trace in distances, shapes and types.
-    size = GrainSize(ONE / state[lane_state.NEW_CURVATURE + i], state[lane_state.NEW_FLATTENING + i])
-    met = sample_collision(ray, size, numbers.entry, numbers.distance, space, constants.rejection_rules)
+    size = GrainSize(
+        ONE / state[lane_state.NEW_CURVATURE + i], state[lane_state.NEW_FLATTENING + i]
+    )
+    met = sample_collision(
+        ray, size, numbers.entry, numbers.distance, space, constants.rejection_rules
+    )
     sound = accept_axial_position(numbers.entry, size.flattening)
     going = active & sound & (not played.terminated)
     strays = False
@@ -170,12 +198,21 @@ def run_flight_step(state, words, i, features, constants):
 @inline_only
 def move_to_grain(state, i, geometry, collision, accepted, features):
     """Bring a lane's ray to the grain that it meets, if there is one."""
-    place, way, d, leg = geometry.position, geometry.exit_offset, geometry.direction, collision.distance
+    place, way, d, leg = (
+        geometry.position,
+        geometry.exit_offset,
+        geometry.direction,
+        collision.distance,
+    )
     state[lane_state.X + i] = place.x + way.x + leg * d.x if accepted else place.x
     state[lane_state.Y + i] = place.y + way.y + leg * d.y if accepted else place.y
     state[lane_state.Z + i] = collision.height if accepted else place.z
-    store_vector(state, lane_state.EXIT_OFFSET_X + i, select(accepted, Vector(ZERO, ZERO, ZERO), way))
-    store_vector(state, lane_state.PREV_DIR_X + i, select(accepted, d, geometry.previous_segment.direction))
+    store_vector(
+        state, lane_state.EXIT_OFFSET_X + i, select(accepted, Vector(ZERO, ZERO, ZERO), way)
+    )
+    store_vector(
+        state, lane_state.PREV_DIR_X + i, select(accepted, d, geometry.previous_segment.direction)
+    )
     state[lane_state.PREV_LENGTH + i] = leg if accepted else geometry.previous_segment.length
     # Legs through several layers are booked between the passes.
     if features.layered is None:
@@ -198,8 +235,16 @@ def attenuate(state, i, distance, features):
 @inline_only
 def store_grain(state, i, grain, accepted, features):
     """Give a lane the grain that its ray meets, if it does."""
-    store_vector(state, lane_state.UNIT_POINT_X + i, select(accepted, grain.q, load_vector(state, lane_state.UNIT_POINT_X + i)))
-    store_vector(state, lane_state.AXIS_X + i, select(accepted, grain.w, load_vector(state, lane_state.AXIS_X + i)))
+    store_vector(
+        state,
+        lane_state.UNIT_POINT_X + i,
+        select(accepted, grain.q, load_vector(state, lane_state.UNIT_POINT_X + i)),
+    )
+    store_vector(
+        state,
+        lane_state.AXIS_X + i,
+        select(accepted, grain.w, load_vector(state, lane_state.AXIS_X + i)),
+    )
     flattening, minor = state[lane_state.FLATTENING + i], state[lane_state.SEMI_MINOR + i]
     layer, side = state[lane_state.SHELL + i], state[lane_state.SIDE + i]
     state[lane_state.FLATTENING + i] = grain.flattening if accepted else flattening
@@ -241,7 +286,7 @@ def run_flight_pass(state, words, width, features, constants):
     width : int
         Lanes in use, from the first on: a multiple of `rows.STRIDE`.
     features, scene : Features, Scene
-        See `splits.transport.lanes.rows`.
+        See `splits.kernels.vectorized.lane_state`.
 
     Returns
     -------

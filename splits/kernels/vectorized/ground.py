@@ -7,11 +7,11 @@ from numpy import float32 as single
 
 from splits.kernels.compiler.jit import ZERO, inline_only
 from splits.kernels.grains.scene import NO_GROUND
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.lifecycle import draw_uniform, enter_layer, flush_path_lengths
-from splits.kernels.vectorized.layers import set_layer, start_flight, append_lane_crossing
 from splits.kernels.math.vectors import UP, sample_cosine_lobe
 from splits.kernels.tallies.crossings import encode_crossing
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.layers import append_lane_crossing, set_layer, start_flight
+from splits.kernels.vectorized.lifecycle import draw_uniform, enter_layer, flush_path_lengths
 
 
 @inline_only

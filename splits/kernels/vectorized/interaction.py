@@ -11,26 +11,26 @@ from splits.kernels.compiler.jit import (
     float32_constant,
     inline_only,
 )
-from splits.kernels.grains.microfacet import make_smooth_facet, sample_microfacet
-from splits.kernels.grains.spheroid import Spheroid, compute_chord
 from splits.kernels.grains.interaction import (
-    RelativeIndex,
-    InteractionVariates,
     InteractionResult,
+    InteractionVariates,
     InterfaceState,
-    relative_index,
+    RelativeIndex,
     compute_coating_path_length,
     find_next_region,
     reflect_or_refract,
+    relative_index,
 )
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.lane_rng import to_three_uniforms, compute_random_bits
-from splits.kernels.vectorized.lane_state import store_vector, load_vector
-from splits.kernels.vectorized.intrinsics import interleave_loops, prefer_512_bit_vectors
+from splits.kernels.grains.microfacet import make_smooth_facet, sample_microfacet
+from splits.kernels.grains.spheroid import Spheroid, compute_chord
 from splits.kernels.math.arithmetic import sqrt
-from splits.kernels.math.elementary import Angle, sample_half_circle, log
-from splits.kernels.math.vectors import Vector, select, scale
+from splits.kernels.math.elementary import Angle, log, sample_half_circle
+from splits.kernels.math.vectors import Vector, scale, select
 from splits.kernels.optics.interface import ComplexIndex
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.intrinsics import interleave_loops, prefer_512_bit_vectors
+from splits.kernels.vectorized.lane_rng import compute_random_bits, to_three_uniforms
+from splits.kernels.vectorized.lane_state import load_vector, store_vector
 
 _MINUS_TWO = float32_constant(-2.0)
 
@@ -70,7 +70,9 @@ def load_relative_index_mixed(state, i, interface, pore_wet):
     k_next = k_outer if in_pore else k_core
     n_last = n_outer if below else n_pore
     k_last = k_outer if below else k_pore
-    return relative_index(near, ComplexIndex(n_last if outward else n_next, k_last if outward else k_next))
+    return relative_index(
+        near, ComplexIndex(n_last if outward else n_next, k_last if outward else k_next)
+    )
 
 
 @inline_only
@@ -121,7 +123,14 @@ def run_surface_step(state, words, i, features, constants):
     outward = stand.side < ZERO
     facet = make_smooth_facet(d, grain, stand.side)
     if features.faceted is not None:
-        facet = sample_microfacet(d, facet, state[lane_state.ROUGHNESS + i], numbers, stand.in_lobe, constants.facet_sampling)
+        facet = sample_microfacet(
+            d,
+            facet,
+            state[lane_state.ROUGHNESS + i],
+            numbers,
+            stand.in_lobe,
+            constants.facet_sampling,
+        )
     # A ray that reaches the outermost interface from the inside draws the pore that it may go
     # into, unless it is on its way there in a lobe.
     new_wet = wet
@@ -136,8 +145,16 @@ def run_surface_step(state, words, i, features, constants):
         media = load_relative_index_mixed(state, i, stand, pore_wet)
     else:
         media = load_relative_index_single_type(state, i, stand, pore_wet, features)
-    after = reflect_or_refract(d, stand, facet, media, numbers.u_fresnel, constants.mirror_wrong_side, features)
-    after = InteractionResult(after.direction, after.transmitted, active & after.accepted, active & after.needs_lobe, after.cos_out)
+    after = reflect_or_refract(
+        d, stand, facet, media, numbers.u_fresnel, constants.mirror_wrong_side, features
+    )
+    after = InteractionResult(
+        after.direction,
+        after.transmitted,
+        active & after.accepted,
+        active & after.needs_lobe,
+        after.cos_out,
+    )
     gone = find_next_region(stand, after, state[lane_state.N_SHELLS + i], features.mixed)
     if features.wet is not None:
         # A ray reflected from the outside draws the pore of its next leg, too.
@@ -145,14 +162,18 @@ def run_surface_step(state, words, i, features, constants):
         state[lane_state.PORE_WET + i] = new_wet if keep else wet
         if features.layered is not None:
             pore = state[lane_state.PORE_VARIATE + i]
-            state[lane_state.PORE_VARIATE + i] = numbers.u_pore if keep & (not (stand.in_lobe & outward)) else pore
+            state[lane_state.PORE_VARIATE + i] = (
+                numbers.u_pore if keep & (not (stand.in_lobe & outward)) else pore
+            )
     advance_in_grain(state, i, grain, after, gone, features, constants.point_grains)
     store_vector(state, lane_state.DIR_X + i, select(after.accepted, after.direction, d))
     state[lane_state.SHELL + i] = gone.interface.shell
     state[lane_state.SIDE + i] = gone.interface.side
     next_status = lane_state.IN_FLIGHT if gone.in_pore else lane_state.AT_SURFACE
     next_status = (
-        (lane_state.IN_TRANSMITTED_LOBE if after.transmitted else lane_state.IN_REFLECTED_LOBE) if after.needs_lobe else next_status
+        (lane_state.IN_TRANSMITTED_LOBE if after.transmitted else lane_state.IN_REFLECTED_LOBE)
+        if after.needs_lobe
+        else next_status
     )
     next_status = next_status if active else status
     state[lane_state.STATUS + i] = next_status
@@ -168,11 +189,15 @@ def advance_in_grain(state, i, grain, result, region, features, point_grains):
     way, done = load_vector(state, lane_state.EXIT_OFFSET_X + i), scale(leg, result.direction)
     # A direction that is no number, in a lane that waits, must not get into its way.
     more = select(region.in_core & (not point_grains), done, Vector(ZERO, ZERO, ZERO))
-    store_vector(state, lane_state.EXIT_OFFSET_X + i, Vector(way.x + more.x, way.y + more.y, way.z + more.z))
+    store_vector(
+        state, lane_state.EXIT_OFFSET_X + i, Vector(way.x + more.x, way.y + more.y, way.z + more.z)
+    )
     state[lane_state.CORE_PATH + i] += leg
     depth = leg * state[lane_state.ABSORPTION_CORE + i]
     if features.mixed is not None:
-        coat = compute_coating_path_length(state[lane_state.COATING_THICKNESS + i], result, region.in_coating)
+        coat = compute_coating_path_length(
+            state[lane_state.COATING_THICKNESS + i], result, region.in_coating
+        )
         state[lane_state.COATING_PATH + i] += coat
         depth += coat * state[lane_state.ABSORPTION_OUTER + i]
     state[lane_state.OPTICAL_DEPTH + i] += depth
@@ -203,7 +228,7 @@ def run_surface_pass(state, words, width, features, constants):
     width : int
         Lanes in use, from the first on: a multiple of `rows.STRIDE`.
     features, scene : Features, Scene
-        See `splits.transport.compiling.features` and `splits.transport.lanes.rows`.
+        See `splits.kernels.compiler.features` and `splits.kernels.vectorized.lane_state`.
 
     Returns
     -------

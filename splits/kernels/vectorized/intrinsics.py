@@ -42,7 +42,9 @@ def interleave_loops(typing_context):
         count = module.add_metadata([name, ir.Constant(ir.IntType(32), 2)])
         for block in builder.function.blocks:
             end = block.terminator
-            if isinstance(end, ir.Branch) and _get_bytecode_offset(end.operands[0]) < _get_bytecode_offset(block):
+            if isinstance(end, ir.Branch) and _get_bytecode_offset(
+                end.operands[0]
+            ) < _get_bytecode_offset(block):
                 loop = module.add_metadata([count])
                 # LLVM knows the name of a loop by its referring to itself.
                 loop.operands = (loop, count)
@@ -76,7 +78,9 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
 
     def generate(context, builder, signature, arguments):
         number, short, long = ir.FloatType(), ir.IntType(32), ir.IntType(64)
-        numbers, shorts, longs = (ir.VectorType(kind, VECTOR_WIDTH) for kind in (number, short, long))
+        numbers, shorts, longs = (
+            ir.VectorType(kind, VECTOR_WIDTH) for kind in (number, short, long)
+        )
         mask = ir.VectorType(ir.IntType(1), VECTOR_WIDTH)
         pointers = ir.VectorType(number.as_pointer(), VECTOR_WIDTH)
         values, lanes = (

@@ -6,8 +6,8 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.kernels.compiler.jit import HALF, ONE, inline_only
-from splits.kernels.vectorized.lane_state import N_DRAWN, KEY_HIGH, KEY_LOW
 from splits.kernels.math.rng import GOLDEN_GAMMA, mix64
+from splits.kernels.vectorized.lane_state import KEY_HIGH, KEY_LOW, N_DRAWN
 
 _MASK_21 = np.uint64(0x1FFFFF)
 _MASK_23 = np.uint64(0x7FFFFF)

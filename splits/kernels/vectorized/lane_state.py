@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import float32_constant, inline_only
-from splits.kernels.grains.free_path import RejectionRules, LayerGeometry
+from splits.kernels.grains.free_path import LayerGeometry, RejectionRules
 from splits.kernels.math.vectors import Vector
 
 N_LANES = 64

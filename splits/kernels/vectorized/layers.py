@@ -1,6 +1,6 @@
 """Rays of lanes among layers, between the passes: faces, legs through several layers, the way back.
 
-See `splits.transport.grains.granular` for what happens there.
+See `splits.kernels.grains.history` for what happens there.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from numpy import float32 as single
 from splits.kernels.compiler.jit import ONE, ZERO, inline_only
 from splits.kernels.grains.free_path import compute_boundary_hit
 from splits.kernels.grains.history import find_adjacent_layer
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.lifecycle import (
-    draw_uniform,
-    set_layer_optics,
-    refractive_index_of,
-)
-from splits.kernels.vectorized.flight import load_ray, load_layer_geometry
-from splits.kernels.vectorized.lane_state import store_vector
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import orient_horizontal_normal, sample_interface
-from splits.kernels.tallies.crossings import append_crossing, set_current_ray, encode_crossing
+from splits.kernels.tallies.crossings import append_crossing, encode_crossing, set_current_ray
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.flight import load_layer_geometry, load_ray
+from splits.kernels.vectorized.lane_state import store_vector
+from splits.kernels.vectorized.lifecycle import (
+    draw_uniform,
+    refractive_index_of,
+    set_layer_optics,
+)
 
 
 @inline_only
@@ -63,14 +63,21 @@ def start_flight(state, lane):
 def append_lane_crossing(lanes, lane, crossings, event):
     """Note where a lane's ray is; its lengths must have been put down."""
     set_current_ray(crossings, lanes.ray[lane])
-    append_crossing(crossings, event, np.float64(lanes.state[lane_state.WEIGHT + lane]), lanes.path_lengths[lane])
+    append_crossing(
+        crossings,
+        event,
+        np.float64(lanes.state[lane_state.WEIGHT + lane]),
+        lanes.path_lengths[lane],
+    )
 
 
 @inline_only
 def record_crossing(lanes, lane, job, crossings, layer, upward):
     """Note a lane's ray that passes from a layer into the next one, where somebody listens."""
     if job.scene.record_crossings:
-        append_lane_crossing(lanes, lane, crossings, encode_crossing(layer if upward else layer + 1, upward))
+        append_lane_crossing(
+            lanes, lane, crossings, encode_crossing(layer if upward else layer + 1, upward)
+        )
 
 
 @inline_only
@@ -155,7 +162,9 @@ def cross_interface(lanes, lane, job, crossings):
     state[lane_state.STATUS + lane] = lane_state.IN_FLIGHT
     if inside and has_same_pore_index(lanes, lane, job, layer, other):
         set_layer(lanes, lane, job, other)
-        state[lane_state.START_DISTANCE + lane] = max(arrival.distance, state[lane_state.START_DISTANCE + lane])
+        state[lane_state.START_DISTANCE + lane] = max(
+            arrival.distance, state[lane_state.START_DISTANCE + lane]
+        )
         return False
     store_vector(state, lane_state.X + lane, arrival.position)
     store_vector(state, lane_state.EXIT_OFFSET_X + lane, Vector(ZERO, ZERO, ZERO))
@@ -168,8 +177,12 @@ def cross_interface(lanes, lane, job, crossings):
         far = refractive_index_of(optics, item, pore_material(lanes, lane, layers, other))
     passed = True
     if job.scene.rules.boundary_fresnel and (near.n != far.n or near.k != far.k):
-        d = Vector(np.float64(ray.direction.x), np.float64(ray.direction.y), np.float64(ray.direction.z))
-        passed, e = sample_interface(d, orient_horizontal_normal(d), near, far, draw_uniform(words, lane))
+        d = Vector(
+            np.float64(ray.direction.x), np.float64(ray.direction.y), np.float64(ray.direction.z)
+        )
+        passed, e = sample_interface(
+            d, orient_horizontal_normal(d), near, far, draw_uniform(words, lane)
+        )
         store_vector(state, lane_state.DIR_X + lane, Vector(single(e.x), single(e.y), single(e.z)))
     state[lane_state.N_REJECTED + lane] = ZERO
     if passed and inside:

@@ -11,10 +11,6 @@ from splits.kernels.compiler.features import Features
 from splits.kernels.compiler.jit import ONE, ZERO, inline_only
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, compute_boundary_hit
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE, Optics, Scene
-from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.flight import load_ray, attenuate
-from splits.kernels.vectorized.lane_rng import to_uniform_52, compute_random_bits
-from splits.kernels.vectorized.lane_state import PassConstants, store_vector, load_vector
 from splits.kernels.math.rng import start_stream
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import (
@@ -25,6 +21,10 @@ from splits.kernels.optics.interface import (
 from splits.kernels.optics.source import sample_source_direction
 from splits.kernels.tallies.crossings import copy_into_row
 from splits.kernels.tallies.exits import EXIT_LENGTH, record_exit
+from splits.kernels.vectorized import lane_state
+from splits.kernels.vectorized.flight import attenuate, load_ray
+from splits.kernels.vectorized.lane_rng import compute_random_bits, to_uniform_52
+from splits.kernels.vectorized.lane_state import PassConstants, load_vector, store_vector
 
 _LOW_32_BITS = np.uint64(0xFFFFFFFF)
 
@@ -36,7 +36,7 @@ class BatchJob(NamedTuple):
     ----------
     seed : int
     work : int64[items, 4]
-        See `splits.transport.lanes.batch.batch`.
+        See `splits.kernels.vectorized.batch.trace_batch`.
     scene : Scene
     optics : Optics
         With a row for each item.
@@ -58,7 +58,7 @@ class LaneState(NamedTuple):
     Attributes
     ----------
     state, words : float32[STATE], uint32[WORDS]
-        See `splits.transport.lanes.rows`.
+        See `splits.kernels.vectorized.lane_state`.
     length : float64[LANES, materials]
         Path lengths (m) put down so far.
     ray, item : int64[LANES]
@@ -101,7 +101,9 @@ def sample_source(lanes, lane, job, ray_in_item):
     words[lane_state.N_SEGMENTS + lane] = np.uint32(0)
     words[lane_state.ORDER + lane] = np.uint32(0)
     words[lane_state.MAX_ORDER + lane] = np.uint32(job.work[item, 3])
-    d = sample_source_direction(light, draw_uniform(words, lane) if light.diffuse_fraction > 0.0 else 1.0)
+    d = sample_source_direction(
+        light, draw_uniform(words, lane) if light.diffuse_fraction > 0.0 else 1.0
+    )
     passed = enter_layer(lanes, lane, job, 0, d)
     for row in range(0, lane_state.ZEROED_SIZE, lane_state.N_LANES):
         state[row + lane] = ZERO
@@ -126,8 +128,13 @@ def enter_layer(lanes, lane, job, layer, d):
     passed = True
     if wet and job.scene.rules.boundary_fresnel:
         dry = layers.pore[layer]
-        near, far = refractive_index_of(optics, item, dry), refractive_index_of(optics, item, dry + 1)
-        passed, d = sample_interface(d, orient_horizontal_normal(d), near, far, draw_uniform(words, lane))
+        near, far = (
+            refractive_index_of(optics, item, dry),
+            refractive_index_of(optics, item, dry + 1),
+        )
+        passed, d = sample_interface(
+            d, orient_horizontal_normal(d), near, far, draw_uniform(words, lane)
+        )
     store_vector(state, lane_state.DIR_X + lane, Vector(single(d.x), single(d.y), single(d.z)))
     state[lane_state.PORE_WET + lane] = ONE if wet else ZERO
     state[lane_state.PORE_VARIATE + lane] = single(pore)
@@ -142,7 +149,10 @@ def set_layer_optics(state, lane, scene, optics, item):
     """
     layers, types = scene.layers, scene.types
     layer = int(state[lane_state.LAYER + lane])
-    state[lane_state.LAYER_TOP + lane], state[lane_state.LAYER_BOTTOM + lane] = layers.boundaries[layer], layers.boundaries[layer + 1]
+    state[lane_state.LAYER_TOP + lane], state[lane_state.LAYER_BOTTOM + lane] = (
+        layers.boundaries[layer],
+        layers.boundaries[layer + 1],
+    )
     state[lane_state.MEAN_FREE_PATH + lane] = 1.0 / layers.attenuation[layer]
     state[lane_state.SATURATION + lane] = layers.saturation[layer]
     state[lane_state.FIRST_TYPE + lane] = layers.first_type[layer]
@@ -158,9 +168,17 @@ def set_layer_optics(state, lane, scene, optics, item):
     state[lane_state.ABSORPTION_WET + lane] = single(optics.absorption[item, pore + 1])
     state[lane_state.ABSORPTION_CORE + lane] = single(optics.absorption[item, core])
     m, c, k = compute_relative_index(dry, ice)
-    state[lane_state.M_IN_DRY + lane], state[lane_state.M1_IN_DRY + lane], state[lane_state.K_IN_DRY + lane] = m, c, k
+    (
+        state[lane_state.M_IN_DRY + lane],
+        state[lane_state.M1_IN_DRY + lane],
+        state[lane_state.K_IN_DRY + lane],
+    ) = m, c, k
     m, c, k = compute_relative_index(wet, ice)
-    state[lane_state.M_IN_WET + lane], state[lane_state.M1_IN_WET + lane], state[lane_state.K_IN_WET + lane] = m, c, k
+    (
+        state[lane_state.M_IN_WET + lane],
+        state[lane_state.M1_IN_WET + lane],
+        state[lane_state.K_IN_WET + lane],
+    ) = m, c, k
     m, c, k = compute_relative_index(ice, dry)
     state[lane_state.M_OUT_DRY + lane], state[lane_state.M1_OUT_DRY + lane] = m, c
     state[lane_state.K_OUT_DRY + lane] = k
@@ -184,8 +202,15 @@ def flush_path_lengths(lanes, lane, scene):
     length[lane, DRY_PORE] += state[lane_state.DRY_PATH + lane]
     length[lane, WET_PORE] += state[lane_state.WET_PATH + lane]
     length[lane, types.material[kind, 0]] += state[lane_state.COATING_PATH + lane]
-    length[lane, types.material[kind, types.n_shells[kind] - 1]] += state[lane_state.CORE_PATH + lane]
-    for row in (lane_state.DRY_PATH, lane_state.WET_PATH, lane_state.COATING_PATH, lane_state.CORE_PATH):
+    length[lane, types.material[kind, types.n_shells[kind] - 1]] += state[
+        lane_state.CORE_PATH + lane
+    ]
+    for row in (
+        lane_state.DRY_PATH,
+        lane_state.WET_PATH,
+        lane_state.COATING_PATH,
+        lane_state.CORE_PATH,
+    ):
         state[row + lane] = ZERO
 
 
@@ -204,7 +229,9 @@ def set_grain_optics(lanes, lane, job):
     state[lane_state.ABSORPTION_OUTER + lane] = single(optics.absorption[item, outer])
     state[lane_state.ABSORPTION_CORE + lane] = single(optics.absorption[item, core])
     major = state[lane_state.SEMI_MINOR + lane] / (ONE - state[lane_state.FLATTENING + lane])
-    state[lane_state.COATING_THICKNESS + lane] = single(2.0 * types.coating_thickness[kind, 0]) * major
+    state[lane_state.COATING_THICKNESS + lane] = (
+        single(2.0 * types.coating_thickness[kind, 0]) * major
+    )
 
 
 @inline_only
@@ -222,9 +249,17 @@ def cross_boundary(lanes, lane, job):
         return True
     if not job.scene.rules.boundary_fresnel:
         return True
-    d = Vector(np.float64(ray.direction.x), np.float64(ray.direction.y), np.float64(ray.direction.z))
+    d = Vector(
+        np.float64(ray.direction.x), np.float64(ray.direction.y), np.float64(ray.direction.z)
+    )
     near = refractive_index_of(job.optics, item, WET_PORE)
-    crossing = sample_interface(d, orient_horizontal_normal(d), near, refractive_index_of(job.optics, item, DRY_PORE), draw_uniform(words, lane))
+    crossing = sample_interface(
+        d,
+        orient_horizontal_normal(d),
+        near,
+        refractive_index_of(job.optics, item, DRY_PORE),
+        draw_uniform(words, lane),
+    )
     e = crossing.direction
     store_vector(state, lane_state.DIR_X + lane, Vector(single(e.x), single(e.y), single(e.z)))
     state[lane_state.N_REJECTED + lane] = ZERO

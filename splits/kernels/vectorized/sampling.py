@@ -6,14 +6,14 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.kernels.compiler.jit import HALF, ONE, ZERO, entry_point_no_refcount, inline_only
+from splits.kernels.math.arithmetic import sqrt
 from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.lane_rng import to_uniform_31, compute_random_bits
 from splits.kernels.vectorized.intrinsics import (
     gather_interpolate,
     interleave_loops,
     prefer_512_bit_vectors,
 )
-from splits.kernels.math.arithmetic import sqrt
+from splits.kernels.vectorized.lane_rng import compute_random_bits, to_uniform_31
 
 _SHIFT_33 = np.uint64(33)
 
@@ -34,11 +34,17 @@ def draw_variates(state, words, first_lane, features, last_node):
     for j in range(lane_state.STRIDE):
         i = first_lane + j
         bits = compute_random_bits(words, i, 3)
-        state[lane_state.QUANTILE_CURVATURE + i] = compute_quantile_position(to_uniform_31(bits >> _SHIFT_33), last_node)
-        state[lane_state.QUANTILE_FLATTENING + i] = compute_quantile_position(to_uniform_31(bits), last_node)
+        state[lane_state.QUANTILE_CURVATURE + i] = compute_quantile_position(
+            to_uniform_31(bits >> _SHIFT_33), last_node
+        )
+        state[lane_state.QUANTILE_FLATTENING + i] = compute_quantile_position(
+            to_uniform_31(bits), last_node
+        )
         bits = compute_random_bits(words, i, 4)
         if features.faceted is not None:
-            state[lane_state.QUANTILE_ROUGHNESS + i] = compute_quantile_position(to_uniform_31(bits >> _SHIFT_33), last_node)
+            state[lane_state.QUANTILE_ROUGHNESS + i] = compute_quantile_position(
+                to_uniform_31(bits >> _SHIFT_33), last_node
+            )
         if features.mixed is not None:
             state[lane_state.U_TYPE + i] = to_uniform_31(bits)
             picked = ZERO
@@ -83,7 +89,7 @@ def draw_grain_properties(state, words, width, features, tables, type_cdf):
         Curvature, flattening and half facetness at the probabilities of
         `rng.table_probabilities`.
     share : float64[layers, most]
-        See `splits.transport.grains.scene.Layers`.
+        See `splits.kernels.grains.scene.Layers`.
     """
     prefer_512_bit_vectors()
     curvature, flattening, sigma = tables
@@ -93,12 +99,30 @@ def draw_grain_properties(state, words, width, features, tables, type_cdf):
         if features.mixed is not None:
             pick_types(state, first, type_cdf, features)
     for i in range(0, width, lane_state.VECTOR_WIDTH):
-        gather_interpolate(curvature, state, lane_state.NEW_TYPE + i, lane_state.QUANTILE_CURVATURE + i, lane_state.NEW_CURVATURE + i)
         gather_interpolate(
-            flattening, state, lane_state.NEW_TYPE + i, lane_state.QUANTILE_FLATTENING + i, lane_state.QUANTILE_FLATTENING + i
+            curvature,
+            state,
+            lane_state.NEW_TYPE + i,
+            lane_state.QUANTILE_CURVATURE + i,
+            lane_state.NEW_CURVATURE + i,
+        )
+        gather_interpolate(
+            flattening,
+            state,
+            lane_state.NEW_TYPE + i,
+            lane_state.QUANTILE_FLATTENING + i,
+            lane_state.QUANTILE_FLATTENING + i,
         )
         if features.faceted is not None:
-            gather_interpolate(sigma, state, lane_state.NEW_TYPE + i, lane_state.QUANTILE_ROUGHNESS + i, lane_state.NEW_ROUGHNESS + i)
+            gather_interpolate(
+                sigma,
+                state,
+                lane_state.NEW_TYPE + i,
+                lane_state.QUANTILE_ROUGHNESS + i,
+                lane_state.NEW_ROUGHNESS + i,
+            )
     for i in range(width):
         old, drawn = state[lane_state.NEW_FLATTENING + i], state[lane_state.QUANTILE_FLATTENING + i]
-        state[lane_state.NEW_FLATTENING + i] = old if state[lane_state.KEEP_SHAPE + i] > ZERO else drawn
+        state[lane_state.NEW_FLATTENING + i] = (
+            old if state[lane_state.KEEP_SHAPE + i] > ZERO else drawn
+        )

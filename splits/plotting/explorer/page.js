@@ -9,7 +9,7 @@ for (const table of tables) {
   if (table.directions) table.directions.value = numbers(table.directions.value);
 }
 
-// --- between nodes: as splits.lookup.interpolation has it ---------------------------------------
+// --- between nodes: as splits.tables.interpolation has it ---------------------------------------
 
 const laws = {
   cosine: [(x) => -Math.cos(x * Math.PI / 180), (y) => Math.acos(Math.min(1, Math.max(-1, -y))) * 180 / Math.PI],

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.validation import invalid
-from splits.core.escaping import escape_json
 from splits.core.atomic import atomic_write
+from splits.core.escaping import escape_json
+from splits.core.parameter_names import parse_impurity_parameter
+from splits.core.validation import invalid
 from splits.tables.interpolation import apply_axis_transform, transform_axis
 from splits.tables.table import Table
-from splits.core.parameter_names import parse_impurity_parameter
 
 MAX_PAGE_BYTES = 5_000_000
 _ASSET_FOLDER = Path(__file__).parent
@@ -91,7 +91,9 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
             {
                 "name": name,
                 "label": _make_axis_label(name, str(about.get("long_name", name))),
-                "unit": _UNIT_SYMBOLS.get(str(about.get("units", "1")), str(about.get("units", ""))),
+                "unit": _UNIT_SYMBOLS.get(
+                    str(about.get("units", "1")), str(about.get("units", ""))
+                ),
                 "nodes": nodes.tolist(),
                 "law": kind,
                 "start": middle,
@@ -110,7 +112,9 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
         "value": _encode_float32(dataset.reflectance.values),
         "stderr": _encode_float32(dataset.reflectance_stderr.values),
         "weights": compute_colour_weights(wavelength).tolist(),
-        "directions": None if entry.directions is None else _serialize_directions(entry.directions, names),
+        "directions": None
+        if entry.directions is None
+        else _serialize_directions(entry.directions, names),
     }
 
 
@@ -130,19 +134,30 @@ def _serialize_directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str,
             raise invalid("explorer", list(axes), f"a table with {name}, as its directions have")
         if dataset.sizes[name] < 2:
             raise invalid("explorer", f"{dataset.sizes[name]} {name}", "at least two of directions")
-    polar, azimuth = np.arange(0.0, MAX_POLAR_DEG + 1.0, POLAR_STEP_DEG), np.arange(0.0, 181.0, 10.0)
+    polar, azimuth = (
+        np.arange(0.0, MAX_POLAR_DEG + 1.0, POLAR_STEP_DEG),
+        np.arange(0.0, 181.0, 10.0),
+    )
     if not (np.isin(polar, dataset.polar).all() and np.isin(azimuth, dataset.azimuth).all()):
-        allowed = f"every {POLAR_STEP_DEG:g}° to {MAX_POLAR_DEG:g}°, and every 10° of azimuth to 180°"
+        allowed = (
+            f"every {POLAR_STEP_DEG:g}° to {MAX_POLAR_DEG:g}°, and every 10° of azimuth to 180°"
+        )
         raise invalid("explorer", "angles of directions", allowed)
     some = dataset.reflectance_factor.transpose(*_DIRECTION_DIMS).sel(polar=polar, azimuth=azimuth)
     if not (some > 0.0).all():
         raise invalid("explorer", f"{float(some.min()):g}", "above 0 in all directions")
     nodes = {name: some[name].values.astype(float) for name in _DIRECTION_DIMS}
-    stderr = dataset.reflectance_factor_stderr.transpose(*_DIRECTION_DIMS).sel(polar=polar, azimuth=azimuth)
+    stderr = dataset.reflectance_factor_stderr.transpose(*_DIRECTION_DIMS).sel(
+        polar=polar, azimuth=azimuth
+    )
     missed = np.concatenate(
         [
-            _estimate_interpolation_error(some.values, axis, apply_axis_transform(kind, nodes[name])).ravel()
-            for axis, (name, kind) in enumerate(zip(_DIRECTION_DIMS, ("logarithm", "cosine"), strict=False))
+            _estimate_interpolation_error(
+                some.values, axis, apply_axis_transform(kind, nodes[name])
+            ).ravel()
+            for axis, (name, kind) in enumerate(
+                zip(_DIRECTION_DIMS, ("logarithm", "cosine"), strict=False)
+            )
         ]
     )
     largest = np.hypot(dataset.attrs["relative_stderr_reached"], missed.max(initial=0.0))
@@ -161,7 +176,9 @@ def _estimate_interpolation_error(values: np.ndarray, axis: int, nodes: np.ndarr
     for half the distance.
     """
     rows = np.moveaxis(np.log(values), axis, 0)
-    share = ((nodes[1:-1] - nodes[:-2]) / (nodes[2:] - nodes[:-2])).reshape(-1, *[1] * (rows.ndim - 1))
+    share = ((nodes[1:-1] - nodes[:-2]) / (nodes[2:] - nodes[:-2])).reshape(
+        -1, *[1] * (rows.ndim - 1)
+    )
     found: np.ndarray = 0.25 * np.abs((1.0 - share) * rows[:-2] + share * rows[2:] - rows[1:-1])
     return found
 

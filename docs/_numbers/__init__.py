@@ -1,0 +1,1 @@
+"""Numbers and images that README and docs take from a run."""

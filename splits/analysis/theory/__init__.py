@@ -1,0 +1,1 @@
+"""Radiative transfer theory beside the simulations."""

@@ -1,0 +1,1 @@
+"""Validation, provenance, uncertainty, progress and files: what every other package uses."""

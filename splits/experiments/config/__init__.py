@@ -1,0 +1,1 @@
+"""The configuration of experiments and studies: models, checks, loading."""

@@ -1,0 +1,1 @@
+"""Comparison with the numbers, trends and interpretations of the published papers."""

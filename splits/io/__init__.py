@@ -1,0 +1,1 @@
+"""Reading and writing: netCDF, archives, BRDF files, checksums."""

@@ -1,0 +1,1 @@
+"""The engine between instruments and kernels: scenes, tracing, tallies, estimates."""

@@ -28,7 +28,7 @@ class QuotedNumber:
         Table or dataset below the folder of results; nothing for constants of the code.
     select : callable
         Takes the source, returns a `QuotedValue`.
-    form : str
+    format_spec : str
         Format of the number; its error has the same, or one digit where that would show 0.
     """
 

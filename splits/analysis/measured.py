@@ -65,7 +65,7 @@ def compute_rmse(
     ----------
     difference, stderr : float, shape (wavelengths,)
         And its standard errors.
-    combined : callable
+    compute_stderr : callable
         From weights, shape (wavelengths,), to the standard error of a weighted sum of differences,
         which knows how errors go together along the spectrum.
 

@@ -33,7 +33,7 @@ class SensitivityIndex:
         limit, times the chance of that belongs to them.
     index_resolved : float
         MSI over the wavelengths above the noise only.
-    resolved : float
+    resolved_fraction : float
         Share of wavelengths above the noise.
     """
 

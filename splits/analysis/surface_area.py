@@ -43,7 +43,7 @@ class SurfaceAreaFit(NamedTuple):
 
     Attributes
     ----------
-    area, level : float
+    area, scale : float
         Surface area (m²/kg), and measured over modelled reflectance.
     rmse : float
         Root-mean-square difference between the measured spectrum and level times the model.
@@ -65,7 +65,7 @@ def fit_surface_area(
         Surface areas (m²/kg) in ascending order, four or more.
     modelled : float, shape (areas, wavelengths)
     measured : float, shape (wavelengths,)
-    level : float, optional
+    scale : float, optional
         Fitted unless it is given.
     """
     model = CubicSpline(np.log(areas), modelled)

@@ -45,7 +45,7 @@ def as_float_array(
         Numbers of any type, order of bytes and access; no truth values, dates or texts.
     allowed : str
         What they must be, such as "numbers in nanometres".
-    gaps : bool
+    allow_gaps : bool
         Whether gaps are returned as NaN, and infinite numbers as they are; else both are refused.
     """
     found = _convert(key, values, allowed)
@@ -126,9 +126,9 @@ def read_columns(key: str, columns: Mapping[str, Any]) -> list[np.ndarray]:
 
     Parameters
     ----------
-    place : str
+    key : str
         Name the user knows the table by.
-    given : mapping
+    columns : mapping
         Rows of numbers by name; labels of the others are values or labels of the first.
     """
     first, *others = columns
@@ -199,7 +199,7 @@ def align_to_labels(
         What the labels of the values may be; the first that they are decides.
     allowed, gaps
         As for `as_float_array`.
-    counted : bool
+    ignore_default_labels : bool
         Whether labels that only count, 0, 1, 2 …, are none.
     """
     found = as_float_array(key, values, allowed, allow_gaps=allow_gaps)
@@ -223,7 +223,7 @@ def match_labels(
     Parameters
     ----------
     key : str
-    own : pandas.Index or None
+    own_labels : pandas.ComplexIndex or None
         None where places count.
     labels, counted
         As for `align_to_labels`.
@@ -275,7 +275,7 @@ def check_named_numbers(
 ) -> tuple[float, ...]:
     """Return a sequence of ``len(names)`` floats, by its labels where it has some, or refuse it.
 
-    What rounding has taken beyond one of the `ends` is that end; what is beyond is not refused.
+    What rounding has taken beyond one of the `limits` is that end; what is beyond is not refused.
     """
     allowed = f"{len(names)} numbers ({', '.join(names)})"
     value = as_scalar(value)

@@ -220,7 +220,7 @@ def check_disk_space(path: Path, n_bytes: int) -> None:
     ----------
     path : path
         Of a new file.
-    size : int
+    n_bytes : int
         Bytes.
 
     Raises

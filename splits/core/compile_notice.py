@@ -29,9 +29,9 @@ class _NoticeSession:
 
     Attributes
     ----------
-    now : str
+    activity : str
         What goes on, or nothing.
-    begun, ended : float
+    start_time, last_end_time : float
         When the session began, and when it last ended to compile.
     """
 

@@ -46,7 +46,7 @@ def exit_on_signals(name: str, resume_hint: str = "") -> None:
     Parameters
     ----------
     name : str
-    how_to_go_on : str, optional
+    resume_hint : str, optional
         A last line.
     """
 

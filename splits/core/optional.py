@@ -18,7 +18,7 @@ def import_optional(module: str, extra: str, purpose: str) -> ModuleType:
         Its name, such as "pvlib.spectrum".
     extra : str
         The extra of this package that brings it.
-    what : str
+    purpose : str
         What needs it, as the beginning of a sentence: "clear skies need".
 
     Raises

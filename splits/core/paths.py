@@ -17,7 +17,7 @@ def expand_path(value: Any, key: str = "path", hint: str = "") -> Path:
 
     Parameters
     ----------
-    given : str or path
+    value : str or path
     key : str
         What the user knows it by.
     hint : str

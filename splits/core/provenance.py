@@ -18,9 +18,10 @@ from pathlib import Path
 
 from splits.core.optional import DISTRIBUTION_NAME
 
-PACKAGE_FOLDER = Path(__file__).parent
+PACKAGE_FOLDER = Path(__file__).parents[1]
 SIMULATION_SOURCES = (
-    "materials", "media", "transport", "instruments", "diffusion.py", "uncertainty.py", "names.py",
+    "kernels", "materials", "media", "simulation", "instruments",
+    "core/uncertainty.py", "core/parameter_names.py",
     "tables/axes.py", "tables/block.py", "tables/plan.py",
     "experiments/config/grid.py", "experiments/run.py", "experiments/run_points.py",
 )  # fmt: skip
@@ -95,9 +96,11 @@ def get_git_commit() -> str:
     """Return the git commit of the source tree, "-dirty" if it has changes, or "unknown"."""
 
     def git(*arguments: str) -> str:
-        folder = Path(__file__).parent
         result = subprocess.run(
-            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True
+            ["git", "-C", str(PACKAGE_FOLDER), *arguments],
+            capture_output=True,
+            text=True,
+            check=True,
         )
         return result.stdout.strip()
 

@@ -51,7 +51,7 @@ def make_deviation_variable(
     ----------
     name, dims, long_name
         Of the quantity.
-    groups : float, shape (groups, ...)
+    deviations : float, shape (groups, ...)
         Stored in single precision.
     """
     dims = (dims,) if isinstance(dims, str) else dims

@@ -27,13 +27,13 @@ class PointCache:
     ----------
     folder : path
         Need not exist.
-    experiment : Simulation
+    experiment : SimulationConfig
     accuracy : Accuracy
     seed : int
 
     Attributes
     ----------
-    used : list of Path
+    files : list of Path
         Files of the points asked for so far.
     """
 

@@ -57,14 +57,14 @@ def run(
 
     Parameters
     ----------
-    experiment : Simulation
+    experiment : SimulationConfig
     accuracy : Accuracy
         Errors and limits; an instrument's ``error_factor`` multiplies the error.
     seed : int
         Used unless the experiment's instrument gives its own; every point of a grid uses the
         same, so that differences along the grid are smooth.
     threads : int, optional
-    say : callable
+    log : callable
         Receives lines of progress.
 
     Returns

@@ -38,7 +38,7 @@ def run_fit(
 
     Parameters
     ----------
-    experiment : Simulation
+    experiment : SimulationConfig
         With a ``fit`` section.
     accuracy : Accuracy
         ``max_stderr`` is that of the last spectrum; a fit's effort shrinks when it is coarse.

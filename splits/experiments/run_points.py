@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from splits.core.progress import Progress
 from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.instrument import SURFACE_INSTRUMENTS, InstrumentSection
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments import (
-    Progress,
     beam_spread,
     goniophotometer,
     lens,

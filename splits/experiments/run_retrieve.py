@@ -29,11 +29,11 @@ class SampleRetrieval(NamedTuple):
     Attributes
     ----------
     model, sample : str
-    told : Retrieved
-    misfit : float
+    result : RetrievalResult
+    reference_chi2 : float
         χ² that is left where what is known of the sample otherwise is so, NaN where nothing is.
         Compared between models it says which knows better how light changes with that.
-    alone : bool
+    is_prior_sample : bool
         It was retrieved first, with some of the others' parameters known.
     """
 
@@ -144,7 +144,7 @@ class _RetrievalTask(NamedTuple):
 def make_retrieval_table(
     retrievals: list[SampleRetrieval], reference: Mapping[str, Mapping[str, float]]
 ) -> pd.DataFrame:
-    """Return a line for every parameter of every sample; `known` has values found otherwise."""
+    """Return a line for every parameter of every sample; `reference` has values found otherwise."""
     rows = []
     for one in retrievals:
         ds = one.result.dataset

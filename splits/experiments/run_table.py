@@ -11,9 +11,9 @@ from pathlib import Path
 import xarray as xr
 
 from splits.core.atomic import atomic_write
+from splits.core.progress import Progress
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.instruments import Progress
 from splits.instruments.spectral_run import SpectralRequest
 from splits.io.netcdf import save
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
@@ -70,7 +70,7 @@ def run_part(
 
     Parameters
     ----------
-    experiment : Simulation
+    experiment : SimulationConfig
         Of instrument "table".
     accuracy, seed, threads, say
         As for `splits.experiments.run.run`.

@@ -67,7 +67,7 @@ class SpectralBand(ContentEquality):
         ----------
         key : str
             For messages.
-        given : (float, float), mapping or path
+        value : (float, float), mapping or path
             Its ends (nm), or a mapping of ``wavelength_nm`` and ``response``, or the path of a CSV
             file with these columns.
 

@@ -14,13 +14,14 @@ from splits.core.uncertainty import compute_weighted_error, make_deviation_varia
 from splits.core.validation import check_range, reject_unknown_arguments
 from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
-from splits.instruments import spectra, spectrophotometer
 from splits.instruments.sky_mixing import (
     as_sky,
     choose_wavelengths,
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
+from splits.instruments.spectra import spectra
+from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_integer, check_threads
 from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
@@ -42,7 +43,7 @@ def albedo(
 
     Parameters
     ----------
-    medium : GranularMedium or TurbidMedium, or a mapping
+    medium : GranularMedium or ParticleMedium, or a mapping
         Names to media that share paths, as for `splits.spectra`: their differences are known far
         better than their albedos (`splits.core.uncertainty.compute_difference`).
     sky : Sky, str or mapping

@@ -40,14 +40,14 @@ class AngularBinTally:
         Absorption coefficients (1/m) of all wavelengths.
     weights : float, shape (wavelengths,)
         How much each wavelength draws on this ensemble.
-    shape : (int, int)
+    n_bins : (int, int)
         Cells between horizon and zenith, and around.
     stokes : sequence of int
         Columns of exits that hold Q, U, V over I, or nothing.
 
     Attributes
     ----------
-    levels : list of Level
+    strata : list of Stratum
         One: every ray is followed to its end.
     """
 
@@ -106,8 +106,8 @@ def estimate_bin_brdf(
 
     Parameters
     ----------
-    ensembles : sequence of Cells
-    bias : float, shape (wavelengths,)
+    tallies : sequence of Cells
+    interpolation_bound : float, shape (wavelengths,)
         See `splits.simulation.spectral_nodes.IndexNodes`.
     """
     polar, azimuth = tallies[0].n_bins

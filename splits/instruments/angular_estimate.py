@@ -38,14 +38,14 @@ class AngularEstimate:
     ----------
     mean, stderr : float, shape (2, wavelengths, directions)
         Reflected and transmitted (1/sr), of light that met a grain.
-    steering : float, shape (2, wavelengths, directions)
+    stopping_error : float, shape (2, wavelengths, directions)
         The error by which runs are steered: what was dropped is spread evenly over directions.
-    sums : float, shape (4, 2, wavelengths)
+    hemispherical : float, shape (4, 2, wavelengths)
         Directional-hemispherical reflectance and transmittance, their standard errors, and the
         same of the part of these that met no grain.
     degree : int, shape (2, wavelengths)
         Largest degree of a polynomial that was kept.
-    beyond : float, shape (2, wavelengths, directions)
+    truncation_error : float, shape (2, wavelengths, directions)
         Part of the standard errors that stands for detail finer than the polynomials (1/sr).
     """
 
@@ -73,21 +73,21 @@ def estimate_brdf(
 
     Parameters
     ----------
-    ensembles : sequence of Directional
-    bias : float, shape (wavelengths,)
+    tallies : sequence of ExpansionTally
+    interpolation_bound : float, shape (wavelengths,)
         See `splits.simulation.spectral_nodes.IndexNodes`.
-    angles : Angles
-    symmetric : bool
+    directions : DirectionGrid
+    axisymmetric : bool
         See `select_terms`.
     side : int
         0 reflected, 1 transmitted; for the variances.
-    counted : bool, shape (directions,)
+    direction_mask : bool, shape (directions,)
         Directions whose variances are wanted.
 
     Returns
     -------
     Estimate
-    variance : list of Shares
+    variance : list of TallyVariances
         For each wavelength, what the classes of the ensembles it draws on add to the variance.
     """
     mean, stderr, steering, beyond = np.zeros(
@@ -137,9 +137,9 @@ def _compute_hemispherical(
 
     Parameters
     ----------
-    scattered, straight : float, shape (groups, 2)
+    scattered, unscattered : float, shape (groups, 2)
         Light that met a grain, and that met none.
-    counts : int, shape (classes,)
+    n_rays : int, shape (classes,)
         Rays.
 
     Returns
@@ -204,10 +204,10 @@ def allocate_angular_rays(
 
     Parameters
     ----------
-    ensembles : sequence of Directional
-    variance : sequence of Shares
+    tallies : sequence of ExpansionTally
+    variance : sequence of TallyVariances
         As `estimate_brdf` returns it.
-    target : float, shape (wavelengths, directions)
+    target_variances : float, shape (wavelengths, directions)
         Variances to reach.
     """
     counts = np.array([e.count_rays() for e in tallies])[:, :, np.newaxis]

@@ -24,7 +24,7 @@ from splits.simulation.tally import Tally
 class AngularResult(NamedTuple):
     """What an estimator found: result, what stopped it, rays, their paths, polarization.
 
-    `unseen` are variables of which it tells nothing.
+    `undefined_variables` are variables of which it tells nothing.
     """
 
     estimate: AngularEstimate

@@ -46,22 +46,22 @@ class ExpansionTally:
         Absorption coefficients (1/m) of all wavelengths.
     weights : float, shape (wavelengths,)
         How much each wavelength draws on this ensemble.
-    basis : Basis
+    basis : DiskBasis
     classes : sequence of int
         Largest order of scattering of each class, the last `NO_MAX_ORDER`.
-    sharp : bool
+    exclude_unscattered : bool
         Light that met no grain leaves as a beam, so that polynomials leave it out; of diffuse
         light they do not.
 
     Attributes
     ----------
-    levels : list of Level
+    strata : list of Stratum
         One for each class.
-    place : dict
+    wavelength_rows : dict
         Rows of the wavelengths that draw on this ensemble in the arrays below.
-    sums : float, shape (groups, classes, 2, rows, polynomials)
+    coefficient_sums : float, shape (groups, classes, 2, rows, polynomials)
         See `splits.kernels.tallies.angular.tally_expansion`.
-    straight : float, shape (groups, 2, rows)
+    unscattered_sums : float, shape (groups, 2, rows)
     """
 
     def __init__(

@@ -36,8 +36,8 @@ class DirectionGrid:
 
     Attributes
     ----------
-    basis : Basis
-    values : float, shape (directions, polynomials)
+    basis : DiskBasis
+    polynomials : float, shape (directions, polynomials)
         The polynomials there.
     """
 
@@ -66,8 +66,8 @@ def select_terms(coefficients: np.ndarray, basis: DiskBasis, axisymmetric: bool)
     Parameters
     ----------
     coefficients : float, shape (groups, …, polynomials)
-    basis : Basis
-    symmetric : bool
+    basis : DiskBasis
+    axisymmetric : bool
         The beam is normal to the surface, so that only m = 0 can be.
     """
     mean = coefficients.mean(axis=0)
@@ -120,13 +120,13 @@ def compute_truncation_errors(
 
     Parameters
     ----------
-    noise : float, shape (2, directions)
+    noise_stderr : float, shape (2, directions)
         Standard errors of what was kept as groups of rays tell them.
-    together : float, shape (groups, classes, 2, polynomials)
-    keep : bool, shape (classes, 2, polynomials)
+    coefficients : float, shape (groups, classes, 2, polynomials)
+    term_mask : bool, shape (classes, 2, polynomials)
         See `select_terms`.
-    angles : Angles
-    symmetric : bool
+    directions : DirectionGrid
+    axisymmetric : bool
         See `select_terms`.
 
     Returns
@@ -164,7 +164,7 @@ def estimate_dropped_power(
     """Return the mean square, over the hemisphere, of the detail that dropped coefficients hold.
 
     Their squares less their variances, as far as the sum is positive: what is too weak to be told
-    from noise one by one may show in its sum.  So many standard errors (`doubt`) of what that sum
+    from noise one by one may show in its sum.  So many standard errors (`noise_sigma`) of what that sum
     is by noise alone are taken off.
     """
     if axisymmetric:
@@ -185,7 +185,7 @@ def compute_power_concentration(coefficients: np.ndarray, directions: DirectionG
 
     Parameters
     ----------
-    kept : float, shape (groups, …, polynomials)
+    coefficients : float, shape (groups, …, polynomials)
         Coefficients, 0 for those that were dropped.
     """
     detail = coefficients[..., N_ALWAYS_KEPT:]

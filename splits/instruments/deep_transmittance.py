@@ -157,8 +157,8 @@ class _DeepStoppingRule(NamedTuple):
 
 
 def _trace_to_error(
-    stopping_rule: _DeepStoppingRule, tracer: _Source, stream: int, splitting_rate: float
-) -> _Sum:
+    stopping_rule: _DeepStoppingRule, tracer: _HistoryTracer, stream: int, splitting_rate: float
+) -> _TransmittanceTally:
     """Return families of rays of one wavelength, traced until the error or the rays asked for."""
     run = _TransmittanceTally()
     wanted = PILOT_HISTORIES
@@ -212,7 +212,7 @@ class _TransmittanceTally:
 
     Attributes
     ----------
-    rays : int
+    n_histories : int
     """
 
     def __init__(self) -> None:

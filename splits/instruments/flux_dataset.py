@@ -38,11 +38,11 @@ def make_flux_dataset(
 
     Parameters
     ----------
-    outcome : Outcome
-    traced : Traced
+    result : Outcome
+    traced_medium : Traced
     wavelengths : float, shape (wavelengths,)
         nm.
-    facts : dict
+    attributes : dict
         Attributes.
     """
     found, doubt = result.estimate, result.systematic_error

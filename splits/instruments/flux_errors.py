@@ -27,15 +27,15 @@ class SystematicError(NamedTuple):
 
     Attributes
     ----------
-    light : float, shape (2, depths, wavelengths)
+    irradiance : float, shape (2, depths, wavelengths)
         Of irradiances.
-    absorbed : float, shape (intervals, wavelengths)
+    absorptance : float, shape (intervals, wavelengths)
         Of absorptances.
-    lasting : list of float
+    irreducible : list of float
         The part of both that more rays do not lower: of interpolation, and of a cut.
-    bias : float, shape (wavelengths,)
+    interpolation_bound : float, shape (wavelengths,)
         See `bound_flux_interpolation_error`.
-    unseen : float, shape (intervals, wavelengths)
+    unsampled_light : float, shape (intervals, wavelengths)
         See `bound_unsampled_light`.
     """
 
@@ -56,12 +56,12 @@ def estimate_systematic_error(
 
     Parameters
     ----------
-    found, moved : sequence of float
+    estimates, perturbed_estimates : sequence of float
         Light and what is absorbed, see `splits.instruments.flux_estimate.FluxEstimate`; the same if what lies
         below a cut kept more, None where there is no cut.
-    bias : float, shape (wavelengths,)
+    interpolation_bound : float, shape (wavelengths,)
         Bound on what interpolation misses, see `splits.simulation.spectral_nodes.IndexNodes`.
-    least : float, shape (wavelengths,)
+    single_ray_error : float, shape (wavelengths,)
         What one ray more would add to a mean.
     """
     unseen = bound_unsampled_light(estimates[0][:, DOWNWARD], single_ray_error)
@@ -91,8 +91,8 @@ def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarr
 
     Parameters
     ----------
-    groups : float, shape (GROUPS, ..., wavelengths)
-    unseen : float, shape (..., wavelengths)
+    batch_means : float, shape (GROUPS, ..., wavelengths)
+    unsampled_light : float, shape (..., wavelengths)
         What rays that were not seen may add, see `bound_unsampled_light`.
     """
     total, square = np.abs(batch_means).sum(axis=0), (batch_means**2).sum(axis=0)
@@ -118,9 +118,9 @@ def bound_unsampled_light(
 
     Parameters
     ----------
-    down : float, shape (GROUPS, depths, wavelengths)
+    downward_irradiance : float, shape (GROUPS, depths, wavelengths)
         Irradiance downwards.
-    least : float, shape (wavelengths,)
+    single_ray_error : float, shape (wavelengths,)
 
     Returns
     -------
@@ -141,12 +141,12 @@ class AbsorptionSteps(NamedTuple):
 
     Attributes
     ----------
-    depth : float
+    optical_depth : float
         Largest optical depth of a mean step: through a grain, or through a pore from one grain to
         the next.
-    reach : float
+    unscored_path_m : float
         Mean leg before a ray's first step (m), times the part of its light that stays there.
-    rate : float
+    absorption_rate : float
         Light that steps keep, as a part of it and per metre of path.
     """
 
@@ -165,7 +165,7 @@ def compute_absorption_steps(
     medium : GranularMedium or LayeredMedium
     absorption : float, shape (wavelengths, columns)
         1/m; see `splits.simulation.scene.OpticalConstants`.
-    planes : float, shape (intervals + 1,)
+    planes_m : float, shape (intervals + 1,)
         Depths between which intervals lie (m).
     """
     first, top = 0, 0.0
@@ -238,9 +238,9 @@ def bound_actinic_flux_error(
 
     Parameters
     ----------
-    steps : Steps
-    flux : float, shape (intervals, wavelengths)
-    absorbed, arriving : float, shape (intervals, wavelengths)
+    steps : AbsorptionSteps
+    actinic_flux : float, shape (intervals, wavelengths)
+    absorption, incident : float, shape (intervals, wavelengths)
         Light absorbed in an interval, and light that comes to it through its planes, over its
         thickness (1/m).
     """
@@ -271,10 +271,10 @@ def bound_material_absorptance_error(
 
     Parameters
     ----------
-    steps : Steps
-    share : float, shape (intervals, materials, wavelengths)
+    steps : AbsorptionSteps
+    absorptance : float, shape (intervals, materials, wavelengths)
         What the material absorbs.
-    whole, unheard : float, shape (intervals, wavelengths)
+    total_absorptance, unscored_absorptance : float, shape (intervals, wavelengths)
         What all of them absorb, and how much of that no path tells of.
     """
     total_absorptance, unscored_absorptance = (
@@ -294,10 +294,10 @@ def compute_nonstatistical_error(
 
     Parameters
     ----------
-    groups : float, shape (GROUPS, ..., wavelengths)
-    bias : float, shape (wavelengths,)
+    batch_means : float, shape (GROUPS, ..., wavelengths)
+    interpolation_bound : float, shape (wavelengths,)
         See `bound_flux_interpolation_error`.
-    unseen : float, shape (..., wavelengths)
+    unsampled_light : float, shape (..., wavelengths)
         See `estimate_rare_event_error`.
     """
     found: np.ndarray = np.hypot(
@@ -317,7 +317,7 @@ def bound_flux_interpolation_error(
 
     Parameters
     ----------
-    bias : float, shape (wavelengths,)
+    interpolation_bound : float, shape (wavelengths,)
     value : float, shape (..., wavelengths)
         What may be missed of.
     """

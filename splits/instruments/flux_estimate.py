@@ -32,13 +32,13 @@ class FluxEstimate(NamedTuple):
 
     Attributes
     ----------
-    light : float, shape (GROUPS, 2, depths, wavelengths)
+    irradiance : float, shape (GROUPS, 2, depths, wavelengths)
         Irradiances downwards and upwards, over that of the light from above.
-    absorbed : float, shape (GROUPS, intervals, wavelengths)
+    absorptance : float, shape (GROUPS, intervals, wavelengths)
         What goes in less what comes out.
-    by_material : float, shape (GROUPS, intervals, materials, wavelengths)
+    material_absorptance : float, shape (GROUPS, intervals, materials, wavelengths)
         By the lengths in each material.
-    way : float, shape (GROUPS, intervals, wavelengths)
+    path_length : float, shape (GROUPS, intervals, wavelengths)
         Metres; of an interval without end, down to where tracing ends.
     """
 
@@ -57,12 +57,12 @@ class FluxResult(NamedTuple):
 
     Attributes
     ----------
-    found : Found
-    doubt : Doubt
-    moved : Found or None
+    estimate : Found
+    systematic_error : SystematicError
+    perturbed_estimate : Found or None
         What would have been found if the part below a cut kept more, see `TracedMedium`.
-    reached : float
-    stopped_by : {"error", "rays", "bound"}
+    max_stderr_reached : float
+    stop_reason : {"error", "rays", "bound"}
         The error was reached, or so many rays, or what remains is a bound that rays do not lower.
     """
 
@@ -76,7 +76,7 @@ class FluxResult(NamedTuple):
 def _estimate_at_planes(
     tally: FluxPathTally, weight: np.ndarray, boundary_rows: np.ndarray, semi_infinite: bool
 ) -> FluxEstimate:
-    """Return what an ensemble tells at faces `at`, as its wavelengths weigh it.
+    """Return what an ensemble tells at faces `boundary_rows`, as its wavelengths weigh it.
 
     In a medium without end, the last face is where tracing ends, and the last interval goes on.
     """

@@ -53,16 +53,16 @@ class TracedMedium(NamedTuple):
     Attributes
     ----------
     medium : GranularMedium or LayeredMedium
-    constants : Constants
+    constants : OpticalConstants
         Of each wavelength; where there is a cut, then of each with more kept below.
-    wavelengths : int
+    n_wavelengths : int
     planes_m : float, shape (planes,)
         Top, depths asked for, and bottom or the end of tracing.
-    endless : bool
+    semi_infinite : bool
         Whether the medium goes on below that.
-    cut : bool
+    truncated : bool
         Whether diffusion theory stands for what is below.
-    materials : dict of str to int
+    material_columns : dict of str to int
         Columns of the materials, by name.
     """
 
@@ -137,10 +137,10 @@ def prepare_medium(
 
     Parameters
     ----------
-    medium : GranularMedium, LayeredMedium or Layer
+    medium : GranularMedium, LayeredMedium or ParticleLayer
     wavelengths : float, shape (wavelengths,)
         nm.
-    depths : sequence of float
+    depths_m : sequence of float
         In the medium (m).
     max_stderr, seed, threads
         As for the spectrophotometer.
@@ -160,11 +160,11 @@ def prepare_medium(
     endless = math.isinf(get_thickness(medium))
     whole = medium
     if endless:
-        above = float(sum(part.depth_m for part in getattr(medium, "parts", ())[:-1]))
+        above = float(sum(part.depth_m for part in getattr(medium, "scene_layers", ())[:-1]))
         family, within = PathSharingMedia.from_media([medium]), max(0.0, depths_m[-1] - above)
         cut: Any = truncate_deep_medium(family, wavelengths, max_stderr, seed, threads, within)
         whole = cut.media[0]
-    if any(isinstance(part, StackedParticleLayer) for part in getattr(whole, "parts", ())):
+    if any(isinstance(part, StackedParticleLayer) for part in getattr(whole, "scene_layers", ())):
         whole = _AbsorbingStack(whole.layers, whole.ground)
     names = {name: column for column, name in enumerate(medium.list_materials())}
     return _prepare_finite_medium(

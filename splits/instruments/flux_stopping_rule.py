@@ -27,11 +27,11 @@ class FluxStoppingRule(NamedTuple):
     ----------
     max_stderr : float
         Largest standard error.
-    irradiance : bool
+    limit_irradiance : bool
         Whether it holds for irradiances at all depths, besides absorptances and reflectance.
-    weights : float, shape (bands, wavelengths), or None
+    band_weights : float, shape (bands, wavelengths), or None
         Parts of each band's light; None asks for every wavelength.
-    share : float, shape (bands,), or None
+    variance_fractions : float, shape (bands,), or None
         Part of the variance of each band that is allowed here.
     """
 
@@ -42,7 +42,7 @@ class FluxStoppingRule(NamedTuple):
 
     @property
     def stderr_limits(self) -> np.ndarray:
-        """Largest standard error of each column of `rows`, shape (bands,) or (1,)."""
+        """Largest standard error of each column of `select_quantities`, shape (bands,) or (1,)."""
         share = np.ones(1) if self.variance_fractions is None else self.variance_fractions
         return self.max_stderr * np.sqrt(share)
 
@@ -51,8 +51,8 @@ class FluxStoppingRule(NamedTuple):
 
         Parameters
         ----------
-        light : float, shape (..., 2, depths, wavelengths)
-        absorbed : float, shape (..., intervals, wavelengths)
+        irradiance : float, shape (..., 2, depths, wavelengths)
+        absorptance : float, shape (..., intervals, wavelengths)
 
         Returns
         -------
@@ -73,9 +73,9 @@ class VarianceTerms(NamedTuple):
     Attributes
     ----------
     values : float, shape (members, GROUPS, quantities, columns)
-    owner : float, shape (members, levels)
+    membership : float, shape (members, levels)
         1 where the rays of a level count for a member.
-    served : bool, shape (levels, columns)
+    column_mask : bool, shape (levels, columns)
         Where the rays of a level count.
     """
 
@@ -95,9 +95,9 @@ def make_variance_terms(
 
     Parameters
     ----------
-    goal : Goal
-    ensembles : sequence of Planes
-    rows : sequence of float, shape (GROUPS, quantities, wavelengths)
+    stopping_rule : Goal
+    tallies : sequence of FluxPathTally
+    quantities : sequence of float, shape (GROUPS, quantities, wavelengths)
         Of each ensemble, see `Goal.rows`.
     """
     counts = [len(e.strata) for e in tallies]
@@ -132,7 +132,7 @@ def allocate_flux_rays(
     ----------
     goal, ensembles, rows
         As for `make_variance_terms`.
-    bias : float, shape (quantities, columns)
+    irreducible_error : float, shape (quantities, columns)
         What rays do not lower.
     """
     levels = [level for e in tallies for level in e.strata]

@@ -33,10 +33,10 @@ class FluxByBatch(NamedTuple):
 
     Attributes
     ----------
-    light : float, shape (GROUPS, 2, faces, wavelengths)
+    irradiance : float, shape (GROUPS, 2, faces, wavelengths)
         Of light that passes a face, downwards and upwards; at the top, what comes counts.
-    absorbed : float, shape (GROUPS, layers, materials, wavelengths)
-    way : float, shape (GROUPS, layers, wavelengths)
+    absorptance : float, shape (GROUPS, layers, materials, wavelengths)
+    path_length : float, shape (GROUPS, layers, wavelengths)
         Metres.
     """
 
@@ -55,9 +55,9 @@ class FluxPathTally:
     index : complex, shape (materials,)
     absorption : float, shape (wavelengths, materials)
     served : bool, shape (wavelengths,)
-    manner : Manner
-    layers : int
-    fractions : float, shape (materials,)
+    traits : TransportTraits
+    n_layers : int
+    path_fractions : float, shape (materials,)
         Path over recorded length, see `splits.media.medium.compute_path_fractions`.
     """
 

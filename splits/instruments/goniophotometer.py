@@ -78,7 +78,7 @@ def goniophotometer(
 
     Parameters
     ----------
-    medium : GranularMedium or TurbidMedium
+    medium : GranularMedium or ParticleMedium
         For example `splits.Snow` or `splits.ParticleLayer`.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.

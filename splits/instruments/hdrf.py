@@ -11,8 +11,7 @@ import xarray as xr
 from splits.core.progress import ProgressCallback
 from splits.core.validation import reject_unknown_arguments
 from splits.illumination.sky import Sky
-from splits.instruments import goniophotometer
-from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, goniophotometer
 from splits.instruments.sky_mixing import (
     as_sky,
     choose_wavelengths,

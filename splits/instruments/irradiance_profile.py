@@ -73,7 +73,7 @@ def irradiance_profile(
 
     Parameters
     ----------
-    medium : GranularMedium, LayeredMedium or TurbidMedium
+    medium : GranularMedium, LayeredMedium or ParticleMedium
         For example `splits.Snow`, `splits.Stack` or `splits.ParticleLayer`; may have no end.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.

@@ -143,11 +143,11 @@ class _FirstRealization(NamedTuple):
 
     Attributes
     ----------
-    start : float, shape (rays, 3)
+    surface_point : float, shape (rays, 3)
         Where rays met the surface (m).
-    place : float, shape (screens, rays, 2)
+    screen_point : float, shape (screens, rays, 2)
         Where they came to on the screens (m).
-    reached : bool, shape (screens, rays)
+    reaches_screen : bool, shape (screens, rays)
         Whether they did.
     """
 

@@ -57,16 +57,16 @@ class DetectorResult:
     ----------
     mean, stderr : float, shape (2, directions, 4)
         I, Q, U, V of the BRDF and the BTDF (1/sr) for unpolarized light.
-    steering : float, shape (2, directions)
+    stopping_error : float, shape (2, directions)
         Errors of I by which runs are steered: larger, so that none stops on batches that happen
         to agree.
-    totals, totals_stderr : float, shape (2, 2)
+    hemispherical, hemispherical_stderr : float, shape (2, 2)
         [reflected, transmitted][all light, light that met nothing but smooth faces].
-    rays : int
-    reached : str
+    n_rays : int
+    stop_reason : str
         "error" or "rays".
     polarized : bool
-    below : bool
+    has_lower_side : bool
         Whether there was something to hear below.
     """
 
@@ -115,7 +115,7 @@ def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarra
 
     Parameters
     ----------
-    medium : TurbidMedium
+    medium : ParticleMedium
     polar, azimuth : float
         Degrees, of the directions outside.
     """
@@ -166,11 +166,11 @@ def estimate_at_detectors(
 
     Parameters
     ----------
-    medium : TurbidMedium
+    medium : ParticleMedium
     incidence_deg : float
     polar, azimuth : float
         Degrees, see `make_detectors`.
-    goal : Goal
+    stopping_rule : Goal
     runner : Runner
         For its seed, its threads and its report.
 
@@ -264,8 +264,8 @@ class _DetectorTally:
 
     Attributes
     ----------
-    batches : int
-    total, square, loudest : float, shape (numbers,)
+    n_batches : int
+    sums, sums_of_squares, max_scores : float, shape (numbers,)
         Sums, sums of squares, and what the batch heard that heard most, of either sign.
     """
 
@@ -287,8 +287,8 @@ class _DetectorTally:
         """Return means and standard errors.
 
         As if one more batch had come that heard as much as the loudest so far; and where nothing
-        was heard, one ray, unless there is nothing to hear (`silent`), or nothing to go astray
-        (`certain`).
+        was heard, one ray, unless there is nothing to hear (`no_signal`), or nothing to go astray
+        (`lossless`).
         """
         n, rays = self.n_batches, self.n_batches * RAYS_PER_CHUNK
         mean = self.sums / n

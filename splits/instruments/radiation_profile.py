@@ -58,7 +58,7 @@ def radiation_profile(
 
     Parameters
     ----------
-    medium : GranularMedium, LayeredMedium or TurbidMedium
+    medium : GranularMedium, LayeredMedium or ParticleMedium
         For example `splits.Snow` or `splits.Stack`; see `splits.irradiance_profile`.
     sky : Sky, str or mapping
         See `splits.sky`.
@@ -171,12 +171,12 @@ def _make_stopping_rules(
 
     Parameters
     ----------
-    direct : float, shape (wavelengths,)
+    direct_fraction : float, shape (wavelengths,)
         Part of the light that comes from the sun.
-    weights : float, shape (bands, wavelengths)
+    band_weights : float, shape (bands, wavelengths)
         Irradiance of each band that a wavelength stands for.
     max_stderr : float
-    irradiance : bool
+    limit_irradiance : bool
         Whether errors are asked of irradiances, too.
     """
     parts = band_weights / band_weights.sum(axis=1, keepdims=True)

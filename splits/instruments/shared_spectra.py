@@ -22,8 +22,8 @@ def simulate_spectra(
 
     Parameters
     ----------
-    family : Family
-    run : Run
+    path_sharing : PathSharingMedia
+    request : Run
     progress : callable, optional
 
     Returns

@@ -50,9 +50,9 @@ def mix_direct_and_diffuse(
 
     Parameters
     ----------
-    light : Sky
+    sky : Sky
     wavelength_nm : float, shape (wavelengths,)
-    run : callable
+    instrument : callable
         Takes an incidence and 0 for the sun or 1 for diffuse light, to be added to a seed: rays of
         the sun and of the sky know nothing of each other.
     names : sequence of str

@@ -101,7 +101,7 @@ class SpectralRequest(NamedTuple):
         estimator: str = "spectral",
         progress: ProgressCallback = None,
     ) -> SpectralResult:
-        """Return what `estimated` does, where it is known where packs are cut."""
+        """Return what `estimate` does, where it is known where packs are cut."""
         analog = estimator == "analog"
         w, count = self.wavelengths, len(path_sharing.media) - len(perturbations.media)
         traced = (

@@ -65,7 +65,7 @@ def atomic_netcdf(path: Path, n_bytes: int) -> Iterator[Path]:
     Parameters
     ----------
     path : path
-    size : int
+    n_bytes : int
         Bytes of its values.
 
     Raises

@@ -20,6 +20,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.paths import expand_path
+from splits.core.provenance import get_git_commit, get_package_version
 from splits.core.validation import (
     check_choice,
     check_number,
@@ -81,9 +82,6 @@ def upgrade_schema(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
     return dataset.assign_attrs({SCHEMA_ATTRIBUTE: SCHEMA_VERSION})
 
 
-pass
-from splits.core.provenance import get_git_commit, get_package_version
-
 CF_CONVENTIONS = "CF-1.11"
 RUN_SPECIFIC_ATTRIBUTES = ("date_created", "history", "wall_time_s", "threads", "host_cpu")
 """Attributes that differ between runs of one and the same simulation."""
@@ -98,7 +96,7 @@ def make_provenance(action: str = "dataset made") -> dict[str, Any]:
 
     Parameters
     ----------
-    what : str
+    action : str
         What the program did, for the attribute ``history``: "experiment fig08_grain_size".
     """
     now = datetime.now(UTC).isoformat(timespec="seconds")
@@ -267,7 +265,7 @@ def select_points(dataset: xr.Dataset, coordinates: Mapping[str, float | str]) -
     Parameters
     ----------
     dataset : xarray.Dataset
-    at : mapping
+    coordinates : mapping
         From dimensions to coordinates: numbers, up to rounding, or labels.
 
     Raises

@@ -67,7 +67,7 @@ class Author:
         "0000-0002-1825-0097", or nothing.
     affiliation : str
         Or nothing.
-    person : bool
+    is_person : bool
     """
 
     name: str
@@ -98,7 +98,7 @@ class ArchiveInfo:
         Of the results: an SPDX identifier or a URL.
     authors : tuple of Author
         Of the results.
-    software : Software
+    software : SoftwareInfo
         What made them.
     """
 
@@ -115,7 +115,7 @@ def make_metadata(members: Mapping[str, bytes], info: ArchiveInfo) -> bytes:
     ----------
     members : mapping
         Contents of all other files by name.
-    about : About
+    info : ArchiveInfo
 
     Returns
     -------

@@ -75,9 +75,9 @@ class ArchiveReport:
     archive : Path
     sha256 : str
         Of the archive itself, to be compared with one that you trust.
-    files : int
+    n_files : int
         How many files it holds, metadata included.
-    size : int
+    n_bytes : int
         Their bytes.
     name, date, license : str
         What the archive says of itself.

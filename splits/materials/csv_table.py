@@ -43,11 +43,11 @@ class CsvTable(NamedTuple):
     path : Path
     allowed : str
         What the file must be.
-    names : list of str
+    column_names : list of str
         Of the columns; no two are the same.
     rows : list of list of str
         One cell for each name.
-    lines : list of int
+    line_numbers : list of int
         Where the rows stand in the file, counted from 1.
     sha256 : str
         Of the file's content.
@@ -82,7 +82,7 @@ class CsvTable(NamedTuple):
         Parameters
         ----------
         name : str
-        gaps : bool
+        allow_gaps : bool
             Whether cells may be empty, which are NaN.
         """
         found = []
@@ -111,7 +111,7 @@ def read_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> CsvTab
     key : str
         What is refused.
     path : path
-    needed : sequence of str
+    required : sequence of str
         Columns that a refusal names.
 
     Raises
@@ -205,7 +205,7 @@ def read_user_table(key: str, path: str | Path, column_names: Sequence[str]) -> 
     key : str
         What is refused.
     path : path
-    names : sequence of str
+    column_names : sequence of str
         Of the columns; others are not looked at.
     """
     cells = read_csv(key, path, column_names)

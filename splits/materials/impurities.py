@@ -43,13 +43,13 @@ class Impurity(ContentEquality):
     Attributes
     ----------
     name : str
-    per_kg : float
+    amount_per_kg_ice : float
         kg, or cells of algae, per kg of ice.
     wavelength_nm, absorption : float, shape (n,)
         Absorption per kg (m²/kg) or per cell (m²) over wavelength (nm, strictly increasing).
     sha256 : str
         Of a user's file.
-    own : bool
+    is_user_defined : bool
         Whether the table is a user's.
     """
 
@@ -82,11 +82,11 @@ def make_impurities(mass_ng_g: Any, cells_ml: Any) -> tuple[Impurity, ...]:
 
     Parameters
     ----------
-    by_mass : mapping
+    mass_ng_g : mapping
         ng of impurity per g of ice by kind, see `list_impurities`; or, under a name of one's own, a mapping
         of ``ng_g`` and either ``table``, the path of a CSV file with columns ``wavelength_nm,
         absorption_m2_kg``, or these two as lists.
-    cells : mapping
+    cells_ml : mapping
         Cells per ml of meltwater by kind of algae, see `ALGAE_NAMES`.
 
     Raises

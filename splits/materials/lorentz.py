@@ -56,9 +56,9 @@ class LorentzIndex:
         What the model is called and where it is from.
     range_nm : (low, high)
         Vacuum wavelengths (nm) the model is meant for.
-    high_energy : float
+    high_energy_permittivity : float
         ε∞, what all bands beyond those listed contribute; at least 1.
-    bands : sequence of Band
+    oscillators : sequence of Band
     """
 
     name: str

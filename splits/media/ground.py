@@ -35,7 +35,7 @@ class Ground(ContentEquality):
     ----------
     name, source : str
         What it is called, and where its values are from.
-    values : float, shape (n,)
+    albedo_values : float, shape (n,)
         Albedo, 0 to 1.
     wavelength_nm : float, shape (n,) or None
         Strictly increasing (nm); None where the albedo is the same everywhere, and n is 1.
@@ -55,7 +55,7 @@ class Ground(ContentEquality):
 
         Parameters
         ----------
-        given : None, str, number, mapping, path or Ground
+        value : None, str, number, mapping, path or Ground
             ``"open"`` or None; ``"black"``; an albedo; a mapping of ``wavelength_nm`` and
             ``albedo``, lists; the name of a soil, see `load_soils`; or the path of a CSV file with
             columns ``wavelength_nm, albedo``.
@@ -83,7 +83,7 @@ class Ground(ContentEquality):
         return Ground(f"albedo {albedo!r}", "given by the user", np.array([albedo]))
 
     def as_input(self) -> Any:
-        """Return what a user gives for this ground, see `of`; of a file, its name."""
+        """Return what a user gives for this ground, see `from_input`; of a file, its name."""
         if self.name == TABLE_NAME:
             return {"wavelength_nm": self.wavelength_nm, "albedo": self.albedo_values}
         if self.wavelength_nm is None:

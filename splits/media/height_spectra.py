@@ -22,13 +22,13 @@ class HeightSpectrum(NamedTuple):
 
     Attributes
     ----------
-    code : int
+    kernel_code : int
         What kernels call it.
-    share : callable
+    cdf : callable
         Probability of wave numbers below λ.
     density : callable
         Its derivative.
-    square : callable
+    mean_square : callable
         Mean of λ² below a limit.
     correlation : callable
         Of heights at a distance, without a limit.

@@ -9,7 +9,7 @@ from typing import Any
 
 from splits.core.arrays import check_named_numbers
 from splits.core.validation import as_scalar, check_range, invalid, snap_to_limits, suggest_name
-from splits.materials import RefractiveIndex, lookup, parse_refractive_index
+from splits.materials import RefractiveIndex, make_refractive_index, parse_refractive_index
 from splits.media.ground import describe_ground
 
 EXPANDED_INPUTS = (
@@ -48,7 +48,7 @@ def make_refractive_indices(
     materials : iterable of str
     given : mapping
         Of air, too, which has no default: it is 1.
-    pores : iterable of str, optional
+    pore_fluids : iterable of str, optional
         Media in pores, of which something must be given.
 
     Raises
@@ -73,7 +73,7 @@ def make_refractive_indices(
                 "a mapping with keys " + ", ".join(names),
                 suggest_name(name, names),
             )
-    return {m: lookup(m, given.get(m)) for m in known} | {
+    return {m: make_refractive_index(m, given.get(m)) for m in known} | {
         m: parse_refractive_index(m, given[m]) for m in others
     }
 

@@ -85,7 +85,7 @@ def merge_interpretations(given: Sequence[Any]) -> Any:
     return found[SET_KEY] if list(found) == [SET_KEY] else found
 
 
-Kind = TypeVar("Kind", bound="TransportReadings")
+Kind = TypeVar("Kind", bound="TransportInterpretation")
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class TransportInterpretation:
 
         Parameters
         ----------
-        value : Readings, str or mapping
+        value : Interpretation, str or mapping
             The name of one of `INTERPRETATION_SETS`; or a mapping of names to choices, with the name of a set
             under ``set`` if they are to stand beside it and not beside the default.
         """

@@ -12,6 +12,9 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.kernels.grains.scene import GrainPopulation
+from splits.kernels.optics.phase_function import PhaseFunction
+from splits.kernels.particle_layer.scene import ScatteringLayer
+from splits.kernels.rough_surface.realization import HeightFields
 from splits.materials.lookup import absorption_coefficient
 from splits.media.ground import Ground
 from splits.media.interpretations import TransportInterpretation
@@ -25,11 +28,11 @@ class Interface(NamedTuple):
 
     Attributes
     ----------
-    share : float
+    fraction : float
         Of meetings with grains; of a face, that of the light that meets it.
-    near, far : int
+    outer_material, inner_material : int
         Materials on the outer and on the inner side.
-    place : {"outer", "inner", "face"}
+    location : {"outer", "inner", "face"}
         Between pores and grains; within grains; at a face of the sample, where wet pores meet dry
         ones, or what particles lie in.
     layer : int
@@ -86,7 +89,7 @@ def compute_absorption(
 
     Parameters
     ----------
-    medium : Described
+    medium : OpticalMedium
     index : complex, shape (wavelengths, materials)
         Its refractive indices.
     wavelength_nm : float, shape (wavelengths,)
@@ -231,12 +234,6 @@ def check_thickness(medium: GranularMedium | LayeredMedium) -> None:
         raise invalid(
             "depth_m", medium.depth_m, f"more than the largest grain, {largest:g} m", hint
         )
-
-
-pass
-from splits.kernels.optics.phase_function import PhaseFunction
-from splits.kernels.particle_layer.scene import ScatteringLayer
-from splits.kernels.rough_surface.realization import HeightFields
 
 
 @runtime_checkable

@@ -98,7 +98,7 @@ def replace_parameter(medium: Any, name: str, value: float) -> Any:
 
     Parameters
     ----------
-    medium : Snow, Sand, Layer or Stack
+    medium : Snow, Sand, ParticleLayer or Stack
     name : str
     value : float
 

@@ -24,7 +24,7 @@ class PoreFluids(NamedTuple):
     ----------
     names : tuple of str
         Dry pores first, then water, then others.
-    shares : tuple of float
+    fractions : tuple of float
         Of the pore space; they sum to 1.
     """
 
@@ -73,12 +73,12 @@ def check_other_fluids(
 
     Parameters
     ----------
-    given : mapping
+    pores : mapping
         Shares of the pore space by name.
     saturation : float
     refractive_index : mapping
         As given by the user, who has to say what such a medium is.
-    taken : iterable of str
+    grain_materials : iterable of str
         Names of the materials of grains.
     """
     if not isinstance(pores, Mapping):

@@ -168,7 +168,7 @@ class RoughSurface:
 
     Parameters
     ----------
-    fields : SurfaceField, mapping or a sequence of them
+    fields : RandomHeightField, mapping or a sequence of them
         What one field is, see `RandomHeightField`, or several.
 
     Examples
@@ -248,7 +248,7 @@ class RoughSurface:
         )
 
     def sample_realization(self, seed: int, ray_number: int = 0) -> np.ndarray:
-        """Return the waves that ray `number` of ensemble 0 draws as its first numbers.
+        """Return the waves that ray `ray_number` of ensemble 0 draws as its first numbers.
 
         Rows are those of `splits.kernels.rough_surface.realization`, which also evaluates them.
         """

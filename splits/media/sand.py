@@ -82,7 +82,7 @@ class Sand(ContentEquality):
         Per material ("quartz", "hematite", "goethite", "magnetite", "kaolinite", "water",
         "air") a dataset's name, a constant or a table; see `splits.materials.refractive_index`.
         Air, 1 by default, also lies above the sample.
-    readings : SandReadings or mapping, optional
+    interpretation : SandInterpretation or mapping, optional
         Named readings of the paper.
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see

@@ -32,7 +32,7 @@ class ParticleType(ContentEquality):
     name : str
     mass_fraction : float
         μ_j, mass of these particles per mass of all.
-    concentration : mapping
+    mineral_mass_fractions : mapping
         ϑ_jℓ, mass of each mineral per mass of the particle.
     """
 
@@ -92,7 +92,7 @@ class SandComposition:
 
     Attributes
     ----------
-    types : tuple of ParticleType
+    particle_types : tuple of ParticleType
     coating_fraction : float
         v_coat, volume of the coating per volume of a coated particle.
     """
@@ -160,7 +160,7 @@ def compute_coated_concentrations(
     oxide : {"hematite", "goethite"}
     iron_oxide : float
         Mass of the oxide per mass of the particle.
-    coat : float
+    coating_fraction : float
         Volume of the coating per volume of the particle.
 
     Raises
@@ -207,7 +207,7 @@ def make_composition(
         ϑ_m, mass of magnetite per mass of sand; iron_oxide + magnetite at most 1.
     partition : (pure, mixed, coated)
         μ'_p, μ'_m, μ'_c, by mass; they add up to 1.
-    coat : float
+    coating_fraction : float
         v_coat, see `compute_coating_fraction`.
     excess_magnetite : {"first", "clipped"}
         Where magnetite and the pure iron oxides exceed the pure particles' share: they are there

@@ -80,7 +80,7 @@ class Snow(ContentEquality):
     refractive_index : mapping, optional
         Per material ("ice", "water", "air") a dataset's name, a complex constant n + kj or a table;
         see `splits.materials.refractive_index`.  Air, 1 by default, also lies above the sample.
-    readings : Readings, str or mapping, optional
+    interpretation : Interpretation, str or mapping, optional
         Named readings of the papers, or the name of a set: "splitsnow_2021" (default),
         "splits_2007", "geometric" or "radiative_transfer".
     ground : number, str, mapping or path, optional

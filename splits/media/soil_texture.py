@@ -33,11 +33,11 @@ class TruncatedLogNormal:
 
     Attributes
     ----------
-    low, high : float
+    min_size_m, max_size_m : float
         Limits of the major axis (m).
-    mass : float
+    mass_fraction : float
         Mass per mass of all particles.
-    mean, sd : float
+    log_mean, log_sd : float
         Of the natural logarithm of the size in m: a_g and b_g of Eq 19.
     """
 
@@ -133,10 +133,10 @@ def make_size_distribution(
     ----------
     texture : (clay, silt, sand)
         Mass fractions ζ1, ζ2, ζ3, adding up to 1, with ζ2 + 1.5 ζ1 at most 0.15.
-    tail : float
+    tail_mass : float
         Mass taken to lie beyond the outermost limits, 1e-6 to 0.01: it decides how far
         distributions of open separates reach towards the fine end.
-    pieces : {"separates", "single"}
+    size_model : {"separates", "single"}
         A log-normal per separate, or a single one with the geometric mean and standard deviation
         of the texture (Shirazi & Boersma 1984, Soil Science Society of America Journal 48,
         142-147), between the limits of the separates present.

@@ -42,14 +42,14 @@ class Stack:
 
     Parameters
     ----------
-    layers : sequence of Snow, Sand or Layer
+    layers : sequence of Snow, Sand or ParticleLayer
         Top first, 1 to 200.  Readings of transport must be the same in all layers of grains; none
         of them has a ground of its own.  A `StackedParticleLayer` has no bottom here, and a rough surface only
         as the first.
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
         `splits.media.ground.Ground.of`.  By default light leaves below ("open").
-    readings : str, optional
+    interpretation : str, optional
         Name of a set of readings, see `splits.media.interpretations.INTERPRETATION_SETS`, that all layers of grains take
         in place of their own: snow and sand have different ones by default.
 

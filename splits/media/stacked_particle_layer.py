@@ -33,8 +33,8 @@ class StackedParticleLayer:
 
     Parameters
     ----------
-    layer : Layer
-    top : bool
+    layer : ParticleLayer
+    is_top : bool
         Whether it is the first of the stack, and may have a rough surface.
 
     Raises

@@ -28,11 +28,11 @@ class WaterDistribution(NamedTuple):
 
     Attributes
     ----------
-    share : float
+    wet_fraction : float
         Probability that a leg through pores begins and ends in water.
-    filled : float
+    filled_fraction : float
         Water along such a leg, as a part of the mean length of all legs.
-    film : float
+    relative_film_thickness : float
         Thickness of a film on every grain per major axis.
     """
 
@@ -53,7 +53,7 @@ def distribute_water(
     porosity : float
     sphericity : float
         Mean sphericity of the grains.
-    reading : {"whole_pores", "narrow_pores", "film"}
+    water_model : {"whole_pores", "narrow_pores", "film"}
         Of legs drawn by volume; of all legs shorter than some length; on the grains up to
         `MAX_RELATIVE_FILM_THICKNESS`, and the rest in whole pores.
     """

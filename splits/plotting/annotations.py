@@ -165,7 +165,7 @@ def annotate_figure(figure: Figure, panels: Iterable[Axes], *notes: str) -> Figu
     ----------
     figure : matplotlib.figure.Figure
         With constrained layout; it grows by the height of the notes.
-    panels : iterable of matplotlib.axes.Axes
+    panels : iterable of matplotlib.axes.ParameterGrid
         In reading order; the letter stands before a panel's title.
     *notes : str
         A paragraph each, broken at spaces; empty ones are left out.

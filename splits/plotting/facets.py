@@ -45,10 +45,10 @@ def draw_facets(
     ----------
     dataset : xarray.Dataset
         As written by an experiment, over wavelength, one parameter whose values are lines, and
-        those of `apart`.
+        those of `panel_dims`.
     quantity : sequence of str
         A block of panels each, one below the other.
-    apart : sequence of str
+    panel_dims : sequence of str
         One or two parameters, see `splits.plotting.panels.choose_panel_parameters`.
     legend : str, optional
         Title of the legend or the colour bar; the first parameter by default.

@@ -109,7 +109,7 @@ def draw_maps(
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-    places : sequence of matplotlib.gridspec.SubplotSpec
+    grid_cells : sequence of matplotlib.gridspec.SubplotSpec
         One per point.
     dataset : xarray.Dataset
         See `splits.plotting.direction_axes.select_point`.

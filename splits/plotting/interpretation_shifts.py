@@ -65,12 +65,12 @@ def draw_shifts(
     Parameters
     ----------
     dataset : xarray.Dataset
-        Over `dim` and `over`, other dimensions have one value.
+        Over `dim` and `axis_dim`, other dimensions have one value.
     quantity : sequence of str
         A block of panels each, one below the other.
     dim : str
         See `find_default_dim`.
-    over : str
+    axis_dim : str
         Dimension of the horizontal axis.
     labels : (str, sequence of str)
         Of the horizontal axis, and of the quantities.

@@ -128,13 +128,13 @@ class PlotLines:
         ----------
         figure : matplotlib.figure.Figure
             With constrained layout, to make room.
-        axes : sequence of matplotlib.axes.Axes
+        axes : sequence of matplotlib.axes.ParameterGrid
             Those that show the lines.
-        title : str, optional
+        make_title : str, optional
             The dimensions' names by default.
-        few : int
+        max_inset_entries : int
             Largest number of entries on the axes.
-        extra : sequence of artists
+        extra_handles : sequence of artists
             With labels of their own, beside the lines'.
         """
         if not self.dims and not extra_handles:

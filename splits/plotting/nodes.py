@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from splits.materials import TabulatedIndex, list_datasets, lookup
+from splits.materials import TabulatedIndex, list_datasets, make_refractive_index
 
 COARSE_STEP_RATIO = 2.0
 """A table is coarse where its rows are farther apart than so many steps of the wavelengths."""
@@ -85,7 +85,7 @@ def _find_table(material: str, name: str) -> TabulatedIndex | None:
         known = list_datasets(material)
     except ValueError:
         return None
-    index = lookup(material, plain) if plain in known else None
+    index = make_refractive_index(material, plain) if plain in known else None
     return index if isinstance(index, TabulatedIndex) else None
 
 

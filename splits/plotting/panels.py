@@ -59,9 +59,9 @@ def choose_panel_parameters(
     ----------
     sizes : mapping
         Numbers of values of the grid's parameters that are not held fixed, in order.
-    quantities : int
+    n_quantities : int
         Each has panels of its own.
-    at : mapping, optional
+    selection : mapping, optional
         Labels of the grid held fixed, for the message.
 
     Returns

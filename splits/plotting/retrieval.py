@@ -64,9 +64,9 @@ def draw_retrievals(
     ----------
     dataset : xarray.Dataset
         As `splits.experiments.run_retrieve.together` returns it.
-    known : mapping, optional
+    reference : mapping, optional
         Values by parameter and sample that were found otherwise.
-    groups : sequence of str
+    prefixes : sequence of str
         How names of samples begin that have a panel of what is known together.
     """
     every = dataset.sample.values

@@ -80,9 +80,9 @@ def draw_band_selection(selections: Mapping[str, xr.Dataset], conditions: str = 
 
     Parameters
     ----------
-    found : mapping
+    selections : mapping
         From what columns are called to what `splits.select_bands` returns.
-    known : str
+    conditions : str
         Of noise, and of what is known, for the foot.
     """
     with use_style():
@@ -128,7 +128,7 @@ def draw_sobol_indices(indices: Mapping[str, xr.Dataset]) -> Figure:
 
     Parameters
     ----------
-    found : mapping
+    indices : mapping
         From what panels are called to what `splits.sobol_indices` returns.
     """
     with use_style():

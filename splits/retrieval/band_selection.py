@@ -43,7 +43,7 @@ def select_bands(
 
     Parameters
     ----------
-    table : Table
+    table : MethodTable
     bands : mapping, str or array_like
         As for `splits.albedo`, or a row of wavelengths (nm).
     free : sequence of str or mapping
@@ -129,9 +129,9 @@ def _select_greedily(
 
     Parameters
     ----------
-    k : float, shape (places, bands, parameters)
+    jacobians : float, shape (places, bands, parameters)
         Slopes in units of noise.
-    variance : float, shape (parameters,)
+    prior_variance : float, shape (parameters,)
         Known before.
     """
     after = np.tile(np.diag(prior_variance), (len(jacobians), 1, 1))

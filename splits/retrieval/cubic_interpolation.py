@@ -20,9 +20,9 @@ def compute_cubic_weights(nodes, n_nodes, x, weights, derivative_weights):
     ----------
     nodes : float64[most]
         Increasing; only so many count.
-    count : int
+    n_nodes : int
     x : float
-    share, slope : float64[4]
+    weights, derivative_weights : float64[4]
         Set; 0 beyond the nodes that are drawn from.
     """
     drawn = min(STENCIL_SIZE, n_nodes)
@@ -48,14 +48,14 @@ def interpolate(node_values, axis_nodes, n_nodes, state, values, jacobian):
 
     Parameters
     ----------
-    table : float64[cells, columns]
+    node_values : float64[cells, columns]
         The last axis runs fastest.
-    nodes : float64[axes, most]
-    counts : int64[axes]
-    x : float64[axes]
+    axis_nodes : float64[axes, most]
+    n_nodes : int64[axes]
+    state : float64[axes]
     values : float64[columns]
         Set.
-    slopes : float64[columns, axes]
+    jacobian : float64[columns, axes]
         Set, unless it has no columns.
     """
     axes = len(n_nodes)
@@ -97,7 +97,7 @@ def interpolate_states(node_values, axis_nodes, n_nodes, states, values):
     ----------
     table, nodes, counts
         As for `interpolate`.
-    places : float64[places, axes]
+    states : float64[places, axes]
     values : float64[places, columns]
         Set.
     """

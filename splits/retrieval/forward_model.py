@@ -48,7 +48,7 @@ class MeasurementOperator(NamedTuple):
     Attributes
     ----------
     matrix : float, shape (n, wavelengths)
-    missed : float, shape (n, wavelengths)
+    interpolation_error : float, shape (n, wavelengths)
         What reading between wavelengths misses.
     """
 
@@ -80,11 +80,11 @@ class TableForwardModel:
 
     Parameters
     ----------
-    table : Table
+    table : MethodTable
     measurement : Measurement
-    free : Free
+    state_vector : StateVector
         Axes of the table, and perhaps the measurement's level.
-    at : mapping, optional
+    fixed : mapping, optional
         Values of the other axes; those of one node may be left out.
     quantity : str
     """

@@ -31,8 +31,8 @@ class StagedForwardModel(Protocol):
 
     Attributes
     ----------
-    free : Free
-    margin : float
+    state_vector : StateVector
+    bound_margin : float
         Places stay so far away from the ends.
     """
 
@@ -53,11 +53,11 @@ class DescentStage(NamedTuple):
 
     Attributes
     ----------
-    starts : int
+    n_starts : int
         Descents at most, from the best places of the stage before.
-    evaluations : int
+    max_evaluations : int
         Runs that each may take, about; derivatives count as one for each coordinate.
-    within : float
+    max_cost_increase : float
         By how much more than the best a sum of squares may be for a place to be one of these.
     """
 
@@ -71,10 +71,10 @@ class Objective(NamedTuple):
 
     Attributes
     ----------
-    wanted : float, shape (n,)
-    lower : float, shape (n, n)
+    measured : float, shape (n,)
+    cholesky : float, shape (n, n)
         Lower triangle of the covariance of errors.
-    free : Free
+    state_vector : StateVector
         With the priors that count.
     """
 
@@ -95,7 +95,7 @@ class Objective(NamedTuple):
         return np.concatenate([np.linalg.solve(self.cholesky, modelled - self.measured), prior])
 
     def compute_residual_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
-        """Return the derivatives of `off` to the coordinates."""
+        """Return the derivatives of `compute_residuals` to the coordinates."""
         pull = np.diag(1.0 / self.state_vector.prior_sd)[np.isfinite(self.state_vector.prior_sd)]
         return np.vstack([np.linalg.solve(self.cholesky, jacobian), pull])
 
@@ -118,13 +118,13 @@ def search_minima(
 
     Parameters
     ----------
-    runs : Runs
-    aim : callable
+    model : StagedForwardModel
+    make_objective : callable
         What counts near a place, at a stage.
-    places : float, shape (many, parameters)
+    survey_states : float, shape (many, parameters)
         Of the survey, which is stage 0.
-    stages : sequence of Stage
-    say : callable
+    stages : sequence of DescentStage
+    log : callable
         Receives the number of every stage that begins, from 1 on, and the least sum of squares.
     """
     survey_states = np.clip(survey_states, model.bound_margin, 1.0 - model.bound_margin)
@@ -180,11 +180,11 @@ def minimize_gauss_newton(
 
     Parameters
     ----------
-    runs : Runs
+    model : StagedForwardModel
     stage : int
     start : float, shape (parameters,)
-    aim : Aim
-    evaluations : int
+    objective : Aim
+    max_evaluations : int
     radius : float
         Half the edge of the first trust region, 0 to 1.
     """

@@ -40,11 +40,11 @@ class PosteriorEstimate(NamedTuple):
 
     Attributes
     ----------
-    place : float, shape (parameters,)
+    state : float, shape (parameters,)
         The most probable one.
-    told : Told
-    draws : Draws
-    tension : float, shape (parameters,)
+    posterior : Told
+    draws : PosteriorDraws
+    prior_tension : float, shape (parameters,)
         See `splits.retrieval.result.Found`.
     """
 
@@ -61,8 +61,8 @@ def apply_priors(
 
     Parameters
     ----------
-    free : Free
-    place : float, shape (parameters,)
+    state_vector : StateVector
+    state : float, shape (parameters,)
     covariance : float, shape (parameters, parameters)
         See `splits.retrieval.residual_covariance.estimate_fit_covariance`.
     seed : int

@@ -27,12 +27,12 @@ class Linearization(NamedTuple):
 
     Attributes
     ----------
-    place : float, shape (parameters,)
+    state : float, shape (parameters,)
         Coordinates.
-    values : float, shape (n,)
+    modelled : float, shape (n,)
         What would be measured.
-    slopes : float, shape (n, parameters)
-    covariance : float, shape (n, n)
+    jacobian : float, shape (n, parameters)
+    error_covariance : float, shape (n, n)
         Of what the model itself is off by.
     """
 
@@ -80,14 +80,14 @@ def estimate_nonlinearity(
 
     Parameters
     ----------
-    values : callable
+    evaluate : callable
         What would be measured at a place, shape (n,).
-    around : Around
-    place : float, shape (parameters,)
+    linear_model : LinearizedModel
+    state : float, shape (parameters,)
         The most probable one.
     covariance : float, shape (parameters, parameters)
         Of coordinates, after; all of its axes are looked along.
-    noise : float, shape (n, n)
+    error_covariance : float, shape (n, n)
         Covariance of measurement and model.
     """
     sizes, ways = np.linalg.eigh(covariance)
@@ -112,7 +112,7 @@ def remove_jacobian_noise(
     ----------
     jacobians : sequence of float, shape (n, parameters)
         Two at least.
-    noise : float, shape (n, n)
+    error_covariance : float, shape (n, n)
         Covariance S of measurement and model.
     """
     values, vectors, feigned = _decompose_information(jacobians, error_covariance)

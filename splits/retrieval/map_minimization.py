@@ -22,11 +22,11 @@ class TableGrid(NamedTuple):
 
     Attributes
     ----------
-    cells : float64[cells, columns]
+    node_values : float64[cells, columns]
         The last axis runs fastest; noise of every column has variance 1.
-    nodes : float64[axes, most]
+    axis_nodes : float64[axes, most]
         Coordinates.
-    counts : int64[axes]
+    n_nodes : int64[axes]
     """
 
     node_values: np.ndarray
@@ -41,12 +41,12 @@ def project_spectra(spectra, mean_spectrum, projection, whitening, components, r
     Parameters
     ----------
     spectra : float64[measurements, wavelengths]
-    centre : float64[wavelengths]
-    project : float64[components, wavelengths]
-    white : float64[wavelengths, wavelengths]
+    mean_spectrum : float64[wavelengths]
+    projection : float64[components, wavelengths]
+    whitening : float64[wavelengths, wavelengths]
         Lower triangle that gives all of noise the variance 1.
-    y : float64[measurements, components]
-    rest : float64[measurements]
+    components : float64[measurements, components]
+    residual_chi2 : float64[measurements]
     """
     many = len(mean_spectrum)
     off = np.empty(many)
@@ -209,13 +209,13 @@ def retrieve_spectra(
 
     Parameters
     ----------
-    grid : Grid
-    y : float64[measurements, columns]
-    mean, precision : float64[axes]
+    grid : TableGrid
+    measurements : float64[measurements, columns]
+    prior_mean, prior_precision : float64[axes]
         Of the priors, precision 0 without one.
-    variance : float64[axes]
+    prior_variance : float64[axes]
         Of what was known before.
-    places, variances : float64[measurements, axes]
+    states, variances : float64[measurements, axes]
     misfits : float64[measurements, 2]
         And whether places have come to rest, 1 or 0.
     """

@@ -44,10 +44,10 @@ class _ReducedTable(NamedTuple):
 
     Attributes
     ----------
-    project : float, shape (components, wavelengths)
-    centre : float, shape (wavelengths,)
-    cells : float, shape (cells, components)
-    white : float, shape (wavelengths, wavelengths)
+    projection : float, shape (components, wavelengths)
+    mean_spectrum : float, shape (wavelengths,)
+    node_components : float, shape (cells, components)
+    whitening : float, shape (wavelengths, wavelengths)
         Lower triangle.
     """
 
@@ -93,7 +93,7 @@ def retrieve_map(
     image : xarray.DataArray
         Reflectances over ``wavelength`` (nm) and other dimensions, or over one with a coordinate
         ``wavelength``, such as ``band``; dask arrays block by block.
-    table : Table
+    table : MethodTable
     free : sequence of str or mapping
         As for `splits.retrieve`, but ``level``.
     noise : float, array_like or mapping

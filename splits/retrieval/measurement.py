@@ -34,7 +34,7 @@ class Measurement(NamedTuple):
         Of its noise.
     bands : dict of Band
         By name; empty for a spectrum.
-    told : bool
+    noise_known : bool
         Whether the noise is known; else its covariance means nothing but equal weights.
     """
 

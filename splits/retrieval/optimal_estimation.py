@@ -31,17 +31,17 @@ class MAPEstimate(NamedTuple):
 
     Attributes
     ----------
-    place : float, shape (parameters,)
-    values : float, shape (n,)
+    state : float, shape (parameters,)
+    modelled : float, shape (n,)
         What would be measured there.
-    slopes : float, shape (n, parameters)
-    covariance : float, shape (n, n)
+    jacobian : float, shape (n, parameters)
+    error_covariance : float, shape (n, n)
         Of measurement and model.
     cost : float
         Sum of squares: of the measurement, and of the priors.
     chi2 : float
         That of the measurement alone.
-    held : bool, shape (parameters,)
+    active_bounds : bool, shape (parameters,)
         Coordinates that go no further because their range ends.
     """
 
@@ -95,7 +95,7 @@ def find_map_estimate(
     measurement : Measurement
     start : float, shape (parameters,)
         Coordinates.
-    excess : float
+    variance_inflation : float
         By so much all variances are enlarged.
     """
     least_squares = import_optional("scipy.optimize", "retrieval", "retrievals need").least_squares
@@ -156,11 +156,11 @@ def find_distinct_map_estimates(
 
     Parameters
     ----------
-    places : float, shape (many, parameters)
+    first_guesses : float, shape (many, parameters)
         Where descents may start, far and wide.
-    values : float, shape (many, n)
+    modelled : float, shape (many, n)
         What would be measured there.
-    excess : float
+    variance_inflation : float
         By so much all variances are enlarged.
     """
     spread = np.sqrt(np.diag(measurement.covariance))

@@ -31,9 +31,9 @@ class PosteriorDraws(NamedTuple):
 
     Attributes
     ----------
-    places : float, shape (DRAWS, parameters)
+    states : float, shape (DRAWS, parameters)
         Coordinates, equally probable.
-    effective : float
+    n_effective : float
         Number of independent draws that they are worth.
     """
 
@@ -78,7 +78,7 @@ def draw_posterior(
     ----------
     model : Model
     measurement : Measurement
-    ends : sequence of Optimum
+    estimates : sequence of MAPEstimate
         Best first; the covariance of errors at a place is that at the nearest of them.
     seed : int
     """

@@ -24,9 +24,9 @@ class FitCovariance(NamedTuple):
 
     Attributes
     ----------
-    of_place : float, shape (coordinates, coordinates)
+    state : float, shape (coordinates, coordinates)
         Covariance of the coordinates.
-    of_values : float, shape (wavelengths, wavelengths)
+    residual : float, shape (wavelengths, wavelengths)
         Covariance of what the misfit was drawn from.
     """
 
@@ -45,7 +45,7 @@ def estimate_misfit_variances(misfit: np.ndarray, jacobian: np.ndarray) -> np.nd
     ----------
     misfit : float, shape (wavelengths,)
         Model minus measurement, not all 0.
-    fitted : float, shape (wavelengths, columns)
+    jacobian : float, shape (wavelengths, columns)
         What the fit could add to the spectrum, fewer columns than wavelengths.
 
     References
@@ -103,10 +103,10 @@ def estimate_fit_covariance(
         Independent ones, at least two.
     misfit : float, shape (wavelengths,)
         Model minus measurement, see `estimate_misfit_variances`.
-    own : float, shape (wavelengths, wavelengths)
+    noise_covariance : float, shape (wavelengths, wavelengths)
         Covariance of the runs' own noise.  Every run of a fit shares its random numbers, so that
         it ends where they move the whole.
-    held : bool, shape (coordinates,)
+    active_bounds : bool, shape (coordinates,)
         Those that an end of their range holds: a fit has taken nothing from the misfit by these.
     """
     scale, unknown = _split_directions(jacobians, misfit)

@@ -107,19 +107,19 @@ class Solution(NamedTuple):
 
     Attributes
     ----------
-    ends : sequence of Optimum
+    estimates : sequence of MAPEstimate
         Best first.
-    told : Told
-    draws : Draws
-    excess : float
+    posterior : Told
+    draws : PosteriorDraws
+    variance_inflation : float
         By so much variances were enlarged, as the misfit asks for.
-    tension : float, shape (parameters,)
+    prior_tension : float, shape (parameters,)
         How far priors are from what the measurement says without them, in standard errors.
-    off : float, shape (n,)
+    forward_model_error : float, shape (n,)
         Standard errors of the table, or of runs, at the best end.
-    rivals : tuple of float, shape (parameters,)
+    alternatives : tuple of float, shape (parameters,)
         Coordinates of other answers.
-    bent : float
+    nonlinearity : float
         How far light is off a straight line a standard deviation away, in units of its noise.
     """
 

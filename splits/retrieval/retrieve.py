@@ -67,7 +67,7 @@ def retrieve(
     measured : xarray.DataArray, pandas.Series or pair of array_like
         Reflectances over ``wavelength`` (nm), or (wavelengths, reflectances); a row of them where
         there are `bands`.
-    model : Table or medium
+    model : MethodTable or medium
         A table of the light to be expected, see `splits.build_table` and `splits.open_table`; or a snow,
         a sand, a layer or a stack, of which as many runs are made as it takes, some minutes.
     free : sequence of str or mapping

@@ -70,17 +70,17 @@ class SandForwardModel:
 
     Parameters
     ----------
-    cube : Cube
-    wavelengths : float, shape (wavelengths,)
+    cube : UnitCube
+    wavelengths_nm : float, shape (wavelengths,)
         In nm.
     incidence : float or "diffuse"
-    effort : Effort
+    effort : PackingEffort
     seed : int
     threads : int, optional
 
     Attributes
     ----------
-    count : int
+    n_simulations : int
         Sands simulated so far.
     """
 
@@ -178,9 +178,9 @@ def fit(
     seed : int
         Non-negative; the same seed gives the same result on any number of threads.
     threads : int, optional
-    say : callable
+    log : callable
         Receives lines of progress.
-    effort : Effort, optional
+    effort : PackingEffort, optional
 
     Raises
     ------

@@ -55,7 +55,7 @@ class UnitCube:
 
     Parameters
     ----------
-    base : mapping
+    fixed_keywords : mapping
         Keywords of `splits.Sand` that stay fixed.
     ranges : mapping, optional
         (low, high) by name, instead of those of `DEFAULT_RANGES`.
@@ -64,7 +64,7 @@ class UnitCube:
     ----------
     names : tuple of str
         Of the coordinates.
-    free : Free
+    state_vector : StateVector
         The coordinates themselves.
     ranges : dict
 
@@ -197,7 +197,7 @@ class FitResult:
 
     Attributes
     ----------
-    parameters : dict of Fitted
+    parameters : dict of FittedParameter
         iron_oxide, hematite_ratio, magnetite, partition_pure, partition_mixed,
         partition_coated, clay, silt, sand.
     settings : dict
@@ -214,7 +214,7 @@ class FitResult:
         Place in the unit cube; one in the middle of its range that light does not depend on has
         the error 1/√12.
     correlation : float, shape (coordinates, coordinates)
-    others : list of (float, dict)
+    alternatives : list of (float, dict)
         Misfit and parameters of the sands that each descent of the first stage ended at, best
         first: values far apart at nearly the same misfit mean that there are several answers.
         Their misfits are of few rays; `rmse` is not.

@@ -56,11 +56,11 @@ class ConvergedRuns(NamedTuple):
 
     Attributes
     ----------
-    ends : list of End
+    minima : list of End
         Best first, all of them apart.
-    values : float, shape (n,)
+    modelled : float, shape (n,)
         What would be measured at the best.
-    own : float, shape (n, n)
+    noise_covariance : float, shape (n, n)
         Covariance of the runs' noise.
     jacobians : list of float, shape (n, parameters)
         Independent ones there.
@@ -91,10 +91,10 @@ class SimulationForwardModel:
     ----------
     medium : Medium
     measurement : Measurement
-    free : Free
+    state_vector : StateVector
         See `splits.retrieval.media.free_of`.
     incidence : float or "diffuse"
-    error : float, optional
+    max_stderr : float, optional
         Of the last runs; by default `NOISE_FRACTION` of the least noise.
     seed : int
     progress : callable, optional
@@ -240,7 +240,7 @@ class ProgressTracker:
     Parameters
     ----------
     report : callable, optional
-    error : float
+    max_stderr : float
         Of the last runs.
     parameters : int
     """

@@ -46,7 +46,7 @@ def sobol_indices(
 
     Parameters
     ----------
-    table : Table
+    table : MethodTable
     free : sequence of str or mapping
         Axes of the table that vary, at least two, or their (low, high) by name.
     at : mapping
@@ -117,8 +117,8 @@ class _VarianceFractions(NamedTuple):
 
     Attributes
     ----------
-    first, total : float, shape (REPEATS, parameters, wavelengths)
-    spread : float, shape (wavelengths,)
+    first_order, total : float, shape (REPEATS, parameters, wavelengths)
+    standard_deviation : float, shape (wavelengths,)
     """
 
     first_order: np.ndarray

@@ -37,7 +37,7 @@ class StateVector(NamedTuple):
     names : tuple of str
     low, high : float, shape (parameters,)
         Ranges, in the parameters' own units.
-    laws : tuple of str
+    transforms : tuple of str
         By which coordinates go.
     prior_mean, prior_sd : float, shape (parameters,)
         Normal priors in coordinates; of a parameter without one, 1/2 and infinite.
@@ -62,7 +62,7 @@ class StateVector(NamedTuple):
             Parameters, or their (low, high) by name.
         prior : mapping or None
             (mean, standard deviation) by name.
-        known : mapping
+        allowed_ranges : mapping
             Widest ranges by name, of those that can be free.
 
         Raises

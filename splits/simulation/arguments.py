@@ -52,7 +52,7 @@ def check_medium(medium: Any, *kinds: type, allow_semi_infinite: bool = False) -
     medium : object
     *kinds : type
         Keys of `MEDIUM_NAMES`.
-    endless : bool
+    allow_semi_infinite : bool
         Whether packs without end are taken.
     """
     kinds = kinds or (GranularMedium, LayeredMedium, ParticleMedium)
@@ -140,7 +140,7 @@ def check_half_width(instrument: str, half_width_m: Any) -> float:
 
     Parameters
     ----------
-    kind : str
+    instrument : str
         Key of `HALF_WIDTH_RANGE_M`.
     half_width_m : number
     """
@@ -164,7 +164,7 @@ def check_threads(threads: Any) -> int:
 
 
 def check_direction_angles(key: str, values: Any, upper_deg: float) -> np.ndarray:
-    """Return increasing angles from 0 to below `end` degrees, or refuse them."""
+    """Return increasing angles from 0 to below `upper_deg` degrees, or refuse them."""
     angles = as_1d_array(key, values, "numbers in degrees")
     return check_increasing(
         key, check_array_range(key, angles, 0.0, upper_deg, "degrees", open_high=True)

@@ -68,13 +68,13 @@ class _DiffusionProperties(NamedTuple):
 
     Attributes
     ----------
-    loss : float
+    coalbedo : float
         Share that a grain absorbs.
-    turn : float
+    transport_factor : float
         1 − g, and the loss besides: 1 − ωg where little is lost.
-    diffusion : float
+    diffusion_coefficient : float
         D (m).
-    rate : float
+    decay_rate : float
         By which light decays on its way down (1/m).
     """
 
@@ -132,13 +132,13 @@ def truncate_deep_medium(
 
     Parameters
     ----------
-    family : Family
+    path_sharing : PathSharingMedia
         Media that share paths.
     wavelengths : float, shape (wavelengths,)
         nm.
     max_stderr, seed, threads
         As for the spectrophotometer.
-    within_m : float
+    undisturbed_depth_m : float
         Depth (m) in the lowest layer above which light has to be as without a cut.
 
     Raises
@@ -261,7 +261,7 @@ class _SubstrateResponse(NamedTuple):
 
     Attributes
     ----------
-    sent : float
+    reflected_fraction : float
         Share that it sends back.
     passed, clear, escape
         As of a `TruncatedMedium`.

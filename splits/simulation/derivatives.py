@@ -44,7 +44,7 @@ class Perturbations(NamedTuple):
     parameters : tuple of str
     media : tuple of Medium
         With one after the other moved.
-    scales : float, shape (parameters,)
+    size_ratios : float, shape (parameters,)
         Sizes of these in units of the medium's own.
     steps : float, shape (parameters,)
         By so much each is moved.

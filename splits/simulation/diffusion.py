@@ -59,11 +59,11 @@ class DiffusiveSubstrate(NamedTuple):
 
     Attributes
     ----------
-    slope : float
+    decay_flux_ratio : float
         κ D, the net flux over the fluence rate of light that decays by exp(−κ z).
-    depth : float
+    decay_depth : float
         κ h.
-    bottom : float
+    bottom_flux_ratio : float
         Net flux over fluence rate at the bottom, (1 − ρ)/(2 (1 + ρ)) over an albedo ρ.
     """
 

@@ -43,20 +43,20 @@ class SpectralEstimate:
 
     Attributes
     ----------
-    bias : float, shape (3, rows)
+    interpolation_error : float, shape (3, rows)
         Part of the standard error that stands for interpolation between refractive indices.
-    groups : float, shape (GROUPS, 2, rows)
+    batch_deviations : float, shape (GROUPS, 2, rows)
         How far groups of rays take the reflected and transmitted means off: sums over them of
         squares are the variance without bias, sums of products covariances.
-    rays : int
+    n_rays : int
         All rays traced.
-    ensembles : int
+    n_ensembles : int
         Number of path ensembles among which they are shared.
     converged : bool
         Whether the error asked for was reached everywhere.
     kernel : str
         "lanes", "scalar", or both where ensembles differ.
-    slopes : Slopes
+    derivatives : Derivatives
         Derivatives, of as many parameters as were asked for.
     """
 
@@ -158,11 +158,11 @@ def allocate_spectral_rays(
 
     Parameters
     ----------
-    parts : float, shape (ensembles, quantities, wavelengths)
+    weighted_variances : float, shape (ensembles, quantities, wavelengths)
         Variance per ray times squared weight.
-    target : float, shape (quantities, wavelengths)
+    target_variances : float, shape (quantities, wavelengths)
         Variances to reach.
-    ensembles : sequence of Paths
+    tallies : sequence of Tally
     """
     levels = [level for e in tallies for level in e.strata]
     owner = np.repeat(np.eye(len(tallies)), [len(e.strata) for e in tallies], axis=1)
@@ -188,13 +188,13 @@ def allocate_rays(
 
     Parameters
     ----------
-    all_shares : float, shape (members, quantities, columns)
+    relative_variances : float, shape (members, quantities, columns)
         Variances per ray of what adds up, in units of the targets.
-    owner : float, shape (members, levels)
+    membership : float, shape (members, levels)
         1 where the rays of a level count for a member, 0 elsewhere.
-    all_served : bool, shape (levels, columns)
+    column_mask : bool, shape (levels, columns)
         Where the rays of a level count.
-    levels : sequence of Level
+    strata : sequence of Stratum
     """
     floor = np.array([level.n_rays for level in strata], dtype=float)
     cost = np.array([level.n_segments / level.n_rays for level in strata]) + 1.0
@@ -235,8 +235,8 @@ def _select_binding_rows(relative_variances: np.ndarray, column_mask: np.ndarray
 
     Parameters
     ----------
-    share : float, shape (ensembles, quantities, rows)
-    served : bool, shape (levels, rows)
+    relative_variances : float, shape (ensembles, quantities, rows)
+    column_mask : bool, shape (levels, rows)
     """
     many = relative_variances.shape[2]
     if many <= LARGE_PROBLEM_ROWS:

@@ -54,8 +54,8 @@ class FiniteDifference(NamedTuple):
     Attributes
     ----------
     parameter : str
-    slopes : Slopes
-    rays : int
+    derivatives : Derivatives
+    n_rays : int
         That they took.
     """
 
@@ -75,7 +75,7 @@ def compute_finite_difference(
 
     Parameters
     ----------
-    measure : callable
+    estimator : callable
         Takes a medium and an incidence, returns an estimate from the same random numbers each time.
     medium : Medium
     incidence : float or "diffuse"
@@ -144,7 +144,7 @@ class _Coordinate(NamedTuple):
     ----------
     start : float
         Coordinate of the value.
-    end : float
+    endpoint : float
         Value from which the root counts.
     sign : float
         Of the way from there; 0 where the coordinate is the value itself.

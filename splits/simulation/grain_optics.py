@@ -57,11 +57,11 @@ class _NodeTally:
 
     Attributes
     ----------
-    served : bool, shape (wavelengths,)
+    wavelength_mask : bool, shape (wavelengths,)
     weight : float, shape (served,)
         Weight of this node in the wavelengths' means.
     sums : float, shape (3, orders + 4, served)
-    parts : float, shape (parts, orders + 4, served)
+    batch_sums : float, shape (parts, orders + 4, served)
         See `splits.kernels.grains.single_grain.tally_single_scattering`.
     """
 
@@ -89,12 +89,12 @@ def compute_grain_optics(
     Parameters
     ----------
     medium : GranularMedium
-    scene : Scene
+    scene : LayerScene
         Of the medium, perhaps of some of its grains only.
-    constants : Constants
+    constants : OpticalConstants
         Of its materials, at every wavelength.
-    plan : Plan
-    nodes : Nodes
+    request : Plan
+    nodes : IndexNodes
         Of the medium at these wavelengths.
     """
     index, absorption = constants
@@ -141,9 +141,9 @@ def pool_optics_by_type(
     Parameters
     ----------
     medium : GranularMedium
-    constants : Constants
+    constants : OpticalConstants
         Of its materials, at as many rows as are wanted.
-    plan : Plan
+    request : Plan
 
     Returns
     -------

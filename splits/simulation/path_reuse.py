@@ -40,10 +40,10 @@ class MediaGroup(NamedTuple):
 
     Attributes
     ----------
-    family : Family
+    path_sharing : PathSharingMedia
         Each that is different, once.
-    places : int, shape (members,)
-    which : int, shape (members,)
+    positions : int, shape (members,)
+    media_indices : int, shape (members,)
         Of the family's media.
     """
 
@@ -126,7 +126,7 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
         *(
             t
             for t, n in zip(layers, layers._fields, strict=True)
-            if n not in ("face", "attenuation")
+            if n not in ("boundaries", "attenuation")
         ),
         *(t for t, n in zip(types, types._fields, strict=True) if n != "curvature"),
         *scene.particles,

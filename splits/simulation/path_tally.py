@@ -37,7 +37,7 @@ class PathSharingMedia(NamedTuple):
     ----------
     media : tuple of Medium
         Rays are traced in the first.
-    scales : float, shape (media,)
+    size_ratios : float, shape (media,)
         Sizes in units of the first's.
     """
 
@@ -78,10 +78,10 @@ class SpectralRows:
         Refractive indices.
     absorption : float, shape (rows, columns)
         Absorption coefficients (1/m); of the ground, −ln of its albedo.
-    weakest : float, shape (rows, columns)
+    min_absorption : float, shape (rows, columns)
         The least of those among the media of one size at a row's wavelength.  It alone decides on
         roulette and on the rays that a row listens to: so these media listen to the same.
-    changes : float, shape (parameters, rows, columns)
+    absorption_derivatives : float, shape (parameters, rows, columns)
         Derivatives of absorption.
     interfaces : sequence of Interface
     """
@@ -121,12 +121,12 @@ class SpectralRows:
 
         Parameters
         ----------
-        moved : Family
+        perturbed : PathSharingMedia
             The medium with one parameter after the other moved.
         steps : float, shape (media,)
             By so much.
         wavelength_nm : float, shape (rows,)
-        column : int
+        ground_column : int
             Column of a ground to whose own absorption the last derivative is, or `NO_GROUND`.
         """
         others = [one.absorption for one in perturbed.compute_constants(wavelength_nm)]
@@ -143,9 +143,9 @@ class Derivatives(NamedTuple):
     Attributes
     ----------
     mean : float, shape (2, parameters, rows)
-    groups : float, shape (GROUPS, 2, parameters, rows)
+    batch_deviations : float, shape (GROUPS, 2, parameters, rows)
         How far groups of rays take them off: sums over them of products are covariances.
-    missed : float, shape (2, parameters, rows)
+    bias_bound : float, shape (2, parameters, rows)
         Bound on what these do not tell.
     """
 
@@ -172,7 +172,7 @@ class SharedPathTally(PathTally):
 
     Attributes
     ----------
-    slopes : float, shape (GROUPS, 2, parameters, rows)
+    derivative_sums : float, shape (GROUPS, 2, parameters, rows)
         Σ derivative of weight of the rays of every group, reflected and transmitted.
     """
 

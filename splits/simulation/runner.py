@@ -31,7 +31,7 @@ class Runner:
 
     Parameters
     ----------
-    medium : GranularMedium or TurbidMedium
+    medium : GranularMedium or ParticleMedium
     incidence_deg : float or "diffuse"
     seed : int
     threads : int or None
@@ -39,14 +39,14 @@ class Runner:
     analog : bool
         Absorption by coin toss.
     kernel : {"auto", "lanes", "scalar"}
-    report : callable, optional
+    progress_callback : callable, optional
         Receives a `Progress` a few times per second at most.
     planes_m : sequence of float
         Depths (m) of planes to listen at, see `splits.simulation.tracer.GrainTracer`.
 
     Attributes
     ----------
-    batch : int
+    rays_per_chunk : int
         Rays whose weights are added up together.
     """
 
@@ -81,9 +81,9 @@ class Runner:
 
         Parameters
         ----------
-        work : sequence of (Ensemble, Level, int)
+        work : sequence of (Ensemble, Stratum, int)
             Rays to add, rounded up to whole batches.
-        stderr, target, left : float
+        stderr, target, remaining_rays : float
             What to report as reached, wanted, and still to do after this (in rays).
 
         Raises
@@ -142,7 +142,7 @@ class Runner:
     ) -> list[list[WorkItem]]:
         """Return pieces in a number of jobs that cost about a share each, in order.
 
-        There are more of them where one would hold more than `most` batches.
+        There are more of them where one would hold more than `max_chunks` batches.
         """
         jobs: list[list[WorkItem]] = [[]]
         room, held = cost_per_job, 0

@@ -147,7 +147,7 @@ def add_recording_planes(scene: Scene, depths_m: Sequence[float]) -> Scene:
     face = -np.unique(-np.concatenate([layers.boundaries, cut]))
     # The layer that each of the new ones is a piece of.
     piece = np.searchsorted(-layers.boundaries, -face[:-1], side="right") - 1
-    rows = {name: getattr(layers, name)[piece] for name in layers._fields if name != "face"}
+    rows = {name: getattr(layers, name)[piece] for name in layers._fields if name != "boundaries"}
     return scene._replace(layers=Layers(boundaries=face, **rows), record_crossings=True)
 
 
@@ -187,7 +187,7 @@ def make_particle_table(media: Sequence[StackedParticleLayer]) -> ParticleScatte
         table_size=np.array([len(one.cosines) for one in phases], dtype=np.int64),
         cosines=table("cosines"),
         density=table("density"),
-        cdf=table("quantiles"),
+        cdf=table("cdf"),
     )
 
 

@@ -71,7 +71,7 @@ class IndexNodes:
         Refractive indices to trace with.
     weights : float, shape (nodes, wavelengths)
         Convex weights; each column sums to 1.
-    bias : float, shape (wavelengths,)
+    interpolation_bound : float, shape (wavelengths,)
         Bound on the error of interpolation.
     """
 
@@ -195,9 +195,9 @@ class _NodeAssignment:
     ----------
     first, second : int, shape (wavelengths,)
         Rows of the nodes drawn on.
-    share : float, shape (wavelengths,)
+    first_weight : float, shape (wavelengths,)
         Weight of the first; the second has the rest.
-    bias : float, shape (wavelengths,)
+    interpolation_bound : float, shape (wavelengths,)
         Bound on what this misses.
     """
 
@@ -268,7 +268,7 @@ class _Criterion(NamedTuple):
     weight : float
         Of what first and second order miss.
     values : float, shape (wavelengths, n)
-    least : float
+    min_scale : float
         Scale below which changes count in proportion to themselves no more.
     kink : float
         Half the change of slope where the value, the only one, goes through 0.

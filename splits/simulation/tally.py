@@ -37,15 +37,15 @@ class Stratum:
 
     Attributes
     ----------
-    number : int
+    stream : int
         Names the random streams.
     optics : Optics
-    served : bool, shape (wavelengths,)
-    guess : float
+    wavelength_mask : bool, shape (wavelengths,)
+    expected_segments : float
         Legs per ray to expect before any was traced.
-    most : int
+    max_order : int
         Grains that a ray may meet.
-    rays, legs : int
+    n_rays, n_segments : int
         Traced so far.
     """
 
@@ -65,9 +65,9 @@ class TransportTraits(NamedTuple):
     ----------
     attenuation : float
         Scatterings to expect per metre.
-    ground : int
+    ground_column : int
         Column of meetings with the ground, see `splits.kernels.grains.scene.Scene`.
-    fading : bool
+    extra_absorption : bool
         Whether a ray's weight may fall for another reason than absorption by materials.
     analog : bool
         Whether absorption is a coin toss, so that any ray might have been absorbed.
@@ -115,7 +115,7 @@ def make_strata(
     traits: TransportTraits,
     bounds: Sequence[float],
 ) -> list[Stratum]:
-    """Return levels for wavelengths that absorb more and more, numbered from `first` on.
+    """Return levels for wavelengths that absorb more and more, numbered from `first_stream` on.
 
     For the other parameters see `PathTally`.
     """
@@ -142,23 +142,23 @@ class PathTally:
         Absorption coefficients of all wavelengths (1/m).
     served : bool, shape (wavelengths,)
         Wavelengths that draw on this ensemble.
-    manner : Manner
-    levels : sequence of float
+    traits : TransportTraits
+    strata : sequence of float
         Absorption from which wavelengths have rays of their own, at most as many as `STRATUM_BOUNDS`; an
         analog ensemble has one level only.
 
     Attributes
     ----------
-    levels : list of Level
+    strata : list of Stratum
     rows : int, shape (drawing,)
         The wavelengths that draw on it, from the palest to the darkest, so that those which a
         level serves are the last ones.
     moments : float, shape (3, 3, drawing)
         Over the rays that each of them listens to, [reflected, transmitted, both][Σ weight,
         Σ weight², largest weight].
-    least : float, shape (drawing,)
+    min_weight : float, shape (drawing,)
         Smallest weight with which any of those left; 0 once one was absorbed.
-    groups : float, shape (GROUPS, 2, drawing)
+    batch_sums : float, shape (GROUPS, 2, drawing)
         Σ weight of the rays of every group, reflected and transmitted.
     """
 
@@ -275,7 +275,7 @@ def rescale_deviations(deviations: np.ndarray, variance: np.ndarray) -> np.ndarr
 
     Parameters
     ----------
-    groups : float, shape (groups, ...)
+    deviations : float, shape (groups, ...)
     variance : float, shape (...)
     """
     square = (deviations**2).sum(axis=0)

@@ -52,7 +52,7 @@ class DaemonThreadPool(Executor):
 
     Parameters
     ----------
-    number : int
+    n_threads : int
         At least 1.
 
     Examples

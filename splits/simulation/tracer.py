@@ -42,8 +42,8 @@ class TraceResult(NamedTuple):
 
     Attributes
     ----------
-    legs : int, shape (pieces,)
-    notes : list of float, shape (notes, columns)
+    n_segments : int, shape (pieces,)
+    crossings : list of float, shape (notes, columns)
         Of each piece, ray by ray, rays counted from its first; see
         `splits.kernels.tallies.exits.Notes`.
     lost : str
@@ -60,14 +60,14 @@ class Tracer(Protocol):
 
     Attributes
     ----------
-    manner : Manner
-    upright : bool
+    traits : TransportTraits
+    normal_incidence : bool
         Whether light comes along the normal, so that nothing tells azimuths apart.
     diffuse : bool
         Whether light comes from everywhere.
-    depths_m : float, shape (faces,)
+    boundary_depths_m : float, shape (faces,)
         Depths (m) of all faces of the scene; of a rough top, a height above it.
-    stokes : tuple of int
+    stokes_columns : tuple of int
         Columns of exits that hold Q, U, V over I, or nothing.
     """
 
@@ -96,7 +96,7 @@ class Tracer(Protocol):
         ----------
         work : int64, shape (pieces, 4)
             See `splits.kernels.grains.history.trace_batch`.
-        levels : sequence of Level
+        strata : sequence of Stratum
             One for each piece.
         exits : float, shape (rays, columns)
             Of all pieces together.
@@ -224,8 +224,8 @@ class LayerTracer:
 
     Parameters
     ----------
-    medium : TurbidMedium
-    light : Light
+    medium : ParticleMedium
+    light : Source
     seed, analog, kernel
         As in `GrainTracer`.
     """

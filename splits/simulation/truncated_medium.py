@@ -30,16 +30,16 @@ class TruncatedMedium(NamedTuple):
         Down to the cut, over grounds that stand for the rest.
     depth_m : float
         Of the cut (m).
-    passed : float, shape (media, wavelengths)
+    transmitted_fraction : float, shape (media, wavelengths)
         Share that the rest lets through of what it keeps.
-    clear : bool, shape (media, wavelengths)
+    conservative : bool, shape (media, wavelengths)
         Whether nothing absorbs, below the cut and above, and the ground below lets pass what is
         not sent back.
-    escape : float, shape (media, wavelengths)
+    escape_probability : float, shape (media, wavelengths)
         Chance that light from the cut leaves at the top.
-    below : float, shape (media, wavelengths)
+    ground_absorption : float, shape (media, wavelengths)
         Absorption of the ground that stands for the rest, −ln of its albedo.
-    enough_m : float
+    semi_infinite_depth_m : float
         Depth from which on the lowest layer reflects diffuse light like one without end, within
         the error asked for, to diffusion theory (m).
     """
@@ -65,7 +65,7 @@ class TruncatedMedium(NamedTuple):
 
         Parameters
         ----------
-        estimate : callable
+        estimate_above : callable
             Takes a largest error, returns the estimate of the part above the cut.
         max_stderr : float
         steps : float, shape (parameters,)

@@ -96,9 +96,9 @@ def check_axis_values(
         From axes, or what is short for them, to values.
     axes : iterable of str
         Those that there are.
-    place : str
+    prefix : str
         Where the values stand, as messages show it before a name: "at.".
-    free : iterable of str
+    free_axes : iterable of str
         Axes that have no value.
     """
     if not isinstance(at, Mapping | None):

@@ -25,7 +25,7 @@ class TableRequest(NamedTuple):
 
     Attributes
     ----------
-    run : Run
+    spectral_request : Run
         But for the incidence, which is each ensemble's own.
     quantities : tuple of str
         Of `SIDE_QUANTITIES`.
@@ -68,9 +68,9 @@ def compute_block(
 
     Parameters
     ----------
-    ensemble : Ensemble
-    order : Order
-    cuts : Cuts
+    path_group : Ensemble
+    request : TableRequest
+    truncations : TruncationCache
     digest : str
         Of all that decides the table's numbers.
     progress : callable, optional

@@ -152,8 +152,8 @@ def iterate_blocks(
 
     Parameters
     ----------
-    order : Order
-    ensembles : sequence of Ensemble
+    request : TableRequest
+    path_groups : sequence of Ensemble
         Of a plan, all or some.
     folder : path or None
     progress : callable, optional

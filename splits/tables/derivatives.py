@@ -43,7 +43,7 @@ def compute_derivative_weights(
     name : str
     nodes : float, shape (nodes,)
         Of the axis, numbers.
-    drawn : int, shape (drawn,)
+    stencil : int, shape (drawn,)
         Those to draw from, at least 2.
     value : float
 
@@ -87,11 +87,11 @@ def differentiate(
     part : xarray.Dataset
         The nodes around the place, all axes in the order of `weights`, the wavelength last.
     quantity : str
-    weights : sequence of Weights
+    weights : sequence of InterpolationWeights
         Of every axis.
-    which : int
+    axis : int
         The axis to derive along.
-    slope : Slope
+    derivative_weights : Slope
         Of its nodes.
     """
     values = part[quantity].values.astype(float)

@@ -25,11 +25,11 @@ class InterpolationWeights(NamedTuple):
     Attributes
     ----------
     nodes : int, shape (drawn,)
-    share : float, shape (drawn,)
+    weights : float, shape (drawn,)
         Their sum is 1.
-    left_out : int, shape (near,)
+    validation_nodes : int, shape (near,)
         Nodes nearby that are to be found again from others.
-    others : float, shape (near, nodes of the axis)
+    error_weights : float, shape (near, nodes of the axis)
         What is to be added up for what these others miss there, as large as what is missed here.
     """
 

@@ -22,11 +22,11 @@ class PathGroup(NamedTuple):
     number : int
         Its place among all of the table's.
     incidence : float or "diffuse"
-    family : Family
+    path_sharing : PathSharingMedia
         The different media among the points'.
-    places : int, shape (points,)
+    positions : int, shape (points,)
         Of the points in the table, counted as its axes run.
-    which : int, shape (points,)
+    media_indices : int, shape (points,)
         Medium of each point.
     """
 
@@ -42,11 +42,11 @@ class TablePlan(NamedTuple):
 
     Attributes
     ----------
-    axes : Axes
+    grid : ParameterGrid
     wavelengths : float, shape (wavelengths,)
         nm.
-    ensembles : tuple of Ensemble
-    shared : tuple of str
+    path_groups : tuple of Ensemble
+    path_sharing_axes : tuple of str
         Axes along which all points share paths.
     """
 
@@ -67,9 +67,9 @@ class TablePlan(NamedTuple):
 
         Parameters
         ----------
-        make : callable
+        make_medium : callable
             Takes the parameters of a point but the incidence, returns a medium.
-        axes : Axes
+        grid : ParameterGrid
         wavelengths : float, shape (wavelengths,)
         incidence_deg : float or "diffuse"
             Where that is no axis.

@@ -43,10 +43,10 @@ def write_table_blockwise(
     ----------
     path : Path
     plan : Plan
-    order : Order
-    blocks : callable
+    request : TableRequest
+    read_blocks : callable
         Returns the blocks, each time it is called.
-    described : callable
+    add_attributes : callable
         Adds to the table's attributes.
 
     Raises

@@ -39,7 +39,7 @@ PACKS = {
 @pytest.fixture
 def always(monkeypatch):
     """Cut however thin a pack is."""
-    monkeypatch.setattr(deep_medium, "LEAST", 0.0)
+    monkeypatch.setattr(deep_medium, "MIN_DEPTH_MFP", 0.0)
 
 
 @NEEDS_JIT
@@ -51,7 +51,7 @@ def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
     cut = truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, 0.02, 1, 2)
     assert cut is not None
     assert cut.depth_m < 0.7 * pack.depth_m
-    monkeypatch.setattr(deep_medium, "LEAST", math.inf)
+    monkeypatch.setattr(deep_medium, "MIN_DEPTH_MFP", math.inf)
     for seed, incidence in ((2, 0.0), (3, "diffuse")):
         part, whole = (
             splits.spectrophotometer(one, WAVELENGTHS, incidence, 0.0015, seed)
@@ -94,7 +94,7 @@ def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
         truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2)
         for pack in packs
     ]
-    monkeypatch.setattr(deep_medium, "CLEARLY", math.inf)
+    monkeypatch.setattr(deep_medium, "PILOT_MARGIN", math.inf)
     better = [
         truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2)
         for pack in packs
@@ -103,7 +103,7 @@ def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
     assert 0 < better.count(None) < len(packs)
     looked = []
     monkeypatch.undo()
-    monkeypatch.setattr(deep_medium, "pooled_by_type", lambda *_: looked.append(1))
+    monkeypatch.setattr(deep_medium, "pool_optics_by_type", lambda *_: looked.append(1))
     assert (
         truncate_deep_medium(
             PathSharingMedia.from_media([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2
@@ -144,7 +144,7 @@ def test_errors_of_cut_packs_hold(always, monkeypatch):
     light = {"wavelength_nm": WAVELENGTHS, "incidence_deg": 60.0}
     cut = splits.spectrophotometer(PACKS["dry"], seed=4, max_stderr=0.01, **light)
     assert cut.attrs["traced_to_m"] < PACKS["dry"].depth_m
-    monkeypatch.setattr(deep_medium, "LEAST", math.inf)
+    monkeypatch.setattr(deep_medium, "MIN_DEPTH_MFP", math.inf)
     whole = splits.spectrophotometer(PACKS["dry"], seed=5, max_stderr=0.002, **light)
     z = [
         (cut[n] - whole[n]) / np.hypot(cut[f"{n}_stderr"], whole[f"{n}_stderr"])

@@ -135,8 +135,8 @@ def test_faces_bottoms_and_polarization_do_not_depend_on_where_a_peak_begins(set
     layer = splits.ParticleLayer(**{"optical_thickness": 1.0, **settings})
     runs = []
     for seed, limits in enumerate(((math.inf, 1.0), (0.0, 0.1))):
-        monkeypatch.setattr(forward_peak, "PEAKED", limits[0])
-        monkeypatch.setattr(forward_peak, "LIMIT", limits[1])
+        monkeypatch.setattr(forward_peak, "PEAK_THRESHOLD_PER_SR", limits[0])
+        monkeypatch.setattr(forward_peak, "PEAK_BASE_PER_SR", limits[1])
         runs.append(
             splits.goniophotometer(
                 layer, NM, 40.0, 100_000, seed, estimator="local", polar_deg=[0.0, 45.0, 82.0],

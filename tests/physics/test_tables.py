@@ -218,7 +218,7 @@ def test_a_table_that_was_broken_off_goes_on(tmp_path, monkeypatch):
     measured = []
     original = build.compute_block
     monkeypatch.setattr(
-        build, "measure", lambda e, *a: measured.append(e.number) or original(e, *a)
+        build, "compute_block", lambda e, *a: measured.append(e.number) or original(e, *a)
     )
     again = splits.build_table(pack, GRID, WAVELENGTHS, max_stderr=0.03, folder=tmp_path / "whole")
     assert measured == [1, 2]

@@ -12,7 +12,7 @@ from test_phase_functions_by_angle import make_optics
 
 import splits
 from splits.analysis.theory.phase_function import to_eradiate
-from splits.materials import lookup
+from splits.materials import make_refractive_index
 from splits.retrieval.sand_fit import check_measured_reflectance
 from splits.tables.axes import ParameterGrid
 
@@ -143,7 +143,7 @@ CASES = {
     "RoughSurface wave_number": ArrayCase(lambda a: simulate_spectrum(wave_number_per_m=a), [0.0, 1.0, 2.0]),
     "RoughSurface density": ArrayCase(lambda a: simulate_spectrum(density=a), PARAMETERS, labels=[0.0, 1.0, 2.0]),
     "RoughSurface correlation": ArrayCase(SEA.surface.correlation, UP, one=True),
-    "refractive_index": ArrayCase(lookup("ice"), NM, one=True),
+    "refractive_index": ArrayCase(make_refractive_index("ice"), NM, one=True),
     # Skies.
     "sky wavelength_nm": ArrayCase(lambda a: sky(wavelength_nm=a), NM),
     "sky direct": ArrayCase(lambda a: sky(direct=a), PARAMETERS, labels=NM),

@@ -57,7 +57,7 @@ def places(monkeypatch, tmp_path):
         CacheFolder(tmp_path / "own" / "numba", False),
         CacheFolder(tmp_path / "temporary", False),
     )
-    monkeypatch.setattr(cache, "folders", lambda: found)
+    monkeypatch.setattr(cache, "list_cache_folders", lambda: found)
     places_of_kernels.warn_once.cache_clear()
     return found
 
@@ -192,7 +192,7 @@ class _ForeignCode:
 
 
 def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
-    monkeypatch.setattr(places_of_kernels, "kernels_digest", lambda: "new")
+    monkeypatch.setattr(places_of_kernels, "compute_kernels_digest", lambda: "new")
     for name, age in (("numba-old", 2.0), ("numba-recent", 0.5), ("notes", 2.0)):
         (tmp_path / name).mkdir()
         then = time.time() - age * places_of_kernels.MAX_UNUSED_AGE_S
@@ -245,7 +245,7 @@ def test_a_folder_that_others_may_write_to_is_not_read(way, places, caplog, monk
         folder.rename(folder.with_name("elsewhere"))
         folder.symlink_to(folder.with_name("elsewhere"))
     else:
-        monkeypatch.setattr(places_of_kernels, "_user", lambda: os.getuid() + 1)
+        monkeypatch.setattr(places_of_kernels, "_get_user_id", lambda: os.getuid() + 1)
     assert compiled()(1) == 2
     assert str(folder) in caplog.messages[0] and "own" in caplog.messages[0]
     if way != "of another user":
@@ -257,7 +257,7 @@ def test_a_folder_that_others_may_write_to_is_not_read(way, places, caplog, monk
 @pytest.mark.parametrize("way", ["of another user", "open to the group", "open to all"])
 def test_files_of_others_in_a_named_folder_are_not_loaded(way, places, caplog, monkeypatch):
     shared = CacheFolder(places[0].path, True)
-    monkeypatch.setattr(cache, "folders", lambda: (shared, places[1]))
+    monkeypatch.setattr(cache, "list_cache_folders", lambda: (shared, places[1]))
     plant_foreign_kernel((shared,))
     shared.path.chmod(0o777)
     (path,) = kernels(shared)
@@ -266,7 +266,7 @@ def test_files_of_others_in_a_named_folder_are_not_loaded(way, places, caplog, m
         os.chown(path, 12_345, -1)
     elif way == "of another user":
         # Only root can give files away: another number stands for another user.
-        monkeypatch.setattr(places_of_kernels, "_user", lambda: os.getuid() + 1)
+        monkeypatch.setattr(places_of_kernels, "_get_user_id", lambda: os.getuid() + 1)
     else:
         path.chmod(0o664 if "group" in way else 0o666)
     assert compiled()(1) == 2
@@ -280,11 +280,11 @@ def test_files_of_others_in_a_named_folder_are_not_loaded(way, places, caplog, m
 @NEEDS_JIT
 def test_files_of_root_in_a_named_folder_are_loaded(places, monkeypatch):
     shared = CacheFolder(places[0].path, True)
-    monkeypatch.setattr(cache, "folders", lambda: (shared,))
+    monkeypatch.setattr(cache, "list_cache_folders", lambda: (shared,))
     compiled()(1)
     if kernels(shared)[0].stat().st_uid != 0:
         pytest.skip("needs a file of root's")
-    monkeypatch.setattr(places_of_kernels, "_user", lambda: 12_345)
+    monkeypatch.setattr(places_of_kernels, "_get_user_id", lambda: 12_345)
     again = compiled()
     assert again(1) == 2 and count_cache_hits(again) == 1
 

@@ -89,7 +89,7 @@ def test_versions_name_this_and_what_it_uses(capsys):
 def test_kept_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
     kept = cache_folders.CacheFolder(tmp_path / "kernels", True)
     kept.write("a.nbc", b"x" * 2000)
-    monkeypatch.setattr(cache_folders, "folders", lambda: (kept,))
+    monkeypatch.setattr(cache_folders, "list_cache_folders", lambda: (kept,))
     assert cli.main(["cache"]) == 0
     assert capsys.readouterr().out == f"{kept.path}: 1 compiled kernels, 0.0 MB\n"
     assert cli.main(["cache", "--clear"]) == 0

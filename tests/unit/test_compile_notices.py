@@ -22,8 +22,8 @@ NEEDS_TERMINAL = pytest.mark.skipif(openpty is None, reason="no terminals here")
 @pytest.fixture(autouse=True)
 def soon(monkeypatch):
     """Let notices come at once, and none of a test in the next."""
-    monkeypatch.setattr(notices, "FIRST_S", 0.05)
-    monkeypatch.setattr(notices, "_STEP_S", 0.01)
+    monkeypatch.setattr(notices, "NOTICE_DELAY_S", 0.05)
+    monkeypatch.setattr(notices, "_NOTICE_INTERVAL_S", 0.01)
     monkeypatch.setattr(notices, "_session", None)
     yield
     wait_for_notices()

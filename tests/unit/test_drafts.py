@@ -39,7 +39,7 @@ def compute_total(x):
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
     found = CacheFolder(tmp_path / "numba", False)
-    monkeypatch.setattr(cache, "folders", lambda: (found, found))
+    monkeypatch.setattr(cache, "list_cache_folders", lambda: (found, found))
     return found.path
 
 

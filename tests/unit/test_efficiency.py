@@ -186,7 +186,7 @@ def test_a_reference_is_kept_until_its_sources_change(program, monkeypatch, tmp_
         dataset = make_spectrum(wavelength=wavelengths[:3])
         return dataset.assign_attrs(splits_version="0", stopped_by="error")
 
-    monkeypatch.setattr(program, "measure", measure)
+    monkeypatch.setattr(program, "simulate_spectrum", measure)
     snow = splits.Snow()
     first = program.reference("a b", snow, plan, tmp_path)
     again = program.reference("a b", snow, plan, tmp_path)
@@ -194,7 +194,7 @@ def test_a_reference_is_kept_until_its_sources_change(program, monkeypatch, tmp_
     xr.testing.assert_equal(first, again)
     program.reference("a b", replace(snow, depth_m=0.05), plan, tmp_path)
     assert len(calls) == 2
-    monkeypatch.setattr(program, "sources", lambda medium: "other")
+    monkeypatch.setattr(program, "compute_source_digest", lambda medium: "other")
     program.reference("a b", snow, plan, tmp_path)
     assert len(calls) == 3
     assert calls[0]["seed"] != program.SEED

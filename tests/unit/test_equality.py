@@ -11,7 +11,7 @@ import pytest
 
 import splits
 from splits.illumination.bands import SpectralBand
-from splits.materials import lookup
+from splits.materials import make_refractive_index
 from splits.media.ground import Ground
 
 END_LAYERS = [200.0, 3000.0]
@@ -51,11 +51,11 @@ OBJECT_FACTORIES = {
     "sand's readings": lambda: splits.SandInterpretation(mixing="linear"),
     "composition": lambda: splits.Sand().composition,
     "sizes": lambda: splits.Sand().size_distribution,
-    "index": lambda: lookup("ice"),
-    "index, scaled": lambda: lookup("ice", {"k_factor": 2.0}),
-    "index, oscillators": lambda: lookup("goethite"),
-    "index, constant": lambda: lookup("ice", 1.3 + 1e-7j),
-    "index, own": lambda: lookup("ice", USER_INDEX),
+    "index": lambda: make_refractive_index("ice"),
+    "index, scaled": lambda: make_refractive_index("ice", {"k_factor": 2.0}),
+    "index, oscillators": lambda: make_refractive_index("goethite"),
+    "index, constant": lambda: make_refractive_index("ice", 1.3 + 1e-7j),
+    "index, own": lambda: make_refractive_index("ice", USER_INDEX),
     "sky": splits.sky,
     "sky, own": lambda: splits.sky(
         {"wavelength_nm": END_LAYERS, "direct": [1, 2], "diffuse": [0, 1]}, 50.0

@@ -23,7 +23,7 @@ from splits.core.escaping import (
 )
 from splits.experiments import ConfigError, load_experiments, load_settings
 from splits.experiments.papers.paper_tables import write_table
-from splits.plotting import draw_sensitivity_bars, spectra
+from splits.plotting import draw_sensitivity_bars, draw_spectra
 from splits.plotting.interpretation_shifts import draw_shifts
 from splits.plotting.sensitivity import draw_band_selection, draw_sobol_indices
 from splits.plotting.style import format_parameter, format_value, use_style
@@ -152,7 +152,7 @@ def list_figure_texts(figure):
 
 def test_labels_that_are_no_formulas_are_drawn_as_they_are():
     labels = [r"$\frac$", "a_$b^$", "$x$"]
-    found = list_figure_texts(spectra(make_drawn_dataset(labels)))
+    found = list_figure_texts(draw_spectra(make_drawn_dataset(labels)))
     assert {label.replace("_", " ") for label in labels} <= set(found)
     assert "part_$b^$ of\nit" in found or "part_$b^$ of it" in found
 

@@ -205,7 +205,7 @@ def test_what_a_page_cannot_show_is_refused(tmp_path, monkeypatch):
         InvalidValue, match=r"^explorer = 'saturation': must be an axis of at least two"
     ):
         write_explorer({"a": ExplorerTable(Table(texts), "a.nc", "")}, tmp_path / "a.html")
-    monkeypatch.setattr(page, "LARGEST_BYTES", 1000)
+    monkeypatch.setattr(page, "MAX_PAGE_BYTES", 1000)
     with pytest.raises(InvalidValue, match=r"^explorer = '\d+ bytes': must be small enough"):
         write_explorer({"a": ExplorerTable(table(), "a.nc", "")}, tmp_path / "a.html")
     assert not list(tmp_path.iterdir())

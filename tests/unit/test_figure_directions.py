@@ -8,10 +8,10 @@ import xarray as xr
 
 from splits.plotting import (
     draw_bin_sizes,
+    draw_hemispheres,
+    draw_lobes,
+    draw_polarization,
     draw_principal_planes,
-    hemispheres,
-    lobes,
-    polarization,
 )
 from splits.plotting.style import ONE_COLUMN_INCHES, TWO_COLUMNS_INCHES
 
@@ -109,7 +109,7 @@ CELLS = np.degrees(np.arccos((np.arange(18) + 0.5) / 18.0))[::-1]
 
 def test_lines_of_cells_do_not_cross_the_zenith():
     made = make_dataset(polar=CELLS, estimator="cells", **PLANE)
-    for figure in (draw_principal_planes(made), polarization(made)):
+    for figure in (draw_principal_planes(made), draw_polarization(made)):
         for axes in figure.axes:
             angle, value = axes.lines[0].get_data()
             gap = np.flatnonzero(np.isnan(value))
@@ -141,13 +141,13 @@ def test_a_cell_at_the_zenith_leaves_no_gap():
 def test_a_sample_that_sends_nothing_back_has_lobes_without_extent():
     dark = make_dataset()
     dark["brdf"] = 0.0 * dark.brdf
-    figure = lobes(dark)
+    figure = draw_lobes(dark)
     assert figure.axes[0].get_xlim() == (-1.0, 1.0)
 
 
 def test_titles_of_lobes_do_not_overlap():
     grid = {"grain_size_um": ["100-200", "800-1200"], "iron_oxide": [0.01, 0.02, 0.03]}
-    figure = lobes(make_dataset(grid, wavelength=(600.0, 1300.0)))
+    figure = draw_lobes(make_dataset(grid, wavelength=(600.0, 1300.0)))
     figure.draw_without_rendering()
     titles = [axes._left_title for axes in figure.axes if ":" in axes.get_title(loc="left")]
     assert len(titles) == 12
@@ -163,7 +163,7 @@ def test_titles_of_lobes_do_not_overlap():
 def test_degrees_of_polarization_are_left_out_in_the_dark():
     made = make_dataset()
     made["brdf"] = made.brdf.where(made.polar < 60.0, 0.0)
-    right = polarization(made).axes[1]
+    right = draw_polarization(made).axes[1]
     angle, degree = right.lines[0].get_data()
     np.testing.assert_allclose(degree[np.abs(angle) < 60.0], 0.2)
     assert np.isnan(degree[np.abs(angle) >= 60.0]).all()
@@ -193,7 +193,7 @@ def test_few_points_have_maps_beside_and_many_do_not():
 @pytest.mark.parametrize("count", [1, 5, 24])
 def test_maps_have_one_scale_and_the_directions_of_the_beam(count):
     made = make_dataset({"density_kg_m3": np.arange(1.0, 1.0 + count)})
-    figure = hemispheres(made)
+    figure = draw_hemispheres(made)
     figure.draw_without_rendering()
     assert figure.get_figwidth() == (ONE_COLUMN_INCHES if count == 1 else TWO_COLUMNS_INCHES)
     shown = list_map_axes(figure)
@@ -208,7 +208,7 @@ def test_maps_have_one_scale_and_the_directions_of_the_beam(count):
 
 
 def test_a_map_shows_what_goes_forward_on_the_right():
-    mesh = list_map_axes(hemispheres(make_dataset()))[0].collections[0]
+    mesh = list_map_axes(draw_hemispheres(make_dataset()))[0].collections[0]
     around = mesh.get_coordinates()[..., 0]
     middle = 0.5 * (around[1:, 1:] + around[1:, :-1])
     values = mesh.get_array()

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from splits.plotting import beam_spread, draw, points, spectra
+from splits.plotting import draw, draw_beam_spread, draw_points, draw_spectra
 from splits.plotting.lines import DASHES, PlotLines
 from splits.plotting.style import format_value, pick_colours
 
@@ -100,7 +100,7 @@ def test_the_default_is_black_and_on_top():
 
 
 def test_few_lines_have_their_legend_on_free_axes():
-    figure = spectra(make_dataset({"bottom_albedo": ["None", "1e-05", "0.5"]}, value=0.1))
+    figure = draw_spectra(make_dataset({"bottom_albedo": ["None", "1e-05", "0.5"]}, value=0.1))
     (axes,) = figure.axes
     assert not figure.legends
     assert list_legend_entries(axes.get_legend()) == ["no bottom", "10⁻⁵", "0.5"]
@@ -112,7 +112,7 @@ def test_a_legend_that_would_cover_lines_stands_beside():
     zigzag["reflectance"] = xr.where(np.arange(X.size) % 2 == 0, 1.0, 0.01) + 0.0 * (
         zigzag.reflectance
     )
-    figure = spectra(zigzag)
+    figure = draw_spectra(zigzag)
     assert figure.axes[0].get_legend() is None
     (legend,) = figure.legends
     assert list_legend_entries(legend) == ["0", "0.5", "1"]
@@ -132,7 +132,9 @@ def is_legend_clear(figure):
 
 
 def test_many_lines_of_two_parameters_name_each_value_once():
-    figure = spectra(make_dataset({"density_kg_m3": np.arange(9.0), "depth_m": [0.1, 0.2, 0.3]}))
+    figure = draw_spectra(
+        make_dataset({"density_kg_m3": np.arange(9.0), "depth_m": [0.1, 0.2, 0.3]})
+    )
     (legend,) = figure.legends
     names = [str(i) for i in range(9)]
     assert list_legend_entries(legend) == [
@@ -149,7 +151,7 @@ def test_many_lines_of_two_parameters_name_each_value_once():
 
 def test_very_many_values_have_a_colour_bar():
     grid = {"grain_size_um": [f"{i}00-{i + 1}00" for i in range(1, 25)], "depth_m": [0.1, 0.2]}
-    figure = spectra(make_dataset(grid))
+    figure = draw_spectra(make_dataset(grid))
     axes, bar = figure.axes
     assert bar.get_ylabel() == "grain size (µm)"
     ticks = [text.get_text() for text in bar.get_yticklabels()]
@@ -160,14 +162,14 @@ def test_very_many_values_have_a_colour_bar():
 
 
 def test_forty_readings_fit_beside():
-    figure = spectra(make_dataset({"readings": [f"reading number {i}" for i in range(40)]}))
+    figure = draw_spectra(make_dataset({"readings": [f"reading number {i}" for i in range(40)]}))
     assert len(list_legend_entries(figure.legends[0])) == 40
     assert is_legend_clear(figure)
 
 
 def test_measured_values_are_in_the_legend():
     table = pd.DataFrame({"wavelength_nm": [500.0], "reflectance": [0.5]})
-    figure = spectra(make_dataset({}, value=0.2), measured=table)
+    figure = draw_spectra(make_dataset({}, value=0.2), measured=table)
     assert list_legend_entries(figure.axes[0].get_legend()) == ["model", "measured"]
 
 
@@ -194,39 +196,39 @@ def test_points_show_what_is_asked_of_grains_at_one_wavelength():
     made = make_dataset({"density_kg_m3": [100.0, 200.0]}, [600.0])
     long_name = {"long_name": "mean distance"}
     made["mean_grain_distance"] = ("density_kg_m3", np.array([2e-3, 1e-3]), long_name)
-    (axes,) = points(made).axes
+    (axes,) = draw_points(made).axes
     assert axes.get_xlabel() == "a reflectance"
-    (axes,) = points(made, ["mean_grain_distance"]).axes
+    (axes,) = draw_points(made, ["mean_grain_distance"]).axes
     assert axes.get_xlabel() == "mean distance (mm)"
     np.testing.assert_allclose(axes.lines[0].get_xdata(), [2.0, 1.0])
 
 
 def test_points_are_shifts_from_the_default_which_is_stated():
     made = make_dataset({"readings": ["a", "default", "b"]}, [500.0, 600.0])
-    axes = points(made).axes[0]
+    axes = draw_points(made).axes[0]
     for one in axes.containers:
         np.testing.assert_allclose(one.lines[0].get_xdata(), [-0.01, 0.0, 0.01], atol=1e-12)
         ends = [segment[:, 0] for segment in one.lines[2][0].get_segments()]
         half = [0.5 * (high - low) for low, high in ends]
         np.testing.assert_allclose(half, [2e-3 * 2**0.5, 0.0, 2e-3 * 2**0.5], atol=1e-12)
     assert axes.get_xlabel().splitlines()[1] == "default: 0.510 (500 nm), 0.510 (600 nm)"
-    absolute = points(make_dataset({"readings": ["a", "b"]}, [500.0])).axes[0]
+    absolute = draw_points(make_dataset({"readings": ["a", "b"]}, [500.0])).axes[0]
     np.testing.assert_allclose(absolute.containers[0].lines[0].get_xdata(), [0.5, 0.51])
 
 
 def test_spectra_are_shifts_from_the_default_a_panel_each():
     made = make_dataset({"readings": ["a", "default", "b"], "depth_m": [0.1]})
-    figure = spectra(made)
+    figure = draw_spectra(made)
     default, one, other = figure.axes
     np.testing.assert_allclose(default.lines[0].get_ydata(), 0.51)
     np.testing.assert_allclose(one.lines[0].get_ydata(), -0.01)
     np.testing.assert_allclose(other.lines[0].get_ydata(), 0.01)
     assert "independent" in next(t.get_text() for t in figure.texts if t.get_gid() == "foot")
-    cut = spectra(made, ylim=(0.2, 0.8))
+    cut = draw_spectra(made, ylim=(0.2, 0.8))
     assert cut.axes[0].get_ylim() == (0.2, 0.8)
     assert cut.axes[1].get_ylim() == one.get_ylim()
     crossed = make_dataset({"readings": ["a", "default"], "depth_m": [0.1, 0.2]})
-    assert len(spectra(crossed).axes[0].lines) == 4, "several parameters stay absolute"
+    assert len(draw_spectra(crossed).axes[0].lines) == 4, "several parameters stay absolute"
 
 
 def test_beams_of_many_wavelengths_have_their_legend_beside():
@@ -242,6 +244,6 @@ def test_beams_of_many_wavelengths_have_their_legend_beside():
             {"wavelength": x, "side": side, "radius": radius, "x": np.arange(3.0),
              "y": np.arange(3.0)},
         )  # fmt: skip
-        figure = beam_spread(made)
+        figure = draw_beam_spread(made)
         assert len(figure.legends) == (count == 5)
         assert is_legend_clear(figure)

@@ -15,7 +15,7 @@ from splits.experiments import ExperimentConfig
 from splits.experiments.papers.performance_figure import draw_speed_against_error
 from splits.experiments.papers.sensitivity_table import describe_ranges
 from splits.plotting import (
-    annotations,
+    describe_conditions,
     draw,
     draw_area_law,
     draw_fitted_spectra,
@@ -175,17 +175,17 @@ def test_letters_go_on_after_z():
 
 def test_conditions_say_what_is_held_fixed():
     made = spectral({"saturation": [0.0, 1.0]}, [600.0]).assign_attrs(ATTRIBUTES)
-    assert annotations(made).replace("\u00a0", " ") == (
+    assert describe_conditions(made).replace("\u00a0", " ") == (
         "Snow, grains 300–750 µm, density 275 kg m⁻³, water saturation 0.05, depth 0.12 m, "
         "incidence 30°, 600 nm, bands: 2 standard errors; standard error ≤ 0.002"
     )
     at = {"depth_m": 0.02, "saturation": 0.0, "incidence_deg": "diffuse", "medium": "dune"}
-    said = annotations(made, at, "").replace("\u00a0", " ")
+    said = describe_conditions(made, at, "").replace("\u00a0", " ")
     assert "dry, depth 0.02 m" in said and "diffuse light" in said and "sample: dune" in said
-    assert annotations(spectral({})) == ""
+    assert describe_conditions(spectral({})) == ""
     opaque = {"medium": "layer", "layer_opaque": "true", "layer_refractive_index": 1.5,
               "layer_optical_thickness": 10.0}  # fmt: skip
-    said = annotations(spectral({}).assign_attrs(opaque)).replace("\u00a0", " ")
+    said = describe_conditions(spectral({}).assign_attrs(opaque)).replace("\u00a0", " ")
     assert said.startswith("Layer, index 1.5, nothing below the surface")
     assert "thickness" not in said
 

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from splits.experiments import ConfigError, ExperimentConfig, load_experiment
-from splits.plotting import draw, save_figure, spectra
+from splits.plotting import draw, draw_spectra, save_figure
 from splits.plotting.panels import MAX_LINES, MAX_PANELS, MAX_ROWS, choose_panel_parameters
 
 MEDIA = Path(__file__).parents[2] / "config" / "media"
@@ -121,7 +121,7 @@ def test_no_figure_is_said_in_one_way(tmp_path):
 )  # fmt: skip
 def test_many_lines_have_several_panels(grid, quantities, panels, tmp_path):
     made = make_dataset(grid, quantities)
-    figure = spectra(made, quantities)
+    figure = draw_spectra(made, quantities)
     shown = [axes for axes in figure.axes if axes.lines]
     assert len(shown) == panels <= MAX_PANELS
     first = len(grid["saturation"])

@@ -120,7 +120,7 @@ def test_what_another_container_writes_stays(tmp_path):
 
 @pytest.mark.parametrize("why", ["another machine", "no lock", "locks are not to be had"])
 def test_where_locks_say_nothing_age_decides(tmp_path, monkeypatch, why):
-    monkeypatch.setattr(atomic, "_machine", lambda folder: "0123456789abcdef")
+    monkeypatch.setattr(atomic, "_get_lock_domain", lambda folder: "0123456789abcdef")
     with atomic_write(tmp_path / "mine.csv") as mine:
         mine.write_text("x")
         name = make_stale_name(mine.name)
@@ -129,7 +129,7 @@ def test_where_locks_say_nothing_age_decides(tmp_path, monkeypatch, why):
     if why != "no lock":
         (tmp_path / name.rsplit(".", 3)[0]).write_text("x")
     if why == "another machine":
-        monkeypatch.setattr(atomic, "_machine", lambda folder: "another system")
+        monkeypatch.setattr(atomic, "_get_lock_domain", lambda folder: "another system")
     if why == "locks are not to be had":
         monkeypatch.setattr(atomic, "fcntl", None)
     there = list_names(tmp_path)

@@ -116,7 +116,7 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
     def fail(given):
         raise MemoryError("Unable to allocate 9 TiB")
 
-    monkeypatch.setattr(cli, "_versions", fail)
+    monkeypatch.setattr(cli, "_print_versions", fail)
     assert cli.main(["versions"]) == 1
     assert capsys.readouterr().err == "splits: not enough memory (Unable to allocate 9 TiB)\n"
 

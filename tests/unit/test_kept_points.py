@@ -80,7 +80,7 @@ def interrupt_after(monkeypatch, n_path_groups):
 
         return measured
 
-    for name in ("measure", "_together"):
+    for name in ("simulate_point", "_simulate_group"):
         monkeypatch.setattr(run_points, name, counted(getattr(run_points, name)))
 
 

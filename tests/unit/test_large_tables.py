@@ -10,7 +10,7 @@ import splits
 from splits.experiments import run_table as module
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.tables import table
+from splits.tables import table as table_module
 
 ACCURACY = Accuracy(max_stderr=0.05, relative_stderr=0.3)
 GRID = {
@@ -38,7 +38,7 @@ def both(tmp_path_factory):
     usual, large = folder / "usual.nc", folder / "large.nc"
     module.write_table(experiment, ACCURACY, 1, folder, usual)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "IN_MEMORY", 0)
+        patch.setattr(module, "MAX_BYTES_IN_MEMORY", 0)
         module.write_table(experiment, ACCURACY, 1, folder, large)
     return experiment, folder, usual, large
 
@@ -56,7 +56,7 @@ def test_reading_from_the_file_gives_the_same(both, monkeypatch):
     _, _, usual, large = both
     at = {"optical_radius_um": 120.0, "ground": "camborthid", "impurities_ng_g.black_carbon": 200.0}
     whole = splits.open_table(usual).interp(**at)
-    monkeypatch.setattr(table, "IN_MEMORY", 0)
+    monkeypatch.setattr(table_module, "MAX_BYTES_IN_MEMORY", 0)
     table = splits.open_table(large)
     assert not table.dataset.reflectance.variable._in_memory
     xr.testing.assert_identical(table.interp(**at), whole)
@@ -75,7 +75,7 @@ def test_damage_is_found(both, tmp_path):
 
 def test_a_file_that_does_not_hold_its_blocks_does_not_appear(both, tmp_path, monkeypatch):
     experiment, folder, _, _ = both
-    monkeypatch.setattr(module, "IN_MEMORY", 0)
+    monkeypatch.setattr(module, "MAX_BYTES_IN_MEMORY", 0)
     monkeypatch.setattr("splits.tables.storage._write_block", lambda *_arguments: None)
     path = tmp_path / "never.nc"
     with pytest.raises(OSError, match="does not hold the table"):

@@ -11,14 +11,14 @@ from splits.materials import (
     LorentzIndex,
     LorentzOscillator,
     list_datasets,
-    lookup,
+    make_refractive_index,
 )
 from splits.materials.library import _drop_invalid_rows
 from splits.materials.lorentz import HC_EV_NM
 
 MINERALS = ("quartz", "hematite", "goethite", "magnetite", "kaolinite")
 NAMED = [(mineral, name) for mineral in MINERALS for name in list_datasets(mineral)]
-GOETHITE = lookup("goethite")
+GOETHITE = make_refractive_index("goethite")
 
 
 def average_goethite_k(low: float, high: float) -> np.ndarray:
@@ -27,7 +27,7 @@ def average_goethite_k(low: float, high: float) -> np.ndarray:
 
 @pytest.mark.parametrize(("mineral", "name"), NAMED)
 def test_every_dataset_covers_the_visible_with_a_possible_index_and_a_source(mineral, name):
-    index = lookup(mineral, name)
+    index = make_refractive_index(mineral, name)
     m = index(np.linspace(400.0, 1000.0, 301).reshape(7, 43))
     assert m.shape == (7, 43) and m.dtype == complex
     assert (m.real > 1.0).all() and (m.real < 3.5).all() and (m.imag >= 0.0).all()
@@ -46,7 +46,7 @@ def test_densities(mineral):
 )
 def test_quartz_at_the_sodium_line(name, n):
     """Optical mineralogy: ω = 1.544, ε = 1.553."""
-    assert complex(lookup("quartz", name)(589.3)) == pytest.approx(n, abs=2e-4)
+    assert complex(make_refractive_index("quartz", name)(589.3)) == pytest.approx(n, abs=2e-4)
 
 
 def test_quartz_follows_its_formula():
@@ -54,7 +54,7 @@ def test_quartz_follows_its_formula():
     square = 0.5**2
     epsilon = 1.28604141 + 1.07044083 * square / (square - 0.0100585997)
     epsilon += 1.10202242 * square / (square - 100.0)
-    assert complex(lookup("quartz")(500.0)) == pytest.approx(np.sqrt(epsilon), rel=1e-14)
+    assert complex(make_refractive_index("quartz")(500.0)) == pytest.approx(np.sqrt(epsilon), rel=1e-14)
 
 
 @pytest.mark.parametrize("outside", [197.9, 2053.2, np.nan])
@@ -72,15 +72,15 @@ def test_outside_its_range_quartz_is_refused_like_a_table(outside, inside, examp
         )
     )
     with pytest.raises(ValueError) as caught:
-        lookup("quartz")([*inside, outside])
+        make_refractive_index("quartz")([*inside, outside])
     assert str(caught.value) == message
     with pytest.raises(ValueError, match="the range of oscillators"):
         GOETHITE([500.0, 299.0])
 
 
 def test_hematite_is_the_root_of_the_mean_dielectric_constant():
-    mean = lookup("hematite")
-    o, e = (lookup("hematite", f"querry_1985_{ray}ordinary") for ray in ("", "extra"))
+    mean = make_refractive_index("hematite")
+    o, e = (make_refractive_index("hematite", f"querry_1985_{ray}ordinary") for ray in ("", "extra"))
     expected = (2.0 * (3.318 + 0.498j) ** 2 + (2.927 + 0.46j) ** 2) / 3.0
     assert complex(mean(550.0)) ** 2 == pytest.approx(expected, rel=1e-12)
     low, high = mean.wavelength_nm[[0, -1]]
@@ -95,16 +95,16 @@ def test_rows_that_cannot_stand_in_a_table_are_left_out():
     kept, n, kept_k = _drop_invalid_rows(w, w + 1.0, k)
     assert kept.tolist() == [1.0, 2.0, 4.0, 5.0]
     assert n.tolist() == [2.0, 3.0, 5.0, 6.0] and kept_k.tolist() == [0.1, 0.2, 0.4, 0.6]
-    ordinary = lookup("hematite", "querry_1985_ordinary")
+    ordinary = make_refractive_index("hematite", "querry_1985_ordinary")
     assert ordinary.wavelength_nm.size == 619 - 1 - 11
-    assert lookup("magnetite").wavelength_nm[-1] == 55555.6
+    assert make_refractive_index("magnetite").wavelength_nm[-1] == 55555.6
 
 
 def test_kaolinite_is_a_constant_and_says_so():
-    index = lookup("kaolinite")
+    index = make_refractive_index("kaolinite")
     assert index([400.0, 2500.0]).tolist() == [1.56 + 5e-4j] * 2
     assert "constant" in index.name and "constant" in index.source
-    assert lookup("kaolinite", {"k_factor": 2.0})(500.0) == 1.56 + 1e-3j
+    assert make_refractive_index("kaolinite", {"k_factor": 2.0})(500.0) == 1.56 + 1e-3j
 
 
 def test_goethite_has_the_index_of_optical_mineralogy():

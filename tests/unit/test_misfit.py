@@ -37,7 +37,7 @@ from splits.experiments.papers.snow_statements import (
     TRANSMITTANCE_FLOORS,
     list_extreme_pairs,
 )
-from splits.materials import lookup
+from splits.materials import make_refractive_index
 from splits.media import Interpretation
 
 STATED_NUMBER = PublishedStatement("table3_842", "Table 3", 0.9, 0.03)
@@ -100,10 +100,10 @@ def test_waters_stand_side_by_side():
     wavelengths = np.array([842.25, 1073.76])
     places, table = interleave_waters(wavelengths)
     assert places.size == 2 * len(WATER_TABLES) and (np.diff(places) > 0.0).all()
-    made = lookup("water", table)(places).reshape(2, len(WATER_TABLES))
-    hale = lookup("water", "hale_querry_1973")(wavelengths)
+    made = make_refractive_index("water", table)(places).reshape(2, len(WATER_TABLES))
+    hale = make_refractive_index("water", "hale_querry_1973")(wavelengths)
     np.testing.assert_allclose(made[:, 0], hale, rtol=1e-12)
-    finer = lookup("water", "segelstein_1981")(wavelengths)
+    finer = make_refractive_index("water", "segelstein_1981")(wavelengths)
     np.testing.assert_allclose(made[:, 2], finer, rtol=1e-12)
     # Between coarse rows of a steep table a straight line lies above the logarithm's.
     assert made[1, 1].imag > made[1, 0].imag > 3.0 * made[1, 2].imag
@@ -201,8 +201,8 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
         return {"a": repeat_for_waters(far, 0.0)}
 
     monkeypatch.setattr(interpretation_ranking, "STAGES", {"first": stage, "second": stage})
-    monkeypatch.setattr(interpretation_ranking, "NUMBERS", {"first": ("a",)})
-    monkeypatch.setattr(interpretation_ranking, "TAKEN", {"second": (1, 1)})
+    monkeypatch.setattr(interpretation_ranking, "STATED_NUMBERS", {"first": ("a",)})
+    monkeypatch.setattr(interpretation_ranking, "STAGE_QUOTAS", {"second": (1, 1)})
     table = pd.DataFrame(
         {"id": ["a"], "place": ["x"], "published": [1.0], "bar": ["1"], "low": [np.nan],
          "high": [np.nan]}

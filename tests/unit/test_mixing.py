@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.materials import MIXING_RULES, linear_mixing, lookup, maxwell_garnett
+from splits.materials import MIXING_RULES, linear_mixing, make_refractive_index, maxwell_garnett
 
 QUARTZ, HEMATITE = 1.55 + 0j, 3.0 + 0.5j
 PAIRS = [(QUARTZ, HEMATITE), (HEMATITE, QUARTZ), (1.33 + 1e-9j, 1.2 + 2.0j), (1.56 + 5e-4j, 1.55)]
@@ -71,7 +71,7 @@ def test_roles_matter_in_second_order_of_contrast_only():
 @pytest.mark.parametrize("rule", RULES)
 def test_arrays_broadcast(rule):
     w = np.array([450.0, 550.0, 650.0])
-    quartz, hematite = lookup("quartz")(w), lookup("hematite")(w)
+    quartz, hematite = make_refractive_index("quartz")(w), make_refractive_index("hematite")(w)
     f = np.array([[0.0], [0.02]])
     m = rule(quartz, hematite, f)
     assert m.shape == (2, 3)

@@ -165,7 +165,7 @@ def test_numbers_are_found_and_written(results, monkeypatch):
     wanted = {f"key.{i}": text for i, text in enumerate(WRITTEN_TEXT)}
     numbers = dict(zip(wanted, WRITTEN_TEXT.values(), strict=True))
     numbers["time"] = QuotedNumber("benchmarks/kernels.csv", select_cell("seconds"))
-    monkeypatch.setattr(room, "NUMBERS", numbers)
+    monkeypatch.setattr(room, "QUOTED_NUMBERS", numbers)
     found = collect_quoted_numbers(results)
     # Zero point two to two digits keeps its last one.
     wanted = {key: "0.20" if text == "0.2" else text for key, text in wanted.items()}
@@ -184,7 +184,7 @@ def test_numbers_are_found_and_written(results, monkeypatch):
     ],
 )  # fmt: skip
 def test_what_is_not_there_is_said_in_one_line(results, monkeypatch, number, message):
-    monkeypatch.setattr(room, "NUMBERS", {"key": number})
+    monkeypatch.setattr(room, "QUOTED_NUMBERS", {"key": number})
     with pytest.raises(ValueError, match=message) as refused:
         collect_quoted_numbers(results)
     assert "\n" not in str(refused.value)

@@ -13,7 +13,7 @@ from formula_tables import W, evaluate_spectrum, make_table
 import splits
 from splits.analysis.colour import covers_visible
 from splits.core.validation import InvalidValue, check_range, snap_to_limits
-from splits.materials import lookup
+from splits.materials import make_refractive_index
 from splits.simulation.arguments import check_direction_angles, check_wavelengths
 from splits.tables.export import convert_to_spires
 
@@ -50,8 +50,8 @@ RANGE_ENDS = {
     "Layer.phase_function": (
         lambda x: splits.ParticleLayer(phase_function={"cosine": [x, 1], "density": [1, 1]}).kernel_phase_function.cosines,
         -1.0, 1),
-    "refractive_index": (lambda x: lookup("quartz")(x), 198.0, -1),
-    "own index": (lambda x: compute_refraction()[0][0] and lookup("ice", {
+    "refractive_index": (lambda x: make_refractive_index("quartz")(x), 198.0, -1),
+    "own index": (lambda x: compute_refraction()[0][0] and make_refractive_index("ice", {
         "wavelength_nm": [400, 800], "n": [1.3, 1.4], "k": [0, 0]})(x), 800.0, 1),
     "wavelength_nm": (check_wavelengths, 200.0, -1),
     "polar_deg": (lambda x: check_direction_angles("polar_deg", [x], 90.0), 0.0, -1),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splits.experiments import ExperimentConfig
-from splits.materials import ConstantIndex, absorption_coefficient, list_datasets, lookup
+from splits.materials import ConstantIndex, absorption_coefficient, list_datasets, make_refractive_index
 from splits.media import Snow
 
 TABULATED = ("ice", "water", "hematite", "magnetite")
@@ -31,7 +31,7 @@ PUBLISHED = [
 
 @pytest.mark.parametrize(("material", "name"), NAMED)
 def test_a_dataset_gives_its_table_back(material, name):
-    table = lookup(material, name)
+    table = make_refractive_index(material, name)
     index = table(table.wavelength_nm)
     np.testing.assert_allclose(index.real, table.n, rtol=1e-14)
     np.testing.assert_allclose(index.imag, table.k, rtol=1e-12)
@@ -41,19 +41,19 @@ def test_a_dataset_gives_its_table_back(material, name):
 
 @pytest.mark.parametrize(("material", "name", "wavelength", "n", "k"), PUBLISHED)
 def test_published_rows(material, name, wavelength, n, k):
-    index = complex(lookup(material, name)(wavelength))
+    index = complex(make_refractive_index(material, name)(wavelength))
     assert index.real == pytest.approx(n, abs=6e-4)
     assert index.imag == pytest.approx(k, rel=5e-3)
 
 
 @pytest.mark.parametrize("material", TABULATED)
 def test_nothing_stands_for_the_first_named_dataset(material):
-    assert lookup(material) is lookup(material, list_datasets(material)[0])
+    assert make_refractive_index(material) is make_refractive_index(material, list_datasets(material)[0])
 
 
 @pytest.mark.parametrize(("material", "name"), NAMED)
 def test_k_is_interpolated_in_log_and_n_linearly_in_log_wavelength(material, name):
-    table = lookup(material, name)
+    table = make_refractive_index(material, name)
     w, n, k = table.wavelength_nm, table.n, table.k
     index = table(np.sqrt(w[1:] * w[:-1]))
     np.testing.assert_allclose(index.real, 0.5 * (n[1:] + n[:-1]), rtol=1e-12)
@@ -61,14 +61,14 @@ def test_k_is_interpolated_in_log_and_n_linearly_in_log_wavelength(material, nam
 
 
 def test_k_is_interpolated_linearly_beside_a_row_without_absorption():
-    table = lookup("ice", {**TABLE, "k": [0.0, 1e-4, 1e-2]})
+    table = make_refractive_index("ice", {**TABLE, "k": [0.0, 1e-4, 1e-2]})
     assert table(400.0).imag == 0.0
     assert table(np.sqrt(400.0 * 800.0)).imag == pytest.approx(0.5e-4)
     assert table(np.sqrt(800.0 * 1600.0)).imag == pytest.approx(1e-3)
 
 
 def test_picard_differs_from_warren_below_600_nm_only():
-    warren, picard = (lookup("ice", name) for name in list_datasets("ice"))
+    warren, picard = (make_refractive_index("ice", name) for name in list_datasets("ice"))
     long = np.linspace(600.0, 4000.0, 500)
     np.testing.assert_array_equal(picard(long), warren(long))
     short = np.linspace(320.0, 599.0, 200)
@@ -79,7 +79,7 @@ def test_picard_differs_from_warren_below_600_nm_only():
 
 @pytest.mark.parametrize(("material", "name"), NAMED)
 def test_outside_the_table_the_message_names_dataset_and_range(material, name):
-    table = lookup(material, name)
+    table = make_refractive_index(material, name)
     low, high = table.wavelength_nm[[0, -1]]
     for outside in (low * 0.99, high * 1.01, np.nan):
         with pytest.raises(ValueError, match="wavelength_nm") as caught:
@@ -99,7 +99,7 @@ def test_outside_the_table_the_message_names_dataset_and_range(material, name):
     ],
 )
 def test_constants_in_every_spelling(spec):
-    index = lookup("ice", spec)([400.0, 5000.0])
+    index = make_refractive_index("ice", spec)([400.0, 5000.0])
     np.testing.assert_array_equal(index, np.full(2, 1.31 + 1e-7j))
 
 
@@ -110,7 +110,7 @@ def test_a_constant_is_called_by_its_value_unless_it_has_a_name():
 
 @pytest.mark.parametrize("spec", [1.33, "1.33", {"n": 1.33}, np.float64(1.33)])
 def test_constants_without_absorption(spec):
-    assert lookup("water", spec)(500.0) == 1.33
+    assert make_refractive_index("water", spec)(500.0) == 1.33
 
 
 @pytest.mark.parametrize("kind", [str, Path])
@@ -118,7 +118,7 @@ def test_a_table_as_mapping_and_as_csv_are_the_same(tmp_path, kind):
     path = tmp_path / "made_up.csv"
     path.write_text(CSV)
     wavelengths = np.linspace(400.0, 1600.0, 50)
-    mapping, file = lookup("ice", TABLE), lookup("ice", kind(path))
+    mapping, file = make_refractive_index("ice", TABLE), make_refractive_index("ice", kind(path))
     np.testing.assert_array_equal(file(wavelengths), mapping(wavelengths))
     assert file.name == "made_up.csv"
     with pytest.raises(ValueError, match=r"made_up\.csv"):
@@ -141,7 +141,7 @@ def test_a_table_as_mapping_and_as_csv_are_the_same(tmp_path, kind):
 )
 def test_malformed_tables_are_refused(change):
     with pytest.raises(ValueError, match=r"refractive_index(\[ice\]| \(user table for ice\))"):
-        lookup("ice", {**TABLE, **change})
+        make_refractive_index("ice", {**TABLE, **change})
 
 
 @pytest.mark.parametrize(
@@ -154,20 +154,20 @@ def test_malformed_tables_are_refused(change):
 )  # fmt: skip
 def test_other_bad_specifications_are_refused_by_name(spec):
     with pytest.raises(ValueError, match="refractive_index"):
-        lookup("ice", spec)
+        make_refractive_index("ice", spec)
 
 
 def test_a_misspelt_dataset_gets_a_suggestion():
     with pytest.raises(ValueError, match="did you mean hale_querry_1973"):
-        lookup("water", "hale_query_1973")
+        make_refractive_index("water", "hale_query_1973")
     with pytest.raises(ValueError, match=r"one of goethite, hematite, ice, .*, water"):
         list_datasets("sand")
 
 
 @pytest.mark.parametrize(("material", "name"), NAMED)
 def test_a_factor_scales_k_and_leaves_n(material, name):
-    table = lookup(material, name)
-    scaled = lookup(material, {"dataset": name, "k_factor": 2.5})
+    table = make_refractive_index(material, name)
+    scaled = make_refractive_index(material, {"dataset": name, "k_factor": 2.5})
     w = table.wavelength_nm[::7]
     np.testing.assert_array_equal(scaled(w).real, table(w).real)
     np.testing.assert_allclose(scaled(w).imag, 2.5 * table(w).imag, rtol=1e-15)
@@ -178,9 +178,9 @@ def test_a_factor_scales_k_and_leaves_n(material, name):
 
 
 def test_a_factor_alone_scales_the_default_and_a_dataset_alone_is_itself():
-    assert lookup("water", {"k_factor": 0.5}).name == "hale_querry_1973, k x 0.5"
+    assert make_refractive_index("water", {"k_factor": 0.5}).name == "hale_querry_1973, k x 0.5"
     name = "segelstein_1981"
-    assert lookup("water", {"dataset": name}) is lookup("water", name)
+    assert make_refractive_index("water", {"dataset": name}) is make_refractive_index("water", name)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_a_factor_alone_scales_the_default_and_a_dataset_alone_is_itself():
 )
 def test_bad_factors_and_datasets_are_refused_with_key_value_and_range(spec, parts):
     with pytest.raises(ValueError, match="must be") as caught:
-        lookup("ice", spec)
+        make_refractive_index("ice", spec)
     for part in parts:
         assert part in str(caught.value)
 
@@ -207,7 +207,7 @@ def test_bad_factors_and_datasets_are_refused_with_key_value_and_range(spec, par
 @pytest.mark.parametrize("spec", [None, "quartz", 1.5, {"n": 1.5}])
 def test_an_unknown_material_is_refused_whatever_the_specification(spec):
     with pytest.raises(ValueError, match=r"material = 'quarz'.*did you mean quartz"):
-        lookup("quarz", spec)
+        make_refractive_index("quarz", spec)
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_a_csv_file_without_its_columns_is_refused(tmp_path, text):
     path = tmp_path / "other.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=r"other\.csv.*wavelength_nm, n, k"):
-        lookup("ice", str(path))
+        make_refractive_index("ice", str(path))
 
 
 def test_absorption_coefficient_is_four_pi_k_over_wavelength():

@@ -44,7 +44,7 @@ def experiment(tmp_path):
 
 @NEEDS_JIT
 def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "effort_for", lambda _: TINY_ACCURACY)
+    monkeypatch.setattr(module, "choose_effort", lambda _: TINY_ACCURACY)
     settings, table = experiment
     lines = []
     ds = module.run_fit(settings, Accuracy(max_stderr=0.05), table, threads=1, log=lines.append)

@@ -12,7 +12,7 @@ import yaml
 import splits
 from splits import Sand, SandInterpretation
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
-from splits.materials import lookup
+from splits.materials import make_refractive_index
 from splits.media.grain_statistics import surface_to_volume_ratio
 from splits.media.interpretations import INTERPRETATION_CHOICES
 from splits.simulation.spectral_nodes import select_grain_interfaces
@@ -148,10 +148,10 @@ def test_indices_by_hand():
     """Eq 4 with volume fractions from the balance of volumes in each particle."""
     sand = Sand(**EIGHT_TYPES, saturation=0.1)
     index = dict(zip(MATERIALS, sand.compute_refractive_indices(WAVELENGTHS).T, strict=True))
-    pure = {m: lookup(m)(WAVELENGTHS) for m in ("quartz", "hematite", "goethite")}
+    pure = {m: make_refractive_index(m)(WAVELENGTHS) for m in ("quartz", "hematite", "goethite")}
     np.testing.assert_array_equal(index["air"], 1.0)
-    np.testing.assert_array_equal(index["water"], lookup("water")(WAVELENGTHS))
-    np.testing.assert_array_equal(index["magnetite"], lookup("magnetite")(WAVELENGTHS))
+    np.testing.assert_array_equal(index["water"], make_refractive_index("water")(WAVELENGTHS))
+    np.testing.assert_array_equal(index["magnetite"], make_refractive_index("magnetite")(WAVELENGTHS))
     for mineral, values in pure.items():
         np.testing.assert_array_equal(index[mineral], values)
     coat = 0.0337371413100692
@@ -194,7 +194,7 @@ def test_another_goethite_changes_the_rows_with_goethite_only(goethite):
     ]
     assert ((sand.compute_refractive_indices(WAVELENGTHS) != before).any(axis=0) == changed).all()
     own = sand.compute_refractive_indices(WAVELENGTHS)[:, MATERIALS.index("goethite")]
-    np.testing.assert_array_equal(own, lookup("goethite", goethite)(WAVELENGTHS))
+    np.testing.assert_array_equal(own, make_refractive_index("goethite", goethite)(WAVELENGTHS))
 
 
 def test_description_is_written_to_a_file_and_read_again(tmp_path):

@@ -31,8 +31,8 @@ def test_readers_are_applied_one_after_the_other(monkeypatch):
     steps = {
         n: lambda ds, n=n: ds.assign_attrs(seen=[*ds.attrs.get("seen", []), n]) for n in (0, 1)
     }
-    monkeypatch.setattr(netcdf, "READERS", steps)
-    monkeypatch.setattr(netcdf, "VERSION", 2)
+    monkeypatch.setattr(netcdf, "SCHEMA_MIGRATIONS", steps)
+    monkeypatch.setattr(netcdf, "SCHEMA_VERSION", 2)
     assert netcdf.upgrade_schema(xr.Dataset(), "a.nc").attrs == {"seen": [0, 1], "splits_schema": 2}
 
 

@@ -17,7 +17,7 @@ def package(monkeypatch, tmp_path):
     """Return a copy of the package that is asked instead."""
     copy = tmp_path / "elsewhere"
     shutil.copytree(PACKAGE_FOLDER, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(provenance, "PACKAGE", copy)
+    monkeypatch.setattr(provenance, "PACKAGE_FOLDER", copy)
     return copy
 
 

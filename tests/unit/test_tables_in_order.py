@@ -67,7 +67,7 @@ def test_a_file_of_a_table_in_any_order(way, dataset, tmp_path, monkeypatch):
     splits.save(CONVERSIONS[way](dataset), tmp_path / "table.nc")
     expected = splits.Table(dataset).interp(**FIXED)
     for limit in (2**28, 1):
-        monkeypatch.setattr("splits.tables.table.IN_MEMORY", limit)
+        monkeypatch.setattr("splits.tables.table.MAX_BYTES_IN_MEMORY", limit)
         found = splits.open_table(tmp_path / "table.nc").interp(**FIXED)
         xr.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
 

@@ -6,7 +6,7 @@ from splits import load
 from splits.analysis.measured import compare_with_letcher, read_spectra
 from splits.experiments.papers.agreement import make_agreement_table, read_published
 from splits.experiments.papers.paper_tables import make_table1, make_table3, write_table
-from splits.plotting import annotations, draw_measured_albedo, save_figure
+from splits.plotting import describe_conditions, draw_measured_albedo, save_figure
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}
@@ -19,7 +19,7 @@ agreement = make_agreement_table(
 write_table(agreement, snakemake.output.agreement)
 albedo = compare_with_letcher(datasets["letcher"], letcher)
 write_table(albedo, snakemake.output.bands)
-figure = draw_measured_albedo(albedo, annotations(datasets["letcher"]))
+figure = draw_measured_albedo(albedo, describe_conditions(datasets["letcher"]))
 save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))
 write_table(make_table1(datasets["sample"]), snakemake.output.table1)
 bands = make_table3(datasets["readings"], aviris, published)

@@ -37,11 +37,11 @@ class OpticalShape(NamedTuple):
 
     Attributes
     ----------
-    enhancement : Measured
+    absorption_enhancement : Measured
         B.
-    asymmetry : Measured
+    asymmetry_parameter : Measured
         g, without diffraction.
-    together : Measured
+    b_over_1_minus_g : Measured
         B/(1 − g).
     """
 

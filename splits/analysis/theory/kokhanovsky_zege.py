@@ -34,10 +34,10 @@ def make_law_table(
 
     Parameters
     ----------
-    table : Table
+    table : MethodTable
         Its other axes, of which the law knows nothing (liquid water), have to hold 0.
     law : {"kokhanovsky_zege_2004"}
-    models : str, optional
+    model_axis : str, optional
         An axis of models, beside which the law stands.
 
     Returns

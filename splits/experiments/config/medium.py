@@ -142,10 +142,10 @@ def apply_bases(key: str, medium: Any, apply_base: Callable[[Any, str], Any]) ->
 
     Parameters
     ----------
-    place : str
+    key : str
         Of the stack, for messages.
     medium : mapping
-    complete : callable
+    apply_base : callable
         Takes the settings and the place of a layer, and returns them on top of those of its base.
     """
     if not isinstance(medium, Mapping) or LAYERS_KEY not in medium:
@@ -176,7 +176,7 @@ def replace_table_paths(settings: Any, replace: Callable[[str], str], inside: bo
     ----------
     settings : mapping, list or value
         An experiment or medium, or a part of it, as YAML gives it.
-    name : callable
+    replace : callable
         Takes a path, returns what stands in its place.
     inside : bool
         Whether `settings` stands below one of `TABLE_KEYS`.

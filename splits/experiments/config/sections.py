@@ -31,9 +31,9 @@ def check_text(key: str, value: str, max_chars: int, multiline: bool = False) ->
     Parameters
     ----------
     key, value : str
-    longest : int
+    max_chars : int
         Largest number of characters.
-    lines : bool
+    multiline : bool
         Whether it may have several lines.
     """
     if len(value) > max_chars:
@@ -67,8 +67,6 @@ def check_mathematics(key: str, value: str) -> str:
         raise invalid(key, value, "text that matplotlib can set", hint) from None
     return value
 
-
-pass
 
 FIGURE_KINDS = {
     "spectrophotometer": ("spectra", "points", "swatches", "fit"),

@@ -261,7 +261,7 @@ class SimulationConfig(ConfigSection):
         return not isinstance(usual, tuple) or any(isinstance(v, (list, tuple)) for v in given)
 
     def iter_settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
-        """Yield what `points` yields, with the medium's keywords in its place."""
+        """Yield what `iter_points` yields, with the medium's keywords in its place."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
         if not isinstance(base.get("readings", {}), Mapping | str):
             allowed = "a mapping of named readings, or the name of a set"
@@ -330,7 +330,7 @@ class SimulationConfig(ConfigSection):
         return content
 
     def dump_configuration(self) -> str:
-        """Return `simulation` as JSON for a dataset, users' tables by name and content."""
+        """Return `dump_simulation` as JSON for a dataset, users' tables by name and content."""
         return json.dumps(
             replace_table_paths(self.dump_simulation(), identify_by_content), sort_keys=True
         )

@@ -12,7 +12,7 @@ class StudyInput:
 
     Attributes
     ----------
-    over : tuple of str
+    axes : tuple of str
         Parameters of its grid: these and no others.
     labels : mapping
         Values that its grid must hold, by parameter.

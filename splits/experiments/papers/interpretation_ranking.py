@@ -95,12 +95,12 @@ class InterpretationSet:
 
     Attributes
     ----------
-    trial : Trial
+    run : InterpretationRun
     values : dict
         Ours and its standard error by statement, see `splits.experiments.papers.interpretation_runs.StatementValues`.
-    done : int
+    n_stages : int
         How many stages are behind it.
-    least : float
+    min_misfit : float
         The least sum of squares so far with any water.
     """
 
@@ -199,7 +199,7 @@ def rank_interpretations(
     choices : mapping
         Names of `splits.Interpretation` to the choices tried; ``boundaries`` says what becomes of both
         kinds of grains that do not fit.
-    text : mapping
+    stated_choices : mapping
         What the paper says without doubt, likewise: the best of those that keep to it are followed
         to the end whatever comes before them.
     seed : int
@@ -207,12 +207,12 @@ def rank_interpretations(
     threads : int
     error_factor : float
         Multiplies the errors of all runs.
-    say : callable
+    log : callable
         Receives lines of progress.
 
     Returns
     -------
-    combinations : list of Combination
+    combinations : list of InterpretationSet
         All of them, and the sets with a name besides, the least misfit first.
     stated : dict
         All statements by name.

@@ -58,9 +58,9 @@ class InterpretationRun:
 
     Attributes
     ----------
-    readings : Readings
+    interpretation : Interpretation
     seed : int
-    errors : Errors
+    errors : TargetErrors
     """
 
     interpretation: Interpretation

@@ -31,9 +31,9 @@ class PublishedStatement:
         Its id, and where it stands in the paper.
     published : float
         The number, or 0 for a trend, whose value is to be above.
-    bar : float
+    tolerance : float
         Above 0.
-    trend : bool
+    is_trend : bool
         Whether only values below `published` count against a model.
     """
 
@@ -89,7 +89,7 @@ class Misfit:
     stderr: float
 
     def compute_rms(self, n_statements: int) -> tuple[float, float]:
-        """Return the root-mean-square difference in bars over `count` statements, and its error."""
+        """Return the root-mean-square difference in bars over `n_statements` statements, and its error."""
         value = float(np.sqrt(max(self.total, 0.0) / n_statements))
         spread = self.stderr / n_statements
         return value, float(spread / (2.0 * value)) if value > 0.0 else float(np.sqrt(spread))

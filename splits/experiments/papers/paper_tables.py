@@ -54,8 +54,8 @@ def make_table3(
 
     Parameters
     ----------
-    readings : xarray.Dataset
-        Reflectance over ``wavelength`` and ``readings``, each place where the papers can be read
+    interpretations : xarray.Dataset
+        Reflectance over ``wavelength`` and ``interpretations``, each place where the papers can be read
         two ways.
     aviris : pandas.DataFrame
         Measured bands.

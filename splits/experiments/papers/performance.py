@@ -51,7 +51,7 @@ def scale_paper_times(
         Time spent, rays traced and standard error so reached.
     error : float
         Standard error to scale to.
-    least_rays : int
+    min_rays : int
         Rays that every wavelength takes in any case.
 
     Returns

@@ -53,7 +53,7 @@ class CacheFolder:
     Attributes
     ----------
     path : Path
-    named : bool
+    user_defined : bool
         Whether the user has named it, so that others may write to it, too; otherwise it is made
         for this user alone, and used only as long as it is so.
     """

@@ -90,8 +90,8 @@ def _infer_type(variable: Any, definitions: Any, args: Any) -> Any:
     if isinstance(value, ir.Expr) and value.op == "getattr":
         owner = _infer_type(value.value, definitions, args)
         named = isinstance(owner, (types.NamedTuple, types.NamedUniTuple))
-        if named and value.attr in owner.make_height_fields:
-            return owner[owner.make_height_fields.index(value.attr)]
+        if named and value.attr in owner.fields:
+            return owner[owner.fields.index(value.attr)]
     return None
 
 
@@ -110,9 +110,6 @@ class NonePruningCompiler(Compiler):
         """Return Numba's own ways of compiling, with one step more."""
         ways = super().define_pipelines()
         return insert_pass(ways, DeadBranchPrune, _NoneFieldPruning, "settle which fields are None")
-
-
-pass
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
@@ -157,9 +154,6 @@ class RefcountCheckedCompiler(NonePruningCompiler):
         """Return the ways of compiling, with one step more."""
         ways = super().define_pipelines()
         return insert_pass(ways, NativeLowering, _RefcountCheck, "see that borrowers own nothing")
-
-
-pass
 
 
 class _DeferredLibrary(JITCodeLibrary):

@@ -172,11 +172,11 @@ def attenuate_segment(state, payload, event, segment, scene, optics, path_length
 
     Parameters
     ----------
-    beam : Beam
+    payload : RayPayload
         As the leg begins.
-    goal : Found
+    event : Found
         Where it ends.
-    leg : Segment
+    segment : Segment
         Its end as a place (m), and its length.
     length, notes
         See `follow`.

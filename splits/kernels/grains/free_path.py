@@ -40,9 +40,9 @@ class RouletteState(NamedTuple):
 
     Attributes
     ----------
-    depth : float
+    optical_depth : float
         Least optical depth passed so far, over the wavelengths served.
-    limit : float
+    next_roulette : float
         Optical depth at which roulette is played next.
     weight : float
         Inverse probability of having survived.
@@ -65,15 +65,15 @@ class RayGeometry(NamedTuple):
 
     Attributes
     ----------
-    place : Vector
+    position : Vector
         Where it met the grain it comes from (m).
-    way : Vector
+    exit_offset : Vector
         From there to where it left that grain (m).
-    d : Vector
+    direction : Vector
         Direction.
-    last : Segment
-        The leg before, which ended at `place`; its end is not used.
-    skipped : float
+    previous_segment : Segment
+        The leg before, which ended at `position`; its end is not used.
+    start_distance : float
         Distance from which the next grain is drawn (m): to the last one left out, or to the face
         through which the ray came into its layer.
     """
@@ -90,13 +90,13 @@ class LayerGeometry(NamedTuple):
 
     Attributes
     ----------
-    mean_leg : float
+    mean_free_path : float
         Mean distance between grains (m).
-    low, high : float
+    bottom, top : float
         Heights of the faces of the layer (m).
-    floor, ceiling : float
+    slab_bottom, slab_top : float
         Heights of the faces of the whole sample (m).
-    brim : float
+    grain_ceiling : float
         Height (m) above which no grain may reach: the ceiling, or the mean height of a rough one.
     """
 
@@ -113,10 +113,10 @@ class RejectionRules(NamedTuple):
 
     Attributes
     ----------
-    entry : int
+    entry_sampling : int
         See `spheroid.sample_entry_point`.
-    refuse_on_last_leg, refuse_across_boundary : bool
-    skip_on_last_leg, skip_across_boundary : bool
+    reject_segment_overlap, reject_boundary_overlap : bool
+    skip_segment_overlap, skip_boundary_overlap : bool
         Such a grain is left out, and the next distance counts from its place; otherwise it is drawn
         again from the ray's origin.
     """
@@ -133,16 +133,16 @@ class Collision(NamedTuple):
 
     Attributes
     ----------
-    leg : float
+    distance : float
         Distance (m).
     height : float
         Of the entry point (m).
-    entry : Entry
-    outside : bool
+    entry : EntryPoint
+    leaves_layer : bool
         A face of the layer comes first.
-    fits : bool
+    accepted : bool
         The grain is met.
-    skipped : float
+    start_distance : float
         Distance from which the next trial counts (m).
     """
 
@@ -185,14 +185,14 @@ def sample_collision(geometry, size, variates, u, layer_geometry, rejection_rule
 
     Parameters
     ----------
-    ray : Flier
-    size : Size
-    aim : Aim
+    geometry : RayGeometry
+    size : GrainSize
+    variates : Aim
         One that is `spheroid.placed`.
     u : float
         A uniform random number, for the distance.
-    space : Space
-    fates : Fates
+    layer_geometry : LayerGeometry
+    rejection_rules : RejectionRules
 
     Returns
     -------

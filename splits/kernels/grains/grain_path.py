@@ -86,12 +86,12 @@ def trace_through_grain(state, payload, event, scene, optics, path_lengths):
     Parameters
     ----------
     state : uint64[1]
-    beam : Beam
+    payload : RayPayload
         As it meets the grain.
-    found : Found
+    event : Found
     scene, optics
         See `splits.kernels.grains.scene`.
-    length : float64[materials]
+    path_lengths : float64[materials]
         Path lengths (m), advanced in place by those inside the grain.
 
     Returns

@@ -178,13 +178,13 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
     ray : Ray
     scene, optics
         See `splits.kernels.grains.scene`.
-    length : float64[materials]
+    path_lengths : float64[materials]
         Path lengths (m), advanced in place.
-    notes : Notes or None
+    crossings : CrossingBank or None
         Taken where rays pass faces between layers; None where nobody listens, at no cost.
-    window : Window or None
+    window : WeightWindow or None
         None asks for no decisions, at no cost.
-    roof : Surface or None
+    rough_top : SurfaceRealization or None
         The rough surface on top; None where it is smooth, at no cost.
 
     Returns
@@ -314,7 +314,7 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
         See `splits.kernels.grains.scene`.
     exits : float64[rays, columns]
         A row for each ray, see `splits.kernels.tallies.exits`; must come from `exit_rows`.
-    fields, room : Fields, Surface, or None
+    height_fields, surface_buffer : HeightFields, SurfaceRealization, or None
         The rough surface on top, of which every ray has a realisation, and where that lives, see
         `waves.ensure_capacity`; None where it is smooth.
 

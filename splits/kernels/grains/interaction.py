@@ -39,9 +39,9 @@ class InteractionVariates(NamedTuple):
 
     Attributes
     ----------
-    choice, fresnel, pore : float
+    u_facet, u_fresnel, u_pore : float
         Uniform.
-    normal : float
+    half_normal : float
         The modulus of a standard normal number.
     azimuth : Angle
         Uniform on the right half of the circle.
@@ -63,9 +63,9 @@ class InterfaceState(NamedTuple):
         0 in the pore space, 1 in the outermost shell of the grain, and so on to its core.
     side : float
         1 where the ray goes inwards, −1 outwards.
-    lobe : bool
+    in_lobe : bool
         The next trial sends it into a cosine lobe: it was to go to the wrong side of the surface.
-    through : bool
+    transmitted_lobe : bool
         That lobe is on the far side.
     """
 
@@ -80,13 +80,13 @@ class RelativeIndex(NamedTuple):
 
     Attributes
     ----------
-    m, less_one : float
+    m, m_minus_1 : float
         Real part of the relative index, and that less 1.
     k : float
         Imaginary part; not looked at where extinction does not show in reflection.
-    ratio : float
+    inverse : float
         1/m; looked at only there.
-    same : bool
+    equal : bool
         Both media are one, and there is no interface; looked at where scenes are mixed.
     """
 
@@ -109,15 +109,15 @@ class InteractionResult(NamedTuple):
 
     Attributes
     ----------
-    d : Vector
+    direction : Vector
         New direction.
-    passed : bool
+    transmitted : bool
         Whether the ray goes on behind the surface.
-    done : bool
+    accepted : bool
         False asks for another trial.
-    to_lobe : bool
+    needs_lobe : bool
         The next trial is a lobe's.
-    out : float
+    cos_out : float
         Cosine between d and the surface's normal on the side that the ray came from.
     """
 
@@ -133,11 +133,11 @@ class NextRegion(NamedTuple):
 
     Attributes
     ----------
-    stand : Stand
+    interface : InterfaceState
         After it.
-    out : bool
+    in_pore : bool
         The ray is back in the pore space.
-    coating, core : bool
+    in_coating, in_core : bool
         It crosses a coating, or the core.
     """
 
@@ -178,12 +178,12 @@ def reflect_or_refract(d, interface, facet, media, u, mirror_wrong_side, feature
     Parameters
     ----------
     d : Vector
-    stand : Stand
-    facet : Facet
-    media : Contrast
+    interface : InterfaceState
+    facet : Microfacet
+    media : RelativeIndex
     u : float
         A uniform random number.
-    turn : bool
+    mirror_wrong_side : bool
         Directions on the wrong side of the surface are mirrored in it, instead of a lobe (SPLITS
         4.3.4) standing for multiple scattering between facets.
     features : Features
@@ -231,13 +231,13 @@ def reflect_or_refract(d, interface, facet, media, u, mirror_wrong_side, feature
 
 @inline
 def find_next_region(interface, result, core_shell, mixed):
-    """Return where a ray goes that leaves a surface as `after` says.
+    """Return where a ray goes that leaves a surface as `result` says.
 
     Parameters
     ----------
-    stand : Stand
-    after : Outcome
-    core : float
+    interface : InterfaceState
+    result : Outcome
+    core_shell : float
         Number of the grain's core among its shells.
     mixed : True or None
         None where all grains are without coatings.

@@ -33,7 +33,7 @@ class FacetSample(NamedTuple):
         False asks for another.
     cos_azimuth : float
         Of the facet, counted from the tangential part of −d, with its sign.
-    cos : float
+    cos_incidence : float
         Cosine of incidence on the facet, −d·n' (negative only under `ANY_FACETS`).
     """
 
@@ -52,9 +52,9 @@ class Microfacet(NamedTuple):
     cos_i : float
         Cosine of incidence on it.
     accepted : bool
-    turned : bool
+    back_side : bool
         The facet's opposite side is struck.
-    cos : float
+    cos_facet : float
         Cosine of incidence on the facet.
     leaned, azimuth, cos_lobe
         See `compute_facet_normal`, for a facet or a lobe; the cosine of the lobe's azimuth, whose
@@ -121,7 +121,7 @@ def compute_facet_normal(d, n, cos_i, tilt, azimuth):
     d, n : Vector
     cos_i : float
         cosθ.
-    leaned : Angle
+    tilt : Angle
         Cosine c of the tilt, and s / sinθ in place of its sine.
     azimuth : Angle
     """

@@ -64,7 +64,7 @@ def _compute_segment_start(geometry):
 def stop_at_facet(geometry, event, hit, layer_bottom):
     """Return a ray that a facet stops on its way, and what it found: nothing, in the top layer.
 
-    The surface should end above the layer's lower face, `low` (m); see `Layer.depth_m`.
+    The surface should end above the layer's lower face, `layer_bottom` (m); see `Layer.depth_m`.
     """
     place = add_scaled(hit.distance, geometry.direction, _compute_segment_start(geometry))
     geometry = RayGeometry(

@@ -61,11 +61,11 @@ class GrainTypes(NamedTuple):
 
     Attributes
     ----------
-    shells : int64[types]
+    n_shells : int64[types]
         Number of coatings plus one, the core.
     material : int64[types, deepest]
         Rows of the materials from the outermost coating to the core.
-    thickness : float64[types, deepest]
+    coating_thickness : float64[types, deepest]
         Thickness of the coatings as a fraction of the major axis; unused for the core.
     curvature : float64[rows, m]
         Inverse semi-major axis of struck grains (1/m): the inverse, because it is what cross
@@ -90,9 +90,9 @@ class GrainPopulation(NamedTuple):
     ----------
     attenuation : float
         Expected number of grains met per metre of pore-space path, all types together.
-    share : float64[types]
+    type_cdf : float64[types]
         Cumulative probability that the grain met is of type 0…i; the last entry is 1.
-    types : Types
+    types : GrainTypes
     """
 
     attenuation: float
@@ -105,21 +105,21 @@ class Layers(NamedTuple):
 
     Attributes
     ----------
-    face : float64[layers + 1]
+    boundaries : float64[layers + 1]
         Heights of the faces (m), 0 at the top; where that is rough, a height above all of it.
     attenuation : float64[layers]
         Expected number of grains met per metre of pore-space path.
     saturation : float64[layers]
         Probability that a leg through the pore space runs in the wet medium.
-    share : float64[layers, most]
+    type_cdf : float64[layers, most]
         Cumulative probability that the grain met is of the layer's type 0…i.
-    first : int64[layers]
+    first_type : int64[layers]
         Row of the layer's first type.
     pore : int64[layers]
         Material of its dry pores; that of its wet ones follows, then those of others.
-    others : float64[layers, most]
+    pore_cdf : float64[layers, most]
         Cumulative probabilities, from the saturation on, that a leg runs in one of the other media.
-    particles : int64[layers]
+    particle_row : int64[layers]
         Row of `ParticleScattering` of a layer that has these and no grains; `NO_PARTICLES` of others.
     """
 
@@ -142,9 +142,9 @@ class ParticleScattering(NamedTuple):
         Single-scattering albedo.
     kind : int64[rows]
     g : float64[rows]
-    size : int64[rows]
+    table_size : int64[rows]
         Length of the table.
-    cosines, density, quantiles : float64[rows, longest]
+    cosines, density, cdf : float64[rows, longest]
     """
 
     albedo: np.ndarray
@@ -179,15 +179,15 @@ class Scene(NamedTuple):
 
     Attributes
     ----------
-    light : Light
+    source : Source
     layers : Layers
-    types : Types
-    rules : Rules
-    particles : Particles
-    ground : int
+    types : GrainTypes
+    rules : SamplingRules
+    particles : ParticleScattering
+    ground_column : int
         Column among the materials' lengths where meetings with the ground are counted, whose
         "absorption" is −ln of its albedo; `NO_GROUND` where light leaves below.
-    listens : bool
+    record_crossings : bool
         Whether rays that pass faces between layers are noted.
     """
 
@@ -210,7 +210,7 @@ class Optics(NamedTuple):
     absorption : float64[materials]
         Absorption coefficients (1/m).  An analog run tosses its coins with them; a weighted run
         takes them as lower bounds over the wavelengths it serves, for Russian roulette.
-    absorbs : bool[materials]
+    is_absorbing : bool[materials]
         Whether a material absorbs at any of these wavelengths.
     """
 

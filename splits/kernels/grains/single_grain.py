@@ -32,7 +32,7 @@ class ScatteringTally(NamedTuple):
 
 
 class IsolatedGrain(NamedTuple):
-    """A grain alone: `wet` is the probability that rays come to it through a wet pore.
+    """A grain alone: `wet_probability` is the probability that rays come to it through a wet pore.
 
     The layer of the scene gives no faces here, only the saturation around the grain.
     """
@@ -72,9 +72,9 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
     seed : int
     work : int64[3]
         Ensemble, first ray, number of rays; they name the random streams, as in `granular.batch`.
-    orders : int
+    n_orders : int
         Legendre polynomials to tally.
-    solitary : Solitary
+    isolated_grain : IsolatedGrain
         Its optics' absorption bounds `absorption` from below.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m) that turn path lengths in the grain into weights.

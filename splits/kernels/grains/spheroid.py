@@ -40,7 +40,7 @@ class Spheroid(NamedTuple):
     w : Vector
         Major axis.
     flattening : float
-    minor : float
+    semi_minor : float
         Semi-minor axis (m).
     """
 
@@ -62,11 +62,11 @@ class EntryVariates(NamedTuple):
 
     Attributes
     ----------
-    facing : float
+    u_cos_incidence : float
         Uniform, for the cosine −d·n.
-    azimuth, turn : Angle
+    normal_azimuth, axis_azimuth : Angle
         Azimuths of n around −d and of w around n.
-    axial, area : float
+    u_axial, u_accept : float
         Uniform, for z/b of the entry point, and to accept it.
     """
 
@@ -85,9 +85,9 @@ class EntryPoint(NamedTuple):
     grain : Spheroid
     normal : Vector
         Outward, at the entry point.
-    axial : float
+    axial_position : float
         z/b of the entry point.
-    major : float
+    semi_major : float
         Semi-major axis (m).
     """
 
@@ -169,9 +169,9 @@ def sample_entry_point(d, size, variates, entry_sampling):
     Parameters
     ----------
     d : Vector
-    size : Size
-    aim : Aim
-    entry : int
+    size : GrainSize
+    variates : Aim
+    entry_sampling : int
         `UNIFORM_ENTRY` or `PROJECTED_ENTRY`.
 
     Returns
@@ -200,7 +200,7 @@ def sample_entry_point(d, size, variates, entry_sampling):
 
 @inline
 def overlaps_boundary(entry, height, bottom, top):
-    """Tell whether a grain entered at a height (m) reaches below `low` or above `high` (m)."""
+    """Tell whether a grain entered at a height (m) reaches below `bottom` or above `top` (m)."""
     grain = entry.grain
     minor = grain.semi_minor
     excess = (entry.semi_major - minor) * grain.w.z

@@ -37,12 +37,12 @@ class RayPayload(NamedTuple):
 
     Attributes
     ----------
-    d : Vector
+    direction : Vector
     layer : int
         Of the scene, in which it is.
-    u : float
+    pore_variate : float
         The number that decides its pore: wet where it is below the layer's saturation.
-    purse : Purse
+    roulette : RouletteState
     """
 
     direction: Vector
@@ -56,14 +56,14 @@ class Ray(NamedTuple):
 
     Attributes
     ----------
-    fate : int
+    status : int
         `TRAVELS`, or how it ended.
-    flier : Flier
-    beam : Beam
-    legs, order : int
+    geometry : RayGeometry
+    payload : RayPayload
+    n_segments, order : int
         Legs through the sample, which is what the ray cost, and grains, particles and facets of a
         rough surface met.
-    most : int
+    max_order : int
         As many of these, after which it counts as absorbed.
     """
 
@@ -125,7 +125,7 @@ def attenuate(state, roulette_state, distance, material, optics, analog, path_le
     """Take a leg through a material, and tell whether the ray goes on.
 
     Lambert's law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability to
-    pass.  Weighted rays add the leg to `length` (float64[materials], m), and end only by roulette.
+    pass.  Weighted rays add the leg to `path_lengths` (float64[materials], m), and end only by roulette.
     """
     path_lengths[material] += distance
     depth = optics.absorption[material] * distance

@@ -86,9 +86,9 @@ class Precision(NamedTuple):
     Attributes
     ----------
     one, zero : float
-    grazing : float
+    min_cos_incidence : float
         Least cosine of incidence.
-    normal : float
+    min_sin2_incidence : float
         Least sin² of incidence for which facets are turned exactly; in single precision met by
         1e-8 of all trials.
     """

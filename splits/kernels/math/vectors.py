@@ -64,7 +64,7 @@ def linear_combination(g, a, h, b):
 
 @inline
 def select(condition, a, b):
-    """Return a where `which` holds, otherwise b; of both, as vector code wants it."""
+    """Return a where `condition` holds, otherwise b; of both, as vector code wants it."""
     return Vector(a.x if condition else b.x, a.y if condition else b.y, a.z if condition else b.z)
 
 
@@ -112,7 +112,7 @@ def sample_cosine_lobe(n, u, u_azimuth):
     Parameters
     ----------
     n : Vector
-    u, turn : float
+    u, u_azimuth : float
         Two uniform random numbers.
     """
     return rotate_around(n, Angle(sqrt(u), sqrt(ONE - u)), sample_circle(u_azimuth))

@@ -35,9 +35,9 @@ class PhaseFunctionPeak(NamedTuple):
 
     Attributes
     ----------
-    phase : Phase
+    phase : PhaseFunction
         Normalised, a table.
-    share : float
+    fraction : float
         Part of the scattered light that goes into it, between 0 and 1.
     """
 

@@ -40,10 +40,10 @@ class FresnelResult(NamedTuple):
     reflectance : float
         Unpolarised Fresnel reflectance in [0, 1]; exactly 1 under total internal reflection and
         exactly 0 between equal media.
-    ratio : float
+    sine_ratio : float
         Ratio by which the tangential component of the direction is scaled on refraction into
         the planes of constant real phase: sinθ_t / sinθ_i.
-    cos : float
+    cos_transmitted : float
         Cosine of the angle of refraction of these planes (0 under total internal reflection).
     """
 
@@ -100,7 +100,7 @@ def unpolarized_reflectance(m, g, k, cos_i, sin2, wave):
         See `normal_component`.
     sin2 : float
         sin²θ_i.
-    wave : Component
+    wave : NormalWave
     """
     a, b2 = wave
     k2 = k * k

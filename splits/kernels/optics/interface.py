@@ -34,7 +34,7 @@ def sample_interface(d, normal, near, far, u):
     ----------
     d, normal : Vector
         The normal is against d.
-    near, far : Index
+    near, far : ComplexIndex
         On the side of incidence, and beyond.
     u : float
         A uniform random number.

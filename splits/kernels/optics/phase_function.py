@@ -43,14 +43,14 @@ class PhaseFunction(NamedTuple):
         `HENYEY_GREENSTEIN`, `RAYLEIGH` or `TABULATED`.
     g : float
         Mean cosine; the parameter of Henyey and Greenstein, in (−1, 1).
-    polarizing : float
+    max_polarization : float
         P in [0, 1]: the degree of linear polarization of unpolarised light scattered by 90
         degrees, the largest there is.
     cosines : float64[m]
         Of a table, rising from −1 to 1; unused otherwise.
     density : float64[m]
         Phase function at the cosines (1/sr), linear in µ between them.
-    quantiles : float64[m]
+    cdf : float64[m]
         Probability of a smaller cosine, from 0 to 1.
     """
 
@@ -94,7 +94,7 @@ def make_tabulated(cosines: Any, values: Any, max_polarization: float = 0.0) -> 
         Different numbers, in any order, both −1 and 1 among them.
     values : array_like
         Phase function there, not negative, in any unit: it is normalised.
-    polarizing : float, optional
+    max_polarization : float, optional
         See `PhaseFunction`.
     """
     order = np.argsort(np.asarray(cosines, dtype=float))

@@ -45,9 +45,9 @@ class IncidentLight(NamedTuple):
 
     Attributes
     ----------
-    cos : float
+    cos_incidence : float
         Cosine of the angle of incidence.
-    across : Vector
+    plane_normal : Vector
         Normal of the plane of incidence.
     q, u, v : float
         For a reference in that plane.

@@ -14,9 +14,9 @@ class Source(NamedTuple):
 
     Attributes
     ----------
-    cos : float
+    cos_incidence : float
         Cosine of the beam's angle of incidence, in (0, 1].
-    diffuse : float
+    diffuse_fraction : float
         Share of the incident flux that comes from everywhere with equal radiance, 0 to 1.
     """
 
@@ -30,7 +30,7 @@ def sample_source_direction(source, u):
 
     Parameters
     ----------
-    light : Light
+    source : Source
     u : float
         A uniform random number; not looked at where there is a beam only.
     """

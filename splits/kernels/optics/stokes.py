@@ -166,7 +166,7 @@ def scatter_polarized(state, phase, d, stokes):
     Parameters
     ----------
     state : uint64[1]
-    phase : Phase
+    phase : PhaseFunction
     d : Vector
         Direction of travel.
     stokes : Stokes

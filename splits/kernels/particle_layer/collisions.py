@@ -104,10 +104,10 @@ def absorb_at_particle(ray, layer, u, max_order):
     Parameters
     ----------
     ray : Ray
-    layer : Turbid
+    layer : ScatteringLayer
     u : float
         A uniform random number; 1 where weights take the place of coin tosses.
-    most : int
+    max_order : int
         See `layer.trace`.
     """
     past = increment_order(ray.history)

@@ -34,23 +34,23 @@ class Detectors(NamedTuple):
 
     Attributes
     ----------
-    toward : float64[detectors, 3]
+    direction : float64[detectors, 3]
         Unit directions within the layer, upwards.
     plane : float64[detectors, 2]
         Horizontal unit vector that, with the normal, spans the plane that Q refers to.
-    passing : float64[detectors, 3]
+    transmission : float64[detectors, 3]
         Of the face, a `TransmissionMueller`: transmittance times the ratio of solid angles
         inside and outside, over the outer cosine.
-    returning : float64[detectors, 4]
+    reflection : float64[detectors, 4]
         Of the face, from inside, a `ReflectionMueller`.
-    below : bool
+    has_lower_side : bool
         Whether light is heard below, too.
     sums : float64[2, detectors, 4]
         I, Q, U, V heard `ABOVE` and `BELOW` (1/sr), Q along the plane of the normal; advanced in
         place.
-    peak : Peak or None
+    peak : PhaseFunctionPeak or None
         Of the phase function, None where it has none.
-    directions : float64[orders, 3]
+    peak_directions : float64[orders, 3]
         Room for `last_scattering.sample_directions`.
     """
 
@@ -65,7 +65,7 @@ class Detectors(NamedTuple):
 
 
 class Detector(NamedTuple):
-    """One of the detectors, see `Detectors`; `through` is what the whole layer lets through."""
+    """One of the detectors, see `Detectors`; `layer_transmittance` is what the whole layer lets through."""
 
     direction: Vector
     plane: Vector
@@ -147,13 +147,13 @@ def score_direct(detectors, layer, detector, k, stokes, weight, last_scattering)
     ----------
     detectors, layer
         See `score_scattering`.
-    one : Listener
+    detector : Detector
         The k-th detector, on whose line the light is.
     k : int
     stokes : Stokes or None
         None where nobody asks for polarization.
     weight : float
-    last : LastScattering
+    last_scattering : LastScattering
     """
     side = ABOVE if last_scattering.vertical_sign > 0.0 else BELOW
     if side == ABOVE or detectors.has_lower_side:
@@ -210,8 +210,8 @@ def score_scattering(state, detectors, layer, phase, ray):
     state : uint64[1]
         Draws scatterings into the peak of the phase function, if it has one.
     detectors : Detectors
-    layer : Turbid
-    phase : Phase
+    layer : ScatteringLayer
+    phase : PhaseFunction
     ray : Ray
         Its place, direction and polarization before the scattering, and its weight after.
     """

@@ -67,12 +67,12 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
     ----------
     state : uint64[1]
         The ray's random stream.
-    scene : Scene
-    room : Surface or None
+    scene : LayerScene
+    surface_buffer : SurfaceRealization or None
         Where realisations of the rough surface live, see `waves.room_for`; None if it is smooth.
     detectors : Detectors or None
         What hears of every scattering, see `splits.kernels.particle_layer.next_event`.
-    most : int
+    max_order : int
         Scatterings, meetings with the bottom or with a rough surface, after which the ray counts
         as absorbed.
 
@@ -146,7 +146,7 @@ def trace_batch(seed, work, scene, surface_buffer, stokes_column, exits):
         See `splits.kernels.grains.history.trace_batch`.
     scene, room
         See `trace_history`.
-    first_stokes : int
+    stokes_column : int
         First of three columns of exits for polarized rays: Q, U, V over I.
     exits : float64[rays, columns]
         A row for each ray, see `splits.kernels.tallies.exits`.

@@ -42,11 +42,11 @@ class LastScattering(NamedTuple):
 
     Attributes
     ----------
-    z : float
+    height : float
         Height (m).
-    up : float
+    vertical_sign : float
         1 where it travels upwards, −1 downwards.
-    sound : Sound
+    stokes_vector : StokesVector
         Per steradian.
     """
 
@@ -60,12 +60,12 @@ class DetectorConnection(NamedTuple):
 
     Attributes
     ----------
-    z : float
+    height : float
         Height (m).
-    d : Vector
-    light : Estimate
+    direction : Vector
+    contribution : Estimate
         Its density (1/sr), 0 once it has left the layer elsewhere, and its polarization.
-    side : float
+    mirror_sign : float
         −1 after an odd number of reflections: sampled directions are mirrored then.
     """
 
@@ -138,9 +138,9 @@ def apply_polarization(phase, d, contribution, stokes, t):
 
     Parameters
     ----------
-    phase : Phase
+    phase : PhaseFunction
     d : Vector
-    light : Estimate
+    contribution : Estimate
         Before the scattering.
     stokes : Stokes or None
         Its polarization.
@@ -178,9 +178,9 @@ def complete_connection(state, detectors, layer, phase, peak_order, connection, 
     ----------
     state, detectors, layer, phase
         See `splits.kernels.particle_layer.next_event.score_scattering`.
-    order : int
+    peak_order : int
         How many scatterings into the peak follow, 0 or from `sample_peak_order`.
-    connection : Connection
+    connection : DetectorConnection
         Along the first of their directions.
     plane : Vector
         Horizontal, of the plane that Q refers to.

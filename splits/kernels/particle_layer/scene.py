@@ -24,9 +24,9 @@ class ScatteringLayer(NamedTuple):
         1/m; infinite where nothing comes back from below the surface.
     albedo : float
         Of single scattering.
-    n : float
+    refractive_index : float
         Refractive index relative to the outer medium.
-    bottom : float
+    bottom_albedo : float
         Albedo of the diffuse bottom, or `OPEN_BOTTOM`.
     analog : bool
         Absorption by coin toss.
@@ -45,10 +45,10 @@ class LayerScene(NamedTuple):
 
     Attributes
     ----------
-    light : Light
-    layer : Turbid
-    phase : Phase
-    fields : Fields or None
+    source : Source
+    layer : ScatteringLayer
+    phase : PhaseFunction
+    fields : HeightFields or None
         The rough surface; every ray meets a realisation of its own.
     stokes : Stokes or None
         Polarization of the light as it comes, `NATURAL`, or None where nobody asks for it.

@@ -16,11 +16,11 @@ class RayHistory(NamedTuple):
     Attributes
     ----------
     weight : float
-    way : float
+    path_length : float
         Path within the layer (m).
     order : int
         Scatterings, and meetings with the bottom or with a rough surface.
-    legs : int
+    n_segments : int
     """
 
     weight: float
@@ -34,13 +34,13 @@ class LayerRay(NamedTuple):
 
     Attributes
     ----------
-    place, d : Vector
+    position, direction : Vector
         Point (m) and direction.
     stokes : Stokes or None
     inside : bool
         Whether it is below the surface.
-    past : Past
-    fate : int
+    history : RayHistory
+    status : int
         `TRAVELS`, or how it ended: `ABSORBED`, `REFLECTED`, `TRANSMITTED` (through the open face or
         into the bottom), `LOST`.
     """

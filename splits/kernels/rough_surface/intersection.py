@@ -41,7 +41,7 @@ class Hit(NamedTuple):
         Metres; `NO_HIT` or `STEP_LIMIT_REACHED` if there is no crossing, or none that matters.
     slope : Slope
         Of the surface there.
-    looks : int
+    n_evaluations : int
         How often the surface was looked at.
     """
 
@@ -65,10 +65,10 @@ class SurfaceProbe(NamedTuple):
 
     Attributes
     ----------
-    relief : Relief
-    free : float
+    surface : HeightAndSlope
+    free_distance : float
         Way that is free of crossings (m).
-    met, enough : bool
+    hit, sufficient : bool
         Whether the ray meets the surface there; whether finer bands would not add to the way.
     """
 
@@ -170,16 +170,16 @@ def refine_probe(probe, sums, band, point, d, side, tolerance):
 
     Parameters
     ----------
-    seen : Look
+    probe : SurfaceProbe
         Before.
     sums : WaveSums
         Of the waves that the band has beyond the last one.
     band : Band
-    at, d : Vector
+    point, d : Vector
         Point of the ray and its direction.
     side : float
         See `find_first_intersection`.
-    little : float
+    tolerance : float
         The `compute_height_tolerance`.
 
     Returns
@@ -234,12 +234,12 @@ def find_first_intersection(surface, position, d, side, max_distance=math.inf):
 
     Parameters
     ----------
-    surface : Surface
-    place, d : Vector
+    surface : SurfaceRealization
+    position, d : Vector
         Beginning of the ray and its direction.
     side : float
         1 above the surface, −1 below.
-    farthest : float
+    max_distance : float
         Distance beyond which crossings do not matter.
 
     Returns

@@ -40,7 +40,7 @@ class LeakCount(NamedTuple):
     counts : int64[5]
         `INTERSECTIONS`; `LEAKS`, points of legs that are on the wrong side of the surface; `LOST_RAYS`,
         rays that were lost; `SEGMENTS`; `EVALUATIONS` of the surface in the search for crossings.
-    hits : int64[MOST_HITS + 1]
+    rays_by_hits : int64[MOST_HITS + 1]
         Rays by the number of their hits.
     """
 
@@ -120,10 +120,10 @@ def count_leaks(seed, first_ray, n_rays, fields, refractive_index, cos_incidence
 
     Parameters
     ----------
-    seed, first, rays : int
+    seed, first_ray, n_rays : int
         Streams of the rays.
-    fields : Fields
-    index : float
+    fields : HeightFields
+    refractive_index : float
         Refractive index below the surface, with 1 above.
     cos_incidence : float
 

@@ -25,9 +25,9 @@ class RefractedRays(NamedTuple):
 
     Attributes
     ----------
-    point, direction : float64[rays, 3]
+    position, direction : float64[rays, 3]
         Of the surface (m), and below it.
-    again : float64[rays]
+    next_hit_distance : float64[rays]
         How far along it the ray meets the surface again (m), or infinity.
     """
 
@@ -44,7 +44,7 @@ def refract_vertical_rays(waves, refractive_index, x, y):
     ----------
     waves : float64[4, columns]
         See `splits.kernels.rough_surface.realization`.
-    index : float
+    refractive_index : float
         Refractive index below the surface, with 1 above.
     x, y : float64[rays]
         Where the rays come down (m).

@@ -61,15 +61,15 @@ class HeightFields(NamedTuple):
     ----------
     rms_height : float64[fields]
         σ (m).
-    waves : int64[fields]
+    n_waves : int64[fields]
         M.
     law : int64[fields]
         `EXPONENTIAL_AS_PRINTED`, `EXPONENTIAL`, `GAUSSIAN` or `TABULATED`.
     wave_number : float64[fields]
         k0 (1/m); unused with a table.
-    share : float64[fields]
+    band_fraction : float64[fields]
         Share of the law that lies below the band limit; 1 without one.
-    quantile : float64[fields, m]
+    quantiles : float64[fields, m]
         Quantile functions of λ (1/m) of fields with a table (`rng.table_probabilities`).
     """
 
@@ -92,11 +92,11 @@ class SurfaceRealization(NamedTuple):
         A column per band, the finest first.  A band is all waves up to `BAND_END`; `FINER_HEIGHT` (m) is what
         the others reach; `MAX_SLOPE` and `MAX_CURVATURE` (1/m) bound the band along the leg that is being
         marched, see `splits.kernels.rough_surface.intersection`.
-    used : int
+    n_bands : int
         Bands that there are.
-    reach : float
+    max_height : float
         Height (m) above and below the mean surface that no point passes.
-    steepest : float
+    max_slope : float
         Bound of the slopes.
     """
 
@@ -194,8 +194,8 @@ def sample_realization(state, fields, buffer):
     Parameters
     ----------
     state : uint64[1]
-    fields : Fields
-    room : Surface
+    fields : HeightFields
+    buffer : SurfaceRealization
         Where the realisation will live, see `allocate_realization`.
 
     Returns
@@ -236,7 +236,7 @@ def compute_entry_position(d, surface):
 
 @inline_allocating
 def compute_bounds(buffer):
-    """Return the `SurfaceRealization` of the waves in `room`, sorted by octave, with its bands filled in."""
+    """Return the `SurfaceRealization` of the waves in `buffer`, sorted by octave, with its bands filled in."""
     waves, bands = buffer.waves, buffer.bands
     reach, square, steep = 0.0, 0.0, 0.0
     for i in range(waves.shape[1]):
@@ -259,7 +259,7 @@ def _split_bands(waves, bands, max_finer_height):
     ----------
     waves, bands : float64 array
         See `SurfaceRealization`; of bands, `BAND_END` and `FINER_HEIGHT` are set.
-    useless : float
+    max_finer_height : float
         Height (m): waves that reach higher stay in the band.
     """
     bands[:] = 0.0

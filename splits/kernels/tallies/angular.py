@@ -37,13 +37,13 @@ class DiskBasis(NamedTuple):
 
     Attributes
     ----------
-    per_m : int64[…]
+    n_per_m : int64[…]
         Polynomials for each m from 0 on.
-    degree : int64[polynomials]
+    degrees : int64[polynomials]
         n = m + 2l.
-    scale : float64[polynomials]
+    norms : float64[polynomials]
         What makes them orthonormal.
-    slope, offset, older : float64[polynomials]
+    recurrence_slope, recurrence_offset, recurrence_previous : float64[polynomials]
         P_l = (slope·t + offset)·P_(l−1) − older·P_(l−2).
     """
 
@@ -134,9 +134,9 @@ def tally_expansion(exits, absorption, max_orders, basis):
         See `splits.kernels.tallies.exits`.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m).
-    edges : int64[classes]
+    max_orders : int64[classes]
         Largest order of scattering of each class.
-    basis : Basis
+    basis : DiskBasis
 
     Returns
     -------
@@ -178,10 +178,10 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
     ----------
     exits, absorption
         See `tally_expansion`.
-    polar, azimuth : int
+    n_polar, n_azimuth : int
         Cells from horizon to zenith, equally spaced in the cosine, and around; the first of these
         is centred on the direction in which the beam travels.
-    part : int
+    factor_column : int
         Column that multiplies the weights, as of a Stokes parameter, or −1.
 
     Returns

@@ -95,10 +95,10 @@ def append_crossing(bank, event, weight, path_lengths):
 
     Parameters
     ----------
-    notes : Notes
+    bank : CrossingBank
     event : int
     weight : float
-    length : float64[columns]
+    path_lengths : float64[columns]
         Lengths so far.
     """
     row = bank.rows[bank.state[_N_RECORDED]]

@@ -33,13 +33,13 @@ def tally_derivatives(exits, crossings, absorption, absorption_derivatives, grou
     Parameters
     ----------
     exits : float64[rays, columns]
-    notes : float64[notes, columns]
+    crossings : float64[notes, columns]
         Of these rays, ray by ray, `CROSSING_RAY` counting from the first of them.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m); of a ground −ln of its albedo.
-    changes : float64[parameters, wavelengths, materials]
+    absorption_derivatives : float64[parameters, wavelengths, materials]
         Their derivatives.
-    ground : int
+    ground_column : int
         Column of the ground, see `scene.Scene`.
 
     Returns

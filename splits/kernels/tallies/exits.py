@@ -65,10 +65,10 @@ class BatchResult(NamedTuple):
 
     Attributes
     ----------
-    legs : int or int64[items]
+    n_segments : int or int64[items]
     lost : bool
         The batch ended early, as a ray was lost.
-    notes : float64[notes, columns]
+    crossings : float64[notes, columns]
         See `splits.kernels.tallies.crossings`.
     """
 
@@ -82,8 +82,8 @@ def allocate_exits(n_rays: int, n_materials: int, n_extra_columns: int = 0) -> n
 
     Parameters
     ----------
-    rays, materials : int
-    more : int, optional
+    n_rays, n_materials : int
+    n_extra_columns : int, optional
         Columns after those of the materials, for what else a kernel has to tell.
     """
     rows = np.full((n_rays, EXIT_LENGTH + n_materials + n_extra_columns), np.nan)
@@ -112,13 +112,13 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
     Parameters
     ----------
     exits : float64[rays, columns]
-    notes : float64[notes, columns]
+    crossings : float64[notes, columns]
         Of these rays, ray by ray, `CROSSING_RAY` counting from the first of them.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m).
     weighted : bool
         False counts every ray that left as 1: absorption was decided on the way.
-    ground : int
+    ground_column : int
         Column of the ground, see `scene.Scene`.  What it keeps of the light that reaches it counts
         as transmitted.
 

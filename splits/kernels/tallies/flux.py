@@ -36,12 +36,12 @@ class FluxTally(NamedTuple):
 
     Attributes
     ----------
-    light : float64[2, faces, wavelengths]
+    boundary_weight : float64[2, faces, wavelengths]
         Weights of rays that pass a face, downwards and upwards; of those that come from above
         none, and of the ground's light all.
     absorbed : float64[layers, materials, wavelengths]
         Weights that materials take.
-    way : float64[layers, wavelengths]
+    path_length : float64[layers, wavelengths]
         Lengths (m) by weight.
     """
 
@@ -64,14 +64,14 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
     Parameters
     ----------
     exits : float64[rays, columns]
-    notes : float64[notes, columns]
+    crossings : float64[notes, columns]
         Of these rays, ray by ray, see `splits.kernels.tallies.crossings`.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m) of recorded lengths; of a ground −ln of its albedo.
-    fractions : float64[materials]
+    path_fractions : float64[materials]
         Path over recorded length, see `splits.media.medium.compute_path_fractions`.
-    layers : int
-    ground : int
+    n_layers : int
+    ground_column : int
         Column of the ground, see `scene.Scene`.
 
     Returns

@@ -21,7 +21,7 @@ class RadialTally(NamedTuple):
         Weights by side and distance.
     first_moment : float64[2, wavelengths]
         Weights times distance (m).
-    place : float64[2, 2, wavelengths, cells, cells]
+    exit_map : float64[2, 2, wavelengths, cells, cells]
         [`WEIGHT`, `WEIGHT_SQUARED`][side], along the beam and across; the two sides of the plane of
         incidence are alike and share what they have.
     """
@@ -45,13 +45,13 @@ def tally_radial(
         See `splits.kernels.tallies.exits`; with positions and orders.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m).
-    shortest : float
+    min_distance : float
         Upper edge of the first bin (m).
-    per_decade, bins : int
+    bins_per_decade, n_bins : int
         Bins of equal ratio; the first and the last have no limit to their side.
-    half_width : float
+    map_half_width : float
         Of the map (m).
-    cells : int
+    n_pixels : int
         Of the map along each edge, odd; 0 for no map.
 
     Returns

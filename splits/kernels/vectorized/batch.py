@@ -102,11 +102,11 @@ class SourceQueue(NamedTuple):
 
     Attributes
     ----------
-    ray, rays : int
+    next_ray, n_rays : int
         Next ray of all, and how many there are.
-    item, number : int
+    item, ray_in_item : int
         Item of the next ray, and its number within that.
-    busy : int
+    n_active : int
         Rays on their way.
     lost : bool
         A ray found no grain that fits.
@@ -232,7 +232,7 @@ def trace_batch(seed, work, scene, optics, exits, features):
         Ensemble, first ray, number of rays, and grains met after which a ray counts as absorbed.
         Seed, ensemble and number name a ray's random stream: it is the same in whatever lane and
         batch, and in whatever company.
-    scene : Scene
+    scene : LayerScene
         See `splits.kernels.grains.scene`; at most one coating.
     optics : Optics
         With a row for each item.

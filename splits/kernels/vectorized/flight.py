@@ -261,7 +261,7 @@ def store_grain(state, i, grain, accepted, features):
 
 @inline_only
 def run_flight_stride(state, words, first_lane, features, constants):
-    """Do what `run_flight_pass` does for `STRIDE` lanes from `first` on."""
+    """Do what `run_flight_pass` does for `STRIDE` lanes from `first_lane` on."""
     flying = np.int32(0)
     ended = np.int32(0)
     prefer_512_bit_vectors()
@@ -285,7 +285,7 @@ def run_flight_pass(state, words, width, features, constants):
     words : uint32[WORDS]
     width : int
         Lanes in use, from the first on: a multiple of `rows.STRIDE`.
-    features, scene : Features, Scene
+    features, constants : Features, LayerScene
         See `splits.kernels.vectorized.lane_state`.
 
     Returns

@@ -205,7 +205,7 @@ def advance_in_grain(state, i, grain, result, region, features, point_grains):
 
 @inline_only
 def run_surface_stride(state, words, first_lane, features, constants):
-    """Do what `run_surface_pass` does for `STRIDE` lanes from `first` on."""
+    """Do what `run_surface_pass` does for `STRIDE` lanes from `first_lane` on."""
     flying = np.int32(0)
     prefer_512_bit_vectors()
     # What cannot be negative needs no test for an index that counts from the end.
@@ -227,7 +227,7 @@ def run_surface_pass(state, words, width, features, constants):
     words : uint32[WORDS]
     width : int
         Lanes in use, from the first on: a multiple of `rows.STRIDE`.
-    features, scene : Features, Scene
+    features, constants : Features, LayerScene
         See `splits.kernels.compiler.features` and `splits.kernels.vectorized.lane_state`.
 
     Returns

@@ -71,7 +71,7 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
     ----------
     table : float32[rows, points]
     state : float32[:]
-    row, at, into : int
+    row_at, position_at, value_at : int
         Where in `state` the lanes have their row (the last one, if there are fewer), their
         position from 0 to points − 1, and room for the value.
     """

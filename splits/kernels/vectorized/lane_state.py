@@ -95,11 +95,11 @@ class PassConstants(NamedTuple):
 
     Attributes
     ----------
-    space : Space
-    fates : Fates
+    layer_geometry : LayerGeometry
+    rejection_rules : RejectionRules
     saturation : float32
-    facets : int32
-    mirrored, point_grains : bool
+    facet_sampling : int32
+    mirror_wrong_side, point_grains : bool
     """
 
     layer_geometry: LayerGeometry

@@ -37,11 +37,11 @@ class BatchJob(NamedTuple):
     seed : int
     work : int64[items, 4]
         See `splits.kernels.vectorized.batch.trace_batch`.
-    scene : Scene
+    scene : LayerScene
     optics : Optics
         With a row for each item.
     features : Features
-    passing : Passing
+    constants : PassConstants
     """
 
     seed: int
@@ -59,7 +59,7 @@ class LaneState(NamedTuple):
     ----------
     state, words : float32[STATE], uint32[WORDS]
         See `splits.kernels.vectorized.lane_state`.
-    length : float64[LANES, materials]
+    path_lengths : float64[LANES, materials]
         Path lengths (m) put down so far.
     ray, item : int64[LANES]
         Row of the exits and item of the rays in the lanes.

@@ -20,7 +20,7 @@ _SHIFT_33 = np.uint64(33)
 
 @inline_only
 def compute_quantile_position(u, last_node):
-    """Return where the probability u lies in a table of `rng.table_probabilities`, 0 to `last`."""
+    """Return where the probability u lies in a table of `rng.table_probabilities`, 0 to `last_node`."""
     below = u < HALF
     x = sqrt(HALF * (u if below else max(ONE - u, ZERO)))
     return (x if below else ONE - x) * last_node
@@ -28,7 +28,7 @@ def compute_quantile_position(u, last_node):
 
 @inline_only
 def draw_variates(state, words, first_lane, features, last_node):
-    """Draw the numbers that decide the next grain of `STRIDE` lanes from `first` on."""
+    """Draw the numbers that decide the next grain of `STRIDE` lanes from `first_lane` on."""
     prefer_512_bit_vectors()
     first_lane &= lane_state.N_LANES - 1
     for j in range(lane_state.STRIDE):
@@ -56,7 +56,7 @@ def draw_variates(state, words, first_lane, features, last_node):
 
 @inline_only
 def pick_types(state, first_lane, type_cdf, features):
-    """Choose the type of the next grain of `STRIDE` lanes from `first` on."""
+    """Choose the type of the next grain of `STRIDE` lanes from `first_lane` on."""
     prefer_512_bit_vectors()
     first_lane &= lane_state.N_LANES - 1
     for layer in range(type_cdf.shape[0]):
@@ -88,7 +88,7 @@ def draw_grain_properties(state, words, width, features, tables, type_cdf):
     tables : tuple of 3 float32[rows, m]
         Curvature, flattening and half facetness at the probabilities of
         `rng.table_probabilities`.
-    share : float64[layers, most]
+    type_cdf : float64[layers, most]
         See `splits.kernels.grains.scene.Layers`.
     """
     prefer_512_bit_vectors()

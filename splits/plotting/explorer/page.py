@@ -26,11 +26,11 @@ class ExplorerTable(NamedTuple):
 
     Attributes
     ----------
-    table : Table
+    table : MethodTable
         Of reflectance, over axes of numbers.
-    file : str
+    file_name : str
         Its name, for the line of Python that the page shows.
-    about : str
+    description : str
         What it holds, in a sentence.
     directions : xarray.Dataset, optional
         Reflectance factors over ``optical_radius_um``, ``incidence_deg``, wavelength, polar angle

@@ -59,7 +59,7 @@ include: "workflow/rules/explorer.smk"
 include: "workflow/rules/analyse.smk"
 include: "workflow/rules/archive.smk"
 include: "workflow/rules/benchmark.smk"
-include: "workflow/rules/documented.smk"
+include: "workflow/rules/update_docs.smk"
 
 
 onstart:

@@ -84,7 +84,7 @@ QUICK = CommitComparisonPlan(1, 1, 512, 0.02)
 def make_programs(plan: CommitComparisonPlan) -> dict[tuple[str, str], str]:
     """Return what to run, by part and case."""
     scalar = ("scalar", plan.n_rays // 8, {"kernel": "scalar"})
-    ways = [scalar, ("lanes", plan.n_rays, {"kernel": "lanes"})]
+    ways = [scalar, ("vectorized", plan.n_rays, {"kernel": "vectorized"})]
     papers = ("papers' algorithm", plan.n_rays // 8, {"estimator": "analog"})
     found = {}
     for case, (kind, medium, wavelengths) in CASES.items():

@@ -42,7 +42,7 @@ def main() -> None:
 
     run(0, 0.05)
     cut, spent = run(1, given.max_stderr)
-    traced, rays = cut.attrs["traced_to_m"], cut.attrs["rays"]
+    traced, rays = cut.attrs["truncation_depth_m"], cut.attrs["rays"]
     reached = cut.attrs["max_stderr_reached"]
     print(f"cut at {100.0 * traced:.1f} cm: {spent:.1f} s, {rays} rays, error {reached:.5f}")
     if not given.whole:

@@ -46,12 +46,12 @@ def compare_methods(
     print(
         f"{100 * depth_m:g} cm, {wavelength_nm:g} nm: {value:.4g} ± {100 * error / value:.1f} % in "
         f"{spent:.0f} s, rate {float(deep.attenuation_rate[0]):.1f} per m, heaviest family "
-        f"{100 * float(deep.largest_share[0]):.1f} % (stopped by {deep.attrs['stopped_by']})",
+        f"{100 * float(deep.largest_history_fraction[0]):.1f} % (stopped by {deep.attrs['stop_reason']})",
         flush=True,
     )
     begun = time.perf_counter()
     brute = splits.spectrophotometer(
-        snow, [wavelength_nm], max_stderr=1e-6, max_rays=rays, seed=2, kernel="lanes"
+        snow, [wavelength_nm], max_stderr=1e-6, max_rays=rays, seed=2, kernel="vectorized"
     )
     spent = time.perf_counter() - begun
     plain, its_error = (float(brute[name][0]) for name in ("transmittance", "transmittance_stderr"))

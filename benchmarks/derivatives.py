@@ -86,7 +86,7 @@ SEEDS = range(101, 109)
 """Of what these are off by."""
 DIFFERENCE_RULES = {2: {-1: -0.5, 1: 0.5}, 5: {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}}
 """Weights of central differences, by distance in steps, for rules of so many points."""
-KEEP_OVERLAPS = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
+KEEP_OVERLAPS = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
 """Legs as likelihood ratios take them: exponential, whatever fits."""
 EXACT_PARAMETERS = {
     "natural snow": [SOOT, "algae_cells_ml.snow_algae", "ground"],
@@ -97,7 +97,7 @@ EXACT_PARAMETERS = {
 
 def select_wavelengths(medium: Any) -> list[float]:
     """Return the wavelengths of a medium; a layer has no colour."""
-    return WAVELENGTHS_NM[:1] if medium.kind == "layer" else WAVELENGTHS_NM
+    return WAVELENGTHS_NM[:1] if medium.kind == "particle_layer" else WAVELENGTHS_NM
 
 
 def time_spectrum(
@@ -302,7 +302,7 @@ def compare_methods(labels: list[str], error: float) -> None:
         medium, steps = MEDIA[label]
         for name, step in steps.items():
             found, seconds = time_spectrum(medium, error, 1, jacobian=[name])
-            if found.parameter_method.values[0] == "paths":
+            if found.parameter_method.values[0] == "shared_paths":
                 continue
             spent = seconds - time_spectrum(medium, error, 1)[1]
             own = found.reflectance_jacobian_stderr.values[0] ** 2

@@ -59,10 +59,10 @@ def main() -> None:
         grid = {"polar_deg": polar, "azimuth_deg": azimuth, "threads": 1}
         # Once for the compiler.
         splits.goniophotometer(*scene, 1, **grid)
-        splits.goniophotometer(*scene, 1, estimator="cells", **grid)
+        splits.goniophotometer(*scene, 1, estimator="bins", **grid)
         cells, cells_s = time_call(
             lambda scene=scene: splits.goniophotometer(
-                *scene, rays, estimator="cells", cells=DEFAULT_N_BINS, threads=1
+                *scene, rays, estimator="bins", n_bins=DEFAULT_N_BINS, threads=1
             )
         )
         runs, run_s = time_call(

@@ -23,8 +23,8 @@ import splits
 from splits.analysis.theory.grain_shape import compute_optical_shape
 from splits.experiments.papers.paper_tables import write_table
 
-SHARP_FACETS: dict[str, Any] = {"entry": "projected"}
-MIRRORED_INTERPRETATION = {**SHARP_FACETS, "wrong_side": "mirrored"}
+SHARP_FACETS: dict[str, Any] = {"entry_point": "projected"}
+MIRRORED_INTERPRETATION = {**SHARP_FACETS, "wrong_side_ray": "mirror"}
 SPHERES: dict[str, Any] = {"facetness": (0.0, 0.0, 0.0, 0.0), "sphericity": (1.0, 1.0, 1.0, 0.0)}
 
 
@@ -38,12 +38,12 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "smooth spheres, projected": (SHARP_FACETS, SPHERES),
     "Table 1": ({}, {}),
     "facetness 0.05": ({}, make_grains(0.05)),
-    "any facet, mirrored": ({"facets": "any", "wrong_side": "mirrored"}, {}),
+    "any facet, mirrored": ({"facet_sampling": "any", "wrong_side_ray": "mirror"}, {}),
     "projected, Table 1": (SHARP_FACETS, {}),
     **{f"projected, facetness {f:g}": (SHARP_FACETS, make_grains(f)) for f in (0.0, 0.02, 0.05, 0.08, 0.1)},
     **{f"projected, mirrored, facetness {f:g}": (MIRRORED_INTERPRETATION, make_grains(f)) for f in (0.05, 0.08, 0.1)},
     "projected, unweighted facets, facetness 0.05": (
-        {**SHARP_FACETS, "facets": "unweighted"}, make_grains(0.05),
+        {**SHARP_FACETS, "facet_sampling": "unweighted"}, make_grains(0.05),
     ),
     "projected, facetness 0.2, sphericity 0.45": (
         SHARP_FACETS, {**make_grains(0.2), "sphericity": (0.45, 0.45, 0.45, 0.0)},

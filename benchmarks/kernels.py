@@ -3,7 +3,7 @@
 Everything is measured in this one run, after warm-ups that compile; rivals take turns and the
 least time of each counts, because whatever else the machine does can only add to it.
 
-lanes_against_scalar  Time per ray through the same medium with the same optics, one core, as many
+vectorized_against_scalar  Time per ray through the same medium with the same optics, one core, as many
                       rays at a time as the instruments trace in a long run.  Paths are long at
                       500 nm and short in the near infrared; lanes suffer from stragglers.
                       `events_per_ray` are legs through the pore space.
@@ -75,7 +75,7 @@ OPTIONAL_FEATURES = {
 rays would be refused about 1/cosine times."""
 FEATURE_MEDIA = {
     "facets, S = 0.3": splits.Snow(**ROUGH_GRAINS | {"saturation": 0.3}),
-    "facets, entry projected": splits.Snow(**ROUGH_GRAINS, readings={"entry": "projected"}),
+    "facets, entry projected": splits.Snow(**ROUGH_GRAINS, readings={"entry_point": "projected"}),
     "sand, mixed particles only": splits.Sand(partition=(0.0, 1.0, 0.0), texture=(0.0, 0.10, 0.90)),
     "sand, Fig 8 base": splits.Sand(texture=(0.0, 0.10, 0.90)),
 }
@@ -208,13 +208,13 @@ def compare_with_scalar(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
         for wavelength in wavelengths:
             pair = {
                 "scalar": KernelTimer(medium, wavelength, None),
-                "lanes": KernelTimer(medium, wavelength, get_features(medium, wavelength)),
+                "vectorized": KernelTimer(medium, wavelength, get_features(medium, wavelength)),
             }
             time_in_turn(pair, plan)
-            scalar, lane = pair["scalar"], pair["lanes"]
+            scalar, lane = pair["scalar"], pair["vectorized"]
             rows.append(
                 make_row(
-                    "lanes_against_scalar", name, "s per ray", lane.time_per_ray_s, "scalar", scalar.time_per_ray_s,
+                    "vectorized_against_scalar", name, "s per ray", lane.time_per_ray_s, "scalar", scalar.time_per_ray_s,
                     wavelength_nm=wavelength, events_per_ray=scalar.segments_per_ray,
                 )
             )  # fmt: skip
@@ -235,14 +235,14 @@ def compare_two_cores(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
         print("two cores against one: left out, there is one core", flush=True)
         return []
     rows = []
-    splits.spectrophotometer(splits.Snow(), WAVELENGTHS_NM, kernel="lanes", max_rays=1)
+    splits.spectrophotometer(splits.Snow(), WAVELENGTHS_NM, kernel="vectorized", max_rays=1)
     for error in plan.errors:
         best = {1: np.inf, 2: np.inf}
         for seed in range(plan.n_spectra):
             for threads in best:
                 begun = time.perf_counter()
                 splits.spectrophotometer(
-                    splits.Snow(), WAVELENGTHS_NM, max_stderr=error, kernel="lanes", threads=threads,
+                    splits.Snow(), WAVELENGTHS_NM, max_stderr=error, kernel="vectorized", threads=threads,
                     seed=seed,
                 )  # fmt: skip
                 best[threads] = min(best[threads], time.perf_counter() - begun)

@@ -41,12 +41,12 @@ def main() -> None:
     for name, settings in CASES.items():
         layer = splits.ParticleLayer(**settings)
         scene = (layer, [550.0], INCIDENCE_DEG)
-        splits.goniophotometer(*scene, rays=1000, estimator="cells", threads=1)
-        counted = splits.goniophotometer(*scene, rays=rays, estimator="cells", threads=1)
+        splits.goniophotometer(*scene, rays=1000, estimator="bins", threads=1)
+        counted = splits.goniophotometer(*scene, rays=rays, estimator="bins", threads=1)
         plane = {"polar_deg": counted.polar.values, "azimuth_deg": [0.0, 180.0]}
-        splits.goniophotometer(*scene, rays=1000, estimator="local", threads=1, **plane)
+        splits.goniophotometer(*scene, rays=1000, estimator="next_event", threads=1, **plane)
         heard = splits.goniophotometer(
-            *scene, rays=rays // 20, estimator="local", threads=1, seed=2, **plane
+            *scene, rays=rays // 20, estimator="next_event", threads=1, seed=2, **plane
         )
         counted = counted.sel(azimuth=[0.0, 180.0])
         times = [float(ds.attrs["wall_time_s"]) for ds in (counted, heard)]

@@ -43,7 +43,7 @@ def measure_layer(
     layer: splits.ParticleLayer, rays: int, seeds: int
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return BRDF and BTDF of all seeds, their errors, and the time for a ray (s)."""
-    views = {"polar_deg": POLAR_DEG, "azimuth_deg": [0.0], "estimator": "local", "threads": 1}
+    views = {"polar_deg": POLAR_DEG, "azimuth_deg": [0.0], "estimator": "next_event", "threads": 1}
     splits.goniophotometer(layer, [700.0], 0.0, 10, **views)
     begun = time.process_time()
     runs = [

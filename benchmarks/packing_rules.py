@@ -42,7 +42,7 @@ from splits.experiments.papers.paper_tables import write_table
 
 GEOMETRIC = "geometric"
 OVERLAP_RULES: dict[str, Any] = {
-    rule: {"set": GEOMETRIC, "grain_on_last_leg": rule, "grain_across_boundary": rule}
+    rule: {"set": GEOMETRIC, "overlap_with_previous_segment": rule, "overlap_with_boundary": rule}
     for rule in ("reject", "skip", "keep")
 } | {
     "point": "radiative_transfer",
@@ -120,13 +120,13 @@ def measure_reciprocity(
 ) -> Iterator[tuple[Any, ...]]:
     """Yield the ratio of azimuthally averaged BRDFs from 30° to 70° and back, by angular bins."""
     snow = make_snow(rule, density, depth_m=0.05)
-    bins = splits.goniophotometer(snow, [1000.0], 0.0, 1000, estimator="cells").polar.values
+    bins = splits.goniophotometer(snow, [1000.0], 0.0, 1000, estimator="bins").polar.values
     near = [float(bins[np.abs(bins - angle).argmin()]) for angle in (30.0, 70.0)]
     means, errors = [], []
     for incidence, view in (near, near[::-1]):
         found = splits.goniophotometer(
             snow, [1000.0], incidence, relative_stderr=6.0 * effort.brdf, seed=round(incidence),
-            estimator="cells",
+            estimator="bins",
         )  # fmt: skip
         ring = found.squeeze().sel(polar=view)
         means.append(float(ring.brdf.mean()))

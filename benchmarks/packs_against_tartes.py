@@ -35,7 +35,7 @@ WAVELENGTHS_NM = np.array(
     [450.0, 600.0, 750.0, 900.0, 1000.0, 1100.0, 1300.0, 1500.0, 1700.0, 2200.0]
 )
 ICE_KG_M3 = 917.0
-KEEP_OVERLAPS = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
+KEEP_OVERLAPS = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
 FINE_GRAINS = {"grain_size_um": (100.0, 200.0), "saturation": 0.0}
 COARSE_GRAINS = {"grain_size_um": (400.0, 800.0), "saturation": 0.0}
 SNOWPACKS: dict[str, list[dict[str, Any]]] = {

@@ -18,18 +18,21 @@ import splits
 ANGLE_PAIRS = ((0, 40, 0), (20, 70, 0), (20, 70, 180), (45, 75, 90), (60, 30, 180), (10, 80, 45))
 """Angle of incidence, viewing angle, azimuth from the forward direction (degrees)."""
 
-KEEP_OVERLAPS = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
-SKIP_OVERLAPS = {"grain_on_last_leg": "skip", "grain_across_boundary": "skip"}
+KEEP_OVERLAPS = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
+SKIP_OVERLAPS = {"overlap_with_previous_segment": "skip", "overlap_with_boundary": "skip"}
 INTERPRETATIONS = {
     "splits_2007": {},
-    "entry projected": {"entry": "projected"},
+    "entry projected": {"entry_point": "projected"},
     "all grains kept": KEEP_OVERLAPS,
-    "skipped at boundaries": {"grain_across_boundary": "skip"},
-    "all skipped, entry projected": {**SKIP_OVERLAPS, "entry": "projected"},
+    "skipped at boundaries": {"overlap_with_boundary": "skip"},
+    "all skipped, entry projected": {**SKIP_OVERLAPS, "entry_point": "projected"},
     "the set geometric": {"set": "geometric"},
-    "the set geometric, lobe": {"set": "geometric", "wrong_side": "lobe"},
+    "the set geometric, lobe": {"set": "geometric", "wrong_side_ray": "cosine_lobe"},
     "the set radiative_transfer": {"set": "radiative_transfer"},
-    "the set radiative_transfer, lobe": {"set": "radiative_transfer", "wrong_side": "lobe"},
+    "the set radiative_transfer, lobe": {
+        "set": "radiative_transfer",
+        "wrong_side_ray": "cosine_lobe",
+    },
 }
 MEDIA = {
     "snow of Table 1, dry, 1300 nm": (splits.Snow, {"saturation": 0.0}, 1300.0),

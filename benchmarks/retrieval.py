@@ -109,7 +109,7 @@ def load_or_simulate_spectra(
         spectra = simulate_spectra(members.path_sharing, run)
         for place, which in zip(members.positions, members.media_indices, strict=True):
             values[place] = spectra[which].reflectance.values
-            groups[place] = spectra[which].reflectance_groups.values
+            groups[place] = spectra[which].reflectance_batches.values
     found = SimulatedSpectra(np.array(values), np.array(groups))
     np.savez(path, **found._asdict())
     return found
@@ -119,7 +119,7 @@ def report_coverage(label: str, names: list[str], results: list[Any], truths: np
     """Print coverage with binomial bounds, bias, and how often each was not told."""
     many = len(results)
     quantiles = np.stack([one.dataset.quantiles.values for one in results])
-    told = np.stack([one.dataset.determined.values for one in results]).astype(bool)
+    told = np.stack([one.dataset.constrained.values for one in results]).astype(bool)
     misfit = np.mean(
         [one.dataset.attrs["chi2"] / one.dataset.attrs["chi2_expected"] for one in results]
     )
@@ -176,7 +176,7 @@ def retrieve_snow(folder: Path, table: splits.Table, count: int, n_waters: int =
             measured, noise = add_noise(random, *pair)
             at = {"incidence_deg": float(angle)}
             found.append(
-                splits.retrieve((SNOW_WAVELENGTHS_NM, measured), table, SNOW_TRUTH, noise, at=at)
+                splits.retrieve((SNOW_WAVELENGTHS_NM, measured), table, SNOW_TRUTH, noise, fixed=at)
             )
             truths.append([truth[n][i] for n in names])
     report_coverage("snow", names, found, np.array(truths))
@@ -214,9 +214,9 @@ def retrieve_maps(table: splits.Table, pixels: int) -> None:
     )
     image = xr.DataArray(cube.reshape(pixels, pixels, -1), {"wavelength": SNOW_WAVELENGTHS_NM},
                          ("y", "x", "wavelength"))  # fmt: skip
-    splits.retrieve_map(image[:2], table, SNOW_TRUTH, RELATIVE_NOISE, at=at)
+    splits.retrieve_map(image[:2], table, SNOW_TRUTH, RELATIVE_NOISE, fixed=at)
     begun = time.perf_counter(), time.process_time()
-    found = splits.retrieve_map(image, table, SNOW_TRUTH, RELATIVE_NOISE, at=at)
+    found = splits.retrieve_map(image, table, SNOW_TRUTH, RELATIVE_NOISE, fixed=at)
     clock, cpu = time.perf_counter() - begun[0], time.process_time() - begun[1]
     print(f"map of {pixels} by {pixels} pixels: {clock:.1f} s, {len(places) / cpu:.0f} spectra per "
           f"second of a core, flagged {(found.flags.values > 0).mean():.3f}")  # fmt: skip

@@ -129,7 +129,7 @@ def simulate_spectrum(
     """Return a spectrum that has reached an error, by default on one thread."""
     settings = {"threads": 1, "seed": SEED, "max_rays": UNLIMITED_RAYS} | named
     dataset = splits.spectrophotometer(medium, wavelengths, max_stderr=error, **settings)
-    if dataset.attrs["stopped_by"] != "error":
+    if dataset.attrs["stop_reason"] != "converged":
         raise RuntimeError(f"{error:g} was not reached")
     return dataset
 
@@ -159,7 +159,7 @@ def load_or_compute_reference(
         medium,
         plan.wavelengths,
         plan.reference_stderr,
-        kernel="lanes",
+        kernel="vectorized",
         seed=REFERENCE_SEED,
         threads=None,
     )
@@ -171,7 +171,7 @@ def load_or_compute_reference(
 def warm_up(medium: splits.Snow, plan: SpeedPlan) -> None:
     """Compile whatever the methods need, by their first rounds."""
     for error in plan.errors:
-        for kernel in ("scalar", "lanes"):
+        for kernel in ("scalar", "vectorized"):
             splits.spectrophotometer(
                 medium, plan.wavelengths, max_stderr=error, kernel=kernel, max_rays=1, threads=1
             )

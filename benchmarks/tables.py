@@ -227,7 +227,7 @@ def main() -> None:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(
         f"{count} spectra of {WAVELENGTHS_NM.size} wavelengths in {table.attrs['ensembles']} "
-        f"ensembles, axes that share paths: {table.attrs['axes_that_share_paths']}\n"
+        f"ensembles, axes that share paths: {table.attrs['path_sharing_axes']}\n"
         f"{wall:.0f} s on the clock, {used:.0f} s of all cores, {1e3 * used / count:.1f} ms of one "
         f"core per spectrum, largest error {table.attrs['max_stderr_reached']:.4f}, "
         f"{table.attrs['rays']} rays, peak memory {memory:.2f} GB",

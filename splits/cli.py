@@ -184,11 +184,12 @@ def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed:
     measured = read_spectra(folder / section.measured, "retrieve.measured")
     found = run_retrieve(section, open_table(path), measured, seed, _log)
     table = path.with_name(f"{experiment.name}_retrieved.csv")
-    write_table(make_retrieval_table(found, section.known), table)
+    write_table(make_retrieval_table(found, section.reference_values), table)
     _print_line(table)
     joined = combine_samples(found, experiment.name)
     save_figure(
-        draw_retrievals(joined, section.known, section.list_sample_prefixes()), path.with_suffix("")
+        draw_retrievals(joined, section.reference_values, section.list_sample_prefixes()),
+        path.with_suffix(""),
     )
     _print_line(path.with_suffix(".png"))
 

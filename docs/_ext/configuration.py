@@ -153,7 +153,7 @@ class Studies(SphinxDirective):
             columns = STUDY_INPUTS.get(kind, ()), STUDY_FILES.get(kind, ()), STUDY_PRODUCTS[kind]
             cells = [", ".join(f"`{key}`" for key in column) or "—" for column in columns]
             rows.append([f"`{kind}`", meaning, *cells])
-        head = ["kind", "what it is", "roles under `experiments`", "`files`", "makes (`products`)"]
+        head = ["kind", "what it is", "roles under `inputs`", "`files`", "makes (`outputs`)"]
         return self.parse_text_to_nodes(table(head, rows))
 
 

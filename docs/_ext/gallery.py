@@ -1,7 +1,7 @@
 """Pages of the gallery: one per experiment and per figure of a study, and tiles that lead there.
 
 The pages are written below docs/gallery/ before Sphinx reads the folder, from config/ and from
-docs/gallery/images/, which `snakemake documented` fills from a run.
+docs/gallery/images/, which `snakemake update_docs` fills from a run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STUDIES = "studies"
 CAPTIONS = {
     "sensitivity": {"figure": "sensitivity"},
     "agreement": {"figure": "letcher"},
-    "readings": {"figure": "readings_together"},
+    "interpretation": {"figure": "interpretation_ranking"},
     "sobol": {"figure": "sobol"},
     "bands": {"figure": "bands"},
     "anisotropy": {"figure": "anisotropy"},
@@ -34,7 +34,7 @@ CAPTIONS = {
 TITLES = {
     "sensitivity": "Mean sensitivity indices",
     "letcher": "Measured albedo and three kinds of grains",
-    "readings_together": "All combinations of readings",
+    "interpretation_ranking": "All combinations of readings",
     "anisotropy": "Where wet sand sends light, and measured directions",
     "bands": "Bands that tell most",
     "sobol": "Which wavelength tells what",

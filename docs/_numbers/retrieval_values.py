@@ -40,7 +40,7 @@ def _select_slope(model: str, sand: str) -> Selector:
 
     def select(table: pd.DataFrame) -> QuotedValue:
         own = _filter_water_rows(table, model, sand)
-        line = fit_proportional(own.known.to_numpy(), own["median"].to_numpy())
+        line = fit_proportional(own["reference value"].to_numpy(), own["median"].to_numpy())
         return line.slope, line.stderr, ""
 
     return select
@@ -51,7 +51,7 @@ def _select_scatter(model: str, sand: str) -> Selector:
 
     def select(table: pd.DataFrame) -> QuotedValue:
         own = _filter_water_rows(table, model, sand)
-        line = fit_proportional(own.known.to_numpy(), own["median"].to_numpy())
+        line = fit_proportional(own["reference value"].to_numpy(), own["median"].to_numpy())
         return line.scatter, None, ""
 
     return select
@@ -71,7 +71,7 @@ def _select_directional_rms(interpretation: str, saturation: float, column: str)
     """Select the root mean square over wavelengths of what is off, from every angle of view."""
 
     def select(table: pd.DataFrame) -> QuotedValue:
-        own = table[(table.readings == interpretation) & (table.saturation == saturation)]
+        own = table[(table.interpretation == interpretation) & (table.saturation == saturation)]
         own = own[own.polar_deg.astype(str) == ALL_DIRECTIONS]
         mean = np.average(own[column] ** 2, weights=own.directions)
         return float(np.sqrt(mean)), None, ""
@@ -93,7 +93,7 @@ def _list_retrieval_numbers() -> dict[str, QuotedNumber]:
                 table, _select_misfit_ratio(label, name, "chi2"), ".1f"
             )
             found[f"{key}.known"] = QuotedNumber(
-                table, _select_misfit_ratio(label, name, "chi2 where known"), ".1f"
+                table, _select_misfit_ratio(label, name, "chi2 at reference"), ".1f"
             )
     for snow, label in SNOW_LABELS.items():
         area = select_cell("median", "standard deviation", model=label,

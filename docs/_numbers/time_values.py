@@ -80,7 +80,7 @@ def _list_kernel_numbers() -> dict[str, QuotedNumber]:
     for medium, wavelengths in media.items():
         for nm in wavelengths:
             one: RowFilter = {
-                "part": "lanes_against_scalar",
+                "part": "vectorized_against_scalar",
                 "case": medium,
                 "wavelength_nm": float(nm),
             }
@@ -93,7 +93,7 @@ def _list_kernel_numbers() -> dict[str, QuotedNumber]:
                 f"{key}.scalar": QuotedNumber(
                     KERNELS_FILE, _select_time_per_event("compared_seconds", one), ".0f"
                 ),
-                f"{key}.lanes": QuotedNumber(
+                f"{key}.vectorized": QuotedNumber(
                     KERNELS_FILE, _select_time_per_event("seconds", one), ".0f"
                 ),
                 f"{key}.speedup": QuotedNumber(KERNELS_FILE, select_cell("speedup", **one), ".1f"),

@@ -104,7 +104,7 @@ def _list_snow_numbers() -> dict[str, QuotedNumber]:
 
 def _list_ranking_numbers() -> dict[str, QuotedNumber]:
     """Return misfits of the first combination of readings, and of the sets with a name."""
-    table = "tables/readings_together.csv"
+    table = "tables/interpretation_ranking.csv"
     water = "hale_querry_1973"
     rows: dict[str, RowFilter] = {
         "first": {"rank": 1},
@@ -112,7 +112,7 @@ def _list_ranking_numbers() -> dict[str, QuotedNumber]:
         "parent": {"set": "splits_2007", "water": water},
     }
     return {
-        f"readings.{name}": QuotedNumber(
+        f"interpretation.{name}": QuotedNumber(
             table, select_cell("misfit", "misfit_stderr", **row), ".1f"
         )
         for name, row in rows.items()
@@ -146,15 +146,15 @@ def _list_table3_numbers() -> dict[str, QuotedNumber]:
     """Reflectance in the AVIRIS-NG bands under every reading."""
     bands = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
     readings = (
-        "default", "splits_2007", "geometric", "size_semi_axis", "struck_size_uniform",
+        "default", "splits_2007", "geometric", "size_semi_axis", "size_sampling_uniform",
         "entry_projected", "facets_projected", "facets_unweighted", "wrong_side_lobe",
-        "no_boundary_fresnel", "keep_on_last_leg",
-        "skip_on_last_leg", "keep_across_boundary", "skip_across_boundary",
-        "distance_with_grain",
+        "no_boundary_fresnel", "keep_overlap_with_segment",
+        "skip_overlap_with_segment", "keep_overlap_with_boundary", "skip_overlap_with_boundary",
+        "mean_free_path_with_grain",
     )  # fmt: skip
     found = {"table3.error": QuotedNumber(TABLE3_FILE, select_max_magnitude("stderr"), ".1g")}
     for band, nm in bands.items():
-        default: RowFilter = {"reading": "default", "wavelength_nm": nm}
+        default: RowFilter = {"interpretation": "default", "wavelength_nm": nm}
         found |= {
             f"table3.published.{band}": QuotedNumber(
                 TABLE3_FILE, select_cell("published_model", **default)
@@ -168,15 +168,15 @@ def _list_table3_numbers() -> dict[str, QuotedNumber]:
         }
         for reading in readings:
             found[f"table3.{reading}.{band}"] = QuotedNumber(
-                TABLE3_FILE, select_cell("model", reading=reading, wavelength_nm=nm)
+                TABLE3_FILE, select_cell("model", interpretation=reading, wavelength_nm=nm)
             )
     middle: RowFilter = {"wavelength_nm": bands["1074"]}
     for name, largest in (("least", False), ("most", True)):
         found[f"table3.{name}"] = QuotedNumber(
             TABLE3_FILE, select_extreme("model", largest=largest, **middle), ".2f"
         )
-    for reading in ("default", "splits_2007", "struck_size_uniform"):
-        one: RowFilter = {"reading": reading}
+    for reading in ("default", "splits_2007", "size_sampling_uniform"):
+        one: RowFilter = {"interpretation": reading}
         found |= {
             f"table3.{reading}.off": QuotedNumber(
                 TABLE3_FILE, select_max_magnitude("difference_to_published", **one)
@@ -209,14 +209,14 @@ def _list_sensitivity_numbers() -> dict[str, QuotedNumber]:
                 "low": low,
                 "high": high,
             }
-            default = select_cell(*MSI_COLUMNS, reading="default", **one)
+            default = select_cell(*MSI_COLUMNS, interpretation="default", **one)
             found[f"{q}.{parameter}"] = QuotedNumber(SENSITIVITY_FILE, default, ".2f")
             for name, largest in (("least", False), ("most", True)):
-                select = select_extreme(*MSI_COLUMNS, largest=largest, name="reading", **one)
+                select = select_extreme(*MSI_COLUMNS, largest=largest, name="interpretation", **one)
                 found[f"{q}.{parameter}.{name}"] = QuotedNumber(SENSITIVITY_FILE, select, ".2f")
         for parameter, low, high in others:
             one = {"quantity": quantity, "parameter": parameter, "low": low, "high": high}
-            select = select_cell(*MSI_COLUMNS, reading="default", **one)
+            select = select_cell(*MSI_COLUMNS, interpretation="default", **one)
             found[f"{q}.{parameter}.{high.removesuffix('.0')}"] = QuotedNumber(
                 SENSITIVITY_FILE, select, ".2f"
             )
@@ -234,12 +234,12 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
             "hematite": "hematite ordinary ray",
         },
         "size_tail": {"tail.less": "1e-05", "tail.more": "0.001"},
-        "readings": {
+        "interpretation": {
             name: name
             for name in (
                 "mixing_linear", "sizes_single", "entry_projected", "facets_unweighted",
                 "wrong_side_mirrored", "attenuation_printed", "excess_magnetite_clipped",
-                "keep_on_last_leg", "keep_across_boundary",
+                "keep_overlap_with_segment", "keep_overlap_with_boundary",
             )
         },
     }  # fmt: skip
@@ -266,7 +266,7 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
             )
             found[f"misfit.{name}.{soil.split('_')[0]}"] = QuotedNumber(SAND_FIT_FILE, misfit)
     modelled: RowFilter = {"refractive_index": "as modelled"}
-    determined: RowFilter = {"verdict": "determined"}
+    determined: RowFilter = {"verdict": "constrained"}
     return found | {
         "misfit.least": QuotedNumber(
             SAND_FIT_FILE, select_extreme("rmse", largest=False, **modelled)
@@ -274,12 +274,12 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
         "misfit.most": QuotedNumber(SAND_FIT_FILE, select_extreme("rmse", **modelled)),
         "misfit.error": QuotedNumber(SAND_FIT_FILE, select_max_magnitude("rmse_stderr")),
         "fits.all": QuotedNumber(SAND_FIT_FILE, select_row_count(), ".0f"),
-        "fits.determined": QuotedNumber(SAND_FIT_FILE, select_row_count(**determined), ".0f"),
+        "fits.determined": QuotedNumber(SAND_FIT_FILE, select_row_count(**constrained), ".0f"),
         "fits.iron_oxide": QuotedNumber(
-            SAND_FIT_FILE, select_row_count(parameter="iron_oxide", **determined), ".0f"
+            SAND_FIT_FILE, select_row_count(parameter="iron_oxide", **constrained), ".0f"
         ),
         "fits.clay": QuotedNumber(
-            SAND_FIT_FILE, select_row_count(parameter="clay", **determined), ".0f"
+            SAND_FIT_FILE, select_row_count(parameter="clay", **constrained), ".0f"
         ),
     }
 
@@ -289,7 +289,7 @@ def _list_angular_and_layer_numbers() -> dict[str, QuotedNumber]:
     found = {
         "lambertian": QuotedNumber(CODE_SOURCE, lambda _: (MAX_LAMBERTIAN_RANGE, None, ""), ".1f")
     }
-    spread = "data/beam_spread.nc"
+    spread = "data/snow_beam_spread.nc"
     for nm in (600, 1300):
         for name, share in (("half", 0.5), ("most", 0.9)):
             at: RowFilter = {"side": "reflected", "wavelength": float(nm), "quantile": share}

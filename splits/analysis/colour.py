@@ -125,7 +125,7 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row per point: the grid's labels, X, Y, Z; L, a, b with ``_stderr``, the scatter between
-        runs with other seeds, and ``_missed``, a bound on what interpolation adds; red, green,
+        runs with other seeds, and ``_interpolation_bound``, a bound on what interpolation adds; red, green,
         blue and ``to_srgb`` as hexadecimal code.
     """
     dims = [str(d) for d in dataset.reflectance.dims if d != "wavelength"]
@@ -145,7 +145,10 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
         row |= dict(zip("XYZ", xyz, strict=True))
         for i, (name, value) in enumerate(zip("Lab", to_cielab(xyz), strict=True)):
             row[name] = value
-            row[f"{name}_stderr"], row[f"{name}_missed"] = float(scatter[i]), float(missed[i])
+            row[f"{name}_stderr"], row[f"{name}_interpolation_bound"] = (
+                float(scatter[i]),
+                float(missed[i]),
+            )
         row |= dict(zip(("red", "green", "blue"), code, strict=True))
         row["srgb"] = "#" + "".join(f"{round(255 * c):02x}" for c in code)
         rows.append(row)

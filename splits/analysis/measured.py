@@ -133,13 +133,13 @@ def mix_letcher_illumination(dataset: xr.Dataset, snow: str, depth: float) -> xr
     ways = [(1.0 - DIFFUSE_FRACTION, "beam"), (DIFFUSE_FRACTION, "diffuse")]
     runs = [(share, part.sel(incidence_deg=incidence)) for share, incidence in ways]
     squares = [(share * run.reflectance_stderr) ** 2 for share, run in runs]
-    groups = [share * run.reflectance_groups for share, run in runs]
+    groups = [share * run.reflectance_batches for share, run in runs]
     kept = ("medium", "incidence_deg", "depth_m")
     return xr.Dataset(
         {
             "reflectance": sum(share * run.reflectance.drop_vars(kept) for share, run in runs),
             "reflectance_stderr": sum(square.drop_vars(kept) for square in squares) ** 0.5,
-            "reflectance_groups": xr.concat([g.drop_vars(kept) for g in groups], "group"),
+            "reflectance_batches": xr.concat([g.drop_vars(kept) for g in groups], "batch"),
         }
     )
 

@@ -109,7 +109,7 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
     for column in measured.columns[1:]:
         snow, values = _match_spectrum(dataset, measured, column)
         areas = snow[AREA].values.astype(float)
-        groups = snow.reflectance_groups.transpose("group", AREA, "wavelength").values
+        groups = snow.reflectance_batches.transpose("batch", AREA, "wavelength").values
         modelled = snow.reflectance.transpose(AREA, "wavelength").values
         nodes = [modelled, *(modelled + group for group in groups)]
         levels: list[float | None] = [None] * len(nodes)

@@ -31,7 +31,7 @@ PARAMETERS: dict[str, tuple[str, str]] = {
     "polarized": ("whether the Stokes vector is followed", "1"),
     "pores": ("what fills the pores besides air and water", "1"),
     "porosity": ("volume of pores per volume", "1"),
-    "readings": ("reading of the papers", "1"),
+    "interpretation": ("reading of the papers", "1"),
     "refractive_index": ("refractive index", "1"),
     "relative_coating_thickness": ("thickness of coatings per major axis of the particle", "1"),
     "roundness": ("roundness of the particles, mean and standard deviation", "1"),

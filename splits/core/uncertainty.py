@@ -5,7 +5,7 @@ Errors of what combines several wavelengths of one spectrum.
 A spectrophotometer traces paths at a few refractive indices.  Errors of wavelengths that draw on
 the same paths go together, those of others do not, so neither rule serves for a whole spectrum.
 Each dataset therefore carries how far `splits.simulation.tally.GROUPS` groups of its rays take
-every wavelength off (``…_groups``).  What is linear in the spectrum deviates by group alike, and
+every wavelength off (``…_batches``).  What is linear in the spectrum deviates by group alike, and
 the squares of its deviations add up to its variance.  What the standard error holds beyond that
 bounds what interpolation between refractive indices misses.  Neighbours miss alike, wavelengths far
 apart do not: bounds add up along each stretch of weights of one sign, and stretches in quadrature.
@@ -45,7 +45,7 @@ def make_variable(
 def make_deviation_variable(
     name: str, dims: str | tuple[str, ...], deviations: np.ndarray, long_name: str
 ) -> dict[str, Variable]:
-    """Return how far groups of rays take a quantity off, ``…_groups``, by name.
+    """Return how far groups of rays take a quantity off, ``…_batches``, by name.
 
     Parameters
     ----------
@@ -56,12 +56,12 @@ def make_deviation_variable(
     """
     dims = (dims,) if isinstance(dims, str) else dims
     about = {
-        "long_name": f"deviation of {long_name} by group of rays",
+        "long_name": f"deviation of {long_name} by batch of rays",
         "units": "1",
         "comment": "sums over groups of products are covariances, without what stands for "
         "interpolation between refractive indices in the standard error",
     }
-    return {f"{name}_groups": (("group", *dims), deviations.astype(np.float32), about)}
+    return {f"{name}_batches": (("batch", *dims), deviations.astype(np.float32), about)}
 
 
 def compute_batch_stderr(batch_means: np.ndarray) -> np.ndarray:
@@ -112,7 +112,7 @@ def compute_error_parts(
     ----------
     dataset : xarray.Dataset
         The quantity's ``_stderr`` over ``wavelength`` and any other dimensions, and its
-        ``_groups`` over ``group`` besides.  Without those, as in datasets of earlier versions,
+        ``_batches`` over ``batch`` besides.  Without those, as in datasets of earlier versions,
         the scatter is an upper bound: the sum of errors times sizes of weights.
     quantity : str
         Such as ``reflectance``.
@@ -128,13 +128,13 @@ def compute_error_parts(
     """
     stderr = dataset[f"{quantity}_stderr"]
     weights = _align_weights(weights, dataset)
-    if f"{quantity}_groups" not in dataset:
+    if f"{quantity}_batches" not in dataset:
         most = _sum_weighted(abs(weights), stderr)
         return most, xr.zeros_like(most)
-    groups = dataset[f"{quantity}_groups"].astype(float)
-    rest = stderr**2 - (groups**2).sum("group", skipna=False)
+    groups = dataset[f"{quantity}_batches"].astype(float)
+    rest = stderr**2 - (groups**2).sum("batch", skipna=False)
     bound = rest.where(~(rest <= _VARIANCE_ROUNDING * stderr**2), 0.0) ** 0.5
-    scatter = (_sum_weighted(weights, groups) ** 2).sum("group", skipna=False) ** 0.5
+    scatter = (_sum_weighted(weights, groups) ** 2).sum("batch", skipna=False) ** 0.5
     weighed = (abs(weights) * bound).where(weights != 0.0, 0.0)
     missed = xr.apply_ufunc(
         _sum_same_sign_intervals,
@@ -157,7 +157,7 @@ def compute_difference(
     dataset : xarray.Dataset
         Of `splits.spectra`, or of `splits.albedo` of several media.
     quantity : str
-        Such as ``reflectance`` or ``band_albedo``, with its ``_stderr`` and ``_groups``.
+        Such as ``reflectance`` or ``band_albedo``, with its ``_stderr`` and ``_batches``.
     one, other : str
         Labels along `dim`.
     dim : str
@@ -172,19 +172,19 @@ def compute_difference(
     ValueError
         For a label that is not there, or a dataset without groups.
     """
-    if f"{quantity}_groups" not in dataset:
+    if f"{quantity}_batches" not in dataset:
         raise invalid("quantity", quantity, "one with groups of rays", "such as reflectance")
     labels = [str(label) for label in np.atleast_1d(dataset[dim].values)]
     parts = [
         dataset.sel({dim: check_choice(key, label, labels)}, drop=True)
         for key, label in (("one", one), ("other", other))
     ]
-    groups = [part[f"{quantity}_groups"].astype(float) for part in parts]
+    groups = [part[f"{quantity}_batches"].astype(float) for part in parts]
     bounds = [
-        np.maximum(part[f"{quantity}_stderr"] ** 2 - (found**2).sum("group"), 0.0) ** 0.5
+        np.maximum(part[f"{quantity}_stderr"] ** 2 - (found**2).sum("batch"), 0.0) ** 0.5
         for part, found in zip(parts, groups, strict=True)
     ]
-    scatter = ((groups[0] - groups[1]) ** 2).sum("group")
+    scatter = ((groups[0] - groups[1]) ** 2).sum("batch")
     stderr = (scatter + (bounds[0] - bounds[1]) ** 2) ** 0.5
     return (parts[0][quantity] - parts[1][quantity]).drop_attrs(), stderr.drop_attrs()
 

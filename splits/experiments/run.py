@@ -59,7 +59,7 @@ def run(
     ----------
     experiment : SimulationConfig
     accuracy : Accuracy
-        Errors and limits; an instrument's ``error_factor`` multiplies the error.
+        Errors and limits; an instrument's ``stderr_scale`` multiplies the error.
     seed : int
         Used unless the experiment's instrument gives its own; every point of a grid uses the
         same, so that differences along the grid are smooth.
@@ -173,9 +173,11 @@ def _stack_points(
         "wall_time_s": round(seconds, 3),
         **make_provenance(f"experiment {experiment.name}"),
     }
-    if "stopped_by" in first.attrs:
-        reasons = {r.attrs["stopped_by"] for r in results}
-        facts["stopped_by"] = next(r for r in ("degree", "rays", "detail", "error") if r in reasons)
+    if "stop_reason" in first.attrs:
+        reasons = {r.attrs["stop_reason"] for r in results}
+        facts["stop_reason"] = next(
+            r for r in ("max_degree", "max_rays", "unresolved_lobe", "converged") if r in reasons
+        )
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(facts))
 
 

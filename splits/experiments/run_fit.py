@@ -51,7 +51,7 @@ def run_fit(
     -------
     xarray.Dataset
         Over the grid's parameters and ``sample``: ``reflectance``, its error and ``measured`` over
-        wavelength; ``rmse``; ``value``, ``value_stderr`` and ``determined`` over ``parameter``;
+        wavelength; ``rmse``; ``value``, ``value_stderr`` and ``constrained`` over ``parameter``;
         ``correlation`` over ``coordinate`` twice.
 
     Raises
@@ -63,7 +63,7 @@ def run_fit(
     samples = check_fit(experiment, measured)
     ranges = experiment.fit.ranges if experiment.fit else {}
     wavelength = measured.wavelength_nm.to_numpy(dtype=float)
-    max_stderr = min(experiment.instrument.error_factor * accuracy.max_stderr, 0.5)
+    max_stderr = min(experiment.instrument.stderr_scale * accuracy.max_stderr, 0.5)
     cases = list(itertools.product(experiment.iter_settings(), samples))
     workers = threads or count_cpus()
 
@@ -140,7 +140,7 @@ def _make_batch_variables(
     """Return how errors of modelled reflectance go together, see `splits.core.uncertainty`."""
     values = np.stack([one.values for one in deviations]).reshape(*shape, *deviations[0].shape)
     tail = (str(d) for d in deviations[0].dims)
-    return {"reflectance_groups": ((*dims, *tail), values, dict(deviations[0].attrs))}
+    return {"reflectance_batches": ((*dims, *tail), values, dict(deviations[0].attrs))}
 
 
 def _make_fit_coordinates(
@@ -187,7 +187,7 @@ def _make_fit_dataset(
     modelled = stacked([r.modelled for r in results], count)
     error = stacked([r.modelled_stderr for r in results], count)
     measured = stacked([r.measured for r in results], count)
-    value, value_error, told = map(per_parameter, ("value", "stderr", "determined"))
+    value, value_error, told = map(per_parameter, ("value", "stderr", "constrained"))
     related = stacked([r.correlation for r in results], len(first.names), len(first.names))
     rmse, rmse_error, tried = (
         stacked([getattr(r, name) for r in results])
@@ -196,10 +196,10 @@ def _make_fit_dataset(
     narrowed = "1 where the spectrum narrows the parameter to below half of its range"
     variables: dict[str, Variable] = {
         **make_variable("reflectance", spectrum, modelled, error, "modelled reflectance"),
-        **_make_batch_variables(dims, [r.spectrum.reflectance_groups for r in results], shape),
+        **_make_batch_variables(dims, [r.spectrum.reflectance_batches for r in results], shape),
         **make_variable("measured", spectrum, measured, None, "measured reflectance"),
         **make_variable("value", over, value, value_error, "fitted parameter"),
-        **make_variable("determined", over, told, None, narrowed),
+        **make_variable("constrained", over, told, None, narrowed),
         **make_variable(
             "correlation", square, related, None, "correlation of the fit's coordinates"
         ),

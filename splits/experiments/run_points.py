@@ -122,7 +122,7 @@ def _simulate_group(
 ) -> list[xr.Dataset]:
     """Measure points that share paths, in the order of their family's members."""
     most = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
-    error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
+    error = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
     _, _, beam = points[0]
     run = SpectralRequest.from_arguments(
         instrument.get_wavelengths(), beam, error, seed, most, threads, "auto"
@@ -177,14 +177,14 @@ def _log_result(
         if key in facts
     ]
     log(f"{prefix}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
-    asked = instrument.rays or instrument.estimator == "cells"
-    if facts.get("stopped_by") == "rays" and not asked:
+    asked = instrument.rays or instrument.estimator == "bins"
+    if facts.get("stop_reason") == "max_rays" and not asked:
         log(f"{prefix}: stopped by max_rays = {facts['max_rays']} before the error was reached")
-    if facts.get("stopped_by") == "degree":
+    if facts.get("stop_reason") == "max_degree":
         log(
             f"{prefix}: stopped before the error was reached: in some directions light changes "
             "faster than the expansion can follow, which no rays mend; stated errors allow "
-            "for it; `estimator: cells` shows such light"
+            "for it; `estimator: bins` shows such light"
         )
 
 
@@ -201,8 +201,8 @@ def simulate_point(
     scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence_deg)
     common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
     keys = (
-        "estimator", "target", "polar_deg", "azimuth_deg", "cells", "rays", "half_width_m",
-        "radius_m", "screen_depth_m", "over", "realisations",
+        "estimator", "target", "polar_deg", "azimuth_deg", "n_bins", "rays", "half_width_m",
+        "radius_m", "screen_depth_m", "centre_on", "realisations",
     )  # fmt: skip
     given = {key: getattr(instrument, key) for key in keys}
     given = {key: value for key, value in given.items() if value is not None}
@@ -210,14 +210,14 @@ def simulate_point(
         look: Callable[..., xr.Dataset] = lens if instrument.kind == "lens" else surface_map
         return look(medium, seed=seed, **given)
     common |= given
-    if instrument.kind == "bssrdf":
-        effort = (0.02 / (instrument.error_factor * accuracy.relative_stderr)) ** 2
+    if instrument.kind == "beam_spread":
+        effort = (0.02 / (instrument.stderr_scale * accuracy.relative_stderr)) ** 2
         common.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))
         return beam_spread(*scene, **common)
     if accuracy.max_rays is not None:
         common["max_rays"] = accuracy.max_rays
     if instrument.kind == "goniophotometer":
-        common["relative_stderr"] = min(instrument.error_factor * accuracy.relative_stderr, 0.5)
+        common["relative_stderr"] = min(instrument.stderr_scale * accuracy.relative_stderr, 0.5)
         return goniophotometer(*scene, **common)
-    common["max_stderr"] = min(instrument.error_factor * accuracy.max_stderr, 0.5)
+    common["max_stderr"] = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
     return spectrophotometer(*scene, **common)

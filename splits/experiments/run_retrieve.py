@@ -63,7 +63,7 @@ def run_retrieve(
     used, every = len(next(iter(spectra.values()))), len(measured)
     if used < every:
         log(f"{every - used} of {every} wavelengths are left out, or lie outside of the table")
-    axis, law = section.models, section.beside
+    axis, law = section.model_axis, section.compare_with
     alone = OWN_MODEL if law else SINGLE_MODEL
     names = [str(v) for v in table.dataset[axis].values] if axis else [alone]
     found = []
@@ -92,7 +92,7 @@ class _RetrievalTask(NamedTuple):
     def retrieve_all(self, log: LogCallback) -> list[SampleRetrieval]:
         """Return what all samples tell, and say it."""
         firsts = {one.sample: one for one in self.section.prior_from}
-        early = {n: self._retrieve(n, self.section.prior, one.at) for n, one in firsts.items()}
+        early = {n: self._retrieve(n, self.section.prior, one.fixed) for n, one in firsts.items()}
         found = []
         for name in self.spectra:
             prior = self._make_prior(early, name)
@@ -117,13 +117,15 @@ class _RetrievalTask(NamedTuple):
         with key_prefix(f"retrieve ({name})"):
             return retrieve(
                 spectrum, self.table, free, self.section.compute_noise(spectrum.to_numpy()),
-                at={n: value for n, value in at.items() if n in (*axes, SCALE)},
+                fixed={n: value for n, value in at.items() if n in (*axes, SCALE)},
                 prior={n: pair for n, pair in prior.items() if n in free} or None, seed=self.seed,
             )  # fmt: skip
 
     def _compute_reference_chi2(self, name: str, prior: Mapping[str, Any]) -> float:
         """Return the misfit left where what is known of a sample is so."""
-        known = {n: values[name] for n, values in self.section.known.items() if name in values}
+        known = {
+            n: values[name] for n, values in self.section.reference_values.items() if name in values
+        }
         others = [n for n in self.section.free if n not in known and n != SCALE]
         if not known or not others or SCALE in known or self.section.noise is None:
             return np.nan
@@ -135,7 +137,7 @@ class _RetrievalTask(NamedTuple):
         """Return what is known of a sample before, from those retrieved first, too."""
         prior: dict[str, Any] = dict(self.section.prior)
         for first in self.section.prior_from:
-            if name.startswith(first.of):
+            if name.startswith(first.applies_to):
                 told = prior_results[first.sample]
                 prior |= {n: (value, told.stderr[n]) for n, value in told.values.items()}
         return prior
@@ -157,7 +159,7 @@ def make_retrieval_table(
                 | {
                     "sample": one.sample,
                     "parameter": name,
-                    "in words": long_name,
+                    "description": long_name,
                     "unit": str(own.parameter_unit.item()),
                     "median": middle,
                     "standard deviation": float(own.value_stderr),
@@ -166,12 +168,12 @@ def make_retrieval_table(
                     "84 %": above,
                     "2.5 %": low,
                     "97.5 %": high,
-                    "told by the spectrum": "yes" if own.determined else "no",
+                    "constrained": "yes" if own.constrained else "no",
                     "averaging kernel": float(own.averaging_kernel.sel(other_parameter=name)),
                     "chi2": ds.attrs["chi2"],
-                    "chi2 where known": one.reference_chi2,
+                    "chi2 at reference": one.reference_chi2,
                     "chi2 expected": ds.attrs["chi2_expected"],
-                    "errors enlarged by": ds.attrs["errors_enlarged_by"],
+                    "error inflation": ds.attrs["error_inflation"],
                     "warnings": ds.attrs["warnings"],
                 }
             )
@@ -205,9 +207,9 @@ def _combine_model(retrievals: list[SampleRetrieval]) -> xr.Dataset:
     """Return the samples of one model as one dataset."""
     sets, names = [one.result.dataset for one in retrievals], [one.sample for one in retrievals]
     joined = xr.concat(sets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop")
-    for key in ("chi2", "chi2_expected", "errors_enlarged_by", "degrees_of_freedom"):
+    for key in ("chi2", "chi2_expected", "error_inflation", "degrees_of_freedom"):
         row = np.array([one.attrs[key] for one in sets])
         joined[key] = ("sample", row, {"long_name": key.replace("_", " "), "units": "1"})
     misfits = np.array([one.reference_chi2 for one in retrievals])
     about = {"long_name": "chi2 where what is known is so", "units": "1"}
-    return joined.assign(chi2_where_known=("sample", misfits, about))
+    return joined.assign(chi2_at_reference=("sample", misfits, about))

@@ -46,7 +46,7 @@ def make_request(
     """Return how a table is to be measured."""
     instrument = experiment.instrument
     own = seed if instrument.seed is None else instrument.seed
-    error = min(instrument.error_factor * accuracy.max_stderr, 0.5)
+    error = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
     rays = accuracy.max_rays or MAX_RAYS
     run = SpectralRequest.from_arguments(
         instrument.get_wavelengths(), 0.0, error, own, rays, threads, "auto"

@@ -203,7 +203,7 @@ def list_sky_names() -> tuple[str, ...]:
 
 @reject_unknown_arguments
 def sky(
-    given: Any = "midlatitude_winter",
+    spectrum: Any = "midlatitude_winter",
     zenith_deg: float | None = None,
     *,
     pressure_pa: float | None = None,
@@ -216,7 +216,7 @@ def sky(
 
     Parameters
     ----------
-    given : str, mapping, DataFrame or path
+    spectrum : str, mapping, DataFrame or path
         One of the skies of SNICAR, see `list_sky_names`: clear ones, for which all light counts as direct
         and the spectrum is that of the sun at 60°, or cloudy ones, all diffuse.  ``"clear"`` is
         a clear sky for any position of the sun and ``"astm_g173"`` the standard of that name;
@@ -241,9 +241,9 @@ def sky(
     ModuleNotFoundError
         Without pvlib where it is needed.
     """
-    given = to_columns(given)
+    spectrum = to_columns(spectrum)
     # Arrays have no single answer to whether they equal a text.
-    name = given if isinstance(given, str) else ""
+    name = spectrum if isinstance(spectrum, str) else ""
     if name == ASTM_G173 and zenith_deg is not None:
         raise invalid(
             "zenith_deg", zenith_deg, "left out", f"{ASTM_G173} is for {ASTM_ZENITH_DEG}°"
@@ -270,17 +270,19 @@ def sky(
         raise invalid(first, value, "left out", f"it is for the sky {CLEAR_SKY} only")
     if name == ASTM_G173:
         return _make_astm_sky()
-    if isinstance(given, Mapping):
-        if set(given) != set(SKY_COLUMNS):
-            raise invalid("sky", sorted(map(str, given)), "a mapping of " + ", ".join(SKY_COLUMNS))
-        return _make_user_sky("table", zenith, [given[name] for name in SKY_COLUMNS])
-    if isinstance(given, Path) or name.endswith(".csv"):
-        columns, digest = read_user_table("sky", given, SKY_COLUMNS)
-        return _make_user_sky(Path(given).name, zenith, columns, digest)
+    if isinstance(spectrum, Mapping):
+        if set(spectrum) != set(SKY_COLUMNS):
+            raise invalid(
+                "sky", sorted(map(str, spectrum)), "a mapping of " + ", ".join(SKY_COLUMNS)
+            )
+        return _make_user_sky("table", zenith, [spectrum[name] for name in SKY_COLUMNS])
+    if isinstance(spectrum, Path) or name.endswith(".csv"):
+        columns, digest = read_user_table("sky", spectrum, SKY_COLUMNS)
+        return _make_user_sky(Path(spectrum).name, zenith, columns, digest)
     if name not in list_sky_names():
         known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
         allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
-        raise invalid("sky", given, allowed, suggest_name(given, known))
+        raise invalid("sky", spectrum, allowed, suggest_name(spectrum, known))
     table = _load_snicar_skies()
     light = table[name].to_numpy()
     none = np.zeros_like(light)

@@ -68,10 +68,10 @@ def albedo(
     Returns
     -------
     xarray.Dataset
-        ``albedo`` and its error ``albedo_stderr`` over ``wavelength``, with ``albedo_groups`` for
-        what combines wavelengths; ``direct_share`` of the light; and over ``band``, the first of
+        ``albedo`` and its error ``albedo_stderr`` over ``wavelength``, with ``albedo_batches`` for
+        what combines wavelengths; ``direct_fraction`` of the light; and over ``band``, the first of
         which is "broadband", ``band_albedo`` with ``band_albedo_stderr``, weighted by irradiance
-        times response, ``band_albedo_groups``, and ``irradiance_covered``, the part of the band's
+        times response, ``band_albedo_batches``, and ``irradiance_covered``, the part of the band's
         light within the wavelengths.  Of several media all but the last are over ``medium``, too.
 
     Raises
@@ -112,7 +112,7 @@ def albedo(
         _rename_reflectance("albedo", dims, found, "albedo under this sky"), axes, facts
     )
     about = {"long_name": "part of the light that comes straight from the sun", "units": "1"}
-    spectrum["direct_share"] = ("wavelength", light.compute_direct_fraction(w), about)
+    spectrum["direct_fraction"] = ("wavelength", light.compute_direct_fraction(w), about)
     return spectrum.assign(_average_over_bands(spectrum, light, named)).assign_coords(
         band=list(named)
     )
@@ -129,7 +129,7 @@ def _rename_reflectance(
     value, error = (
         reflectance[f"reflectance{end}"].transpose(*dims).values for end in ("", "_stderr")
     )
-    groups = reflectance.reflectance_groups.transpose("group", *dims).values
+    groups = reflectance.reflectance_batches.transpose("batch", *dims).values
     return make_variable(name, dims, value, error, label) | make_deviation_variable(
         name, dims, groups, label
     )
@@ -147,7 +147,7 @@ def _average_over_bands(
         normal = xr.DataArray(weights / weights.sum(), {"wavelength": w}, ("wavelength",))
         value.append((normal * spectrum.albedo).sum("wavelength").values)
         error.append(compute_weighted_error(spectrum, "albedo", normal).values)
-        groups.append((normal * spectrum.albedo_groups).sum("wavelength").values)
+        groups.append((normal * spectrum.albedo_batches).sum("wavelength").values)
         covered.append(weights.sum() / all_light)
     label = "albedo over a band, weighted by irradiance"
     dims = (*(d for d in spectrum.albedo.dims if d != "wavelength"), "band")

@@ -75,10 +75,10 @@ def trace_expansion(
         if stopping_rule.n_rays is None and (
             idle or _is_truncation_limited(result, stopping_rule, seen)
         ):
-            return ensembles, result, "degree"
+            return ensembles, result, "max_degree"
         reached.append((float(have.sum()), error))
         if have.sum() >= limit:
-            return ensembles, result, "rays"
+            return ensembles, result, "max_rays"
         missed = INTERPOLATION_FACTOR * nodes.interpolation_bound[:, np.newaxis]
         scale = compute_error_reference(result)[stopping_rule.side][:, seen]
         target = (stopping_rule.relative_stderr**2 - missed**2) * scale**2

@@ -43,7 +43,7 @@ def make_angular_attributes(
         "relative_stderr": stopping_rule.relative_stderr,
         "max_rays": stopping_rule.max_rays,
         "degree": result.estimate.degree[stopping_rule.side],
-        "stopped_by": result.stop_reason,
+        "stop_reason": result.stop_reason,
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "rays": result.n_rays,
         "ensembles": len(nodes.index),

@@ -97,7 +97,7 @@ def beam_spread(
         reflected light leaves, as a first round of rays sees it.
     threads : int, optional
         Default: every CPU this process may use.
-    kernel : {"auto", "lanes", "scalar"}
+    kernel : {"auto", "vectorized", "scalar"}
         See `splits.spectrophotometer`.
     progress : callable or bool, optional
         True shows a bar; a function is called now and then with a `Progress`.
@@ -131,7 +131,7 @@ def beam_spread(
     seed = check_integer("seed", seed, 0)
     threads = check_threads(threads)
     if half_width_m is not None:
-        check_half_width("bssrdf", half_width_m)
+        check_half_width("beam_spread", half_width_m)
     begun = time.perf_counter()
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_TOLERANCE)
@@ -152,12 +152,12 @@ def beam_spread(
         )
         # A free path where no light leaves; an edge that a map can be divided by in any case.
         found = radii[0].max() or 1.0 / runner.tracer.traits.attenuation
-        half_width_m = np.clip(found, *HALF_WIDTH_RANGE_M["bssrdf"])
+        half_width_m = np.clip(found, *HALF_WIDTH_RANGE_M["beam_spread"])
     half_width_m = float(half_width_m)
     ensembles = spreads(0, half_width_m, N_MAP_PIXELS)
     trace(ensembles, RAYS_PER_ROUND * -(-rays // (RAYS_PER_ROUND * len(ensembles))))
     facts = {
-        **make_run_attributes("Spread of a beam", "bssrdf", medium, begun, seed, threads),
+        **make_run_attributes("Spread of a beam", "beam_spread", medium, begun, seed, threads),
         "incidence_deg": incidence,
         "half_width_m": half_width_m,
         "rays": sum(level.n_rays for e in ensembles for level in e.strata),
@@ -277,7 +277,7 @@ def _make_dataset(
     certain = np.where(share.mean(axis=0) > 0.0, compute_batch_stderr(share), unseen)
     certain = np.hypot(certain, bound_interpolation_error(interpolation_bound, share.mean(axis=0)))
     results = {
-        "share": ("share of light", "1", (), share.mean(axis=0), certain),
+        "fraction": ("share of light", "1", (), share.mean(axis=0), certain),
         "mean_radius": (
             "mean distance between entry and exit", "m", (),
             mean, compute_jackknife_stderr(_divide_or_zero(compute_leave_one_out_means(moment), less)),

@@ -86,9 +86,9 @@ def deep_transmittance(
     Returns
     -------
     xarray.Dataset
-        ``transmittance`` and ``transmittance_stderr`` over ``wavelength``; ``largest_share``, what
+        ``transmittance`` and ``transmittance_stderr`` over ``wavelength``; ``largest_history_fraction``, what
         part of the sum the heaviest family of rays makes; ``estimate_attenuation_rate`` (1/m), the rate at
-        which rays were split; ``rays``.  Attribute ``stopped_by`` is "error" or "rays".
+        which rays were split; ``rays``.  Attribute ``stop_reason`` is "converged" or "max_rays".
 
     Raises
     ------
@@ -129,7 +129,7 @@ def deep_transmittance(
     variables = {
         **make_variable("transmittance", over, transmittance, errors, long_name),
         **make_variable(
-            "largest_share", over, shares, None, "share of the heaviest family of rays"
+            "largest_history_fraction", over, shares, None, "share of the heaviest family of rays"
         ),
         **make_variable(
             "attenuation_rate", over, rates, None, "rate at which rays are split with depth", "m-1"
@@ -141,7 +141,7 @@ def deep_transmittance(
         **make_run_attributes("Deep transmittance", "deep_transmittance", medium, begun, seed),
         "incidence_deg": incidence,
         "relative_stderr": relative_stderr,
-        "stopped_by": "error" if reached.all() else "rays",
+        "stop_reason": "converged" if reached.all() else "max_rays",
         "max_rays": max_rays,
     }
     return xr.Dataset(variables, {"wavelength": make_wavelength_coordinate(wavelengths)}, facts)

@@ -199,7 +199,9 @@ def _compute_layer_steps(
     grains, types = medium.make_grain_population(), medium.make_grain_population().types
     leg = 1.0 / grains.attenuation
     pore = leg * compute_pore_fraction(medium)
-    packed = getattr(medium.interpretation, "attenuation", "solid") == "solid"
+    packed = (
+        getattr(medium.interpretation, "attenuation_factor", "solid_fraction") == "solid_fraction"
+    )
     chord = medium.mean_grain_distance_m * (1.0 - medium.porosity if packed else 1.0)
     shares = np.diff(grains.type_cdf, prepend=0.0)
     depths, of_all = [], []

@@ -28,7 +28,7 @@ _MAX_ROUND_GROWTH = 8.0
 
 
 class FluxEstimate(NamedTuple):
-    """Means by group of rays at the depths asked for, and between them.
+    """Means by batch of rays at the depths asked for, and between them.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class FluxResult(NamedTuple):
     perturbed_estimate : Found or None
         What would have been found if the part below a cut kept more, see `TracedMedium`.
     max_stderr_reached : float
-    stop_reason : {"error", "rays", "bound"}
+    stop_reason : {"converged", "max_rays", "interpolation_bound"}
         The error was reached, or so many rays, or what remains is a bound that rays do not lower.
     """
 
@@ -142,13 +142,13 @@ def estimate_flux(
         reached = float((stderr / stopping_rule.stderr_limits).max()) * stopping_rule.max_stderr
         rays = np.array([level.n_rays for _, level in levels], dtype=float)
         if reached <= stopping_rule.max_stderr:
-            return FluxResult(found, doubt, moved, reached, "error")
+            return FluxResult(found, doubt, moved, reached, "converged")
         if (bias > stopping_rule.stderr_limits).any() and (
             stderr**2 - bias**2 < MIN_SCATTER_FRACTION * stopping_rule.stderr_limits**2
         ).all():
-            return FluxResult(found, doubt, moved, reached, "bound")
+            return FluxResult(found, doubt, moved, reached, "interpolation_bound")
         if rays.sum() >= max_rays:
-            return FluxResult(found, doubt, moved, reached, "rays")
+            return FluxResult(found, doubt, moved, reached, "max_rays")
         more = allocate_flux_rays(
             stopping_rule,
             tallies,

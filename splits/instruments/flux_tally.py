@@ -29,7 +29,7 @@ FluxScore = tuple[int, FluxTally]
 
 
 class FluxByBatch(NamedTuple):
-    """Means by group of rays.
+    """Means by batch of rays.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ from splits.simulation.tracer import KERNELS
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
 
-ANGULAR_ESTIMATORS = ("expansion", "cells", "local")
+ANGULAR_ESTIMATORS = ("expansion", "bins", "next_event")
 TARGET_SIDES = {"brdf": 0, "btdf": 1}
 TRANSMITTED_VARIABLES = ("btdf", "transmittance", "direct_transmittance")
 """What a dataset tells of light that leaves below: nothing of it over a ground."""
@@ -68,7 +68,7 @@ def goniophotometer(
     polar_deg: Any = POLAR_DEG,
     azimuth_deg: Any = AZIMUTH_DEG,
     estimator: str = "expansion",
-    cells: tuple[int, int] = DEFAULT_N_BINS,
+    n_bins: tuple[int, int] = DEFAULT_N_BINS,
     max_rays: int = 1_000_000_000,
     threads: int | None = None,
     kernel: str = "auto",
@@ -100,23 +100,23 @@ def goniophotometer(
     azimuth_deg : array_like
         Angles from the direction in which the beam travels, 0 to below 360 degrees, strictly
         increasing: the principal plane is 0 (forward) and 180 (back).
-    estimator : {"expansion", "cells", "local"}
+    estimator : {"expansion", "bins", "next_event"}
         Orthonormal polynomials over the hemisphere, or the papers' collectors as a reference:
         cells of equal solid angle; or, for a layer under a smooth surface, local estimation: every
         scattering tells each direction what it sends there.  Cells take `rays`, a million by
         default; local estimation takes time for every direction, so ask for few.
-    cells : (int, int)
+    n_bins : (int, int)
         Cells between horizon and zenith and around; results stand at their middles, and
         `polar_deg` and `azimuth_deg` do not count.
     max_rays : int
-        A run to an error stops once this many are traced; attribute ``stopped_by`` says what came
-        first: "error", "rays", or "degree" where the light goes into lobes too narrow for the
-        polynomials, which no rays mend; take cells then.  "detail" is "error" but for a direction
+        A run to an error stops once this many are traced; attribute ``stop_reason`` says what came
+        first: "converged", "max_rays", or "max_degree" where the light goes into lobes too narrow for the
+        polynomials, which no rays mend; take cells then.  "unresolved_lobe" is "converged" but for a direction
         in a lobe: what is too weak there to be told from noise keeps its error, which is stated,
         above the one asked for (see ``relative_stderr_reached``); ask for a smaller one.
     threads : int, optional
         Default: every CPU this process may use.
-    kernel : {"auto", "lanes", "scalar"}
+    kernel : {"auto", "vectorized", "scalar"}
         See `splits.spectrophotometer`.
     progress : callable or bool, optional
         True shows a bar; a function is called now and then with a `Progress`; errors are relative.
@@ -164,13 +164,13 @@ def goniophotometer(
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
     polar, azimuth = _make_directions(
-        polar_deg, azimuth_deg, cells if estimator == "cells" else None
+        polar_deg, azimuth_deg, n_bins if estimator == "bins" else None
     )
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
     goal = StoppingRule(side, relative_stderr, rays, max_rays)
-    if estimator == "cells":
-        found = estimate_by_bins(runner, nodes, absorption, cells, rays or 1_000_000)
-    elif estimator == "local":
+    if estimator == "bins":
+        found = estimate_by_bins(runner, nodes, absorption, n_bins, rays or 1_000_000)
+    elif estimator == "next_event":
         found = from_detectors(
             estimate_at_detectors(medium, float(incidence), polar, azimuth, goal, runner),
             wavelengths,
@@ -178,7 +178,7 @@ def goniophotometer(
     else:
         paths, result, reached = trace_expansion(runner, nodes, absorption, polar, azimuth, goal)
         found = AngularResult(result, reached, count_traced_rays(paths), paths)
-    seen = make_direction_mask(polar, azimuth) | (estimator == "local")
+    seen = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     facts = {
         **make_run_attributes(
             "Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads

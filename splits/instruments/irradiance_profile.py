@@ -63,7 +63,7 @@ def irradiance_profile(
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
-    error_of: str = "irradiance",
+    target: str = "irradiance",
     max_rays: int = 20_000_000,
     threads: int | None = None,
     kernel: str = "auto",
@@ -83,10 +83,10 @@ def irradiance_profile(
     incidence_deg : float or "diffuse"
         Polar angle of a beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
     max_stderr : float
-        Largest standard error wanted, 1e-6 to 0.5; see `error_of`.
+        Largest standard error wanted, 1e-6 to 0.5; see `target`.
     seed : int
         Non-negative; the same seed gives the same numbers on any number of threads.
-    error_of : {"irradiance", "absorptance"}
+    target : {"irradiance", "absorptance"}
         Quantities whose errors `max_stderr` limits: all irradiances and absorptances, or only
         absorptances and reflectance.  In bright and thick media the latter take far fewer rays.
     max_rays, threads, kernel, progress
@@ -101,7 +101,7 @@ def irradiance_profile(
         of the light that is absorbed there, and ``actinic_flux``, the mean path of the light in
         the interval over its thickness, grains and pores together.  ``absorptance_of_material``
         over ``material`` besides.  All with standard errors ``…_stderr``; irradiances and
-        absorptances also with ``…_groups``, see `splits.core.uncertainty`.  Reflectance,
+        absorptances also with ``…_batches``, see `splits.core.uncertainty`.  Reflectance,
         absorptances, and the net irradiance at the bottom add up to 1.  The last interval of a
         medium without end goes on below all depths; its mean actinic flux is 0 if it absorbs.
 
@@ -133,7 +133,7 @@ def irradiance_profile(
         medium, wavelength_nm, depth_m, incidence_deg, seed, max_rays, threads, kernel, progress
     ).validate()
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
-    whole = check_choice("error_of", error_of, ERROR_QUANTITIES) == ERROR_QUANTITIES[0]
+    whole = check_choice("target", target, ERROR_QUANTITIES) == ERROR_QUANTITIES[0]
     return simulate_flux(asked, FluxStoppingRule(max_stderr, whole))
 
 
@@ -195,8 +195,8 @@ def simulate_flux(request: FluxRequest, stopping_rule: FluxStoppingRule) -> xr.D
         **make_run_attributes("Light inside", "profile", medium, begun, seed, threads),
         "incidence_deg": request.incidence,
         "max_stderr": stopping_rule.max_stderr,
-        "error_of": ERROR_QUANTITIES[0] if stopping_rule.limit_irradiance else ERROR_QUANTITIES[1],
-        "stopped_by": outcome.stop_reason,
+        "target": ERROR_QUANTITIES[0] if stopping_rule.limit_irradiance else ERROR_QUANTITIES[1],
+        "stop_reason": outcome.stop_reason,
         "max_stderr_reached": outcome.max_stderr_reached,
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "max_rays": request.max_rays,
@@ -205,7 +205,7 @@ def simulate_flux(request: FluxRequest, stopping_rule: FluxStoppingRule) -> xr.D
         "kernel": runner.list_kernels(ensembles),
     }
     if traced.semi_infinite:
-        facts["traced_to_m"] = float(traced.planes_m[-1])
+        facts["truncation_depth_m"] = float(traced.planes_m[-1])
     return make_flux_dataset(outcome, traced, request.wavelengths, facts)
 
 

@@ -44,7 +44,7 @@ def lens(
     screen_depth_m: Any,
     radius_m: float,
     *,
-    over: str = "crest",
+    centre_on: str = "crest",
     half_width_m: float | None = None,
     rays: int = DEFAULT_RAYS,
     realisations: int = 1,
@@ -61,7 +61,7 @@ def lens(
         Distances of screens below the surface under the ring's centre (m), increasing from above 0.
     radius_m : float
         Of the ring (m).
-    over : {"crest", "trough", "origin"}
+    centre_on : {"crest", "trough", "origin"}
         Where the ring stands: over the highest or lowest point within `half_width_m`, or there.
     half_width_m : float
         Half the side of the square that is searched (m); needed but over the origin.
@@ -94,9 +94,9 @@ def lens(
     check_medium(medium, SurfaceMedium)
     depths = check_screen_depths("screen_depth_m", screen_depth_m)
     radius = check_ring_radius(radius_m)
-    check_choice("over", over, CENTRE_CHOICES)
-    if half_width_m is None and over != "origin":
-        hint = f'half the side of the square searched for the {over}; over="origin" needs none'
+    check_choice("over", centre_on, CENTRE_CHOICES)
+    if half_width_m is None and centre_on != "origin":
+        hint = f'half the side of the square searched for the {centre_on}; centre_on="origin" needs none'
         raise invalid("half_width_m", None, "given (m)", hint)
     width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
     rays, realisations = check_ring_size(rays, realisations, depths.size)
@@ -111,7 +111,7 @@ def lens(
     caught = np.empty_like(contraction)
     for number in range(realisations):
         drawn = medium.surface.realisation(seed, number) if given is None else given
-        x0, y0, z0 = find_centre(drawn, over, width)
+        x0, y0, z0 = find_centre(drawn, centre_on, width)
         ring = (x0 + radius * np.cos(angle), y0 + radius * np.sin(angle))
         landed = refract_vertical_rays(drawn, medium.refractive_index, *ring)
         place, seen = _intersect_screens(landed, z0 - depths)
@@ -130,7 +130,7 @@ def lens(
         )  # fmt: skip
     facts = {
         **make_run_attributes("Statistical lens", "lens", medium, begun, seed),
-        "radius_m": radius, "over": over, "half_width_m": width, "realisations": realisations,
+        "radius_m": radius, "centre_on": centre_on, "half_width_m": width, "realisations": realisations,
         "rays": rays * realisations,
     }  # fmt: skip
     return _make_dataset(

@@ -64,7 +64,7 @@ class DetectorResult:
         [reflected, transmitted][all light, light that met nothing but smooth faces].
     n_rays : int
     stop_reason : str
-        "error" or "rays".
+        "converged" or "max_rays".
     polarized : bool
     has_lower_side : bool
         Whether there was something to hear below.
@@ -148,7 +148,7 @@ def _check_forward_peak(medium: ParticleMedium) -> PhaseFunctionPeak | None:
     peak = separate_peak(medium.kernel_phase_function)
     if peak is not None and peak.fraction > MAX_PEAK_FRACTION:
         raise invalid(
-            "estimator", "local", "expansion or cells for this phase_function",
+            "estimator", "next_event", "expansion or bins for this phase_function",
             f"more than {MAX_PEAK_FRACTION:.0%} of the scattered light goes into a narrow peak",
         )  # fmt: skip
     return peak
@@ -180,10 +180,10 @@ def estimate_at_detectors(
         For grains, for a rough surface, and for a phase function that is nearly all peak.
     """
     if not isinstance(medium, ParticleMedium):
-        raise invalid("estimator", "local", "expansion or cells for grains and stacks")
+        raise invalid("estimator", "next_event", "expansion or bins for grains and stacks")
     if medium.make_height_fields() is not None:
         raise invalid(
-            "estimator", "local", "expansion or cells under a rough surface",
+            "estimator", "next_event", "expansion or bins under a rough surface",
             "no single path leads through it to a given direction; cells have Stokes parameters",
         )  # fmt: skip
     light = Source(float(np.cos(np.radians(incidence_deg))), 0.0)
@@ -240,7 +240,7 @@ def estimate_at_detectors(
                 and not nothing
             )
             if done or sums.n_batches >= most or (nothing and sums.n_batches >= 64 * pilot):
-                return replace(result, stop_reason="error" if done else "rays")
+                return replace(result, stop_reason="converged" if done else "max_rays")
             factor = (
                 _MAX_ROUND_GROWTH
                 if nothing

@@ -47,7 +47,7 @@ def radiation_profile(
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
-    error_of: str = "absorbed_power",
+    target: str = "absorbed_power",
     total_w_m2: float | None = None,
     bands: Mapping[str, Any] | str | None = None,
     max_rays: int = 20_000_000,
@@ -70,10 +70,10 @@ def radiation_profile(
         first of the sky to 2495.  Light beyond them is left out, see ``irradiance_covered``.
     max_stderr : float
         Largest standard error wanted in any band, as a part of the band's irradiance from above;
-        see `error_of`.
+        see `target`.
     seed : int
         Non-negative; diffuse light takes the next.
-    error_of : {"absorbed_power", "irradiance"}
+    target : {"absorbed_power", "irradiance"}
         Quantities whose errors `max_stderr` limits: absorbed power and the light sent back at the
         top, or irradiances at all depths besides.  In bright and thick packs the latter take
         many times as many rays, since light crosses a plane there many times.
@@ -115,14 +115,14 @@ def radiation_profile(
     light = as_sky(sky).scale_to(total_w_m2)
     w = choose_wavelengths(wavelength_nm, light, 2)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
-    check_choice("error_of", error_of, POWER_ERROR_QUANTITIES)
+    check_choice("target", target, POWER_ERROR_QUANTITIES)
     seed, threads = check_integer("seed", seed, 0), check_threads(threads)
     max_rays = check_integer("max_rays", max_rays, 1)
     named = light.make_bands(bands)
     light.check_bands(named, w)
     weights = np.array([light.compute_weights(w, band) for band in named.values()])
     goals = _make_stopping_rules(
-        light.compute_direct_fraction(w), weights, max_stderr, error_of == POWER_ERROR_QUANTITIES[1]
+        light.compute_direct_fraction(w), weights, max_stderr, target == POWER_ERROR_QUANTITIES[1]
     )
     axes: dict[str, Any] = {}
     runs: list[dict[str, Any]] = []
@@ -150,12 +150,12 @@ def radiation_profile(
     about = {"long_name": "part of the band's light within the wavelengths", "units": "1"}
     variables["irradiance_covered"] = ("band", weights.sum(axis=1) / whole, about)
     facts = {
-        **make_run_attributes("Sunlight inside", "light_inside", medium, begun, seed, threads),
+        **make_run_attributes("Sunlight inside", "radiation_profile", medium, begun, seed, threads),
         **make_sky_attributes(light),
         "irradiance_w_m2": whole[0],
         "max_stderr": max_stderr,
-        "error_of": error_of,
-        "stopped_by": max((r["stopped_by"] for r in runs), key=STOP_REASONS.index),
+        "target": target,
+        "stop_reason": max((r["stop_reason"] for r in runs), key=STOP_REASONS.index),
         "max_rays": max_rays,
         "rays": sum(r["rays"] for r in runs),
     }

@@ -18,7 +18,7 @@ def simulate_spectra(
 ) -> list[xr.Dataset]:
     """Return what `splits.spectrophotometer` would of each medium of a family, from one ensemble.
 
-    Each has the error asked for.  Errors of different media go together, as their `…_groups` tell.
+    Each has the error asked for.  Errors of different media go together, as their `…_batches` tell.
 
     Parameters
     ----------

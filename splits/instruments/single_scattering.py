@@ -33,16 +33,16 @@ VARIABLE_LABELS = {
     "single_scattering_albedo": ("single-scattering albedo", "1"),
     "asymmetry_parameter": ("asymmetry parameter", "1"),
     "legendre_moment": ("Legendre moment of the phase function", "1"),
-    "displacement_before": ("mean way through a grain along the ray before it", "m"),
-    "displacement_after": ("mean way through a grain along the ray after it", "m"),
-    "displacement_square": ("mean square of the way through a grain", "m2"),
-    "wet_share": ("share of the light scattered that leaves into a wet pore", "1"),
+    "displacement_along_incident": ("mean way through a grain along the ray before it", "m"),
+    "displacement_along_exit": ("mean way through a grain along the ray after it", "m"),
+    "mean_square_displacement": ("mean square of the way through a grain", "m2"),
+    "wet_fraction": ("share of the light scattered that leaves into a wet pore", "1"),
     "extinction": ("extinction coefficient", "m-1"),
     "optical_thickness": ("optical thickness of extinction", "1"),
 }
 ERROR_COMPONENTS = {
-    "_left_out": (("part",), "without one part of the rays:"),
-    "_missed": ((), "bound on what interpolation misses of"),
+    "_jackknife": (("batch",), "without one part of the rays:"),
+    "_interpolation_bound": ((), "bound on what interpolation misses of"),
 }
 """What theories know errors of the optics by: how names end, dimensions before, and labels."""
 
@@ -60,7 +60,7 @@ def single_scattering(
 ) -> xr.Dataset:
     """Measure what single grains of a medium do to light, as radiative transfer wants to know it.
 
-    Rays meet one grain each in free pore space, wet with the medium's `wet_share`, drawn
+    Rays meet one grain each in free pore space, wet with the medium's `wet_fraction`, drawn
     and followed by the rules of the full model (SPLITS sections 4.3.3-4.3.4, SPLITSnow 3.2-3.3)
     except those that look at neighbours: no boundary and no last leg rejects a grain.
 
@@ -84,7 +84,7 @@ def single_scattering(
         Default: every CPU this process may use.
     wet_pores : {"saturation", "equilibrium"}
         Share of the light that meets grains, and is absorbed between them, in wet pores: the
-        `wet_share` S, as where light enters the sample; or S n²/(S n² + 1 − S), n the index of
+        `wet_fraction` S, as where light enters the sample; or S n²/(S n² + 1 − S), n the index of
         water over that of air, as deep in the sample, where radiance goes with n² (light leaves
         grains into water more easily).
 
@@ -99,12 +99,12 @@ def single_scattering(
         met per metre plus absorption by the pores, and ``optical_thickness``.
 
         Besides, for `splits.analysis.theory.asymptotic.correct_dense_packing`:
-        ``displacement_before`` and ``displacement_after`` (m), the way from entry to exit along
-        the direction before and after; ``displacement_square`` (m²); and ``wet_share``, the
+        ``displacement_along_incident`` and ``displacement_along_exit`` (m), the way from entry to exit along
+        the direction before and after; ``mean_square_displacement`` (m²); and ``wet_fraction``, the
         share of the scattered light that leaves into a wet pore.
 
-        Theories need to know which errors go together: ``…_left_out`` over ``part`` holds each
-        quantity without one of `PARTS` equal parts of the rays, ``…_missed`` the bound on what
+        Theories need to know which errors go together: ``…_jackknife`` over ``batch`` holds each
+        quantity without one of `PARTS` equal parts of the rays, ``…_interpolation_bound`` the bound on what
         interpolation between refractive indices may add to it.
 
     Raises

@@ -76,9 +76,9 @@ def mix_direct_and_diffuse(
         for name in names:
             values[name] = values.get(name, 0.0) + part * found[name]
             square: Any = (part * found[f"{name}_stderr"]) ** 2
-            if f"{name}_groups" in found:
-                groups[name].append(part * found[f"{name}_groups"])
-                scatter = (groups[name][-1].astype(float) ** 2).sum("group")
+            if f"{name}_batches" in found:
+                groups[name].append(part * found[f"{name}_batches"])
+                scatter = (groups[name][-1].astype(float) ** 2).sum("batch")
                 # Both runs are interpolated between the same indices, and may miss alike.
                 missed[name] = missed[name] + np.maximum(square - scatter, 0.0) ** 0.5
                 square = np.minimum(scatter, square)
@@ -86,7 +86,7 @@ def mix_direct_and_diffuse(
     for name in names:
         values[f"{name}_stderr"] = (squares[name] + missed[name] ** 2) ** 0.5
         if groups[name]:
-            values[f"{name}_groups"] = xr.concat(groups[name], "group")
+            values[f"{name}_batches"] = xr.concat(groups[name], "batch")
     return xr.Dataset(values)
 
 

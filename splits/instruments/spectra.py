@@ -48,8 +48,8 @@ def spectra(
     Returns
     -------
     xarray.Dataset
-        As of `splits.spectrophotometer`, over ``medium`` and ``wavelength``.  Sums over ``group``
-        of products of ``…_groups`` are covariances, between media as between wavelengths.  Inputs
+        As of `splits.spectrophotometer`, over ``medium`` and ``wavelength``.  Sums over ``batch``
+        of products of ``…_batches`` are covariances, between media as between wavelengths.  Inputs
         in which media differ are coordinates over ``medium``.
 
     Raises

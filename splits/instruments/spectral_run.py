@@ -153,7 +153,7 @@ class SpectralRequest(NamedTuple):
         facts = {
             "incidence_deg": self.incidence,
             "max_stderr": self.max_stderr,
-            "stopped_by": "error" if result.converged else "rays",
+            "stop_reason": "converged" if result.converged else "max_rays",
             "max_stderr_reached": float(result.stderr.max()),
             "interpolation_error_bound": float(result.interpolation_error.max()),
             "max_rays": self.max_rays,
@@ -162,5 +162,8 @@ class SpectralRequest(NamedTuple):
             "kernel": result.kernel,
         }
         if cut is not None:
-            facts |= {"traced_to_m": cut.depth_m, "optically_deep_m": cut.semi_infinite_depth_m}
+            facts |= {
+                "truncation_depth_m": cut.depth_m,
+                "semi_infinite_depth_m": cut.semi_infinite_depth_m,
+            }
         return facts

@@ -69,10 +69,10 @@ def spectrophotometer(
         (`splits.simulation.finite_differences`); ``parameter_method`` tells which is which.
     max_rays : int
         The run stops once this many are traced (the first round is traced in any case);
-        attribute ``stopped_by`` says whether the error or the rays came first.
+        attribute ``stop_reason`` says whether the error or the rays came first.
     threads : int, optional
         Default: every CPU this process may use.
-    kernel : {"auto", "lanes", "scalar"}
+    kernel : {"auto", "vectorized", "scalar"}
         Many rays side by side in single precision where that serves the sample, or the plain
         reference kernel in double precision.
     progress : callable or bool, optional
@@ -82,13 +82,13 @@ def spectrophotometer(
     -------
     xarray.Dataset
         ``reflectance``, ``transmittance``, ``absorptance`` and their standard errors
-        ``…_stderr`` over ``wavelength``; the three add up to 1.  ``reflectance_groups`` and
-        ``transmittance_groups`` over ``group`` and ``wavelength`` tell how errors go together,
+        ``…_stderr`` over ``wavelength``; the three add up to 1.  ``reflectance_batches`` and
+        ``transmittance_batches`` over ``batch`` and ``wavelength`` tell how errors go together,
         see `splits.core.uncertainty`; absorptance's are minus their sum.  All inputs stand in
         the attributes.  ``reflectance_jacobian`` and ``transmittance_jacobian`` over
         ``parameter`` and ``wavelength``, with errors and groups, where they were asked for.
         Of packs so deep that they are cut (`splits.simulation.deep_medium`), the
-        attribute ``traced_to_m`` says where, and ``optically_deep_m`` from which depth on they
+        attribute ``truncation_depth_m`` says where, and ``semi_infinite_depth_m`` from which depth on they
         are as bright as without end; what theory may miss of the rest is in the errors.
 
     Raises
@@ -128,7 +128,7 @@ def spectrophotometer(
         variables |= make_jacobian_variables(slopes, names, SIDE_QUANTITIES)
     facts = make_run_attributes(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
     if others:
-        facts["rays_of_differences"] = sum(one.n_rays for one in others)
+        facts["finite_difference_rays"] = sum(one.n_rays for one in others)
     axes = {
         "wavelength": make_wavelength_coordinate(run.wavelengths),
         **make_parameter_coordinates(names, moves),

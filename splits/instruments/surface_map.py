@@ -58,7 +58,7 @@ def surface_map(
     """
     begun = time.perf_counter()
     check_medium(medium, SurfaceMedium)
-    width = check_half_width("surface", half_width_m)
+    width = check_half_width("surface_map", half_width_m)
     points = check_integer("points", points, 2, 3000)
     realisations = check_integer("realisations", realisations, 2, MAX_REALIZATIONS)
     seed = check_integer("seed", seed, 0)

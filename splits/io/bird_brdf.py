@@ -31,7 +31,7 @@ PROVENANCE_KEYS = ("organization", "location", "email", "contact_person")
 MODEL_DESCRIPTIONS = {
     "snow": "Rays among grains generated on the fly (SPLITSnow: Varsa, Baranoski and Kimmel 2021)",
     "sand": "Rays among grains generated on the fly (SPLITS: Kimmel and Baranoski 2007)",
-    "layer": "Rays in a scattering layer under a surface (Budak and Grimailo 2020)",
+    "particle_layer": "Rays in a scattering layer under a surface (Budak and Grimailo 2020)",
 }
 
 

@@ -121,7 +121,7 @@ def tabulate_struck_inverse_sizes(smallest: float, largest: float, weighting: st
     ----------
     smallest, largest : float
         Limits of the uniform distribution P(s), in m.
-    weighting : {"attenuation", "uniform"}
+    weighting : {"cross_section", "uniform"}
         Density ∝ s⁻² P(s) (SPLITS Eq 25), or P(s) itself.
 
     Returns

@@ -13,7 +13,7 @@ from splits.materials import RefractiveIndex, make_refractive_index, parse_refra
 from splits.media.ground import describe_ground
 
 EXPANDED_INPUTS = (
-    "refractive_index", "readings", "ground", "pores",
+    "refractive_index", "interpretation", "ground", "pores",
     "impurities_ng_g", "algae_cells_ml", "impurities_in",
 )  # fmt: skip
 """Inputs that attributes hold part by part."""
@@ -84,7 +84,7 @@ def describe_inputs(medium: Any) -> dict[str, Any]:
     Parameters
     ----------
     medium : dataclass
-        With fields ``make_refractive_index`` (by material), ``readings`` and ``ground`` among others.
+        With fields ``make_refractive_index`` (by material), ``interpretation`` and ``ground`` among others.
     """
     inputs = {
         f.name: getattr(medium, f.name) for f in fields(medium) if f.name not in EXPANDED_INPUTS
@@ -94,5 +94,5 @@ def describe_inputs(medium: Any) -> dict[str, Any]:
         inputs[f"refractive_index_{material}"] = index.name
         if digest := getattr(index, "sha256", ""):
             inputs[f"refractive_index_{material}_sha256"] = digest
-    inputs |= {f"reading_{k}": v for k, v in medium.interpretation.as_dict().items()}
+    inputs |= {f"interpretation_{k}": v for k, v in medium.interpretation.as_dict().items()}
     return inputs | describe_ground(medium.ground)

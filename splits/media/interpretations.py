@@ -1,6 +1,6 @@
 """Where the papers can be read two ways: every reading has a name, and one is the default.
 
-docs/theory/readings.md says why each default was taken and what the alternatives do to reflectance.
+docs/theory/interpretation.md says why each default was taken and what the alternatives do to reflectance.
 """
 
 from __future__ import annotations
@@ -34,39 +34,39 @@ INTERPRETATION_CHOICES: dict[str, tuple[str, ...]] = {
     "facets": tuple(FACET_SAMPLING),
     "wrong_side": tuple(WRONG_SIDE_RULE),
     "boundary_fresnel": ("yes", "no"),
-    "grain_on_last_leg": tuple(OVERLAP_RULE),
-    "grain_across_boundary": tuple(OVERLAP_RULE),
-    "grain_distance": ("leg", "leg_and_grain"),
+    "overlap_with_previous_segment": tuple(OVERLAP_RULE),
+    "overlap_with_boundary": tuple(OVERLAP_RULE),
+    "mean_free_path": ("pore_only", "including_grain"),
     "grain_extent": tuple(GRAIN_EXTENT),
-    "size_is": ("diameter", "semi_axis"),
-    "struck_size": ("attenuation", "uniform"),
+    "size_definition": ("diameter", "semi_axis"),
+    "size_sampling": ("cross_section", "uniform"),
     "mixing": tuple(MIXING_RULES),
-    "sizes": ("separates", "single"),
+    "size_distribution": ("separates", "single"),
     "excess_magnetite": EXCESS_MAGNETITE_RULES,
-    "attenuation": ("solid", "printed"),
+    "attenuation_factor": ("solid_fraction", "as_printed"),
     "water": WATER_MODELS,
 }
 
 INTERPRETATION_SETS: dict[str, dict[str, str]] = {
     "splits_2007": {
-        "entry": "uniform", "facets": "projected", "wrong_side": "lobe",
-        "grain_on_last_leg": "reject", "grain_across_boundary": "reject", "grain_distance": "leg",
+        "entry_point": "uniform", "facet_sampling": "projected", "wrong_side_ray": "cosine_lobe",
+        "overlap_with_previous_segment": "reject", "overlap_with_boundary": "reject", "mean_free_path": "pore_only",
         "grain_extent": "finite",
     },
     "splitsnow_2021": {
-        "entry": "uniform", "facets": "any", "wrong_side": "mirrored",
-        "grain_on_last_leg": "reject", "grain_across_boundary": "reject", "grain_distance": "leg",
+        "entry_point": "uniform", "facet_sampling": "any", "wrong_side_ray": "mirror",
+        "overlap_with_previous_segment": "reject", "overlap_with_boundary": "reject", "mean_free_path": "pore_only",
         "grain_extent": "finite",
     },
     "geometric": {
-        "entry": "projected", "facets": "projected", "wrong_side": "mirrored",
-        "grain_on_last_leg": "skip", "grain_across_boundary": "skip",
-        "grain_distance": "leg_and_grain", "grain_extent": "finite",
+        "entry_point": "projected", "facet_sampling": "projected", "wrong_side_ray": "mirror",
+        "overlap_with_previous_segment": "skip", "overlap_with_boundary": "skip",
+        "mean_free_path": "including_grain", "grain_extent": "finite",
     },
     "radiative_transfer": {
-        "entry": "projected", "facets": "projected", "wrong_side": "mirrored",
-        "grain_on_last_leg": "keep", "grain_across_boundary": "keep",
-        "grain_distance": "leg_and_grain", "grain_extent": "point",
+        "entry_point": "projected", "facet_sampling": "projected", "wrong_side_ray": "mirror",
+        "overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep",
+        "mean_free_path": "including_grain", "grain_extent": "point",
     },
 }  # fmt: skip
 """Sets of readings by name; what a set does not say stays as by default."""
@@ -94,27 +94,27 @@ class TransportInterpretation:
 
     Parameters
     ----------
-    entry : {"uniform", "projected"}
+    entry_point : {"uniform", "projected"}
         Entry point uniform over the surface facing the ray (SPLITS 4.3.3, SPLITSnow 3.2), or by
         projected area, as straight rays through real grains have it.
-    facets : {"projected", "unweighted", "any"}
+    facet_sampling : {"projected", "unweighted", "any"}
         Facet struck: facing the ray and weighted by projected area (SPLITS 4.3.4), facing it
         with equal weight, or any facet.
-    wrong_side : {"lobe", "mirrored"}
+    wrong_side_ray : {"cosine_lobe", "mirror"}
         A ray that a facet sends to the wrong side of the grain's surface leaves in a cosine
         lobe (SPLITS 4.3.4) or mirrored in the surface.
     boundary_fresnel : {"yes", "no"}
         Fresnel reflection and refraction at the extended boundaries where water fills the pores
         (SPLITS 4.3.1).
-    grain_on_last_leg : {"reject", "keep", "skip"}
+    overlap_with_previous_segment : {"reject", "keep", "skip"}
         A new grain that lies across the last leg through pores: drawn again from the same origin,
         distance included (SPLITS 4.3.3), kept, or left out, so that the next distance counts
         from its place.
-    grain_across_boundary : {"reject", "keep", "skip"}
+    overlap_with_boundary : {"reject", "keep", "skip"}
         A new grain that sticks out of the sample (SPLITS 4.3.3, SPLITSnow 3.2), likewise.  If
         kept, a ray that leaves a grain outside the sample counts as standing on the boundary
         there.  If skipped, grains are as rare near the boundaries as whole grains are.
-    grain_distance : {"leg", "leg_and_grain"}
+    mean_free_path : {"pore_only", "including_grain"}
         The mean distance between grains is that of a leg through pores, as the papers have it, or
         that from one entry to the next, the way through the grain included.  With the latter rays
         are in grains, and in water, for as much of their way as these fill of the volume, and
@@ -122,32 +122,32 @@ class TransportInterpretation:
     grain_extent : {"finite", "point"}
         The path through a grain displaces the ray, as the papers have it, or a grain is a point
         scatterer, as radiative transfer has it.  The free path between points has the mean
-        1/(𝓔 K), of which the pore space is 1 − 𝓔 under ``grain_distance: leg_and_grain``, and all
-        of it under ``leg``.  A point overlaps neither a boundary nor the last leg, so the two
+        1/(𝓔 K), of which the pore space is 1 − 𝓔 under ``mean_free_path: including_grain``, and all
+        of it under ``pore_only``.  A point overlaps neither a boundary nor the last leg, so the two
         rules for such grains must be "keep".
     """
 
-    entry: str = "uniform"
-    facets: str = "projected"
-    wrong_side: str = "lobe"
+    entry_point: str = "uniform"
+    facet_sampling: str = "projected"
+    wrong_side_ray: str = "cosine_lobe"
     boundary_fresnel: str = "yes"
-    grain_on_last_leg: str = "reject"
-    grain_across_boundary: str = "reject"
-    grain_distance: str = "leg"
+    overlap_with_previous_segment: str = "reject"
+    overlap_with_boundary: str = "reject"
+    mean_free_path: str = "pore_only"
     grain_extent: str = "finite"
 
     def __post_init__(self) -> None:
         for field in fields(self):
             check_choice(
-                f"readings.{field.name}",
+                f"interpretation.{field.name}",
                 getattr(self, field.name),
                 INTERPRETATION_CHOICES[field.name],
             )
-        for name in ("grain_on_last_leg", "grain_across_boundary"):
+        for name in ("overlap_with_previous_segment", "overlap_with_boundary"):
             rule = getattr(self, name)
             if self.grain_extent == "point" and rule != "keep":
                 hint = "or grain_extent finite, as in the set geometric"
-                raise invalid(f"readings.{name}", rule, "keep with grain_extent point", hint)
+                raise invalid(f"interpretation.{name}", rule, "keep with grain_extent point", hint)
 
     @classmethod
     def from_input(cls: type[Kind], value: Any) -> Kind:
@@ -162,17 +162,19 @@ class TransportInterpretation:
         if isinstance(value, cls):
             return value
         if isinstance(value, str):
-            return cls(**INTERPRETATION_SETS[check_choice("readings", value, INTERPRETATION_SETS)])
+            return cls(
+                **INTERPRETATION_SETS[check_choice("interpretation", value, INTERPRETATION_SETS)]
+            )
         if not isinstance(value, Mapping):
             raise invalid(
-                "readings",
+                "interpretation",
                 value,
                 f"a mapping of named readings, or one of {join_names(INTERPRETATION_SETS)}",
             )
         names = [f.name for f in fields(cls)]
         if SET_KEY in value:
             base = INTERPRETATION_SETS[
-                check_choice(f"readings.{SET_KEY}", value[SET_KEY], INTERPRETATION_SETS)
+                check_choice(f"interpretation.{SET_KEY}", value[SET_KEY], INTERPRETATION_SETS)
             ]
             return cls.from_input(
                 {**base, **{key: given for key, given in value.items() if key != SET_KEY}}
@@ -180,7 +182,7 @@ class TransportInterpretation:
         for name in value:
             if name not in names:
                 raise invalid(
-                    "readings", name, "one of " + ", ".join(names), suggest_name(name, names)
+                    "interpretation", name, "one of " + ", ".join(names), suggest_name(name, names)
                 )
         return cls(**value)
 
@@ -189,10 +191,10 @@ class TransportInterpretation:
         return SamplingRules(
             entry_sampling=ENTRY_SAMPLING[self.entry],
             facet_sampling=FACET_SAMPLING[self.facets],
-            wrong_side=WRONG_SIDE_RULE[self.wrong_side],
+            wrong_side=WRONG_SIDE_RULE[self.wrong_side_ray],
             boundary_fresnel=self.boundary_fresnel == "yes",
-            segment_overlap=OVERLAP_RULE[self.grain_on_last_leg],
-            boundary_overlap=OVERLAP_RULE[self.grain_across_boundary],
+            segment_overlap=OVERLAP_RULE[self.overlap_with_previous_segment],
+            boundary_overlap=OVERLAP_RULE[self.overlap_with_boundary],
             analog=analog,
             point_grains=GRAIN_EXTENT[self.grain_extent],
         )
@@ -224,23 +226,23 @@ class Interpretation(TransportInterpretation):
 
     By default those of the set ``splitsnow_2021``: the paper's text where it speaks without doubt
     (entry, grains across boundaries), and where it is silent or can be read two ways a
-    combination that comes as near as any to 24 of its statements (docs/theory/readings.md).
+    combination that comes as near as any to 24 of its statements (docs/theory/interpretation.md).
 
     Parameters
     ----------
-    facets, wrong_side
+    facet_sampling, wrong_side_ray
         As in `TransportInterpretation`.
-    size_is : {"diameter", "semi_axis"}
+    size_definition : {"diameter", "semi_axis"}
         What a grain size of SPLITSnow Table 1 means: the major axis 2b, or b.
-    struck_size : {"attenuation", "uniform"}
+    size_sampling : {"cross_section", "uniform"}
         Size distribution of the grains that rays strike: ∝ s⁻² P(s), consistent with the
         attenuation K1 (SPLITS Eqs 20-25), or uniform like the sizes themselves.
     """
 
-    facets: str = "any"
-    wrong_side: str = "mirrored"
-    size_is: str = "diameter"
-    struck_size: str = "attenuation"
+    facet_sampling: str = "any"
+    wrong_side_ray: str = "mirror"
+    size_definition: str = "diameter"
+    size_sampling: str = "cross_section"
 
 
 @reject_unknown_keywords
@@ -248,17 +250,17 @@ class Interpretation(TransportInterpretation):
 class SandInterpretation(TransportInterpretation):
     """Named readings of SPLITS, besides those of `TransportInterpretation`.
 
-    With ``attenuation: printed`` grains alone fill the volume, so ``grain_distance`` must be "leg".
+    With ``attenuation_factor: as_printed`` grains alone fill the volume, so ``mean_free_path`` must be "pore_only".
 
     Parameters
     ----------
     mixing : {"maxwell_garnett", "linear"}
         Index of a mineral with inclusions (Eq 4), or the mean of the two by volume.
-    sizes : {"separates", "single"}
+    size_distribution : {"separates", "single"}
         A log-normal per soil separate (section 4.2.6), or one over silt and sand.
     excess_magnetite : {"first", "clipped"}
         More magnetite than the pure particles' share (Eq 9); see `splits.media.sand_composition`.
-    attenuation : {"solid", "printed"}
+    attenuation_factor : {"solid_fraction", "as_printed"}
         Volume of particles per volume of sand, 1 − P, as a factor of K (section 4.2.5), or K
         as Eqs 22-24 print it, without.
     water : {"whole_pores", "narrow_pores", "film"}
@@ -269,15 +271,18 @@ class SandInterpretation(TransportInterpretation):
     """
 
     mixing: str = "maxwell_garnett"
-    sizes: str = "separates"
+    size_distribution: str = "separates"
     excess_magnetite: str = "first"
-    attenuation: str = "solid"
+    attenuation_factor: str = "solid_fraction"
     water: str = "whole_pores"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.attenuation == "printed" and self.grain_distance != "leg":
+        if self.attenuation_factor == "as_printed" and self.mean_free_path != "pore_only":
             hint = "mean chord and mean distance are both 1/K, which leaves no pores"
             raise invalid(
-                "readings.attenuation", self.attenuation, "solid with this grain_distance", hint
+                "interpretation.attenuation_factor",
+                self.attenuation_factor,
+                "solid_fraction with this mean_free_path",
+                hint,
             )

@@ -211,7 +211,7 @@ def compute_mean_free_path_m(medium: GranularMedium) -> float:
     points, among which the leg stands for both (`compute_pore_fraction`).
     """
     readings = medium.interpretation
-    whole = readings.grain_distance == "leg" or readings.grain_extent == "point"
+    whole = readings.mean_free_path == "pore_only" or readings.grain_extent == "point"
     return medium.mean_grain_distance_m * (1.0 if whole else medium.porosity)
 
 
@@ -222,7 +222,7 @@ def compute_pore_fraction(medium: GranularMedium) -> float:
     that applies per metre of leg is that of radiative transfer, (1 − 𝓔) times the material's.
     """
     readings = medium.interpretation
-    parted = readings.grain_distance == "leg_and_grain" and readings.grain_extent == "point"
+    parted = readings.mean_free_path == "including_grain" and readings.grain_extent == "point"
     return medium.porosity if parted else 1.0
 
 

@@ -121,7 +121,7 @@ def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
             "m2/kg: fresh snow has 40 and more, old snow 10, melting snow 3",
         )  # fmt: skip
     usual = {
-        **NATURAL_GRAINS, "readings": NATURAL_INTERPRETATION, "density_kg_m3": 300.0, "depth_m": math.inf,
+        **NATURAL_GRAINS, "interpretation": NATURAL_INTERPRETATION, "density_kg_m3": 300.0, "depth_m": math.inf,
     }  # fmt: skip
     if "saturation" not in keywords and "liquid_water_content" not in keywords:
         usual["saturation"] = 0.0
@@ -132,11 +132,11 @@ def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
         check_range(
             key, keywords[key], MIN_NATURAL_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True
         )
-    readings = keywords.get("readings", {})
+    readings = keywords.get("interpretation", {})
     if isinstance(readings, Mapping):
         keywords = {
             **keywords,
-            "readings": merge_interpretations([NATURAL_INTERPRETATION, readings]),
+            "interpretation": merge_interpretations([NATURAL_INTERPRETATION, readings]),
         }
     index = keywords.get("refractive_index", {})
     indices = {

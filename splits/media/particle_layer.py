@@ -92,7 +92,7 @@ class ParticleLayer(ContentEquality):
     2.0
     """
 
-    kind = "layer"
+    kind = "particle_layer"
 
     optical_thickness: float = 10.0
     single_scattering_albedo: float = 0.99

@@ -61,7 +61,7 @@ class Sand(ContentEquality):
     texture : (clay, silt, sand)
         Mass fractions of the soil separates, adding up to 1; silt + 1.5 clay at most 0.15.
     saturation : float
-        Fraction of the pore space filled with water, 0 to 1; ``readings.water`` says which.
+        Fraction of the pore space filled with water, 0 to 1; ``interpretation.water`` says which.
     pores : mapping, optional
         Fractions of the pore space filled with other media, by name: ``{"oil": 0.1}``.
         ``refractive_index`` has to know them.
@@ -125,7 +125,7 @@ class Sand(ContentEquality):
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("readings", SandInterpretation.from_input(self.interpretation))
+        put("interpretation", SandInterpretation.from_input(self.interpretation))
         put("saturation", check_range("saturation", self.saturation, 0.0, 1.0))
         put(
             "porosity",
@@ -154,8 +154,8 @@ class Sand(ContentEquality):
         given = self.refractive_index
         put("pores", check_other_fluids(self.pores, self.saturation, given, MINERAL_DENSITY_KG_M3))
         if self.pores and self.interpretation.water != "whole_pores":
-            hint = "which pores these media fill is not known: leave readings.water out"
-            allowed = f"empty with readings.water {self.interpretation.water}"
+            hint = "which pores these media fill is not known: leave interpretation.water out"
+            allowed = f"empty with interpretation.water {self.interpretation.water}"
             raise invalid("pores", dict(self.pores), allowed, hint)
         put(
             "refractive_index",
@@ -171,7 +171,9 @@ class Sand(ContentEquality):
     @cached_property
     def size_distribution(self) -> SoilSizeDistribution:
         """Sizes of the particles, of every type alike."""
-        return make_size_distribution(self.texture, self.size_tail, self.interpretation.sizes)
+        return make_size_distribution(
+            self.texture, self.size_tail, self.interpretation.size_distribution
+        )
 
     @cached_property
     def composition(self) -> SandComposition:
@@ -206,7 +208,11 @@ class Sand(ContentEquality):
     @property
     def mean_grain_distance_m(self) -> float:
         """Mean distance between particles of any type along a ray (m), SPLITS Eq 21."""
-        solid = 1.0 - self.porosity if self.interpretation.attenuation == "solid" else 1.0
+        solid = (
+            1.0 - self.porosity
+            if self.interpretation.attenuation_factor == "solid_fraction"
+            else 1.0
+        )
         return 1.0 / (solid * self.attenuation_per_m)
 
     @property
@@ -318,7 +324,7 @@ class Sand(ContentEquality):
             "particle_density_kg_m3": self.density_kg_m3,
             "coating_volume_fraction": self.composition.coating_fraction,
             "mean_grain_distance_m": self.mean_grain_distance_m,
-            "wet_share": self.wet_fraction,
+            "wet_fraction": self.wet_fraction,
             "film_thickness_per_major_axis": self._water.relative_film_thickness,
             "specific_surface_area_m2_kg": self.specific_surface_area_m2_kg,
         }

@@ -178,7 +178,7 @@ class Snow(ContentEquality):
         )
         put("ground", Ground.from_input(self.ground))
         put("depth_m", check_sample_depth(self.depth_m))
-        put("readings", Interpretation.from_input(self.interpretation))
+        put("interpretation", Interpretation.from_input(self.interpretation))
         given = self.refractive_index
         put("pores", check_other_fluids(self.pores, self.saturation, given, ("ice",)))
         put("refractive_index", make_refractive_indices(("ice", "water"), given, self.pores))
@@ -188,7 +188,7 @@ class Snow(ContentEquality):
 
     @cached_property
     def _diameter_limits_m(self) -> tuple[float, float]:
-        scale = 1e-6 if self.interpretation.size_is == "diameter" else 2e-6
+        scale = 1e-6 if self.interpretation.size_definition == "diameter" else 2e-6
         return self.grain_size_um[0] * scale, self.grain_size_um[1] * scale
 
     @cached_property
@@ -250,7 +250,7 @@ class Snow(ContentEquality):
     def make_grain_population(self) -> GrainPopulation:
         """Return the table of particle types: one, of ice."""
         sizes = statistics.tabulate_struck_inverse_sizes(
-            *self._diameter_limits_m, self.interpretation.struck_size
+            *self._diameter_limits_m, self.interpretation.size_sampling
         )
         return GrainPopulation(
             attenuation=1.0 / compute_mean_free_path_m(self),

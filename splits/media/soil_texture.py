@@ -192,7 +192,7 @@ def _make_single_log_normal(texture: tuple[float, float, float]) -> TruncatedLog
     low, high = SEPARATE_LIMITS_M[present[0]], SEPARATE_LIMITS_M[present[-1] + 1]
     if present.size == 1:
         raise invalid(
-            "readings.sizes", "single", "'separates' for a texture of one separate alone",
+            "interpretation.size_distribution", "single", "'separates' for a texture of one separate alone",
             "its standard deviation would be zero",
         )  # fmt: skip
     return TruncatedLogNormal(low, high, 1.0, mean, sd)

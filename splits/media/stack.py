@@ -103,16 +103,16 @@ class Stack:
             top, first = grains[0]
             if layer.interpretation.to_transport_dict() != first.interpretation.to_transport_dict():
                 raise invalid(
-                    f"layers[{number}].readings", layer.interpretation.as_dict(),
+                    f"layers[{number}].interpretation", layer.interpretation.as_dict(),
                     f"those of layers[{top}], {first.interpretation.as_dict()}",
-                    "one set holds for all: Stack(..., readings='radiative_transfer')",
+                    "one set holds for all: Stack(..., interpretation='radiative_transfer')",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.from_input(self.ground))
 
     def __repr__(self) -> str:
         """Return the stack, a layer to a line, as it was given."""
-        inputs = {"ground": self.ground, "readings": self.interpretation}
+        inputs = {"ground": self.ground, "interpretation": self.interpretation}
         ends = [
             f", {key}={format_value(value)}" for key, value in inputs.items() if value is not None
         ]
@@ -127,7 +127,7 @@ class Stack:
             return layer
         own: Any = layer.interpretation
         chosen = INTERPRETATION_SETS[
-            check_choice("readings", self.interpretation, INTERPRETATION_SETS)
+            check_choice("interpretation", self.interpretation, INTERPRETATION_SETS)
         ]
         return replace(cast(Any, layer), readings=type(own).from_input({**own.as_dict(), **chosen}))
 

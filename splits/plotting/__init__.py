@@ -93,29 +93,29 @@ def _draw_kind(
     if section["kind"] == "refractive_index":
         return draw_refractive_indices(dataset)
     if section["kind"] == "points":
-        return draw_points(dataset, section["quantity"], section["at"], section["legend"])
+        return draw_points(dataset, section["quantity"], section["select"], section["legend"])
     if section["kind"] == "summary":
-        return draw_summary(dataset, section["quantity"], section["at"], section["legend"])
+        return draw_summary(dataset, section["quantity"], section["select"], section["legend"])
     if section["kind"] == "fit":
-        return draw_fits(dataset, section["at"], section["legend"])
+        return draw_fits(dataset, section["select"], section["legend"])
     if section["kind"] == "swatches":
-        return draw_swatches(dataset, section["at"])
+        return draw_swatches(dataset, section["select"])
     quantity = [name for name in section["quantity"] if name in QUANTITY_LABELS] or ["brdf"]
     if section["kind"] == "hemisphere":
-        return draw_hemispheres(dataset, quantity, section["at"], section["legend"])
+        return draw_hemispheres(dataset, quantity, section["select"], section["legend"])
     if section["kind"] == "principal_plane":
         return draw_principal_planes(
-            dataset, quantity, section["at"], section["legend"], section["ylim"]
+            dataset, quantity, section["select"], section["legend"], section["ylim"]
         )
     if section["kind"] == "polarization":
-        return draw_polarization(dataset, section["at"], section["legend"])
+        return draw_polarization(dataset, section["select"], section["legend"])
     if section["kind"] in SINGLE_POINT_FUNCTIONS:
-        return SINGLE_POINT_FUNCTIONS[section["kind"]](dataset, section["at"])
+        return SINGLE_POINT_FUNCTIONS[section["kind"]](dataset, section["select"])
     return draw_spectra(
         dataset,
         section["quantity"],
         section["wavelength_nm"],
-        section["at"],
+        section["select"],
         measured,
         section["legend"],
         section["ylim"],

@@ -24,7 +24,7 @@ from splits.plotting.style import (
     use_style,
 )
 
-MODEL_AXIS, SAMPLE_AXIS = "readings", "saturation"
+MODEL_AXIS, SAMPLE_AXIS = "interpretation", "saturation"
 """Axes of the dataset: of models, and of samples."""
 MAX_PLANE_ANGLE_DEG = 65.0
 """Up to which the principal plane is drawn."""

@@ -55,7 +55,7 @@ FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
         "specific_surface_area_m2_kg": _make_formatter("surface area", "m²/kg"), **_GRAIN_FORMATTERS, **_COMMON_FORMATTERS,
     },
     "sand": {"porosity": _make_formatter("porosity"), "saturation": _format_saturation, **_COMMON_FORMATTERS},
-    "layer": {
+    "particle_layer": {
         "refractive_index": _make_formatter("index"),
         "optical_thickness": _make_formatter("optical thickness"),
         "single_scattering_albedo": _make_formatter("single-scattering albedo"),
@@ -71,7 +71,7 @@ FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
 """What figures say of a medium, by its kind, and how."""
 _INTERIOR_KEYS = ("optical_thickness", "single_scattering_albedo", "bottom_albedo")
 """What counts for nothing where nothing comes back from below a layer's surface."""
-_SURFACE_INSTRUMENTS = ("surface", "lens")
+_SURFACE_INSTRUMENTS = ("surface_map", "lens")
 """Instruments that look at a rough surface alone."""
 
 

@@ -43,7 +43,7 @@ def extract_plane(dataset: xr.Dataset) -> xr.Dataset:
     """Return the principal plane up to `MAX_POLAR_DEG`, with a gap where no cell looks."""
     plane = select_principal_plane(dataset)
     plane = plane.isel(angle=np.abs(plane.angle.values) <= MAX_POLAR_DEG)
-    return insert_zenith_gap(plane) if dataset.attrs.get("estimator") == "cells" else plane
+    return insert_zenith_gap(plane) if dataset.attrs.get("estimator") == "bins" else plane
 
 
 def insert_zenith_gap(plane: xr.Dataset) -> xr.Dataset:

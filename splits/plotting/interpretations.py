@@ -97,7 +97,7 @@ def _make_notes(base: pd.DataFrame, compared: dict[int, pd.DataFrame], set_name:
     own = dict(part.split(": ") for part in base.interpretation.iloc[0].split(", "))
     lines = []
     for number, part in compared.items():
-        other = dict(one.split(": ") for one in part.readings.iloc[0].split(", "))
+        other = dict(one.split(": ") for one in part.interpretation.iloc[0].split(", "))
         changed = [f"{key} {value}".replace("_", " ") for key, value in other.items()
                    if value != own[key]]  # fmt: skip
         lines.append(f"{number}: {', '.join(changed) or 'the same'}")

@@ -31,7 +31,7 @@ def make_limit_error(what: str, count: int, limit: int, selection: object) -> Va
     """Return the error that says that a figure would show too much, and how to show less."""
     allowed = f"with values of so many parameters that at most {limit} {what} are left of {count}"
     return invalid(
-        "figure.at",
+        "figure.select",
         dict(selection) if isinstance(selection, Mapping) else selection,
         allowed,
         REDUCTION_HINT,

@@ -180,8 +180,8 @@ def draw_summary(
         Title of the legend.
     """
     axes = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
-    # Deviations by group of rays are not shown.
-    part = dataset.drop_dims("group", errors="ignore").sel(dict(at))
+    # Deviations by batch of rays are not shown.
+    part = dataset.drop_dims("batch", errors="ignore").sel(dict(at))
     free = sorted((n for n in axes if n not in at), key=lambda n: -dataset.sizes[n])
     free = [name for name in free if dataset.sizes[name] > 1]
     lines, apart, rest = free[:1], free[1:3], free[3:]

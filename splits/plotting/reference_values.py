@@ -44,7 +44,7 @@ def draw_against_reference(
             line = fit_proportional(x, y)
             told.append(f"slope {line.slope:.2f} ± {line.stderr:.2f}")
             told.append(f"scatter {line.scatter:.2g}")
-            misfit = own.chi2_where_known.values
+            misfit = own.chi2_at_reference.values
             if model and np.isfinite(misfit).all():
                 expected = float(own.chi2_expected.sum())
                 told.append(f"χ² {misfit.sum():.0f} of {expected:.0f}")

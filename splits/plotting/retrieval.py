@@ -122,7 +122,7 @@ def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
     if dataset.sizes["model"] == 1:
         return note + "; lines: 16, 50 and 84 %."
     note += f". Averaging kernels: {format_value(str(dataset.model.values[0]), 'model')}."
-    if several and np.isfinite(dataset.chi2_where_known).any():
+    if several and np.isfinite(dataset.chi2_at_reference).any():
         note += " Beside what is known: χ² with that held, of what is expected."
     return note
 

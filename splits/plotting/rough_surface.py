@@ -95,17 +95,17 @@ def draw_lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) 
     """
     dataset = select_points(dataset, at or {})
     depth = dataset.screen_depth.values
-    spot = dataset.place.where(dataset.seen > 0)
+    spot = dataset.screen_position.where(dataset.detected > 0)
     size = (spot - spot.mean("ray")).pipe(np.square).sum("axis").mean("ray").values
     best = int(size.argmin())
     far = int(np.argmin(np.abs(depth - 2.0 * depth[best])))
     shown = sorted({0, best, far})
     with use_style():
         figure, (rays, screen, dense) = _make_panels(3, map_panel=1)
-        start = dataset.path.values
+        start = dataset.surface_position.values
         for ray in range(0, dataset.sizes["ray"], max(1, dataset.sizes["ray"] // 24)):
-            seen = (dataset.seen.values[:, ray] > 0) & (depth <= 1.4 * depth[far])
-            x = np.append(start[ray, 0], dataset.place.values[seen, ray, 0])
+            seen = (dataset.detected.values[:, ray] > 0) & (depth <= 1.4 * depth[far])
+            x = np.append(start[ray, 0], dataset.screen_position.values[seen, ray, 0])
             z = np.append(start[ray, 2], -depth[seen])
             rays.plot(x, z, color="0.35", lw=0.4)
             rays.plot([x[0], x[0]], [z[0], 0.3 * depth[far]], color="0.35", lw=0.4)
@@ -114,15 +114,15 @@ def draw_lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) 
         rays.plot(start[order, 0], start[order, 2], ".", color="black", ms=1)
         for place, colour in zip(shown, shades, strict=True):
             rays.axhline(-depth[place], color=colour)
-            seen = dataset.seen.values[place] > 0
-            spot = dataset.place.values[place][seen]
+            seen = dataset.detected.values[place] > 0
+            spot = dataset.screen_position.values[place][seen]
             screen.plot(*spot.T, ".", color=colour, ms=1.5, label=f"{depth[place]:g} m")
         rays.set(xlabel="x (m)", ylabel="height above the ring's centre (m)")
-        seen = dataset.seen.values[shown] > 0
+        seen = dataset.detected.values[shown] > 0
         middle = np.array(
-            [np.mean(_find_range(dataset.place.values[shown][seen, i])) for i in (0, 1)]
+            [np.mean(_find_range(dataset.screen_position.values[shown][seen, i])) for i in (0, 1)]
         )
-        half = 0.58 * max(np.ptp(dataset.place.values[shown][seen, i]) for i in (0, 1))
+        half = 0.58 * max(np.ptp(dataset.screen_position.values[shown][seen, i]) for i in (0, 1))
         screen.set(xlim=middle[0] + half * _LOWER_UPPER, ylim=middle[1] + half * _LOWER_UPPER)
         screen.set_aspect("equal")
         figure.legend(

@@ -56,7 +56,7 @@ PARAMETER_LABELS = {
     "partition": "pure / mixed / coated",
     "roundness": "roundness (mean, sd)",
     "size_tail": "tail by mass",
-    "readings": "reading",
+    "interpretation": "interpretation",
 }
 """How figures name parameters whose own names would not do."""
 
@@ -80,7 +80,7 @@ NOMINAL_PARAMETERS = (
     "impurities_ng_g",
     "algae_cells_ml",
     "impurities_in",
-    "readings",
+    "interpretation",
     "sample",
     "phase_function",
     "polarized",

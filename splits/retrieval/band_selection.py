@@ -33,9 +33,9 @@ def select_bands(
     bands: Any,
     free: Any,
     noise: Any,
-    most: int = 5,
+    n_bands: int = 5,
     *,
-    at: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
     seed: int = 1,
 ) -> xr.Dataset:
@@ -50,7 +50,7 @@ def select_bands(
         As for `splits.retrieve`.
     noise : float or array_like
         Standard errors, one or as many as bands.
-    most : int
+    n_bands : int
         How many bands, at least 1 and at most all.
     at, prior : mapping
         As for `splits.retrieve`.
@@ -76,9 +76,9 @@ def select_bands(
     if (covariance != np.diag(np.diag(covariance))).any():
         hint = "bands are chosen one by one"
         raise invalid("noise", "errors that are alike", "standard errors, independent", hint)
-    most = check_integer("most", most, 1, len(names))
+    n_bands = check_integer("most", n_bands, 1, len(names))
     which = StateVector.from_ranges(free, prior, get_table_ranges(table))
-    model = TableForwardModel(table, measurement, which, at)
+    model = TableForwardModel(table, measurement, which, fixed)
     random = np.random.default_rng(check_integer("seed", seed, 0))
     slopes, spread = [], []
     for place in random.random((N_STATES, len(which.names))):
@@ -87,7 +87,7 @@ def select_bands(
         spread.append(np.sqrt(np.diag(covariance)))
         slopes.append(model.evaluate_with_jacobian(place)[1])
     k = np.array(slopes) / np.array(spread)[:, :, np.newaxis]
-    chosen, bits, left = _select_greedily(k, which.prior_variance, most)
+    chosen, bits, left = _select_greedily(k, which.prior_variance, n_bands)
     units = [describe_parameter(name)[0] for name in which.names]
     variables = {
         "band": ("step", np.array(names)[chosen], {"long_name": "band"}),
@@ -104,11 +104,11 @@ def select_bands(
         ),
     }  # fmt: skip
     axes = {
-        "step": ("step", np.arange(1, most + 1), {"long_name": "number of bands", "units": "1"}),
+        "step": ("step", np.arange(1, n_bands + 1), {"long_name": "number of bands", "units": "1"}),
         "parameter": ("parameter", list(which.names), {"long_name": "parameter"}),
         "parameter_label": ("parameter", units, {"long_name": "parameter in words"}),
     }
-    facts = {"title": "Bands that tell most", "seed": seed, **make_provenance("best bands")}
+    facts = {"title": "Bands that tell most", "seed": seed, **make_provenance("band selection")}
     return xr.Dataset(variables, axes, to_netcdf_attributes(facts))
 
 

@@ -180,7 +180,7 @@ class TableForwardModel:
         self, stderr: np.ndarray, axis_values: dict[str, Any]
     ) -> np.ndarray:
         """Return the covariance of the errors of cells, whose standard errors are known."""
-        if f"{self.quantity}_groups" not in self.table.dataset:
+        if f"{self.quantity}_batches" not in self.table.dataset:
             w = self.measurement.wavelength_nm
             alike = np.exp(-np.abs(w[:, np.newaxis] - w) / ERROR_CORRELATION_NM)
             return alike * stderr[:, np.newaxis] * stderr
@@ -234,10 +234,10 @@ def _check_fixed_axes(
     table: Table, state_vector: StateVector, at: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return the values of the axes that are not free, or refuse them."""
-    found = check_axis_values(at, table.axes[:-1], "at.", free_axes=state_vector.names)
+    found = check_axis_values(at, table.axes[:-1], "fixed.", free_axes=state_vector.names)
     for name in table.axes[:-1]:
         if name not in state_vector.names and name not in found and table.dataset[name].size > 1:
-            raise invalid(f"at.{name}", None, "given", "an axis of the table that is not free")
+            raise invalid(f"fixed.{name}", None, "given", "an axis of the table that is not free")
     return found
 
 
@@ -252,7 +252,7 @@ def _slice_table(
         nodes = table.dataset[name].values
         given = fixed.get(name, nodes[0])
         if nodes.dtype.kind != "f":
-            part = part.sel({name: check_choice(f"at.{name}", str(given), nodes.tolist())})
+            part = part.sel({name: check_choice(f"fixed.{name}", str(given), nodes.tolist())})
             continue
         w = compute_interpolation_weights(name, nodes, given)
         part, shares[name] = part.isel({name: w.nodes}), w.weights

@@ -27,8 +27,8 @@ MAX_COMPONENTS = 24
 MIN_COMPONENT_VARIANCE = 0.01
 """Part of the noise variance of a component below which what it tells is left out."""
 FLAGS = {
-    "gap": 1, "out_of_range": 2, "poor_fit": 4, "at_low_end": 8, "at_high_end": 16, "untold": 32,
-    "not_at_rest": 64,
+    "gap": 1, "out_of_range": 2, "poor_fit": 4, "at_lower_bound": 8, "at_upper_bound": 16, "unconstrained": 32,
+    "not_converged": 64,
 }  # fmt: skip
 N_STATES = 32
 """Places in the ranges over which the mean of the table's error is taken."""
@@ -77,7 +77,7 @@ def retrieve_map(
     free: Any,
     noise: Any,
     *,
-    at: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
     threads: int | None = None,
 ) -> xr.Dataset:
@@ -95,7 +95,7 @@ def retrieve_map(
         ``wavelength``, such as ``band``; dask arrays block by block.
     table : MethodTable
     free : sequence of str or mapping
-        As for `splits.retrieve`, but ``level``.
+        As for `splits.retrieve`, but ``scale``.
     noise : float, array_like or mapping
         Of every pixel, as for `splits.retrieve`.
     at, prior : mapping
@@ -125,7 +125,7 @@ def retrieve_map(
     _check_image_names(image, which.names)
     w = image.wavelength.values
     measurement = Measurement.from_input((w, np.full(w.size, 0.5)), noise).check_noise_known()
-    model = TableForwardModel(table, measurement, which, at)
+    model = TableForwardModel(table, measurement, which, fixed)
     random = np.random.default_rng(1)
     own = [
         model.compute_error_covariance(place)
@@ -210,13 +210,13 @@ class _MapRetrieval(NamedTuple):
         chi2 = misfit[:, 0] + rest
         flags = FLAGS["gap"] * gap + FLAGS["out_of_range"] * odd
         flags = flags + FLAGS["poor_fit"] * (fine & (chi2 > self.compute_max_chi2()))
-        flags = flags + FLAGS["not_at_rest"] * (fine & (misfit[:, 1] == 0.0))
+        flags = flags + FLAGS["not_converged"] * (fine & (misfit[:, 1] == 0.0))
         # An amount of 0 is no end that was set too high.
         ends = (places < 1e-6) & (free.low != 0.0)
-        flags = flags + FLAGS["at_low_end"] * (fine & ends.any(axis=1))
-        flags = flags + FLAGS["at_high_end"] * (fine & (places > 1.0 - 1e-6).any(axis=1))
+        flags = flags + FLAGS["at_lower_bound"] * (fine & ends.any(axis=1))
+        flags = flags + FLAGS["at_upper_bound"] * (fine & (places > 1.0 - 1e-6).any(axis=1))
         untold = np.sqrt(variances) > 0.5 * np.sqrt(free.prior_variance)
-        flags = flags + FLAGS["untold"] * (fine & untold.any(axis=1))
+        flags = flags + FLAGS["unconstrained"] * (fine & untold.any(axis=1))
         found = np.column_stack([natural, stderr, chi2])
         found[~fine] = np.nan
         return np.column_stack([found, flags])

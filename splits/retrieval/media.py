@@ -31,7 +31,7 @@ def make_medium_state_vector(
     ----------
     medium : Medium
     ranges : mapping
-        (low, high) by name: numbers of the medium as for derivatives, ``incidence_deg``, ``level``.
+        (low, high) by name: numbers of the medium as for derivatives, ``incidence_deg``, ``scale``.
     prior : mapping or None
     incidence : float or "diffuse"
 
@@ -53,7 +53,7 @@ def make_medium_state_vector(
         if name != INCIDENCE_KEY:
             get_parameter(medium, name)
         elif incidence == "diffuse":
-            raise unknown_key(f"free.{name}", ["level"])
+            raise unknown_key(f"free.{name}", ["scale"])
         ends = np.array(check_named_numbers(f"free.{name}", pair, ("low", "high")))
         if not ends[0] < ends[1]:
             raise invalid(f"free.{name}", pair, "low < high")
@@ -76,7 +76,7 @@ def check_measurement_incidence(at: Mapping[str, Any] | None, ranges: Any) -> fl
     """Return the incidence that a measurement of a medium was made under, or refuse it."""
     free = ranges if isinstance(ranges, Mapping) else ()
     return check_incidence(
-        check_axis_values(at, [INCIDENCE_KEY], "at.", free_axes=free).get(INCIDENCE_KEY, 0.0)
+        check_axis_values(at, [INCIDENCE_KEY], "fixed.", free_axes=free).get(INCIDENCE_KEY, 0.0)
     )
 
 

@@ -68,9 +68,9 @@ class RetrievalResult:
         return {str(p): float(found.sel(parameter=p)) for p in found.parameter.values}
 
     @property
-    def determined(self) -> dict[str, bool]:
+    def constrained(self) -> dict[str, bool]:
         """Which parameters the measurement tells."""
-        found = self.dataset.determined
+        found = self.dataset.constrained
         return {str(p): bool(found.sel(parameter=p)) for p in found.parameter.values}
 
     @property
@@ -88,7 +88,7 @@ class RetrievalResult:
             unit = str(self.dataset.parameter_unit.sel(parameter=name).item())
             unit = {"1e-9": "ng/g", "um": "µm", "degree": "°", "m2 kg-1": "m²/kg"}.get(unit, unit)
             tail = f" {unit}" if unit != "1" else ""
-            if not self.determined[name]:
+            if not self.constrained[name]:
                 tail += ", not told by the measurement"
             lines.append(f"{name} {middle:.4g} ({low:.4g} to {high:.4g}){tail}")
         about = self.dataset.attrs
@@ -151,7 +151,7 @@ def make_result(
     variables = {
         **make_variable("value", over, state_vector.to_physical(best.state), natural.std(axis=0), "most probable value"),
         **make_variable("mean", over, natural.mean(axis=0), None, "mean"),
-        **make_variable("determined", over, determined.astype(np.int8), None,
+        **make_variable("constrained", over, determined.astype(np.int8), None,
                    "1 where the measurement halves what was not known before"),
         **make_variable("quantiles", ("quantile", "parameter"),
                    np.quantile(natural, QUANTILES, axis=0), None, "quantiles"),
@@ -168,10 +168,10 @@ def make_result(
         "noise": NOISE_GIVEN if measurement.noise_known else "found from the misfit",
         "chi2": excess * best.chi2,
         "chi2_expected": len(best.modelled) - compute_fit_degrees_of_freedom(best, state_vector),
-        "errors_enlarged_by": float(np.sqrt(excess)),
+        "error_inflation": float(np.sqrt(excess)),
         "degrees_of_freedom": told.degrees_of_freedom,
         "information_bits": told.information_bits,
-        "effective_draws": draws.n_effective,
+        "effective_sample_size": draws.n_effective,
         "warnings": "; ".join(_list_warnings(state_vector, solution, determined)) or "none",
         **make_provenance("retrieval"),
     }

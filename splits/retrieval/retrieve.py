@@ -48,7 +48,7 @@ def retrieve(
     free: Any,
     noise: Any = None,
     *,
-    at: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, Any] | None = None,
     prior: Mapping[str, Any] | None = None,
     bands: Any = None,
     quantity: str = "reflectance",
@@ -72,15 +72,15 @@ def retrieve(
         a sand, a layer or a stack, of which as many runs are made as it takes, some minutes.
     free : sequence of str or mapping
         Axes of the table to be found, or their (low, high) by name.  Of a medium the latter, of
-        parameters named as for derivatives (``layers.0.depth_m``).  ``level`` is a factor of
-        the model: what was measured is `level` times its light, for a panel whose reflectance is
+        parameters named as for derivatives (``layers.0.depth_m``).  ``scale`` is a factor of
+        the model: what was measured is `scale` times its light, for a panel whose reflectance is
         not known.
     noise : float, array_like or mapping, optional
         Standard errors of the measurement, one or as many as values, their covariance matrix, or
         ``{"stderr": …, "correlation_nm": …, "independent": …}``: errors that are alike over so
         many nm, and others besides.  Without it the misfit tells how far the values may be off:
         least squares, with errors that are alike at neighbouring values as far as the misfit is.
-    at : mapping
+    fixed : mapping
         Values of the other axes, such as ``incidence_deg``; of a medium that alone.
     prior : mapping
         (mean, standard deviation) of what was known before, by name: normal in the coordinate of
@@ -103,7 +103,7 @@ def retrieve(
     -------
     Retrieved
         Prints what was found.  Its ``dataset`` has, over ``parameter``: ``value`` (most probable)
-        and ``value_stderr``, ``mean``, ``determined``, ``quantiles`` over ``quantile``; the
+        and ``value_stderr``, ``mean``, ``constrained``, ``quantiles`` over ``quantile``; the
         ``averaging_kernel`` and the ``correlation``; ``draws``; ``measured`` and ``fitted`` over
         ``wavelength``, with errors.  Attributes: ``rmse``, ``chi2`` and what to expect of it,
         ``degrees_of_freedom`` of signal, ``information_bits``, ``warnings``.
@@ -129,7 +129,7 @@ def retrieve(
     >>> found = splits.retrieve(
     ...     ([860, 1030, 1240], [0.86, 0.68, 0.51]), splits.Table(snow), ["optical_radius_um"], 0.02
     ... )
-    >>> found.determined
+    >>> found.constrained
     {'optical_radius_um': True}
     """
     seed = check_integer("seed", seed, 0)
@@ -139,7 +139,7 @@ def retrieve(
         check_choice("quantity", quantity, model.quantities)
         measurement = Measurement.from_input(measured, noise, bands)
         which = StateVector.from_ranges(free, prior, get_table_ranges(model))
-        known = TableForwardModel(model, measurement, which, at, quantity)
+        known = TableForwardModel(model, measurement, which, fixed, quantity)
         if not measurement.noise_known:
             found, measurement = least_squares.retrieve_from_table(known, measurement, seed)
         else:
@@ -151,7 +151,7 @@ def retrieve(
         raise invalid("model", given, "a Table, or a medium", hint)
     check_choice("quantity", quantity, ["reflectance"])
     measurement = Measurement.from_input(measured, noise, bands)
-    beam = check_measurement_incidence(at, free)
+    beam = check_measurement_incidence(fixed, free)
     which = make_medium_state_vector(model, free, prior, beam)
     runs = make_simulation_model(model, measurement, which, beam, max_stderr, seed, progress)
     if not measurement.noise_known:

@@ -25,12 +25,12 @@ DEFAULT_RANGES: dict[str, tuple[float, float]] = {
     "hematite_ratio": (0.0, 1.0),
     "magnetite": (0.0, 0.3),
     "pure": (0.0, 1.0),
-    "coated_share": (0.0, 1.0),
+    "coated_fraction": (0.0, 1.0),
     "fines": (0.005, 0.15),
     "clay": (1e-4, 0.1),
 }
 """Default ranges, SPLITS Table 2: ``pure`` is the mass fraction of pure particles,
-``coated_share`` the coated part of the others, ``fines`` silt + 1.5 clay, and ``clay`` the mass
+``coated_fraction`` the coated part of the others, ``fines`` silt + 1.5 clay, and ``clay`` the mass
 fraction of clay, which besides cannot exceed fines/1.5.  Clay of less than Sand's ``size_tail``
 is as good as none."""
 
@@ -117,7 +117,7 @@ class UnitCube:
             return float(min(max(low + part * (high - low), low), high))
 
         pure = at("pure")
-        coated = (1.0 - pure) * at("coated_share")
+        coated = (1.0 - pure) * at("coated_fraction")
         mixed = max(1.0 - pure - coated, 0.0)
         fines = at("fines")
         clay = at("clay", fines / 1.5)
@@ -181,14 +181,14 @@ class FittedParameter:
         A mass fraction, or hematite's part of the iron oxide.
     stderr : float
         Its standard error, the root mean square of how far it may be off.
-    determined : bool
+    constrained : bool
         Whether that, in ranks among all sands of the ranges, is below half of what not having
         measured at all would leave.
     """
 
     value: float
     stderr: float
-    determined: bool
+    constrained: bool
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -245,6 +245,6 @@ class FitResult:
         """Return the misfit, and every parameter with its error in a line of its own."""
         lines = [f"misfit {self.rmse:.4f} ± {self.rmse_stderr:.4f}"]
         for name, one in self.parameters.items():
-            told = "told by the spectrum" if one.determined else "not told"
+            told = "told by the spectrum" if one.constrained else "not told"
             lines.append(f"{name:16} {one.value:.4f} ± {one.stderr:.4f}  {told}")
         return "\n".join(lines)

@@ -158,7 +158,7 @@ class SimulationForwardModel:
         if key not in self._cache:
             found, level = self.simulate(state, self.get_stage_stderr(stage), [], self.seed)
             values = level * (self.operator @ found.reflectance.values)
-            groups = level * found.reflectance_groups.values @ self.operator.T
+            groups = level * found.reflectance_batches.values @ self.operator.T
             own = level * np.abs(self.operator) @ found.reflectance_stderr.values
             covariance = groups.T @ groups
             covariance += np.diag(np.maximum(own**2 - np.diag(covariance), 0.0))

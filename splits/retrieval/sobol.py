@@ -34,7 +34,7 @@ def sobol_indices(
     table: Table,
     free: Any,
     *,
-    at: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, Any] | None = None,
     quantity: str = "reflectance",
     points: int = 1024,
     seed: int = 1,
@@ -49,7 +49,7 @@ def sobol_indices(
     table : MethodTable
     free : sequence of str or mapping
         Axes of the table that vary, at least two, or their (low, high) by name.
-    at : mapping
+    fixed : mapping
         Values of the other axes.
     quantity : str
         Of the table.
@@ -85,7 +85,7 @@ def sobol_indices(
         raise invalid("free", list(which.names), "two axes of the table or more")
     w = table.dataset.wavelength.values
     plain = Measurement.from_input((w, np.full(w.size, 0.5)), 0.01)
-    model = TableForwardModel(table, plain, which, at, quantity)
+    model = TableForwardModel(table, plain, which, fixed, quantity)
     shares = _estimate_variance_fractions(model, points, seed)
     variables: dict[str, Any] = {}
     for name, label, rows in (

@@ -15,7 +15,7 @@ from splits.core.arrays import check_named_numbers
 from splits.core.validation import invalid, snap_to_limits, unknown_key
 from splits.tables.interpolation import apply_axis_transform
 
-SCALE = "level"
+SCALE = "scale"
 """Name of the factor of the measurement, such as that of a reference panel."""
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Of a coordinate of which nothing is known."""

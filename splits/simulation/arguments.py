@@ -29,7 +29,7 @@ from splits.media.medium import (
 from splits.simulation.threads import count_cpus
 
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
-HALF_WIDTH_RANGE_M = {"bssrdf": (1e-9, 1e6), "surface": (1e-9, 1e9), "lens": (1e-9, 1e6)}
+HALF_WIDTH_RANGE_M = {"beam_spread": (1e-9, 1e6), "surface_map": (1e-9, 1e9), "lens": (1e-9, 1e6)}
 """Half the edge of the square that an instrument looks at: shortest, longest."""
 MAX_INT64 = 2**63 - 1
 MAX_DATASET_VALUES = 10_000_000
@@ -176,5 +176,5 @@ def check_n_bins(n_bins: Any) -> tuple[int, int]:
     try:
         polar, azimuth = (check_integer("cells", n, 1, 1000) for n in n_bins)
     except (TypeError, ValueError):
-        raise invalid("cells", n_bins, "two whole numbers from 1 to 1000") from None
+        raise invalid("n_bins", n_bins, "two whole numbers from 1 to 1000") from None
     return polar, azimuth

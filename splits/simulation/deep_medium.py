@@ -374,7 +374,7 @@ def _compute_albedo_below_interface(
     n = index[:, WET_PORE] / index[:, DRY_PORE]
     outer = diffuse_reflectance(n)
     inner = 1.0 - (1.0 - outer) / n**2
-    wet = optics.wet_share.values
+    wet = optics.wet_fraction.values
     out, back = 1.0 - wet * inner, 1.0 - float(lowest_layer.wet_fraction) * outer
     # What the ground keeps, in units of what reaches the face from within, is to be 1 − sent.
     kept = 1.0 - reflected_fraction

@@ -178,7 +178,9 @@ def make_parameter_coordinates(
     if not parameters:
         return {}
     units = [get_derivative_unit(parameter) for parameter in parameters]
-    how = ["paths" if name in perturbations.parameters else "differences" for name in parameters]
+    how = [
+        "paths" if name in perturbations.parameters else "finite_difference" for name in parameters
+    ]
     return {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of derivatives to it"}),

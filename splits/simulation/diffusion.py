@@ -25,9 +25,11 @@ def effective_mean_free_path(optics: xr.Dataset) -> np.ndarray:
     """
     # Arrays add in a hundredth of the time that labelled ones take.
     free = 1.0 / optics.extinction.values
-    before, after = optics.displacement_before.values, optics.displacement_after.values
+    before, after = optics.displacement_along_incident.values, optics.displacement_along_exit.values
     turned = 1.0 - optics.asymmetry_parameter.values
-    square = (free + before) * (free + after) + 0.5 * turned * optics.displacement_square.values
+    square = (free + before) * (
+        free + after
+    ) + 0.5 * turned * optics.mean_square_displacement.values
     values: np.ndarray = np.sqrt(square)
     return values
 

@@ -55,7 +55,7 @@ class SpectralEstimate:
     converged : bool
         Whether the error asked for was reached everywhere.
     kernel : str
-        "lanes", "scalar", or both where ensembles differ.
+        "vectorized", "scalar", or both where ensembles differ.
     derivatives : Derivatives
         Derivatives, of as many parameters as were asked for.
     """

@@ -34,7 +34,12 @@ wide as the contrast c has χ_l ~ exp(−c² l²/2), and |dχ/d(ln c)| up to 2/e
 
 
 WET_PORE_MODELS = ("saturation", "equilibrium")
-WEIGHTED_MEANS = ("displacement_before", "displacement_after", "displacement_square", "wet_share")
+WEIGHTED_MEANS = (
+    "displacement_along_incident",
+    "displacement_along_exit",
+    "mean_square_displacement",
+    "wet_fraction",
+)
 """What else is a mean by weight of scattered light, in the order of `tally_single_scattering`."""
 
 
@@ -270,15 +275,15 @@ def _estimate_means(
     found = {
         "single_scattering_albedo": albedo,
         "single_scattering_albedo_stderr": np.sqrt(variance / n_rays + albedo_missed**2),
-        "single_scattering_albedo_left_out": left_out[:, 0],
-        "single_scattering_albedo_missed": albedo_missed,
+        "single_scattering_albedo_jackknife": left_out[:, 0],
+        "single_scattering_albedo_interpolation_bound": albedo_missed,
     }
     rows = {"legendre_moment": slice(n_orders), "asymmetry_parameter": 1}
     rows |= {name: n_orders + row for row, name in enumerate(WEIGHTED_MEANS)}
     for name, row in rows.items():
-        for end, table in (("", ratio), ("_stderr", error), ("_missed", missed)):
+        for end, table in (("", ratio), ("_stderr", error), ("_interpolation_bound", missed)):
             found[f"{name}{end}"] = table[row].T
-        found[f"{name}_left_out"] = np.moveaxis(ratios[:, row], 1, -1)
+        found[f"{name}_jackknife"] = np.moveaxis(ratios[:, row], 1, -1)
     return found
 
 

@@ -38,7 +38,7 @@ class Runner:
         None takes every CPU this process may use.
     analog : bool
         Absorption by coin toss.
-    kernel : {"auto", "lanes", "scalar"}
+    kernel : {"auto", "vectorized", "scalar"}
     progress_callback : callable, optional
         Receives a `Progress` a few times per second at most.
     planes_m : sequence of float
@@ -175,7 +175,7 @@ class Runner:
     def list_kernels(self, tallies: Sequence[Tally]) -> str:
         """Return which kernels trace these ensembles, joined by a comma."""
         used = {
-            "scalar" if self.tracer.get_features(level) is None else "lanes"
+            "scalar" if self.tracer.get_features(level) is None else "vectorized"
             for ensemble in tallies
             for level in ensemble.strata
         }

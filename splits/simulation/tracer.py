@@ -33,7 +33,7 @@ from splits.simulation.scene import (
 )
 from splits.simulation.tally import Stratum, TransportTraits
 
-KERNELS = ("auto", "lanes", "scalar")
+KERNELS = ("auto", "vectorized", "scalar")
 """What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
 
 
@@ -118,7 +118,7 @@ class GrainTracer:
     seed : int
     analog : bool
         Absorption by coin toss.
-    kernel : {"auto", "lanes", "scalar"}
+    kernel : {"auto", "vectorized", "scalar"}
     planes_m : sequence of float
         Depths (m) of planes to listen at, besides all faces between layers; with none, nobody
         listens at these.
@@ -179,10 +179,10 @@ class GrainTracer:
         if stratum not in self._features:
             self._features[stratum] = select_features(self.scene, stratum.optics)
         features = self._features[stratum]
-        if features is None and self.kernel == "lanes":
+        if features is None and self.kernel == "vectorized":
             raise invalid(
                 "kernel",
-                "lanes",
+                "vectorized",
                 "'auto' or 'scalar' for this sample",
                 "lanes know no layers of particles, coin tosses, stacked coatings, extreme inputs",
             )
@@ -242,7 +242,7 @@ class LayerTracer:
         analog: bool,
         kernel: str,
     ) -> None:
-        if kernel == "lanes":
+        if kernel == "vectorized":
             raise invalid("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
         stokes = UNPOLARIZED if medium.polarized else None
         self.scene = LayerScene(

@@ -25,7 +25,7 @@ def compute_array_shapes(plan: TablePlan, request: TableRequest) -> dict[str, tu
     for side in request.quantities:
         found |= {side: shape, f"{side}_stderr": shape}
         if request.covariance:
-            found[f"{side}_groups"] = (N_BATCHES, *shape)
+            found[f"{side}_batches"] = (N_BATCHES, *shape)
     return found
 
 
@@ -58,9 +58,9 @@ def assemble_dataset(
         if name == side:
             about["ancillary_variables"] = f"{side}_stderr"
         else:
-            kind = "standard error" if name.endswith("_stderr") else "deviation by group of rays"
+            kind = "standard error" if name.endswith("_stderr") else "deviation by batch of rays"
             about["long_name"] = f"{kind} of {about['long_name']}"
-        lead = ("group",) if name.endswith("_groups") else ()
+        lead = ("batch",) if name.endswith("_batches") else ()
         variables[name] = (
             (*lead, *dims),
             values.reshape(*values.shape[: len(lead)], *shape),
@@ -73,13 +73,15 @@ def assemble_dataset(
     run = request.spectral_request
     facts_of_all: dict[str, Any] = {
         "title": f"Table of {plan.grid.size} spectra",
-        "axes_that_share_paths": ", ".join(plan.path_sharing_axes) or "none",
+        "path_sharing_axes": ", ".join(plan.path_sharing_axes) or "none",
         "max_stderr": run.max_stderr,
         "max_stderr_reached": max(float(one["max_stderr_reached"]) for one in block_attrs),
         "interpolation_error_bound": max(
             float(one["interpolation_error_bound"]) for one in block_attrs
         ),
-        "stopped_by": "error" if all(o["stopped_by"] == "error" for o in block_attrs) else "rays",
+        "stop_reason": "converged"
+        if all(o["stop_reason"] == "converged" for o in block_attrs)
+        else "max_rays",
         "seed": run.seed,
         "rays": int(sum(int(one["rays"]) for one in block_attrs)),
         "ensembles": len(plan.path_groups),

@@ -19,7 +19,7 @@ def sort_axes(dataset: Any) -> xr.Dataset:
     if not isinstance(dataset, xr.Dataset):
         hint = "splits.open_table(…) takes a path" if isinstance(dataset, str) else ""
         raise invalid("table", type(dataset).__name__, allowed, hint)
-    if "axes_that_share_paths" not in dataset.attrs:
+    if "path_sharing_axes" not in dataset.attrs:
         raise invalid("table", dataset.attrs.get("title", "a dataset"), allowed)
     errors = [name for name in dataset.data_vars if f"{name}_stderr" in dataset.data_vars]
     if not errors:

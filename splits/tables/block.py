@@ -30,7 +30,7 @@ class TableRequest(NamedTuple):
     quantities : tuple of str
         Of `SIDE_QUANTITIES`.
     covariance : bool
-        Whether deviations by group of rays are kept.
+        Whether deviations by batch of rays are kept.
     """
 
     spectral_request: SpectralRequest
@@ -90,8 +90,8 @@ def compute_block(
             groups = found.batch_deviations[:, row].reshape(N_BATCHES, *shape)[
                 :, path_group.media_indices
             ]
-            variables[f"{side}_groups"] = (
-                ("group", "point", "wavelength"), groups.astype(np.float32),
+            variables[f"{side}_batches"] = (
+                ("batch", "point", "wavelength"), groups.astype(np.float32),
             )  # fmt: skip
     facts = {
         **make_provenance("block of a table"),
@@ -101,7 +101,7 @@ def compute_block(
         "max_stderr_reached": float(found.stderr.max()),
         "interpolation_error_bound": float(found.interpolation_error.max()),
         "kernel": found.kernel,
-        "stopped_by": "error" if found.converged else "rays",
+        "stop_reason": "converged" if found.converged else "max_rays",
         "wall_time_s": round(time.perf_counter() - begun, 3),
     }
     places = ("point", path_group.positions, {"long_name": "place in the table"})

@@ -72,7 +72,7 @@ def build_table(
     quantities : sequence of str
         Of "reflectance" and "transmittance".
     covariance : bool
-        Whether ``…_groups`` are kept, 32 deviations by group of rays for each value: sums of
+        Whether ``…_batches`` are kept, 32 deviations by batch of rays for each value: sums of
         products are covariances of cells that share paths.
     folder : path, optional
         Keeps what has been measured, ensemble by ensemble.  A run that was broken off goes on

@@ -109,12 +109,12 @@ def differentiate(
                 ),
                 key=lambda off: float(off.sum()),
             )
-    groups = f"{quantity}_groups"
+    groups = f"{quantity}_batches"
     error = part[f"{quantity}_stderr"].values.astype(float)
     variance = _apply_weights(error**2, weights, [s**2 for s in along])
     if groups in part:
         order = [d for d in part[quantity].dims if d != "wavelength"]
-        deviations = part[groups].transpose(*order, "group", "wavelength").values.astype(float)
+        deviations = part[groups].transpose(*order, "batch", "wavelength").values.astype(float)
         variance = (_apply_weights(deviations, weights, along) ** 2).sum(axis=0)
     return DerivativeEstimate(value, np.sqrt(variance), np.sqrt(missed))
 

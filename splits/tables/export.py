@@ -38,7 +38,7 @@ def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
     path : path
         The file appears whole or not at all.
     """
-    names = [str(name) for name, v in dataset.data_vars.items() if "group" not in v.dims]
+    names = [str(name) for name, v in dataset.data_vars.items() if "batch" not in v.dims]
     first, *others = dataset[names[0]].dims
     with atomic_write(path) as aside:
         for number in range(dataset.sizes[first]):

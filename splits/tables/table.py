@@ -165,11 +165,11 @@ class Table:
         ValueError
             For a table without them.
         """
-        name = f"{quantity}_groups"
+        name = f"{quantity}_batches"
         if name not in self.dataset:
             raise invalid("table", quantity, "a table made with covariance=True")
         part, weights = self._select_stencil(at, [name])
-        values = part[name].transpose(*self.axes[:-1], "group", "wavelength").values.astype(float)
+        values = part[name].transpose(*self.axes[:-1], "batch", "wavelength").values.astype(float)
         for w in weights:
             values = np.tensordot(w.weights, values[w.nodes], 1)
         return values
@@ -201,7 +201,7 @@ class Table:
         at = check_axis_values(at, axes)
         numbers = [n for n in axes if self.dataset[n].dtype.kind == "f"]
         chosen = check_derivative_axes(names, numbers)
-        groups = [f"{q}_groups" for q in self.quantities if f"{q}_groups" in self.dataset]
+        groups = [f"{q}_batches" for q in self.quantities if f"{q}_batches" in self.dataset]
         part, weights = self._select_stencil(at, self._list_variables() + groups)
         found: dict[str, list[DerivativeEstimate]] = {q: [] for q in self.quantities}
         for name in chosen:

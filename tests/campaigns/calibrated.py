@@ -116,10 +116,10 @@ def read_combined(*names: str) -> Reader:
 def read_media_difference(dataset: xr.Dataset) -> ValuesAndErrors:
     """Read differences between two media, by groups of rays."""
     first, second = dataset.isel(medium=0), dataset.isel(medium=1)
-    groups = first.reflectance_groups.astype(float) - second.reflectance_groups.astype(float)
+    groups = first.reflectance_batches.astype(float) - second.reflectance_batches.astype(float)
     return (
         (first.reflectance - second.reflectance).values,
-        ((groups**2).sum("group") ** 0.5).values,
+        ((groups**2).sum("batch") ** 0.5).values,
     )
 
 
@@ -135,11 +135,13 @@ SPECTRUM_READERS = {
 }
 ANGULAR_READERS = make_readers("brdf", "btdf", "reflectance", "transmittance")
 POLARIZED_READERS = ANGULAR_READERS | make_readers("brdf_q", "brdf_u", "btdf_q", "btdf_u")
-SPREAD_READERS = make_readers("share", "mean_radius", "quantile_radius", "profile", "profile_map")
+SPREAD_READERS = make_readers(
+    "fraction", "mean_radius", "quantile_radius", "profile", "profile_map"
+)
 PROFILE_READERS = make_readers("downward_irradiance", "upward_irradiance", "absorptance")
 GRAIN_READERS = make_readers(
-    "single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "displacement_before",
-    "displacement_after", "displacement_square", "wet_share",
+    "single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "displacement_along_incident",
+    "displacement_along_exit", "mean_square_displacement", "wet_fraction",
 )  # fmt: skip
 LONG_RUN_SEED = 1_000_000
 """Seed of long runs."""
@@ -173,13 +175,13 @@ def make_expansion_case(name, *scene):
 
 def make_bins_run(medium, wavelength, rays=30_000):
     return lambda seed: splits.goniophotometer(
-        medium, [wavelength], 40.0, rays, seed, estimator="cells", cells=(3, 6), **ONE_THREAD
+        medium, [wavelength], 40.0, rays, seed, estimator="bins", n_bins=(3, 6), **ONE_THREAD
     )
 
 
 def make_next_event_run(medium, rays):
     return lambda seed: splits.goniophotometer(
-        medium, [600.0], 40.0, rays, seed, estimator="local", **FEW_DIRECTIONS, **ONE_THREAD
+        medium, [600.0], 40.0, rays, seed, estimator="next_event", **FEW_DIRECTIONS, **ONE_THREAD
     )
 
 
@@ -212,7 +214,7 @@ def run_soot(seed):
 
 def run_lens(seed):
     return splits.lens(
-        ROUGH_LAYER, [2.0, 5.0], 0.5, over="origin", realisations=100, seed=seed, rays=36
+        ROUGH_LAYER, [2.0, 5.0], 0.5, centre_on="origin", realisations=100, seed=seed, rays=36
     )
 
 
@@ -267,8 +269,8 @@ CASES = [
     CalibrationCase("goniophotometer, cells", "polarized layer", make_bins_run(POLARIZED_LAYER, 600.0), POLARIZED_READERS),
     CalibrationCase("goniophotometer, local", "layer", make_next_event_run(SCATTERING_LAYER, 4000), ANGULAR_READERS),
     CalibrationCase("goniophotometer, local", "polarized layer", make_next_event_run(POLARIZED_LAYER, 4000), POLARIZED_READERS),
-    CalibrationCase("bssrdf", "snow", make_spread_run(SNOW, 1300.0, 0.003), SPREAD_READERS),
-    CalibrationCase("bssrdf", "layer", make_spread_run(SCATTERING_LAYER, 600.0, 1.0), SPREAD_READERS),
+    CalibrationCase("beam_spread", "snow", make_spread_run(SNOW, 1300.0, 0.003), SPREAD_READERS),
+    CalibrationCase("beam_spread", "layer", make_spread_run(SCATTERING_LAYER, 600.0, 1.0), SPREAD_READERS),
     CalibrationCase("deep_transmittance", "snow, 10 %", make_deep_run(DEEP_SNOW, 1030.0, 0.1), make_readers("transmittance")),
     CalibrationCase("deep_transmittance", "snow, 5 %", make_deep_run(DEEP_SNOW, 1300.0, 0.05), make_readers("transmittance"), 100),
     CalibrationCase(
@@ -287,7 +289,7 @@ CASES = [
         lambda: make_hdrf_run(0.01)(LONG_RUN_SEED),
     ),
     CalibrationCase(
-        "light_inside", "snow", run_radiation_profile,
+        "radiation_profile", "snow", run_radiation_profile,
         make_readers("downward_irradiance", "upward_irradiance", "absorbed_power"), 100,
     ),
 ]  # fmt: skip

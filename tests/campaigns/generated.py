@@ -88,13 +88,13 @@ INDEX = (
     )
 )
 INTERPRETATIONS = optional_keys(
-    entry=st.sampled_from(["uniform", "projected"]),
-    facets=st.sampled_from(["projected", "unweighted", "any"]),
-    wrong_side=st.sampled_from(["lobe", "mirrored"]),
+    entry_point=st.sampled_from(["uniform", "projected"]),
+    facet_sampling=st.sampled_from(["projected", "unweighted", "any"]),
+    wrong_side_ray=st.sampled_from(["cosine_lobe", "mirror"]),
     boundary_fresnel=st.sampled_from(["yes", "no"]),
-    grain_distance=st.sampled_from(["leg", "leg_and_grain"]),
-    grain_on_last_leg=st.sampled_from(["reject", "keep", "skip"]),
-    grain_across_boundary=st.sampled_from(["reject", "keep", "skip"]),
+    mean_free_path=st.sampled_from(["pore_only", "including_grain"]),
+    overlap_with_previous_segment=st.sampled_from(["reject", "keep", "skip"]),
+    overlap_with_boundary=st.sampled_from(["reject", "keep", "skip"]),
 )
 FRACTIONS = st.lists(numbers_within(0.0, 1.0), min_size=2, max_size=2).map(
     lambda x: [min(x), max(x) - min(x), 1.0 - max(x)]
@@ -112,7 +112,7 @@ KEYWORDS = {
         "temperature_c": numbers_within(-40.0, 0.0),
         "depth_m": numbers_within(0.001, 0.02),
         "refractive_index": st.dictionaries(st.sampled_from(["ice", "water"]), INDEX, max_size=2),
-        "readings": INTERPRETATIONS,
+        "interpretation": INTERPRETATIONS,
         "ground": GROUNDS,
     },
     "sand": {
@@ -129,10 +129,10 @@ KEYWORDS = {
         "refractive_index": st.dictionaries(
             st.sampled_from(["quartz", "hematite", "goethite", "water"]), INDEX, max_size=2
         ),
-        "readings": INTERPRETATIONS,
+        "interpretation": INTERPRETATIONS,
         "ground": GROUNDS,
     },
-    "layer": {
+    "particle_layer": {
         "optical_thickness": numbers_within(0.0, 20.0) | st.just(float("inf")),
         "single_scattering_albedo": numbers_within(0.0, 0.99),
         "asymmetry": numbers_within(-0.9, 0.9),
@@ -166,12 +166,12 @@ LAYER_OF_STACK = st.one_of(
 )  # fmt: skip
 TOP_LAYER = st.fixed_dictionaries(
     {
-        "kind": st.just("layer"),
+        "kind": st.just("particle_layer"),
         "optical_thickness": numbers_within(0.0, 5.0),
         "depth_m": numbers_within(0.1, 1.0),
     },
     optional={
-        key: KEYWORDS["layer"][key]
+        key: KEYWORDS["particle_layer"][key]
         for key in ("single_scattering_albedo", "asymmetry", "refractive_index", "surface")
     },
 )
@@ -186,7 +186,7 @@ BASE_FILES = {
     "stack": [],
     "snow": ["splitsnow_table1"],
     "sand": ["splits_base", "tec_10019201", "tec_13j9823"],
-    "layer": [],
+    "particle_layer": [],
 }
 
 # --- labels, instruments, figures -------------------------------------------------------------
@@ -209,30 +209,36 @@ AZIMUTHS = st.sampled_from([[0, 180], [0, 90, 180], [0, 45.5, 180, 359]])
 SETTINGS = {
     "spectrophotometer": {"estimator": st.sampled_from(["spectral", "analog"])},
     "goniophotometer": {
-        "estimator": st.sampled_from(["expansion", "cells", "local"]),
+        "estimator": st.sampled_from(["expansion", "bins", "next_event"]),
         "target": st.sampled_from(["brdf", "btdf"]),
         "polar_deg": increasing_numbers(0.0, 89.0, 3),
         "azimuth_deg": AZIMUTHS,
-        "cells": st.sampled_from([[2, 4], [6, 8]]),
+        "n_bins": st.sampled_from([[2, 4], [6, 8]]),
         "rays": st.integers(1, 5000),
     },
-    "bssrdf": {"rays": st.integers(1, 5000), "half_width_m": numbers_within(1e-3, 1.0)},
+    "beam_spread": {"rays": st.integers(1, 5000), "half_width_m": numbers_within(1e-3, 1.0)},
     "refractive_index": {},
-    "surface": {"half_width_m": numbers_within(0.1, 10.0), "realisations": st.integers(2, 5)},
+    "surface_map": {"half_width_m": numbers_within(0.1, 10.0), "realisations": st.integers(2, 5)},
     "lens": {
         "radius_m": numbers_within(0.1, 3.0),
         "screen_depth_m": increasing_numbers(0.5, 50.0, 3),
         "half_width_m": numbers_within(1.0, 20.0),
-        "over": st.sampled_from(["crest", "trough", "origin"]),
+        "centre_on": st.sampled_from(["crest", "trough", "origin"]),
         "realisations": st.integers(1, 3),
         "rays": st.integers(3, 100),
     },
 }
 INSTRUMENTS_OF_MEDIUM = {
-    "stack": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
-    "snow": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
-    "sand": ["spectrophotometer", "goniophotometer", "bssrdf", "refractive_index"],
-    "layer": ["spectrophotometer", "goniophotometer", "bssrdf", "surface", "lens"],
+    "stack": ["spectrophotometer", "goniophotometer", "beam_spread", "refractive_index"],
+    "snow": ["spectrophotometer", "goniophotometer", "beam_spread", "refractive_index"],
+    "sand": ["spectrophotometer", "goniophotometer", "beam_spread", "refractive_index"],
+    "particle_layer": [
+        "spectrophotometer",
+        "goniophotometer",
+        "beam_spread",
+        "surface_map",
+        "lens",
+    ],
 }
 QUANTITIES = {
     "spectrophotometer": ["reflectance", "transmittance", "absorptance"],
@@ -245,7 +251,7 @@ FIT_SECTION = {"measured": "sand_reflectance_jhu.csv"}
 def mediums(draw, kind: str, rough: bool) -> dict[str, Any]:
     medium = draw(optional_keys(**KEYWORDS[kind]))
     if rough and draw(OFTEN):
-        medium["surface"] = draw(KEYWORDS["layer"]["surface"])
+        medium["surface"] = draw(KEYWORDS["particle_layer"]["surface"])
     if kind == "sand":  # its own is a metre: light that nothing absorbs stays there for minutes
         medium.setdefault("depth_m", draw(KEYWORDS["sand"]["depth_m"]))
     if kind == "stack":
@@ -258,11 +264,14 @@ def mediums(draw, kind: str, rough: bool) -> dict[str, Any]:
 @st.composite
 def instruments(draw, kind: str, of: str) -> dict[str, Any]:
     known = SETTINGS[kind]
-    always = {"surface": ["half_width_m"], "lens": ["radius_m", "screen_depth_m", "half_width_m"]}
+    always = {
+        "surface_map": ["half_width_m"],
+        "lens": ["radius_m", "screen_depth_m", "half_width_m"],
+    }
     needed = {key: known[key] for key in always.get(kind, [])}
     others = {key: values for key, values in known.items() if key not in needed}
     instrument = draw(st.fixed_dictionaries(needed, optional=others))
-    if kind not in ("surface", "lens"):
+    if kind not in ("surface_map", "lens"):
         # By coin toss every wavelength takes rays of its own: not the hundreds of snow's default.
         analog = instrument.get("estimator") == "analog"
         if of != "snow" or analog or draw(st.booleans()):
@@ -273,11 +282,11 @@ def instruments(draw, kind: str, of: str) -> dict[str, Any]:
     if draw(RARELY):
         instrument["seed"] = draw(st.integers(0, 2**31))
     estimator = instrument.get("estimator")
-    if estimator == "cells":
+    if estimator == "bins":
         instrument.pop("polar_deg", None)
         instrument.pop("azimuth_deg", None)
     elif draw(OFTEN):
-        instrument.pop("cells", None)
+        instrument.pop("n_bins", None)
     return {"kind": kind, **instrument}
 
 
@@ -319,7 +328,7 @@ def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
     for parameter, given in grid.items():
         if shown in SINGLE_POINT_KINDS or draw(RARELY):
             labels = [make_label(parameter, v) for v in given] if isinstance(given, list) else given
-            figure.setdefault("at", {})[parameter] = draw(st.sampled_from(list(labels)))
+            figure.setdefault("select", {})[parameter] = draw(st.sampled_from(list(labels)))
     if shown in KINDS_OF_SETTING["legend"] and grid and draw(RARELY):
         figure["legend"] = draw(LABELS)
     if shown in KINDS_OF_SETTING["ylim"] and draw(RARELY):
@@ -338,7 +347,7 @@ def valid_contents(draw) -> dict[str, Any]:
     kind = draw(st.sampled_from(sorted(KEYWORDS)))
     instrument = draw(st.sampled_from(INSTRUMENTS_OF_MEDIUM[kind]))
     content: dict[str, Any] = {
-        "medium": draw(mediums(kind, instrument in ("surface", "lens"))),
+        "medium": draw(mediums(kind, instrument in ("surface_map", "lens"))),
         "instrument": draw(instruments(instrument, kind)),
     }
     grid = {} if instrument == "refractive_index" else draw(grids(kind))

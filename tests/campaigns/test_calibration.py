@@ -67,7 +67,7 @@ def test_all_seeds_scatter_as_stated():
 
 def test_no_instrument_is_left_out():
     judged = {case.instrument.partition(",")[0] for case in CASES}
-    under_skies = {"albedo", "hdrf", "light_inside"}
+    under_skies = {"albedo", "hdrf", "radiation_profile"}
     assert judged == (set(instruments.__all__) - {"Progress", "ProgressBar"}) | under_skies
     assert under_skies <= set(dir(splits)) and under_skies <= set(illumination.__all__)
 

@@ -184,7 +184,7 @@ def limit_rays(experiment: ExperimentConfig) -> ExperimentConfig:
     most = {"rays": 1000, "realisations": 3}
     given = {key: getattr(instrument, key) for key in most}
     less = {key: min(value, most[key]) for key, value in given.items() if value is not None}
-    if instrument.kind == "bssrdf" or instrument.estimator == "cells":
+    if instrument.kind == "beam_spread" or instrument.estimator == "bins":
         less["rays"] = min(given["rays"] or 1000, 1000)
     return experiment.model_copy(update={"instrument": instrument.model_copy(update=less)})
 

@@ -27,12 +27,12 @@ SNOW = np.linspace(400.0, 2500.0, 20)
 SAND = np.linspace(400.0, 1000.0, 20)
 SMOOTH = (0.0, 0.0, 0.0, 0.0)
 OTHER = {
-    "entry": "projected",
-    "facets": "any",
-    "wrong_side": "mirrored",
+    "entry_point": "projected",
+    "facet_sampling": "any",
+    "wrong_side_ray": "mirror",
     "boundary_fresnel": "no",
-    "grain_on_last_leg": "keep",
-    "grain_across_boundary": "skip",
+    "overlap_with_previous_segment": "keep",
+    "overlap_with_boundary": "skip",
 }
 # Medium, incidence, rays per wavelength: the deeper and clearer, the more a ray costs.
 MEDIA = {
@@ -61,7 +61,7 @@ MEDIA = {
         splits.Sand(depth_m=0.003, partition=(0.0, 0.0, 1.0), hematite_ratio=1.0), "diffuse", 4000,
     ),
 }  # fmt: skip
-KERNELS = ("lanes", "scalar")
+KERNELS = ("vectorized", "scalar")
 
 
 def wavelengths_of(medium):

@@ -32,7 +32,7 @@ SKIPPED = 2
 
 ENTRY = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
 FACETS = {"projected": facets.PROJECTED, "unweighted": facets.UNWEIGHTED, "any": facets.ANY}
-WRONG_SIDE = {"lobe": LOBE, "mirrored": MIRRORED}
+WRONG_SIDE = {"cosine_lobe": LOBE, "mirror": MIRRORED}
 FATE = {"reject": REDRAWN, "keep": KEPT, "skip": SKIPPED}
 
 

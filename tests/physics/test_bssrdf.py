@@ -55,22 +55,22 @@ def test_profile_and_map_hold_the_reflectance(incidence):
     straight = splits.goniophotometer(SNOW, [600.0, 1300.0], incidence, 50_000, seed=3)
     edges = 10.0 ** (np.log10(ds.radius.values[0]) + (np.arange(73) - 0.5) / 8.0)
     inside = (ds.profile * np.pi * np.diff(edges**2)).sum("radius")
-    assert inside.values == pytest.approx(ds.share.values, rel=1e-3)
+    assert inside.values == pytest.approx(ds.fraction.values, rel=1e-3)
     z = []
     # Through 2 cm only visible light gets.
     for side, name, other, seen in (
         ("reflected", "reflectance", "specular_reflectance", 2),
         ("transmitted", "transmittance", "direct_transmittance", 1),
     ):
-        share = ds.share.sel(side=side).values + straight[other]
+        share = ds.fraction.sel(side=side).values + straight[other]
         error = np.hypot(ds.share_stderr.sel(side=side), total[f"{name}_stderr"])
         error = np.hypot(error, straight[f"{other}_stderr"])
         z.extend(((share - total[name]) / error).values[:seen])
     judge_z(z, "beam spread against reflectance and transmittance", independent=1)
     cell = (0.1 / N_MAP_PIXELS) ** 2
     held = ds.profile_map.sum(("x", "y")) * cell
-    assert (held <= ds.share + 1e-9).all()
-    assert (held.sel(side="reflected") > 0.95 * ds.share.sel(side="reflected")).all()
+    assert (held <= ds.fraction + 1e-9).all()
+    assert (held.sel(side="reflected") > 0.95 * ds.fraction.sel(side="reflected")).all()
 
 
 @NEEDS_JIT
@@ -119,7 +119,7 @@ def test_errors_are_those_of_repeated_runs():
         splits.beam_spread(SNOW, [900.0], 45.0, 10_000, seed=s, half_width_m=0.01)
         for s in range(200)
     ]
-    for name in ("mean_radius", "quantile_radius", "share"):
+    for name in ("mean_radius", "quantile_radius", "fraction"):
         values, stated = ([run[f"{name}{end}"].values for run in runs] for end in ("", "_stderr"))
         judge_scatter(values, stated, name)
 
@@ -135,7 +135,7 @@ def test_where_no_light_leaves_there_is_no_radius():
 @pytest.mark.filterwarnings("error")
 def test_a_map_without_any_light_is_finite():
     ds = splits.beam_spread(splits.ParticleLayer(opaque=True), [550.0], rays=256)
-    assert not ds.share.values.any()
+    assert not ds.fraction.values.any()
     assert all(np.isfinite(ds[name]).all() for name in ds.data_vars)
 
 
@@ -152,7 +152,7 @@ def test_bits_do_not_depend_on_threads():
         ("incidence_deg", 91.0, r"in \[0, 89.9999\] degrees"),
         ("rays", 0.5, "a whole number of at least 1"),
         ("half_width_m", 0.0, r"in \[1e-09, 1e\+06\] m"),
-        ("kernel", "lane", "did you mean lanes"),
+        ("kernel", "vector", "did you mean vectorized"),
         ("threads", 0, "a whole number of at least 1"),
     ],
 )

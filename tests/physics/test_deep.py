@@ -27,7 +27,7 @@ def test_grains_without_contrast_leave_beers_law():
         value, error = float(ds.transmittance[0]), float(ds.transmittance_stderr[0])
         print(f"Beer's law: {value / exact - 1.0:.1e} off, stated {error / exact:.1e}")
         assert abs(value - exact) <= max(compute_z_bound(1) * error, 1e-12 * exact)
-        assert ds.attrs["stopped_by"] == "error"
+        assert ds.attrs["stop_reason"] == "converged"
 
 
 def test_as_much_comes_through_as_by_brute_force():

@@ -131,8 +131,8 @@ def test_what_layers_above_a_clear_one_absorb_stays_absorbed(ground):
         )
         for seed, depth in enumerate((1.0, 0.007), start=1)
     ]
-    assert "traced_to_m" in found[0].attrs
-    assert "traced_to_m" not in found[1].attrs
+    assert "truncation_depth_m" in found[0].attrs
+    assert "truncation_depth_m" not in found[1].attrs
     for one in found:
         assert one.absorptance[1] > 0.9
     spread = np.hypot(found[0].absorptance_stderr[1], found[1].absorptance_stderr[1])
@@ -143,7 +143,7 @@ def test_what_layers_above_a_clear_one_absorb_stays_absorbed(ground):
 def test_errors_of_cut_packs_hold(always, monkeypatch):
     light = {"wavelength_nm": WAVELENGTHS, "incidence_deg": 60.0}
     cut = splits.spectrophotometer(PACKS["dry"], seed=4, max_stderr=0.01, **light)
-    assert cut.attrs["traced_to_m"] < PACKS["dry"].depth_m
+    assert cut.attrs["truncation_depth_m"] < PACKS["dry"].depth_m
     monkeypatch.setattr(deep_medium, "MIN_DEPTH_MFP", math.inf)
     whole = splits.spectrophotometer(PACKS["dry"], seed=5, max_stderr=0.002, **light)
     z = [
@@ -173,7 +173,7 @@ def test_clear_sand_of_several_types_absorbs_nothing(depth_m):
         depth_m=depth_m,
     )  # fmt: skip
     ds = splits.spectrophotometer(clear, [600.0], max_stderr=0.01)
-    assert "traced_to_m" in ds.attrs
+    assert "truncation_depth_m" in ds.attrs
     np.testing.assert_allclose(ds.reflectance + ds.transmittance, 1.0, rtol=0.0, atol=1e-12)
     assert float(ds.absorptance[0]) == pytest.approx(0.0, abs=1e-12)
     if depth_m < math.inf:
@@ -205,14 +205,14 @@ def test_a_pack_without_end_that_absorbs_nothing_sends_all_light_back():
     snow = splits.Snow(**FINE, saturation=0.2, refractive_index=CLEAR, depth_m=math.inf)
     ds = splits.spectrophotometer(snow, [500.0], 30.0, 0.01)
     assert ds.reflectance.item() == pytest.approx(1.0, abs=1e-5)
-    assert ds.attrs["stopped_by"] == "error"
+    assert ds.attrs["stop_reason"] == "converged"
 
 
 @NEEDS_JIT
 def test_a_pack_without_end_is_one_that_is_deep_enough():
     light = {"wavelength_nm": [800.0, 1000.0, 1300.0], "incidence_deg": 50.0, "max_stderr": 0.004}
     endless = splits.spectrophotometer(splits.Snow(depth_m=math.inf), seed=6, **light)
-    enough = endless.attrs["optically_deep_m"]
+    enough = endless.attrs["semi_infinite_depth_m"]
     finite = splits.spectrophotometer(splits.Snow(depth_m=enough), seed=7, **light)
     error = np.hypot(endless.reflectance_stderr, finite.reflectance_stderr)
     off = np.abs(endless.reflectance - finite.reflectance)

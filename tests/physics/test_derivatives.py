@@ -31,22 +31,22 @@ DEEP = splits.Snow.natural(optical_radius_um=150, impurities_ng_g={"black_carbon
 SAND = splits.Sand(hematite_ratio=0.3, saturation=0.3)
 LAYER = splits.ParticleLayer(optical_thickness=2)
 CASES = {
-    "ground": (THIN, "ground", 0.1, "paths"),
-    "size below ground": (THIN, "optical_radius_um", 20.0, "differences"),
-    "density": (THIN, "density_kg_m3", 25.0, "differences"),
-    "shape": (THIN, "sphericity", 0.05, "differences"),
-    "size of deep snow": (DEEP, "optical_radius_um", 30.0, "paths"),
-    "area of deep snow": (DEEP, "specific_surface_area_m2_kg", 4.0, "paths"),
-    "iron oxide": (SAND, "iron_oxide", 0.002, "differences"),
-    "coated grains": (SAND, "partition.coated", 0.08, "differences"),
-    "optical thickness": (LAYER, "optical_thickness", 0.3, "differences"),
-    "asymmetry": (LAYER, "asymmetry", 0.03, "differences"),
+    "ground": (THIN, "ground", 0.1, "shared_paths"),
+    "size below ground": (THIN, "optical_radius_um", 20.0, "finite_difference"),
+    "density": (THIN, "density_kg_m3", 25.0, "finite_difference"),
+    "shape": (THIN, "sphericity", 0.05, "finite_difference"),
+    "size of deep snow": (DEEP, "optical_radius_um", 30.0, "shared_paths"),
+    "area of deep snow": (DEEP, "specific_surface_area_m2_kg", 4.0, "shared_paths"),
+    "iron oxide": (SAND, "iron_oxide", 0.002, "finite_difference"),
+    "coated grains": (SAND, "partition.coated", 0.08, "finite_difference"),
+    "optical thickness": (LAYER, "optical_thickness", 0.3, "finite_difference"),
+    "asymmetry": (LAYER, "asymmetry", 0.03, "finite_difference"),
 }
 
 
 def places(medium):
     """Return the wavelengths of a medium; a layer has no colour."""
-    return W[:1] if medium.kind == "layer" else W
+    return W[:1] if medium.kind == "particle_layer" else W
 
 
 def central(medium, name, step, error):
@@ -79,12 +79,16 @@ def test_derivatives_stand_in_the_order_asked_for():
     asked = ["density_kg_m3", "ground", "incidence_deg"]
     found = splits.spectrophotometer(THIN, [850.0], 30, 0.05, jacobian=asked)
     assert found.parameter.values.tolist() == asked
-    assert found.parameter_method.values.tolist() == ["differences", "paths", "differences"]
+    assert found.parameter_method.values.tolist() == [
+        "finite_difference",
+        "shared_paths",
+        "finite_difference",
+    ]
     assert found.parameter_unit.values.tolist() == ["m3 kg-1", "1", "degree-1"]
     for i, name in enumerate(asked):
         alone = splits.spectrophotometer(THIN, [850.0], 30, 0.05, jacobian=[name])
         assert float(alone.reflectance_jacobian[0, 0]) == float(found.reflectance_jacobian[i, 0])
-    assert found.attrs["rays_of_differences"] > 0
+    assert found.attrs["finite_difference_rays"] > 0
 
 
 @pytest.mark.parametrize("offsets", [(-2, -1, 1, 2), (-1.5, -0.5, 1.5, 2.5), (0, 1, 3, 4)])
@@ -148,7 +152,7 @@ def formula(make, noise):
         mean = np.array([[make(medium.saturation)], [0.0], [0.0]])
         groups = np.full((32, 2, 1), noise / np.sqrt(32.0))
         none = np.zeros((2, 0, 1))
-        return SpectralEstimate(mean, noise + 0.0 * mean, 0.0 * mean, groups, 1, 1, True, "lanes",
+        return SpectralEstimate(mean, noise + 0.0 * mean, 0.0 * mean, groups, 1, 1, True, "vectorized",
                         Derivatives(none, np.zeros((32, *none.shape)), none))  # fmt: skip
 
     return measure

@@ -57,7 +57,9 @@ def combined(run):
         three[name] = (values[name], *map(float, parts))
     table = make_colour_table(run.sel(wavelength=slice(400.0, 780.0))).iloc[0]
     for axis in "Lab":
-        three[f"{axis}*"] = tuple(table[axis + end] for end in ("", "_stderr", "_missed"))
+        three[f"{axis}*"] = tuple(
+            table[axis + end] for end in ("", "_stderr", "_interpolation_bound")
+        )
     return three
 
 

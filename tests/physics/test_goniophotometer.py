@@ -11,7 +11,7 @@ from splits.kernels.optics.fresnel import fresnel
 
 pytestmark = NEEDS_JIT
 
-KEEP = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
+KEEP = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
 FACTORS = ("reflectance", "transmittance")
 
 
@@ -127,7 +127,7 @@ INDEPENDENT_PAIRS = len({pair[:2] for pair in PAIRS})
 @pytest.mark.parametrize("facetness", [(0.0, 0.0, 0.0, 0.0), (0.2, 0.4, 0.3, 0.072)])
 def test_grains_far_apart_are_reciprocal(entry, facetness):
     # Grains lie in all directions, so that scattering only depends on the angle turned through.
-    snow = dilute({"facetness": facetness, "readings": {"entry": entry}, **ICE})
+    snow = dilute({"facetness": facetness, "interpretation": {"entry_point": entry}, **ICE})
     what = f"reciprocity, {entry}, facetness {facetness[2]}"
     judge_z(reciprocity(snow, 600.0), what, INDEPENDENT_PAIRS)
 
@@ -136,8 +136,8 @@ def test_grains_far_apart_are_reciprocal(entry, facetness):
 @pytest.mark.parametrize(("kind", "wavelength"), [(splits.Snow, 1300.0), (splits.Sand, 600.0)])
 def test_packed_grains_are_reciprocal_where_those_that_do_not_fit_are_skipped(kind, wavelength):
     # Drawn again instead, they break it by up to 40 % (docs/theory/angles.md).
-    skipped = {"grain_across_boundary": "skip", "grain_on_last_leg": "skip"}
-    medium = kind(saturation=0.0, readings={**skipped, "entry": "projected"})
+    skipped = {"overlap_with_boundary": "skip", "overlap_with_previous_segment": "skip"}
+    medium = kind(saturation=0.0, readings={**skipped, "entry_point": "projected"})
     what = f"reciprocity of packed grains, {kind.__name__}"
     judge_z(reciprocity(medium, wavelength), what, INDEPENDENT_PAIRS)
 
@@ -145,7 +145,7 @@ def test_packed_grains_are_reciprocal_where_those_that_do_not_fit_are_skipped(ki
 @pytest.mark.parametrize(("thickness", "incidence"), [(4.0, 0.0), (4.0, 60.0), (1.0, 75.0)])
 def test_grains_far_apart_reflect_as_discrete_ordinates_say(thickness, incidence):
     pydisort = pytest.importorskip("PythonicDISORT").pydisort
-    snow = dilute({"readings": KEEP, **ICE}, thickness)
+    snow = dilute({"interpretation": KEEP, **ICE}, thickness)
     streams, expected = 48, []
     cosine = np.cos(np.radians(incidence))
     for seed in range(1, 9):
@@ -186,7 +186,7 @@ def test_expansion_agrees_with_cells(error, rays):
     z = []
     for number, (medium, wavelength, incidence) in enumerate(CASES[:7:2]):
         cells = splits.goniophotometer(
-            medium, [wavelength], incidence, rays, seed=number, estimator="cells", cells=shape
+            medium, [wavelength], incidence, rays, seed=number, estimator="bins", n_bins=shape
         )
         fine = np.degrees(np.arccos((np.arange(12 * 8)[::-1] + 0.5) / (12 * 8)))
         ds = splits.goniophotometer(
@@ -229,7 +229,7 @@ def test_errors_are_those_of_repeated_runs(error):
 def test_a_deep_white_medium_is_nearly_lambertian():
     # Conservative and half infinite: isotropic scattering has (Chandrasekhar 1960, chapter III)
     # π f = H(μ) H(1) / 4 / (1 + μ), which falls from 1.06 at the zenith to 0.73 at the horizon.
-    white = dilute({"readings": KEEP, "refractive_index": {"ice": 1.31}}, thickness=60.0)
+    white = dilute({"interpretation": KEEP, "refractive_index": {"ice": 1.31}}, thickness=60.0)
     ds = splits.goniophotometer(
         white, [600.0], 0.0, relative_stderr=0.02, polar_deg=np.arange(0.0, 81.0, 10.0)
     )
@@ -272,32 +272,32 @@ def test_wavelengths_that_share_paths_get_what_they_would_alone(asked, rays):
 def test_steep_directions_alone_and_dark_sides_have_a_goal_too():
     steep = splits.goniophotometer(SNOW, [600.0], 30.0, relative_stderr=0.1, polar_deg=[85.0])
     # What is told from noise only in sum may add up there.
-    assert steep.attrs["stopped_by"] in ("error", "detail")
+    assert steep.attrs["stop_reason"] in ("converged", "unresolved_lobe")
     reached = steep.attrs["relative_stderr_reached"]
     assert 0.0 < reached <= 0.2
-    assert (steep.attrs["stopped_by"] == "error") == (reached <= 0.1)
+    assert (steep.attrs["stop_reason"] == "converged") == (reached <= 0.1)
     deep = splits.Snow(depth_m=0.5)
     dark = splits.goniophotometer(deep, [1450.0], 0.0, relative_stderr=0.1, target="btdf")
-    assert dark.attrs["stopped_by"] == "error"
+    assert dark.attrs["stop_reason"] == "converged"
     assert not dark.btdf.values.any() and (dark.btdf_stderr.values > 0.0).all()
 
 
 def test_detail_that_noise_hides_keeps_a_lobe_above_the_error_asked_for():
     snow = splits.Snow(readings="splits_2007")
     run = splits.goniophotometer(snow, [1800.0], 69.3, seed=6, relative_stderr=0.1)
-    assert run.attrs["stopped_by"] == "detail"
+    assert run.attrs["stop_reason"] == "unresolved_lobe"
     assert 0.1 < run.attrs["relative_stderr_reached"] < 0.2
 
 
 def test_lanes_agree_with_the_scalar_kernel():
-    for estimator in ("expansion", "cells"):
+    for estimator in ("expansion", "bins"):
         z = []
         pair = [
             splits.goniophotometer(
                 SNOW, [900.0], 60.0, 40_000, seed=seed, kernel=kernel, estimator=estimator,
-                cells=(6, 8), polar_deg=[0, 30, 60, 75], azimuth_deg=[0, 90, 180],
+                n_bins=(6, 8), polar_deg=[0, 30, 60, 75], azimuth_deg=[0, 90, 180],
             )
-            for seed, kernel in ((1, "lanes"), (2, "scalar"))
+            for seed, kernel in ((1, "vectorized"), (2, "scalar"))
         ]  # fmt: skip
         for name in ("brdf", "btdf"):
             error = np.hypot(*(run[f"{name}_stderr"] for run in pair))
@@ -316,8 +316,8 @@ BAD = [
     ("polar_deg", [0.0, 90.0], r"in \[0, 90\)"),
     ("azimuth_deg", [10.0, 0.0], "strictly increasing"),
     ("azimuth_deg", [], "numbers in degrees, at least one"),
-    ("cells", (0, 10), "two whole numbers from 1 to 1000"),
-    ("cells", 7, "two whole numbers from 1 to 1000"),
+    ("n_bins", (0, 10), "two whole numbers from 1 to 1000"),
+    ("n_bins", 7, "two whole numbers from 1 to 1000"),
     ("threads", 0, "a whole number of at least 1"),
     ("seed", -1, "a whole number of at least 0"),
 ]
@@ -325,7 +325,7 @@ BAD = [
 
 @pytest.mark.parametrize(("key", "value", "message"), BAD)
 def test_bad_values_are_refused_by_name(key, value, message):
-    settings = {"estimator": "cells"} if key == "cells" else {}
+    settings = {"estimator": "bins"} if key == "n_bins" else {}
     with pytest.raises(ValueError, match=message) as error:
         splits.goniophotometer(SNOW, [600.0], **{**settings, key: value})
     assert str(error.value).startswith(f"{key} = ")

@@ -44,7 +44,10 @@ def test_smooth_spheres_are_those_of_theory():
     """B 1.25 and g 0.79 (Robledano et al. 2023, Fig 2)."""
     ice = {"ice": complex(N, K)}
     snow = splits.Snow(
-        grain_size_um=(500, 500), readings={"entry": "projected"}, refractive_index=ice, **SPHERES
+        grain_size_um=(500, 500),
+        readings={"entry_point": "projected"},
+        refractive_index=ice,
+        **SPHERES,
     )
     b, g = sphere_by_quadrature()
     assert b == pytest.approx(1.25, abs=0.01)

@@ -51,7 +51,7 @@ def measured(medium, incidence, seed, **settings):
 
 
 @pytest.mark.parametrize("name", MEDIA)
-@pytest.mark.parametrize("kernel", ["lanes", pytest.param("scalar", marks=pytest.mark.long)])
+@pytest.mark.parametrize("kernel", ["vectorized", pytest.param("scalar", marks=pytest.mark.long)])
 def test_light_goes_to_and_fro_between_sample_and_ground(name, kernel):
     """R(ρ) = R + T ρ T′/(1 − ρ R′), and the ground keeps (1 − ρ) T/(1 − ρ R′)."""
     medium, reverse = MEDIA[name]
@@ -85,14 +85,14 @@ def test_nothing_absorbed_over_a_white_ground_comes_back_whole():
         splits.Stack([splits.Snow(depth_m=0.002, refractive_index=clear)] * 2, ground=1.0),
     ):
         for incidence in (0.0, 80.0, "diffuse"):
-            for kernel in ("lanes", "scalar"):
+            for kernel in ("vectorized", "scalar"):
                 ds = splits.spectrophotometer(medium, 500.0, incidence, 0.02, kernel=kernel)
                 assert abs(float(ds.reflectance[0]) - 1.0) < 1e-12
                 assert abs(float(ds.absorptance[0])) < 1e-12
                 assert float(ds.transmittance[0]) == 0.0
 
 
-@pytest.mark.parametrize("kernel", ["lanes", "scalar"])
+@pytest.mark.parametrize("kernel", ["vectorized", "scalar"])
 def test_what_leaves_and_what_the_ground_keeps_is_all_where_nothing_else_absorbs(kernel):
     """Ray by ray, by the lengths in their exits and notes, in double precision."""
     snow = splits.Snow(
@@ -104,7 +104,7 @@ def test_what_leaves_and_what_the_ground_keeps_is_all_where_nothing_else_absorbs
     optics = make_bounding_optics(index[0], np.zeros_like(absorption))
     exits = allocate_exits(512, index.shape[1])
     work = np.array([[7, 0, len(exits), 2**31 - 1]])
-    if kernel == "lanes":
+    if kernel == "vectorized":
         alone = Optics(*(part[np.newaxis] for part in optics))
         told = vectorized.batch(1, work, scene, alone, exits, select_features(scene, optics))
     else:

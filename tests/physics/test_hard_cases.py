@@ -22,7 +22,7 @@ from splits.simulation.arguments import WAVELENGTH_RANGE_NM
 
 pytestmark = NEEDS_JIT
 
-KERNELS = ["scalar", "lanes"]
+KERNELS = ["scalar", "vectorized"]
 """Kernels that must pass; the first is the float64 reference."""
 
 SUM = 1e-12
@@ -151,15 +151,15 @@ def test_a_beam_goes_straight_through_grains_of_index_1(incidence, kernel):
 
 
 READINGS = [
-    {"grain_across_boundary": "keep"},
-    {"grain_on_last_leg": "keep"},
-    {"grain_across_boundary": "skip"},
-    {"grain_on_last_leg": "skip"},
-    {"grain_across_boundary": "skip", "grain_on_last_leg": "skip"},
-    {"entry": "projected"},
-    {"facets": "unweighted"},
-    {"facets": "any"},
-    {"wrong_side": "mirrored"},
+    {"overlap_with_boundary": "keep"},
+    {"overlap_with_previous_segment": "keep"},
+    {"overlap_with_boundary": "skip"},
+    {"overlap_with_previous_segment": "skip"},
+    {"overlap_with_boundary": "skip", "overlap_with_previous_segment": "skip"},
+    {"entry_point": "projected"},
+    {"facet_sampling": "unweighted"},
+    {"facet_sampling": "any"},
+    {"wrong_side_ray": "mirror"},
     {"boundary_fresnel": "no"},
 ]
 
@@ -288,7 +288,7 @@ def test_opaque_grains_absorb_what_fresnel_lets_in(kernel):
         medium = splits.Snow(
             density_kg_m3=0.1, depth_m=0.002, saturation=0.0, sphericity=SPHERES, facetness=SMOOTH,
             refractive_index={"ice": index},
-            readings={"entry": "projected", "grain_across_boundary": "keep"},
+            readings={"entry_point": "projected", "overlap_with_boundary": "keep"},
         )  # fmt: skip
         shares, errors = measure(medium, 500.0, 0.0, 3e-5, seed, kernel=kernel)
         hit = -math.expm1(-medium.depth_m / medium.mean_grain_distance_m)
@@ -330,8 +330,8 @@ def test_a_perfect_conductor():
     conductor = snow("", 0.0, ice=1.0 + 1e9j)
     shares, _ = measure(conductor, 500.0, kernel="auto")
     assert shares[2, 0] == 0.0
-    with pytest.raises(ValueError, match="kernel = 'lanes'"):
-        measure(conductor, 500.0, kernel="lanes")
+    with pytest.raises(ValueError, match="kernel = 'vectorized'"):
+        measure(conductor, 500.0, kernel="vectorized")
 
 
 # --- indices ----------------------------------------------------------------------------------

@@ -324,7 +324,7 @@ def _bubble(state, scene, optics, length):
 @pytest.mark.parametrize("pore", [1.33, 2.0])
 def test_bubbles_scatter_as_spheres_with_total_reflection_outside(pore):
     # A beam along −z on bubbles, struck by projected area: sums over orders, by quadrature.
-    rules = splits.Interpretation(entry="projected").rules()
+    rules = splits.Interpretation(entry_point="projected").rules()
     scene = make_scene(splits.Snow().make_grain_population(), saturation=1.0, rules=rules)
     out = draw_samples(_bubble, 300_000, scene, make_optics([1.0, pore, 1.0]), np.zeros(3), width=2)
 

@@ -71,11 +71,15 @@ def test_lanes_agree_with_the_scalar_kernel():
     found = {"reflectance": [], "transmittance": []}
     for number, (name, (medium, incidence, wavelengths)) in enumerate(MEDIA.items()):
         plain, plain_error, slow = spectrum(medium, incidence, wavelengths, "scalar", 100 + number)
-        wide, wide_error, fast = spectrum(medium, incidence, wavelengths, "lanes", 200 + number)
+        wide, wide_error, fast = spectrum(
+            medium, incidence, wavelengths, "vectorized", 200 + number
+        )
         print(f"{name}: scalar {slow:.1f} s, lanes {fast:.1f} s, ratio {slow / fast:.1f}")
         # Where hardly any ray gets through, its number is not normally distributed.  Rays that are
         # not judged say where.
-        other, _, _ = spectrum(medium, incidence, wavelengths, "lanes", 300 + number, RAYS // 5)
+        other, _, _ = spectrum(
+            medium, incidence, wavelengths, "vectorized", 300 + number, RAYS // 5
+        )
         seen = other > 100.0 / RAYS
         error = np.hypot(plain_error, wide_error)
         for row, quantity in enumerate(found):
@@ -96,7 +100,7 @@ def test_lanes_agree_with_the_scalar_kernel():
 
 
 def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
-    runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "lanes")
+    runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "vectorized")
     work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.tracer.traits.attenuation)
     each = [e.strata[0].optics for e in work]
     features = runner.tracer.get_features(work[0].strata[0])
@@ -123,7 +127,7 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
 
 def test_a_path_does_not_depend_on_lane_or_batch():
     medium = splits.Snow(depth_m=0.02)
-    runner = Runner(medium, 30.0, 3, 1, False, "lanes")
+    runner = Runner(medium, 30.0, 3, 1, False, "vectorized")
     (ensemble,) = ensembles(medium, np.array([900.0]), runner.tracer.traits.attenuation)
     optics = ensemble.strata[0].optics
     features = runner.tracer.get_features(ensemble.strata[0])
@@ -143,7 +147,7 @@ def test_a_path_does_not_depend_on_lane_or_batch():
     assert np.array_equal(together, apart, equal_nan=True)
 
 
-@pytest.mark.parametrize("kernel", ["lanes", "scalar"])
+@pytest.mark.parametrize("kernel", ["vectorized", "scalar"])
 @pytest.mark.parametrize("medium", [splits.Snow(depth_m=0.03), splits.Sand()], ids=["snow", "sand"])
 def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
     wavelengths = np.array([650.0, 900.0])
@@ -183,7 +187,7 @@ def test_light_is_neither_lost_nor_made():
     medium = splits.Snow(
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    runner = Runner(medium, 60.0, 5, 1, False, "lanes")
+    runner = Runner(medium, 60.0, 5, 1, False, "vectorized")
     (ensemble,) = ensembles(medium, np.array([600.0]), runner.tracer.traits.attenuation)
     optics = ensemble.strata[0].optics
     features = runner.tracer.get_features(ensemble.strata[0])

@@ -106,7 +106,7 @@ def test_polarization_without_polarizing_particles_or_faces_changes_nothing():
     pair = [
         splits.goniophotometer(
             splits.ParticleLayer(**plain, polarized=polarized), NM, 40.0, seed=seed, polar_deg=polar,
-            azimuth_deg=[0.0, 90.0, 180.0], estimator="local", relative_stderr=0.01,
+            azimuth_deg=[0.0, 90.0, 180.0], estimator="next_event", relative_stderr=0.01,
         )
         for seed, polarized in ((1, False), (2, True))
     ]  # fmt: skip
@@ -128,7 +128,7 @@ def test_helmholtz_reciprocity(polarized):
         there, back = (
             splits.goniophotometer(
                 layer, NM, a, seed=10 * number + seed, polar_deg=[b], azimuth_deg=[azimuth],
-                estimator="local", relative_stderr=0.005,
+                estimator="next_event", relative_stderr=0.005,
             )
             for seed, (a, b) in enumerate(((one, other), (other, one)))
         )  # fmt: skip
@@ -145,7 +145,7 @@ def test_local_estimation_collectors_and_polynomials_agree():
         splits.goniophotometer(
             layer, NM, 40.0, seed=seed, polar_deg=polar, azimuth_deg=azimuth, estimator=name
         )
-        for seed, name in ((1, "local"), (2, "expansion"))
+        for seed, name in ((1, "next_event"), (2, "expansion"))
     )
     z = []
     for name in ("brdf", "btdf"):
@@ -161,7 +161,7 @@ def test_local_estimation_scatters_as_it_states_from_few_batches():
     layer = splits.ParticleLayer(optical_thickness=2.0, asymmetry=0.5, bottom_albedo=None)
     runs = [
         splits.goniophotometer(
-            layer, NM, 40.0, 4000, seed, estimator="local", polar_deg=[0.0, 60.0],
+            layer, NM, 40.0, 4000, seed, estimator="next_event", polar_deg=[0.0, 60.0],
             azimuth_deg=[0.0, 180.0],
         )
         for seed in range(60)
@@ -178,11 +178,11 @@ def test_collectors_and_local_estimation_see_the_same_polarization():
         bottom_albedo=None, phase_function="rayleigh", polarized=True,
     )  # fmt: skip
     counted = splits.goniophotometer(
-        layer, NM, 50.0, estimator="cells", cells=(40, 36), rays=500_000
+        layer, NM, 50.0, estimator="bins", n_bins=(40, 36), rays=500_000
     )
     counted = counted.isel(polar=counted.polar.values < 75.0)
     heard = splits.goniophotometer(
-        layer, NM, 50.0, estimator="local", seed=2, relative_stderr=0.014,
+        layer, NM, 50.0, estimator="next_event", seed=2, relative_stderr=0.014,
         polar_deg=counted.polar.values, azimuth_deg=[0.0, 30.0, 90.0, 150.0, 180.0, 270.0],
     )  # fmt: skip
     counted = counted.sel(azimuth=heard.azimuth)
@@ -216,12 +216,12 @@ def test_bad_layers_are_refused(settings, told):
 
 def test_instruments_that_count_on_grains_refuse_layers():
     for instrument in (splits.single_scattering, splits.deep_transmittance):
-        with pytest.raises(ValueError, match="medium = 'layer'"):
+        with pytest.raises(ValueError, match="medium = 'particle_layer'"):
             instrument(splits.ParticleLayer(), NM)
-    with pytest.raises(ValueError, match="kernel = 'lanes'"):
-        splits.spectrophotometer(splits.ParticleLayer(), NM, kernel="lanes")
-    with pytest.raises(ValueError, match="estimator = 'local'"):
-        splits.goniophotometer(splits.Snow(), NM, estimator="local")
+    with pytest.raises(ValueError, match="kernel = 'vectorized'"):
+        splits.spectrophotometer(splits.ParticleLayer(), NM, kernel="vectorized")
+    with pytest.raises(ValueError, match="estimator = 'next_event'"):
+        splits.goniophotometer(splits.Snow(), NM, estimator="next_event")
 
 
 def test_what_was_not_heard_is_not_certain():
@@ -234,7 +234,7 @@ def test_what_was_not_heard_is_not_certain():
         ),
     ):
         ds = splits.goniophotometer(
-            layer, NM, incidence, estimator="local", polar_deg=[0.0, 60.0], azimuth_deg=[0.0],
+            layer, NM, incidence, estimator="next_event", polar_deg=[0.0, 60.0], azimuth_deg=[0.0],
             max_rays=20_000,
         )  # fmt: skip
         assert (ds.brdf_stderr > 0.0).all()
@@ -247,7 +247,7 @@ def test_what_was_not_heard_is_not_certain():
 
 
 def test_a_bottom_hears_light_that_local_estimation_does_not_tell_of():
-    directions = {"polar_deg": [0.0], "azimuth_deg": [0.0], "estimator": "local"}
+    directions = {"polar_deg": [0.0], "azimuth_deg": [0.0], "estimator": "next_event"}
     with pytest.raises(ValueError, match="target = 'btdf'"):
         splits.goniophotometer(splits.ParticleLayer(), NM, 0.0, target="btdf", **directions)
     ds = splits.goniophotometer(splits.ParticleLayer(), NM, 0.0, rays=10_000, **directions)
@@ -259,8 +259,8 @@ def test_lobes_too_narrow_for_polynomials_are_told():
         optical_thickness=1.0, asymmetry=0.9, single_scattering_albedo=1.0, bottom_albedo=None
     )
     ds = splits.goniophotometer(layer, NM, 0.0, target="btdf")
-    assert ds.attrs["stopped_by"] == "degree"
-    cells = splits.goniophotometer(layer, NM, 0.0, rays=400_000, estimator="cells", cells=(60, 8))
+    assert ds.attrs["stop_reason"] == "max_degree"
+    cells = splits.goniophotometer(layer, NM, 0.0, rays=400_000, estimator="bins", n_bins=(60, 8))
     top = cells.btdf.isel(wavelength=0, polar=0).mean("azimuth")
     gap = abs(float(ds.btdf.isel(wavelength=0, polar=0)[0] - top))
     assert gap < 3.0 * float(ds.btdf_stderr.isel(wavelength=0, polar=0)[0])

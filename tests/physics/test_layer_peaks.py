@@ -80,7 +80,7 @@ def judge_seeds(layer: splits.ParticleLayer, rays: int) -> None:
     """Fail if seeds are not around the exact answer as their errors say, or medians are off."""
     runs = [
         splits.goniophotometer(
-            layer, NM, 0.0, rays, seed, estimator="local", polar_deg=POLAR, azimuth_deg=[0.0]
+            layer, NM, 0.0, rays, seed, estimator="next_event", polar_deg=POLAR, azimuth_deg=[0.0]
         )
         for seed in range(SEEDS)
     ]
@@ -139,7 +139,7 @@ def test_faces_bottoms_and_polarization_do_not_depend_on_where_a_peak_begins(set
         monkeypatch.setattr(forward_peak, "PEAK_BASE_PER_SR", limits[1])
         runs.append(
             splits.goniophotometer(
-                layer, NM, 40.0, 100_000, seed, estimator="local", polar_deg=[0.0, 45.0, 82.0],
+                layer, NM, 40.0, 100_000, seed, estimator="next_event", polar_deg=[0.0, 45.0, 82.0],
                 azimuth_deg=[0.0, 120.0],
             )
         )  # fmt: skip
@@ -177,5 +177,7 @@ def test_peaks_take_what_is_above_a_limit_and_nothing_else():
 def test_peaks_that_hold_nearly_all_light_are_refused(rest):
     narrow = {"cosine": [-1.0, 0.99999, 1.0], "density": [rest, rest, 1.0]}
     layer = splits.ParticleLayer(phase_function=narrow)
-    with pytest.raises(ValueError, match=r"estimator = 'local'.*more than 99%"):
-        splits.goniophotometer(layer, NM, estimator="local", polar_deg=[0.0], azimuth_deg=[0.0])
+    with pytest.raises(ValueError, match=r"estimator = 'next_event'.*more than 99%"):
+        splits.goniophotometer(
+            layer, NM, estimator="next_event", polar_deg=[0.0], azimuth_deg=[0.0]
+        )

@@ -89,7 +89,7 @@ def test_both_kernels_take_air_of_any_index():
     for incidence in (0.0, 60.0):
         one, two = (
             splits.spectrophotometer(snow, WAVELENGTHS, incidence, 0.004, seed, kernel=kernel)
-            for seed, kernel in enumerate(("lanes", "scalar"))
+            for seed, kernel in enumerate(("vectorized", "scalar"))
         )
         (a, da), (b, db) = values(one), values(two)
         z.append((a - b) / np.hypot(da, db))
@@ -154,8 +154,8 @@ def test_what_does_not_serve_more_than_air_and_water_says_so():
     snow = splits.Snow(**MUDDY)
     with pytest.raises(ValueError, match="pores"):
         splits.single_scattering(snow, 500.0)
-    with pytest.raises(ValueError, match="lanes"):
-        splits.spectrophotometer(snow, 500.0, kernel="lanes")
+    with pytest.raises(ValueError, match="vectorized"):
+        splits.spectrophotometer(snow, 500.0, kernel="vectorized")
     for settings in (MUDDY, {"refractive_index": {"air": HAZE}}):
         with pytest.raises(ValueError, match="depth_m"):
             splits.spectrophotometer(splits.Snow(**settings | {"depth_m": np.inf}), 500.0)
@@ -185,7 +185,7 @@ def test_rays_are_in_ice_and_water_for_as_much_of_their_way_as_these_fill(wet):
 def test_the_papers_distance_is_that_of_a_leg():
     dry = {"density_kg_m3": 400.0, "grain_size_um": (200, 600)}
     paper = splits.Snow(**dry)
-    other = splits.Snow(**dry, readings={"grain_distance": "leg_and_grain"})
+    other = splits.Snow(**dry, readings={"mean_free_path": "including_grain"})
     assert paper.mean_grain_distance_m == other.mean_grain_distance_m
     legs = [1.0 / snow.make_grain_population().attenuation for snow in (paper, other)]
     assert legs[0] == paper.mean_grain_distance_m

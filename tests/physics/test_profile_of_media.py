@@ -155,7 +155,7 @@ def test_a_pack_without_end_is_a_very_deep_one(error):
 def test_profiles_have_the_errors_that_seeds_scatter_by(medium, depths, seeds):
     runs = [
         splits.irradiance_profile(
-            medium, [700.0], depths, 40.0, 0.03, seed, error_of="absorptance", threads=1
+            medium, [700.0], depths, 40.0, 0.03, seed, target="absorptance", threads=1
         )
         for seed in range(seeds)
     ]

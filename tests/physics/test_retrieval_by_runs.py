@@ -42,7 +42,7 @@ def test_snow_is_found_within_its_errors():
             own = np.log(places[:, i]) if name == SIZE else np.sqrt(places[:, i])
             there = np.log(truth) if name == SIZE else np.sqrt(truth)
             z.append((own.mean() - there) / own.std())
-        assert found.determined[SIZE]
+        assert found.constrained[SIZE]
     judge_z(np.array(z), bound_added=True)
 
 
@@ -105,7 +105,7 @@ def test_layers_of_a_stack_can_be_free():
 
 
 def test_a_straight_line_is_read_as_one():
-    free = make_medium_state_vector(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
+    free = make_medium_state_vector(snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0)
     seen = Linearization(np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3))
     line = LinearizedModel(free, seen)
     place = np.array([0.4, 0.5])
@@ -118,7 +118,7 @@ def test_a_straight_line_is_read_as_one():
 
 def test_how_far_light_is_off_a_straight_line_is_told_in_its_noise():
     """By the square of a standard deviation along any way, over the noise."""
-    free = make_medium_state_vector(snow(100.0), {SIZE: (50, 200), "level": (0.5, 2.0)}, None, 0.0)
+    free = make_medium_state_vector(snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0)
     place, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.25]), np.array([0.02, 0.02, 0.01])
     line = LinearizedModel(
         free, Linearization(place, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3)))
@@ -143,12 +143,12 @@ WRONG = {
     "no such medium": ({"free": {SIZE: (-5, 100)}}, rf"free\.{SIZE} = -5"),
     "contradictory": ({"free": {SIZE: (100, 50)}}, "low < high"),
     "one number": ({"free": {SIZE: 100}}, r"\(low, high\)"),
-    "other axes": ({"at": {"depth_m": 1}}, "incidence_deg"),
+    "other axes": ({"fixed": {"depth_m": 1}}, "incidence_deg"),
     "an angle that is free": (
-        {"free": {"incidence_deg": (0, 60)}, "at": {"sza": "diffuse"}},
-        "at.sza.*left out, as it is free",
+        {"free": {"incidence_deg": (0, 60)}, "fixed": {"sza": "diffuse"}},
+        "fixed.sza.*left out, as it is free",
     ),
-    "two angles": ({"at": {"sza": 10, "incidence_deg": 20}}, "left out beside"),
+    "two angles": ({"fixed": {"sza": 10, "incidence_deg": 20}}, "left out beside"),
     "no medium": ({"model": 3}, "a Table, or a medium"),
     "error": ({"max_stderr": 0.9}, "max_stderr"),
     "per cent": ({"measured": (W, np.full(W.size, 50.0))}, "not per cent"),

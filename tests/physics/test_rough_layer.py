@@ -99,7 +99,7 @@ def test_small_slopes_spread_reflection_as_their_distribution():
         # Of 64 waves slopes are not normal enough: λ² of each is exponential.
         surface=gaussian(rms, waves=400),
     )  # fmt: skip
-    ds = splits.goniophotometer(layer, NM, 0.0, rays=rays, estimator="cells", cells=(rings, 8))
+    ds = splits.goniophotometer(layer, NM, 0.0, rays=rays, estimator="bins", n_bins=(rings, 8))
     cosine = np.cos(np.radians(ds.polar.values))
     # Rays by cells of equal solid angle, from the zenith on.
     power = ds.brdf.isel(wavelength=0).mean("azimuth").values * cosine * 2.0 * math.pi / rings
@@ -118,7 +118,7 @@ def test_the_exact_lens():
     near = slice(size.argmin() - 1, size.argmin() + 2)
     fit = np.polyfit(ds.screen_depth.values[near], size[near] ** 2, 2)
     assert -0.5 * fit[1] / fit[0] == pytest.approx(1.34 / (0.34 * 0.1**2), rel=0.005)
-    assert float(ds.caught.min()) == 1.0
+    assert float(ds.detected_fraction.min()) == 1.0
 
 
 def test_waves_of_either_sign_are_the_same_surface():
@@ -127,7 +127,7 @@ def test_waves_of_either_sign_are_the_same_surface():
         lens(water, [5.0, 20.0, 60.0], 1.0, half_width_m=4.0, waves=[wave])
         for wave in ((3.0, 0.5, 0.0, 0.0), (-3.0, 0.5, 0.0, math.pi))
     )
-    assert np.array_equal(one.caught, other.caught)
+    assert np.array_equal(one.detected_fraction, other.detected_fraction)
     assert one.contraction.values == pytest.approx(other.contraction.values, rel=1e-9)
 
 

@@ -105,7 +105,7 @@ def test_a_rough_lid_of_nothing_changes_nothing():
     tall = {**WAVES, "rms_height_m": 0.03}
     nothing = lid(1.0, tall, optical_thickness=0.0, refractive_index=1.0)
     # A grain that reaches into the lid is kept, so those that reach above the snow are, too.
-    kept = {"readings": {"set": "splitsnow_2021", "grain_across_boundary": "keep"}}
+    kept = {"interpretation": {"set": "splitsnow_2021", "overlap_with_boundary": "keep"}}
     below = [splits.Snow(depth_m=0.006, **kept), splits.Sand(depth_m=0.004, **kept)]
     with_lid, without = (
         measured(splits.Stack(layers, ground=0.3), 0.0, seed)
@@ -173,7 +173,7 @@ def test_light_leaves_as_far_from_the_entry_as_from_the_layer():
         lambda stack: splits.deep_transmittance(stack, [550.0]),
         lambda stack: splits.single_scattering(stack, [550.0]),
         lambda stack: splits.surface_map(stack, half_width_m=0.1),
-        lambda stack: splits.goniophotometer(stack, [550.0], estimator="local"),
+        lambda stack: splits.goniophotometer(stack, [550.0], estimator="next_event"),
     ],
 )
 def test_other_instruments_refuse_such_a_stack(instrument):

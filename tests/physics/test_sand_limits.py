@@ -56,7 +56,7 @@ class UniformSizes:
     attenuation = grain_statistics.size_attenuation(*limits)
 
     def struck_inverse_sizes(self):
-        return grain_statistics.tabulate_struck_inverse_sizes(*self.limits, "attenuation")
+        return grain_statistics.tabulate_struck_inverse_sizes(*self.limits, "cross_section")
 
 
 class IcySand(splits.Sand):
@@ -170,7 +170,7 @@ def test_coins_agree_with_weights():
             )
             for estimator, seed in (("analog", 50), ("spectral", 60))
         )
-        assert coins.attrs["stopped_by"] == shared.attrs["stopped_by"] == "error"
+        assert coins.attrs["stop_reason"] == shared.attrs["stop_reason"] == "converged"
         error = np.hypot(coins.reflectance_stderr, shared.reflectance_stderr)
         z.append(((coins.reflectance - shared.reflectance) / error).values)
     judge_z(z, "analog against spectral", independent=2)

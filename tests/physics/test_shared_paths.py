@@ -32,7 +32,7 @@ def soiled(amounts, **place) -> dict[str, splits.Snow]:
 
 
 @NEEDS_JIT
-@pytest.mark.parametrize("kernel", ["lanes", "scalar"])
+@pytest.mark.parametrize("kernel", ["vectorized", "scalar"])
 @pytest.mark.parametrize("place", ["thin over soil", "in pores", "deep"])
 def test_bits_do_not_depend_on_who_else_shares_the_paths(place, kernel):
     """Twenty concentrations at once, against each of them beside the clean snow alone."""
@@ -73,10 +73,10 @@ SEEDS = 6
 
 def away(found, others, quantity, number, less, more, step):
     """Return a derivative less the difference between two media, and the error of that."""
-    values, groups = others[quantity], others[f"{quantity}_groups"]
+    values, groups = others[quantity], others[f"{quantity}_batches"]
     difference = (values.sel(medium=more) - values.sel(medium=less)) / step
     error = np.sqrt(
-        (((groups.sel(medium=more) - groups.sel(medium=less)) / step) ** 2).sum("group")
+        (((groups.sel(medium=more) - groups.sel(medium=less)) / step) ** 2).sum("batch")
     )
     stated = found[f"{quantity}_jacobian_stderr"][number].values
     slope = found[f"{quantity}_jacobian"][number].values
@@ -151,7 +151,7 @@ def test_errors_of_derivatives_are_what_seeds_scatter_by():
         for seed in range(40)
     ]
     slopes = np.array([run.reflectance_jacobian.values[0] for run in runs])
-    groups = np.array([run.reflectance_jacobian_groups.values[:, 0] for run in runs])
+    groups = np.array([run.reflectance_jacobian_batches.values[:, 0] for run in runs])
     stated = (groups**2).sum(axis=1).mean(axis=0)
     z = (slopes - slopes.mean(axis=0)) / np.sqrt(stated * (1.0 - 1.0 / len(runs)))
     judge_z(z, independent=len(runs))
@@ -174,7 +174,7 @@ def test_a_layer_of_a_stack_has_derivatives_of_its_own():
     ]
     more = splits.spectra(dict(zip("ab", both, strict=True)), [450.0, 600.0], max_stderr=0.005)
     difference = (more.reflectance[1] - more.reflectance[0]).values / 20.0
-    off = (more.reflectance_groups[:, 1] - more.reflectance_groups[:, 0]).values / 20.0
+    off = (more.reflectance_batches[:, 1] - more.reflectance_batches[:, 0]).values / 20.0
     noise = np.sqrt((off**2).sum(axis=0) + error[0] ** 2 + error[1] ** 2)
     judge_z((top + below - difference) / noise, independent=1, bound_added=True)
 

@@ -18,7 +18,7 @@ from splits.simulation.arguments import check_wavelengths
 pytestmark = NEEDS_JIT
 
 SPHERES = {"facetness": (0.0, 0.0, 0.0, 0.0), "sphericity": (1.0, 1.0, 1.0, 0.0)}
-PROJECTED = {"entry": "projected"}
+PROJECTED = {"entry_point": "projected"}
 RAYS = 100_000
 
 
@@ -63,7 +63,7 @@ def test_matched_grain_absorbs_along_its_chord():
     judge_z((lost - alpha * chord) / np.hypot(error, second), "each seed")
     mean_error = np.hypot(error.mean() / len(runs) ** 0.5, second)
     judge_z([(lost.mean() - alpha * chord) / mean_error], "their mean")
-    way = np.array([float(ds.displacement_before[0]) for ds in runs])
+    way = np.array([float(ds.displacement_along_incident[0]) for ds in runs])
     assert abs(way.mean() - chord) < stats.t.isf(0.005, 3) * way.std(ddof=1) / len(runs) ** 0.5
 
 
@@ -102,8 +102,8 @@ def test_same_numbers_on_one_and_two_threads(medium):
 
 
 def test_standard_errors_are_the_scatter_of_seeds():
-    names = ("single_scattering_albedo", "legendre_moment", "displacement_before")
-    names += ("displacement_after", "displacement_square", "wet_share")
+    names = ("single_scattering_albedo", "legendre_moment", "displacement_along_incident")
+    names += ("displacement_along_exit", "mean_square_displacement", "wet_fraction")
     wet = splits.Snow(saturation=0.3, refractive_index={"ice": 1.31 + 1e-4j, "water": 1.33})
     runs = [
         single_scattering(wet, 1000.0, moments=4, rays=2 * GRAIN_RAYS_PER_CHUNK, seed=seed)
@@ -160,7 +160,7 @@ def test_light_in_equilibrium_between_pores_stays_so():
     ds = single_scattering(snow, 1500.0, rays=RAYS, moments=2, wet_pores="equilibrium")
     share = 0.25 * 1.33**2 / (0.25 * 1.33**2 + 0.75)
     error = math.sqrt(share * (1.0 - share) / RAYS)
-    judge_z([(float(ds.wet_share[0]) - share) / error], "wet share")
+    judge_z([(float(ds.wet_fraction[0]) - share) / error], "wet share")
 
 
 @pytest.mark.parametrize(

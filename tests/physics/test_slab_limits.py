@@ -27,8 +27,8 @@ K = 700e-9 / (4.0 * math.pi * DEPTH)
 PLATES = {
     "Table 1, a hundredfold": {},
     "rough needles": {"facetness": (0.8, 1.0, 0.9, 0.1), "sphericity": (0.3, 0.6, 0.4, 0.1)},
-    "dense, projected": {"density_kg_m3": 600.0, "readings": {"entry": "projected"}},
-    "any facet": {"facetness": (1.0, 1.0, 1.0, 0.0), "readings": {"facets": "any"}},
+    "dense, projected": {"density_kg_m3": 600.0, "interpretation": {"entry_point": "projected"}},
+    "any facet": {"facetness": (1.0, 1.0, 1.0, 0.0), "interpretation": {"facet_sampling": "any"}},
 }
 ANGLES = (0.0, 60.0, "diffuse")
 
@@ -71,7 +71,7 @@ def test_grains_in_pores_of_their_own_index_are_invisible(estimator):
 @pytest.mark.parametrize("entry", ["uniform", "projected"])
 def test_opaque_grains_leave_the_unscattered_beam(entry):
     # Grains of index 1 do not reflect and nothing that enters one leaves it: Beer and Lambert.
-    readings = {"entry": entry, "grain_across_boundary": "keep"}
+    readings = {"entry_point": entry, "overlap_with_boundary": "keep"}
     snow = splits.Snow(saturation=0.0, readings=readings)
     absorption = np.array([0.0, 0.0, 1e15])
     optics = make_optics(np.ones(3), absorption=absorption)

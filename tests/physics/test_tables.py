@@ -155,7 +155,7 @@ def test_light_takes_the_same_paths_among_larger_grains(by, part, saturation):
     z = []
     for seed in range(1 if part == 0.0 else 20):
         small, large = (
-            splits.spectrophotometer(snow(x), [600.0], 30.0, 0.02, seed, kernel="lanes")
+            splits.spectrophotometer(snow(x), [600.0], 30.0, 0.02, seed, kernel="vectorized")
             for x in (1.0, by)
         )
         away = (large.reflectance - small.reflectance).item()
@@ -278,12 +278,12 @@ def test_a_table_written_is_opened_and_read(tmp_path):
     splits.save(made, tmp_path / "table.nc")
     opened = splits.open_table(tmp_path / "table.nc")
     assert opened.quantities == ["reflectance"]
-    assert made.reflectance_groups.sizes["group"] == 32
+    assert made.reflectance_batches.sizes["batch"] == 32
     found = opened.interp(optical_radius_um=150.0, soot=20.0)
     low, high = made.reflectance.min(), made.reflectance.max()
     assert ((found.reflectance > low) & (found.reflectance < high)).all()
     assert (found.reflectance_stderr > 0.0).all()
-    square = (made.reflectance_groups**2).sum("group")
+    square = (made.reflectance_batches**2).sum("batch")
     assert (square <= made.reflectance_stderr**2 * 1.001).all()
 
 

@@ -19,7 +19,7 @@ from splits.instruments.single_scattering import single_scattering
 pytest.importorskip("PythonicDISORT")
 pytestmark = NEEDS_JIT
 
-KEEP = {"grain_on_last_leg": "keep", "grain_across_boundary": "keep"}
+KEEP = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
 WAVELENGTHS = [500.0, 900.0, 1800.0]
 # One refractive index, hence one node and no interpolation; absorbs a little, more and much.
 ICE = {"wavelength_nm": [400.0, 2000.0], "n": [1.31, 1.31], "k": [1e-7, 1e-4]}
@@ -33,9 +33,9 @@ not points: measured at standard errors of 0.0015 (docs/theory/radiative-transfe
 
 def sample(thickness, density, **settings):
     """Return dry snow of an optical thickness, of grains that may lie anywhere."""
-    readings = {**KEEP, "entry": settings.pop("entry", "uniform")}
+    readings = {**KEEP, "entry_point": settings.pop("entry", "uniform")}
     common = {
-        "saturation": 0.0, "density_kg_m3": density, "readings": readings,
+        "saturation": 0.0, "density_kg_m3": density, "interpretation": readings,
         "refractive_index": {"ice": ICE}, **settings,
     }  # fmt: skip
     return splits.Snow(
@@ -67,7 +67,7 @@ def paths(snow, incidence, max_stderr=0.0007, seed=11):
         (ROUGH, 1.0, 60.0),
         (SMOOTH, 3.0, 0.0),
         (SMOOTH, 10.0, "diffuse"),
-        ({**SMOOTH, "entry": "projected"}, 3.0, 75.0),
+        ({**SMOOTH, "entry_point": "projected"}, 3.0, 75.0),
     ],
 )
 @pytest.mark.long
@@ -84,7 +84,7 @@ def test_far_apart_grains_obey_radiative_transfer(settings, thickness, incidence
 def test_grains_that_cut_the_last_leg_do_not_matter_far_apart():
     # The default readings, which look at neighbours, find none here.
     snow = sample(3.0, 1e-3)
-    other = splits.Snow(**{**vars_of(snow), "readings": {}})
+    other = splits.Snow(**{**vars_of(snow), "interpretation": {}})
     found, stderr = paths(snow, 0.0, 0.002)
     same, _ = paths(other, 0.0, 0.002)
     assert (np.abs(found - same) <= stderr).all()

@@ -70,10 +70,10 @@ def inside_pack(error, **given):
 @NEEDS_JIT
 def test_light_inside_is_known_as_well_as_its_bands_ask_for():
     power, irradiance = (
-        inside_pack(0.02, error_of=name) for name in ("absorbed_power", "irradiance")
+        inside_pack(0.02, target=name) for name in ("absorbed_power", "irradiance")
     )
     for found in (power, irradiance):
-        assert found.attrs["stopped_by"] == "error"
+        assert found.attrs["stop_reason"] == "converged"
         assert found.absorbed_power_stderr.max() <= 0.02
         assert found.upward_irradiance_stderr[0, 0] <= 0.02
     assert irradiance.downward_irradiance_stderr.max() <= 0.02
@@ -141,7 +141,7 @@ def test_the_reflectance_factor_under_a_sky_mixes_both():
 
 def test_only_the_expansion_knows_diffuse_light():
     with pytest.raises(ValueError, match="incidence_deg = 'diffuse'"):
-        splits.goniophotometer(splits.Snow(), [500.0], "diffuse", estimator="cells")
+        splits.goniophotometer(splits.Snow(), [500.0], "diffuse", estimator="bins")
 
 
 def soiled(soot):
@@ -183,5 +183,5 @@ def test_albedos_of_several_media_are_those_of_each():
         splits.albedo({"a": soiled(0.0), "b": splits.Sand()}, mine, W)
     with pytest.raises(ValueError, match="one = 'c': must be one of a, b"):
         compute_difference(both, "albedo", "c", "a")
-    with pytest.raises(ValueError, match="quantity = 'direct_share'"):
-        compute_difference(both, "direct_share", "a", "b")
+    with pytest.raises(ValueError, match="quantity = 'direct_fraction'"):
+        compute_difference(both, "direct_fraction", "a", "b")

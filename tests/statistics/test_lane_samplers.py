@@ -356,11 +356,11 @@ def _look_up_exact(table, exact, u, out):
 
 TABLES = {
     "sizes": (
-        grain_statistics.tabulate_struck_inverse_sizes(3e-4, 7.5e-4, "attenuation"),
+        grain_statistics.tabulate_struck_inverse_sizes(3e-4, 7.5e-4, "cross_section"),
         lambda x: (x - 1 / 7.5e-4) / (1 / 3e-4 - 1 / 7.5e-4),
     ),
     "sizes 1000 : 1": (
-        grain_statistics.tabulate_struck_inverse_sizes(1e-5, 1e-2, "attenuation"),
+        grain_statistics.tabulate_struck_inverse_sizes(1e-5, 1e-2, "cross_section"),
         lambda x: (x - 1e2) / (1e5 - 1e2),
     ),
     "facetness": (

@@ -59,7 +59,7 @@ def compute_area_per_volume(sphericity):
 def test_struck_sizes(limits):
     low, high = limits
     attenuation = 1 / sample_table(
-        grain_statistics.tabulate_struck_inverse_sizes(low, high, "attenuation")
+        grain_statistics.tabulate_struck_inverse_sizes(low, high, "cross_section")
     )
     uniform = 1 / sample_table(grain_statistics.tabulate_struck_inverse_sizes(low, high, "uniform"))
     judge_p(
@@ -76,7 +76,7 @@ def test_struck_sizes(limits):
 def test_mean_struck_size_belongs_to_the_attenuation(limits):
     # The mean over density s^-2 P(s) is 1/K1; 1/s is linear in each cell of the table, so the
     # mean of s over a cell is the logarithmic mean of its ends.
-    table = grain_statistics.tabulate_struck_inverse_sizes(*limits, "attenuation")
+    table = grain_statistics.tabulate_struck_inverse_sizes(*limits, "cross_section")
     cells = np.diff(make_table_probabilities(table.size)) * np.diff(np.log(table)) / np.diff(table)
     assert cells.sum() * grain_statistics.size_attenuation(*limits) == pytest.approx(1.0, rel=1e-9)
 

@@ -88,7 +88,7 @@ def ground(medium, **changes):
 
 
 def retrieve_spectrum(measured=(W, MEASURED), noise=0.0625, **more):
-    return splits.retrieve(measured, TABLE, [SIZE], noise, at=FIXED, **more).dataset
+    return splits.retrieve(measured, TABLE, [SIZE], noise, fixed=FIXED, **more).dataset
 
 
 def make_retrieval(noise):
@@ -98,11 +98,11 @@ def make_retrieval(noise):
 
 def retrieve_image(image):
     values = xr.DataArray(image, {"wavelength": W}, "wavelength").expand_dims("y")
-    return splits.retrieve_map(values, TABLE, [SIZE], 0.0625, at=FIXED)
+    return splits.retrieve_map(values, TABLE, [SIZE], 0.0625, fixed=FIXED)
 
 
 def select_bands(bands=W, noise=0.0625):
-    return splits.select_bands(TABLE, bands, [SIZE], noise, 2, at=FIXED).drop_vars("band")
+    return splits.select_bands(TABLE, bands, [SIZE], noise, 2, fixed=FIXED).drop_vars("band")
 
 
 def make_labelled_sky(name, values):
@@ -158,7 +158,7 @@ CASES = {
     "hdrf": ArrayCase(
         lambda a: splits.hdrf(GREY_LAYER, splits.sky(SKY, 50.0), a, 0.5, threads=1, polar_deg=UP,
                               azimuth_deg=[0.0]), [800.0], one=True, runs=True),
-    "light_inside": ArrayCase(
+    "radiation_profile": ArrayCase(
         lambda a: splits.radiation_profile(SNOW, splits.sky(SKY, 50.0), a, NM, **FEW_WAVELENGTHS),
         [0.0009765625, 0.001953125], one=True, runs=True),
     # Instruments.
@@ -174,7 +174,7 @@ CASES = {
     "goniophotometer azimuth_deg": ArrayCase(
         lambda a: splits.goniophotometer(GREY_LAYER, [800.0], relative_stderr=0.5, threads=1,
                                          polar_deg=UP, azimuth_deg=a), UP, one=True, runs=True),
-    "bssrdf": ArrayCase(
+    "beam_spread": ArrayCase(
         lambda a: splits.beam_spread(GREY_LAYER, a, rays=100, half_width_m=1.0, threads=1), NM, one=True,
         runs=True),
     "deep_transmittance": ArrayCase(
@@ -187,9 +187,9 @@ CASES = {
         lambda a: splits.single_scattering(SNOW, a, moments=2, rays=2, threads=1), NM, one=True,
         runs=True),
     "lens screen_depth_m": ArrayCase(
-        lambda a: splits.lens(SEA, a, 1.0, over="origin", rays=3), [1.0, 2.0], one=True, runs=True),
+        lambda a: splits.lens(SEA, a, 1.0, centre_on="origin", rays=3), [1.0, 2.0], one=True, runs=True),
     "lens waves": ArrayCase(
-        lambda a: splits.lens(SEA, [1.0], 1.0, over="origin", rays=3, waves=a),
+        lambda a: splits.lens(SEA, [1.0], 1.0, centre_on="origin", rays=3, waves=a),
         [[0.0625, 1.0, 0.5, 0.0], [0.125, 0.5, 0.0, 1.0]], runs=True),
     # Tables.
     "table wavelength_nm": ArrayCase(
@@ -211,17 +211,17 @@ CASES = {
     "retrieve noise of bands": ArrayCase(
         lambda a: retrieve_spectrum(SHADES, a, bands=BANDS), [0.0625, 0.125, 0.25], True, list(BANDS)),
     "retrieve free": ArrayCase(
-        lambda a: splits.retrieve((W, MEASURED), TABLE, {SIZE: a}, 0.0625, at=FIXED).dataset,
+        lambda a: splits.retrieve((W, MEASURED), TABLE, {SIZE: a}, 0.0625, fixed=FIXED).dataset,
         [64.0, 512.0], labels=["low", "high"]),
     "retrieve prior": ArrayCase(
         lambda a: retrieve_spectrum(prior={SIZE: a}), [128.0, 64.0],
         labels=["mean", "standard deviation"]),
-    "best_bands": ArrayCase(lambda a: select_bands(bands=a), [512.0, 1024.0]),
+    "select_bands": ArrayCase(lambda a: select_bands(bands=a), [512.0, 1024.0]),
     "best_bands noise": ArrayCase(
         lambda a: select_bands(noise=a), [0.0625] * 5 + [0.125] * 6, True, W.tolist()),
     "sobol_indices free": ArrayCase(
         lambda a: splits.sobol_indices(TABLE, {SIZE: a, SOOT: (0.0, 512.0)}, points=64,
-                                       at={"incidence_deg": 30.0}),
+                                       fixed={"incidence_deg": 30.0}),
         [64.0, 512.0], labels=["low", "high"]),
     "fit": ArrayCase(lambda a: check_measured_reflectance(a, np.array(NM)), PARAMETERS, labels=NM),
     # Single grains, and files of other programs.

@@ -32,7 +32,7 @@ def make_table(make, axes, stderr=1e-4, w=W):
                 "reflectance_stderr": (dims, np.full(values.shape, stderr, np.float32), about),
             },
             {**dict(zip(names, rows, strict=True)), "wavelength": w},
-            {"axes_that_share_paths": "none", "title": "a formula"},
+            {"path_sharing_axes": "none", "title": "a formula"},
         )
     )
 

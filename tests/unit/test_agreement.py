@@ -125,7 +125,7 @@ def test_rmse_to_a_measured_spectrum_knows_what_goes_together():
         {
             "reflectance": ("wavelength", [0.9, 0.5]),
             "reflectance_stderr": ("wavelength", [0.005, 0.005]),
-            "reflectance_groups": (("group", "wavelength"), groups),
+            "reflectance_batches": (("batch", "wavelength"), groups),
         },
         {"wavelength": [500.0, 1000.0]},
     )
@@ -161,7 +161,7 @@ def test_letcher_mixes_beam_and_diffuse_light():
         {
             "reflectance": (dims, values),
             "reflectance_stderr": (dims, np.full_like(values, 0.01)),
-            "reflectance_groups": (("group", *dims), np.full((1, *values.shape), 0.01)),
+            "reflectance_batches": (("batch", *dims), np.full((1, *values.shape), 0.01)),
         },
         {
             "medium": ["natural snow"],

@@ -26,9 +26,9 @@ GIVEN_TWICE = {
     "interp": lambda: TABLE.interp(**PLACE, **BOTH_SPELLINGS),
     "derivatives": lambda: TABLE.derivatives([SIZE], **PLACE, **BOTH_SPELLINGS),
     "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **PLACE, **BOTH_SPELLINGS),
-    "retrieve": lambda: splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, at={SOOT: 64.0} | BOTH_SPELLINGS),
-    "best_bands": lambda: splits.select_bands(TABLE, W, [SIZE], 0.1, at={SOOT: 64.0} | BOTH_SPELLINGS),
-    "sobol_indices": lambda: splits.sobol_indices(TABLE, [SIZE, SOOT], at=BOTH_SPELLINGS),
+    "retrieve": lambda: splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, fixed={SOOT: 64.0} | BOTH_SPELLINGS),
+    "select_bands": lambda: splits.select_bands(TABLE, W, [SIZE], 0.1, fixed={SOOT: 64.0} | BOTH_SPELLINGS),
+    "sobol_indices": lambda: splits.sobol_indices(TABLE, [SIZE, SOOT], fixed=BOTH_SPELLINGS),
     "at of a medium": lambda: check_measurement_incidence(BOTH_SPELLINGS, {}),
     "table": lambda: splits.build_table(
         splits.Snow.natural, {SIZE: [100, 200], "incidence_deg": [0, 60]}, [500], 30.0
@@ -77,7 +77,7 @@ def test_short_names_are_taken_wherever_axes_are():
         lambda at: TABLE.derivatives([SIZE], **PLACE, **at).reflectance_jacobian,
         lambda at: TABLE.interpolation_errors("reflectance", **PLACE, **at),
         lambda at: (
-            splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, at={SOOT: 64.0} | at).dataset.value
+            splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, fixed={SOOT: 64.0} | at).dataset.value
         ),
     ):
         assert (abs(look(whole) - look(short)) == 0.0).all()

@@ -22,10 +22,10 @@ def dataset():
     one = 0.1 * (1.0 + rise)
     both = np.stack([one, np.full_like(one, 0.1)])
     values = both[:, np.newaxis, np.newaxis] * np.ones((2, 2, 2, 1, 1))
-    dims = ("readings", "saturation", "wavelength", "polar", "azimuth")
+    dims = ("interpretation", "saturation", "wavelength", "polar", "azimuth")
     return xr.Dataset(
         {"brdf": (dims, values), "brdf_stderr": (dims, 0.01 * values)},
-        {"readings": MODELS, "saturation": SAMPLES, "wavelength": W, "polar": POLAR,
+        {"interpretation": MODELS, "saturation": SAMPLES, "wavelength": W, "polar": POLAR,
          "azimuth": AZIMUTH},
     )  # fmt: skip
 
@@ -43,10 +43,10 @@ def measured():
 def test_a_model_that_is_right_is_off_by_interpolation_only():
     table = compare_with_measured(dataset(), measured())
     assert len(table) == 2 * len(measured())
-    own = table[table.readings == "lobe"]
+    own = table[table.interpretation == "lobe"]
     np.testing.assert_allclose(own.modelled, own.anisotropy_factor, rtol=1e-3)
     np.testing.assert_allclose(own.stderr / own.modelled, 0.01 * np.sqrt(2.0), rtol=0.05)
-    none = table[table.readings == "none"]
+    none = table[table.interpretation == "none"]
     np.testing.assert_allclose(none.modelled, 1.0, rtol=1e-9)
 
 
@@ -54,7 +54,7 @@ def test_misfits_by_angle_are_those_of_their_directions():
     table = compare_with_measured(dataset(), measured())
     found = summarize_by_angle(table)
     assert len(found) == 2 * 2 * 2 * 3
-    one = found[(found.readings == "none") & (found.saturation == 0.4)
+    one = found[(found.interpretation == "none") & (found.saturation == 0.4)
                 & (found.wavelength_nm == 900) & (found.polar_deg == 20)].iloc[0]  # fmt: skip
     off = 0.2 * (1.0 + np.cos(np.radians([0.0, 36.0, 180.0, 357.5])))
     assert one.rmse == pytest.approx(np.sqrt((off**2).mean()))
@@ -62,7 +62,9 @@ def test_misfits_by_angle_are_those_of_their_directions():
     # A model without directions misses just what the measured ones spread.
     assert one.rmse == pytest.approx(one.spread) and one.directions == 4
     every = found[found.polar_deg == ALL_DIRECTIONS]
-    assert (every.directions == 8).all() and (every[every.readings == "lobe"].rmse < 1e-3).all()
+    assert (every.directions == 8).all() and (
+        every[every.interpretation == "lobe"].rmse < 1e-3
+    ).all()
 
 
 def test_the_figure_shows_every_sample(tmp_path):

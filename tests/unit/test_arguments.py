@@ -14,7 +14,7 @@ ROUGH = splits.ParticleLayer(surface=WAVES, depth_m=10.0)
 VIEW_CALLS = {
     "spectrophotometer": lambda medium: splits.spectrophotometer(medium, [600]),
     "goniophotometer": lambda medium: splits.goniophotometer(medium, [600]),
-    "bssrdf": lambda medium: splits.beam_spread(medium, [600]),
+    "beam_spread": lambda medium: splits.beam_spread(medium, [600]),
     "fixed_spectrum": lambda medium: estimate_fixed_budget(medium, [600], 0.0, [0], 1, 1),
     "single_scattering": lambda medium: splits.single_scattering(medium, [600]),
     "deep_transmittance": lambda medium: splits.deep_transmittance(medium, [600]),

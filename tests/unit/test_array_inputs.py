@@ -143,11 +143,11 @@ def test_a_covariance_is_matched_along_both_axes():
     errors = np.linspace(0.01, 0.03, W.size)
     table = pd.DataFrame(np.diag(errors**2), W, W)
     seen = (W, np.full(W.size, 0.5))
-    plain = splits.retrieve(seen, TABLE, [SIZE], errors, at=FIXED).dataset
-    turned = splits.retrieve(seen, TABLE, [SIZE], table.iloc[::-1, ::-1], at=FIXED).dataset
+    plain = splits.retrieve(seen, TABLE, [SIZE], errors, fixed=FIXED).dataset
+    turned = splits.retrieve(seen, TABLE, [SIZE], table.iloc[::-1, ::-1], fixed=FIXED).dataset
     assert_same(plain, turned)
     with pytest.raises(InvalidValue, match=r"noise = .values at"):
-        splits.retrieve(seen, TABLE, [SIZE], table.set_axis(W + 1.0, axis=1), at=FIXED)
+        splits.retrieve(seen, TABLE, [SIZE], table.set_axis(W + 1.0, axis=1), fixed=FIXED)
 
 
 @pytest.mark.parametrize("kind", ["masked", "NaN", "NA", "infinite"])
@@ -172,9 +172,9 @@ def test_maps_of_what_is_no_number_are_refused(kind):
 
 def test_weights_along_a_spectrum_are_matched():
     w, about = [500.0, 600.0, 700.0], ("wavelength",)
-    groups = (("group", *about), np.full((2, 3), 0.01))
+    groups = (("batch", *about), np.full((2, 3), 0.01))
     found = xr.Dataset(
-        {"r_stderr": (about, [0.1, 0.2, 0.3]), "r_groups": groups}, {"wavelength": w}
+        {"r_stderr": (about, [0.1, 0.2, 0.3]), "r_batches": groups}, {"wavelength": w}
     )
     weights = xr.DataArray([1.0, -2.0, 3.0], {"wavelength": w}, about)
     errors = [compute_weighted_error(found, "r", one) for one in (weights, weights[::-1])]
@@ -204,7 +204,7 @@ def test_tables_of_every_form_read_alike(form):
 GAP = {
     "Table": lambda ds: splits.Table(ds).interp(**FIXED, **{SIZE: 40.0}),
     "retrieve": lambda ds: splits.retrieve(
-        (W, np.full(W.size, 0.5)), splits.Table(ds), [SIZE], 0.1, at=FIXED
+        (W, np.full(W.size, 0.5)), splits.Table(ds), [SIZE], 0.1, fixed=FIXED
     ),
     "spires": lambda ds: convert_to_spires(ds, "impurities_ng_g.black_carbon", {"a": (600, 700)}),
     "save_brdf": lambda _: splits.save_brdf(
@@ -235,7 +235,7 @@ def test_a_gap_is_no_single_number(value):
         lambda: splits.Snow(grain_size_um=(value, 100.0)),
         lambda: splits.spectrophotometer(splits.Snow(), 500.0, value),
         lambda: splits.spectrophotometer(splits.Snow(), 500.0, seed=value),
-        lambda: splits.goniophotometer(splits.Snow(), 500.0, estimator="cells", cells=(4, value)),
+        lambda: splits.goniophotometer(splits.Snow(), 500.0, estimator="bins", n_bins=(4, value)),
         lambda: splits.sky("clear", value),
         lambda: TABLE.interp(incidence_deg=value),
     ):

@@ -19,7 +19,7 @@ def test_information_is_that_of_all_bands_together():
     nodes = np.linspace(-1.0, 1.0, 6)
     linear = make_table(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
                       {"a": nodes, "b": nodes}, 1e-8)  # fmt: skip
-    found = splits.select_bands(linear, W, ["a", "b"], 0.02, most=W.size)
+    found = splits.select_bands(linear, W, ["a", "b"], 0.02, n_bands=W.size)
     k = 0.2 * rows.T / 0.02
     exact = 0.5 * np.linalg.slogdet(np.eye(2) + k.T @ k / 12.0)[1] / np.log(2.0)
     assert float(found.information_bits[-1]) == pytest.approx(exact, rel=1e-4)
@@ -30,7 +30,9 @@ def test_information_is_that_of_all_bands_together():
 
 
 def test_more_bands_tell_more_but_less_each():
-    found = splits.select_bands(make_snowlike_table(), W, [SIZE, SOOT], 0.01, most=4, at=FIXED)
+    found = splits.select_bands(
+        make_snowlike_table(), W, [SIZE, SOOT], 0.01, n_bands=4, fixed=FIXED
+    )
     bits = found.information_bits.values
     assert (np.diff(bits) > 0.0).all()
     assert len(set(found.band.values)) == 4
@@ -39,16 +41,18 @@ def test_more_bands_tell_more_but_less_each():
 
 def test_bands_of_a_sensor():
     bands = {"blue": (500, 560), "near infrared": (850, 950), "short-wave": (1200, 1300)}
-    found = splits.select_bands(make_snowlike_table(), bands, [SIZE, SOOT], 0.01, most=2, at=FIXED)
+    found = splits.select_bands(
+        make_snowlike_table(), bands, [SIZE, SOOT], 0.01, n_bands=2, fixed=FIXED
+    )
     assert "blue" in found.band.values
 
 
 INVALID_CALLS = {
-    "too many": ({"most": W.size + 1}, "1 to 11"),
+    "too many": ({"n_bands": W.size + 1}, "1 to 11"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
     "unknown noise": ({"noise": None}, "noise = None: must be given"),
     "alike": ({"noise": 1e-4 + 1e-4 * np.eye(W.size)}, "independent"),
-    "outside": ({"bands": [300.0, 600.0], "most": 1}, "500 to 1500"),
+    "outside": ({"bands": [300.0, 600.0], "n_bands": 1}, "500 to 1500"),
     "no table": ({"table": 1}, "a Table"),
 }
 

@@ -41,7 +41,7 @@ def make_brdf(incidence, **keywords):
     attrs = {
         "medium": "snow", "snow_depth_m": 0.1, "snow_facetness": np.array([0.2, 0.4]),
         "snow_asymmetry_parameter_900nm_dry": 0.678,
-        "snow_asymmetry_parameter_900nm_dry_stderr": 0.001, "snow_reading_entry": "uniform",
+        "snow_asymmetry_parameter_900nm_dry_stderr": 0.001, "snow_interpretation_entry_point": "uniform",
         "incidence_deg": incidence, "seed": 3, "physics_sources_sha256": "0123456789abcdef",
         "date_created": "2026-11-24T12:00:00+00:00", "title": "BRDF",
     }  # fmt: skip
@@ -72,7 +72,10 @@ def test_it_holds_what_the_format_asks_for_and_nothing_else(tmp_path):
         assert isinstance(one["value"], float)
     (asymmetry,) = [p for p in model["parameters"] if p["name"].startswith("asymmetry")]
     assert (asymmetry["value"], asymmetry["uncertainty"]) == (0.678, 0.001)
-    assert model["adhoc_section"] == {"facetness": [0.2, 0.4], "reading_entry": "uniform"}
+    assert model["adhoc_section"] == {
+        "facetness": [0.2, 0.4],
+        "interpretation_entry_point": "uniform",
+    }
     assert data["BRDF"]["unit"] == data["uBRDF"]["unit"] == "sr^-1"
     assert data["wavelength_i"]["unit"] == "nm"
     count = len(data["BRDF"]["values"])

@@ -13,7 +13,7 @@ GREY_GROUND = splits.Snow(depth_m=0.01, impurities_ng_g={"black_carbon": 100})
 SNOWPACK = splits.Stack([SNOW, splits.Sand(depth_m=0.004)], ground=0.3, readings="geometric")
 SKY = "midlatitude_winter"
 EXAMPLES = {
-    "profile": lambda: splits.irradiance_profile(
+    "irradiance_profile": lambda: splits.irradiance_profile(
         SNOWPACK, [500, 900], [0.002, 0.012], max_stderr=0.2
     ),
     "deep": lambda: splits.deep_transmittance(SNOW, [500], relative_stderr=0.5),

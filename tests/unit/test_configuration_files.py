@@ -24,8 +24,11 @@ INVALID_FILES = [
     ("instrument: {incidence_deg: 90}", r"incidence_deg = 90.*\[0, 89.9999\]"),
     ("medium: snow", "medium = 'snow': must be a mapping"),
     ("medium: {base: nowhere}", r"medium\.base = 'nowhere': must be one of .*splitsnow_table1"),
-    ("medium: {readings: {entry: top}}", r"readings\.entry = 'top': must be one of"),
-    ("medium: {readings: 3}", "readings = 3"),
+    (
+        "medium: {interpretation: {entry_point: top}}",
+        r"interpretation\.entry_point = 'top': must be one of",
+    ),
+    ("medium: {interpretation: 3}", "interpretation = 3"),
     ("medium: {refractive_index: {ice: glass}}", "refractive_index.ice. = 'glass'"),
     ("grid:", "grid = None"),
     ("- a list", "must be a mapping of keys to values"),
@@ -99,7 +102,7 @@ def test_an_empty_folder_is_refused(tmp_path):
         ({"seed": -1}, "seed = -1"),
         ({"accuracies": {"standard": {"max_stderr": 0}}}, r"accuracies\.standard\.max_stderr = 0"),
         ({"accuracies": {"standard": {"max_error": 0.1}}}, "max_stderr"),
-        ({"studies": {"a": {"experiments": {}}}}, r"studies\.a\.kind: missing"),
+        ({"studies": {"a": {"inputs": {}}}}, r"studies\.a\.kind: missing"),
         ({"results": None}, "results = None"),
     ],
 )
@@ -156,7 +159,7 @@ def test_bad_media_of_a_grid_are_refused(tmp_path, text, message):
          "instrument: {wavelength_nm: {start: 500, stop: 780, step: 10}}", "400 to 780 nm"),
         ("figure: {kind: swatches}", "one or two parameters"),
         ("figure: {quantity: mean_grain_distance}", "points for mean_grain_distance"),
-        ("medium: {kind: layer}\nfigure: {kind: points, quantity: mean_grain_distance}\n"
+        ("medium: {kind: particle_layer}\nfigure: {kind: points, quantity: mean_grain_distance}\n"
          "instrument: {wavelength_nm: [550]}",
          "layers have no grains"),
         ("figure: {kind: lobes, quantity: btdf}\ninstrument: {kind: goniophotometer}",

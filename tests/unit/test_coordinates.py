@@ -18,13 +18,13 @@ from splits.io.netcdf import make_provenance, to_netcdf_attributes
 WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 20, "waves": 8, "correlation": "gaussian"}
 LENS = {
     "name": "small_lens",
-    "medium": {"kind": "layer", "surface": WAVES},
+    "medium": {"kind": "particle_layer", "surface": WAVES},
     "instrument": {
-        "kind": "lens", "radius_m": 0.01, "screen_depth_m": [0.05, 0.1], "over": "origin",
+        "kind": "lens", "radius_m": 0.01, "screen_depth_m": [0.05, 0.1], "centre_on": "origin",
         "rays": 3,
     },
     "grid": {"refractive_index": [1.5, 1.3, 1.4], "polarized": {"no": False, "yes": True}},
-    "figure": {"at": {"refractive_index": 1.5, "polarized": "no"}},
+    "figure": {"select": {"refractive_index": 1.5, "polarized": "no"}},
 }  # fmt: skip
 
 

@@ -72,9 +72,9 @@ def test_limits_and_defaults_of_keys_are_the_models():
     fields = InstrumentSection.model_fields
     assert configuration.allowed(fields["target"]) == "`brdf`, `btdf`"
     assert configuration.allowed(fields["rays"]) == "a whole number, at least 1"
-    assert configuration.allowed(fields["cells"]) == "2 numbers"
+    assert configuration.allowed(fields["n_bins"]) == "2 numbers"
     assert configuration.default(fields["kind"]) == "`spectrophotometer`"
-    assert configuration.default(fields["error_factor"]) == "`1.0`"
+    assert configuration.default(fields["stderr_scale"]) == "`1.0`"
     assert configuration.default(fields["rays"]) == "none"
     limits = Accuracy.model_fields["relative_stderr"]
     assert configuration.allowed(limits) == "a number, at least 0.0001, at most 0.5"

@@ -184,7 +184,7 @@ def test_a_reference_is_kept_until_its_sources_change(program, monkeypatch, tmp_
     def measure(medium, wavelengths, error, **named):
         calls.append(named)
         dataset = make_spectrum(wavelength=wavelengths[:3])
-        return dataset.assign_attrs(splits_version="0", stopped_by="error")
+        return dataset.assign_attrs(splits_version="0", stop_reason="converged")
 
     monkeypatch.setattr(program, "simulate_spectrum", measure)
     snow = splits.Snow()

@@ -47,7 +47,7 @@ OBJECT_FACTORIES = {
     "surface": lambda: splits.RoughSurface([ROUGH, {**ROUGH, "waves": 3}]),
     "ground": lambda: Ground.from_input(0.3),
     "ground, table": lambda: Ground.from_input({"wavelength_nm": END_LAYERS, "albedo": [0.1, 0.2]}),
-    "readings": splits.Interpretation,
+    "interpretation": splits.Interpretation,
     "sand's readings": lambda: splits.SandInterpretation(mixing="linear"),
     "composition": lambda: splits.Sand().composition,
     "sizes": lambda: splits.Sand().size_distribution,

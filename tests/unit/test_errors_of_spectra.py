@@ -41,7 +41,7 @@ def make_dataset(groups=None, bound=0.0, **dimensions):
     }
     if groups is not None:
         values = np.broadcast_to(groups, (*shape[:-1], *groups.shape)).astype(np.float32)
-        variables["reflectance_groups"] = ((*dimensions, "group", "wavelength"), values)
+        variables["reflectance_batches"] = ((*dimensions, "batch", "wavelength"), values)
     return xr.Dataset(variables, {**dimensions, "wavelength": WAVELENGTHS})
 
 
@@ -109,7 +109,7 @@ def test_what_two_media_share_cancels_in_their_difference():
         {
             "reflectance": (dims, [[0.9, 0.8], [0.5, 0.6]]),
             "reflectance_stderr": (dims, np.sqrt((groups**2).sum(axis=0) + bounds**2)),
-            "reflectance_groups": (("group", *dims), groups),
+            "reflectance_batches": (("batch", *dims), groups),
         },
         {"medium": ["clean", "dirty"], "wavelength": [500.0, 600.0]},
     )
@@ -137,7 +137,12 @@ def test_a_colour_scatters_as_its_nodes_do():
     stated = table[["L_stderr", "a_stderr", "b_stderr"]].to_numpy()[0]
     # 4000 draws: a standard deviation is known to 1.1 %; colours bend a little.
     np.testing.assert_allclose(scatter, stated, rtol=0.05)
-    assert (table[["L_missed", "a_missed", "b_missed"]].to_numpy() == 0.0).all()
+    assert (
+        table[
+            ["L_interpolation_bound", "a_interpolation_bound", "b_interpolation_bound"]
+        ].to_numpy()
+        == 0.0
+    ).all()
 
 
 def test_the_gradient_of_colours_holds_for_dark_and_bright_ones():
@@ -181,10 +186,10 @@ def test_groups_are_no_more_than_the_standard_error(estimator):
         splits.Snow(depth_m=0.002), [500.0, 1000.0], max_stderr=0.1, estimator=estimator, threads=1
     )
     for name in ("reflectance", "transmittance"):
-        square = (ds[f"{name}_groups"].astype(float) ** 2).sum("group")
+        square = (ds[f"{name}_batches"].astype(float) ** 2).sum("batch")
         assert (square > 0.0).all()
         assert (square <= ds[f"{name}_stderr"] ** 2 * (1.0 + 1e-6)).all()
-        largest = float(abs(ds[f"{name}_groups"].sum("group")).max())
+        largest = float(abs(ds[f"{name}_batches"].sum("batch")).max())
         assert largest < 1e-3 * float(ds[f"{name}_stderr"].max())
 
 
@@ -198,8 +203,8 @@ def test_groups_survive_grids_and_files(tmp_path):
         }
     )
     ds = run(experiment, Accuracy(max_stderr=0.1), threads=1)
-    assert ds.reflectance_groups.dims == ("depth_m", "group", "wavelength")
+    assert ds.reflectance_batches.dims == ("depth_m", "batch", "wavelength")
     splits.save(ds, tmp_path / "mine.nc")
     again = splits.load(tmp_path / "mine.nc")
-    xr.testing.assert_identical(again.reflectance_groups, ds.reflectance_groups)
+    xr.testing.assert_identical(again.reflectance_batches, ds.reflectance_batches)
     assert (compute_band_error(again, "reflectance", 400, 600) > 0.0).all()

@@ -72,8 +72,8 @@ def test_labels(value, label):
 
 
 def test_a_mapping_needs_a_name_as_label():
-    with pytest.raises(ValueError, match=r"grid\.readings = .*a mapping from labels"):
-        ExperimentConfig(name="made", grid={"readings": [{"entry": "projected"}]})
+    with pytest.raises(ValueError, match=r"grid\.interpretation = .*a mapping from labels"):
+        ExperimentConfig(name="made", grid={"interpretation": [{"entry_point": "projected"}]})
 
 
 def test_a_grid_runs_all_combinations():
@@ -94,10 +94,13 @@ def test_labels_of_ones_own():
 
 def test_readings_on_a_grid_add_to_those_of_the_medium():
     ((_, medium, _),) = points(
-        medium={"readings": {"entry": "projected"}},
-        grid={"readings": {"any": {"facets": "any"}}},
+        medium={"interpretation": {"entry_point": "projected"}},
+        grid={"interpretation": {"any": {"facet_sampling": "any"}}},
     )
-    assert (medium.interpretation.entry, medium.interpretation.facets) == ("projected", "any")
+    assert (medium.interpretation.entry_point, medium.interpretation.facet_sampling) == (
+        "projected",
+        "any",
+    )
 
 
 @pytest.mark.parametrize(
@@ -111,15 +114,18 @@ def test_readings_on_a_grid_add_to_those_of_the_medium():
         ({"grid": [1]}, "grid = .*mapping"),
         (
             {"medium": {"kind": "salt"}},
-            "medium.kind = 'salt': must be one of layer, natural_snow, sand, snow",
+            "medium.kind = 'salt': must be one of natural_snow, particle_layer, sand, snow",
         ),
         ({"instrument": {"incidence_deg": True}}, "incidence_deg = True"),
         (
-            {"medium": {"readings": 3}, "grid": {"readings": {"any": {"facets": "any"}}}},
-            "readings = 3",
+            {
+                "medium": {"interpretation": 3},
+                "grid": {"interpretation": {"any": {"facet_sampling": "any"}}},
+            },
+            "interpretation = 3",
         ),
-        ({"instrument": {"error_factor": 0}}, "error_factor = 0"),
-        ({"figure": {"at": {"depth_m": 0.1}}}, "figure.at = 'depth_m'"),
+        ({"instrument": {"stderr_scale": 0}}, "stderr_scale = 0"),
+        ({"figure": {"select": {"depth_m": 0.1}}}, "figure.select = 'depth_m'"),
         ({"figure": {"quantity": "colour"}}, "colour"),
     ],
 )

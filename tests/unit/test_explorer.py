@@ -33,7 +33,7 @@ def table(shared="optical_radius_um, impurities_ng_g.black_carbon"):
         "reflectance": (tuple(AXES), values, {"long_name": "reflectance"}),
         "reflectance_stderr": (tuple(AXES), stderr),
     }
-    made = xr.Dataset(found, AXES, {"axes_that_share_paths": shared})
+    made = xr.Dataset(found, AXES, {"path_sharing_axes": shared})
     made.optical_radius_um.attrs = {"long_name": "radius of spheres", "units": "um"}
     return Table(made)
 

@@ -15,7 +15,7 @@ CROSSED_GRID = {"0.1": 1.0, "1": 0.1}
 
 def resolve_fixed_values(grid, **at):
     """Return what the figure of an experiment holds fixed, and the grid's coordinates."""
-    experiment = ExperimentConfig(name="made", grid=grid, figure={"at": at})
+    experiment = ExperimentConfig(name="made", grid=grid, figure={"select": at})
     return experiment.resolve_figure()["at"], experiment.grid
 
 
@@ -42,7 +42,9 @@ def test_text_is_a_label_and_a_number_a_value(values, given, label):
 
 @pytest.mark.parametrize("given", [0.5, 0.999999999, "1.0", "moist", 0.09999])
 def test_what_is_not_on_the_grid_is_refused(given):
-    with pytest.raises(ValueError, match=r"figure\.at\.saturation = .*: must be one of 0\.1, 1"):
+    with pytest.raises(
+        ValueError, match=r"figure\.select\.saturation = .*: must be one of 0\.1, 1"
+    ):
         resolve_fixed_values({"saturation": CROSSED_GRID}, saturation=given)
 
 
@@ -55,10 +57,10 @@ def test_the_drawing_names_the_coordinate_of_the_dataset():
     grid = {"incidence_deg": {"beam": 60, "sky": "diffuse"}}
     assert resolve_fixed_values(grid, incidence_deg="diffuse")[0] == {"incidence_deg": "sky"}
     grid = {"polarized": [True, False]}
-    layer = {"kind": "layer"}
+    layer = {"kind": "particle_layer"}
     experiment = ExperimentConfig(
         name="made", medium=layer, grid=grid, instrument={"wavelength_nm": [500, 550]},
-        figure={"at": {"polarized": True}},
+        figure={"select": {"polarized": True}},
     )  # fmt: skip
     assert experiment.resolve_figure()["at"] == {"polarized": "True"}
 

@@ -108,13 +108,13 @@ CELLS = np.degrees(np.arccos((np.arange(18) + 0.5) / 18.0))[::-1]
 
 
 def test_lines_of_cells_do_not_cross_the_zenith():
-    made = make_dataset(polar=CELLS, estimator="cells", **PLANE)
+    made = make_dataset(polar=CELLS, estimator="bins", **PLANE)
     for figure in (draw_principal_planes(made), draw_polarization(made)):
         for axes in figure.axes:
             angle, value = axes.lines[0].get_data()
             gap = np.flatnonzero(np.isnan(value))
             assert gap.size == 1 and angle[gap[0]] == 0.0
-    for estimator in ("expansion", "local"):
+    for estimator in ("expansion", "next_event"):
         line = (
             draw_principal_planes(make_dataset(polar=CELLS, estimator=estimator)).axes[1].lines[0]
         )
@@ -122,7 +122,7 @@ def test_lines_of_cells_do_not_cross_the_zenith():
 
 
 def test_collectors_do_not_cross_the_zenith_and_the_finest_lie_below():
-    fine = make_dataset(polar=CELLS, estimator="cells", azimuth=np.arange(0.0, 360.0, 10.0))
+    fine = make_dataset(polar=CELLS, estimator="bins", azimuth=np.arange(0.0, 360.0, 10.0))
     figure = draw_bin_sizes(fine)
     axes = figure.axes[0]
     assert len(axes.lines) == len(list_map_axes(figure)) == 3
@@ -134,7 +134,7 @@ def test_collectors_do_not_cross_the_zenith_and_the_finest_lie_below():
 
 
 def test_a_cell_at_the_zenith_leaves_no_gap():
-    line = draw_principal_planes(make_dataset(estimator="cells")).axes[1].lines[0]
+    line = draw_principal_planes(make_dataset(estimator="bins")).axes[1].lines[0]
     assert np.isfinite(line.get_ydata()).all()
 
 
@@ -216,8 +216,8 @@ def test_a_map_shows_what_goes_forward_on_the_right():
 
 
 def test_light_of_a_reading_is_shown_as_shifts_from_the_default():
-    made = make_dataset({"readings": ["a", "default", "b"]})
-    made["brdf"] = made.brdf + xr.DataArray([0.1, 0.0, -0.1], dims="readings")
+    made = make_dataset({"interpretation": ["a", "default", "b"]})
+    made["brdf"] = made.brdf + xr.DataArray([0.1, 0.0, -0.1], dims="interpretation")
     figure = draw_principal_planes(made)
     default, one, other = figure.axes
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) default", "(b) a", "(c) b"]

@@ -14,7 +14,7 @@ from test_figure_directions import make_dataset as directions
 from splits.plotting import draw, save_figure
 
 SECTION = {
-    "kind": "spectra", "quantity": ["reflectance"], "at": {}, "legend": None, "ylim": None,
+    "kind": "spectra", "quantity": ["reflectance"], "select": {}, "legend": None, "ylim": None,
     "wavelength_nm": None,
 }  # fmt: skip
 PROGRAM = """

@@ -58,7 +58,7 @@ def list_legend_entries(legend):
         ("0.5-0.1", "roundness", "0.5, 0.1"),
         ("1.31+1e-7j", "refractive_index", "1.31 + 10⁻⁷i"),
         ("henyey_greenstein", "phase_function", "Henyey–Greenstein"),
-        ("keep_on_last_leg", "readings", "keep on last leg"),
+        ("keep_overlap_with_segment", "interpretation", "keep overlap with segment"),
         ("10019201", "medium", "10019201"),
     ],
 )
@@ -77,9 +77,9 @@ def test_no_two_lines_look_the_same(sizes):
 
 
 def test_many_names_without_order_have_safe_colours_and_dashes():
-    made = make_plot_lines({"readings": [f"r{i}" for i in range(13)]}).lines
+    made = make_plot_lines({"interpretation": [f"r{i}" for i in range(13)]}).lines
     assert len({(one.colour, one.dash) for one in made}) == 13
-    assert {one.colour for one in made} == set(pick_colours(10, "readings"))
+    assert {one.colour for one in made} == set(pick_colours(10, "interpretation"))
     assert {one.dash for one in made} == set(DASHES[:2])
 
 
@@ -91,12 +91,12 @@ def test_colours_of_ordered_values_get_lighter():
 
 
 def test_the_default_is_black_and_on_top():
-    made = make_plot_lines({"readings": ["a", "default", "b"]}).lines
+    made = make_plot_lines({"interpretation": ["a", "default", "b"]}).lines
     default, others = made[1], (made[0], made[2])
     assert default.colour == "black" and default.is_default
     assert all(one.zorder < default.zorder and one.colour != "black" for one in others)
     assert all(one.to_plot_style()["lw"] < default.to_plot_style()["lw"] for one in others)
-    assert [one.colour for one in others] == pick_colours(2, "readings")
+    assert [one.colour for one in others] == pick_colours(2, "interpretation")
 
 
 def test_few_lines_have_their_legend_on_free_axes():
@@ -162,7 +162,9 @@ def test_very_many_values_have_a_colour_bar():
 
 
 def test_forty_readings_fit_beside():
-    figure = draw_spectra(make_dataset({"readings": [f"reading number {i}" for i in range(40)]}))
+    figure = draw_spectra(
+        make_dataset({"interpretation": [f"reading number {i}" for i in range(40)]})
+    )
     assert len(list_legend_entries(figure.legends[0])) == 40
     assert is_legend_clear(figure)
 
@@ -173,7 +175,7 @@ def test_measured_values_are_in_the_legend():
     assert list_legend_entries(figure.axes[0].get_legend()) == ["model", "measured"]
 
 
-SECTION = {"kind": "points", "at": {}, "legend": None}
+SECTION = {"kind": "points", "select": {}, "legend": None}
 
 
 def test_points_draw_every_quantity():
@@ -204,7 +206,7 @@ def test_points_show_what_is_asked_of_grains_at_one_wavelength():
 
 
 def test_points_are_shifts_from_the_default_which_is_stated():
-    made = make_dataset({"readings": ["a", "default", "b"]}, [500.0, 600.0])
+    made = make_dataset({"interpretation": ["a", "default", "b"]}, [500.0, 600.0])
     axes = draw_points(made).axes[0]
     for one in axes.containers:
         np.testing.assert_allclose(one.lines[0].get_xdata(), [-0.01, 0.0, 0.01], atol=1e-12)
@@ -212,12 +214,12 @@ def test_points_are_shifts_from_the_default_which_is_stated():
         half = [0.5 * (high - low) for low, high in ends]
         np.testing.assert_allclose(half, [2e-3 * 2**0.5, 0.0, 2e-3 * 2**0.5], atol=1e-12)
     assert axes.get_xlabel().splitlines()[1] == "default: 0.510 (500 nm), 0.510 (600 nm)"
-    absolute = draw_points(make_dataset({"readings": ["a", "b"]}, [500.0])).axes[0]
+    absolute = draw_points(make_dataset({"interpretation": ["a", "b"]}, [500.0])).axes[0]
     np.testing.assert_allclose(absolute.containers[0].lines[0].get_xdata(), [0.5, 0.51])
 
 
 def test_spectra_are_shifts_from_the_default_a_panel_each():
-    made = make_dataset({"readings": ["a", "default", "b"], "depth_m": [0.1]})
+    made = make_dataset({"interpretation": ["a", "default", "b"], "depth_m": [0.1]})
     figure = draw_spectra(made)
     default, one, other = figure.axes
     np.testing.assert_allclose(default.lines[0].get_ydata(), 0.51)
@@ -227,7 +229,7 @@ def test_spectra_are_shifts_from_the_default_a_panel_each():
     cut = draw_spectra(made, ylim=(0.2, 0.8))
     assert cut.axes[0].get_ylim() == (0.2, 0.8)
     assert cut.axes[1].get_ylim() == one.get_ylim()
-    crossed = make_dataset({"readings": ["a", "default"], "depth_m": [0.1, 0.2]})
+    crossed = make_dataset({"interpretation": ["a", "default"], "depth_m": [0.1, 0.2]})
     assert len(draw_spectra(crossed).axes[0].lines) == 4, "several parameters stay absolute"
 
 

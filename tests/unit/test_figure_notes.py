@@ -36,7 +36,7 @@ ATTRIBUTES = {
     "max_stderr_reached": 0.0019,
 }  # fmt: skip
 SECTION = {
-    "quantity": ["reflectance"], "at": {}, "legend": None, "ylim": None, "wavelength_nm": None,
+    "quantity": ["reflectance"], "select": {}, "legend": None, "ylim": None, "wavelength_nm": None,
 }  # fmt: skip
 INFRARED = np.arange(1000.0, 2001.0, 10.0)
 
@@ -63,7 +63,7 @@ def make_beam_dataset():
 
 def make_many_bins_dataset():
     around = np.arange(0.0, 360.0, 10.0)
-    return directions(polar=CELLS, estimator="cells", azimuth=around)
+    return directions(polar=CELLS, estimator="bins", azimuth=around)
 
 
 def make_surface_areas_table():
@@ -87,7 +87,7 @@ def surface_areas():
 
 def make_statements():
     rows = [
-        {"combination": number, "readings": f"entry: {word}", "set": name, "statement": said,
+        {"combination": number, "interpretation": f"entry_point: {word}", "set": name, "statement": said,
          "place": "Fig 1", "nearest_water": True, "ours": value, "stderr": 0.01, "bar": 0.1,
          "distance": 10.0 * value}
         for number, (word, name, value) in enumerate(
@@ -113,7 +113,7 @@ ALBEDO = pd.DataFrame(
 LAW = pd.DataFrame({"snow": ["ours", "theirs"], "area": 20.0, "reflectance": 0.3,
                     "stderr": [0.01, np.nan]})  # fmt: skip
 SPEED = pd.DataFrame(
-    {"method": "lanes", "medium": "snow", "how": "measured", "error": [0.01, 0.001],
+    {"method": "vectorized", "medium": "snow", "how": "measured", "error": [0.01, 0.001],
      "seconds": [1.0, 10.0], "deviation_largest": 0.0, "stderr_largest": [0.01, 0.001]}
 )  # fmt: skip
 
@@ -128,7 +128,7 @@ FIGURES = {
     "facets": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 40),
                                                  "depth_m": [0.1, 0.2]})),
     "colour bar": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 20)})),
-    "shifts": draw_kind("spectra", lambda: spectral({"readings": ["default", "a"]})),
+    "shifts": draw_kind("spectra", lambda: spectral({"interpretation": ["default", "a"]})),
     "points": draw_kind("points", lambda: spectral({"depth_m": [0.1, 0.2]}, [500.0])),
     "points of many": draw_kind("points", lambda: spectral({"depth_m": [0.1, 0.2]}, X)),
     "swatches": draw_kind("swatches", lambda: spectral({"depth_m": [0.1, 0.2]},
@@ -146,7 +146,7 @@ FIGURES = {
     "measured": lambda: draw_measured_albedo(ALBEDO),
     "surface area": lambda: draw_fitted_spectra(surface_areas()),
     "law": lambda: draw_area_law(LAW),
-    "readings": lambda: draw_interpretation_shifts(make_statements()),
+    "interpretation": lambda: draw_interpretation_shifts(make_statements()),
     "sensitivity": lambda: draw_sensitivity_bars(make_indices()),
     "speed": lambda: draw_speed_against_error(SPEED),
 }  # fmt: skip
@@ -183,8 +183,8 @@ def test_conditions_say_what_is_held_fixed():
     said = describe_conditions(made, at, "").replace("\u00a0", " ")
     assert "dry, depth 0.02 m" in said and "diffuse light" in said and "sample: dune" in said
     assert describe_conditions(spectral({})) == ""
-    opaque = {"medium": "layer", "layer_opaque": "true", "layer_refractive_index": 1.5,
-              "layer_optical_thickness": 10.0}  # fmt: skip
+    opaque = {"medium": "particle_layer", "particle_layer_opaque": "true", "particle_layer_refractive_index": 1.5,
+              "particle_layer_optical_thickness": 10.0}  # fmt: skip
     said = describe_conditions(spectral({}).assign_attrs(opaque)).replace("\u00a0", " ")
     assert said.startswith("Layer, index 1.5, nothing below the surface")
     assert "thickness" not in said
@@ -231,8 +231,8 @@ def test_rows_of_tables_that_change_nothing_are_not_marked():
 
 def test_ranges_that_a_paper_does_not_state_are_said():
     pairs = {
-        "grain_size": {"low": "100-200", "high": "900-1000", "range": "stated"},
-        "density": {"low": 100, "high": 500, "range": "chosen"},
+        "grain_size": {"low": "100-200", "high": "900-1000", "source": "paper"},
+        "density": {"low": 100, "high": 500, "source": "ours"},
     }
     said = describe_ranges(pairs)
     assert said == (
@@ -259,12 +259,12 @@ def experiment(**given):
 
 def test_maps_need_directions_all_around():
     assert experiment().resolve_figure()["kind"] == "hemisphere"
-    assert experiment(estimator="cells", cells=[18, 72])
+    assert experiment(estimator="bins", n_bins=[18, 72])
     for given, key in (
         ({"azimuth_deg": [0, 90, 180, 270]}, "azimuth_deg"),
         ({"azimuth_deg": [0, *range(100, 181, 10)]}, "azimuth_deg"),
         ({"polar_deg": [0, 30]}, "polar_deg"),
-        ({"estimator": "cells", "cells": [6, 6]}, "cells"),
+        ({"estimator": "bins", "n_bins": [6, 6]}, "n_bins"),
     ):
         with pytest.raises(ValueError, match=rf"instrument\.{key} = .*: must be at least 3 polar"):
             experiment(**given)

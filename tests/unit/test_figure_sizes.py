@@ -47,7 +47,9 @@ def test_a_panel_for_all_or_panels_for_the_others():
     assert choose_panel_parameters({"a": 40, "b": 2}) == ["b"]
     assert choose_panel_parameters({"one": 1, "a": 40, "b": 4, "c": 5}) == ["b", "c"]
     for sizes in ({"a": 70}, {"a": 20, "b": 80}, {"a": 9, "b": 3, "c": 2, "d": 2}):
-        with pytest.raises(ValueError, match=r"^figure\.at = {}: must be with values of so many"):
+        with pytest.raises(
+            ValueError, match=r"^figure\.select = {}: must be with values of so many"
+        ):
             choose_panel_parameters(sizes)
 
 
@@ -67,7 +69,7 @@ def test_a_panel_for_all_or_panels_for_the_others():
 )  # fmt: skip
 def test_what_no_figure_shows_is_refused_before_anything_runs(tmp_path, text, count):
     with pytest.raises(
-        ConfigError, match=rf"figure\.at = {{}}: must be .* left of {count}"
+        ConfigError, match=rf"figure\.select = {{}}: must be .* left of {count}"
     ) as told:
         load_text(tmp_path, text)
     assert "\n" not in str(told.value) and "figure: none" in str(told.value)
@@ -77,8 +79,10 @@ def test_what_no_figure_shows_is_refused_before_anything_runs(tmp_path, text, co
 
 
 def test_maps_of_several_points_need_no_figure(tmp_path):
-    beam = "instrument: {kind: bssrdf, wavelength_nm: [500], half_width_m: 0.1}\n" + make_grid(2)
-    with pytest.raises(ConfigError, match=r"figure\.at"):
+    beam = "instrument: {kind: beam_spread, wavelength_nm: [500], half_width_m: 0.1}\n" + make_grid(
+        2
+    )
+    with pytest.raises(ConfigError, match=r"figure\.select"):
         load_text(tmp_path, beam)
     made = load_text(tmp_path, "figure: none\n" + beam)
     again = ExperimentConfig.model_validate({**made.simulation(), "figure": "none"})
@@ -92,8 +96,8 @@ def test_more_wavelengths_than_series_are_refused(tmp_path):
 
 def test_a_table_within_the_limits_is_taken(tmp_path):
     assert load_text(tmp_path, make_grid(40, 4, 5)).resolve_figure()["kind"] == "spectra"
-    held = "figure: {at: {depth_m: 0.1}}\n" + make_grid(20, 4, 50)
-    assert load_text(tmp_path, held).figure.at == {"depth_m": 0.1}
+    held = "figure: {select: {depth_m: 0.1}}\n" + make_grid(20, 4, 50)
+    assert load_text(tmp_path, held).figure.select == {"depth_m": 0.1}
     rows = "instrument: {wavelength_nm: [500]}\n" + make_grid(MAX_ROWS)
     assert load_text(tmp_path, rows).resolve_figure()["kind"] == "points"
 

@@ -31,7 +31,7 @@ def table():
         "reflectance": (tuple(AXES), values.astype(np.float32), {"long_name": "reflectance"}),
         "reflectance_stderr": (tuple(AXES), np.full(values.shape, 1e-3, np.float32)),
     }
-    return Table(xr.Dataset(found, AXES, {"axes_that_share_paths": "none"}))
+    return Table(xr.Dataset(found, AXES, {"path_sharing_axes": "none"}))
 
 
 def test_a_csv_file_has_a_line_for_every_value(table, tmp_path):

@@ -109,7 +109,7 @@ def test_quantiles_increase_within_their_limits(table):
     assert psi[-1] == pytest.approx(TABLE1[1])
 
 
-@pytest.mark.parametrize("weighting", ["attenuation", "uniform"])
+@pytest.mark.parametrize("weighting", ["cross_section", "uniform"])
 def test_inverse_sizes_increase_between_the_limits(weighting):
     inverse = tabulate_struck_inverse_sizes(3e-4, 7.5e-4, weighting)
     assert (np.diff(inverse) > 0.0).all()

@@ -101,7 +101,7 @@ def test_a_gross_misfit_is_said_of_as_few_values_as_parameters(table, wavelength
     w = np.array(wavelengths)
     free = [SIZE, SOOT][: w.size]
     at = FIXED if w.size > 1 else {**FIXED, SOOT: 50.0}
-    found = splits.retrieve((w, np.full(w.size, 1.5)), table, free, 0.01, at=at)
+    found = splits.retrieve((w, np.full(w.size, 1.5)), table, free, 0.01, fixed=at)
     assert any("does not follow" in line for line in found.warnings)
 
 
@@ -126,7 +126,7 @@ def test_least_squares_know_what_an_end_keeps_them_from(table):
         W.size
     )
     free, at = {SIZE: (50.0, 150.0)}, {**FIXED, SOOT: 50.0}
-    found = splits.retrieve((W, measured), table, free, at=at)
+    found = splits.retrieve((W, measured), table, free, fixed=at)
     about = found.dataset.attrs
     assert about["chi2"] < 3.0 * about["chi2_expected"]
     assert about["chi2_expected"] == W.size
@@ -135,7 +135,7 @@ def test_least_squares_know_what_an_end_keeps_them_from(table):
 
 def test_what_does_nothing_makes_no_other_answer(table):
     found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"],
-                            at={SOOT: 50.0})  # fmt: skip
+                            fixed={SOOT: 50.0})  # fmt: skip
     assert not any("another answer" in line for line in found.warnings)
 
 

@@ -33,7 +33,7 @@ TABLES = {
     "measured": "# of others\nwavelength_nm,reflectance\n500,0.9\n",
 }
 SMALL_EXPERIMENT = (
-    "medium: {kind: layer}\ninstrument: {wavelength_nm: [800]}\nfigure: {kind: none}\n"
+    "medium: {kind: particle_layer}\ninstrument: {wavelength_nm: [800]}\nfigure: {kind: none}\n"
 )
 MAIN_SETTINGS = {"accuracies": {"standard": {"max_stderr": 0.1}}}
 FOLDERS = {f"{kind}_folder": f"~/{kind}" for kind in ("experiments", "media", "measured")}

@@ -15,7 +15,7 @@ ALIAS_BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
 )
 SPEC = "medium: {{refractive_index: {{ice: {}}}}}"
 LENS = (
-    "medium: {kind: layer, depth_m: 10, surface: {rms_height_m: 0.1, wave_number_per_m: 1,"
+    "medium: {kind: particle_layer, depth_m: 10, surface: {rms_height_m: 0.1, wave_number_per_m: 1,"
     " waves: 8, correlation: gaussian}}\ninstrument: {kind: lens, radius_m: 0.1, "
 )
 FILES = {
@@ -26,7 +26,7 @@ FILES = {
     SPEC.format(f"{{n: 1.3, k: {HUGE_NUMBER}}}"): "medium.refractive_index[ice].k = 1000",
     SPEC.format(f"{{wavelength_nm: [1, 2], n: [1, {HUGE_NUMBER}], k: 0}}"): "medium.refractive_index[ice]",
     SPEC.format(300 * "x" + ".csv"): "medium.refractive_index[ice] = 'xxxx",
-    f"medium: {{kind: layer, phase_function: {{cosine: [-1, 1], density: [1, {HUGE_NUMBER}]}}}}":
+    f"medium: {{kind: particle_layer, phase_function: {{cosine: [-1, 1], density: [1, {HUGE_NUMBER}]}}}}":
         "medium.phase_function.density = 1000",
     "instrument: {wavelength_nm: {start: 400, stop: 500, step: 5e-324}}":
         "instrument.wavelength_nm.step = 5e-324",
@@ -59,11 +59,11 @@ FILES = {
     "figure: {quantity: []}": "figure.quantity = []: must be at least one quantity",
     "instrument: {seed: 9223372036854775808}": "instrument.seed = 9223372036854775808: must be a "
         "whole number from 0 to 9223372036854775807",
-    "instrument: {kind: bssrdf, rays: 9223372036854775808}": "instrument.rays = 92233",
-    "instrument: {kind: bssrdf, half_width_m: 1e7}":
+    "instrument: {kind: beam_spread, rays: 9223372036854775808}": "instrument.rays = 92233",
+    "instrument: {kind: beam_spread, half_width_m: 1e7}":
         "instrument.half_width_m = 10000000.0: must be in [1e-09, 1e+06] m",
     LENS + "half_width_m: 1e7, screen_depth_m: [1]}": "instrument.half_width_m = 10000000.0: must",
-    LENS + "over: origin, rays: 100000000, screen_depth_m: [1]}": "instrument.rays = 100000000",
+    LENS + "centre_on: origin, rays: 100000000, screen_depth_m: [1]}": "instrument.rays = 100000000",
     "instrument: {kind: goniophotometer, wavelength_nm: {start: 300, stop: 10000, step: 1}}":
         "grid = '1 points of 25144992 values each': must be at most 10000000 values in all",
     "grid: {saturation: {start: 0, stop: 1, step: 0.001}, depth_m: {start: 0.1, stop: 1, "

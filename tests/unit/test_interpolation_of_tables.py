@@ -35,7 +35,7 @@ def make_table(stderr=0.0, sizes=SIZES, angles=ANGLES, shared="optical_radius_um
         "reflectance_stderr": (dims, np.full_like(values, stderr), about),
     }
     axes = dict(zip(dims, (sizes, angles, WAVELENGTHS), strict=True))
-    return Table(xr.Dataset(found, axes, {"axes_that_share_paths": shared}))
+    return Table(xr.Dataset(found, axes, {"path_sharing_axes": shared}))
 
 
 def test_nodes_are_the_tables_own():

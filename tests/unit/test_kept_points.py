@@ -23,8 +23,8 @@ TINY_ACCURACY = Accuracy(max_stderr=0.05, relative_stderr=0.3)
 INDEPENDENT_POINTS = {
     "name": "some",
     "medium": {"kind": "snow", "depth_m": 0.005},
-    "instrument": {"kind": "goniophotometer", "wavelength_nm": [800], "estimator": "cells",
-                   "cells": [3, 4], "rays": 500},
+    "instrument": {"kind": "goniophotometer", "wavelength_nm": [800], "estimator": "bins",
+                   "n_bins": [3, 4], "rays": 500},
     "grid": {"saturation": [0, 0.5, 1]},
 }  # fmt: skip
 PATH_SHARING_POINTS = {
@@ -147,7 +147,7 @@ def test_a_damaged_point_is_measured_again(tmp_path, monkeypatch):
 def test_the_last_line_says_what_to_type(tmp_path):
     text = (
         "medium: {kind: snow, depth_m: 0.005}\ngrid: {saturation: [0, 1]}\nfigure: none\n"
-        "instrument: {kind: goniophotometer, wavelength_nm: [800], estimator: cells, rays: 500}\n"
+        "instrument: {kind: goniophotometer, wavelength_nm: [800], estimator: bins, rays: 500}\n"
     )
     (tmp_path / "two points.yaml").write_text(text + "name: some\n", encoding="utf-8")
     words = ["run", "two points.yaml", "--accuracy", "tiny"]

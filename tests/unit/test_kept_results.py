@@ -71,10 +71,10 @@ RESULTS = {
     ),
     "spectra": lambda: splits.spectra(make_several_media(), PAIR, max_stderr=0.1),
     "goniophotometer": lambda: splits.goniophotometer(layer(), PAIR, 30.0, relative_stderr=0.5),
-    "bssrdf": lambda: splits.beam_spread(layer(), PAIR, rays=1000, half_width_m=1.0),
-    "profile": lambda: splits.irradiance_profile(snow(), PAIR, [0.01], max_stderr=0.1),
+    "beam_spread": lambda: splits.beam_spread(layer(), PAIR, rays=1000, half_width_m=1.0),
+    "irradiance_profile": lambda: splits.irradiance_profile(snow(), PAIR, [0.01], max_stderr=0.1),
     "deep_transmittance": lambda: splits.deep_transmittance(snow(), PAIR, relative_stderr=0.5),
-    "lens": lambda: splits.lens(rough(), [1.0], 0.1, over="origin", rays=1000),
+    "lens": lambda: splits.lens(rough(), [1.0], 0.1, centre_on="origin", rays=1000),
     "surface_map": lambda: splits.surface_map(rough(), 1.0, points=5, realisations=2),
     "single_scattering": grains,
     "with_diffraction": lambda: splits.with_diffraction(grains()),
@@ -89,23 +89,23 @@ RESULTS = {
     "albedo": lambda: splits.albedo(snow(), SKY, [500, 800], 0.1, bands=BANDS),
     "albedo of several": lambda: splits.albedo(make_several_media(), SKY, [500, 800], 0.1),
     "hdrf": lambda: splits.hdrf(layer(), SKY, PAIR, 0.5),
-    "light_inside": lambda: splits.radiation_profile(
+    "radiation_profile": lambda: splits.radiation_profile(
         snow(), SKY, [0.01], PAIR, 0.1, total_w_m2=400
     ),
     "retrieve": lambda: (
-        splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED).dataset
+        splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED).dataset
     ),
     "retrieve_map": lambda: splits.retrieve_map(
-        image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED
+        image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED
     ),
     "retrieve_map, stacked": lambda: splits.retrieve_map(
-        image().stack(pixel=("y", "x")), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED
+        image().stack(pixel=("y", "x")), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED
     ),
-    "best_bands": lambda: splits.select_bands(
-        make_snowlike_table(), W[:4], FREE_PARAMETERS, 0.01, 2, at=FIXED
+    "select_bands": lambda: splits.select_bands(
+        make_snowlike_table(), W[:4], FREE_PARAMETERS, 0.01, 2, fixed=FIXED
     ),
     "sobol_indices": lambda: splits.sobol_indices(
-        make_snowlike_table(), FREE_PARAMETERS, at=FIXED, points=64
+        make_snowlike_table(), FREE_PARAMETERS, fixed=FIXED, points=64
     ),
 }
 """What every public function returns that returns data, by its name and what differs."""
@@ -179,7 +179,7 @@ def test_names_that_meet_in_the_file_stay_apart(name, tmp_path):
 
 
 def test_a_pixel_with_a_gap_is_nan_in_the_file_and_says_why(tmp_path):
-    found = splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED)
+    found = splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED)
     splits.save(found, tmp_path / "map.nc")
     again = splits.load(tmp_path / "map.nc")
     assert np.isnan(again[SIZE][0, 1]) and again.flags[0, 1] == FLAGS["gap"]
@@ -205,7 +205,7 @@ def test_what_is_not_computed_yet_is_computed_once(tmp_path):
 
 @pytest.mark.parametrize("change", [{"chi2": np.inf}, {"flags": 0}])
 def test_gaps_without_a_flag_are_refused(change, tmp_path):
-    found = splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED)
+    found = splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED)
     for name, value in change.items():
         found[name][0, 1] = value
     with pytest.raises(ValueError, match="holds values that are not finite"):
@@ -215,7 +215,7 @@ def test_gaps_without_a_flag_are_refused(change, tmp_path):
 NON_DATASETS = {
     "an array": (lambda: image(), r"'DataArray'.*array.to_dataset\(name='reflectance'\)"),
     "a table": (make_snowlike_table, r"'Table'.*write its dataset"),
-    "a retrieval": (lambda: splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, at=FIXED),
+    "a retrieval": (lambda: splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED),
                     r"'Retrieved'.*write its dataset"),
     "a path": (lambda: "kept.nc", "'str': must be an xarray.Dataset$"),
 }  # fmt: skip

@@ -190,14 +190,14 @@ def test_extinction_that_is_left_out_moves_no_interface_by_more_than_promised(wh
 
 
 def test_the_public_interface_refuses_lanes_that_cannot_serve():
-    match = r"kernel = 'lanes'.*'auto' or 'scalar'"
+    match = r"kernel = 'vectorized'.*'auto' or 'scalar'"
     with pytest.raises(ValueError, match=match):
         splits.spectrophotometer(
-            splits.Snow(), 500.0, max_stderr=0.5, kernel="lanes", estimator="analog"
+            splits.Snow(), 500.0, max_stderr=0.5, kernel="vectorized", estimator="analog"
         )
     deep = splits.Snow(depth_m=1.001 * MAX_DEPTH_MFP * splits.Snow().mean_grain_distance_m)
     with pytest.raises(ValueError, match=match):
-        splits.beam_spread(deep, 500.0, rays=10, kernel="lanes")
+        splits.beam_spread(deep, 500.0, rays=10, kernel="vectorized")
 
 
 # --- faint extinction -------------------------------------------------------------------------

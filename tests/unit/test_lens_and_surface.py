@@ -16,15 +16,15 @@ WATER = splits.ParticleLayer(refractive_index=1.34, depth_m=100.0, surface=WAVES
 
 
 def test_a_flat_lens_changes_nothing():
-    ds = splits.lens(WATER, [1.0, 10.0], 2.0, over="origin", waves=[(0.0, 1.0, 0.0, 0.0)])
+    ds = splits.lens(WATER, [1.0, 10.0], 2.0, centre_on="origin", waves=[(0.0, 1.0, 0.0, 0.0)])
     assert ds.contraction.values == pytest.approx(1.0, abs=1e-12)
     assert ds.concentration.values == pytest.approx(1.0, abs=1e-12)
-    assert ds.caught.values == pytest.approx(1.0)
+    assert ds.detected_fraction.values == pytest.approx(1.0)
 
 
 def test_crests_focus_and_troughs_spread():
     crest, trough = (
-        splits.lens(WATER, [20.0], 0.5, over=over, half_width_m=50.0, realisations=20)
+        splits.lens(WATER, [20.0], 0.5, centre_on=over, half_width_m=50.0, realisations=20)
         for over in ("crest", "trough")
     )
     for ds, sign in ((crest, 1.0), (trough, -1.0)):
@@ -33,7 +33,7 @@ def test_crests_focus_and_troughs_spread():
 
 
 def test_without_a_scatter_of_realisations_there_is_no_error():
-    ds = splits.lens(WATER, [5.0], 0.5, over="origin", rays=12)
+    ds = splits.lens(WATER, [5.0], 0.5, centre_on="origin", rays=12)
     assert "contraction_stderr" not in ds and ds.attrs["rays"] == 12
 
 
@@ -53,9 +53,9 @@ def test_maps_show_the_surface_that_rays_meet():
         (([2.0, 1.0], 1.0), "screen_depth_m"),
         ((["deep"], 1.0), "screen_depth_m"),
         (([1.0], 0.0), "radius_m"),
-        (([1.0], 1.0, {"over": "valley"}), "over"),
+        (([1.0], 1.0, {"centre_on": "valley"}), "centre_on"),
         (([1.0], 1.0, {"rays": 2}), "rays"),
-        (([1.0], 1.0, {"over": "origin", "waves": [(1.0, 2.0)]}), "waves"),
+        (([1.0], 1.0, {"centre_on": "origin", "waves": [(1.0, 2.0)]}), "waves"),
         (([1.0], 1.0, {"half_width_m": 0.0}), "half_width_m"),
     ],
 )
@@ -67,21 +67,21 @@ def test_bad_lenses_are_refused(arguments, told):
 
 
 def test_a_smooth_layer_has_no_surface_to_look_at():
-    for look in (lambda m: splits.lens(m, [1.0], 1.0, over="origin"),
+    for look in (lambda m: splits.lens(m, [1.0], 1.0, centre_on="origin"),
                  lambda m: splits.surface_map(m, 1.0)):  # fmt: skip
         with pytest.raises(ValueError, match="surface = None"):
             look(splits.ParticleLayer())
 
 
-LAYER = {"kind": "layer", "depth_m": 100.0, "surface": WAVES}
+LAYER = {"kind": "particle_layer", "depth_m": 100.0, "surface": WAVES}
 
 
 @pytest.mark.parametrize(
     ("instrument", "grid"),
     [
-        ({"kind": "surface", "half_width_m": 50.0, "realisations": 5}, {}),
+        ({"kind": "surface_map", "half_width_m": 50.0, "realisations": 5}, {}),
         (
-            {"kind": "lens", "radius_m": 1.0, "screen_depth_m": [5, 20, 40], "over": "origin"},
+            {"kind": "lens", "radius_m": 1.0, "screen_depth_m": [5, 20, 40], "centre_on": "origin"},
             {"refractive_index": [1.34, 1.5]},
         ),
         ({"kind": "goniophotometer", "wavelength_nm": [550], "rays": 10_000}, {}),
@@ -91,7 +91,7 @@ LAYER = {"kind": "layer", "depth_m": 100.0, "surface": WAVES}
 def test_experiments_with_layers_run_and_show(instrument, grid):
     at = {name: str(values[0]) for name, values in grid.items()}
     kind = instrument.get("kind", "spectrophotometer")
-    figure = {"at": at} if kind in ("surface", "lens") else {}
+    figure = {"select": at} if kind in ("surface_map", "lens") else {}
     figure |= {"kind": "points"} if kind == "spectrophotometer" else {}
     experiment = ExperimentConfig(
         name="made", medium=LAYER, instrument=instrument, grid=grid, figure=figure
@@ -105,20 +105,20 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ({"medium": {"kind": "layer"}, "instrument": {"kind": "surface", "half_width_m": 1}},
+        ({"medium": {"kind": "particle_layer"}, "instrument": {"kind": "surface_map", "half_width_m": 1}},
          "a layer with a surface"),
-        ({"instrument": {"kind": "surface", "half_width_m": 1}}, "a layer with a surface"),
+        ({"instrument": {"kind": "surface_map", "half_width_m": 1}}, "a layer with a surface"),
         ({"medium": LAYER, "instrument": {"kind": "lens", "radius_m": 1}}, "screen_depth_m"),
-        ({"medium": LAYER, "instrument": {"kind": "goniophotometer", "estimator": "local"}},
-         "expansion or cells"),
+        ({"medium": LAYER, "instrument": {"kind": "goniophotometer", "estimator": "next_event"}},
+         "expansion or bins"),
         ({"medium": LAYER, "instrument": {"radius_m": 1}}, "left out for spectrophotometer"),
-        ({"medium": {"kind": "layer", "density_kg_m3": 3}}, "density_kg_m3"),
-        ({"medium": {"kind": "layer"}}, "layers have no colour"),
-        ({"medium": {"kind": "layer", "optical_thickness": "inf"}}, ".inf in YAML"),
-        ({"medium": LAYER, "instrument": {"kind": "surface", "half_width_m": 1},
-          "grid": {"refractive_index": [1.3, 1.5]}}, "figure.at"),
+        ({"medium": {"kind": "particle_layer", "density_kg_m3": 3}}, "density_kg_m3"),
+        ({"medium": {"kind": "particle_layer"}}, "layers have no colour"),
+        ({"medium": {"kind": "particle_layer", "optical_thickness": "inf"}}, ".inf in YAML"),
+        ({"medium": LAYER, "instrument": {"kind": "surface_map", "half_width_m": 1},
+          "grid": {"refractive_index": [1.3, 1.5]}}, "figure.select"),
         ({"figure": {"quantity": "brdf"}}, "figure.quantity = 'brdf'"),
-        ({"medium": {"kind": "layer", "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},
+        ({"medium": {"kind": "particle_layer", "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},
          "band_limit_per_m"),
     ],
 )  # fmt: skip

@@ -14,8 +14,8 @@ from splits.experiments.config.load import read_yaml
 ROOT = Path(__file__).parents[2]
 MEDIA = ROOT / "config" / "media"
 WAVES = {"rms_height_m": 1, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
-ROUGH = {"medium": {"kind": "layer", "depth_m": 100, "surface": WAVES}}
-GLASS = {"kind": "layer", "opaque": True}
+ROUGH = {"medium": {"kind": "particle_layer", "depth_m": 100, "surface": WAVES}}
+GLASS = {"kind": "particle_layer", "opaque": True}
 ONE_LAYER = {"wavelength_nm": [550]}
 WAVELENGTHS = "must be a mapping with start, stop, step or a list of numbers"
 
@@ -46,17 +46,17 @@ WRONG_TYPES = {
         "(did you mean step?)",
     "instrument: {kind: lens, screen_depth_m: 1}":
         "instrument.screen_depth_m = 1: must be a list of numbers (write [1])",
-    "instrument: {kind: bssrdf, rays: 1.5}": "instrument.rays = 1.5: must be a whole number",
-    "instrument: {kind: bssrdf, rays: many}": "instrument.rays = 'many': must be a whole number",
-    "instrument: {kind: bssrdf, rays: true}": "instrument.rays = True: must be a whole number",
-    "instrument: {kind: bssrdf, rays: 0}": "instrument.rays = 0: must be at least 1",
+    "instrument: {kind: beam_spread, rays: 1.5}": "instrument.rays = 1.5: must be a whole number",
+    "instrument: {kind: beam_spread, rays: many}": "instrument.rays = 'many': must be a whole number",
+    "instrument: {kind: beam_spread, rays: true}": "instrument.rays = True: must be a whole number",
+    "instrument: {kind: beam_spread, rays: 0}": "instrument.rays = 0: must be at least 1",
     "instrument: {kind: goniophotometre}":
         "instrument.kind = 'goniophotometre': must be one of spectrophotometer, goniophotometer, "
-        "bssrdf, refractive_index, surface, lens, table (did you mean goniophotometer?)",
-    "instrument: {cells: [5]}": "instrument.cells = [5]: must be a list of 2 whole numbers",
+        "beam_spread, refractive_index, surface_map, lens, table (did you mean goniophotometer?)",
+    "instrument: {n_bins: [5]}": "instrument.n_bins = [5]: must be a list of 2 whole numbers",
     "instrument: 5": "instrument = 5: must be a mapping of keys to values",
     "figure: {ylim: [0, 1, 2]}": "figure.ylim = [0, 1, 2]: must be a list of 2 numbers",
-    "figure: {at: {saturation: [0]}}": "figure.at.saturation = [0]: must be a number or text",
+    "figure: {select: {saturation: [0]}}": "figure.select.saturation = [0]: must be a number or text",
     "title: 2024": "title = 2024: must be text (put it into quotes)",
     "fit: 5": "fit = 5: must be a mapping with measured",
     "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, title, caption, "
@@ -78,7 +78,9 @@ def test_a_misspelt_figure_is_told(tmp_path):
 @pytest.mark.parametrize("rays", ["1e5", "1.0e5", "1E+5", "100_000"])
 def test_whole_numbers_may_be_written_with_an_exponent(tmp_path, rays):
     path = tmp_path / "made.yaml"
-    path.write_text(f"instrument: {{kind: bssrdf, wavelength_nm: [500], rays: {rays}}}\n", "utf-8")
+    path.write_text(
+        f"instrument: {{kind: beam_spread, wavelength_nm: [500], rays: {rays}}}\n", "utf-8"
+    )
     assert load_experiment(path, MEDIA).instrument.rays == 100_000
 
 
@@ -87,7 +89,7 @@ def test_whole_numbers_may_be_written_with_an_exponent(tmp_path, rays):
     [
         {"medium": {"saturation": [0, 0.1]}},
         {"medium": {"grain_size_um": [[100, 200], [300, 400]]}},
-        {"medium": {"kind": "layer", "polarized": [False, True]}, "instrument": ONE_LAYER},
+        {"medium": {"kind": "particle_layer", "polarized": [False, True]}, "instrument": ONE_LAYER},
         {"instrument": {"incidence_deg": [0, 30]}},
     ],
 )
@@ -104,15 +106,15 @@ KEY_LOCATIONS = [
     ({"instrument": {"incidence_deg": 95}}, "instrument.incidence_deg = 95: must be in"),
     ({"instrument": {"wavelength_nm": [100]}}, "instrument.wavelength_nm = 100.0: must be in"),
     ({"instrument": {"wavelength_nm": [500, 400]}}, "instrument.wavelength_nm = [500.0, 400.0]"),
-    ({"instrument": {"kind": "goniophotometer", "estimator": "cells", "cells": [0, 2]}},
-     "instrument.cells = (0, 2): must be"),
+    ({"instrument": {"kind": "goniophotometer", "estimator": "bins", "n_bins": [0, 2]}},
+     "instrument.n_bins = (0, 2): must be"),
     ({"medium": {"kind": "sand"}, "instrument": {"wavelength_nm": [2500]}},
      "instrument.wavelength_nm = 2500.0: must be in"),
     ({"medium": {"kind": "sand"}, "fit": {"measured": "x.csv", "ranges": {"clay": [1, 0]}}},
      "fit.ranges.clay (low) = 1.0: must be in"),
     ({"fit": {"measured": "sand_reflectance_jhu.csv", "ranges": {"magnetit": [0, 1]}}},
      "fit.ranges = 'magnetit': must be one of"),
-    ({"medium": {"kind": "layer", "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},
+    ({"medium": {"kind": "particle_layer", "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},
      "medium.surface.band_limit_per_m = None: must be given"),
     ({**ROUGH, "instrument": {"kind": "lens", "radius_m": 1, "screen_depth_m": [1]}},
      "instrument.half_width_m = None: must be given"),
@@ -126,31 +128,31 @@ def test_messages_begin_with_the_whole_key(tmp_path, content, message):
 
 def make_instrument_text(kind, **settings):
     needed = {
-        "lens": {"radius_m": 1, "screen_depth_m": [1], "over": "origin"},
-        "surface": {"half_width_m": 1},
+        "lens": {"radius_m": 1, "screen_depth_m": [1], "centre_on": "origin"},
+        "surface_map": {"half_width_m": 1},
     }
     return {"kind": kind, **needed.get(kind, {}), **settings}
 
 
 UNUSED_SETTINGS = [
     *(({**ROUGH, "instrument": make_instrument_text(kind, **{key: value})}, f"instrument.{key}")
-      for kind in ("lens", "surface")
-      for key, value in (("wavelength_nm", [550]), ("incidence_deg", 30), ("error_factor", 2))),
+      for kind in ("lens", "surface_map")
+      for key, value in (("wavelength_nm", [550]), ("incidence_deg", 30), ("stderr_scale", 2))),
     ({"instrument": make_instrument_text("refractive_index", incidence_deg=30)}, "instrument.incidence_deg"),
     ({"instrument": make_instrument_text("refractive_index"), "grid": {"saturation": [0, 1]}}, "grid"),
-    ({"instrument": make_instrument_text("bssrdf", rays=10, error_factor=2)}, "instrument.error_factor"),
-    ({"instrument": make_instrument_text("goniophotometer", rays=10, error_factor=2)},
-     "instrument.error_factor"),
-    ({"instrument": make_instrument_text("goniophotometer", estimator="cells", error_factor=2)},
-     "instrument.error_factor"),
-    ({"medium": {"kind": "layer", "max_polarization": 0.5}, "instrument": ONE_LAYER},
+    ({"instrument": make_instrument_text("beam_spread", rays=10, stderr_scale=2)}, "instrument.stderr_scale"),
+    ({"instrument": make_instrument_text("goniophotometer", rays=10, stderr_scale=2)},
+     "instrument.stderr_scale"),
+    ({"instrument": make_instrument_text("goniophotometer", estimator="bins", stderr_scale=2)},
+     "instrument.stderr_scale"),
+    ({"medium": {"kind": "particle_layer", "max_polarization": 0.5}, "instrument": ONE_LAYER},
      "medium.max_polarization"),
     ({"medium": {**GLASS, "bottom_albedo": 0.5}, "instrument": ONE_LAYER}, "medium.bottom_albedo"),
-    ({"medium": {"kind": "layer", "optical_thickness": float("inf"), "bottom_albedo": 0.5},
+    ({"medium": {"kind": "particle_layer", "optical_thickness": float("inf"), "bottom_albedo": 0.5},
       "instrument": ONE_LAYER}, "medium.bottom_albedo"),
     ({"medium": GLASS, "grid": {"single_scattering_albedo": [0, 1]}, "instrument": ONE_LAYER},
      "grid.single_scattering_albedo"),
-    ({"medium": {"kind": "layer"}, "instrument": ONE_LAYER,
+    ({"medium": {"kind": "particle_layer"}, "instrument": ONE_LAYER,
       "grid": {"medium": {"a": {"phase_function": "rayleigh", "asymmetry": 0.5}}}},
      "grid.medium.a.asymmetry"),
     ({"medium": {"kind": "sand"}, "instrument": {"estimator": "analog"},
@@ -168,15 +170,15 @@ def test_settings_that_change_nothing_are_refused(tmp_path, content, key):
 @pytest.mark.parametrize(
     "content",
     [
-        {"medium": {"kind": "layer", "max_polarization": 0.5},
+        {"medium": {"kind": "particle_layer", "max_polarization": 0.5},
          "grid": {"polarized": {"scalar": False, "vector": True}}},
-        {"medium": {"kind": "layer", "bottom_albedo": 0.5},
+        {"medium": {"kind": "particle_layer", "bottom_albedo": 0.5},
          "grid": {"medium": {"face": {"opaque": True}, "all": {}}}},
         {"medium": {"base": "glass", "opaque": True}},
     ],
 )  # fmt: skip
 def test_settings_that_count_somewhere_are_taken(tmp_path, content):
-    (tmp_path / "glass.yaml").write_text("{kind: layer, bottom_albedo: 0.5}", "utf-8")
+    (tmp_path / "glass.yaml").write_text("{kind: particle_layer, bottom_albedo: 0.5}", "utf-8")
     path = tmp_path / "made.yaml"
     path.write_text(yaml.safe_dump({**content, "instrument": ONE_LAYER}), "utf-8")
     assert load_experiment(path, tmp_path).name == "made"

@@ -54,7 +54,9 @@ def test_quartz_follows_its_formula():
     square = 0.5**2
     epsilon = 1.28604141 + 1.07044083 * square / (square - 0.0100585997)
     epsilon += 1.10202242 * square / (square - 100.0)
-    assert complex(make_refractive_index("quartz")(500.0)) == pytest.approx(np.sqrt(epsilon), rel=1e-14)
+    assert complex(make_refractive_index("quartz")(500.0)) == pytest.approx(
+        np.sqrt(epsilon), rel=1e-14
+    )
 
 
 @pytest.mark.parametrize("outside", [197.9, 2053.2, np.nan])
@@ -80,7 +82,9 @@ def test_outside_its_range_quartz_is_refused_like_a_table(outside, inside, examp
 
 def test_hematite_is_the_root_of_the_mean_dielectric_constant():
     mean = make_refractive_index("hematite")
-    o, e = (make_refractive_index("hematite", f"querry_1985_{ray}ordinary") for ray in ("", "extra"))
+    o, e = (
+        make_refractive_index("hematite", f"querry_1985_{ray}ordinary") for ray in ("", "extra")
+    )
     expected = (2.0 * (3.318 + 0.498j) ** 2 + (2.927 + 0.46j) ** 2) / 3.0
     assert complex(mean(550.0)) ** 2 == pytest.approx(expected, rel=1e-12)
     low, high = mean.wavelength_nm[[0, -1]]

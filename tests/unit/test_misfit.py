@@ -175,14 +175,14 @@ def test_sectors_are_means_of_three_angles_with_errors_that_go_together():
 
 
 def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
-    found = expand_boundaries({"entry": "uniform", "boundaries": "skip"})
+    found = expand_boundaries({"entry_point": "uniform", "overlaps": "skip"})
     assert found == {
-        "entry": "uniform", "grain_on_last_leg": "skip", "grain_across_boundary": "skip",
+        "entry_point": "uniform", "overlap_with_previous_segment": "skip", "overlap_with_boundary": "skip",
     }  # fmt: skip
-    assert expand_boundaries({"entry": "uniform"}) == {"entry": "uniform"}
+    assert expand_boundaries({"entry_point": "uniform"}) == {"entry_point": "uniform"}
     for fate in OVERLAP_CHOICES:
         assert (
-            find_choice(Interpretation(**expand_boundaries({"boundaries": fate})), "boundaries")
+            find_choice(Interpretation(**expand_boundaries({"overlaps": fate})), "boundaries")
             == fate
         )
 
@@ -197,7 +197,7 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
     """Whatever they come to, and though a set differs in a reading that is not tried."""
 
     def stage(trial):
-        far = 1.0 if trial.readings.entry == "uniform" else 99.0
+        far = 1.0 if trial.readings.entry_point == "uniform" else 99.0
         return {"a": repeat_for_waters(far, 0.0)}
 
     monkeypatch.setattr(interpretation_ranking, "STAGES", {"first": stage, "second": stage})
@@ -207,9 +207,9 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
         {"id": ["a"], "place": ["x"], "published": [1.0], "bar": ["1"], "low": [np.nan],
          "high": [np.nan]}
     ).set_index("id")  # fmt: skip
-    choices = {"entry": ["uniform", "projected"], "facets": ["projected", "any"]}
+    choices = {"entry_point": ["uniform", "projected"], "facet_sampling": ["projected", "any"]}
     found, stated = interpretation_ranking.rank_interpretations(
-        table, choices, {"entry": "uniform"}
+        table, choices, {"entry_point": "uniform"}
     )
     # Uniform entry and any facet are splitsnow_2021, all other readings being its own.
     assert len(found) == 4 + len(PAPER_SETS) - 1 and set(stated) == {"a"}
@@ -236,23 +236,23 @@ def make_combination(value, stages=10, **readings):
 
 def test_tables_of_a_ranking():
     stated = {"table3_842": STATED_NUMBER}
-    near, far = make_combination(0.5), make_combination(1.0, entry="projected")
-    dropped = make_combination(0.1, stages=2, facets="projected")
+    near, far = make_combination(0.5), make_combination(1.0, entry_point="projected")
+    dropped = make_combination(0.1, stages=2, facet_sampling="projected")
     all_ = [near, far, dropped]
-    choices, text = {"entry": ["uniform", "projected"], "boundaries": ["reject"]}, {
-        "entry": "uniform"
+    choices, text = {"entry_point": ["uniform", "projected"], "overlaps": ["reject"]}, {
+        "entry_point": "uniform"
     }  # fmt: skip
     table = make_ranking_table(all_, stated, choices, text)
     assert list(table["rank"]) == [*range(1, 7), 0]
     assert table.misfit[0] == pytest.approx(0.25) and table.water[0] == WATER_TABLES[1]
     assert list(table.text[:2]) == [True, True] and table.stages.iloc[-1] == 2
     names = find_differing_keys(all_)
-    assert names == ["entry"]
+    assert names == ["entry_point"]
     listed = make_statement_table(all_, stated, names)
     assert listed.nearest_water.sum() == 2 and len(listed) == 6
-    assert set(listed.readings) == {"entry: uniform", "entry: projected"}
+    assert set(listed.interpretation) == {"entry_point: uniform", "entry_point: projected"}
     without = make_leave_out_table(all_, stated, names)
-    assert without["first"].iloc[0] == "entry: uniform"
+    assert without["first"].iloc[0] == "entry_point: uniform"
     assert without.margin.iloc[0] == pytest.approx(0.75)
 
 
@@ -261,5 +261,5 @@ def test_tables_with_one_complete_combination_have_no_margin():
     assert find_differing_keys([one, make_combination(0.1, stages=2)]) == [
         next(iter(Interpretation().as_dict()))
     ]
-    without = make_leave_out_table([one], {"table3_842": STATED_NUMBER}, ["entry"])
+    without = make_leave_out_table([one], {"table3_842": STATED_NUMBER}, ["entry_point"])
     assert without.empty and "margin" in without

@@ -161,7 +161,7 @@ def test_what_is_known_is_told_from_what_is_not():
     sd = np.where(np.array(cube.names) == "iron_oxide", 0.02, 10.0)
     best = np.full(7, 0.5)
     found = estimate_parameter_errors(cube, best, draw_states(best, np.diag(sd**2)))
-    assert [name for name, p in found.items() if p.determined] == ["iron_oxide"]
+    assert [name for name, p in found.items() if p.constrained] == ["iron_oxide"]
     # A coordinate's 0.02 times ln 100, the logarithm of the range.
     assert found["iron_oxide"].stderr == pytest.approx(0.005 * 0.02 * np.log(100.0), rel=0.1)
     assert found["hematite_ratio"].value == 0.5
@@ -174,5 +174,5 @@ def test_half_of_not_having_measured_is_more_at_an_end_of_the_range(edge, known,
         best = np.where(np.array(cube.names) == "hematite_ratio", edge, 0.5)
         draws = draw_states(best, np.eye(7) * sd**2)
         assert (
-            estimate_parameter_errors(cube, best, draws)["hematite_ratio"].determined == determined
+            estimate_parameter_errors(cube, best, draws)["hematite_ratio"].constrained == determined
         )

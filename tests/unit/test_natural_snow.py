@@ -46,10 +46,13 @@ def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
     facts = snow.describe()
     assert facts["absorption_enhancement_900nm_dry"] == NATURAL_GRAIN_SHAPE.absorption_enhancement
     assert facts["optical_radius_um"] == pytest.approx(3e6 / (916.9 * 20), rel=1e-3)
-    for changed in ({"facetness": (0.1, 0.1, 0.1, 0)}, {"readings": {"facets": "any"}}):
+    for changed in (
+        {"facetness": (0.1, 0.1, 0.1, 0)},
+        {"interpretation": {"facet_sampling": "any"}},
+    ):
         other = splits.Snow.natural(specific_surface_area_m2_kg=20, **changed)
         assert "absorption_enhancement_900nm_dry" not in other.describe()
-    assert other.readings.entry == "projected"
+    assert other.readings.entry_point == "projected"
     own = splits.Snow.natural(specific_surface_area_m2_kg=20, refractive_index={"ice": 1.31})
     assert own.refractive_index["water"].name == "segelstein_1981"
 
@@ -94,9 +97,9 @@ def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
         (lambda: splits.Snow(density_kg_m3=2750), ValueError, "not g/cm3"),
         (
             lambda: splits.Snow.natural(
-                optical_radius_um=90, readings={"grain_across_boundary": "skip"}
+                optical_radius_um=90, readings={"overlap_with_boundary": "skip"}
             ),
-            ValueError, "grain_across_boundary = 'skip': must be keep with grain_extent point",
+            ValueError, "overlap_with_boundary = 'skip': must be keep with grain_extent point",
         ),
     ],
 )  # fmt: skip
@@ -129,13 +132,13 @@ def test_in_files(tmp_path):
     assert [one.specific_surface_area_m2_kg for one in found] == pytest.approx([10, 20])
     assert all(one.readings == splits.Interpretation.of("radiative_transfer") for one in found)
     text = (
-        "medium: {base: splitsnow_table1, readings: geometric}\n"
-        "grid: {liquid_water_content: [0, 0.1], readings: {same: {}, other: {facets: any},"
+        "medium: {base: splitsnow_table1, interpretation: geometric}\n"
+        "grid: {liquid_water_content: [0, 0.1], interpretation: {same: {}, other: {facet_sampling: any},"
         " paper: splitsnow_2021}}\ninstrument: {wavelength_nm: [500]}\n"
     )
     found = load_text(tmp_path, text)
     assert found[3].liquid_water_content == pytest.approx(0.1)
-    assert [(one.readings.entry, one.readings.facets) for one in found[:3]] == [
+    assert [(one.readings.entry_point, one.readings.facet_sampling) for one in found[:3]] == [
         ("projected", "projected"), ("projected", "any"), ("uniform", "any"),
     ]  # fmt: skip
     with pytest.raises(ConfigError, match=r"medium.ssa: unknown key.*specific_surface_area_m2_kg"):

@@ -32,10 +32,10 @@ def make_optics(albedo=0.9, noise=0.0, **attrs):
         "optical_thickness": ("wavelength", np.full(2, 20.0)),
         "single_scattering_albedo": ("wavelength", np.full(2, albedo)),
         "single_scattering_albedo_stderr": ("wavelength", np.full(2, 1e-3)),
-        "single_scattering_albedo_left_out": (("part", "wavelength"), np.full((16, 2), albedo)),
+        "single_scattering_albedo_jackknife": (("batch", "wavelength"), np.full((16, 2), albedo)),
         "legendre_moment": (dims, moments),
-        "legendre_moment_left_out": (("part", *dims), parts),
-        "legendre_moment_missed": (dims, np.zeros_like(moments)),
+        "legendre_moment_jackknife": (("batch", *dims), parts),
+        "legendre_moment_interpolation_bound": (dims, np.zeros_like(moments)),
     }
     facts = {"medium": "snow", "snow_optical_radius_um": 160.0, "diffraction": "none",
              "extinction_by_grains_per_m": 2000.0} | attrs  # fmt: skip
@@ -76,8 +76,8 @@ def test_a_peak_is_as_wide_as_said():
     ones = np.ones((1, order.size))
     dims = ("wavelength", "order")
     many = many.assign_coords(wavelength=[600.0], order=order).assign(
-        legendre_moment=(dims, ones), legendre_moment_missed=(dims, 0.0 * ones),
-        legendre_moment_left_out=(("part", *dims), np.ones((16, 1, order.size))),
+        legendre_moment=(dims, ones), legendre_moment_interpolation_bound=(dims, 0.0 * ones),
+        legendre_moment_jackknife=(("batch", *dims), np.ones((16, 1, order.size))),
     )  # fmt: skip
     angles = np.linspace(0.0, 10.0, 10_001)
     found = splits.phase_function(many, angles).phase_function.values[0]

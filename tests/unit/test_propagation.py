@@ -19,9 +19,9 @@ def make_optics(albedo=0.01, moment=0.02):
     return xr.Dataset(
         {
             "single_scattering_albedo": ("wavelength", [0.9, 0.9]),
-            "single_scattering_albedo_missed": ("wavelength", albedo * off),
+            "single_scattering_albedo_interpolation_bound": ("wavelength", albedo * off),
             "legendre_moment": (("wavelength", "order"), MOMENTS),
-            "legendre_moment_missed": (
+            "legendre_moment_interpolation_bound": (
                 ("wavelength", "order"), np.outer(moment * off, [0.0, 1.0, 1.0, 1.0, 1.0]),
             ),
         },
@@ -44,10 +44,12 @@ def test_no_way_of_being_off_exceeds_what_may_be_missed(theory):
     exact = make_optics()
     worst = 0.0
     for signs in itertools.product((-1.0, 1.0), repeat=5):
-        moments = exact.legendre_moment_missed * xr.DataArray([0.0, *signs[1:]], dims="order")
+        moments = exact.legendre_moment_interpolation_bound * xr.DataArray(
+            [0.0, *signs[1:]], dims="order"
+        )
         other = exact.assign(
             single_scattering_albedo=exact.single_scattering_albedo
-            + signs[0] * exact.single_scattering_albedo_missed,
+            + signs[0] * exact.single_scattering_albedo_interpolation_bound,
             legendre_moment=exact.legendre_moment + moments,
         )
         worst = np.maximum(worst, np.abs(theory(other) - theory(exact)))

@@ -51,7 +51,7 @@ REPRODUCED_KEYS = {
         ("| facetness", 2),
         ("| density", 2),
     ],
-    "docs/theory/sand.md": [("| goethite k ", 3), ("| `wrong_side: mirrored`", 5)],
+    "docs/theory/sand.md": [("| goethite k ", 3), ("| `wrong_side_ray: mirror`", 5)],
 }
 
 
@@ -119,7 +119,7 @@ def results(tmp_path):
     table = pd.DataFrame(
         {
             "quantity": ["rise (at 5°)", "fall", "level"],
-            "reading": ["default", "facets_any", "default"],
+            "interpretation": ["default", "facets_any", "default"],
             "low": ["0.0", "0.05", "0.0"],
             "ours": [0.0312, -0.5, -0.0002],
             "stderr": [0.0041, 0.0499, 0.0002],
@@ -145,7 +145,7 @@ WRITTEN_TEXT = {
     "+3.1": QuotedNumber(TABLE, select_cell("ours", scale=100.0, quantity="rise"), "+.1f"),
     "3.12e-2": QuotedNumber(TABLE, select_cell("ours", quantity="rise"), ".2e"),
     "−0.50 ± 0.05 (facets any)": QuotedNumber(
-        TABLE, select_extreme(*BOTH_DOCUMENTS, largest=False, name="reading"), ".2f"
+        TABLE, select_extreme(*BOTH_DOCUMENTS, largest=False, name="interpretation"), ".2f"
     ),
     "0.000 ± 0.0002": QuotedNumber(TABLE, select_cell(*BOTH_DOCUMENTS, quantity="level"), "+.3f"),
     "−0.5": QuotedNumber(TABLE, select_cell("ours", low="0.05"), ".1f"),
@@ -178,7 +178,7 @@ def test_numbers_are_found_and_written(results, monkeypatch):
     ("number", "message"),
     [
         (QuotedNumber("tables/none.csv", select_cell("ours")), r"none\.csv'.*must be there .snakemake"),
-        (QuotedNumber(TABLE, select_cell("ours", reading="default")), "key: rows = 2: must be 1 of"),
+        (QuotedNumber(TABLE, select_cell("ours", interpretation="default")), "key: rows = 2: must be 1 of"),
         (QuotedNumber(TABLE, select_cell("theirs", low="0.05")), r"made\.csv: key: 'theirs'"),
         (QuotedNumber(DATA, select_point("reflectance", texture="clay")), r"made\.nc: key:"),
     ],

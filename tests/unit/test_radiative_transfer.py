@@ -184,9 +184,9 @@ def test_packing_thins_a_layer():
             name: ("wavelength", [value])
             for name, value in (
                 ("extinction", 1000.0),
-                ("displacement_before", 3e-4),
-                ("displacement_after", 1e-4),
-                ("displacement_square", 8e-8),
+                ("displacement_along_incident", 3e-4),
+                ("displacement_along_exit", 1e-4),
+                ("mean_square_displacement", 8e-8),
             )
         }
     )

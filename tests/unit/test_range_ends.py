@@ -66,17 +66,17 @@ RANGE_ENDS = {
     "to_spires": (
         lambda x: convert_to_spires(TABLE.dataset, SOOT, {"a": (x, 600)}), 500.0, -1),
     "retrieve": (
-        lambda x: splits.retrieve(([x, 700], [0.9, 0.8]), TABLE, [SIZE], 0.1, at=FIXED).values[SIZE],
+        lambda x: splits.retrieve(([x, 700], [0.9, 0.8]), TABLE, [SIZE], 0.1, fixed=FIXED).values[SIZE],
         500.0, -1),
     "retrieve at": (
         lambda x: splits.retrieve(
-            MEASURED, TABLE, [SIZE], 0.1, at={SOOT: 64.0, "sza": x}).values[SIZE], 60.0, 1),
+            MEASURED, TABLE, [SIZE], 0.1, fixed={SOOT: 64.0, "sza": x}).values[SIZE], 60.0, 1),
     "retrieve free": (
-        lambda x: splits.retrieve(MEASURED, TABLE, {SIZE: (x, 800)}, 0.1, at=FIXED).values[SIZE],
+        lambda x: splits.retrieve(MEASURED, TABLE, {SIZE: (x, 800)}, 0.1, fixed=FIXED).values[SIZE],
         40.0, -1),
     "retrieve prior": (
         lambda x: splits.retrieve(
-            MEASURED, TABLE, [SIZE], 0.1, at=FIXED, prior={SIZE: (x, 200)}).values[SIZE], 2000.0, 1),
+            MEASURED, TABLE, [SIZE], 0.1, fixed=FIXED, prior={SIZE: (x, 200)}).values[SIZE], 2000.0, 1),
 }  # fmt: skip
 """A value's result, the end of its range, and the side on which it ends."""
 

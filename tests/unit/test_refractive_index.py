@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 from splits.experiments import ExperimentConfig
-from splits.materials import ConstantIndex, absorption_coefficient, list_datasets, make_refractive_index
+from splits.materials import (
+    ConstantIndex,
+    absorption_coefficient,
+    list_datasets,
+    make_refractive_index,
+)
 from splits.media import Snow
 
 TABULATED = ("ice", "water", "hematite", "magnetite")
@@ -48,7 +53,9 @@ def test_published_rows(material, name, wavelength, n, k):
 
 @pytest.mark.parametrize("material", TABULATED)
 def test_nothing_stands_for_the_first_named_dataset(material):
-    assert make_refractive_index(material) is make_refractive_index(material, list_datasets(material)[0])
+    assert make_refractive_index(material) is make_refractive_index(
+        material, list_datasets(material)[0]
+    )
 
 
 @pytest.mark.parametrize(("material", "name"), NAMED)

@@ -42,7 +42,7 @@ def test_values_are_those_of_the_table(table):
 
 
 def test_slopes_are_those_of_the_values(table):
-    model = make_model(table, [SIZE, SOOT, "level"])
+    model = make_model(table, [SIZE, SOOT, "scale"])
     place = np.array([0.31, 0.62, 0.4])
     values, slopes = model.evaluate_with_jacobian(place)
     np.testing.assert_allclose(values, model.evaluate(place[np.newaxis])[0])
@@ -80,7 +80,7 @@ def test_linear_models_have_the_exact_answer():
 def test_draws_follow_a_posterior_that_is_not_normal(table):
     """Little dirt, which the measurement hardly tells from none, against integration."""
     measured = evaluate_spectrum(200.0, 3.0)
-    found = splits.retrieve((W, measured), table, [SOOT], 0.01, at={**FIXED, SIZE: 200.0})
+    found = splits.retrieve((W, measured), table, [SOOT], 0.01, fixed={**FIXED, SIZE: 200.0})
     model = make_model(table, [SOOT], {**FIXED, SIZE: 200.0})
     u = np.linspace(0.0, 1.0, 20_001)
     best = np.sqrt(found.dataset.value.values / 1600.0)
@@ -92,7 +92,7 @@ def test_draws_follow_a_posterior_that_is_not_normal(table):
     places = np.sqrt(found.dataset.quantiles.values[:, 0] / 1600.0)
     exact = np.interp(places, u, height / height[-1])
     # Quantiles of so many draws, by four standard errors.
-    many = found.dataset.attrs["effective_draws"]
+    many = found.dataset.attrs["effective_sample_size"]
     assert (np.abs(exact - shares) < 4.0 * np.sqrt(shares * (1.0 - shares) / many)).all()
 
 
@@ -105,7 +105,7 @@ def test_errors_cover_the_truth(table):
     for number in range(many):
         size, dirt = model.state_vector.to_physical(random.random(2))
         measured = evaluate_spectrum(size, dirt) + 0.01 * random.standard_normal(W.size)
-        found = splits.retrieve((W, measured), table, [SIZE, SOOT], 0.01, at=FIXED, seed=number)
+        found = splits.retrieve((W, measured), table, [SIZE, SOOT], 0.01, fixed=FIXED, seed=number)
         quantiles = found.dataset.quantiles.values
         for row, (low, high) in enumerate(((1, 3), (0, 4))):
             inside[row] += (quantiles[low] <= [size, dirt]) & ([size, dirt] <= quantiles[high])
@@ -120,11 +120,11 @@ def test_a_table_that_keeps_its_covariance_says_what_is_alike():
     """One error at all wavelengths, of the shape of dirt, does not average away."""
     plain = make_snowlike_table(stderr=0.004)
     shape = np.linspace(2.0, 0.5, W.size) * 0.004 / np.sqrt(32.0)
-    dims = ("group", *plain.dataset.reflectance.dims)
+    dims = ("batch", *plain.dataset.reflectance.dims)
     size = tuple(plain.dataset.reflectance.shape)
     signs = np.where(np.arange(32) % 2, 1.0, -1.0).reshape(-1, *[1] * len(size))
     groups = (signs * np.broadcast_to(shape, size)).astype(np.float32)
-    both = plain.dataset.assign(reflectance_groups=(dims, groups))
+    both = plain.dataset.assign(reflectance_batches=(dims, groups))
     model = make_model(splits.Table(both), [SIZE, SOOT], noise=0.001)
     # In the middle of a cell, where weights of nodes are not all the same.
     found = model.compute_error_covariance(np.array([0.4, 0.3]))
@@ -136,8 +136,8 @@ def test_a_table_that_keeps_its_covariance_says_what_is_alike():
 
 def test_what_is_not_told_is_said(table):
     found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"], 0.01,
-                            at={SOOT: 50.0})  # fmt: skip
-    assert found.determined == {SIZE: True, "incidence_deg": False}
+                            fixed={SOOT: 50.0})  # fmt: skip
+    assert found.constrained == {SIZE: True, "incidence_deg": False}
     assert any("not told by the measurement: incidence_deg" in line for line in found.warnings)
     assert "not told by the measurement" in repr(found)
     assert found.dataset.attrs["degrees_of_freedom"] == pytest.approx(1.0, abs=0.02)
@@ -145,16 +145,16 @@ def test_what_is_not_told_is_said(table):
 
 def test_one_band_does_not_tell_two_parameters(table):
     found = splits.retrieve(([600.0], evaluate_spectrum(200.0, 500.0, np.array([600.0]))), table,
-                            [SIZE, SOOT], 0.01, at=FIXED)  # fmt: skip
-    assert not all(found.determined.values())
+                            [SIZE, SOOT], 0.01, fixed=FIXED)  # fmt: skip
+    assert not all(found.constrained.values())
 
 
 def test_a_misfit_enlarges_the_errors(table):
     bumpy = evaluate_spectrum(200.0, 50.0) * (1.0 + 0.1 * np.sin(W / 60.0))
     plain = splits.retrieve(
-        (W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.005, at={**FIXED, SOOT: 50.0}
+        (W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.005, fixed={**FIXED, SOOT: 50.0}
     )
-    found = splits.retrieve((W, bumpy), table, [SIZE], 0.005, at={**FIXED, SOOT: 50.0})
+    found = splits.retrieve((W, bumpy), table, [SIZE], 0.005, fixed={**FIXED, SOOT: 50.0})
     assert any("does not follow" in line for line in found.warnings)
     assert found.stderr[SIZE] > 3.0 * plain.stderr[SIZE]
 
@@ -167,7 +167,9 @@ def test_unknown_noise_is_found_from_the_misfit(table):
     off, stated = [], []
     for number in range(100):
         measured = evaluate_spectrum(200.0, 50.0) + factor @ random.standard_normal(W.size)
-        found = splits.retrieve((W, measured), table, [SIZE], at={**FIXED, SOOT: 50.0}, seed=number)
+        found = splits.retrieve(
+            (W, measured), table, [SIZE], fixed={**FIXED, SOOT: 50.0}, seed=number
+        )
         own = np.log(found.dataset.draws.values[:, 0])
         off.append(own.mean() - np.log(200.0))
         stated.append(own.std())
@@ -183,8 +185,8 @@ def test_priors_count_where_noise_is_not_known(table):
         W.size
     )
     free, at = [SIZE], {**FIXED, SOOT: 50.0}
-    plain = splits.retrieve((W, measured), table, free, at=at)
-    held = splits.retrieve((W, measured), table, free, at=at, prior={SIZE: (300.0, 1.0)})
+    plain = splits.retrieve((W, measured), table, free, fixed=at)
+    held = splits.retrieve((W, measured), table, free, fixed=at, prior={SIZE: (300.0, 1.0)})
     assert held.values[SIZE] == pytest.approx(300.0, abs=4.0)
     assert held.stderr[SIZE] < plain.stderr[SIZE]
     assert any("prior and measurement are" in line for line in held.warnings)
@@ -193,26 +195,26 @@ def test_priors_count_where_noise_is_not_known(table):
 def test_too_few_values_do_not_tell_noise(table):
     with pytest.raises(InvalidValue, match=r"noise = None: must be given .*too few"):
         splits.retrieve(
-            (W[:2], evaluate_spectrum(200.0, 50.0)[:2]), table, [SIZE], at={**FIXED, SOOT: 50.0}
+            (W[:2], evaluate_spectrum(200.0, 50.0)[:2]), table, [SIZE], fixed={**FIXED, SOOT: 50.0}
         )
 
 
 def test_a_prior_that_excludes_the_truth_is_said(table):
     found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.01,
-                            at={**FIXED, SOOT: 50.0}, prior={SIZE: (900.0, 30.0)})  # fmt: skip
+                            fixed={**FIXED, SOOT: 50.0}, prior={SIZE: (900.0, 30.0)})  # fmt: skip
     assert any("prior and measurement are" in line for line in found.warnings)
 
 
 def test_the_end_of_a_range_is_said(table):
     found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, {SIZE: (50.0, 150.0)}, 0.01,
-                            at={**FIXED, SOOT: 50.0})  # fmt: skip
+                            fixed={**FIXED, SOOT: 50.0})  # fmt: skip
     assert any("high end of its range, 150" in line for line in found.warnings)
 
 
 def test_the_level_of_a_panel(table):
     measured = 1.12 * evaluate_spectrum(200.0, 50.0)
-    found = splits.retrieve((W, measured), table, [SIZE, SOOT, "level"], 0.002, at=FIXED)
-    assert found.values["level"] == pytest.approx(1.12, abs=4.0 * found.stderr["level"])
+    found = splits.retrieve((W, measured), table, [SIZE, SOOT, "scale"], 0.002, fixed=FIXED)
+    assert found.values["scale"] == pytest.approx(1.12, abs=4.0 * found.stderr["scale"])
 
 
 def test_bands(table):
@@ -220,7 +222,7 @@ def test_bands(table):
     w = np.linspace(500.0, 1500.0, 1001)
     fine = evaluate_spectrum(300.0, 200.0, w)
     means = [fine[(w >= low) & (w <= high)].mean() for low, high in bands.values()]
-    found = splits.retrieve(means, table, [SIZE, SOOT], 0.003, at=FIXED, bands=bands)
+    found = splits.retrieve(means, table, [SIZE, SOOT], 0.003, fixed=FIXED, bands=bands)
     assert found.values[SIZE] == pytest.approx(300.0, abs=4.0 * found.stderr[SIZE])
 
 
@@ -233,7 +235,7 @@ def test_series_and_arrays_say_the_same(table):
         xr.DataArray(measured, {"wavelength": W}, "wavelength"),
     ]
     first, *others = (
-        splits.retrieve(one, table, [SIZE], 0.01, at={**FIXED, SOOT: 50.0}) for one in kinds
+        splits.retrieve(one, table, [SIZE], 0.01, fixed={**FIXED, SOOT: 50.0}) for one in kinds
     )
     for other in others:
         xr.testing.assert_equal(other.dataset, first.dataset)
@@ -259,20 +261,20 @@ INVALID_CALLS = {
         "one standard error or 11",
     ),
     "huge": ({"noise": 10.0 * np.eye(W.size)}, "a variance of 10"),
-    "two angles": ({"at": {**FIXED, "sza": 20.0}}, "left out beside"),
+    "two angles": ({"fixed": {**FIXED, "sza": 20.0}}, "left out beside"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
     "noise of one too few": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
     "unknown": ({"free": ["optical_radius"]}, "did you mean"),
     "a level only": (
-        {"free": ["level"], "at": {**FIXED, SIZE: 100.0, SOOT: 10.0}},
+        {"free": ["scale"], "fixed": {**FIXED, SIZE: 100.0, SOOT: 10.0}},
         "at least one axis",
     ),
     "a vague prior": ({"prior": {SIZE: (500.0, 5000.0)}}, "fits into the range"),
     "nothing free": ({"free": []}, "names of parameters"),
     "contradictory": ({"free": {SIZE: (300.0, 200.0), SOOT: (0.0, 10.0)}}, "low < high"),
     "beyond the table": ({"free": {SIZE: (10.0, 200.0), SOOT: (0.0, 10.0)}}, "40 <= low"),
-    "angle left out": ({"at": {}}, "at.incidence_deg"),
-    "free and given": ({"at": {**FIXED, SIZE: 100.0}}, "left out, as it is free"),
+    "angle left out": ({"fixed": {}}, "fixed.incidence_deg"),
+    "free and given": ({"fixed": {**FIXED, SIZE: 100.0}}, "left out, as it is free"),
     "prior of nothing": ({"prior": {"depth_m": (1.0, 1.0)}}, "unknown key"),
     "prior outside": ({"prior": {SIZE: (5000.0, 10.0)}}, "a mean in the range"),
     "sure prior": ({"prior": {SIZE: (500.0, 0.0)}}, "standard deviation above 0"),

@@ -21,9 +21,9 @@ N_WALKERS, N_STEPS, N_BURN_IN = 32, 3000, 500
 def test_quantiles_are_those_of_an_ensemble_of_walkers():
     """Level, size and dirt go together where only the visible and 5 % of noise are at hand."""
     w, table = W[:4], make_snowlike_table()
-    measured, names = evaluate_spectrum(300.0, 20.0, w), [SIZE, SOOT, "level"]
-    ranges = {SIZE: (40.0, 2000.0), SOOT: (0.0, 1600.0), "level": (0.8, 1.2)}
-    found = splits.retrieve((w, measured), table, ranges, 0.05, at=FIXED)
+    measured, names = evaluate_spectrum(300.0, 20.0, w), [SIZE, SOOT, "scale"]
+    ranges = {SIZE: (40.0, 2000.0), SOOT: (0.0, 1600.0), "scale": (0.8, 1.2)}
+    found = splits.retrieve((w, measured), table, ranges, 0.05, fixed=FIXED)
     measurement = Measurement.from_input((w, measured), 0.05)
     model = TableForwardModel(
         table, measurement, StateVector.from_ranges(ranges, None, get_table_ranges(table)), FIXED
@@ -50,7 +50,7 @@ def test_quantiles_are_those_of_an_ensemble_of_walkers():
             other = np.quantile(chain[:, :, i], share)
             here = float((places[:, i] <= other).mean())
             many = 1.0 / (
-                1.0 / found.dataset.attrs["effective_draws"]
+                1.0 / found.dataset.attrs["effective_sample_size"]
                 + time[i] / (N_WALKERS * (N_STEPS - N_BURN_IN))
             )
             assert abs(here - share) < 4.0 * np.sqrt(share * (1.0 - share) / many), names[i]

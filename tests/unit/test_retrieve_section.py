@@ -59,7 +59,7 @@ def test_samples_are_retrieved_where_the_table_reaches():
 
 
 def test_what_is_left_out_does_not_count():
-    section = RetrieveSection.model_validate({**SECTION, "left_out_nm": [[650, 850]]})
+    section = RetrieveSection.model_validate({**SECTION, "exclude_nm": [[650, 850]]})
     found = index_by_sample(run_retrieve(section, make_snowlike_table(), measured()))[
         "dirty@60"
     ].dataset
@@ -69,7 +69,7 @@ def test_what_is_left_out_does_not_count():
 def test_the_first_sample_tells_what_is_known_of_others():
     table = {k: measured()[k] for k in ("wavelength_nm", "clean@30")}
     table["wetter@30"] = [0.5, *evaluate_spectrum(150.0, 400.0)]
-    given = {**SECTION, "prior_from": {"sample": "clean@30", "at": {SOOT: 1.0}}}
+    given = {**SECTION, "prior_from": {"sample": "clean@30", "fixed": {SOOT: 1.0}}}
     readings = run_retrieve(
         RetrieveSection.model_validate(given), make_snowlike_table(), pd.DataFrame(table)
     )
@@ -80,7 +80,7 @@ def test_the_first_sample_tells_what_is_known_of_others():
     assert found["wetter@30"].stderr[SIZE] < plain["wetter@30"].stderr[SIZE]
     assert list(combine_samples(readings, "some").sample.values) == ["wetter@30"]
     table["other@30"] = table["wetter@30"]
-    given["prior_from"] |= {"of": "other"}
+    given["prior_from"] |= {"applies_to": "other"}
     section = RetrieveSection.model_validate(given)
     alone = index_by_sample(run_retrieve(section, make_snowlike_table(), pd.DataFrame(table)))
     assert alone["wetter@30"].stderr == plain["wetter@30"].stderr
@@ -91,8 +91,12 @@ def test_every_sample_is_read_with_every_model():
     """Of a model whose light is wrong the misfit is larger, and larger still at what is known."""
     right = make_snowlike_table().dataset
     wrong = right.assign(reflectance=right.reflectance * (1.0 - 1e-4 * right.wavelength))
-    both = xr.concat([right, wrong], xr.IndexVariable("readings", ["right", "wrong"]))
-    given = {**SECTION, "models": "readings", "known": {SIZE: {"dirty@60": 600.0}}}
+    both = xr.concat([right, wrong], xr.IndexVariable("interpretation", ["right", "wrong"]))
+    given = {
+        **SECTION,
+        "model_axis": "interpretation",
+        "reference_values": {SIZE: {"dirty@60": 600.0}},
+    }
     found = run_retrieve(RetrieveSection.model_validate(given), splits.Table(both), measured())
     assert [(one.model, one.sample) for one in found] == [
         (model, sample) for model in ("right", "wrong") for sample in ("clean@30", "dirty@60")
@@ -103,7 +107,10 @@ def test_every_sample_is_read_with_every_model():
     assert found[3].reference_chi2 > 2.0 * found[1].reference_chi2
     joined = combine_samples(found, "some")
     assert joined.sizes["model"] == 2 and joined.sizes["sample"] == 2
-    assert make_retrieval_table(found, given["known"]).model.unique().tolist() == ["right", "wrong"]
+    assert make_retrieval_table(found, given["reference_values"]).model.unique().tolist() == [
+        "right",
+        "wrong",
+    ]
 
 
 def test_tables_and_figures_show_all_samples(tmp_path):
@@ -112,9 +119,9 @@ def test_tables_and_figures_show_all_samples(tmp_path):
     table = make_retrieval_table(found, known)
     assert len(table) == 4
     sizes = table[table.parameter == SIZE]
-    assert sizes.known.tolist() == [150.0, 600.0]
+    assert sizes["reference value"].tolist() == [150.0, 600.0]
     assert (sizes["2.5 %"] < sizes["median"]).all() and (sizes["median"] < sizes["97.5 %"]).all()
-    assert sizes["told by the spectrum"].tolist() == ["yes", "yes"]
+    assert sizes["constrained"].tolist() == ["yes", "yes"]
     for path in save_figure(
         draw_retrievals(combine_samples(found, "some"), known), tmp_path / "figure"
     ):
@@ -125,7 +132,7 @@ INVALID_SECTIONS = {
     "no noise": ({"noise": {}}, "noise.absolute"),
     "one number": ({"noise": 0.01}, r"retrieve\.noise = 0.01: must be a mapping such as"),
     "negative noise": ({"noise": {"relative": -0.1}}, "noise.relative"),
-    "interval": ({"left_out_nm": [[900, 800]]}, "low < high"),
+    "interval": ({"exclude_nm": [[900, 800]]}, "low < high"),
     "folder": ({"measured": "../some.csv"}, "without folders"),
 }
 
@@ -137,34 +144,38 @@ def test_sections_that_make_no_sense_are_refused(name):
         RetrieveSection.model_validate(SECTION | other)
 
 
-LAW = {"beside": "kokhanovsky_zege_2004"}
-NAMED_SAMPLES = {**TABLE["grid"], "readings": {"one": {}, "other": "geometric"}}
+LAW = {"compare_with": "kokhanovsky_zege_2004"}
+NAMED_SAMPLES = {**TABLE["grid"], "interpretation": {"one": {}, "other": "geometric"}}
 EXPERIMENT_ERRORS = {
     "models of numbers": (
-        {"retrieve": {**SECTION, "models": SIZE}},
-        r"retrieve\.models = .*no axis",
+        {"retrieve": {**SECTION, "model_axis": SIZE}},
+        r"retrieve\.model_axis = .*no axis",
     ),
     "models and at": (
         {
             "grid": NAMED_SAMPLES,
-            "retrieve": {**SECTION, "models": "readings", "at": {"readings": "one"}},
+            "retrieve": {
+                **SECTION,
+                "model_axis": "interpretation",
+                "fixed": {"interpretation": "one"},
+            },
         },
-        r"retrieve\.at\.readings",
+        r"retrieve\.fixed\.interpretation",
     ),
     "no such model axis": (
-        {"grid": NAMED_SAMPLES, "retrieve": {**SECTION, "models": "reading"}},
-        "one of readings",
+        {"grid": NAMED_SAMPLES, "retrieve": {**SECTION, "model_axis": "reading"}},
+        "one of interpretation",
     ),
     "known beyond the table": (
-        {"retrieve": {**SECTION, "known": {SIZE: {"some": 200}}}},
+        {"retrieve": {**SECTION, "reference_values": {SIZE: {"some": 200}}}},
         "50 to 100",
     ),
     "first sample beyond the table": (
-        {"retrieve": {**SECTION, "prior_from": {"sample": "some", "at": {SIZE: 10}}}},
+        {"retrieve": {**SECTION, "prior_from": {"sample": "some", "fixed": {SIZE: 10}}}},
         "50 to 100",
     ),
     "nothing left of the first": (
-        {"retrieve": {**SECTION, "prior_from": {"sample": "a", "at": {SIZE: 60, SOOT: 0}}}},
+        {"retrieve": {**SECTION, "prior_from": {"sample": "a", "fixed": {SIZE: 60, SOOT: 0}}}},
         "not all that is free",
     ),
     "law of sand": (
@@ -208,9 +219,12 @@ def test_experiments_that_cannot_retrieve_are_refused(name):
 
 
 SAMPLE_ERRORS = {
-    "begins no name": ([{"sample": "clean@30", "at": {SOOT: 1}, "of": "dusty"}], r"prior_from\.of"),
-    "twice": ([{"sample": "clean@30", "at": {SOOT: 1}}] * 2, "different samples"),
-    "all": ([{"sample": s, "at": {SOOT: 1}} for s in ("clean@30", "dirty@60")], "some besides"),
+    "begins no name": (
+        [{"sample": "clean@30", "fixed": {SOOT: 1}, "applies_to": "dusty"}],
+        r"prior_from\.applies_to",
+    ),
+    "twice": ([{"sample": "clean@30", "fixed": {SOOT: 1}}] * 2, "different samples"),
+    "all": ([{"sample": s, "fixed": {SOOT: 1}} for s in ("clean@30", "dirty@60")], "some besides"),
 }
 
 
@@ -249,7 +263,7 @@ def test_spectra_are_checked_before_anything_runs(name):
     grid = {**TABLE["grid"], "incidence_deg": [0, 60]}
     at = {} if "@" in sample or sample == "plain" else {"incidence_deg": 30}
     experiment = ExperimentConfig.model_validate(
-        TABLE | {"grid": grid, "retrieve": {**SECTION, "at": at}}
+        TABLE | {"grid": grid, "retrieve": {**SECTION, "fixed": at}}
     )
     table = pd.DataFrame({"wavelength_nm": [500.0, 900.0], sample: values})
     with pytest.raises(InvalidValue, match=message):
@@ -289,8 +303,11 @@ def test_too_few_wavelengths_to_find_the_noise_are_refused_when_the_file_is_read
 @pytest.mark.parametrize(
     ("section", "line"),
     [
-        ({"at": {SIZE: 50}}, r"retrieve\.at\.optical_radius_um = 50.0: must be left out"),
-        ({"free": ["level"], "at": {SIZE: 50, SOOT: 0}}, r"retrieve\.free = .*at least one para"),
+        ({"fixed": {SIZE: 50}}, r"retrieve\.fixed\.optical_radius_um = 50.0: must be left out"),
+        (
+            {"free": ["scale"], "fixed": {SIZE: 50, SOOT: 0}},
+            r"retrieve\.free = .*at least one para",
+        ),
     ],
 )
 def test_what_retrievals_refuse_is_refused_when_the_file_is_read(section, line):

@@ -36,12 +36,12 @@ def image():
 
 
 def test_pixels_are_as_retrieved_alone(table, image):
-    found = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, at=FIXED)
+    found = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, fixed=FIXED)
     assert found[SIZE].dims == ("y", "x")
     assert not found.flags.any()
     for y in range(image.sizes["y"]):
         for x in range(image.sizes["x"]):
-            alone = splits.retrieve(image[y, x], table, [SIZE, SOOT], 0.01, at=FIXED).dataset
+            alone = splits.retrieve(image[y, x], table, [SIZE, SOOT], 0.01, fixed=FIXED).dataset
             off = found[[SIZE, SOOT]].isel(y=y, x=x).to_dataarray().values - alone.value.values
             # The map's components leave out what tells less than a hundredth of the noise.
             assert (np.abs(off) < 0.25 * alone.value_stderr.values).all()
@@ -52,28 +52,30 @@ def test_bad_pixels_are_flagged(table, image):
     broken[0, 0, 2] = np.nan
     broken[1, 1] *= 100.0
     broken[2, 2] = np.linspace(0.1, 0.9, W.size)
-    found = splits.retrieve_map(broken, table, [SIZE, SOOT], 0.01, at=FIXED)
+    found = splits.retrieve_map(broken, table, [SIZE, SOOT], 0.01, fixed=FIXED)
     assert found.flags[0, 0] == FLAGS["gap"] and np.isnan(found[SIZE][0, 0])
     assert found.flags[1, 1] == FLAGS["out_of_range"] and np.isnan(found[SIZE][1, 1])
     assert found.flags[2, 2].values & FLAGS["poor_fit"]
     fine = found.flags.values == 0
-    plain = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, at=FIXED)
+    plain = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, fixed=FIXED)
     np.testing.assert_array_equal(found[SIZE].values[fine], plain[SIZE].values[fine])
 
 
 def test_ends_of_ranges_and_what_is_not_told_are_flagged(table, image):
-    low = splits.retrieve_map(image, table, {SIZE: (400.0, 900.0)}, 0.01, at={**FIXED, SOOT: 200.0})
-    assert (low.flags[0].values & FLAGS["at_low_end"]).all()
-    assert (low.flags[3].values & FLAGS["at_high_end"]).all()
+    low = splits.retrieve_map(
+        image, table, {SIZE: (400.0, 900.0)}, 0.01, fixed={**FIXED, SOOT: 200.0}
+    )
+    assert (low.flags[0].values & FLAGS["at_lower_bound"]).all()
+    assert (low.flags[3].values & FLAGS["at_upper_bound"]).all()
     angle = splits.retrieve_map(image[:1, :1], table, [SIZE, "incidence_deg"], 0.01,
-                                at={SOOT: 20.0})  # fmt: skip
-    assert angle.flags.values.item() & FLAGS["untold"]
+                                fixed={SOOT: 20.0})  # fmt: skip
+    assert angle.flags.values.item() & FLAGS["unconstrained"]
 
 
 def test_blocks_and_threads_do_not_matter(table, image):
-    whole = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, at=FIXED, threads=1)
+    whole = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, fixed=FIXED, threads=1)
     lazy = image.copy(data=dask.array.from_array(image.values, chunks=(1, 2, 4)))
-    blocks = splits.retrieve_map(lazy, table, [SIZE, SOOT], 0.01, at=FIXED, threads=2)
+    blocks = splits.retrieve_map(lazy, table, [SIZE, SOOT], 0.01, fixed=FIXED, threads=2)
     assert isinstance(blocks[SIZE].data, dask.array.Array)
     xr.testing.assert_equal(blocks.compute(), whole)
 
@@ -82,7 +84,7 @@ def test_blocks_and_threads_do_not_matter(table, image):
 def test_errors_of_pixels(table):
     """z of the logarithm of size and the root of dirt, over 900 pixels."""
     sizes, dirts = np.geomspace(80.0, 1200.0, 30), np.linspace(6.0, 36.0, 30) ** 2
-    found = splits.retrieve_map(make_image(sizes, dirts), table, [SIZE, SOOT], 0.01, at=FIXED)
+    found = splits.retrieve_map(make_image(sizes, dirts), table, [SIZE, SOOT], 0.01, fixed=FIXED)
     z = [
         (np.log(found[SIZE] / sizes[:, np.newaxis]) * found[SIZE] / found[f"{SIZE}_stderr"]).values,
         (2.0 * (np.sqrt(found[SOOT]) - np.sqrt(dirts)) * np.sqrt(found[SOOT])
@@ -122,7 +124,7 @@ def test_maps_end_where_retrievals_do_where_amounts_begin_with_none():
         worse += float(found.chi2[x]) > alone["chi2"] + 4.0
     assert worse <= 1
     # Where nothing tells a parameter a descent may creep for long, which is flagged.
-    assert ((found.flags.values & FLAGS["not_at_rest"]) > 0).mean() < 0.05
+    assert ((found.flags.values & FLAGS["not_converged"]) > 0).mean() < 0.05
 
 
 def to_band_image(image):
@@ -138,16 +140,16 @@ def to_band_image(image):
     ids=["bands by name", "bands alone"],
 )
 def test_an_image_over_bands_is_one_over_their_wavelengths(table, image, change):
-    plain = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, at=FIXED)
-    found = splits.retrieve_map(change(image), table, [SIZE, SOOT], 0.01, at=FIXED)
+    plain = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, fixed=FIXED)
+    found = splits.retrieve_map(change(image), table, [SIZE, SOOT], 0.01, fixed=FIXED)
     xr.testing.assert_equal(found, plain)
 
 
 def test_stacked_pixels_are_unstacked_to_the_same(table, image):
     image = image.assign_coords(x=[1.0, 2.0, 3.0])
-    plain = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, at=FIXED)
+    plain = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, fixed=FIXED)
     stacked = image.stack(pixel=("y", "x"))
-    found = splits.retrieve_map(stacked, table, [SIZE, SOOT], 0.01, at=FIXED)
+    found = splits.retrieve_map(stacked, table, [SIZE, SOOT], 0.01, fixed=FIXED)
     xr.testing.assert_allclose(found.unstack("pixel"), plain, rtol=1e-12)
 
 
@@ -174,7 +176,7 @@ INVALID_CALLS = {
         "no pixel",
     ),
     "no image": ({"image": np.zeros((2, 2, W.size))}, "a DataArray over wavelength"),
-    "level": ({"free": [SIZE, "level"]}, "left out of maps"),
+    "scale": ({"free": [SIZE, "scale"]}, "left out of maps"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
     "unknown noise": ({"noise": None}, "noise = None: must be given"),
 }
@@ -188,7 +190,7 @@ def test_bad_input_is_refused(table, image, name):
         "table": table,
         "free": [SIZE],
         "noise": 0.01,
-        "at": {**FIXED, SOOT: 9.0},
+        "fixed": {**FIXED, SOOT: 9.0},
     }
     with pytest.raises(InvalidValue, match=message):
         splits.retrieve_map(**(given | other))

@@ -62,9 +62,9 @@ def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path
     again = load(tmp_path / "found.nc")
     rows = make_fit_table(again)
     assert len(rows) == ds.value.size
-    assert set(rows.verdict) <= {"determined", UNDETERMINED_VERDICT}
-    assert again.reflectance_groups.dims == ("refractive_index", "sample", "group", "wavelength")
-    square = (again.reflectance_groups.astype(float) ** 2).sum("group")
+    assert set(rows.verdict) <= {"constrained", UNDETERMINED_VERDICT}
+    assert again.reflectance_batches.dims == ("refractive_index", "sample", "batch", "wavelength")
+    square = (again.reflectance_batches.astype(float) ** 2).sum("batch")
     assert (square <= again.reflectance_stderr**2 * (1.0 + 1e-6)).all()
     figure = draw(again, settings.resolve_figure())
     assert len(figure.axes) == 4
@@ -75,7 +75,7 @@ def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
         {
             "value": (("sample", "parameter"), np.full((2, 2), 0.01)),
             "value_stderr": (("sample", "parameter"), np.full((2, 2), 0.01)),
-            "determined": (("sample", "parameter"), [[0.0, 1.0], [1.0, 0.0]]),
+            "constrained": (("sample", "parameter"), [[0.0, 1.0], [1.0, 0.0]]),
             "rmse": ("sample", [0.01, 0.2]),
             "rmse_stderr": ("sample", [0.001, 0.001]),
         },
@@ -84,8 +84,8 @@ def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
     rows = make_fit_table(found).set_index(["sample", "parameter"])
     assert rows.verdict.to_dict() == {
         ("near", "iron_oxide"): UNDETERMINED_VERDICT,
-        ("near", "clay"): "determined",
-        ("far", "iron_oxide"): "determined",
+        ("near", "clay"): "constrained",
+        ("far", "iron_oxide"): "constrained",
         ("far", "clay"): UNDETERMINED_VERDICT,
     }
     assert (rows.spectrum["near"] == "reproduced").all()

@@ -74,7 +74,7 @@ def test_a_run_with_few_rays_left_ends(more):
     first_round = splits.spectrophotometer(SNOW, WAVELENGTHS, max_rays=1).attrs["rays"]
     asked = first_round + more
     run = splits.spectrophotometer(SNOW, WAVELENGTHS, max_stderr=1e-5, max_rays=asked)
-    assert run.attrs["stopped_by"] == "rays"
+    assert run.attrs["stop_reason"] == "max_rays"
     # Whole batches at every level: at most one more than asked for each of them.
     assert asked <= run.attrs["rays"] < asked + first_round
     assert np.isfinite(run.reflectance).all()

@@ -52,7 +52,7 @@ INVALID_SANDS = [
     ("depth_m", -1.0, "(0, 10000]"),
     ("size_tail", 0.1, "[1e-06, 0.01]"),
     ("refractive_index", 1.55, "mapping"),
-    ("readings", "linear", "must be one of geometric"),
+    ("interpretation", "linear", "must be one of geometric"),
 ]
 
 
@@ -114,14 +114,14 @@ def test_unknown_keywords_materials_and_readings_are_refused():
         Sand(porositi=0.4)
     with pytest.raises(ValueError, match=r"refractive_index = 'geothite'.*did you mean goethite"):
         Sand(refractive_index={"geothite": 2.3})
-    with pytest.raises(ValueError, match=r"readings = 'size_is'"):
-        Sand(readings={"size_is": "diameter"})
+    with pytest.raises(ValueError, match=r"interpretation = 'size_definition'"):
+        Sand(readings={"size_definition": "diameter"})
 
 
 @pytest.mark.parametrize("name", INTERPRETATIONS)
 def test_readings_are_checked_and_have_their_first_choice_by_default(name):
     assert getattr(SandInterpretation(), name) == INTERPRETATION_CHOICES[name][0]
-    with pytest.raises(ValueError, match=f"readings.{name} = 'neither'"):
+    with pytest.raises(ValueError, match=f"interpretation.{name} = 'neither'"):
         Sand(readings={name: "neither"})
 
 
@@ -151,7 +151,9 @@ def test_indices_by_hand():
     pure = {m: make_refractive_index(m)(WAVELENGTHS) for m in ("quartz", "hematite", "goethite")}
     np.testing.assert_array_equal(index["air"], 1.0)
     np.testing.assert_array_equal(index["water"], make_refractive_index("water")(WAVELENGTHS))
-    np.testing.assert_array_equal(index["magnetite"], make_refractive_index("magnetite")(WAVELENGTHS))
+    np.testing.assert_array_equal(
+        index["magnetite"], make_refractive_index("magnetite")(WAVELENGTHS)
+    )
     for mineral, values in pure.items():
         np.testing.assert_array_equal(index[mineral], values)
     coat = 0.0337371413100692
@@ -200,8 +202,8 @@ def test_another_goethite_changes_the_rows_with_goethite_only(goethite):
 def test_description_is_written_to_a_file_and_read_again(tmp_path):
     sand = Sand(**EIGHT_TYPES, refractive_index={"goethite": {"k_factor": 2}, "water": 1.33})
     facts = sand.describe()
-    inputs = set(Sand.__dataclass_fields__) - {"refractive_index", "readings", "pores"}
-    assert inputs | {f"reading_{name}" for name in INTERPRETATIONS} <= set(facts)
+    inputs = set(Sand.__dataclass_fields__) - {"refractive_index", "interpretation", "pores"}
+    assert inputs | {f"interpretation_{name}" for name in INTERPRETATIONS} <= set(facts)
     assert facts["refractive_index_goethite"] == "oscillators, k x 2"
     assert facts["refractive_index_water"] == "1.33+0j"
     assert len(facts["particle_types"].split(", ")) == len(facts["particle_volume_fractions"]) == 8
@@ -224,7 +226,7 @@ def test_mean_grain_distance():
     k1 = sand.size_distribution.size_attenuation_per_m
     assert sand.attenuation_per_m == pytest.approx(1.5 * k1, rel=1e-12)
     assert sand.mean_grain_distance_m == pytest.approx(1.0 / (0.6 * 1.5 * k1), rel=1e-12)
-    printed = Sand(**spheres, readings={"attenuation": "printed"})
+    printed = Sand(**spheres, readings={"attenuation_factor": "as_printed"})
     assert printed.mean_grain_distance_m == pytest.approx(1.0 / (1.5 * k1), rel=1e-12)
     assert 1.0 / sand.make_grain_population().attenuation == pytest.approx(
         sand.mean_grain_distance_m, rel=1e-15

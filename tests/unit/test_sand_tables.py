@@ -64,9 +64,9 @@ def test_shifts_are_differences_to_the_reference_with_errors():
             make_spectra("medium", ["one", "two"], 0.0, 0.003),
             make_spectra("medium", ["one", "two"], 0.1, 0.004),
         ],
-        dim=xr.DataArray(["default", "other"], dims="readings", name="readings"),
+        dim=xr.DataArray(["default", "other"], dims="interpretation", name="interpretation"),
     )
-    table = make_shift_table(both, "readings", "default").set_index("medium")
+    table = make_shift_table(both, "interpretation", "default").set_index("medium")
     assert table["value"].unique().tolist() == ["other"]
     assert table.mean_shift["one"] == pytest.approx(0.0)
     assert table.mean_shift["two"] == pytest.approx(0.1)

@@ -18,7 +18,7 @@ from splits.experiments.papers.sensitivity_table import (
 )
 
 WAVELENGTHS = np.array([400.0, 1000.0, 1500.0, 2500.0])
-PAIR = {"parameter": "saturation", "experiment": "e", "readings": "r", "low": 0, "high": 1}
+PAIR = {"parameter": "saturation", "experiment": "e", "interpretation": "r", "low": 0, "high": 1}
 
 
 def make_spectra(scale, dimension, labels):
@@ -123,14 +123,14 @@ def test_the_table_has_all_ranges_and_readings_and_one_chosen_row_per_quantity()
     ranges = make_spectra([0.8, 0.6, 0.4], "saturation", [0.0, 0.5, 1.0])
     readings = xr.concat(
         [make_spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 3,
-        dim=pd.Index(["default", "a", "b"], name="readings"),
+        dim=pd.Index(["default", "a", "b"], name="interpretation"),
     )
     table = make_sensitivity_table({"e": ranges, "r": readings}, {"saturation": PAIR})
     assert len(table) == 2 * (3 + 2)
     chosen = table[table.chosen]
     assert sorted(chosen.quantity) == sorted(QUANTITY_CONDITIONS)
     np.testing.assert_allclose(chosen.msi, 0.5)
-    np.testing.assert_allclose(table[table.reading == "a"].msi, 0.75)
+    np.testing.assert_allclose(table[table.interpretation == "a"].msi, 0.75)
 
     published = pd.DataFrame(
         {"published": [0.4, 0.6]}, index=["msi_r_saturation", "msi_t_saturation"]

@@ -21,9 +21,11 @@ MEDIA = ROOT / "config" / "media"
 SPECTRUM = "instrument: {wavelength_nm: [500, 600]}\n"
 GRID = "grid: {saturation: [0, 0.1]}\n"
 MEASURED = "measured: aviris_ng_varsa2021.csv"
-LENS = "medium: {kind: layer, depth_m: 10, surface: {rms_height_m: 0.1, wave_number_per_m: 1,"
+LENS = (
+    "medium: {kind: particle_layer, depth_m: 10, surface: {rms_height_m: 0.1, wave_number_per_m: 1,"
+)
 LENS += " waves: 8, correlation: gaussian}}\ninstrument: {kind: lens, radius_m: 0.1, "
-LENS += "screen_depth_m: [1], over: origin, "
+LENS += "screen_depth_m: [1], centre_on: origin, "
 FIT = "medium: {kind: sand}\nfit: {measured: sand_reflectance_jhu.csv}\nfigure: {kind: fit}\n"
 TABLE = "medium: {kind: natural_snow}\n"
 TABLE += "instrument: {kind: table, wavelength_nm: {start: 400, stop: 1300, step: 100}}\n"
@@ -53,8 +55,8 @@ UNUSED_SETTINGS = {
     SPECTRUM + "grid: {medium: {a: {depth_m: 1}}, depth_m: [2]}": "grid.medium.a.depth_m",
     "instrument: {wavelength_nm: [500], incidence_deg: 30}\ngrid: {incidence_deg: [0, 60]}":
         "instrument.incidence_deg",
-    TABLE + RETRIEVE + "free: [optical_radius_um], at: {optical_radius_um: 60}}":
-        "retrieve.at.optical_radius_um",
+    TABLE + RETRIEVE + "free: [optical_radius_um], fixed: {optical_radius_um: 60}}":
+        "retrieve.fixed.optical_radius_um",
     TABLE + RETRIEVE + "free: [optical_radius_um], noise: {absolute: 0.1, correlation_nm: 50}}":
         "retrieve.noise.correlation_nm",
 }  # fmt: skip
@@ -94,8 +96,13 @@ def test_settings_that_count_are_taken(tmp_path, text):
         ("a@50", "", "", r"retrieve\.samples = 'a@50': must be of light from 0\.0"),
         ("a@50", ", incidence_deg: 50", "", None),
         ("a@noon", "", "", None),
-        ("a@50", "", ", at: {incidence_deg: 40}", r"retrieve\.at\.incidence_deg = 40\.0.*a@50"),
-        ("a@50", "", ", at: {incidence_deg: 50}", None),
+        (
+            "a@50",
+            "",
+            ", fixed: {incidence_deg: 40}",
+            r"retrieve\.fixed\.incidence_deg = 40\.0.*a@50",
+        ),
+        ("a@50", "", ", fixed: {incidence_deg: 50}", None),
     ],
 )
 def test_angles_in_names_of_samples_count_or_are_refused(
@@ -105,7 +112,7 @@ def test_angles_in_names_of_samples_count_or_are_refused(
     rows = "\n".join(f"{w},0.8" for w in range(400, 1301, 100))
     (tmp_path / "measured" / "mine.csv").write_text(f"wavelength_nm,{sample}\n{rows}\n", "utf-8")
     text = TABLE.replace("step: 100}", f"step: 100}}{instrument}")
-    if "at:" in rest:
+    if "fixed:" in rest:
         text = text.replace("200]}", "200], incidence_deg: [40, 50]}")
     text += f"retrieve: {{measured: mine.csv, free: [optical_radius_um]{rest}}}\n"
     path = tmp_path / "made.yaml"
@@ -136,7 +143,7 @@ def test_a_seed_of_the_file_is_not_passed_over(tmp_path, capsys):
 @NEEDS_JIT
 def test_the_command_reads_measured_spectra(tmp_path):
     path = tmp_path / "grains.yaml"
-    path.write_text(TABLE + RETRIEVE + "free: [optical_radius_um, level]}\n", encoding="utf-8")
+    path.write_text(TABLE + RETRIEVE + "free: [optical_radius_um, scale]}\n", encoding="utf-8")
     made = tmp_path / "made"
     done = subprocess.run(
         [sys.executable, "-m", "splits.cli", "run", path, "--output", made,
@@ -148,7 +155,7 @@ def test_the_command_reads_measured_spectra(tmp_path):
     assert done.stdout.splitlines() == list(map(str, files))
     assert all(file.is_file() for file in files)
     table = pd.read_csv(files[1])
-    assert list(table.parameter) == ["optical_radius_um", "level"]
+    assert list(table.parameter) == ["optical_radius_um", "scale"]
     assert splits.load(files[0]).attrs["instrument"] == "table"
 
 

@@ -180,7 +180,7 @@ def test_what_interpolation_misses_of_sun_and_sky_is_added_up_in_size():
             {
                 "x": ("wavelength", [0.5]),
                 "x_stderr": ("wavelength", [np.hypot(groups[0][0], 0.01)]),
-                "x_groups": (("group", "wavelength"), groups),
+                "x_batches": (("batch", "wavelength"), groups),
             },
             {"wavelength": [500.0]},
         )
@@ -214,7 +214,7 @@ def test_the_sky_mixes_the_sun_and_diffuse_light():
     found = splits.albedo(snow, splits.sky(OWN_SKY, 50.0), W, 0.02, seed=5)
     sun = splits.spectrophotometer(snow, W, 50.0, 0.02, seed=5).reflectance
     rest = splits.spectrophotometer(snow, W, "diffuse", 0.02, seed=6).reflectance
-    share = found.direct_share
+    share = found.direct_fraction
     np.testing.assert_allclose(found.albedo, share * sun + (1.0 - share) * rest, rtol=1e-12)
 
 

@@ -44,7 +44,7 @@ INVALID_SNOWS = [
     ("depth_m", -0.1, "(0, 10000]"),
     ("depth_m", float("-inf"), "(0, 10000]"),
     ("refractive_index", 1.31, "mapping"),
-    ("readings", "projected", "must be one of geometric"),
+    ("interpretation", "projected", "must be one of geometric"),
 ]
 
 NAMES = [field.name for field in fields(Interpretation)]
@@ -55,7 +55,7 @@ def test_defaults_are_the_shipped_sample_of_table_1():
     assert shipped.pop("kind") == Snow.kind
     assert set(shipped) == set(Snow.__dataclass_fields__) - {
         "refractive_index",
-        "readings",
+        "interpretation",
         "ground",
         "pores",
         "impurities_ng_g",
@@ -91,11 +91,11 @@ def test_porosity_is_what_ice_leaves():
 
 
 def test_semi_axis_reading_doubles_the_grains():
-    single, double = Snow(), Snow(readings={"size_is": "semi_axis"})
+    single, double = Snow(), Snow(readings={"size_definition": "semi_axis"})
     ratio = double.mean_grain_distance_m / single.mean_grain_distance_m
     assert ratio == pytest.approx(2.0, rel=1e-14)
     with pytest.raises(ValueError, match=r"depth_m = 0.001: .*0.0015 m"):
-        check_thickness(Snow(depth_m=0.001, readings=Interpretation(size_is="semi_axis")))
+        check_thickness(Snow(depth_m=0.001, readings=Interpretation(size_definition="semi_axis")))
 
 
 @pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SNOWS)
@@ -126,7 +126,7 @@ def test_indices_of_unknown_materials_are_refused():
 def test_bad_readings_are_refused_by_name(name):
     allowed = ", ".join(sorted(INTERPRETATION_CHOICES[name]))
     for make in (lambda r: Snow(readings=r), lambda r: Interpretation(**r)):
-        with pytest.raises(ValueError, match=f"readings.{name} = 'neither': .*{allowed}"):
+        with pytest.raises(ValueError, match=f"interpretation.{name} = 'neither': .*{allowed}"):
             make({name: "neither"})
     with pytest.raises(ValueError, match=f"did you mean {name}"):
         Snow(readings={f"{name}x": INTERPRETATION_CHOICES[name][0]})
@@ -136,22 +136,25 @@ def test_sets_of_readings_have_names():
     first = {name: INTERPRETATION_CHOICES[name][0] for name in NAMES}
     assert Interpretation.of("splits_2007").as_dict() == first
     assert Snow().interpretation == Interpretation() == Interpretation.of("splitsnow_2021")
-    assert Interpretation().as_dict() == first | {"facets": "any", "wrong_side": "mirrored"}
-    beside = Interpretation.of({"set": "geometric", "facets": "any"})
-    assert (beside.entry, beside.facets) == ("projected", "any")
-    with pytest.raises(ValueError, match=r"readings\.set = 'geo'.*geometric"):
+    assert Interpretation().as_dict() == first | {
+        "facet_sampling": "any",
+        "wrong_side_ray": "mirror",
+    }
+    beside = Interpretation.of({"set": "geometric", "facet_sampling": "any"})
+    assert (beside.entry_point, beside.facet_sampling) == ("projected", "any")
+    with pytest.raises(ValueError, match=r"interpretation\.set = 'geo'.*geometric"):
         Interpretation.of({"set": "geo"})
 
 
 def test_readings_given_one_after_the_other():
     assert merge_interpretations(["geometric"]) == "geometric"
-    assert merge_interpretations(["geometric", {"facets": "any"}]) == {
+    assert merge_interpretations(["geometric", {"facet_sampling": "any"}]) == {
         "set": "geometric",
-        "facets": "any",
+        "facet_sampling": "any",
     }
-    assert merge_interpretations([{"facets": "any"}, "splits_2007"]) == "splits_2007"
-    assert merge_interpretations([{"facets": "any"}, {"entry": "projected"}, {}]) == {
-        "facets": "any", "entry": "projected",
+    assert merge_interpretations([{"facet_sampling": "any"}, "splits_2007"]) == "splits_2007"
+    assert merge_interpretations([{"facet_sampling": "any"}, {"entry_point": "projected"}, {}]) == {
+        "facet_sampling": "any", "entry_point": "projected",
     }  # fmt: skip
 
 
@@ -177,9 +180,9 @@ def test_description_names_every_input():
     assert {
         f
         for f in Snow.__dataclass_fields__
-        if f not in ("refractive_index", "readings", "pores") and "impurities" not in f
+        if f not in ("refractive_index", "interpretation", "pores") and "impurities" not in f
         if f != "algae_cells_ml"
     } <= (set(facts))
     assert facts["refractive_index_ice"] == "warren_brandt_2008"
     assert facts["refractive_index_water"] == "1.33+0j"
-    assert {f"reading_{name}" for name in NAMES} <= set(facts)
+    assert {f"interpretation_{name}" for name in NAMES} <= set(facts)

@@ -69,8 +69,8 @@ def test_what_does_not_vary_has_none(product):
 
 
 INVALID_CALLS = {
-    "one": ({"free": ["a"], "at": {"b": 0.0}}, "two axes"),
-    "level": ({"free": ["a", "level"], "at": {"b": 0.0}}, "two axes"),
+    "one": ({"free": ["a"], "fixed": {"b": 0.0}}, "two axes"),
+    "scale": ({"free": ["a", "scale"], "fixed": {"b": 0.0}}, "two axes"),
     "odd": ({"points": 100}, "a power of 2"),
     "few": ({"points": 8}, "64 to 65536"),
     "no table": ({"table": None}, "a Table"),

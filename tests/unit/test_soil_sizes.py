@@ -114,7 +114,9 @@ def test_struck_sizes_of_one_piece_have_the_density_of_eq_25(name):
 @pytest.mark.parametrize("pieces", ["separates", "single"])
 def test_struck_sizes_run_monotonically_from_the_coarsest_to_the_finest(name, pieces):
     if (name, pieces) == ("sand alone", "single"):
-        with pytest.raises(ValueError, match=r"readings\.sizes = 'single'.*one separate alone"):
+        with pytest.raises(
+            ValueError, match=r"interpretation\.size_distribution = 'single'.*one separate alone"
+        ):
             make_size_distribution(ALL_TEXTURES[name], TAIL, pieces)
         return
     sizes = make_size_distribution(ALL_TEXTURES[name], TAIL, pieces)
@@ -196,7 +198,9 @@ def test_other_refusals():
     for tail in (1e-7, 0.02):
         with pytest.raises(ValueError, match=rf"^size_tail = {tail}: must be in \[1e-06, 0.01\]"):
             make_size_distribution((0.0, 0.15, 0.85), tail)
-    with pytest.raises(ValueError, match=r"^readings.sizes = 'single': .*'separates'"):
+    with pytest.raises(
+        ValueError, match=r"^interpretation.size_distribution = 'single': .*'separates'"
+    ):
         make_size_distribution((0.0, 0.0, 1.0), size_model="single")
     make_size_distribution((0.1, 0.0, 0.9))
     make_size_distribution((0.0, 0.15 + 1e-10, 0.85 - 1e-10))

@@ -34,7 +34,7 @@ INVALID_CALLS = [
     ("max_rays", 0, "a whole number of at least 1"),
     ("threads", 0, "a whole number of at least 1"),
     ("estimator", "spektral", "did you mean spectral?"),
-    ("kernel", "lane", "did you mean lanes?"),
+    ("kernel", "vector", "did you mean vectorized?"),
 ]
 
 
@@ -49,11 +49,11 @@ def measured(request):
 
 
 def test_variables_and_dimensions(measured):
-    groups = {"reflectance_groups", "transmittance_groups"}
+    groups = {"reflectance_batches", "transmittance_batches"}
     values = {q + s for q in QUANTITIES for s in ("", "_stderr")}
     assert set(measured.data_vars) == values | groups
     assert all(measured[name].dims == ("wavelength",) for name in values)
-    assert all(measured[name].dims == ("group", "wavelength") for name in groups)
+    assert all(measured[name].dims == ("batch", "wavelength") for name in groups)
     np.testing.assert_array_equal(measured.wavelength, WAVELENGTHS)
 
 
@@ -84,7 +84,7 @@ def test_attributes_hold_all_inputs_and_provenance(measured):
         assert facts[key]
     assert facts["physics_sources_sha256"] == hash_physics_sources()
     assert facts["threads"] == 1
-    assert facts["stopped_by"] == "error"
+    assert facts["stop_reason"] == "converged"
     assert facts["rays"] > 0
 
 
@@ -118,7 +118,7 @@ def test_progress_is_told():
 
 def test_a_limit_of_rays_stops_the_run():
     stopped = measure(max_stderr=1e-6, max_rays=1)
-    assert stopped.attrs["stopped_by"] == "rays"
+    assert stopped.attrs["stop_reason"] == "max_rays"
     assert stopped.attrs["max_stderr_reached"] > 1e-6
 
 

@@ -76,7 +76,7 @@ def test_size_attenuation_from_one_size_to_a_ratio_of_1000():
 def test_struck_inverse_sizes(ratio):
     low, high = 1e-5, 1e-5 * ratio
     u = make_table_probabilities(statistics.N_TABLE_POINTS)
-    attenuation = statistics.tabulate_struck_inverse_sizes(low, high, "attenuation")
+    attenuation = statistics.tabulate_struck_inverse_sizes(low, high, "cross_section")
     uniform = statistics.tabulate_struck_inverse_sizes(low, high, "uniform")
     for i in QUANTILES:
         p, a, b = M(float(u[i])), M(low), M(high)

@@ -25,7 +25,7 @@ SAND = splits.Sand(hematite_ratio=0.5, magnetite=0.05, depth_m=0.1)
         ([FRESH_SNOW, splits.Snow], r"layers\[1\]"),
         ([FRESH_SNOW, splits.RoughSurface], r"layers\[1\]"),
         (
-            [FRESH_SNOW, splits.Snow(readings={"entry": "projected"})],
+            [FRESH_SNOW, splits.Snow(readings={"entry_point": "projected"})],
             r"layers\[1\].readings .*those of layers\[0\]",
         ),
     ],
@@ -122,11 +122,11 @@ def test_a_set_replaces_all_that_layers_say_of_transport():
 
 def test_layers_of_a_stack_have_the_same_distances_between_grains():
     snow = {"optical_radius_um": 100, "depth_m": 0.1}
-    other = splits.Snow.natural(**snow, readings={"grain_distance": "leg"})
+    other = splits.Snow.natural(**snow, readings={"mean_free_path": "pore_only"})
     with pytest.raises(ValueError, match=r"layers\[1\].readings"):
         splits.Stack([splits.Snow.natural(**snow), other])
 
 
 def test_sand_whose_grains_fill_the_volume_has_no_distance_with_grains():
     with pytest.raises(ValueError, match="attenuation = 'printed': must be solid"):
-        splits.Sand(readings={"set": "radiative_transfer", "attenuation": "printed"})
+        splits.Sand(readings={"set": "radiative_transfer", "attenuation_factor": "as_printed"})

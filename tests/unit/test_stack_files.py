@@ -25,7 +25,7 @@ medium:
     - {base: splitsnow_table1, density_kg_m3: 120, saturation: 0, depth_m: 0.02}
     - {kind: sand, depth_m: 0.05}
   ground: 0.2
-  readings: splits_2007
+  interpretation: splits_2007
 instrument: {wavelength_nm: [500]}
 """
 
@@ -77,9 +77,12 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
     [
         ("medium: {kind: stack}", "medium.layers = None: must be a list of layers, top first"),
         ("medium: {kind: stack, layers: [3]}", "medium.layers.0 = 3: must be a mapping"),
-        ("medium: {kind: stack, layers: [{kind: ice}]}", "one of layer, natural_snow, sand, snow"),
         (
-            "medium: {kind: stack, layers: [{kind: layer, bottom_albedo: 1}]}",
+            "medium: {kind: stack, layers: [{kind: ice}]}",
+            "one of natural_snow, particle_layer, sand, snow",
+        ),
+        (
+            "medium: {kind: stack, layers: [{kind: particle_layer, bottom_albedo: 1}]}",
             "layers.0.bottom_albedo: unknown key",
         ),
         (
@@ -148,12 +151,12 @@ def test_a_path_leads_into_each_of_several_lists_of_layers(tmp_path, first):
 
 def test_mappings_by_path_add_to_those_of_the_layer(tmp_path):
     text = (
-        "medium: {kind: stack, layers: [{readings: {size_is: semi_axis}}]}\n"
-        "grid: {layers.0.readings: {struck: {struck_size: uniform}}}\n"
+        "medium: {kind: stack, layers: [{interpretation: {size_definition: semi_axis}}]}\n"
+        "grid: {layers.0.interpretation: {struck: {size_sampling: uniform}}}\n"
     )
     ((_, pack, _),) = load_text(tmp_path, text).iter_points()
     readings = pack.layers[0].readings.as_dict()
-    assert (readings["size_is"], readings["struck_size"]) == ("semi_axis", "uniform")
+    assert (readings["size_definition"], readings["size_sampling"]) == ("semi_axis", "uniform")
 
 
 def test_tables_by_path_are_known_by_their_content(tmp_path):

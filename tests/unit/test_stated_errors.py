@@ -19,8 +19,8 @@ ANGLES = {"brdf", "btdf", "reflectance_factor", "anisotropy_factor", *TOTALS}
 ANGLES |= {"specular_reflectance", "direct_transmittance"}
 STOKES = {f"{name}_{part}" for name in ("brdf", "btdf") for part in "quv"}
 FEW_DIRECTIONS = {"polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 180.0]}
-GRAINS = {"single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "wet_share"}
-GRAINS |= {"displacement_before", "displacement_after", "displacement_square"}
+GRAINS = {"single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "wet_fraction"}
+GRAINS |= {"displacement_along_incident", "displacement_along_exit", "mean_square_displacement"}
 THEORY_CASES = {*TOTALS, "absorptance"}
 CASES = {
     "spectrophotometer": (splits.Snow(), ([600.0],), {"max_stderr": 0.1}, THEORY_CASES),
@@ -36,26 +36,26 @@ CASES = {
         {"reflectance_factor", "transmittance_factor", "anisotropy_factor", *TOTALS},
     ),
     "goniophotometer, cells": (
-        LAYER, ([600.0], 0.0, 1000), {"estimator": "cells", "cells": (2, 4)}, ANGLES | STOKES,
+        LAYER, ([600.0], 0.0, 1000), {"estimator": "bins", "n_bins": (2, 4)}, ANGLES | STOKES,
     ),
     "goniophotometer, local": (
-        LAYER, ([600.0], 30.0, 1000), {"estimator": "local", **FEW_DIRECTIONS}, ANGLES | STOKES,
+        LAYER, ([600.0], 30.0, 1000), {"estimator": "next_event", **FEW_DIRECTIONS}, ANGLES | STOKES,
     ),
-    "bssrdf": (
+    "beam_spread": (
         splits.Snow(), ([900.0], 0.0, 1), {},
-        {"profile", "profile_map", "mean_radius", "quantile_radius", "share"},
+        {"profile", "profile_map", "mean_radius", "quantile_radius", "fraction"},
     ),
     "deep_transmittance": (
         splits.Snow(depth_m=0.01), ([600.0],), {"relative_stderr": 0.5}, {"transmittance"},
     ),
-    "profile": (
+    "irradiance_profile": (
         splits.Snow(depth_m=0.01), ([600.0], [0.005]), {"max_stderr": 0.1},
         {"downward_irradiance", "upward_irradiance", "absorptance", "actinic_flux",
          "absorptance_of_material"},
     ),
     "single_scattering": (splits.Snow(), ([600.0],), {"moments": 2, "rays": 2}, GRAINS),
     "lens": (
-        WAVES, ([5.0], 0.5), {"over": "origin", "realisations": 3},
+        WAVES, ([5.0], 0.5), {"centre_on": "origin", "realisations": 3},
         {"contraction", "concentration"},
     ),
     "surface_map": (WAVES, (10.0,), {"points": 2, "realisations": 2}, set()),

@@ -41,17 +41,17 @@ def test_shipped_studies_have_all_that_they_need(shipped):
         for p in ps
     }
     figures = (
-        "fig23_sensitivity", "readings_together", "letcher2022_measured",
-        "surface_area_spectra_found", "surface_area_law", "which_wavelength_tells_what",
-        "wet_sand_anisotropy", "bands_that_tell_most",
+        "fig23_sensitivity", "interpretation_ranking", "letcher2022_measured",
+        "surface_area_spectra_found", "surface_area_law", "sobol_indices_by_wavelength",
+        "wet_sand_anisotropy", "band_selection",
     )  # fmt: skip
     drawn = {f"figures/{name}{suffix}" for name in figures for suffix in (".png", ".svg", ".pdf")}
     assert paths == drawn | {
         "data/fig23_sensitivity.nc", "tables/sensitivity.csv", "tables/table2.csv",
-        "tables/agreement.csv", "tables/readings_together.csv",
-        "tables/which_wavelength_tells_what.csv", "tables/bands_that_tell_most.csv",
+        "tables/agreement.csv", "tables/interpretation_ranking.csv",
+        "tables/sobol_indices_by_wavelength.csv", "tables/band_selection.csv",
         "tables/wet_sand_anisotropy.csv", "tables/wet_sand_anisotropy_by_angle.csv",
-        "tables/readings_together_statements.csv", "tables/readings_together_without.csv",
+        "tables/interpretation_ranking_statements.csv", "tables/interpretation_ranking_without.csv",
         "tables/measured_bands.csv", "tables/table1.csv", "tables/table3.csv",
         "tables/sand_trends.csv", "tables/sand_weights.csv",
         "tables/sand_colours.csv", "tables/sand_compositions.csv", "tables/angular_trends.csv",
@@ -83,40 +83,40 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
     ("study", "message"),
     [
         ({"kind": "trends"}, r"studies\.own\.kind = 'trends': must be one of .*angular_trends"),
-        ({"kind": "bands", "experiments": {"a": "explorer_snow"}, "bands": "sentinel"},
+        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "bands": "sentinel"},
          r"own\.bands = 'sentinel': must be one of"),
-        ({"kind": "bands", "experiments": {"a": "explorer_snow"}, "noise": 0},
+        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "noise": 0},
          r"own\.noise = 0"),
-        ({"kind": "bands", "experiments": {"a": "explorer_snow"}, "most": 0},
-         r"own\.most = 0"),
-        ({"kind": "bands", "experiments": {"a": "explorer_snow"}, "at": {"incidence": 40}},
-         r"own\.at\.incidence: unknown key.*did you mean incidence_deg"),
-        ({"kind": "bands", "experiments": {"a": "explorer_snow"}, "at": {"incidence_deg": 85}},
-         r"own\.at\.incidence_deg = 85.*0 to 82"),
-        ({"kind": "sobol", "experiments": {"a b": "explorer_snow", "a_b": "explorer_sand"}},
-         r"own\.experiments = \['a b', 'a_b'\]: must be names that differ"),
-        ({"kind": "sobol", "experiments": {"a": "explorer_snow"}, "products": {"table": "nul"}},
-         r"own\.products\.table = 'nul': must be lower-case letters"),
-        ({"kind": "sobol", "experiments": {"a": "explorer_snow"}, "most": 2},
-         r"own\.most = 2: must be left out but for kind = 'bands'"),
-        ({"kind": "anisotropy", "experiments": {"directions": "sand_fig11_brdf"},
+        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "n_bands": 0},
+         r"own\.n_bands = 0"),
+        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "fixed": {"incidence": 40}},
+         r"own\.fixed\.incidence: unknown key.*did you mean incidence_deg"),
+        ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "fixed": {"incidence_deg": 85}},
+         r"own\.fixed\.incidence_deg = 85.*0 to 82"),
+        ({"kind": "sobol", "inputs": {"a b": "explorer_snow", "a_b": "explorer_sand"}},
+         r"own\.inputs = \['a b', 'a_b'\]: must be names that differ"),
+        ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "outputs": {"table": "nul"}},
+         r"own\.outputs\.table = 'nul': must be lower-case letters"),
+        ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "n_bands": 2},
+         r"own\.n_bands = 2: must be left out but for kind = 'bands'"),
+        ({"kind": "anisotropy", "inputs": {"directions": "sand_fig11_brdf"},
           "files": {"directions": "wet_sand_directions.csv"}},
-         r"'sand_fig11_brdf': must be .*over readings and saturation"),
-        ({"kind": "anisotropy", "experiments": {"directions": "wet_sand_directions"}},
+         r"'sand_fig11_brdf': must be .*over interpretation and saturation"),
+        ({"kind": "anisotropy", "inputs": {"directions": "wet_sand_directions"}},
          r"own\.files = {}: must be with directions"),
-        ({"kind": "layer_trends"}, r"own\.experiments = {}: must be with one of lens, volume"),
-        ({"kind": "angular_trends", "experiments": {"facets": "a"}},
-         r"own\.experiments\.facets: unknown key.*did you mean facetness"),
-        ({"kind": "angular_trends", "experiments": {"facetness": "fig21_grain_size"}},
-         r"own\.experiments\.facetness = 'fig21_grain_size': must be .*over facetness"),
-        ({"kind": "angular_trends", "experiments": {"incidence": "fig16_incidence"}},
+        ({"kind": "layer_trends"}, r"own\.inputs = {}: must be with one of lens, volume"),
+        ({"kind": "angular_trends", "inputs": {"facets": "a"}},
+         r"own\.inputs\.facets: unknown key.*did you mean facetness"),
+        ({"kind": "angular_trends", "inputs": {"facetness": "fig21_grain_size"}},
+         r"own\.inputs\.facetness = 'fig21_grain_size': must be .*over facetness"),
+        ({"kind": "angular_trends", "inputs": {"incidence": "fig16_incidence"}},
          r"incidence = 'fig16_incidence': must be .*incidence_deg = 0"),
-        ({"kind": "angular_trends", "experiments": {"wavelength": "fig08_grain_size"}},
+        ({"kind": "angular_trends", "inputs": {"wavelength": "fig08_grain_size"}},
          r"'fig08_grain_size': must be an experiment with a goniophotometer"),
-        ({"kind": "sand_compositions", "experiments": {"lens": "a"}}, "must be left out for kind"),
+        ({"kind": "sand_compositions", "inputs": {"lens": "a"}}, "must be left out for kind"),
         ({"kind": "sensitivity"}, r"own\.pairs = {}: must be at least one pair"),
-        ({"kind": "readings"}, r"own\.sensitivity = None: must be the name of a study"),
-        ({"kind": "layer_trends", "sensitivity": "sensitivity", "experiments": {"lens": "a"}},
+        ({"kind": "interpretation"}, r"own\.sensitivity = None: must be the name of a study"),
+        ({"kind": "layer_trends", "sensitivity": "sensitivity", "inputs": {"lens": "a"}},
          r"own\.sensitivity = 'sensitivity': must be left out for kind"),
         ({"kind": "sensitivity", "files": {"published": "splitsnow.csv"},
           "pairs": {"a": {"parameter": "saturation", "experiment": "b", "low": 0, "high": 1}}},
@@ -126,9 +126,9 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
         ({"kind": "sensitivity", "pairs": {"a": {
             "parameter": "saturation", "experiment": "fig13_saturation", "low": 0, "high": 0.3}}},
          r"pairs\.a\.experiment = 'fig13_saturation': must be .*saturation and depth_m"),
-        ({"kind": "sand_compositions", "products": {"table": "table2"}},
+        ({"kind": "sand_compositions", "outputs": {"table": "table2"}},
          r"studies\.own: name = 'table2': must be one that nothing else has \(the study sens"),
-        ({"kind": "sand_compositions", "products": {"table": "fig08_grain_size"}},
+        ({"kind": "sand_compositions", "outputs": {"table": "fig08_grain_size"}},
          "experiment fig08_grain_size: name = 'fig08_grain_size': must be one that nothing else"),
     ],
 )  # fmt: skip
@@ -139,14 +139,14 @@ def test_studies_that_cannot_be_made_are_refused_in_one_line(shipped, study, mes
 
 
 def test_what_a_study_lacks_is_said(shipped):
-    own = {"kind": "angular_trends", "experiments": {"facetness": "fig22_facetnes"}}
+    own = {"kind": "angular_trends", "inputs": {"facetness": "fig22_facetnes"}}
     lacking = find_incomplete_studies(make_settings({"own": own}).studies, {}, shipped)
     assert lacking["own"] == (
         "study own is left out: no such experiment: fig22_facetnes (did you mean fig22_facetness?)"
     )
     assert lacking["layer_trends"].startswith("study layer_trends is left out: not selected: layer")
     assert lacking["sand_compositions"].endswith("no experiment with sand is selected")
-    for study in ("agreement", "readings_together"):
+    for study in ("agreement", "interpretation_ranking"):
         assert "sensitivity_density" in lacking[study], "they need their sensitivity"
 
 
@@ -173,7 +173,7 @@ def test_a_study_of_some_roles_has_their_rows():
 
 
 def test_a_table_of_a_retrieval_has_its_name_alone(shipped):
-    study = {"kind": "sobol", "experiments": {"a": "explorer_snow"}}
+    study = {"kind": "sobol", "inputs": {"a": "explorer_snow"}}
     studies = {**SETTINGS_CONTENT["studies"], "retrieved_dozier_retrieved": study}
     with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be one that nothing"):
         load_settings({**SETTINGS_CONTENT, "studies": studies}).select_experiments(shipped)

@@ -41,11 +41,11 @@ def make_dataset(angles=(30.0, 60.0), noise=0.0, seed=1):
         {
             "reflectance": (over, exact + groups.sum(axis=0)),
             "reflectance_stderr": (over, np.sqrt((groups**2).sum(axis=0))),
-            "reflectance_groups": (("group", *over), groups),
+            "reflectance_batches": (("batch", *over), groups),
         },
         {AREA: AREAS, "wavelength": WAVELENGTHS},
     )
-    return table.expand_dims(incidence_deg=list(angles)).transpose("group", *dims)
+    return table.expand_dims(incidence_deg=list(angles)).transpose("batch", *dims)
 
 
 def measured(**areas):

@@ -68,7 +68,7 @@ def test_a_table_with_covariance_knows_them_better():
 
     made = splits.build_table(snow, grid, [800.0, 1030.0], max_stderr=0.01, covariance=True)
     with_it = splits.Table(made).derivatives(["radius"], radius=150.0)
-    without = splits.Table(made.drop_vars("reflectance_groups")).derivatives(
+    without = splits.Table(made.drop_vars("reflectance_batches")).derivatives(
         ["radius"], radius=150.0
     )
     np.testing.assert_array_equal(with_it.reflectance_jacobian, without.reflectance_jacobian)

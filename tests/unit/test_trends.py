@@ -105,7 +105,7 @@ def test_the_steepest_band_errs_as_its_ends_do():
         {
             "reflectance": (over, np.full((5, 4), 0.5)),
             "reflectance_stderr": (over, np.full((5, 4), 0.01)),
-            "reflectance_groups": (("grain_size_um", "group", "wavelength"), groups),
+            "reflectance_batches": (("grain_size_um", "batch", "wavelength"), groups),
         },
         {"grain_size_um": np.arange(5.0), "wavelength": [400.0, 600.0, 900.0, 1300.0]},
     )

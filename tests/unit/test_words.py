@@ -25,22 +25,22 @@ WORDS = [
     "Snow(liquid_water_content=0.1)",
     "Snow(saturation=0.1, ground='camborthid')",
     "Snow(grain_size_um=(100, 250))",
-    "Snow(grain_size_um=(1000, 2500), readings='geometric')",
-    "Snow(readings={'facets': 'projected'}, ground='black')",
+    "Snow(grain_size_um=(1000, 2500), interpretation='geometric')",
+    "Snow(interpretation={'facet_sampling': 'projected'}, ground='black')",
     "Snow(refractive_index={'ice': 'warren_brandt_2008_picard_2016'}, ground=0.2)",
     "Snow(specific_surface_area_m2_kg=0.3, facetness=(0, 0, 0, 0))",
     "Snow.natural(specific_surface_area_m2_kg=40, depth_m=1, impurities_ng_g={'dust_sahara': 5})",
     "Snow.natural(optical_radius_um=163.6, saturation=0.1)",
     "Snow.natural(grain_size_um=(100, 200), refractive_index={'ice': '1.31+0j'})",
     "Sand()",
-    "Sand(iron_oxide=0.02, partition=(0, 1, 0), readings={'water': 'film'})",
-    "Sand(readings='geometric')",
+    "Sand(iron_oxide=0.02, partition=(0, 1, 0), interpretation={'water': 'film'})",
+    "Sand(interpretation='geometric')",
     "Layer()",
     "Layer(optical_thickness=inf, bottom_albedo=None, polarized=True)",
     f"Layer(surface={WAVES})",
     f"RoughSurface([{WAVES}, {LIMITED_NORMAL}])",
     "Readings.of('splitsnow_2021')",
-    "Readings.of({'facets': 'projected'})",
+    "Readings.of({'facet_sampling': 'projected'})",
     "SandReadings.of('splits_2007')",
     "Ground.of('quartzipsamment')",
     "Ground.of(0.25)",
@@ -49,8 +49,8 @@ WORDS = [
     "    Snow.natural(specific_surface_area_m2_kg=40, depth_m=0.1),\n"
     "    Snow.natural(optical_radius_um=200, density_kg_m3=350, depth_m=0.3),\n"
     "], ground='camborthid')",
-    "Stack([\n    Snow(depth_m=0.01, readings='geometric'),\n    Layer(bottom_albedo=None),\n"
-    "], readings='geometric')",
+    "Stack([\n    Snow(depth_m=0.01, interpretation='geometric'),\n    Layer(bottom_albedo=None),\n"
+    "], interpretation='geometric')",
 ]
 NAMES = {name: getattr(splits, name) for name in splits.__all__} | {
     "Ground": Ground,
@@ -77,7 +77,7 @@ def test_a_surface_area_outlives_what_is_done_to_snow():
         replace_parameter(snow, "specific_surface_area_m2_kg", 12)
     )
     inside = repr(splits.Stack([splits.Snow(specific_surface_area_m2_kg=9)], readings="geometric"))
-    assert "    Snow(specific_surface_area_m2_kg=9, readings='geometric'),\n" in inside
+    assert "    Snow(specific_surface_area_m2_kg=9, interpretation='geometric'),\n" in inside
 
 
 def test_tables_do_not_fill_the_page():

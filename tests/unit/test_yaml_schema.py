@@ -51,10 +51,11 @@ def test_angles_and_wavelengths_are_decimal(tmp_path):
 
 def test_words_switch_nothing(tmp_path):
     path = tmp_path / "made.yaml"
-    path.write_text("medium: {readings: {boundary_fresnel: no}}\n", "utf-8")
-    assert load_experiment(path).medium["readings"] == {"boundary_fresnel": "no"}
+    path.write_text("medium: {interpretation: {boundary_fresnel: no}}\n", "utf-8")
+    assert load_experiment(path).medium["interpretation"] == {"boundary_fresnel": "no"}
     path.write_text(
-        "medium: {kind: layer, polarized: yes}\ninstrument: {wavelength_nm: [5e2]}\n", "utf-8"
+        "medium: {kind: particle_layer, polarized: yes}\ninstrument: {wavelength_nm: [5e2]}\n",
+        "utf-8",
     )
     with pytest.raises(ConfigError, match=r"medium\.polarized = 'yes': must be true or false"):
         load_experiment(path)

@@ -20,7 +20,7 @@ pytestmark = [
 LONG = """\
 title: Long
 medium: {base: splitsnow_table1, depth_m: 0.02}
-instrument: {kind: goniophotometer, wavelength_nm: [500], estimator: cells, rays: 200000000}
+instrument: {kind: goniophotometer, wavelength_nm: [500], estimator: bins, rays: 200000000}
 """
 SHORT = LONG.replace("200000000", "20000")
 DATA = "results/tiny/data/long.nc"

@@ -50,16 +50,16 @@ grid: {optical_radius_um: [50, 100, 200, 400], impurities_ng_g.black_carbon: [0,
 retrieve:
   measured: snow_albedo_letcher2022.csv
   samples: [albedo_340mm]
-  free: [optical_radius_um, impurities_ng_g.black_carbon, level]
+  free: [optical_radius_um, impurities_ng_g.black_carbon, scale]
   noise: {relative: 0.02}
 """
 INDICES = """
   telling:
     kind: sobol
-    experiments: {my snow: grains}
+    inputs: {my snow: grains}
   choosing:
     kind: bands
-    experiments: {my snow: grains}
+    inputs: {my snow: grains}
     most: 2
 """
 

@@ -27,55 +27,55 @@ pytestmark = pytest.mark.slow
 SNOW = "medium: {base: splitsnow_table1, depth_m: 0.01}\n"
 SAND = "medium: {kind: sand, depth_m: 0.01}\n"
 PACK = (
-    "medium: {kind: stack, ground: 0.3, readings: splits_2007, layers:"
+    "medium: {kind: stack, ground: 0.3, interpretation: splits_2007, layers:"
     " [{base: splitsnow_table1, depth_m: 0.005},"
     " {kind: sand, depth_m: 0.004}]}\n"
 )
-LAYER = "medium: {kind: layer, optical_thickness: 2}\n"
-A_LAYER = "medium: {kind: layer}\n"
+LAYER = "medium: {kind: particle_layer, optical_thickness: 2}\n"
+A_LAYER = "medium: {kind: particle_layer}\n"
 WAVES = (
-    "medium: {kind: layer, optical_thickness: 2, depth_m: 10, surface: {rms_height_m: 0.1,"
+    "medium: {kind: particle_layer, optical_thickness: 2, depth_m: 10, surface: {rms_height_m: 0.1,"
     " wave_number_per_m: 1, waves: 8, correlation: gaussian}}\n"
 )
 DAYLIGHT = "instrument: {wavelength_nm: {start: 400, stop: 780, step: 10}}\n"
 TWO = "grid: {saturation: {start: 0, stop: 0.1, step: 0.1}}\n"
-AT = "figure: {at: {saturation: 0.1}}\n"
+AT = "figure: {select: {saturation: 0.1}}\n"
 NAMED = "grid: {saturation: {dry: 0, damp: 0.1}}\n"
 CASES = {
     "trip_snow_spectra": SNOW + "instrument: {wavelength_nm: [500, 1030, 1500]}\n"
     "grid: {saturation: {'0.1': 1.0, '1': 0.1}, incidence_deg: {beam: 60, sky: diffuse}}\n"
-    "figure: {kind: spectra, at: {saturation: '0.1'}, quantity: [reflectance, absorptance]}\n",
+    "figure: {kind: spectra, select: {saturation: '0.1'}, quantity: [reflectance, absorptance]}\n",
     "trip_snow_points": SNOW + "instrument: {wavelength_nm: [500], estimator: analog}\n" + NAMED
     + "figure: {kind: points, quantity: [transmittance, mean_grain_distance]}\n",
     "trip_snow_swatches": SNOW + DAYLIGHT + NAMED + "figure: {kind: swatches}\n",
     "trip_snow_indices": SNOW + "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
     "grid: {saturation: [0.2]}\n",
     "trip_snow_plane": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600, 1300]}\n"
-    + TWO + "figure: {at: {saturation: 0}, quantity: [brdf, btdf]}\n",
+    + TWO + "figure: {select: {saturation: 0}, quantity: [brdf, btdf]}\n",
     "trip_snow_lobes": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {saturation: [0, 0.1], incidence_deg: [0, 60]}\n"
-    "figure: {kind: lobes, at: {incidence_deg: 60}}\n",
+    "figure: {kind: lobes, select: {incidence_deg: 60}}\n",
     "trip_snow_cells": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600],"
-    " estimator: cells, cells: [9, 18], rays: 20000}\n" + NAMED
-    + "figure: {kind: cells, at: {saturation: damp}}\n",
-    "trip_snow_spread": SNOW + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
+    " estimator: bins, n_bins: [9, 18], rays: 20000}\n" + NAMED
+    + "figure: {kind: bins, select: {saturation: damp}}\n",
+    "trip_snow_spread": SNOW + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\n" + TWO + AT,
     "trip_snow_ground": SNOW + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {ground: {open: open, black: black, soil: camborthid, white: 1}}\n"
-    "figure: {at: {ground: soil}, quantity: [reflectance, transmittance]}\n",
+    "figure: {select: {ground: soil}, quantity: [reflectance, transmittance]}\n",
     "trip_snow_table": "medium: {kind: natural_snow}\n"
     "instrument: {kind: table, wavelength_nm: [500, 1030], covariance: keep,"
     " quantities: [reflectance, transmittance]}\n"
     "grid: {optical_radius_um: {geomspace: [50, 400, 3]}, ground: [0.2, 0.8],"
     " impurities_ng_g.black_carbon: [0, 100]}\n"
-    "figure: {at: {ground: 0.2}, quantity: [reflectance, transmittance]}\n",
+    "figure: {select: {ground: 0.2}, quantity: [reflectance, transmittance]}\n",
     "trip_ground_plane": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {ground: [0.2, 0.8]}\n",
-    "trip_ground_spread": SNOW + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
-    " half_width_m: 0.01}\ngrid: {ground: [0.5]}\nfigure: {at: {ground: 0.5}}\n",
+    "trip_ground_spread": SNOW + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
+    " half_width_m: 0.01}\ngrid: {ground: [0.5]}\nfigure: {select: {ground: 0.5}}\n",
     "trip_stack_spectra": PACK + "instrument: {wavelength_nm: [500, 1030]}\n"
     "grid: {layers.0.depth_m: [0.002, 0.004], layers.1.saturation: {dry: 0, wet: 0.1}}\n"
-    "figure: {at: {layers.1.saturation: wet}}\n",
+    "figure: {select: {layers.1.saturation: wet}}\n",
     "trip_stack_points": PACK.replace(" ground: 0.3,", "")
     + "instrument: {wavelength_nm: [500], incidence_deg: diffuse}\n"
     "grid: {ground: [0.2, 0.8]}\nfigure: {kind: points}\n",
@@ -83,47 +83,47 @@ CASES = {
     "grid: {layers.0.depth_m: [0.002, 0.004]}\n",
     "trip_stack_lobes": PACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {medium: {pale: {ground: 1}, dark: {ground: 0.1}}}\nfigure: {kind: lobes}\n",
-    "trip_stack_spread": PACK + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
+    "trip_stack_spread": PACK + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\n",
-    "trip_stack_lid": "medium: {kind: stack, layers: [{kind: layer, optical_thickness: 1,"
+    "trip_stack_lid": "medium: {kind: stack, layers: [{kind: particle_layer, optical_thickness: 1,"
     " refractive_index: 1.31, depth_m: 0.01}, {base: splitsnow_table1, depth_m: 0.005}]}\n"
     "instrument: {wavelength_nm: [500, 1030]}\ngrid: {layers.0.optical_thickness: [0.5, 2]}\n",
     "trip_sand_spectra": SAND + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {medium: {pale: {iron_oxide: 0.001}, red: {hematite_ratio: 1}}}\n"
-    "figure: {at: {medium: red}}\n",
+    "figure: {select: {medium: red}}\n",
     "trip_sand_swatches": SAND + DAYLIGHT + "grid: {iron_oxide: [0.001, 0.02]}\n"
     "figure: {kind: swatches}\n",
     "trip_sand_fit": "medium: {kind: sand}\ninstrument: {incidence_deg: 8}\n"
     "grid: {porosity: {loose: 0.5}}\n"
     "fit: {measured: sand_reflectance_jhu.csv, samples: [quartzipsamment_87P706]}\n"
-    "figure: {kind: fit, at: {porosity: loose}}\n",
+    "figure: {kind: fit, select: {porosity: loose}}\n",
     "trip_sand_plane": SAND + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     + TWO + AT,
-    "trip_sand_spread": SAND + "instrument: {kind: bssrdf, wavelength_nm: [600], rays: 5000,"
+    "trip_sand_spread": SAND + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\n" + TWO + AT,
     "trip_layer_spectra": LAYER + "instrument: {wavelength_nm: [500, 550]}\n"
     "grid: {polarized: [true, false], bottom_albedo: [0.5, null]}\n"
-    "figure: {kind: spectra, at: {polarized: true}}\n",
+    "figure: {kind: spectra, select: {polarized: true}}\n",
     "trip_layer_points": LAYER + "instrument: {wavelength_nm: [550]}\n"
     "grid: {asymmetry: {start: 0, stop: 0.8, step: 0.4}}\nfigure: {kind: points}\n",
     "trip_layer_local": A_LAYER + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
-    " estimator: local, azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
-    "grid: {optical_thickness: [1, 2]}\nfigure: {at: {optical_thickness: 2}}\n",
-    "trip_layer_polarization": "medium: {kind: layer, polarized: true, phase_function: rayleigh}\n"
-    "instrument: {kind: goniophotometer, wavelength_nm: [550], estimator: local,"
+    " estimator: next_event, azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
+    "grid: {optical_thickness: [1, 2]}\nfigure: {select: {optical_thickness: 2}}\n",
+    "trip_layer_polarization": "medium: {kind: particle_layer, polarized: true, phase_function: rayleigh}\n"
+    "instrument: {kind: goniophotometer, wavelength_nm: [550], estimator: next_event,"
     " azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
     "grid: {optical_thickness: [1, 2]}\nfigure: {kind: polarization}\n",
-    "trip_layer_spread": A_LAYER + "instrument: {kind: bssrdf, wavelength_nm: [550], rays: 5000,"
+    "trip_layer_spread": A_LAYER + "instrument: {kind: beam_spread, wavelength_nm: [550], rays: 5000,"
     " half_width_m: 1}\ngrid: {optical_thickness: [1, 2]}\n"
-    "figure: {at: {optical_thickness: 2}}\n",
+    "figure: {select: {optical_thickness: 2}}\n",
     "trip_waves_plane": WAVES + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
-    " estimator: cells, cells: [9, 18], rays: 5000}\n"
+    " estimator: bins, n_bins: [9, 18], rays: 5000}\n"
     "grid: {refractive_index: [1.3, 1.5]}\nfigure: {kind: principal_plane}\n",
-    "trip_waves_surface": WAVES + "instrument: {kind: surface, half_width_m: 1}\n"
-    "grid: {refractive_index: [1.3, 1.5]}\nfigure: {at: {refractive_index: 1.5}}\n",
+    "trip_waves_surface": WAVES + "instrument: {kind: surface_map, half_width_m: 1}\n"
+    "grid: {refractive_index: [1.3, 1.5]}\nfigure: {select: {refractive_index: 1.5}}\n",
     "trip_waves_lens": WAVES + "instrument: {kind: lens, radius_m: 0.1, screen_depth_m: [1, 2],"
     " half_width_m: 1}\n"
-    "grid: {refractive_index: {ice: 1.3, glass: 1.5}}\nfigure: {at: {refractive_index: glass}}\n",
+    "grid: {refractive_index: {ice: 1.3, glass: 1.5}}\nfigure: {select: {refractive_index: glass}}\n",
 }  # fmt: skip
 
 

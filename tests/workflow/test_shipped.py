@@ -53,7 +53,7 @@ def test_everything_can_be_planned(shipped):
         assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)
     for rule in (
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
-        "layer_trends", "surface_area", "readings_together", "which_wavelength_tells_what",
+        "layer_trends", "surface_area", "interpretation_ranking", "sobol_indices_by_wavelength",
     ):  # fmt: skip
         assert re.search(rf"^{rule} +1$", run.text, re.MULTILINE)
     assert not (shipped.folder / "results" / "data").exists()

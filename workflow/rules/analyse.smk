@@ -32,7 +32,7 @@ for NAME in of_kind("agreement"):
             NAME
         input:
             **study_files(NAME),
-            data=data(STUDIES[NAME].experiments.values()),
+            data=data(STUDIES[NAME].inputs.values()),
             sensitivity=study_output(STUDIES[NAME].sensitivity)["data"],
         output:
             **study_output(NAME),
@@ -44,7 +44,7 @@ for NAME in of_kind("agreement"):
             "../../environment.yml"
         threads: 1
         params:
-            roles=list(STUDIES[NAME].experiments),
+            roles=list(STUDIES[NAME].inputs),
         message:
             "Holding results against published and measured numbers"
         script:
@@ -57,7 +57,7 @@ for NAME in of_kind("sand_tables"):
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].experiments.values()),
+            data=data(STUDIES[NAME].inputs.values()),
         output:
             **study_output(NAME),
         log:
@@ -68,7 +68,7 @@ for NAME in of_kind("sand_tables"):
             "../../environment.yml"
         threads: 1
         params:
-            roles=list(STUDIES[NAME].experiments),
+            roles=list(STUDIES[NAME].inputs),
         message:
             "Holding sand against the trends of SPLITS"
         script:
@@ -81,7 +81,7 @@ for NAME in of_kind("angular_trends"):
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].experiments.values()),
+            data=data(STUDIES[NAME].inputs.values()),
         output:
             **study_output(NAME),
         log:
@@ -92,7 +92,7 @@ for NAME in of_kind("angular_trends"):
             "../../environment.yml"
         threads: 1
         params:
-            roles=list(STUDIES[NAME].experiments),
+            roles=list(STUDIES[NAME].inputs),
         message:
             "Holding BRDFs against the trends of the papers"
         script:
@@ -105,7 +105,7 @@ for NAME in of_kind("layer_trends"):
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].experiments.values()),
+            data=data(STUDIES[NAME].inputs.values()),
         output:
             **study_output(NAME),
         log:
@@ -116,14 +116,14 @@ for NAME in of_kind("layer_trends"):
             "../../environment.yml"
         threads: 1
         params:
-            roles=list(STUDIES[NAME].experiments),
+            roles=list(STUDIES[NAME].inputs),
         message:
             "Holding rough layers against what their paper says"
         script:
             "../scripts/layer_trends.py"
 
 
-for NAME in of_kind("readings"):
+for NAME in of_kind("interpretation"):
 
     rule:
         name:
@@ -141,14 +141,14 @@ for NAME in of_kind("readings"):
         threads: lambda wildcards: all_cores()
         params:
             physics=physics_digest(),
-            readings=STUDIES[NAME].readings,
-            text=STUDIES[NAME].text,
+            interpretation=STUDIES[NAME].interpretation,
+            stated=STUDIES[NAME].stated,
             seed=SETTINGS.seed,
-            error_factor=SETTINGS.accuracies[SETTINGS.accuracy].max_stderr / 0.002,
+            stderr_scale=SETTINGS.accuracies[SETTINGS.accuracy].max_stderr / 0.002,
         message:
             "Holding combinations of readings against the paper"
         script:
-            "../scripts/readings.py"
+            "../scripts/interpretation.py"
 
 
 for NAME in of_kind("surface_area"):
@@ -158,7 +158,7 @@ for NAME in of_kind("surface_area"):
             NAME
         input:
             **study_files(NAME),
-            data=data(STUDIES[NAME].experiments.values()),
+            data=data(STUDIES[NAME].inputs.values()),
         output:
             **study_output(NAME),
         log:
@@ -169,7 +169,7 @@ for NAME in of_kind("surface_area"):
             "../../environment.yml"
         threads: 1
         params:
-            roles=list(STUDIES[NAME].experiments),
+            roles=list(STUDIES[NAME].inputs),
         message:
             "Finding the surface area of measured snow"
         script:
@@ -183,7 +183,7 @@ for NAME in of_kind("anisotropy"):
             NAME
         input:
             **study_files(NAME),
-            data=data(STUDIES[NAME].experiments.values()),
+            data=data(STUDIES[NAME].inputs.values()),
         output:
             **study_output(NAME),
         log:
@@ -205,7 +205,7 @@ for NAME in of_kind("sobol"):
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].experiments.values()),
+            data=data(STUDIES[NAME].inputs.values()),
         output:
             **study_output(NAME),
         log:
@@ -216,7 +216,7 @@ for NAME in of_kind("sobol"):
             "../../environment.yml"
         threads: 1
         params:
-            names=list(STUDIES[NAME].experiments),
+            names=list(STUDIES[NAME].inputs),
             seed=SETTINGS.seed,
             program=files_digest(PACKAGE, RETRIEVING),
         message:
@@ -231,7 +231,7 @@ for NAME in of_kind("bands"):
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].experiments.values()),
+            data=data(STUDIES[NAME].inputs.values()),
         output:
             **study_output(NAME),
         log:
@@ -242,11 +242,11 @@ for NAME in of_kind("bands"):
             "../../environment.yml"
         threads: 1
         params:
-            names=list(STUDIES[NAME].experiments),
+            names=list(STUDIES[NAME].inputs),
             bands=STUDIES[NAME].bands,
             noise=STUDIES[NAME].noise,
-            most=STUDIES[NAME].most,
-            at=escape_param(STUDIES[NAME].at),
+            n_bands=STUDIES[NAME].n_bands,
+            fixed=escape_param(STUDIES[NAME].fixed),
             seed=SETTINGS.seed,
             program=files_digest(PACKAGE, RETRIEVING),
         message:

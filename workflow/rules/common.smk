@@ -48,11 +48,11 @@ REPORTS = {
         "weights": ("sand_weights", "Sand"),
         "colours": ("sand_colours", "Sand"),
     },
-    "readings": {
-        "table": ("readings_together", "Agreement"),
-        "statements": ("readings_statements", "Agreement"),
-        "without": ("readings_without", "Agreement"),
-        "figure": ("readings_together", "Agreement"),
+    "interpretation": {
+        "table": ("interpretation_ranking", "Agreement"),
+        "statements": ("interpretation_statements", "Agreement"),
+        "without": ("interpretation_without", "Agreement"),
+        "figure": ("interpretation_ranking", "Agreement"),
     },
     "sobol": {
         "table": ("sobol", "Sensitivity"),

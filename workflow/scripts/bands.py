@@ -11,14 +11,14 @@ from splits.plotting.sensitivity import draw_band_selection
 from splits.plotting.style import save_figure
 from splits.tables.axes import list_numeric_axes
 
-found, given = {}, json.loads(snakemake.params.at)
+found, given = {}, json.loads(snakemake.params.fixed)
 for name, path in zip(snakemake.params.names, snakemake.input.data, strict=True):
     table = splits.open_table(path)
     at = {n: value for n, value in given.items() if n in table.axes}
     free = [n for n in list_numeric_axes(table.dataset, table.axes[:-1]) if n not in at]
     bands = snakemake.params.bands or table.dataset.wavelength.values
     found[name.replace("_", " ")] = splits.select_bands(
-        table, bands, free, snakemake.params.noise, snakemake.params.most, at=at,
+        table, bands, free, snakemake.params.noise, snakemake.params.n_bands, fixed=at,
         seed=snakemake.params.seed,
     )  # fmt: skip
 lines = [one.to_dataframe().reset_index().assign(table=name) for name, one in found.items()]

@@ -20,7 +20,7 @@ with open_progress_log(snakemake.log[0]) as say:
         snakemake.params.seed,
         say,
     )
-    write_table(make_retrieval_table(found, section.known), snakemake.output.table)
+    write_table(make_retrieval_table(found, section.reference_values), snakemake.output.table)
     joined = combine_samples(found, snakemake.wildcards.experiment)
-    figure = draw_retrievals(joined, section.known, section.list_sample_prefixes())
+    figure = draw_retrievals(joined, section.reference_values, section.list_sample_prefixes())
     save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))

@@ -11,7 +11,7 @@ roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}
 weights = [
     make_shift_table(datasets["mineral_weight"], "refractive_index", "as modelled"),
-    make_shift_table(datasets["readings"], "readings", "default"),
+    make_shift_table(datasets["interpretation"], "interpretation", "default"),
     make_shift_table(datasets["size_tail"], "size_tail", 1e-4),
 ]
 swatches = [

@@ -60,7 +60,7 @@ def correct_dense_packing(optics: xr.Dataset) -> xr.Dataset:
         variables |= make_variable(name, "wavelength", value * thinner, value * error, label, units)
         variables[name + BOUND_SUFFIX] = ("wavelength", value * bound)
         if apart is not None:
-            variables[name + JACKKNIFE_SUFFIX] = (("part", "wavelength"), value * apart)
+            variables[name + JACKKNIFE_SUFFIX] = (("batch", "wavelength"), value * apart)
     return optics.assign(variables)
 
 

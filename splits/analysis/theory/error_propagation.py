@@ -9,7 +9,7 @@ import xarray as xr
 
 from splits.core.uncertainty import compute_jackknife_stderr
 
-JACKKNIFE_SUFFIX, BOUND_SUFFIX = "_left_out", "_missed"
+JACKKNIFE_SUFFIX, BOUND_SUFFIX = "_jackknife", "_interpolation_bound"
 """How names end of what `splits.instruments.single_scattering` tells of errors."""
 
 TheoryFunction = Callable[[xr.Dataset], np.ndarray]
@@ -28,7 +28,7 @@ def propagate_errors(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray:
     theory : callable
         From a dataset like `optics` to float[…, wavelengths].
     optics : xarray.Dataset
-        From `splits.instruments.single_scattering`; without ``…_left_out`` and ``…_missed``, it is
+        From `splits.instruments.single_scattering`; without ``…_jackknife`` and ``…_interpolation_bound``, it is
         taken for exact.
 
     References
@@ -75,8 +75,8 @@ def _iterate_components(bound: xr.DataArray) -> Iterator[xr.DataArray]:
 def _iterate_jackknife_optics(optics: xr.Dataset) -> Iterator[xr.Dataset]:
     """Yield the optics as they are without one part of the rays after the other."""
     names = _list_names_with_suffix(optics, JACKKNIFE_SUFFIX)
-    for part in range(optics.sizes["part"] if names else 0):
-        yield optics.assign({n: optics[n + JACKKNIFE_SUFFIX].isel(part=part) for n in names})
+    for part in range(optics.sizes["batch"] if names else 0):
+        yield optics.assign({n: optics[n + JACKKNIFE_SUFFIX].isel(batch=part) for n in names})
 
 
 def _list_names_with_suffix(optics: xr.Dataset, suffix: str) -> list[str]:

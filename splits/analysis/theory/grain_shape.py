@@ -90,7 +90,7 @@ def compute_optical_shape(
 
     names = ("single_scattering_albedo", "asymmetry_parameter")
     values = shape(*(found[name].values[0] for name in names))
-    left_out = shape(*(found[f"{name}_left_out"].values[:, 0] for name in names))
+    left_out = shape(*(found[f"{name}_jackknife"].values[:, 0] for name in names))
     errors = compute_jackknife_stderr(left_out.T)
     return OpticalShape(
         *(EstimatedValue(float(v), float(e)) for v, e in zip(values, errors, strict=True))

@@ -54,7 +54,9 @@ def make_law_table(
     size = next((a for a in axes if a in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)), None)
     if size is None:
         raise invalid(
-            "retrieve.beside", law, f"with {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid"
+            "retrieve.compare_with",
+            law,
+            f"with {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid",
         )
     kept = [
         a
@@ -63,7 +65,9 @@ def make_law_table(
     ]
     for name in [a for a in axes if a not in (*kept, model_axis)]:
         if given[name].dtype.kind != "f" or float(given[name].values.min()) != 0.0:
-            raise invalid("retrieve.beside", law, f"left out where {name} is on the grid without 0")
+            raise invalid(
+                "retrieve.compare_with", law, f"left out where {name} is on the grid without 0"
+            )
     w = given.wavelength.values
     ice, absorbed = snowoptics.refice(1e-9 * w, "p2016")
     shape = [given.sizes[a] for a in kept]
@@ -92,7 +96,7 @@ def make_law_table(
         xr.Dataset(
             {"reflectance": (dims, values, about), "reflectance_stderr": (dims, stderr, about)},
             coordinates,
-            {"title": law, "axes_that_share_paths": "none"},
+            {"title": law, "path_sharing_axes": "none"},
         )
     )
 

@@ -77,9 +77,9 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
         return found
 
     moment = mixed(optics[ALBEDO].values, optics[MOMENT].values)
-    left = mixed(optics[f"{ALBEDO}_left_out"].values, optics[f"{MOMENT}_left_out"].values)
+    left = mixed(optics[f"{ALBEDO}_jackknife"].values, optics[f"{MOMENT}_jackknife"].values)
     share = (scattered / (scattered + grains))[:, np.newaxis]
-    missed = share * optics[f"{MOMENT}_missed"].values
+    missed = share * optics[f"{MOMENT}_interpolation_bound"].values
     whole_extinction = extinction + grains
     thinned = extinction / whole_extinction
     found: dict[str, Any] = {}
@@ -97,8 +97,12 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
         ASYMMETRY, "wavelength", moment[:, 1], error[:, 1], "asymmetry parameter"
     )
     found |= make_variable(MOMENT, dims, moment, error, "Legendre moment of the phase function")
-    found[f"{MOMENT}_left_out"] = (("part", *dims), left, optics[f"{MOMENT}_left_out"].attrs)
-    found[f"{MOMENT}_missed"] = (dims, missed, optics[f"{MOMENT}_missed"].attrs)
+    found[f"{MOMENT}_jackknife"] = (("batch", *dims), left, optics[f"{MOMENT}_jackknife"].attrs)
+    found[f"{MOMENT}_interpolation_bound"] = (
+        dims,
+        missed,
+        optics[f"{MOMENT}_interpolation_bound"].attrs,
+    )
     facts = {**optics.attrs, "diffraction": f"Fraunhofer, radius {radius_um:g} um"}
     return xr.Dataset(found, optics.coords, to_netcdf_attributes(facts))
 
@@ -144,8 +148,8 @@ def phase_function(optics: xr.Dataset, angle_deg: Any = DEFAULT_ANGLES_DEG) -> x
     angles = check_array_range("angle_deg", as_1d_array("angle_deg", angle_deg), 0.0, 180.0)
     terms = _make_legendre_terms(np.cos(np.radians(angles)), int(optics.order[-1]))
     value = optics[MOMENT].values @ terms
-    noise = compute_jackknife_stderr(optics[f"{MOMENT}_left_out"].values @ terms)
-    missed = optics[f"{MOMENT}_missed"].values @ np.abs(terms)
+    noise = compute_jackknife_stderr(optics[f"{MOMENT}_jackknife"].values @ terms)
+    missed = optics[f"{MOMENT}_interpolation_bound"].values @ np.abs(terms)
     variables = make_variable(
         "phase_function", ("wavelength", "angle"), np.maximum(value, 0.0),
         np.hypot(noise, missed), "phase function", "sr-1",
@@ -320,7 +324,7 @@ def write_libradtran(optics: xr.Dataset, path: str | Path) -> None:
 def _check_moments(optics: xr.Dataset) -> xr.Dataset:
     """Return what `splits.single_scattering` returned, moments ascending and last, or refuse it."""
     attrs = optics.attrs if isinstance(optics, xr.Dataset) else {"title": type(optics).__name__}
-    if "diffraction" not in attrs or f"{MOMENT}_left_out" not in optics:
+    if "diffraction" not in attrs or f"{MOMENT}_jackknife" not in optics:
         given = attrs.get("title", "a dataset")
         raise invalid("optics", given, "what splits.single_scattering returns")
     check_no_gaps("optics", optics)

@@ -36,7 +36,7 @@ from splits.plotting.panels import (
 from splits.simulation.scene import get_reflecting_ground
 
 RESERVED_NAMES = (
-    "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "documented", "figure",
+    "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "update_docs", "figure",
     "figure_speed_against_error", "fitted_parameters", "retrieve", "simulate",
     "speed_against_error", "table", "table_part",
 )  # fmt: skip
@@ -80,10 +80,10 @@ class ExperimentConfig(SimulationConfig):
         if self.figure.kind == "fit" and not self.fit:
             raise invalid("figure.kind", "fit", "another one for an experiment without section fit")
         self._check_figure()
-        for dimension, given in self.figure.at.items():
+        for dimension, given in self.figure.select.items():
             if not self.grid:
-                raise invalid("figure.at", dimension, "left out where there is no grid")
-            check_choice("figure.at", dimension, self.grid)
+                raise invalid("figure.select", dimension, "left out where there is no grid")
+            check_choice("figure.select", dimension, self.grid)
             find_label(dimension, self.grid[dimension], given)
         self._check_unused_figure_settings()
         self._check_single_point()
@@ -117,14 +117,14 @@ class ExperimentConfig(SimulationConfig):
                 "instrument.azimuth_deg", turned, "with 0 and 180",
                 "figures show the principal plane",
             )  # fmt: skip
-        if drawn and instrument.cells is not None and instrument.cells[1] % 2:
+        if drawn and instrument.n_bins is not None and instrument.n_bins[1] % 2:
             raise invalid(
-                "instrument.cells", instrument.cells, "an even number around",
+                "instrument.n_bins", instrument.n_bins, "an even number around",
                 "figures show the principal plane",
             )  # fmt: skip
-        if self.figure.kind == "cells" and instrument.estimator != "cells":
+        if self.figure.kind == "bins" and instrument.estimator != "bins":
             raise invalid(
-                "instrument.estimator", instrument.estimator, "cells for figure.kind = cells"
+                "instrument.estimator", instrument.estimator, "bins for figure.kind = bins"
             )
 
     def _check_unused_figure_settings(self) -> None:
@@ -135,7 +135,7 @@ class ExperimentConfig(SimulationConfig):
                 allowed = f"left out for a figure of kind {kind}"
                 hint = f"it belongs to {' and '.join(kinds)}"
                 raise invalid(f"figure.{key}", getattr(figure, key), allowed, hint)
-        free = [values for name, values in self.grid.items() if name not in figure.at]
+        free = [values for name, values in self.grid.items() if name not in figure.select]
         lines = [values for values in free if len(values) > 1]
         against = len(lines) == 1 and DEFAULT_LABEL in lines[0] and len(lines[0]) <= MAX_PANELS
         bare = not free or against
@@ -155,8 +155,8 @@ class ExperimentConfig(SimulationConfig):
         azimuth = np.asarray(instrument.azimuth_deg or AZIMUTH_DEG)
         key = "azimuth_deg" if instrument.azimuth_deg is not None else "polar_deg"
         given: Any = getattr(instrument, key)
-        if instrument.cells is not None:
-            key, given = "cells", instrument.cells
+        if instrument.n_bins is not None:
+            key, given = "n_bins", instrument.n_bins
             rows, columns = given
             polar = np.linspace(0.0, 90.0, rows)
             azimuth = np.linspace(0.0, 360.0, columns, endpoint=False)
@@ -169,11 +169,11 @@ class ExperimentConfig(SimulationConfig):
 
     def _check_single_point(self) -> None:
         """Refuse figures of one point of a grid that do not say which."""
-        free = [parameter for parameter in self.grid if parameter not in self.figure.at]
+        free = [parameter for parameter in self.grid if parameter not in self.figure.select]
         kind = self.figure.kind or FIGURE_KINDS[self.instrument.kind][0]
         if kind in SINGLE_POINT_KINDS and len(free) > (kind == "lobes"):
             raise invalid(
-                "figure.at", self.figure.at, f"with a value of {', '.join(free)} for a figure of "
+                "figure.select", self.figure.select, f"with a value of {', '.join(free)} for a figure of "
                 f"kind {kind}", "it shows one point of the grid; the dataset holds all",
             )  # fmt: skip
 
@@ -187,7 +187,7 @@ class ExperimentConfig(SimulationConfig):
                 "instrument.wavelength_nm", [float(x[0]), float(x[-1])],
                 "400 to 780 nm in steps of at most 10 nm for figure.kind = 'swatches'",
             )  # fmt: skip
-        if not 1 <= len(self.grid) - len(self.figure.at) <= 2:
+        if not 1 <= len(self.grid) - len(self.figure.select) <= 2:
             raise invalid(
                 "grid", list(self.grid), "one or two parameters for figure.kind = 'swatches'"
             )
@@ -195,7 +195,7 @@ class ExperimentConfig(SimulationConfig):
     def _check_quantity(self, medium: Medium) -> None:
         """Refuse a figure of what a medium does not have."""
         without = isinstance(medium, ParticleMedium | LayeredMedium)
-        heard = self.instrument.estimator == "local" and "btdf" in self.figure.quantity
+        heard = self.instrument.estimator == "next_event" and "btdf" in self.figure.quantity
         if heard and getattr(medium, "bottom_albedo", None) is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a bottom with local estimation")
         if "btdf" in self.figure.quantity and get_reflecting_ground(medium) is not None:
@@ -203,10 +203,10 @@ class ExperimentConfig(SimulationConfig):
         if self.figure.kind == "polarization":
             if not (isinstance(medium, ParticleMedium) and medium.polarized):
                 raise invalid("medium.polarized", False, "true for figure.kind = 'polarization'")
-            if self.instrument.estimator not in ("local", "cells"):
+            if self.instrument.estimator not in ("next_event", "bins"):
                 raise invalid(
                     "instrument.estimator", self.instrument.estimator,
-                    "local or cells for figure.kind = 'polarization'",
+                    "next_event or bins for figure.kind = 'polarization'",
                 )  # fmt: skip
         if without and "mean_grain_distance" in self.figure.quantity:
             why = "left out: layers have no grains, stacks not one distance"
@@ -221,9 +221,9 @@ class ExperimentConfig(SimulationConfig):
         if usual == "spectra" and self.grid and self.instrument.get_wavelengths().size == 1:
             usual = "points"
         at = {}
-        for dimension, given in self.figure.at.items():
+        for dimension, given in self.figure.select.items():
             values = self.grid[dimension]
             place = list(values).index(find_label(dimension, values, given))
             at[dimension] = to_coordinate_values(values)[place].item()
         drawing = self.figure.model_dump(mode="json")
-        return {**drawing, "kind": self.figure.kind or usual, "at": at}
+        return {**drawing, "kind": self.figure.kind or usual, "select": at}

@@ -27,7 +27,7 @@ def check_figure_size(experiment: ExperimentConfig) -> None:
     """
     figure = experiment.figure
     drawing = experiment.resolve_figure()
-    kind, at = drawing["kind"], figure.at
+    kind, at = drawing["kind"], figure.select
     if kind == "none":
         return
     sizes = {name: len(values) for name, values in experiment.grid.items() if name not in at}
@@ -40,7 +40,7 @@ def check_figure_size(experiment: ExperimentConfig) -> None:
         if choose_panel_parameters(sizes, len(figure.quantity), at) and figure.measured:
             allowed = f"left out for a figure of more than {MAX_LINES} lines"
             raise invalid(
-                "figure.measured", figure.measured, allowed, "or hold more with figure.at"
+                "figure.measured", figure.measured, allowed, "or hold more with figure.select"
             )
     elif kind == "points":
         check_count("points", points, MAX_ROWS, at)

@@ -213,7 +213,7 @@ def find_label(parameter: str, values: Mapping[str, Any], given: float | str) ->
         return shown
     names = ", ".join(format_key(label) for label in list(values)[:12])
     more = f", … ({len(values)} in all)" if len(values) > 12 else ""
-    raise invalid(f"figure.at.{format_key(parameter)}", given, f"one of {names}{more}")
+    raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{more}")
 
 
 def _is_same_value(value: Any, given: float | str) -> bool:

@@ -35,34 +35,34 @@ from splits.simulation.arguments import (
 
 ESTIMATORS = {
     "spectrophotometer": ("spectral", "analog"),
-    "goniophotometer": ("expansion", "cells", "local"),
+    "goniophotometer": ("expansion", "bins", "next_event"),
 }
 INSTRUMENTS_OF_SETTING = {
-    "rays": ("goniophotometer", "bssrdf", "lens"),
+    "rays": ("goniophotometer", "beam_spread", "lens"),
     "target": ("goniophotometer",),
     "polar_deg": ("goniophotometer",),
     "azimuth_deg": ("goniophotometer",),
-    "cells": ("goniophotometer",),
-    "half_width_m": ("bssrdf", "surface", "lens"),
+    "n_bins": ("goniophotometer",),
+    "half_width_m": ("beam_spread", "surface_map", "lens"),
     "radius_m": ("lens",),
     "screen_depth_m": ("lens",),
-    "over": ("lens",),
-    "realisations": ("lens", "surface"),
+    "centre_on": ("lens",),
+    "realisations": ("lens", "surface_map"),
     "quantities": ("table",),
     "covariance": ("table",),
     "blocks": ("table",),
 }
 """Settings that only some instruments know."""
 UNUSED_SETTINGS = {
-    "surface": ("wavelength_nm", "incidence_deg", "error_factor"),
-    "lens": ("wavelength_nm", "incidence_deg", "error_factor"),
-    "refractive_index": ("incidence_deg", "error_factor", "seed"),
+    "surface_map": ("wavelength_nm", "incidence_deg", "stderr_scale"),
+    "lens": ("wavelength_nm", "incidence_deg", "stderr_scale"),
+    "refractive_index": ("incidence_deg", "stderr_scale", "seed"),
 }
 """Settings that all others know, but not these instruments."""
 USE_GRID_HINT = "several values go under grid"
-SURFACE_INSTRUMENTS = ("surface", "lens")
+SURFACE_INSTRUMENTS = ("surface_map", "lens")
 """Instruments that look at a rough surface alone."""
-REQUIRED_SETTINGS = {"surface": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
+REQUIRED_SETTINGS = {"surface_map": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
 """Settings that an instrument cannot do without."""
 
 
@@ -88,25 +88,25 @@ class InstrumentSection(ConfigSection):
     model_config = ConfigDict(allow_inf_nan=False)
 
     kind: Literal[
-        "spectrophotometer", "goniophotometer", "bssrdf", "refractive_index", "surface", "lens",
+        "spectrophotometer", "goniophotometer", "beam_spread", "refractive_index", "surface_map", "lens",
         "table",
     ] = "spectrophotometer"  # fmt: skip
     wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
         start=400, stop=2500, step=10
     )
     incidence_deg: float | str = 0.0
-    estimator: Literal["spectral", "analog", "expansion", "cells", "local"] | None = None
-    error_factor: float = 1.0
+    estimator: Literal["spectral", "analog", "expansion", "bins", "next_event"] | None = None
+    stderr_scale: float = 1.0
     seed: int | None = Field(default=None, ge=0)
     rays: int | None = Field(default=None, ge=1)
     target: Literal["brdf", "btdf"] | None = None
     polar_deg: tuple[float, ...] | None = None
     azimuth_deg: tuple[float, ...] | None = None
-    cells: tuple[int, int] | None = None
+    n_bins: tuple[int, int] | None = None
     half_width_m: float | None = Field(default=None, gt=0)
     radius_m: float | None = Field(default=None, gt=0)
     screen_depth_m: tuple[float, ...] | None = None
-    over: Literal["crest", "trough", "origin"] | None = None
+    centre_on: Literal["crest", "trough", "origin"] | None = None
     realisations: int | None = Field(default=None, ge=1)
     quantities: tuple[Literal["reflectance", "transmittance"], ...] | None = None
     covariance: Literal["keep", "leave_out"] | None = None
@@ -120,10 +120,10 @@ class InstrumentSection(ConfigSection):
                 raise invalid("incidence_deg", value, "one angle or diffuse", USE_GRID_HINT)
             return check_incidence(value)
 
-    @field_validator("error_factor")
+    @field_validator("stderr_scale")
     @classmethod
     def _check_error_factor(cls, value: float) -> float:
-        return check_range("instrument.error_factor", value, 0.01, 100.0)
+        return check_range("instrument.stderr_scale", value, 0.01, 100.0)
 
     @model_validator(mode="after")
     def _check_settings(self) -> InstrumentSection:
@@ -145,17 +145,17 @@ class InstrumentSection(ConfigSection):
                 check_integer(f"instrument.{key}", getattr(self, key), low)
         with key_prefix("instrument"):
             self._check_extent()
-        for key in ("polar_deg", "azimuth_deg") if self.estimator == "cells" else ():
+        for key in ("polar_deg", "azimuth_deg") if self.estimator == "bins" else ():
             if getattr(self, key) is not None:
-                raise invalid(f"instrument.{key}", getattr(self, key), "left out with cells")
-        if self.cells is not None and self.estimator != "cells":
-            raise invalid("instrument.cells", self.cells, "left out without estimator = cells")
+                raise invalid(f"instrument.{key}", getattr(self, key), "left out with bins")
+        if self.n_bins is not None and self.estimator != "bins":
+            raise invalid("instrument.n_bins", self.n_bins, "left out without estimator = bins")
         for key, end in (("polar_deg", 90.0), ("azimuth_deg", 360.0)):
             if getattr(self, key) is not None:
                 check_direction_angles(f"instrument.{key}", getattr(self, key), end)
-        if self.cells is not None:
+        if self.n_bins is not None:
             with key_prefix("instrument"):
-                check_n_bins(self.cells)
+                check_n_bins(self.n_bins)
         self._check_unused()
         return self
 
@@ -163,13 +163,13 @@ class InstrumentSection(ConfigSection):
         """Refuse what an instrument that looks at places cannot look at."""
         if self.half_width_m is not None:
             check_half_width(self.kind, self.half_width_m)
-        if self.kind == "surface" and self.realisations is not None:
+        if self.kind == "surface_map" and self.realisations is not None:
             check_integer("realisations", self.realisations, 2, MAX_REALIZATIONS)
         if self.kind == "lens":
-            if self.half_width_m is None and self.over != "origin":
-                hint = "where to look for the crest; or over: origin"
+            if self.half_width_m is None and self.centre_on != "origin":
+                hint = "where to look for the crest; or centre_on: origin"
                 raise invalid("half_width_m", None, "given for lens", hint)
-            if self.half_width_m is not None and self.over == "origin":
+            if self.half_width_m is not None and self.centre_on == "origin":
                 hint = "nothing is searched for"
                 raise invalid("half_width_m", self.half_width_m, "left out over the origin", hint)
             depths = check_screen_depths("screen_depth_m", self.screen_depth_m)
@@ -183,10 +183,10 @@ class InstrumentSection(ConfigSection):
             if value != type(self).model_fields[key].default:
                 given = value.model_dump() if isinstance(value, BaseModel) else value
                 raise invalid(f"instrument.{key}", given, f"left out for {self.kind}")
-        counted = "rays" if self.rays is not None else "cells" if self.estimator == "cells" else ""
-        if counted and self.error_factor != 1.0:
+        counted = "rays" if self.rays is not None else "bins" if self.estimator == "bins" else ""
+        if counted and self.stderr_scale != 1.0:
             raise invalid(
-                "instrument.error_factor", self.error_factor, f"left out with {counted}",
+                "instrument.stderr_scale", self.stderr_scale, f"left out with {counted}",
                 "the number of rays is fixed there, not the error",
             )  # fmt: skip
 
@@ -200,13 +200,13 @@ class InstrumentSection(ConfigSection):
         """Return how many values a quantity has at one point of a grid."""
         if self.kind == "lens":
             return len(self.screen_depth_m or ()) * (self.rays or DEFAULT_RAYS)
-        if self.kind == "surface":
+        if self.kind == "surface_map":
             return DEFAULT_POINTS**2
         places = 1
-        if self.kind == "bssrdf":
+        if self.kind == "beam_spread":
             places = len(SIDES) * N_MAP_PIXELS**2
-        elif self.estimator == "cells":
-            places = math.prod(self.cells or DEFAULT_N_BINS)
+        elif self.estimator == "bins":
+            places = math.prod(self.n_bins or DEFAULT_N_BINS)
         elif self.kind == "goniophotometer":
             places = len(self.polar_deg or POLAR_DEG) * len(self.azimuth_deg or AZIMUTH_DEG)
         return places * self.get_wavelengths().size

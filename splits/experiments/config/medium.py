@@ -25,7 +25,13 @@ from splits.media.interpretations import merge_interpretations
 from splits.media.measured_inputs import override_keywords
 
 LAYERS_KEY = "layers"
-MERGED_KEYWORDS = ("readings", "refractive_index", "pores", "impurities_ng_g", "algae_cells_ml")
+MERGED_KEYWORDS = (
+    "interpretation",
+    "refractive_index",
+    "pores",
+    "impurities_ng_g",
+    "algae_cells_ml",
+)
 """Keywords that are mappings: a grid's values add to those of the medium."""
 LAYER_CLASSES: dict[str, Any] = {
     "snow": Snow,
@@ -131,7 +137,7 @@ def apply_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str
         layer = found[LAYERS_KEY][number]
         both = isinstance(value, Mapping) and isinstance(layer.get(key), Mapping)
         new = {**layer[key], **value} if both and key in MERGED_KEYWORDS else value
-        if key == "readings" and key in layer:
+        if key == "interpretation" and key in layer:
             new = merge_interpretations([layer[key], value])
         found[LAYERS_KEY][number] = override_keywords(layer, {key: new})
     return found
@@ -161,7 +167,7 @@ def make_stack(layers: Any, ground: Any = None, interpretation: Any = None) -> S
         with key_prefix(f"{LAYERS_KEY}.{number}"):
             kind, settings = get_kind(layer), {k: v for k, v in layer.items() if k != "kind"}
             # Below all layers is the stack's ground.
-            bottom = {"bottom_albedo": None} if kind == "layer" else {}
+            bottom = {"bottom_albedo": None} if kind == "particle_layer" else {}
             media.append(MEDIUM_FACTORIES[kind](**settings, **bottom))
     return Stack(tuple(media), ground, interpretation)
 

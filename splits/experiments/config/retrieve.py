@@ -67,14 +67,14 @@ class PriorFromSample(ConfigSection):
     """A sample that is retrieved first, with some parameters known.
 
     What it tells of the others is what is known of them before other samples are retrieved: all, or
-    those whose names begin with `of`.
+    those whose names begin with `applies_to`.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
 
     sample: str
-    at: dict[str, float | str]
-    of: str = ""
+    fixed: dict[str, float | str]
+    applies_to: str = ""
 
 
 class RetrieveSection(ConfigSection):
@@ -82,11 +82,11 @@ class RetrieveSection(ConfigSection):
 
     `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
     sample; `samples` chooses some of them.  A sample's name may end in ``@50``, its angle of
-    incidence.  `free`, `at` and `prior` are as for `splits.retrieve`; `left_out_nm` are intervals
-    that do not count, such as those where water vapour lets no light through.  `known` are values
+    incidence.  `free`, `fixed` and `prior` are as for `splits.retrieve`; `exclude_nm` are intervals
+    that do not count, such as those where water vapour lets no light through.  `reference_values` are values
     by parameter and sample that were found otherwise, to be drawn beside.  Without `noise` the
-    misfit tells the errors.  `models` is an axis of
-    texts, whose light is compared: every sample is read with each of them.  `beside` is a published
+    misfit tells the errors.  `model_axis` is an axis of
+    texts, whose light is compared: every sample is read with each of them.  `compare_with` is a published
     law of snow, with which they are read, too.
     """
 
@@ -96,13 +96,13 @@ class RetrieveSection(ConfigSection):
     free: dict[str, tuple[float, float]] | tuple[str, ...]
     noise: NoiseSection | None = None
     samples: tuple[str, ...] = ()
-    at: dict[str, float | str] = Field(default_factory=dict)
+    fixed: dict[str, float | str] = Field(default_factory=dict)
     prior: dict[str, tuple[float, float]] = Field(default_factory=dict)
-    left_out_nm: tuple[tuple[float, float], ...] = ()
-    models: str | None = None
-    beside: Literal["kokhanovsky_zege_2004"] | None = None
+    exclude_nm: tuple[tuple[float, float], ...] = ()
+    model_axis: str | None = None
+    compare_with: Literal["kokhanovsky_zege_2004"] | None = None
     prior_from: tuple[PriorFromSample, ...] = ()
-    known: dict[str, dict[str, float]] = Field(default_factory=dict)
+    reference_values: dict[str, dict[str, float]] = Field(default_factory=dict)
 
     @field_validator("measured")
     @classmethod
@@ -124,9 +124,9 @@ class RetrieveSection(ConfigSection):
 
     @model_validator(mode="after")
     def _check_intervals(self) -> RetrieveSection:
-        for low, high in self.left_out_nm:
+        for low, high in self.exclude_nm:
             if not low < high:
-                raise invalid("retrieve.left_out_nm", [low, high], "low < high")
+                raise invalid("retrieve.exclude_nm", [low, high], "low < high")
         return self
 
     def select_spectra(
@@ -149,7 +149,7 @@ class RetrieveSection(ConfigSection):
         w = measured[WAVELENGTH_COLUMN].to_numpy(dtype=float)
         near = snap_to_limits(w, wavelengths[0], wavelengths[-1])
         inside = (near >= wavelengths[0]) & (near <= wavelengths[-1])
-        for low, high in self.left_out_nm:
+        for low, high in self.exclude_nm:
             inside &= (w < low) | (w > high)
         if not inside.any():
             allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, as the table has them"
@@ -165,12 +165,12 @@ class RetrieveSection(ConfigSection):
             hint = "all samples are retrieved first"
             raise invalid("retrieve.samples", names, "some besides those of prior_from", hint)
         for first in self.prior_from:
-            if not any(name.startswith(first.of) for name in later):
+            if not any(name.startswith(first.applies_to) for name in later):
                 allowed = f"how the name of another sample begins: {', '.join(later)}"
-                raise invalid("retrieve.prior_from.of", first.of, allowed)
-        for parameter, values in self.known.items():
+                raise invalid("retrieve.prior_from.applies_to", first.applies_to, allowed)
+        for parameter, values in self.reference_values.items():
             for sample in values:
-                check_choice(f"retrieve.known.{parameter}", sample, names)
+                check_choice(f"retrieve.reference_values.{parameter}", sample, names)
         return {n: pd.Series(measured[n].to_numpy(dtype=float)[inside], w[inside]) for n in names}
 
     def compute_noise(self, values: np.ndarray) -> Any:
@@ -178,8 +178,8 @@ class RetrieveSection(ConfigSection):
         return None if self.noise is None else self.noise.evaluate(values)
 
     def get_fixed_values(self, sample: str, axes: list[str]) -> dict[str, float | str]:
-        """Return what is known of a sample: `at`, and the angle that its name tells."""
-        found = dict(self.at)
+        """Return what is known of a sample: `fixed`, and the angle that its name tells."""
+        found = dict(self.fixed)
         if INCIDENCE not in axes or ANGLE_SEPARATOR not in sample:
             return found
         angle = parse_incidence_deg(sample)
@@ -187,14 +187,14 @@ class RetrieveSection(ConfigSection):
         if angle is None and not known:
             raise invalid("retrieve.samples", sample, f"an angle after {ANGLE_SEPARATOR}")
         if angle is not None and (INCIDENCE in self.free or found.get(INCIDENCE, angle) != angle):
-            key = f"retrieve.at.{INCIDENCE}" if INCIDENCE in found else "retrieve.free"
+            key = f"retrieve.fixed.{INCIDENCE}" if INCIDENCE in found else "retrieve.free"
             hint = f"the name {format_key(sample)} tells the angle"
             raise invalid(key, found.get(INCIDENCE, INCIDENCE), "left out", hint)
         return found if angle is None else {**found, INCIDENCE: angle}
 
     def list_sample_prefixes(self) -> list[str]:
         """Return how names of samples begin that figures show together."""
-        return [first.of for first in self.prior_from] or [""]
+        return [first.applies_to for first in self.prior_from] or [""]
 
 
 def parse_incidence_deg(sample: str) -> float | None:

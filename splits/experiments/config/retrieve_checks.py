@@ -43,25 +43,25 @@ def check_retrieve_section(experiment: ExperimentConfig) -> None:
         raise invalid("instrument.quantities", instrument.quantities, "with reflectance")
     rows = dict(zip(*experiment.make_axes(), strict=True))
     _check_models(section, rows)
-    for key in ("free", "at", "prior", "known"):
-        allowed = grid if key == "at" else [*grid, SCALE]
+    for key in ("free", "fixed", "prior", "reference_values"):
+        allowed = grid if key == "fixed" else [*grid, SCALE]
         for name in getattr(section, key):
             check_choice(f"retrieve.{key}", name, allowed)
     with key_prefix("retrieve"):
         StateVector.from_ranges(
             section.free, section.prior or None, get_grid_ranges(experiment.make_axes())
         )
-    for name in [n for n in section.at if n in section.free]:
-        raise invalid(f"retrieve.at.{name}", section.at[name], "left out", "it is free")
-    named = {*section.free, *section.at, section.models, INCIDENCE}
+    for name in [n for n in section.fixed if n in section.free]:
+        raise invalid(f"retrieve.fixed.{name}", section.fixed[name], "left out", "it is free")
+    named = {*section.free, *section.fixed, section.model_axis, INCIDENCE}
     for name in [n for n, values in grid.items() if len(values) > 1]:
         if name not in named:
-            raise invalid(f"retrieve.at.{name}", None, "given", "or make it free")
-    for name in section.known:
-        check_choice("retrieve.known", name, list(section.free))
-    for name in section.at:
+            raise invalid(f"retrieve.fixed.{name}", None, "given", "or make it free")
+    for name in section.reference_values:
+        check_choice("retrieve.reference_values", name, list(section.free))
+    for name in section.fixed:
         if name in section.free:
-            raise invalid(f"retrieve.at.{name}", section.at[name], "left out, as it is free")
+            raise invalid(f"retrieve.fixed.{name}", section.fixed[name], "left out, as it is free")
     if not [name for name in section.free if name != SCALE]:
         raise invalid("retrieve.free", list(section.free), "at least one parameter of the grid")
     _check_reference_values(section, rows)
@@ -80,7 +80,7 @@ def check_measured_spectra(experiment: ExperimentConfig, measured: pd.DataFrame)
     if section is None:
         return
     rows = dict(zip(*experiment.make_axes(), strict=True))
-    first = {one.sample: one.at for one in section.prior_from}
+    first = {one.sample: one.fixed for one in section.prior_from}
     for name, spectrum in section.select_spectra(
         measured, experiment.instrument.get_wavelengths()
     ).items():
@@ -95,7 +95,7 @@ def check_measured_spectra(experiment: ExperimentConfig, measured: pd.DataFrame)
             check_within_axis(f"retrieve ({name}): {axis}", value, rows.get(axis))
         given = {*where, *section.free, *first.get(name, {})}
         if len(rows.get(INCIDENCE, ())) > 1 and INCIDENCE not in given:
-            hint = f"its angle in the name, {name}@50, or retrieve.at.{INCIDENCE}"
+            hint = f"its angle in the name, {name}@50, or retrieve.fixed.{INCIDENCE}"
             raise invalid(f"retrieve ({name}): {INCIDENCE}", None, "given", hint)
 
 
@@ -109,32 +109,38 @@ def _check_sample_angle(sample: str, experiment: ExperimentConfig) -> None:
 
 def _check_models(section: RetrieveSection, axes: AxisNodes) -> None:
     """Refuse models that are no axis of texts, or that are given besides."""
-    models = section.models
+    models = section.model_axis
     if models is None:
         return
     texts = [name for name, row in axes.items() if isinstance(row[0], str)]
     if models not in texts:
         allowed = f"one of {', '.join(texts)}" if texts else "left out: no axis is of texts"
-        raise invalid("retrieve.models", models, allowed, "an axis of the grid")
-    given = [("at", section.at), ("free", section.free), ("known", section.known)]
-    given += [("prior_from.at", first.at) for first in section.prior_from]
+        raise invalid("retrieve.model_axis", models, allowed, "an axis of the grid")
+    given = [
+        ("fixed", section.fixed),
+        ("free", section.free),
+        ("reference_values", section.reference_values),
+    ]
+    given += [("prior_from.fixed", first.fixed) for first in section.prior_from]
     for key, mapping in given:
         if models in mapping:
-            raise invalid(f"retrieve.{key}.{models}", "given", "left out", "it is models")
+            raise invalid(f"retrieve.{key}.{models}", "given", "left out", "it is model_axis")
 
 
 def _check_reference_values(section: RetrieveSection, axes: AxisNodes) -> None:
     """Refuse what is known outside the axes of the table."""
     for first in section.prior_from:
-        for name, value in first.at.items():
-            check_choice("retrieve.prior_from.at", name, [*axes, SCALE])
-            check_within_axis(f"retrieve.prior_from.at.{name}", value, axes.get(name))
-        if not [n for n in section.free if n not in (*first.at, SCALE)]:
+        for name, value in first.fixed.items():
+            check_choice("retrieve.prior_from.fixed", name, [*axes, SCALE])
+            check_within_axis(f"retrieve.prior_from.fixed.{name}", value, axes.get(name))
+        if not [n for n in section.free if n not in (*first.fixed, SCALE)]:
             hint = "something of the first sample must be left to be found"
-            raise invalid("retrieve.prior_from.at", sorted(first.at), "not all that is free", hint)
-    for name, values in section.known.items():
+            raise invalid(
+                "retrieve.prior_from.fixed", sorted(first.fixed), "not all that is free", hint
+            )
+    for name, values in section.reference_values.items():
         for sample, value in values.items():
-            check_within_axis(f"retrieve.known.{name}.{sample}", value, axes.get(name))
+            check_within_axis(f"retrieve.reference_values.{name}.{sample}", value, axes.get(name))
 
 
 def check_within_axis(key: str, value: Any, nodes: tuple[Any, ...] | None) -> None:
@@ -149,7 +155,7 @@ def check_within_axis(key: str, value: Any, nodes: tuple[Any, ...] | None) -> No
 
 def _check_law(section: RetrieveSection, axes: AxisNodes, medium: Mapping[str, Any]) -> None:
     """Refuse a law beside a table of what it does not know."""
-    key, law = "retrieve.beside", section.beside
+    key, law = "retrieve.compare_with", section.compare_with
     if law is None:
         return
     kind = medium.get("kind")
@@ -165,6 +171,6 @@ def _check_law(section: RetrieveSection, axes: AxisNodes, medium: Mapping[str, A
         hint = "it is for deep, dry snow with what is on the grid"
         raise invalid(key, law, f"left out with {held[0] if held else 'a finite depth_m'}", hint)
     for name, row in axes.items():
-        told = name in (section.models, INCIDENCE, SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)
+        told = name in (section.model_axis, INCIDENCE, SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)
         if not told and not name.startswith("impurities_ng_g.") and row[0] != 0.0:
             raise invalid(key, law, f"left out with {name} on the grid, unless that begins with 0")

@@ -70,15 +70,15 @@ def check_mathematics(key: str, value: str) -> str:
 
 FIGURE_KINDS = {
     "spectrophotometer": ("spectra", "points", "swatches", "fit"),
-    "goniophotometer": ("principal_plane", "hemisphere", "lobes", "cells", "polarization"),
-    "bssrdf": ("spread",),
+    "goniophotometer": ("principal_plane", "hemisphere", "lobes", "bins", "polarization"),
+    "beam_spread": ("spread",),
     "refractive_index": ("refractive_index",),
-    "surface": ("surface",),
+    "surface_map": ("surface",),
     "lens": ("lens",),
     "table": ("summary",),
 }
 """Kinds of figures that show what an instrument measures, the usual one first."""
-SINGLE_POINT_KINDS = ("spread", "lobes", "cells", "surface", "lens")
+SINGLE_POINT_KINDS = ("spread", "lobes", "bins", "surface", "lens")
 """Kinds of figures that show one point of a grid; of lobes, one parameter may vary."""
 FIGURE_QUANTITIES = {
     "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
@@ -87,7 +87,7 @@ FIGURE_QUANTITIES = {
 }
 """What figures of an instrument may show."""
 QUANTITY_OF_KIND = {
-    "lobes": "brdf", "cells": "brdf", "polarization": "brdf", "swatches": "reflectance",
+    "lobes": "brdf", "bins": "brdf", "polarization": "brdf", "swatches": "reflectance",
     "fit": "reflectance",
 }  # fmt: skip
 """What kinds of figures show that do not let one choose."""
@@ -134,11 +134,11 @@ class FigureSection(ConfigSection):
     quantity: tuple[QuantityName, ...] = ("reflectance",)
     kind: Literal[
         "spectra", "points", "refractive_index", "swatches", "fit",
-        "principal_plane", "hemisphere", "lobes", "cells", "spread", "surface", "lens",
+        "principal_plane", "hemisphere", "lobes", "bins", "spread", "surface", "lens",
         "polarization", "summary", "none",
     ] | None = None  # fmt: skip
     wavelength_nm: tuple[float, float] | None = None
-    at: dict[str, float | str] = {}
+    select: dict[str, float | str] = {}
     measured: str | None = None
     legend: str | None = None
     ylim: tuple[float, float] | None = None
@@ -149,7 +149,7 @@ class FigureSection(ConfigSection):
     def _to_tuple(cls, value: Any) -> Any:
         return (value,) if isinstance(value, str) else value
 
-    @field_validator("at", mode="before")
+    @field_validator("select", mode="before")
     @classmethod
     def _label_booleans(cls, value: Any) -> Any:
         # Grids label true and false by these words.

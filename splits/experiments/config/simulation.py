@@ -127,7 +127,7 @@ class SimulationConfig(ConfigSection):
         self._check_size()
         wavelengths = self.instrument.get_wavelengths()
         grounded: set[bool] = set()
-        beam = self.instrument.kind in ("goniophotometer", "bssrdf")
+        beam = self.instrument.kind in ("goniophotometer", "beam_spread")
         for labels, medium, incidence in self.iter_points():
             with self.locate_errors(labels):
                 if not self.fit:
@@ -187,7 +187,7 @@ class SimulationConfig(ConfigSection):
         if "incidence_deg" in self.grid and instrument.incidence_deg != 0.0:
             allowed = "left out beside grid.incidence_deg, the same"
             raise invalid("instrument.incidence_deg", instrument.incidence_deg, allowed)
-        if instrument.kind == "bssrdf" and self.grid and instrument.half_width_m is None:
+        if instrument.kind == "beam_spread" and self.grid and instrument.half_width_m is None:
             raise invalid(
                 "instrument.half_width_m", None, "given where there is a grid",
                 "all maps of one dataset have the same axes",
@@ -210,9 +210,9 @@ class SimulationConfig(ConfigSection):
         ):
             hint = "the spectrophotometer takes packs without end"
             raise invalid("medium.depth_m", math.inf, "finite", hint)
-        if instrument.estimator == "local" and (rough or not layer):
+        if instrument.estimator == "next_event" and (rough or not layer):
             hint = "of these, cells have Stokes parameters"
-            raise invalid("instrument.estimator", "local", "expansion or cells", hint)
+            raise invalid("instrument.estimator", "next_event", "expansion or bins", hint)
         if instrument.target == "btdf" and get_reflecting_ground(medium) is not None:
             raise invalid("instrument.target", "btdf", "brdf over a ground")
         told = "wavelength_nm" in instrument.model_fields_set
@@ -263,9 +263,9 @@ class SimulationConfig(ConfigSection):
     def iter_settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
         """Yield what `iter_points` yields, with the medium's keywords in its place."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
-        if not isinstance(base.get("readings", {}), Mapping | str):
+        if not isinstance(base.get("interpretation", {}), Mapping | str):
             allowed = "a mapping of named readings, or the name of a set"
-            raise invalid("medium.readings", base["readings"], allowed)
+            raise invalid("medium.interpretation", base["interpretation"], allowed)
         for labels in self._iter_labels():
             chosen = dict(zip(self.grid, labels, strict=True))
             values = {p: self.grid[p][label] for p, label in chosen.items()}
@@ -296,7 +296,7 @@ class SimulationConfig(ConfigSection):
         settings = apply_paths(override_keywords(base, sample), values)
         for key in MERGED_KEYWORDS:
             parts = [part[key] for part in (base, sample, values) if key in part]
-            if key == "readings":
+            if key == "interpretation":
                 settings |= {key: merge_interpretations(parts)} if parts else {}
             elif parts and all(isinstance(part, Mapping) for part in parts):
                 settings[key] = {k: v for part in parts for k, v in part.items()}

@@ -16,16 +16,16 @@ from splits.experiments.config.study_kinds import STUDY_PRODUCTS
 class SensitivityPair(ConfigSection):
     """Two values of a parameter between which a spectrum's sensitivity is taken.
 
-    `experiment` varies the parameter, and `readings` besides it the readings of the papers.
-    `range` says whether the paper states the two values or they were chosen here.
+    `experiment` varies the parameter, and `interpretation` besides it the readings of the papers.
+    `source` says whether the paper states the two values or they were chosen here.
     """
 
     parameter: str
     experiment: str
-    readings: str | None = None
+    interpretation: str | None = None
     low: float | str
     high: float | str
-    range: Literal["stated", "chosen"] = "chosen"
+    source: Literal["paper", "ours"] = "ours"
 
 
 class Study(ConfigSection):
@@ -33,32 +33,32 @@ class Study(ConfigSection):
 
     kind: Literal[
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
-        "layer_trends", "readings", "surface_area", "sobol", "bands",
+        "layer_trends", "interpretation", "surface_area", "sobol", "bands",
         "anisotropy",
     ]  # fmt: skip
-    experiments: dict[str, str] = Field(default_factory=dict)
+    inputs: dict[str, str] = Field(default_factory=dict)
     pairs: dict[str, SensitivityPair] = Field(default_factory=dict)
     sensitivity: str | None = None
-    readings: dict[str, tuple[str, ...]] = Field(default_factory=dict)
-    text: dict[str, str] = Field(default_factory=dict)
+    interpretation: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    stated: dict[str, str] = Field(default_factory=dict)
     files: dict[str, str] = Field(default_factory=dict)
-    products: dict[str, str] = Field(default_factory=dict)
+    outputs: dict[str, str] = Field(default_factory=dict)
     bands: str | None = None
     noise: float = 0.01
-    most: int = 5
-    at: dict[str, float | str] = Field(default_factory=dict)
+    n_bands: int = 5
+    fixed: dict[str, float | str] = Field(default_factory=dict)
 
     def list_experiments(self) -> list[str]:
         """Return the names of the experiments that it is made of, each once."""
-        names = list(self.experiments.values())
+        names = list(self.inputs.values())
         for pair in self.pairs.values():
-            names += [pair.experiment, *([pair.readings] if pair.readings else [])]
+            names += [pair.experiment, *([pair.interpretation] if pair.interpretation else [])]
         return list(dict.fromkeys(names))
 
     def list_product_names(self, study: str) -> dict[str, str]:
         """Return the name of every product, without folder and suffix, by its key."""
         usual = STUDY_PRODUCTS[self.kind]
-        return {key: self.products.get(key, usual[key].name.format(study=study)) for key in usual}
+        return {key: self.outputs.get(key, usual[key].name.format(study=study)) for key in usual}
 
     def list_product_paths(self, study: str) -> dict[str, list[str]]:
         """Return the files of every product by its key, relative to the folder of results."""

@@ -60,13 +60,11 @@ def check_studies(
             _check_study_names(study, about, studies)
             _check_files(about, tables)
             _check_fixed_values(about, available)
-            for role, name in about.experiments.items():
+            for role, name in about.inputs.items():
                 if name in available and about.kind in TABLE_KINDS:
-                    _check_table(f"experiments.{role}", available[name])
+                    _check_table(f"inputs.{role}", available[name])
                 elif name in available:
-                    _check_input(
-                        f"experiments.{role}", available[name], STUDY_INPUTS[about.kind][role]
-                    )
+                    _check_input(f"inputs.{role}", available[name], STUDY_INPUTS[about.kind][role])
             for pair, given in about.pairs.items():
                 _check_pair(f"pairs.{pair}", given, available)
         except ValueError as error:
@@ -78,14 +76,14 @@ def _check_keys(study: Study) -> None:
     """Refuse keys that a kind of study does not know, or the lack of those that it needs."""
     roles = STUDY_INPUTS.get(study.kind, {})
     if study.kind in TABLE_KINDS:
-        if not study.experiments:
-            raise invalid("experiments", study.experiments, "at least one experiment by name")
-        if len({role.replace("_", " ") for role in study.experiments}) < len(study.experiments):
+        if not study.inputs:
+            raise invalid("inputs", study.inputs, "at least one experiment by name")
+        if len({role.replace("_", " ") for role in study.inputs}) < len(study.inputs):
             hint = "underscores are shown as spaces"
-            raise invalid("experiments", list(study.experiments), "names that differ", hint)
-        roles = dict.fromkeys(study.experiments, StudyInput(()))
+            raise invalid("inputs", list(study.inputs), "names that differ", hint)
+        roles = dict.fromkeys(study.inputs, StudyInput(()))
     for key, known in (
-        ("experiments", roles), ("files", STUDY_FILES.get(study.kind, {})),
+        ("inputs", roles), ("files", STUDY_FILES.get(study.kind, {})),
         ("products", STUDY_PRODUCTS[study.kind]),
     ):  # fmt: skip
         for name in getattr(study, key):
@@ -93,14 +91,14 @@ def _check_keys(study: Study) -> None:
                 raise invalid(key, getattr(study, key), f"left out for kind = {study.kind!r}")
             if name not in known:
                 raise unknown_key(f"{key}.{name}", known)
-    missing = [role for role in roles if role not in study.experiments]
-    if missing and (study.kind not in PARTIAL_KINDS or not study.experiments):
+    missing = [role for role in roles if role not in study.inputs]
+    if missing and (study.kind not in PARTIAL_KINDS or not study.inputs):
         needed = "one of" if study.kind in PARTIAL_KINDS else "the roles"
-        raise invalid("experiments", study.experiments, f"with {needed} {', '.join(missing)}")
+        raise invalid("inputs", study.inputs, f"with {needed} {', '.join(missing)}")
     if (study.kind == "sensitivity") != bool(study.pairs):
         allowed = "at least one pair" if study.kind == "sensitivity" else "left out"
         raise invalid("pairs", study.pairs, f"{allowed} for kind = {study.kind!r}")
-    if (study.kind in ("agreement", "readings")) != (study.sensitivity is not None):
+    if (study.kind in ("agreement", "interpretation")) != (study.sensitivity is not None):
         allowed = "the name of a study" if study.sensitivity is None else "left out"
         raise invalid("sensitivity", study.sensitivity, f"{allowed} for kind = {study.kind!r}")
     _check_interpretations(study)
@@ -109,35 +107,37 @@ def _check_keys(study: Study) -> None:
     for key in wanted:
         if key not in study.files:
             raise invalid("files", study.files, f"with {', '.join(wanted)}")
-    for key, name in study.products.items():
+    for key, name in study.outputs.items():
         if not NAME_PATTERN.fullmatch(name):
-            raise invalid(f"products.{key}", name, NAME_RULE)
+            raise invalid(f"outputs.{key}", name, NAME_RULE)
 
 
 def _check_interpretations(study: Study) -> None:
     """Refuse readings that there are not, and their lack or presence where it is wrong."""
-    if (study.kind == "readings") != bool(study.readings):
-        allowed = "choices by reading" if study.kind == "readings" else "left out"
-        raise invalid("readings", study.readings, f"{allowed} for kind = {study.kind!r}")
+    if (study.kind == "interpretation") != bool(study.interpretation):
+        allowed = "choices by reading" if study.kind == "interpretation" else "left out"
+        raise invalid(
+            "interpretation", study.interpretation, f"{allowed} for kind = {study.kind!r}"
+        )
     known = {f.name: INTERPRETATION_CHOICES[f.name] for f in fields(Interpretation)} | {
         BOUNDARIES_KEY: tuple(OVERLAP_CHOICES)
     }
-    for key, choices in study.readings.items():
+    for key, choices in study.interpretation.items():
         if key not in known:
-            raise unknown_key(f"readings.{key}", known)
+            raise unknown_key(f"interpretation.{key}", known)
         for choice in choices:
-            check_choice(f"readings.{key}", choice, known[key])
-    for key, choice in study.text.items():
-        if key not in study.readings:
-            raise unknown_key(f"text.{key}", study.readings)
-        check_choice(f"text.{key}", choice, study.readings[key])
+            check_choice(f"interpretation.{key}", choice, known[key])
+    for key, choice in study.stated.items():
+        if key not in study.interpretation:
+            raise unknown_key(f"stated.{key}", study.interpretation)
+        check_choice(f"stated.{key}", choice, study.interpretation[key])
 
 
 def _check_bands(study: Study) -> None:
     """Refuse a choice of bands that cannot be, and its keys for another kind of study."""
     if study.kind != "bands":
         # Archives say all keys, as they are by default.
-        for key in ("bands", "noise", "most", "at"):
+        for key in ("bands", "noise", "n_bands", "fixed"):
             usual = Study.model_fields[key].get_default(call_default_factory=True)
             if getattr(study, key) != usual:
                 raise invalid(key, getattr(study, key), "left out but for kind = 'bands'")
@@ -145,7 +145,7 @@ def _check_bands(study: Study) -> None:
     if study.bands is not None:
         check_choice("bands", study.bands, SENSORS)
     check_range("noise", study.noise, 0.0, 1.0, open_low=True)
-    check_integer("most", study.most, 1)
+    check_integer("most", study.n_bands, 1)
 
 
 def _check_study_names(study: str, definition: Study, studies: Mapping[str, Study]) -> None:
@@ -182,11 +182,11 @@ def _check_fixed_values(definition: Study, available: Mapping[str, ExperimentCon
     rows = {name: row for one in tables for name, row in zip(*one.make_axes(), strict=True)}
     for name, value in definition.at.items() if tables else ():
         if name not in rows:
-            raise unknown_key(f"at.{name}", rows)
-        check_within_axis(f"at.{name}", value, rows[name])
+            raise unknown_key(f"fixed.{name}", rows)
+        check_within_axis(f"fixed.{name}", value, rows[name])
     for name, row in rows.items():
         if isinstance(row[0], str) and len(row) > 1 and name not in definition.at:
-            raise invalid(f"at.{name}", "nothing", f"one of {', '.join(map(str, row))}")
+            raise invalid(f"fixed.{name}", "nothing", f"one of {', '.join(map(str, row))}")
 
 
 def _check_input(place: str, experiment: ExperimentConfig, required: StudyInput) -> None:
@@ -212,7 +212,7 @@ def _check_input(place: str, experiment: ExperimentConfig, required: StudyInput)
     if required.band_nm and (given[0] > required.band_nm[0] or given[-1] < required.band_nm[-1]):
         low, high = required.band_nm
         raise wrong(f"an experiment over wavelengths from {low:g} to {high:g} nm")
-    turned = instrument.polar_deg or instrument.estimator == "cells"
+    turned = instrument.polar_deg or instrument.estimator == "bins"
     if required.instrument == "goniophotometer" and turned:
         raise wrong("an experiment with the usual polar_deg")
 
@@ -224,9 +224,9 @@ def _check_pair(key: str, pair: SensitivityPair, available: Mapping[str, Experim
     if pair.experiment in available:
         role = StudyInput(over, {**ends, **SENSITIVITY_DEPTHS_M}, band_nm=band)
         _check_input(f"{key}.experiment", available[pair.experiment], role)
-    if pair.readings in available:
-        role = StudyInput((*over, "readings"), SENSITIVITY_DEPTHS_M, band_nm=band)
-        _check_input(f"{key}.readings", available[str(pair.readings)], role)
+    if pair.interpretation in available:
+        role = StudyInput((*over, "interpretation"), SENSITIVITY_DEPTHS_M, band_nm=band)
+        _check_input(f"{key}.interpretation", available[str(pair.interpretation)], role)
 
 
 def _has_value(values: Mapping[str, Any], wanted: float | str) -> bool:

@@ -52,7 +52,7 @@ SNOW_INPUTS = {
     "aviris": StudyInput(at_nm=(842.25, 1073.76, 1237.93)),
     "letcher": StudyInput(("medium", "depth_m", "incidence_deg"),
                     {"depth_m": (0.34, 0.045), "incidence_deg": ("beam", "diffuse")}),
-    "readings": StudyInput(("readings",), at_nm=(842.25, 1073.76, 1237.93)),
+    "interpretation": StudyInput(("interpretation",), at_nm=(842.25, 1073.76, 1237.93)),
 }  # fmt: skip
 """Roles of the agreement with SPLITSnow."""
 
@@ -68,7 +68,7 @@ SAND_INPUTS = {
     "mineral_weight": StudyInput(
         ("medium", "refractive_index"), {"refractive_index": ("as modelled",)}
     ),
-    "readings": StudyInput(("medium", "readings"), {"readings": ("default",)}),
+    "interpretation": StudyInput(("medium", "interpretation"), {"interpretation": ("default",)}),
     "size_tail": StudyInput(("medium", "size_tail"), {"size_tail": (1e-4,)}),
 }
 """Roles of the trends of SPLITS."""
@@ -86,7 +86,7 @@ BRDF_INPUTS = {
 """Roles of the trends of BRDFs; a grid's finest or least faceted grains stand as the papers have
 them, grain sizes from coarse to fine and facetness from low to high."""
 
-ANISOTROPY_INPUTS = {"directions": _make_goniophotometer_input("readings", "saturation")}
+ANISOTROPY_INPUTS = {"directions": _make_goniophotometer_input("interpretation", "saturation")}
 """Role of directions held against measured ones: models of wet sand, and samples."""
 
 LAYER_INPUTS = {

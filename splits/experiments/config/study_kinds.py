@@ -49,7 +49,7 @@ STUDY_PRODUCTS: dict[str, dict[str, StudyProduct]] = {
         key: _make_table_product(f"{{study}}_{key}") for key in ("trends", "weights", "colours")
     },
     "sand_compositions": {"table": _make_table_product("{study}")},
-    "readings": {
+    "interpretation": {
         "table": _make_table_product("{study}"),
         "statements": _make_table_product("{study}_statements"),
         "without": _make_table_product("{study}_without"),
@@ -71,7 +71,7 @@ STUDY_PRODUCTS: dict[str, dict[str, StudyProduct]] = {
         "law_figure": StudyProduct("figures", FIGURE_SUFFIXES, "{study}_law"),
     },
 }  # fmt: skip
-"""What each kind of study makes, by key; `Study.products` gives other names."""
+"""What each kind of study makes, by key; `Study.outputs` gives other names."""
 
 STUDY_INPUTS: dict[str, Mapping[str, StudyInput]] = {
     "agreement": SNOW_INPUTS, "sand_tables": SAND_INPUTS, "angular_trends": BRDF_INPUTS, "layer_trends": LAYER_INPUTS,
@@ -83,7 +83,7 @@ TABLE_KINDS = ("sobol", "bands")
 """Kinds that are made of tables, however they are called."""
 STUDY_FILES = {
     "sensitivity": {"published": "published"},
-    "readings": {"published": "published"},
+    "interpretation": {"published": "published"},
     "agreement": {"published": "published", "aviris": "measured", "letcher": "measured"},
     "surface_area": {"spectra": "measured"},
     "anisotropy": {"directions": "measured"},

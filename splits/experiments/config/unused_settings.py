@@ -97,7 +97,7 @@ def check_unused_keywords(
     ValueError
         The message says where the keyword stands and why it does not count.
     """
-    if experiment.medium.get("kind") != "layer":
+    if experiment.medium.get("kind") != "particle_layer":
         return
     layers = [
         medium for _, medium, _ in experiment.iter_points() if isinstance(medium, ParticleLayer)

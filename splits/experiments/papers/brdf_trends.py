@@ -160,7 +160,7 @@ def _make_grain_size_rows(planes: Mapping[str, xr.Dataset]) -> list[dict[str, ob
 
     At 600 nm their heights above the nadir, too: coarse grains lose light through the sample.
     """
-    uniform = "Fig 20, struck_size: uniform"
+    uniform = "Fig 20, size_sampling: uniform"
     rows = []
     for role, sign, place, statement, measure in (
         ("grain_size", -1.0, "Fig 20", "fine grains have the smallest peak", _find_forward_maximum),

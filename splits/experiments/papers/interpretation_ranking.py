@@ -58,15 +58,15 @@ PAPER_SETS = tuple(
     name for name in INTERPRETATION_SETS if Interpretation.from_input(name).grain_extent == "finite"
 )
 """Sets that can be ranked by what the papers state: the papers' grains have an extent."""
-OVERLAP_KEYS = ("grain_on_last_leg", "grain_across_boundary")
-"""Readings that ``boundaries`` stands for together."""
+OVERLAP_KEYS = ("overlap_with_previous_segment", "overlap_with_boundary")
+"""Readings that ``overlaps`` stands for together."""
 OVERLAP_CHOICES = {
     "reject": ("reject", "reject"),
     "keep": ("keep", "keep"),
     "skip": ("skip", "skip"),
-    "last leg kept": ("keep", "reject"),
+    "segment overlap kept": ("keep", "reject"),
 }
-"""What ``boundaries`` may be, and those readings."""
+"""What ``overlaps`` may be, and those readings."""
 
 
 class BestMatch(NamedTuple):
@@ -187,7 +187,7 @@ def rank_interpretations(
     stated_choices: Mapping[str, str],
     seed: int = 1,
     threads: int = 1,
-    error_factor: float = 1.0,
+    stderr_scale: float = 1.0,
     log: Callable[[str], None] = lambda line: None,
 ) -> tuple[list[InterpretationSet], dict[str, PublishedStatement]]:
     """Simulate combinations of readings, each as far as it may be among the first.
@@ -197,7 +197,7 @@ def rank_interpretations(
     published : pandas.DataFrame
         See `splits.experiments.papers.agreement.read_published`.
     choices : mapping
-        Names of `splits.Interpretation` to the choices tried; ``boundaries`` says what becomes of both
+        Names of `splits.Interpretation` to the choices tried; ``overlaps`` says what becomes of both
         kinds of grains that do not fit.
     stated_choices : mapping
         What the paper says without doubt, likewise: the best of those that keep to it are followed
@@ -205,7 +205,7 @@ def rank_interpretations(
     seed : int
         The same for all runs, so that combinations share random numbers where they are alike.
     threads : int
-    error_factor : float
+    stderr_scale : float
         Multiplies the errors of all runs.
     log : callable
         Receives lines of progress.
@@ -217,7 +217,7 @@ def rank_interpretations(
     stated : dict
         All statements by name.
     """
-    begun, given = time.perf_counter(), TargetErrors().scale(error_factor)
+    begun, given = time.perf_counter(), TargetErrors().scale(stderr_scale)
     stages = {
         stage: select_statements(published, STATED_NUMBERS.get(stage, ()))
         | get_stated_trends(stage)
@@ -256,14 +256,14 @@ def rank_interpretations(
             for done, _ in enumerate(pool.map(further, alive), start=1):
                 if done % LOG_INTERVAL == 0 or done == len(alive):
                     log(
-                        f"readings: {stage}, {done} of {len(alive)}; stage {number + 1} of "
+                        f"interpretation: {stage}, {done} of {len(alive)}; stage {number + 1} of "
                         f"{len(stages)}; {time.perf_counter() - begun:.0f} s"
                     )
     return sorted(combinations, key=lambda one: (-one.n_stages, one.min_misfit)), stated
 
 
 def expand_boundaries(choices: Mapping[str, str]) -> dict[str, str]:
-    """Return choices with both readings in place of ``boundaries``."""
+    """Return choices with both readings in place of ``overlaps``."""
     rest = {name: choice for name, choice in choices.items() if name != BOUNDARIES_KEY}
     fates = OVERLAP_CHOICES[choices[BOUNDARIES_KEY]] if BOUNDARIES_KEY in choices else ()
     return rest | dict(zip(OVERLAP_KEYS, fates, strict=bool(fates)))

@@ -109,7 +109,7 @@ def make_statement_table(
             value, error = found[water].values[name]
             rows.append(
                 {
-                    "combination": number, "readings": label, "set": one.find_set_name(),
+                    "combination": number, "interpretation": label, "set": one.find_set_name(),
                     "water": WATER_TABLES[water],
                     "nearest_water": place < len(stated),
                     "statement": name, "place": statement.place,

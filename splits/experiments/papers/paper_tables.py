@@ -64,9 +64,9 @@ def make_table3(
     """
     names = [name for name in published.index if str(name).startswith("table3_")]
     tables = []
-    for name in interpretations.readings.values:
-        table = compare_with_spectrum(interpretations.sel(readings=name), aviris)
-        table.insert(0, "reading", name)
+    for name in interpretations.interpretation.values:
+        table = compare_with_spectrum(interpretations.sel(interpretation=name), aviris)
+        table.insert(0, "interpretation", name)
         table["relative_difference_percent"] = 100 * table.difference / table.measured
         table["published_model"] = published.loc[names].published.to_numpy()
         table["difference_to_published"] = table.model - table.published_model

@@ -17,7 +17,7 @@ QUANTITIES = ("reflectance", "transmittance", "absorptance")
 
 PAPER_UNIFORM = "papers_uniform"
 PAPER_ADAPTIVE = "papers_adaptive"
-VECTORIZED = "lanes"
+VECTORIZED = "vectorized"
 METHODS = {
     PAPER_UNIFORM: "papers' algorithm, uniform",
     PAPER_ADAPTIVE: "papers' algorithm, adaptive",

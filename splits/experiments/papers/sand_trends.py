@@ -157,9 +157,9 @@ def make_fit_table(dataset: xr.Dataset) -> pd.DataFrame:
         ``spectrum``, reproduced or not, which is the same for all parameters of a fit; rmse,
         rmse_stderr.
     """
-    names = ["value", "value_stderr", "determined", "rmse", "rmse_stderr"]
+    names = ["value", "value_stderr", "constrained", "rmse", "rmse_stderr"]
     table = dataset[names].to_dataframe().reset_index()
-    verdict = np.where(table.pop("determined") > 0.5, "determined", UNDETERMINED_VERDICT)
+    verdict = np.where(table.pop("constrained") > 0.5, "constrained", UNDETERMINED_VERDICT)
     table.insert(table.columns.get_loc("rmse"), "verdict", verdict)
     spectrum = np.where(table.rmse < MAX_GOOD_RMSE, "reproduced", "not reproduced")
     table.insert(table.columns.get_loc("rmse"), "spectrum", spectrum)

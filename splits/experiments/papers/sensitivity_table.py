@@ -51,21 +51,21 @@ def make_sensitivity_table(
     datasets : mapping
         Experiments by name.
     pairs : mapping
-        Per parameter ``experiment``, ``readings`` (experiment over readings), ``parameter``
-        (grid dimension), ``low`` and ``high``; ``readings`` may be None.
+        Per parameter ``experiment``, ``interpretation`` (experiment over readings), ``parameter``
+        (grid dimension), ``low`` and ``high``; ``interpretation`` may be None.
 
     Returns
     -------
     pandas.DataFrame
-        Columns parameter, quantity, reading, low, high, chosen, msi, msi_stderr, msi_resolved,
-        resolved_share.
+        Columns parameter, quantity, interpretation, low, high, chosen, msi, msi_stderr, msi_resolved,
+        resolved_fraction.
     """
     rows = []
     for name, pair in pairs.items():
         dimension = pair["parameter"]
         ranges = datasets[pair["experiment"]]
         values = list(ranges[dimension].values)
-        readings = datasets[pair["readings"]] if pair["readings"] else None
+        readings = datasets[pair["interpretation"]] if pair["interpretation"] else None
         for quantity in QUANTITY_CONDITIONS:
             for i, low in enumerate(values):
                 for high in values[i + 1 :]:
@@ -75,8 +75,10 @@ def make_sensitivity_table(
             if readings is None:
                 continue
             # The experiment over ranges holds the default readings.
-            for reading in readings.readings.values[readings.readings.values != "default"]:
-                part = select_points(readings, {"readings": str(reading)})
+            for reading in readings.interpretation.values[
+                readings.interpretation.values != "default"
+            ]:
+                part = select_points(readings, {"interpretation": str(reading)})
                 low, high = part[dimension].values[[0, -1]]
                 s = compute_pair_sensitivity(part, dimension, low, high, quantity)
                 rows.append(_make_row(name, quantity, str(reading), low, high, False, s))
@@ -131,14 +133,14 @@ def describe_ranges(pairs: Mapping[str, Mapping[str, Any]]) -> str:
     Parameters
     ----------
     pairs : mapping
-        Per parameter ``low``, ``high`` and ``range``, ``"stated"`` by the paper or ``"chosen"``.
+        Per parameter ``low``, ``high`` and ``source``, ``"paper"`` or ``"ours"``.
     """
     parts = []
-    for origin, words in (("stated", "stated by the paper"), ("chosen", "chosen here, not stated")):
+    for origin, words in (("paper", "stated by the paper"), ("ours", "chosen here, not stated")):
         own = [
             f"{name.replace('_', ' ')} {pair['low']} to {pair['high']}"
             for name, pair in pairs.items()
-            if pair["range"] == origin
+            if pair["source"] == origin
         ]
         parts += [f"{words}: {', '.join(own)}"] if own else []
     return f"Ranges {'; '.join(parts)}."
@@ -169,5 +171,5 @@ def _make_row(
         "msi": sensitivity.index,
         "msi_stderr": sensitivity.stderr,
         "msi_resolved": sensitivity.index_resolved,
-        "resolved_share": sensitivity.resolved_fraction,
+        "resolved_fraction": sensitivity.resolved_fraction,
     }

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from splits.core.interrupts import exit_on_signals
 
-exit_on_signals("readings")
+exit_on_signals("interpretation")
 
 from splits.core.progress import open_progress_log
 from splits.experiments.papers.agreement import read_published
@@ -19,10 +19,10 @@ from splits.experiments.papers.paper_tables import write_table
 from splits.plotting import draw_interpretation_shifts, save_figure
 
 with open_progress_log(snakemake.log[0]) as say:
-    choices, text = snakemake.params.readings, snakemake.params.text
+    choices, text = snakemake.params.interpretation, snakemake.params.stated
     combinations, stated = rank_interpretations(
         read_published(snakemake.input.published), choices, text, snakemake.params.seed,
-        snakemake.threads, snakemake.params.error_factor, say,
+        snakemake.threads, snakemake.params.stderr_scale, say,
     )  # fmt: skip
 names = find_differing_keys(combinations)
 table = make_statement_table(combinations, stated, names)

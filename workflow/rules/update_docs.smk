@@ -1,16 +1,16 @@
-if "documented" in sys.argv and SETTINGS.accuracy != "standard":
+if "update_docs" in sys.argv and SETTINGS.accuracy != "standard":
     raise WorkflowError(
-        f"accuracy = '{SETTINGS.accuracy}': must be standard for the target documented"
+        f"accuracy = '{SETTINGS.accuracy}': must be standard for the target update_docs"
     )
 
 
 # Documents are no outputs, because Snakemake removes those before a job; so it always runs.
-rule documented:
+rule update_docs:
     input:
         [products(name) for name in EXPERIMENTS],
         study_products(),
     log:
-        f"{RESULTS}/logs/documented.log",
+        f"{RESULTS}/logs/update_docs.log",
     conda:
         "../../environment.yml"
     threads: 1
@@ -19,4 +19,4 @@ rule documented:
     message:
         "Writing numbers and figures of this run into README.md and docs"
     script:
-        "../scripts/documented.py"
+        "../scripts/update_docs.py"

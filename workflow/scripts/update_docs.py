@@ -17,5 +17,5 @@ try:
         RESULTS / "figures", snakemake.params.figures, "docs/gallery/images"
     )
 except (OSError, ValueError) as error:
-    sys.exit(f"documented: {error}")
+    sys.exit(f"update_docs: {error}")
 write_line(f"changed: {' '.join(map(str, [*changed, *images, *deleted])) or 'nothing'}", sys.stderr)

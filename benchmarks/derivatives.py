@@ -199,7 +199,7 @@ def compute_likelihood_ratio(medium: Any, rays: int) -> tuple[np.ndarray, np.nda
     index, absorption = compute_optical_constants(medium, np.array(WAVELENGTHS_NM))
     runner = Runner(medium, INCIDENCE_DEG, 1, None, False)
     one = ScoreTally(0, index[len(WAVELENGTHS_NM) // 2], absorption, np.ones(len(WAVELENGTHS_NM), bool), runner.tracer.traits,
-                 strata=SINGLE_STRATUM)  # fmt: skip
+                 bounds=SINGLE_STRATUM)  # fmt: skip
     one.sums, one.attenuation = (
         np.zeros((2, len(WAVELENGTHS_NM))),
         1.0 / compute_mean_free_path_m(medium),

@@ -266,7 +266,7 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
             )
             found[f"misfit.{name}.{soil.split('_')[0]}"] = QuotedNumber(SAND_FIT_FILE, misfit)
     modelled: RowFilter = {"refractive_index": "as modelled"}
-    determined: RowFilter = {"verdict": "constrained"}
+    constrained: RowFilter = {"verdict": "constrained"}
     return found | {
         "misfit.least": QuotedNumber(
             SAND_FIT_FILE, select_extreme("rmse", largest=False, **modelled)

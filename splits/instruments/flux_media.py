@@ -100,7 +100,7 @@ class _AbsorbingStack(Stack):
             AbsorbingMatrixLayer.from_particle_layer(part)
             if isinstance(part, StackedParticleLayer)
             else part
-            for part in super().parts
+            for part in super().scene_layers
         )
 
 
@@ -111,7 +111,7 @@ class _ParticleSlab(_AbsorbingStack):
     @cached_property
     def scene_layers(self) -> tuple[Any, ...]:
         """The layer, and below it what has the matrix' index outside, where it has a bottom."""
-        (part,) = super().parts
+        (part,) = super().scene_layers
         if self.ground is None:
             return (part,)
         n = part.layer.refractive_index

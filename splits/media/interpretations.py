@@ -30,9 +30,9 @@ from splits.media.sand_composition import EXCESS_MAGNETITE_RULES
 from splits.media.wetness import WATER_MODELS
 
 INTERPRETATION_CHOICES: dict[str, tuple[str, ...]] = {
-    "entry": tuple(ENTRY_SAMPLING),
-    "facets": tuple(FACET_SAMPLING),
-    "wrong_side": tuple(WRONG_SIDE_RULE),
+    "entry_point": tuple(ENTRY_SAMPLING),
+    "facet_sampling": tuple(FACET_SAMPLING),
+    "wrong_side_ray": tuple(WRONG_SIDE_RULE),
     "boundary_fresnel": ("yes", "no"),
     "overlap_with_previous_segment": tuple(OVERLAP_RULE),
     "overlap_with_boundary": tuple(OVERLAP_RULE),
@@ -189,8 +189,8 @@ class TransportInterpretation:
     def to_sampling_rules(self, analog: bool = False) -> SamplingRules:
         """Return the readings as kernels take them."""
         return SamplingRules(
-            entry_sampling=ENTRY_SAMPLING[self.entry],
-            facet_sampling=FACET_SAMPLING[self.facets],
+            entry_sampling=ENTRY_SAMPLING[self.entry_point],
+            facet_sampling=FACET_SAMPLING[self.facet_sampling],
             wrong_side=WRONG_SIDE_RULE[self.wrong_side_ray],
             boundary_fresnel=self.boundary_fresnel == "yes",
             segment_overlap=OVERLAP_RULE[self.overlap_with_previous_segment],

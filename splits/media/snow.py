@@ -197,7 +197,7 @@ class Snow(ContentEquality):
 
     def _comparison_key(self) -> tuple[Hashable, ...]:
         # A table is what it holds, and not the path that it was read from.
-        return (*super()._content(), frozenset(self._impurities))
+        return (*super()._comparison_key(), frozenset(self._impurities))
 
     @property
     def largest_grain_m(self) -> float:

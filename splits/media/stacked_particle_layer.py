@@ -114,7 +114,7 @@ class AbsorbingMatrixLayer(StackedParticleLayer):
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, 2)."""
-        index = super().indices(wavelength_nm)
+        index = super().compute_refractive_indices(wavelength_nm)
         index[:, DRY_PORE] = self.outer_index
         return index
 

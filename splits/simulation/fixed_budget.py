@@ -82,7 +82,7 @@ def estimate_fixed_budget(
     runner = Runner(medium, check_incidence(incidence_deg), int(seed), threads, False)
     # An ensemble keeps its number, hence its streams, also where a neighbour is not drawn on.
     ensembles = [
-        PathTally(number, m, absorption, w > 0.0, runner.tracer.traits, strata=SINGLE_STRATUM)
+        PathTally(number, m, absorption, w > 0.0, runner.tracer.traits, bounds=SINGLE_STRATUM)
         for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
         if w.any()
     ]

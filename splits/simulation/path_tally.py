@@ -196,13 +196,15 @@ class SharedPathTally(PathTally):
 
     def count_score_values(self) -> int:
         """Return how many numbers a tally holds."""
-        return super().size() + len(self.absorption_derivatives) * len(self.rows) * (1 + BLOCK_SIZE)
+        return super().count_score_values() + len(self.absorption_derivatives) * len(self.rows) * (
+            1 + BLOCK_SIZE
+        )
 
     def score_chunk(
         self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
     ) -> Any:
         """Return the sums of a batch of a level, and their derivatives by block."""
-        sums = super().tally(stratum, first_ray, exits, crossings)
+        sums = super().score_chunk(stratum, first_ray, exits, crossings)
         if not len(self.absorption_derivatives):
             return sums, None
         served = self.rows[self.select_rows(stratum)]
@@ -215,7 +217,7 @@ class SharedPathTally(PathTally):
         """Add the tallies of batches one by one."""
         for sums, blocks in scores:
             first = stratum.n_rays // BLOCK_SIZE % N_BATCHES
-            super().add(stratum, [sums])
+            super().add_scores(stratum, [sums])
             if blocks is not None:
                 self.derivative_sums[
                     first : first + len(blocks), :, :, self.select_rows(stratum)

@@ -209,7 +209,7 @@ class GrainTracer:
                 self.LOST_MESSAGE if any(one.lost for one in told) else "",
             )
         optics = Optics(*map(np.stack, zip(*(level.optics for level in strata), strict=True)))
-        told = vectorized.batch(self.seed, work, self.scene, optics, exits, features)
+        told = vectorized.trace_batch(self.seed, work, self.scene, optics, exits, features)
         # Of each ray in the order of time, as they were taken.
         notes = told.crossings[np.argsort(told.crossings[:, CROSSING_RAY], kind="stable")]
         last = np.cumsum(work[:, 2])

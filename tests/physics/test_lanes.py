@@ -48,7 +48,7 @@ def ensembles(medium, wavelengths, attenuation):
     one = np.ones(1, dtype=bool)
     return [
         PathTally(
-            number, m, alpha[np.newaxis], one, TransportTraits(attenuation), strata=SINGLE_STRATUM
+            number, m, alpha[np.newaxis], one, TransportTraits(attenuation), bounds=SINGLE_STRATUM
         )
         for number, (m, alpha) in enumerate(zip(index, absorption, strict=True))
     ]

@@ -75,10 +75,8 @@ def make_law_table(
     for place in np.ndindex(*shape):
         at = {a: given[a].values[i] for a, i in zip(kept, place, strict=True)}
         amounts = {
-            str(parse_impurity_parameter(a)[1]): float(at[a])
-            for a in kept
-            if parse_impurity_parameter(a)
-        }  # type: ignore[index]
+            str(parsed[1]): float(at[a]) for a in kept if (parsed := parse_impurity_parameter(a))
+        }
         per_ice = sum(
             (one.compute_absorption_per_kg_ice(w) for one in make_impurities(amounts, {})),
             np.zeros(w.size),

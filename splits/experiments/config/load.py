@@ -30,7 +30,7 @@ from splits.experiments.run_fit import check_fit
 from splits.media.measured_inputs import override_keywords
 from splits.retrieval.measurement import MAX_REFLECTANCE
 
-SectionType = TypeVar("Model", bound=BaseModel)
+SectionType = TypeVar("SectionType", bound=BaseModel)
 
 MAX_MESSAGE_CHARS = 450
 """Characters of a message, the name of its file left out."""

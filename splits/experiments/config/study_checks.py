@@ -178,14 +178,14 @@ def _check_fixed_values(definition: Study, available: Mapping[str, ExperimentCon
     """Refuse values of axes that no table has or reaches, and texts that are left open."""
     if definition.kind != "bands":
         return
-    tables = [available[n] for n in definition.experiments.values() if n in available]
+    tables = [available[n] for n in definition.inputs.values() if n in available]
     rows = {name: row for one in tables for name, row in zip(*one.make_axes(), strict=True)}
-    for name, value in definition.at.items() if tables else ():
+    for name, value in definition.fixed.items() if tables else ():
         if name not in rows:
             raise unknown_key(f"fixed.{name}", rows)
         check_within_axis(f"fixed.{name}", value, rows[name])
     for name, row in rows.items():
-        if isinstance(row[0], str) and len(row) > 1 and name not in definition.at:
+        if isinstance(row[0], str) and len(row) > 1 and name not in definition.fixed:
             raise invalid(f"fixed.{name}", "nothing", f"one of {', '.join(map(str, row))}")
 
 

@@ -13,7 +13,7 @@ from jupyter_client.manager import KernelManager
 from splits.core.provenance import PACKAGE_FOLDER, hash_files
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE / "_ext"))
+sys.path[:0] = [str(HERE / "_ext"), str(HERE)]
 
 project = "splits"
 author = "The authors of splits-optics"
@@ -24,7 +24,7 @@ extensions = [
     "myst_nb", "sphinx.ext.autodoc", "numpydoc",
     "mathml", "marked_numbers", "gallery", "configuration", "command_help", "signatures",
 ]  # fmt: skip
-exclude_patterns = ["_build", "_ext", "_templates"]
+exclude_patterns = ["_build", "_ext", "_numbers", "_templates"]
 templates_path = ["_templates"]
 # What stands in single backticks in a docstring is a link where there is something to link to.
 default_role = "py:obj"

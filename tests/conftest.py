@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numba
 
-for folder in ("", "statistics", "campaigns"):
-    sys.path.insert(0, str(Path(__file__).parent / folder))
+for folder in ("", "statistics", "campaigns", "../docs"):
+    sys.path.insert(0, str((Path(__file__).parent / folder).resolve()))
 
 # Compilers leave a gigabyte of objects that stay: to look through all of them again and again took
 # a tenth of the time.

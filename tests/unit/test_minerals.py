@@ -138,7 +138,7 @@ def test_goethite_has_bumps_at_its_crystal_field_bands(centre):
     assert 0.1 < (k - baseline).max() / k[60] < 0.5
 
 
-@pytest.mark.parametrize("band", GOETHITE.bands)
+@pytest.mark.parametrize("band", GOETHITE.oscillators)
 def test_each_band_absorbs_most_near_its_own_energy(band):
     energy = np.linspace(0.3, 6.0, 5701)
     absorbed = band.dielectric(energy).imag

@@ -3,6 +3,8 @@
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path("docs").resolve()))
+
 from _numbers.gallery_images import write_gallery
 from _numbers.marks import list_documents, update_documents
 from _numbers.values import collect_quoted_numbers

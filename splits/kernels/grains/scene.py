@@ -50,7 +50,7 @@ FACET_SAMPLING = {
     "unweighted": microfacet.UNWEIGHTED_FACETS,
     "any": microfacet.ANY_FACETS,
 }
-WRONG_SIDE_RULE = {"lobe": WRONG_SIDE_LOBE, "mirrored": WRONG_SIDE_MIRROR}
+WRONG_SIDE_RULE = {"cosine_lobe": WRONG_SIDE_LOBE, "mirror": WRONG_SIDE_MIRROR}
 OVERLAP_RULE = {"reject": OVERLAP_REJECT, "keep": OVERLAP_KEEP, "skip": OVERLAP_SKIP}
 
 

@@ -338,7 +338,7 @@ def report_attenuation_cost(error: float) -> None:
     for label, depth in (("2 cm of snow", 0.02), ("30 cm of snow", 0.3)):
         soot = {"black_carbon": 100}
         medium = splits.Snow.natural(optical_radius_um=150, depth_m=depth, density_kg_m3=200,
-                                     impurities_ng_g=soot, readings=KEEP_OVERLAPS)  # fmt: skip
+                                     impurities_ng_g=soot, interpretation=KEEP_OVERLAPS)  # fmt: skip
         time_spectrum(medium, 0.02, 1)
         found, seconds = time_spectrum(medium, error, 1, jacobian=["density_kg_m3"])
         spent = seconds - time_spectrum(medium, error, 1)[1]

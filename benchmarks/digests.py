@@ -25,10 +25,10 @@ RUNS: dict[str, Callable[[], xr.Dataset]] = {
     "snow": lambda: splits.spectrophotometer(splits.Snow(), BANDS, 30.0, 0.005),
     "snow, diffuse": lambda: splits.spectrophotometer(splits.Snow(), BANDS, "diffuse", 0.005),
     "snow, splits_2007": lambda: splits.spectrophotometer(
-        splits.Snow(readings="splits_2007"), BANDS, 60.0, 0.005
+        splits.Snow(interpretation="splits_2007"), BANDS, 60.0, 0.005
     ),
     "snow, geometric": lambda: splits.spectrophotometer(
-        splits.Snow(readings="geometric"), BANDS, 60.0, 0.005
+        splits.Snow(interpretation="geometric"), BANDS, 60.0, 0.005
     ),
     "snow, BRDF": lambda: splits.goniophotometer(
         splits.Snow(), [600.0], 30.0, relative_stderr=0.05, azimuth_deg=[0.0, 180.0]
@@ -48,7 +48,7 @@ RUNS: dict[str, Callable[[], xr.Dataset]] = {
     ),
     "natural snow": lambda: splits.spectrophotometer(NATURAL_SNOW, BANDS, 60.0, 0.005),
     "natural snow, geometric": lambda: splits.spectrophotometer(
-        splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.1, readings="geometric"),
+        splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.1, interpretation="geometric"),
         BANDS, 60.0, 0.005,
     ),
 }  # fmt: skip

@@ -62,7 +62,7 @@ def search_shapes(rays: int) -> None:
         (0.65, 0.7, 0.75, 0.8), (0.03, 0.04, 0.05, 0.06, 0.07, 0.08)
     ):
         grains = {**make_grains(facetness), "sphericity": (sphericity, sphericity, sphericity, 0.0)}
-        snow = splits.Snow(saturation=0.0, readings="geometric", **grains)
+        snow = splits.Snow(saturation=0.0, interpretation="geometric", **grains)
         b, g, _ = compute_optical_shape(snow, rays=rays)
         off = [(b.value - NATURAL_B[0]) / NATURAL_B[1], (g.value - NATURAL_G[0]) / NATURAL_G[1]]
         line = (
@@ -88,9 +88,9 @@ def main() -> None:
         search_shapes(given.rays)
         return
     rows = []
-    for name, (readings, grains) in CASES.items():
-        both = {"set": "splits_2007", **readings}
-        snow = splits.Snow(saturation=0.0, readings=both, **grains)
+    for name, (interpretation, grains) in CASES.items():
+        both = {"set": "splits_2007", **interpretation}
+        snow = splits.Snow(saturation=0.0, interpretation=both, **grains)
         shape = compute_optical_shape(snow, rays=given.rays)
         row: dict[str, Any] = {"grains": name}
         for key, one in shape._asdict().items():

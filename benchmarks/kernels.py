@@ -75,7 +75,9 @@ OPTIONAL_FEATURES = {
 rays would be refused about 1/cosine times."""
 FEATURE_MEDIA = {
     "facets, S = 0.3": splits.Snow(**ROUGH_GRAINS | {"saturation": 0.3}),
-    "facets, entry projected": splits.Snow(**ROUGH_GRAINS, readings={"entry_point": "projected"}),
+    "facets, entry projected": splits.Snow(
+        **ROUGH_GRAINS, interpretation={"entry_point": "projected"}
+    ),
     "sand, mixed particles only": splits.Sand(partition=(0.0, 1.0, 0.0), texture=(0.0, 0.10, 0.90)),
     "sand, Fig 8 base": splits.Sand(texture=(0.0, 0.10, 0.90)),
 }

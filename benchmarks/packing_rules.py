@@ -73,7 +73,7 @@ def make_snow(rule: str, density: float, **settings: Any) -> splits.Snow:
     return splits.Snow.natural(
         specific_surface_area_m2_kg=20.0,
         density_kg_m3=density,
-        readings=OVERLAP_RULES[rule],
+        interpretation=OVERLAP_RULES[rule],
         **settings,
     )
 

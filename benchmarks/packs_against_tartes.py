@@ -90,7 +90,7 @@ def compute_two_stream_albedo(
 def compare_snowpack(name: str, number: int, max_stderr: float) -> pd.DataFrame:
     """Print the shapes of a pack's layers, and return its reflectance in four ways."""
     plain = [splits.Snow(**one) for one in SNOWPACKS[name]]
-    kept = [splits.Snow(**one, readings=KEEP_OVERLAPS) for one in SNOWPACKS[name]]
+    kept = [splits.Snow(**one, interpretation=KEEP_OVERLAPS) for one in SNOWPACKS[name]]
     single = [
         splits.single_scattering(one, WAVELENGTHS_NM, seed=10 * number + i)
         for i, one in enumerate(plain)

@@ -49,8 +49,8 @@ def main() -> None:
     azimuths = sorted({float(pair[2]) for pair in ANGLE_PAIRS})
     print("pairs (incidence, view, azimuth):", *ANGLE_PAIRS)
     for name, (kind, settings, wavelength) in MEDIA.items():
-        for reading, readings in INTERPRETATIONS.items():
-            medium = kind(**settings, readings={"set": "splits_2007", **readings})
+        for reading, interpretation in INTERPRETATIONS.items():
+            medium = kind(**settings, interpretation={"set": "splits_2007", **interpretation})
             runs = {
                 angle: splits.goniophotometer(
                     medium,

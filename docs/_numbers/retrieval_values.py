@@ -114,8 +114,8 @@ def _list_retrieval_numbers() -> dict[str, QuotedNumber]:
                 DOZIER_FILE, select_cell("chi2", **where), ".0f"
             )
     for saturation, key in ((0.0, "dry"), (0.412, "wet"), (0.962, "full")):
-        for readings, short in (("narrow pores", "narrow"), ("whole pores", "whole")):
-            rmse = _select_directional_rms(readings, saturation, "rmse")
+        for interpretation, short in (("narrow pores", "narrow"), ("whole pores", "whole")):
+            rmse = _select_directional_rms(interpretation, saturation, "rmse")
             found[f"directions.{key}.{short}"] = QuotedNumber(ANISOTROPY_FILE, rmse, ".3f")
         spread = _select_directional_rms("whole pores", saturation, "spread")
         found[f"directions.{key}.spread"] = QuotedNumber(ANISOTROPY_FILE, spread, ".3f")

@@ -145,7 +145,7 @@ def _list_surface_area_numbers() -> dict[str, QuotedNumber]:
 def _list_table3_numbers() -> dict[str, QuotedNumber]:
     """Reflectance in the AVIRIS-NG bands under every reading."""
     bands = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
-    readings = (
+    interpretation = (
         "default", "splits_2007", "geometric", "size_semi_axis", "size_sampling_uniform",
         "entry_projected", "facets_projected", "facets_unweighted", "wrong_side_lobe",
         "no_boundary_fresnel", "keep_overlap_with_segment",
@@ -166,7 +166,7 @@ def _list_table3_numbers() -> dict[str, QuotedNumber]:
                 TABLE3_FILE, select_cell("relative_difference_percent", **default), "+.1f"
             ),
         }
-        for reading in readings:
+        for reading in interpretation:
             found[f"table3.{reading}.{band}"] = QuotedNumber(
                 TABLE3_FILE, select_cell("model", interpretation=reading, wavelength_nm=nm)
             )

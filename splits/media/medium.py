@@ -210,8 +210,8 @@ def compute_mean_free_path_m(medium: GranularMedium) -> float:
     mean chord 1/K.  Counted with the grain, 1 − 𝓔 of it are left for the leg, unless grains are
     points, among which the leg stands for both (`compute_pore_fraction`).
     """
-    readings = medium.interpretation
-    whole = readings.mean_free_path == "pore_only" or readings.grain_extent == "point"
+    interpretation = medium.interpretation
+    whole = interpretation.mean_free_path == "pore_only" or interpretation.grain_extent == "point"
     return medium.mean_grain_distance_m * (1.0 if whole else medium.porosity)
 
 
@@ -221,8 +221,11 @@ def compute_pore_fraction(medium: GranularMedium) -> float:
     It is 1 unless grains are points whose distance includes them: then 1 − 𝓔, and the coefficient
     that applies per metre of leg is that of radiative transfer, (1 − 𝓔) times the material's.
     """
-    readings = medium.interpretation
-    parted = readings.mean_free_path == "including_grain" and readings.grain_extent == "point"
+    interpretation = medium.interpretation
+    parted = (
+        interpretation.mean_free_path == "including_grain"
+        and interpretation.grain_extent == "point"
+    )
     return medium.porosity if parted else 1.0
 
 

@@ -132,11 +132,11 @@ def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
         check_range(
             key, keywords[key], MIN_NATURAL_DENSITY_KG_M3, ice, "kg/m3", hint=hint, open_high=True
         )
-    readings = keywords.get("interpretation", {})
-    if isinstance(readings, Mapping):
+    interpretation = keywords.get("interpretation", {})
+    if isinstance(interpretation, Mapping):
         keywords = {
             **keywords,
-            "interpretation": merge_interpretations([NATURAL_INTERPRETATION, readings]),
+            "interpretation": merge_interpretations([NATURAL_INTERPRETATION, interpretation]),
         }
     index = keywords.get("refractive_index", {})
     indices = {

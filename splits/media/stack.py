@@ -129,7 +129,9 @@ class Stack:
         chosen = INTERPRETATION_SETS[
             check_choice("interpretation", self.interpretation, INTERPRETATION_SETS)
         ]
-        return replace(cast(Any, layer), readings=type(own).from_input({**own.as_dict(), **chosen}))
+        return replace(
+            cast(Any, layer), interpretation=type(own).from_input({**own.as_dict(), **chosen})
+        )
 
     @cached_property
     def scene_layers(self) -> tuple[GranularMedium | StackedParticleLayer, ...]:

@@ -70,7 +70,7 @@ def test_a_cut_medium_has_the_brdf_of_the_whole():
 
 def test_energy_closes_and_order_matters():
     bright = splits.Snow(depth_m=0.05)
-    dark = splits.Sand(depth_m=0.05, readings="splitsnow_2021")
+    dark = splits.Sand(depth_m=0.05, interpretation="splitsnow_2021")
     light = {"wavelength_nm": [600.0], "max_stderr": 0.01}
     snow_on_sand = splits.spectrophotometer(splits.Stack([bright, dark]), **light)
     sand_on_snow = splits.spectrophotometer(splits.Stack([dark, bright]), **light)

@@ -47,7 +47,7 @@ MEDIA = {
     "packed snow": (splits.Snow(depth_m=0.01, density_kg_m3=600.0), 0.0, 2000),
     "snow at 60 degrees": (splits.Snow(depth_m=0.01), 60.0, 3000),
     "snow by other readings": (
-        splits.Snow(depth_m=0.01, saturation=0.3, readings=OTHER), 30.0, 3000,
+        splits.Snow(depth_m=0.01, saturation=0.3, interpretation=OTHER), 30.0, 3000,
     ),
     "sand": (splits.Sand(depth_m=0.003), 0.0, 4000),
     "wet sand of eight types": (

@@ -123,7 +123,7 @@ def test_what_layers_above_a_clear_one_absorb_stays_absorbed(ground):
             splits.Stack(
                 [splits.Snow(), splits.Sand(**clear, depth_m=depth)],
                 ground=ground,
-                readings="splits_2007",
+                interpretation="splits_2007",
             ),
             [500.0, 1500.0],
             max_stderr=0.02,

@@ -137,7 +137,7 @@ def test_grains_far_apart_are_reciprocal(entry, facetness):
 def test_packed_grains_are_reciprocal_where_those_that_do_not_fit_are_skipped(kind, wavelength):
     # Drawn again instead, they break it by up to 40 % (docs/theory/angles.md).
     skipped = {"overlap_with_boundary": "skip", "overlap_with_previous_segment": "skip"}
-    medium = kind(saturation=0.0, readings={**skipped, "entry_point": "projected"})
+    medium = kind(saturation=0.0, interpretation={**skipped, "entry_point": "projected"})
     what = f"reciprocity of packed grains, {kind.__name__}"
     judge_z(reciprocity(medium, wavelength), what, INDEPENDENT_PAIRS)
 
@@ -253,7 +253,7 @@ def test_bits_do_not_depend_on_threads():
 )
 def test_wavelengths_that_share_paths_get_what_they_would_alone(asked, rays):
     # Wet enough that the slab's own face counts, where the index of water changes fast.
-    wet = splits.Snow(saturation=1.0, depth_m=0.02, readings="splits_2007")
+    wet = splits.Snow(saturation=1.0, depth_m=0.02, interpretation="splits_2007")
     wavelengths = np.arange(2000.0, 2501.0, 20.0)
     grid = {"polar_deg": [0, 40, 70], "azimuth_deg": [0, 90, 180]}
     together = splits.goniophotometer(wet, wavelengths, 30.0, relative_stderr=asked, **grid)
@@ -283,7 +283,7 @@ def test_steep_directions_alone_and_dark_sides_have_a_goal_too():
 
 
 def test_detail_that_noise_hides_keeps_a_lobe_above_the_error_asked_for():
-    snow = splits.Snow(readings="splits_2007")
+    snow = splits.Snow(interpretation="splits_2007")
     run = splits.goniophotometer(snow, [1800.0], 69.3, seed=6, relative_stderr=0.1)
     assert run.attrs["stop_reason"] == "unresolved_lobe"
     assert 0.1 < run.attrs["relative_stderr_reached"] < 0.2

@@ -45,7 +45,7 @@ def test_smooth_spheres_are_those_of_theory():
     ice = {"ice": complex(N, K)}
     snow = splits.Snow(
         grain_size_um=(500, 500),
-        readings={"entry_point": "projected"},
+        interpretation={"entry_point": "projected"},
         refractive_index=ice,
         **SPHERES,
     )

@@ -27,7 +27,7 @@ MEDIA = {
     "dry snow": (DRY, DRY),
     "sand": (SAND, SAND),
     "stack": tuple(
-        splits.Stack(order, readings="splits_2007")
+        splits.Stack(order, interpretation="splits_2007")
         for order in ([FRESH, WET, SAND], [SAND, WET, FRESH])
     ),
 }
@@ -37,7 +37,7 @@ MEDIA = {
 def over(medium, ground):
     """Return a medium over a ground."""
     if isinstance(medium, splits.Stack):
-        return splits.Stack(medium.layers, ground=ground, readings=medium.interpretation)
+        return splits.Stack(medium.layers, ground=ground, interpretation=medium.interpretation)
     settings = {name: getattr(medium, name) for name in ("depth_m", "saturation")}
     if isinstance(medium, splits.Sand):
         settings["partition"] = medium.partition

@@ -178,7 +178,7 @@ def away_under(reading, kernel, error):
         start=first,
     ):
         for incidence in (0.0, 75.0):
-            medium = splits.Snow(**settings, readings=reading)
+            medium = splits.Snow(**settings, interpretation=reading)
             (shares, errors), (other, other_errors) = (
                 measure(medium, 1500.0, incidence, error, seed + 100 * n, kernel=k)
                 for n, k in enumerate((kernel, KERNELS[0]))
@@ -288,7 +288,7 @@ def test_opaque_grains_absorb_what_fresnel_lets_in(kernel):
         medium = splits.Snow(
             density_kg_m3=0.1, depth_m=0.002, saturation=0.0, sphericity=SPHERES, facetness=SMOOTH,
             refractive_index={"ice": index},
-            readings={"entry_point": "projected", "overlap_with_boundary": "keep"},
+            interpretation={"entry_point": "projected", "overlap_with_boundary": "keep"},
         )  # fmt: skip
         shares, errors = measure(medium, 500.0, 0.0, 3e-5, seed, kernel=kernel)
         hit = -math.expm1(-medium.depth_m / medium.mean_grain_distance_m)

@@ -21,7 +21,7 @@ LID = splits.ParticleLayer(
     optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.01
 )
 SNOW = splits.Snow(depth_m=0.006, saturation=0.0)
-SAND = splits.Sand(depth_m=0.004, readings="splitsnow_2021")
+SAND = splits.Sand(depth_m=0.004, interpretation="splitsnow_2021")
 WAVELENGTHS = [500.0, 900.0]
 
 
@@ -163,8 +163,8 @@ def test_a_matrix_has_faces_whatever_the_pores_reading():
         optical_thickness=0.1, refractive_index=1.5, bottom_albedo=None, depth_m=0.01
     )
     z = []
-    for number, readings in enumerate(({}, {"boundary_fresnel": "no"})):
-        snow = splits.Snow(depth_m=0.004, saturation=0.0, readings=readings)
+    for number, interpretation in enumerate(({}, {"boundary_fresnel": "no"})):
+        snow = splits.Snow(depth_m=0.004, saturation=0.0, interpretation=interpretation)
         z.append(measured(splits.Stack([plate, snow], ground=0.1), 30.0, 30 + number))
     judge_z(apart(*z), independent=1, bound_added=True)
 

@@ -185,7 +185,7 @@ def test_rays_are_in_ice_and_water_for_as_much_of_their_way_as_these_fill(wet):
 def test_the_papers_distance_is_that_of_a_leg():
     dry = {"density_kg_m3": 400.0, "grain_size_um": (200, 600)}
     paper = splits.Snow(**dry)
-    other = splits.Snow(**dry, readings={"mean_free_path": "including_grain"})
+    other = splits.Snow(**dry, interpretation={"mean_free_path": "including_grain"})
     assert paper.mean_grain_distance_m == other.mean_grain_distance_m
     legs = [1.0 / snow.make_grain_population().attenuation for snow in (paper, other)]
     assert legs[0] == paper.mean_grain_distance_m

@@ -16,7 +16,7 @@ PACK = splits.Stack(
     [
         splits.Snow(grain_size_um=(50, 100), density_kg_m3=120, saturation=0.0, depth_m=0.004),
         splits.Snow(depth_m=0.006, saturation=0.2),
-        splits.Sand(depth_m=0.003, readings="splitsnow_2021"),
+        splits.Sand(depth_m=0.003, interpretation="splitsnow_2021"),
     ],
     ground=0.5,
 )

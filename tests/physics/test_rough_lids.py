@@ -23,7 +23,7 @@ SETTINGS = {
 DEPTH = 0.3
 SNOW = splits.Snow(depth_m=0.006, saturation=0.0)
 WET = splits.Snow(depth_m=0.006, saturation=0.3)
-SAND = splits.Sand(depth_m=0.004, readings="splitsnow_2021")
+SAND = splits.Sand(depth_m=0.004, interpretation="splitsnow_2021")
 
 
 def lid(share=1.0, surface=None, **settings):

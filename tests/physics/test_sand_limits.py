@@ -70,7 +70,9 @@ class IcySand(splits.Sand):
 def pair(types, settings):
     """Return snow and the sand that is the same, with any number of types of particle."""
     snow = splits.Snow(
-        **{"saturation": 0.0, **settings}, facetness=(0.0, 1.0, 0.3, 0.072), readings="splits_2007"
+        **{"saturation": 0.0, **settings},
+        facetness=(0.0, 1.0, 0.3, 0.072),
+        interpretation="splits_2007",
     )
     ice = snow.refractive_index["ice"]
     sand = IcySand(

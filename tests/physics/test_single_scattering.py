@@ -29,7 +29,7 @@ def dry(ice, **settings):
 def test_smooth_ice_sphere_has_the_known_asymmetry():
     from test_sphere_scattering import mean_cosine, over_impacts, projected
 
-    ds = single_scattering(dry(1.31, **SPHERES, readings=PROJECTED), 500.0, rays=400_000)
+    ds = single_scattering(dry(1.31, **SPHERES, interpretation=PROJECTED), 500.0, rays=400_000)
     known = over_impacts(lambda i: mean_cosine(i, 1.31), projected)
     error = float(ds.asymmetry_parameter_stderr[0])
     assert 0.0 < error < 0.002
@@ -53,7 +53,7 @@ def test_matched_grain_scatters_forward_only():
 def test_matched_grain_absorbs_along_its_chord():
     # Struck by projected area, a convex grain has a mean chord of volume over projected area.
     alpha = 1.0
-    snow = dry(complex(1.0, alpha * 500e-9 / (4.0 * math.pi)), readings=PROJECTED)
+    snow = dry(complex(1.0, alpha * 500e-9 / (4.0 * math.pi)), interpretation=PROJECTED)
     chord = 1.0 / snow.attenuation_per_m
     runs = [single_scattering(snow, 500.0, rays=400_000, seed=seed) for seed in range(1, 5)]
     lost = np.array([1.0 - float(ds.single_scattering_albedo[0]) for ds in runs])
@@ -69,7 +69,7 @@ def test_matched_grain_absorbs_along_its_chord():
 
 def test_smooth_spheres_have_their_known_shape_factors():
     # B = n² (1 − (1 − 1/n²)^(3/2)): path within a sphere over its mean chord, weak absorption.
-    snow = dry(1.31 + 1e-8j, **SPHERES, readings=PROJECTED)
+    snow = dry(1.31 + 1e-8j, **SPHERES, interpretation=PROJECTED)
     ds = single_scattering(snow, 1000.0, rays=400_000, seed=2)
     enhancement, asymmetry = compute_shape_factors(ds, snow.specific_surface_area_m2_kg, 1e-8)
     density = ice_density(snow.temperature_c)
@@ -155,7 +155,10 @@ def test_light_in_equilibrium_between_pores_stays_so():
     # area: even entry makes it 0.40, facets 0.35 instead of 0.37.
     index = {"ice": 1.31, "water": 1.33}
     snow = splits.Snow(
-        saturation=0.25, facetness=SPHERES["facetness"], readings=PROJECTED, refractive_index=index
+        saturation=0.25,
+        facetness=SPHERES["facetness"],
+        interpretation=PROJECTED,
+        refractive_index=index,
     )
     ds = single_scattering(snow, 1500.0, rays=RAYS, moments=2, wet_pores="equilibrium")
     share = 0.25 * 1.33**2 / (0.25 * 1.33**2 + 0.75)

@@ -71,8 +71,8 @@ def test_grains_in_pores_of_their_own_index_are_invisible(estimator):
 @pytest.mark.parametrize("entry", ["uniform", "projected"])
 def test_opaque_grains_leave_the_unscattered_beam(entry):
     # Grains of index 1 do not reflect and nothing that enters one leaves it: Beer and Lambert.
-    readings = {"entry_point": entry, "overlap_with_boundary": "keep"}
-    snow = splits.Snow(saturation=0.0, readings=readings)
+    interpretation = {"entry_point": entry, "overlap_with_boundary": "keep"}
+    snow = splits.Snow(saturation=0.0, interpretation=interpretation)
     absorption = np.array([0.0, 0.0, 1e15])
     optics = make_optics(np.ones(3), absorption=absorption)
     seed, rays = (51, 52)[entry == "uniform"], 100_000

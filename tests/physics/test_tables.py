@@ -149,7 +149,7 @@ def test_light_takes_the_same_paths_among_larger_grains(by, part, saturation):
         ice, water = 1.31 + 4e-7j / by, 1.33 + 1e-7j / by
         return splits.Snow(
             grain_size_um=(50.0 * by, 125.0 * by), saturation=saturation, depth_m=math.inf,
-            refractive_index={"ice": ice, "water": water}, readings="geometric",
+            refractive_index={"ice": ice, "water": water}, interpretation="geometric",
         )  # fmt: skip
 
     z = []

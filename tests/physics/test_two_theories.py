@@ -33,9 +33,9 @@ not points: measured at standard errors of 0.0015 (docs/theory/radiative-transfe
 
 def sample(thickness, density, **settings):
     """Return dry snow of an optical thickness, of grains that may lie anywhere."""
-    readings = {**KEEP, "entry_point": settings.pop("entry", "uniform")}
+    interpretation = {**KEEP, "entry_point": settings.pop("entry", "uniform")}
     common = {
-        "saturation": 0.0, "density_kg_m3": density, "interpretation": readings,
+        "saturation": 0.0, "density_kg_m3": density, "interpretation": interpretation,
         "refractive_index": {"ice": ICE}, **settings,
     }  # fmt: skip
     return splits.Snow(

@@ -13,7 +13,7 @@ READINGS = ("whole_pores", "narrow_pores", "film")
 
 def measured(reading, seed, error=0.003, **settings):
     """Return a spectrum of sand at three wavelengths."""
-    sand = splits.Sand(readings={"water": reading}, **settings)
+    sand = splits.Sand(interpretation={"water": reading}, **settings)
     return splits.spectrophotometer(sand, [600.0, 860.0, 1450.0], 40, error, seed)
 
 

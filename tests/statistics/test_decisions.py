@@ -102,7 +102,7 @@ def sample_next_grains(count, z, d, snow, slab=None, previous_segment=NO_SEGMENT
 def test_free_path_and_grain_in_a_deep_medium():
     p = {}
     for entry in ("uniform", "projected"):
-        snow = splits.Snow(depth_m=1e4, saturation=0.0, readings={"entry_point": entry})
+        snow = splits.Snow(depth_m=1e4, saturation=0.0, interpretation={"entry_point": entry})
         d = (0.48, -0.64, 0.6)
         leg, minor, flattening, q, w, n = sample_next_grains(
             scale_sample_size(100_000), -5e3, d, snow
@@ -130,7 +130,7 @@ def test_free_path_and_grain_in_a_deep_medium():
 
 
 def test_grain_is_forgotten_when_the_boundary_comes_first():
-    snow = splits.Snow(depth_m=1e4, readings={"overlap_with_boundary": "keep"})
+    snow = splits.Snow(depth_m=1e4, interpretation={"overlap_with_boundary": "keep"})
     ahead = snow.mean_grain_distance_m
     out = draw_samples(
         _sample_next_segment,
@@ -332,7 +332,7 @@ def test_no_grain_lies_on_the_last_leg_unless_kept(name):
     d = np.array([0.1, 0.0, math.sqrt(0.99)])
     least = {}
     for fate in ("reject", "keep", "skip"):
-        snow = splits.Snow(depth_m=1e4, readings={"overlap_with_previous_segment": fate})
+        snow = splits.Snow(depth_m=1e4, interpretation={"overlap_with_previous_segment": fate})
         leg, minor, flattening, q, w, _ = sample_next_grains(
             scale_sample_size(20_000), -5e3, d, snow, previous_segment=last_leg
         )
@@ -349,7 +349,7 @@ def test_no_grain_crosses_a_boundary_unless_kept(z):
     d = np.array([0.8, 0.0, 0.6])
     share = {}
     for fate in ("reject", "keep", "skip"):
-        snow = splits.Snow(depth_m=1e-3, readings={"overlap_with_boundary": fate})
+        snow = splits.Snow(depth_m=1e-3, interpretation={"overlap_with_boundary": fate})
         # Close below the boundary, one ray in 75 finds a grain that fits before it gets there.
         leg, minor, flattening, q, w, _ = sample_next_grains(
             scale_sample_size(400_000), z, d, snow, slab
@@ -375,7 +375,7 @@ def test_skipped_grains_thin_the_process_of_grains():
     for entry in ("uniform", "projected"):
         snow = splits.Snow(
             depth_m=depth, grain_size_um=(400, 400), sphericity=(1.0, 1.0, 1.0, 0.0),
-            density_kg_m3=450, readings={"overlap_with_boundary": "skip", "entry_point": entry},
+            density_kg_m3=450, interpretation={"overlap_with_boundary": "skip", "entry_point": entry},
         )  # fmt: skip
         leg = sample_next_grains(N_SAMPLES, 0.0, np.array([0.0, 0.0, -1.0]), snow)[0]
 

@@ -105,7 +105,7 @@ def test_flight_strikes_grains_as_the_laws_say(psi, entry):
         sphericity=(psi, psi, psi, 0.0),
         saturation=0.0,
         depth_m=1.0,
-        readings={"entry_point": entry},
+        interpretation={"entry_point": entry},
     )
     rows_of = sample_collisions(medium)
     q = rows_of(lane_state.UNIT_POINT_X, lane_state.UNIT_POINT_Y, lane_state.UNIT_POINT_Z)

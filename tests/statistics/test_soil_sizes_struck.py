@@ -148,7 +148,7 @@ def test_facetness_is_one_less_roundness():
 
 
 def test_next_grains_are_of_every_type_by_volume_and_alike_in_size():
-    sand = splits.Sand(**MANY_TYPES, readings={"overlap_with_boundary": "keep"})
+    sand = splits.Sand(**MANY_TYPES, interpretation={"overlap_with_boundary": "keep"})
     shares = np.array(sand.composition.volume_fractions)
     assert shares.size == 8
     scene, empty = make_medium_scene(sand, depth=1.0), make_optics(np.ones(12))

@@ -10,7 +10,7 @@ import splits
 
 SNOW = splits.Snow(depth_m=0.01)
 GREY_GROUND = splits.Snow(depth_m=0.01, impurities_ng_g={"black_carbon": 100})
-SNOWPACK = splits.Stack([SNOW, splits.Sand(depth_m=0.004)], ground=0.3, readings="geometric")
+SNOWPACK = splits.Stack([SNOW, splits.Sand(depth_m=0.004)], ground=0.3, interpretation="geometric")
 SKY = "midlatitude_winter"
 EXAMPLES = {
     "irradiance_profile": lambda: splits.irradiance_profile(

@@ -43,7 +43,7 @@ OBJECT_FACTORIES = {
     "layer, own phase function": lambda: splits.ParticleLayer(phase_function=LAW),
     "layer, rough": lambda: splits.ParticleLayer(surface=ROUGH),
     "stack": lambda: make_stack(ground=0.3),
-    "stack, other readings": lambda: make_stack(readings="geometric"),
+    "stack, other readings": lambda: make_stack(interpretation="geometric"),
     "surface": lambda: splits.RoughSurface([ROUGH, {**ROUGH, "waves": 3}]),
     "ground": lambda: Ground.from_input(0.3),
     "ground, table": lambda: Ground.from_input({"wavelength_nm": END_LAYERS, "albedo": [0.1, 0.2]}),

@@ -71,8 +71,8 @@ def test_kinds_add_up_and_tables_of_ones_own_serve(tmp_path):
 
 def test_layers_of_a_stack_have_their_own():
     clean, dirty = splits.Snow(), splits.Snow(impurities_ng_g={"black_carbon": 500.0})
-    stack = splits.Stack([clean, dirty, splits.Sand(), clean], readings="splits_2007")
-    plain = splits.Stack([clean, clean, splits.Sand(), clean], readings="splits_2007")
+    stack = splits.Stack([clean, dirty, splits.Sand(), clean], interpretation="splits_2007")
+    plain = splits.Stack([clean, clean, splits.Sand(), clean], interpretation="splits_2007")
     more = (
         compute_optical_constants(stack, W).absorption
         - compute_optical_constants(plain, W).absorption

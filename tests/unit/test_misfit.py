@@ -197,7 +197,7 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
     """Whatever they come to, and though a set differs in a reading that is not tried."""
 
     def stage(trial):
-        far = 1.0 if trial.readings.entry_point == "uniform" else 99.0
+        far = 1.0 if trial.interpretation.entry_point == "uniform" else 99.0
         return {"a": repeat_for_waters(far, 0.0)}
 
     monkeypatch.setattr(interpretation_ranking, "STAGES", {"first": stage, "second": stage})
@@ -221,13 +221,13 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
 class FixedRun:
     """In place of a trial."""
 
-    def __init__(self, **readings):
-        self.readings = Interpretation(**readings)
+    def __init__(self, **interpretation):
+        self.interpretation = Interpretation(**interpretation)
 
 
-def make_combination(value, stages=10, **readings):
+def make_combination(value, stages=10, **interpretation):
     """Return a combination whose values are all so far off, in bars."""
-    one = InterpretationSet(FixedRun(**readings))
+    one = InterpretationSet(FixedRun(**interpretation))
     one.n_stages, one.min_misfit = stages, value**2
     away = STATED_NUMBER.published + value * STATED_NUMBER.tolerance * np.array([2.0, 1.0, 3.0])
     one.values = {"table3_842": (away, np.zeros(len(WATER_TABLES)))}

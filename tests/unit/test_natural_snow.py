@@ -52,7 +52,7 @@ def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
     ):
         other = splits.Snow.natural(specific_surface_area_m2_kg=20, **changed)
         assert "absorption_enhancement_900nm_dry" not in other.describe()
-    assert other.readings.entry_point == "projected"
+    assert other.interpretation.entry_point == "projected"
     own = splits.Snow.natural(specific_surface_area_m2_kg=20, refractive_index={"ice": 1.31})
     assert own.refractive_index["water"].name == "segelstein_1981"
 
@@ -97,7 +97,7 @@ def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
         (lambda: splits.Snow(density_kg_m3=2750), ValueError, "not g/cm3"),
         (
             lambda: splits.Snow.natural(
-                optical_radius_um=90, readings={"overlap_with_boundary": "skip"}
+                optical_radius_um=90, interpretation={"overlap_with_boundary": "skip"}
             ),
             ValueError, "overlap_with_boundary = 'skip': must be keep with grain_extent point",
         ),
@@ -130,7 +130,9 @@ def test_in_files(tmp_path):
         load_text(tmp_path, text)
     found = load_text(tmp_path, text.replace(", optical_radius_um: 100", ""))
     assert [one.specific_surface_area_m2_kg for one in found] == pytest.approx([10, 20])
-    assert all(one.readings == splits.Interpretation.of("radiative_transfer") for one in found)
+    assert all(
+        one.interpretation == splits.Interpretation.of("radiative_transfer") for one in found
+    )
     text = (
         "medium: {base: splitsnow_table1, interpretation: geometric}\n"
         "grid: {liquid_water_content: [0, 0.1], interpretation: {same: {}, other: {facet_sampling: any},"
@@ -138,7 +140,7 @@ def test_in_files(tmp_path):
     )
     found = load_text(tmp_path, text)
     assert found[3].liquid_water_content == pytest.approx(0.1)
-    assert [(one.readings.entry_point, one.readings.facet_sampling) for one in found[:3]] == [
+    assert [(one.interpretation.entry_point, one.interpretation.facet_sampling) for one in found[:3]] == [
         ("projected", "projected"), ("projected", "any"), ("uniform", "any"),
     ]  # fmt: skip
     with pytest.raises(ConfigError, match=r"medium.ssa: unknown key.*specific_surface_area_m2_kg"):

@@ -70,15 +70,15 @@ def test_the_first_sample_tells_what_is_known_of_others():
     table = {k: measured()[k] for k in ("wavelength_nm", "clean@30")}
     table["wetter@30"] = [0.5, *evaluate_spectrum(150.0, 400.0)]
     given = {**SECTION, "prior_from": {"sample": "clean@30", "fixed": {SOOT: 1.0}}}
-    readings = run_retrieve(
+    interpretation = run_retrieve(
         RetrieveSection.model_validate(given), make_snowlike_table(), pd.DataFrame(table)
     )
-    found = index_by_sample(readings)
+    found = index_by_sample(interpretation)
     assert list(found["clean@30"].values) == [SIZE]
     section = RetrieveSection.model_validate(SECTION)
     plain = index_by_sample(run_retrieve(section, make_snowlike_table(), pd.DataFrame(table)))
     assert found["wetter@30"].stderr[SIZE] < plain["wetter@30"].stderr[SIZE]
-    assert list(combine_samples(readings, "some").sample.values) == ["wetter@30"]
+    assert list(combine_samples(interpretation, "some").sample.values) == ["wetter@30"]
     table["other@30"] = table["wetter@30"]
     given["prior_from"] |= {"applies_to": "other"}
     section = RetrieveSection.model_validate(given)

@@ -115,14 +115,14 @@ def test_unknown_keywords_materials_and_readings_are_refused():
     with pytest.raises(ValueError, match=r"refractive_index = 'geothite'.*did you mean goethite"):
         Sand(refractive_index={"geothite": 2.3})
     with pytest.raises(ValueError, match=r"interpretation = 'size_definition'"):
-        Sand(readings={"size_definition": "diameter"})
+        Sand(interpretation={"size_definition": "diameter"})
 
 
 @pytest.mark.parametrize("name", INTERPRETATIONS)
 def test_readings_are_checked_and_have_their_first_choice_by_default(name):
     assert getattr(SandInterpretation(), name) == INTERPRETATION_CHOICES[name][0]
     with pytest.raises(ValueError, match=f"interpretation.{name} = 'neither'"):
-        Sand(readings={name: "neither"})
+        Sand(interpretation={name: "neither"})
 
 
 def test_materials_are_listed_once_in_the_order_of_their_types():
@@ -226,7 +226,7 @@ def test_mean_grain_distance():
     k1 = sand.size_distribution.size_attenuation_per_m
     assert sand.attenuation_per_m == pytest.approx(1.5 * k1, rel=1e-12)
     assert sand.mean_grain_distance_m == pytest.approx(1.0 / (0.6 * 1.5 * k1), rel=1e-12)
-    printed = Sand(**spheres, readings={"attenuation_factor": "as_printed"})
+    printed = Sand(**spheres, interpretation={"attenuation_factor": "as_printed"})
     assert printed.mean_grain_distance_m == pytest.approx(1.0 / (1.5 * k1), rel=1e-12)
     assert 1.0 / sand.make_grain_population().attenuation == pytest.approx(
         sand.mean_grain_distance_m, rel=1e-15

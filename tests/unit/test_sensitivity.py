@@ -121,11 +121,11 @@ def test_pairs_are_taken_at_the_published_depth_and_wavelengths():
 
 def test_the_table_has_all_ranges_and_readings_and_one_chosen_row_per_quantity():
     ranges = make_spectra([0.8, 0.6, 0.4], "saturation", [0.0, 0.5, 1.0])
-    readings = xr.concat(
+    interpretation = xr.concat(
         [make_spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 3,
         dim=pd.Index(["default", "a", "b"], name="interpretation"),
     )
-    table = make_sensitivity_table({"e": ranges, "r": readings}, {"saturation": PAIR})
+    table = make_sensitivity_table({"e": ranges, "r": interpretation}, {"saturation": PAIR})
     assert len(table) == 2 * (3 + 2)
     chosen = table[table.chosen]
     assert sorted(chosen.quantity) == sorted(QUANTITY_CONDITIONS)

@@ -91,11 +91,13 @@ def test_porosity_is_what_ice_leaves():
 
 
 def test_semi_axis_reading_doubles_the_grains():
-    single, double = Snow(), Snow(readings={"size_definition": "semi_axis"})
+    single, double = Snow(), Snow(interpretation={"size_definition": "semi_axis"})
     ratio = double.mean_grain_distance_m / single.mean_grain_distance_m
     assert ratio == pytest.approx(2.0, rel=1e-14)
     with pytest.raises(ValueError, match=r"depth_m = 0.001: .*0.0015 m"):
-        check_thickness(Snow(depth_m=0.001, readings=Interpretation(size_definition="semi_axis")))
+        check_thickness(
+            Snow(depth_m=0.001, interpretation=Interpretation(size_definition="semi_axis"))
+        )
 
 
 @pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SNOWS)
@@ -125,11 +127,11 @@ def test_indices_of_unknown_materials_are_refused():
 @pytest.mark.parametrize("name", NAMES)
 def test_bad_readings_are_refused_by_name(name):
     allowed = ", ".join(sorted(INTERPRETATION_CHOICES[name]))
-    for make in (lambda r: Snow(readings=r), lambda r: Interpretation(**r)):
+    for make in (lambda r: Snow(interpretation=r), lambda r: Interpretation(**r)):
         with pytest.raises(ValueError, match=f"interpretation.{name} = 'neither': .*{allowed}"):
             make({name: "neither"})
     with pytest.raises(ValueError, match=f"did you mean {name}"):
-        Snow(readings={f"{name}x": INTERPRETATION_CHOICES[name][0]})
+        Snow(interpretation={f"{name}x": INTERPRETATION_CHOICES[name][0]})
 
 
 def test_sets_of_readings_have_names():

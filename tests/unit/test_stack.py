@@ -25,8 +25,8 @@ SAND = splits.Sand(hematite_ratio=0.5, magnetite=0.05, depth_m=0.1)
         ([FRESH_SNOW, splits.Snow], r"layers\[1\]"),
         ([FRESH_SNOW, splits.RoughSurface], r"layers\[1\]"),
         (
-            [FRESH_SNOW, splits.Snow(readings={"entry_point": "projected"})],
-            r"layers\[1\].readings .*those of layers\[0\]",
+            [FRESH_SNOW, splits.Snow(interpretation={"entry_point": "projected"})],
+            r"layers\[1\].interpretation .*those of layers\[0\]",
         ),
     ],
 )
@@ -53,7 +53,7 @@ def test_a_thin_layer_has_room_in_a_thick_stack():
 
 
 def test_layers_keep_their_order_their_types_and_their_materials():
-    stack = splits.Stack([FRESH_SNOW, SAND, splits.Snow()], readings="splits_2007")
+    stack = splits.Stack([FRESH_SNOW, SAND, splits.Snow()], interpretation="splits_2007")
     scene = build_scene(stack, 30.0, False)
     assert scene.layers.boundaries == pytest.approx([0.0, -0.02, -0.12, -0.24])
     assert stack.depth_m == pytest.approx(0.24)
@@ -84,7 +84,7 @@ def test_layers_keep_their_order_their_types_and_their_materials():
 def test_every_layer_bounds_what_interpolation_misses():
     wavelengths = np.arange(400.0, 1001.0, 20.0)
     for order in ([FRESH_SNOW, SAND], [SAND, FRESH_SNOW]):
-        stack = splits.Stack(order, readings="splits_2007")
+        stack = splits.Stack(order, interpretation="splits_2007")
         nodes = choose_nodes(
             stack.compute_refractive_indices(wavelengths), stack.list_interfaces(), 1e-3
         )
@@ -116,17 +116,19 @@ def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
 def test_a_set_replaces_all_that_layers_say_of_transport():
     natural = splits.Snow.natural(optical_radius_um=100, depth_m=0.1)
     for name in INTERPRETATION_SETS:
-        (layer,) = splits.Stack([natural], readings=name).scene_layers
+        (layer,) = splits.Stack([natural], interpretation=name).scene_layers
         assert layer.interpretation == splits.Interpretation.of(name)
 
 
 def test_layers_of_a_stack_have_the_same_distances_between_grains():
     snow = {"optical_radius_um": 100, "depth_m": 0.1}
-    other = splits.Snow.natural(**snow, readings={"mean_free_path": "pore_only"})
-    with pytest.raises(ValueError, match=r"layers\[1\].readings"):
+    other = splits.Snow.natural(**snow, interpretation={"mean_free_path": "pore_only"})
+    with pytest.raises(ValueError, match=r"layers\[1\].interpretation"):
         splits.Stack([splits.Snow.natural(**snow), other])
 
 
 def test_sand_whose_grains_fill_the_volume_has_no_distance_with_grains():
     with pytest.raises(ValueError, match="attenuation = 'printed': must be solid"):
-        splits.Sand(readings={"set": "radiative_transfer", "attenuation_factor": "as_printed"})
+        splits.Sand(
+            interpretation={"set": "radiative_transfer", "attenuation_factor": "as_printed"}
+        )

@@ -155,8 +155,11 @@ def test_mappings_by_path_add_to_those_of_the_layer(tmp_path):
         "grid: {layers.0.interpretation: {struck: {size_sampling: uniform}}}\n"
     )
     ((_, pack, _),) = load_text(tmp_path, text).iter_points()
-    readings = pack.layers[0].readings.as_dict()
-    assert (readings["size_definition"], readings["size_sampling"]) == ("semi_axis", "uniform")
+    interpretation = pack.layers[0].interpretation.as_dict()
+    assert (interpretation["size_definition"], interpretation["size_sampling"]) == (
+        "semi_axis",
+        "uniform",
+    )
 
 
 def test_tables_by_path_are_known_by_their_content(tmp_path):

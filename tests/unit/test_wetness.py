@@ -53,7 +53,7 @@ def test_every_reading_holds_the_same_water(saturation):
 
 
 def test_films_are_the_outermost_coating():
-    sand = Sand(saturation=0.1, partition=(0.0, 0.5, 0.5), readings={"water": "film"})
+    sand = Sand(saturation=0.1, partition=(0.0, 0.5, 0.5), interpretation={"water": "film"})
     grains, names = sand.make_grain_population(), sand.list_materials()
     assert names[:3] == ("air", "water", "water film")
     rows = zip(grains.types.material, grains.types.n_shells, strict=True)
@@ -72,14 +72,14 @@ def test_films_are_the_outermost_coating():
 
 
 def test_what_a_film_cannot_hold_fills_pores():
-    sand = Sand(saturation=0.9, readings={"water": "film"})
+    sand = Sand(saturation=0.9, interpretation={"water": "film"})
     assert sand._water.film == MAX_RELATIVE_FILM_THICKNESS and 0.7 < sand.wet_fraction < 0.9
-    assert Sand(saturation=1.0, readings={"water": "film"}).wet_fraction == 1.0
+    assert Sand(saturation=1.0, interpretation={"water": "film"}).wet_fraction == 1.0
 
 
 def test_wet_legs_absorb_by_the_part_that_is_water():
     whole, narrow = (
-        Sand(saturation=0.1, readings={"water": reading})
+        Sand(saturation=0.1, interpretation={"water": reading})
         for reading in ("whole_pores", "narrow_pores")
     )
     ratio = (
@@ -95,7 +95,7 @@ def test_wet_legs_absorb_by_the_part_that_is_water():
 def test_dry_and_full_sands_do_not_ask_where_water_is():
     for saturation in (0.0, 1.0):
         sands = [
-            Sand(saturation=saturation, readings={"water": reading})
+            Sand(saturation=saturation, interpretation={"water": reading})
             for reading in ("whole_pores", "narrow_pores")
         ]
         np.testing.assert_array_equal(
@@ -108,4 +108,4 @@ def test_dry_and_full_sands_do_not_ask_where_water_is():
 def test_other_media_in_such_pores_are_refused(reading):
     given = {"pores": {"oil": 0.1}, "refractive_index": {"oil": 1.47}}
     with pytest.raises(ValueError, match=rf"pores = .*empty with readings\.water {reading}"):
-        Sand(saturation=0.1, readings={"water": reading}, **given)
+        Sand(saturation=0.1, interpretation={"water": reading}, **given)

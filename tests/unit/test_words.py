@@ -76,7 +76,9 @@ def test_a_surface_area_outlives_what_is_done_to_snow():
     assert "specific_surface_area_m2_kg=12," in repr(
         replace_parameter(snow, "specific_surface_area_m2_kg", 12)
     )
-    inside = repr(splits.Stack([splits.Snow(specific_surface_area_m2_kg=9)], readings="geometric"))
+    inside = repr(
+        splits.Stack([splits.Snow(specific_surface_area_m2_kg=9)], interpretation="geometric")
+    )
     assert "    Snow(specific_surface_area_m2_kg=9, interpretation='geometric'),\n" in inside
 
 

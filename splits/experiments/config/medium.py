@@ -37,7 +37,7 @@ LAYER_CLASSES: dict[str, Any] = {
     "snow": Snow,
     "natural_snow": Snow,
     "sand": Sand,
-    "layer": ParticleLayer,
+    "particle_layer": ParticleLayer,
 }
 """Media that a stack may hold."""
 MEDIUM_FACTORIES: dict[str, Callable[..., Any]] = LAYER_CLASSES | {"natural_snow": Snow.natural}

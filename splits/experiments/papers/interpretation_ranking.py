@@ -224,13 +224,17 @@ def rank_interpretations(
         for stage in STAGES
     }
     stated = {name: s for stage in stages.values() for name, s in stage.items()}
-    readings = [
+    interpretation = [
         Interpretation(**expand_boundaries(dict(zip(choices, one, strict=True))))
         for one in itertools.product(*choices.values())
     ]
     # Sets with a name may differ from all of them in readings that are not tried.
-    readings += [one for one in map(Interpretation.from_input, PAPER_SETS) if one not in readings]
-    combinations = [InterpretationSet(InterpretationRun(one, seed, given)) for one in readings]
+    interpretation += [
+        one for one in map(Interpretation.from_input, PAPER_SETS) if one not in interpretation
+    ]
+    combinations = [
+        InterpretationSet(InterpretationRun(one, seed, given)) for one in interpretation
+    ]
 
     def further(one: InterpretationSet) -> None:
         stage = list(STAGES)[one.n_stages]

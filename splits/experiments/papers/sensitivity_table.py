@@ -65,20 +65,20 @@ def make_sensitivity_table(
         dimension = pair["parameter"]
         ranges = datasets[pair["experiment"]]
         values = list(ranges[dimension].values)
-        readings = datasets[pair["interpretation"]] if pair["interpretation"] else None
+        interpretation = datasets[pair["interpretation"]] if pair["interpretation"] else None
         for quantity in QUANTITY_CONDITIONS:
             for i, low in enumerate(values):
                 for high in values[i + 1 :]:
                     s = compute_pair_sensitivity(ranges, dimension, low, high, quantity)
                     chosen = _is_same_label(low, pair["low"]) and _is_same_label(high, pair["high"])
                     rows.append(_make_row(name, quantity, "default", low, high, chosen, s))
-            if readings is None:
+            if interpretation is None:
                 continue
             # The experiment over ranges holds the default readings.
-            for reading in readings.interpretation.values[
-                readings.interpretation.values != "default"
+            for reading in interpretation.interpretation.values[
+                interpretation.interpretation.values != "default"
             ]:
-                part = select_points(readings, {"interpretation": str(reading)})
+                part = select_points(interpretation, {"interpretation": str(reading)})
                 low, high = part[dimension].values[[0, -1]]
                 s = compute_pair_sensitivity(part, dimension, low, high, quantity)
                 rows.append(_make_row(name, quantity, str(reading), low, high, False, s))

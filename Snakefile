@@ -65,7 +65,7 @@ include: "workflow/rules/update_docs.smk"
 onstart:
     # Of a study that has some of its experiments, the others may have been forgotten.
     for name, line in LEFT_OUT.items():
-        if set(STUDIES[name].needed()) & set(EXPERIMENTS):
+        if set(STUDIES[name].list_experiments()) & set(EXPERIMENTS):
             logger.info(line)
     if UNEXPLORED and set(SETTINGS.explorer.values()) & set(EXPERIMENTS):
         logger.info(f"the explorer is left out: {'; '.join(UNEXPLORED)}")

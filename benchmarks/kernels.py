@@ -126,7 +126,7 @@ class KernelTimer:
             )
         else:
             optics = Optics(*(values[np.newaxis] for values in self.optics))
-            told = vectorized.batch(seed, work, self.scene, optics, self.exits, self.features)
+            told = vectorized.trace_batch(seed, work, self.scene, optics, self.exits, self.features)
         if told.lost:
             raise RuntimeError("a ray was lost")
         return int(np.sum(told.n_segments))

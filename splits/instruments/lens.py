@@ -110,7 +110,7 @@ def lens(
     contraction = np.empty((realisations, depths.size))
     caught = np.empty_like(contraction)
     for number in range(realisations):
-        drawn = medium.surface.realisation(seed, number) if given is None else given
+        drawn = medium.surface.sample_realization(seed, number) if given is None else given
         x0, y0, z0 = find_centre(drawn, centre_on, width)
         ring = (x0 + radius * np.cos(angle), y0 + radius * np.sin(angle))
         landed = refract_vertical_rays(drawn, medium.refractive_index, *ring)

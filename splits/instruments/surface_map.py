@@ -71,7 +71,7 @@ def surface_map(
     u, v = (part.ravel() for part in np.meshgrid(few, few, indexing="ij"))
     rough = np.empty((2, realisations))
     for number in range(realisations):
-        waves = medium.surface.realisation(seed, number)
+        waves = medium.surface.sample_realization(seed, number)
         if number == 0:
             height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
         z, slope = compute_heights_and_slopes(waves, u, v)

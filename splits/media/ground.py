@@ -92,7 +92,7 @@ class Ground(ContentEquality):
 
     def __repr__(self) -> str:
         """Return the ground on one line."""
-        return f"Ground.of({format_value(self)})"
+        return f"Ground.from_input({format_value(self)})"
 
     @property
     def is_reflecting(self) -> bool:

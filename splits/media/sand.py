@@ -86,7 +86,7 @@ class Sand(ContentEquality):
         Named readings of the paper.
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
-        `splits.media.ground.Ground.of`.  By default light leaves below ("open").
+        `splits.media.ground.Ground.from_input`.  By default light leaves below ("open").
 
     Raises
     ------

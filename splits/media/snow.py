@@ -85,7 +85,7 @@ class Snow(ContentEquality):
         "splits_2007", "geometric" or "radiative_transfer".
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
-        `splits.media.ground.Ground.of`.  By default light leaves below ("open").
+        `splits.media.ground.Ground.from_input`.  By default light leaves below ("open").
 
     Raises
     ------

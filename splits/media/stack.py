@@ -48,7 +48,7 @@ class Stack:
         as the first.
     ground : number, str, mapping or path, optional
         Lambertian ground below: an albedo, "black", the name of a soil, a table; see
-        `splits.media.ground.Ground.of`.  By default light leaves below ("open").
+        `splits.media.ground.Ground.from_input`.  By default light leaves below ("open").
     interpretation : str, optional
         Name of a set of readings, see `splits.media.interpretations.INTERPRETATION_SETS`, that all layers of grains take
         in place of their own: snow and sand have different ones by default.

@@ -333,7 +333,8 @@ def _interpolate_wavelengths(
         for one in wavelengths
     ]
     value, stderr, missed = (
-        np.array([getattr(one, name) for one in points]) for name in ("value", "stderr", "missed")
+        np.array([getattr(one, name) for one in points])
+        for name in ("value", "stderr", "interpolation_error")
     )
     return _InterpolatedSpectra(value, stderr, missed)
 

@@ -106,7 +106,7 @@ def by_kernel(kernel, medium, incidence, optics, seed, rays):
         absorbing = any(one.absorbing for one in features) and not features[0].mixed
         shared = features[0]._replace(absorbing=True if absorbing else None)
         together, rows = Optics(*map(np.stack, zip(*optics, strict=True))), np.concatenate(exits)
-        assert not vectorized.batch(seed, work, scene, together, rows, shared).lost
+        assert not vectorized.trace_batch(seed, work, scene, together, rows, shared).lost
         exits = np.split(rows, len(optics))
     pairs = zip(exits, optics, strict=True)
     return np.array([shares(rows, one.absorption) for rows, one in pairs])

@@ -106,7 +106,7 @@ def test_what_leaves_and_what_the_ground_keeps_is_all_where_nothing_else_absorbs
     work = np.array([[7, 0, len(exits), 2**31 - 1]])
     if kernel == "vectorized":
         alone = Optics(*(part[np.newaxis] for part in optics))
-        told = vectorized.batch(1, work, scene, alone, exits, select_features(scene, optics))
+        told = vectorized.trace_batch(1, work, scene, alone, exits, select_features(scene, optics))
     else:
         told = history.trace_batch(1, work[0], scene, optics, exits, None, None)
     kept = np.zeros(len(exits))

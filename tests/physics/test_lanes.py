@@ -108,7 +108,7 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
 
     def exits(items, optics):
         rows = allocate_exits(sum(rays for *_, rays, _ in items), 3)
-        legs, lost, _ = vectorized.batch(3, np.array(items), scene, optics, rows, features)
+        legs, lost, _ = vectorized.trace_batch(3, np.array(items), scene, optics, rows, features)
         assert not lost and legs.min() > 0
         return rows, legs
 
@@ -135,7 +135,7 @@ def test_a_path_does_not_depend_on_lane_or_batch():
     def exits(first, rays):
         rows = allocate_exits(rays, 3)
         work = np.array([[0, first, rays, NO_MAX_ORDER]])
-        _, lost, _ = vectorized.batch(
+        _, lost, _ = vectorized.trace_batch(
             3, work, runner.tracer.scene, to_single_item(optics), rows, features
         )
         assert not lost
@@ -193,7 +193,7 @@ def test_light_is_neither_lost_nor_made():
     features = runner.tracer.get_features(ensemble.strata[0])
     rows = allocate_exits(3000, 3)
     work = np.array([[0, 0, 3000, NO_MAX_ORDER]])
-    _, lost, _ = vectorized.batch(
+    _, lost, _ = vectorized.trace_batch(
         5, work, runner.tracer.scene, to_single_item(optics), rows, features
     )
     assert not lost

@@ -32,7 +32,7 @@ state = np.zeros(1, dtype=np.uint64)
 start_stream(state, 1, 2, 3)
 print(uniform(state), mix64(np.uint64(7)))
 kernels = (mix64, start_stream, uniform)
-print(sum(sum(k.compiled.stats.cache_hits.values()) for k in kernels))
+print(sum(sum(k.dispatcher.stats.cache_hits.values()) for k in kernels))
 """
 COMMAND = [sys.executable, "-c", SCRIPT]
 
@@ -386,8 +386,8 @@ def test_of_processes_that_start_together_one_compiles(tmp_path):
 
 @NEEDS_JIT
 def test_nobody_waits_for_a_process_that_is_gone(tmp_path):
-    holds = "import sys, pathlib; from splits.kernels.compiler import turns\n"
-    holds += "turns.take(pathlib.Path(sys.argv[1]), 'kernel'); print(1, flush=True); input()"
+    holds = "import sys, pathlib; from splits.kernels.compiler import cache_lock\n"
+    holds += "cache_lock.acquire_lock(pathlib.Path(sys.argv[1]), 'kernel'); print(1, flush=True); input()"
     command = [sys.executable, "-c", holds, tmp_path]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     first = subprocess.Popen(command, **pipes)

@@ -97,7 +97,7 @@ def test_suggestions_need_some_likeness():
 def test_a_refusal_is_a_value_that_keeps_its_parts():
     refused = invalid("depth_m", -1.0, "above 0", "in metres")
     assert (refused.key, refused.value, refused.allowed) == ("depth_m", -1.0, "above 0")
-    inside = pickle.loads(pickle.dumps(refused)).within("medium", "not in cm")
+    inside = pickle.loads(pickle.dumps(refused)).add_prefix("medium", "not in cm")
     assert str(inside) == "medium.depth_m = -1.0: must be above 0 (in metres) (not in cm)"
     missing = unknown_key("depth", ["depth_m"]).add_prefix("medium")
     assert isinstance(missing, ValueError)

@@ -85,8 +85,8 @@ def test_maps_of_several_points_need_no_figure(tmp_path):
     with pytest.raises(ConfigError, match=r"figure\.select"):
         load_text(tmp_path, beam)
     made = load_text(tmp_path, "figure: none\n" + beam)
-    again = ExperimentConfig.model_validate({**made.simulation(), "figure": "none"})
-    assert again.dump_simulation() == made.simulation()
+    again = ExperimentConfig.model_validate({**made.dump_simulation(), "figure": "none"})
+    assert again.dump_simulation() == made.dump_simulation()
 
 
 def test_more_wavelengths_than_series_are_refused(tmp_path):

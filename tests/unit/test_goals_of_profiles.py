@@ -23,7 +23,7 @@ RANDOM = np.random.default_rng(1)
 
 def make_strata(*served):
     return SimpleNamespace(
-        levels=[SimpleNamespace(served=np.array(one, dtype=bool)) for one in served]
+        strata=[SimpleNamespace(wavelength_mask=np.array(one, dtype=bool)) for one in served]
     )
 
 
@@ -53,7 +53,7 @@ def test_members_of_wavelengths_are_ensembles():
 def test_rays_wanted_by_wavelength_are_what_the_variance_asks_for():
     """A wavelength that draws on one ensemble alone asks nothing of the other."""
     ensembles = [make_strata([1, 1, 0]), make_strata([0, 1, 1])]
-    for level in (one for e in ensembles for one in e.levels):
+    for level in (one for e in ensembles for one in e.strata):
         level.n_rays, level.n_segments = 1024, 10 * 1024
     scatter = (
         RANDOM.standard_normal((2, N_BATCHES, 1, 3))

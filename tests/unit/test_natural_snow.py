@@ -40,7 +40,7 @@ def test_water_by_volume_of_snow():
 def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
     assert snow.depth_m == math.inf and snow.saturation == 0.0
-    assert snow.interpretation == splits.Interpretation.of("radiative_transfer")
+    assert snow.interpretation == splits.Interpretation.from_input("radiative_transfer")
     assert snow.refractive_index["water"].name == "segelstein_1981"
     assert "picard" in snow.refractive_index["ice"].name
     facts = snow.describe()
@@ -131,7 +131,8 @@ def test_in_files(tmp_path):
     found = load_text(tmp_path, text.replace(", optical_radius_um: 100", ""))
     assert [one.specific_surface_area_m2_kg for one in found] == pytest.approx([10, 20])
     assert all(
-        one.interpretation == splits.Interpretation.of("radiative_transfer") for one in found
+        one.interpretation == splits.Interpretation.from_input("radiative_transfer")
+        for one in found
     )
     text = (
         "medium: {base: splitsnow_table1, interpretation: geometric}\n"

@@ -239,7 +239,11 @@ def test_faces_between_layers_are_judged_wherever_indices_may_change():
         optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.1
     )
     for stack in (splits.Stack([lid, sands[0]]), splits.Stack(sands)):
-        pairs = {(i.near, i.far) for i in stack.list_interfaces() if i.place == "face"}
+        pairs = {
+            (i.outer_material, i.inner_material)
+            for i in stack.list_interfaces()
+            if i.location == "face"
+        }
         names = stack.list_materials()
         told = {(names[near], names[far]) for near, far in pairs}
         below = "layers.1.air" if "layers.1.air" in names else names[0]

@@ -118,6 +118,6 @@ def test_a_mistake_is_told_beside_the_line_that_holds_it(name):
     assert "\n" not in str(caught.value)
     frames = traceback.extract_tb(caught.value.__traceback__)
     inner = [frame for frame in frames if frame.filename != __file__]
-    assert {Path(frame.filename).name for frame in inner} == {"checks.py"}
+    assert {Path(frame.filename).name for frame in inner} == {"validation.py"}
     assert len(inner) == 2
     assert caught.value.__cause__ is None and caught.value.__suppress_context__

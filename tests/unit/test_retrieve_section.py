@@ -35,7 +35,7 @@ TABLE = {
 
 def index_by_sample(retrievals):
     """Return what samples tell by their names."""
-    return {one.sample: one.told for one in retrievals}
+    return {one.sample: one.result for one in retrievals}
 
 
 def measured():

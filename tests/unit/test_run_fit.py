@@ -169,6 +169,6 @@ def test_tables_that_cannot_be_fitted_are_refused(experiment, tmp_path, text, me
 
 
 def test_a_fit_is_the_same_after_a_round_trip(experiment):
-    again = ExperimentConfig.model_validate(experiment[0].simulation())
-    assert again.dump_simulation() == experiment[0].simulation()
+    again = ExperimentConfig.model_validate(experiment[0].dump_simulation())
+    assert again.dump_simulation() == experiment[0].dump_simulation()
     assert module.check_fit(again, experiment[1]) == ["dark", "bright"]

@@ -253,7 +253,9 @@ def test_meetings_with_interfaces_add_up():
     ]
     assert face[:3] == (pytest.approx(0.3), 0, 1)
     inner = {
-        (MATERIALS[i.near], MATERIALS[i.far]): i.share for i in sand.list_interfaces() if i.near > 1
+        (MATERIALS[i.outer_material], MATERIALS[i.inner_material]): i.fraction
+        for i in sand.list_interfaces()
+        if i.outer_material > 1
     }
     assert inner == {
         (f"kaolinite with {oxide}", "quartz"): volumes[f"quartz coated by {oxide}"]

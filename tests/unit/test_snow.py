@@ -136,16 +136,16 @@ def test_bad_readings_are_refused_by_name(name):
 
 def test_sets_of_readings_have_names():
     first = {name: INTERPRETATION_CHOICES[name][0] for name in NAMES}
-    assert Interpretation.of("splits_2007").as_dict() == first
-    assert Snow().interpretation == Interpretation() == Interpretation.of("splitsnow_2021")
+    assert Interpretation.from_input("splits_2007").as_dict() == first
+    assert Snow().interpretation == Interpretation() == Interpretation.from_input("splitsnow_2021")
     assert Interpretation().as_dict() == first | {
         "facet_sampling": "any",
         "wrong_side_ray": "mirror",
     }
-    beside = Interpretation.of({"set": "geometric", "facet_sampling": "any"})
+    beside = Interpretation.from_input({"set": "geometric", "facet_sampling": "any"})
     assert (beside.entry_point, beside.facet_sampling) == ("projected", "any")
     with pytest.raises(ValueError, match=r"interpretation\.set = 'geo'.*geometric"):
-        Interpretation.of({"set": "geo"})
+        Interpretation.from_input({"set": "geo"})
 
 
 def test_readings_given_one_after_the_other():

@@ -108,8 +108,8 @@ def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
     snow = splits.Snow(saturation=0.25)
     stack = splits.Stack([lid, snow] if above else [snow, lid])
     names = stack.list_materials()
-    faces = [i for i in stack.list_interfaces() if i.place == "face"]
-    named = {(names[i.near], names[i.far], i.share) for i in faces}
+    faces = [i for i in stack.list_interfaces() if i.location == "face"]
+    named = {(names[i.outer_material], names[i.inner_material], i.fraction) for i in faces}
     assert (f"layers.{1 - above}.matrix", f"layers.{1 * above}.water", 0.25) in named
 
 
@@ -117,7 +117,7 @@ def test_a_set_replaces_all_that_layers_say_of_transport():
     natural = splits.Snow.natural(optical_radius_um=100, depth_m=0.1)
     for name in INTERPRETATION_SETS:
         (layer,) = splits.Stack([natural], interpretation=name).scene_layers
-        assert layer.interpretation == splits.Interpretation.of(name)
+        assert layer.interpretation == splits.Interpretation.from_input(name)
 
 
 def test_layers_of_a_stack_have_the_same_distances_between_grains():

@@ -31,6 +31,6 @@ def test_levels_are_numbered_apart():
             ),
             *(FluxPathTally(i, index, absorption, served, manner, 2, np.ones(2)) for i in range(3)),
         )
-        for level in ensemble.levels
+        for level in ensemble.strata
     ]
     assert len(set(numbers)) == len(numbers)

@@ -234,7 +234,7 @@ def test_bombs_are_refused(members, tmp_path, refused, monkeypatch):
     refused(write_zip(tmp_path / "bomb.zip", bomb), r"data/bomb\.nc would unpack to too many times")
     path = write_zip(tmp_path / "large.zip", members)
     with monkeypatch.context() as patch:
-        patch.setattr(splits.io.unarchive, "MOST_BYTES", 1000)
+        patch.setattr(splits.io.unarchive, "MAX_UNPACKED_BYTES", 1000)
         refused(path, "it would unpack to more than")
     with monkeypatch.context() as patch:
         patch.setattr(splits.io.unarchive, "MOST_METADATA", 1000)

@@ -63,17 +63,20 @@ def test_films_are_the_outermost_coating():
         ("water film", "kaolinite with goethite", "quartz"),
     ]
     thickness = grains.types.coating_thickness
-    assert (thickness[:, 0] == sand._water.film).all()
+    assert (thickness[:, 0] == sand._water.relative_film_thickness).all()
     assert thickness[1, 1] == sand.relative_coating_thickness
     water = Sand(saturation=1.0).compute_refractive_indices(W)[:, 1]
     np.testing.assert_array_equal(sand.compute_refractive_indices(W)[:, 2], water)
     assert sand.wet_fraction == 0.0
-    assert sand.describe()["film_thickness_per_major_axis"] == sand._water.film
+    assert sand.describe()["film_thickness_per_major_axis"] == sand._water.relative_film_thickness
 
 
 def test_what_a_film_cannot_hold_fills_pores():
     sand = Sand(saturation=0.9, interpretation={"water": "film"})
-    assert sand._water.film == MAX_RELATIVE_FILM_THICKNESS and 0.7 < sand.wet_fraction < 0.9
+    assert (
+        sand._water.relative_film_thickness == MAX_RELATIVE_FILM_THICKNESS
+        and 0.7 < sand.wet_fraction < 0.9
+    )
     assert Sand(saturation=1.0, interpretation={"water": "film"}).wet_fraction == 1.0
 
 

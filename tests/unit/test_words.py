@@ -42,9 +42,9 @@ WORDS = [
     "Readings.of('splitsnow_2021')",
     "Readings.of({'facet_sampling': 'projected'})",
     "SandReadings.of('splits_2007')",
-    "Ground.of('quartzipsamment')",
-    "Ground.of(0.25)",
-    "Ground.of('black')",
+    "Ground.from_input('quartzipsamment')",
+    "Ground.from_input(0.25)",
+    "Ground.from_input('black')",
     "Stack([\n"
     "    Snow.natural(specific_surface_area_m2_kg=40, depth_m=0.1),\n"
     "    Snow.natural(optical_radius_um=200, density_kg_m3=350, depth_m=0.3),\n"

@@ -5,7 +5,7 @@ for NAME in of_kind("sensitivity"):
             NAME
         input:
             **study_files(NAME),
-            data=data(STUDIES[NAME].needed()),
+            data=data(STUDIES[NAME].list_experiments()),
         output:
             **study_output(NAME),
         log:
@@ -273,7 +273,7 @@ for NAME in of_kind("sand_compositions"):
             physics=physics_digest(),
             experiments=escape_param(
                 {
-                    name: e.simulation()
+                    name: e.dump_simulation()
                     for name, e in EXPERIMENTS.items()
                     if e.medium.get("kind") == "sand"
                 }

@@ -1,6 +1,6 @@
 from splits.experiments.archive import list_configuration_files, get_packing_time
 
-ARCHIVED = SETTINGS.archived()
+ARCHIVED = SETTINGS.select_archived()
 PACKED = EXPERIMENTS if ARCHIVED.experiments == "all" else ARCHIVED.experiments
 if "archive" in sys.argv[1:]:
     # Refused before anything runs.
@@ -22,7 +22,7 @@ rule archive:
         + (study_products() if SETTINGS.archive == "all" else []),
         configuration=lambda wildcards: list_configuration_files(ARCHIVED).values(),
         tables=lambda wildcards: sorted(
-            {t for name in PACKED for t in EXPERIMENTS[name].tables()}
+            {t for name in PACKED for t in EXPERIMENTS[name].list_table_paths()}
         ),
     output:
         f"{RESULTS}/archive/splits-results.zip",

@@ -115,7 +115,7 @@ def study_products():
     return [
         f"{RESULTS}/{path}"
         for name in MADE
-        for paths in STUDIES[name].paths(name).values()
+        for paths in STUDIES[name].list_product_paths(name).values()
         for path in paths
     ]
 
@@ -175,7 +175,7 @@ def of_kind(kind):
 def study_output(name):
     """Return what a study makes, by key; the first file of each is for the report."""
     made = {}
-    for key, paths in STUDIES[name].paths(name).items():
+    for key, paths in STUDIES[name].list_product_paths(name).items():
         first, *others = (f"{RESULTS}/{path}" for path in paths)
         if key in REPORTS[STUDIES[name].kind]:
             caption, category = REPORTS[STUDIES[name].kind][key]

@@ -22,7 +22,7 @@ rule figure:
     threads: 1
     params:
         figure=lambda wildcards: escape_json(
-            EXPERIMENTS[wildcards.experiment].drawing()
+            EXPERIMENTS[wildcards.experiment].resolve_figure()
         ),
         title=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].title),
         caption=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].caption),

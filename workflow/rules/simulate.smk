@@ -1,6 +1,6 @@
 rule simulate:
     input:
-        tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].tables(),
+        tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].list_table_paths(),
         measured=lambda wildcards: fitted_files(wildcards.experiment),
     output:
         f"{RESULTS}/data/{{experiment}}.nc",
@@ -16,7 +16,7 @@ rule simulate:
     # The numbers do not depend on it.
     threads: lambda wildcards: threads_of(wildcards.experiment)
     params:
-        experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].simulation(),
+        experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
         kept=lambda wildcards: f"{RESULTS}/blocks/{wildcards.experiment}",

@@ -1,6 +1,6 @@
 rule table_part:
     input:
-        tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].tables(),
+        tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].list_table_paths(),
     output:
         f"{RESULTS}/blocks/{{experiment}}/part_{{part}}.json",
     log:
@@ -16,7 +16,7 @@ rule table_part:
     # Parts run side by side, which takes less time than threads that wait for each other.
     threads: 1
     params:
-        experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].simulation(),
+        experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
         physics=physics_digest(),
@@ -42,7 +42,7 @@ rule table:
         "../../environment.yml"
     threads: 1
     params:
-        experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].simulation(),
+        experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
         physics=physics_digest(),

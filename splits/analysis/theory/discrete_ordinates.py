@@ -51,7 +51,7 @@ def solve_discrete_ordinates(
     streams : int
         Directions of the solution, both hemispheres together: even, at least 4.
     ground : number, str, mapping or path, optional
-        Lambertian ground below, see `splits.media.ground.Ground.of`; its part of the light counts
+        Lambertian ground below, see `splits.media.ground.Ground.from_input`; its part of the light counts
         as transmitted.
 
     Returns

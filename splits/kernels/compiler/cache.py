@@ -74,12 +74,12 @@ class KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return what was kept for a signature, or None: then it is this process's to compile."""
         found = self._load_cached(sig, target_context)
-        if found is not None or not self._cache_file.take_turn(sig):
+        if found is not None or not self._cache_file.acquire_lock(sig):
             return found
         # Another process may have compiled it meanwhile.
         found = self._load_cached(sig, target_context)
         if found is not None:
-            self._cache_file.leave_turn(sig)
+            self._cache_file.release_lock(sig)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -87,7 +87,7 @@ class KernelCache(FunctionCache):
         try:
             super().save_overload(sig, data)
         finally:
-            self._cache_file.leave_turn(sig)
+            self._cache_file.release_lock(sig)
 
     def release_locks_on_failure(self, compile: Callable[..., Any]) -> Callable[..., Any]:
         """Return what compiles, and lets others go on if that fails or is interrupted."""
@@ -97,7 +97,7 @@ class KernelCache(FunctionCache):
                 with announce(COMPILING_MESSAGE):
                     return compile(*given)
             except BaseException:
-                self._cache_file.leave_turns()
+                self._cache_file.release_all_locks()
                 raise
 
         return compiled

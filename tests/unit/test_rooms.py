@@ -1,0 +1,79 @@
+"""The packages of `splits` form layers: each imports only those below it, and no imports are circular."""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LAYERS = (
+    "core", "kernels", "io", "materials", "illumination", "media", "simulation", "instruments",
+    "tables", "analysis", "retrieval", "plotting", "experiments", "cli",
+)  # fmt: skip
+"""From the lowest to the highest."""
+INNER_LAYERS = {
+    "kernels": (
+        "compiler", "math", "optics", "tallies", "rough_surface", "particle_layer", "grains",
+        "vectorized",
+    ),
+    "experiments": ("config", "papers"),
+}  # fmt: skip
+
+
+def module_files() -> dict[str, Path]:
+    """Return the files of all modules of the package by dotted name."""
+    files = (ROOT / "splits").rglob("*.py")
+    names = {".".join(p.relative_to(ROOT).with_suffix("").parts): p for p in files}
+    return {name.removesuffix(".__init__"): path for name, path in names.items()}
+
+
+def imports() -> dict[str, set[str]]:
+    """Return the modules of the package that each of them imports, anywhere in its source."""
+    files = module_files()
+    found: dict[str, set[str]] = defaultdict(set)
+    for module, path in files.items():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names = [f"{node.module}.{alias.name}" for alias in node.names]
+                names = [name if name in files else node.module for name in names]
+            elif isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            else:
+                continue
+            found[module] |= {name for name in names if name in files and name != module}
+    return found
+
+
+IMPORTS = imports()
+
+
+def test_every_package_has_its_layer():
+    rooms = {module.split(".")[1] for module in module_files() if "." in module}
+    assert rooms == set(LAYERS)
+
+
+@pytest.mark.parametrize(("parent", "layers"), [("splits", LAYERS), *(
+    (f"splits.{name}", inner) for name, inner in INNER_LAYERS.items())])
+def test_packages_import_only_those_below(parent, layers):
+    def layer(module: str) -> int | None:
+        rest = module.removeprefix(f"{parent}.").split(".")
+        return layers.index(rest[0]) if module != parent and rest[0] in layers else None
+
+    upward = [
+        f"{module} imports {other}"
+        for module, others in IMPORTS.items() if module.startswith(f"{parent}.")
+        for other in others if other.startswith(f"{parent}.")
+        if None not in (low := layer(module), high := layer(other)) and high > low
+    ]  # fmt: skip
+    assert not upward
+
+
+def test_no_circular_imports():
+    try:
+        TopologicalSorter(IMPORTS).prepare()
+    except CycleError as error:
+        pytest.fail(f"circular: {error.args[1]}")

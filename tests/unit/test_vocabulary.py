@@ -55,3 +55,16 @@ def test_the_term_of_the_field_is_used(term):
         if pattern.search(line)
     ]
     assert not found, f"use {term}: {len(found)} lines\n" + "\n".join(found[:20])
+
+
+def test_definitions_that_documents_name_exist():
+    missing = []
+    for path in list_files():
+        if path.suffix not in {".md", ".ipynb"}:
+            continue
+        for file, name in re.findall(r"`(?:splits/)?([a-z_/]+\.py): (\w+)`", path.read_text("utf-8")):
+            source = ROOT / "splits" / file
+            pattern = rf"^(?:@.*\n)*(?:def|class) {name}\b|^{name}\b"
+            if not source.is_file() or not re.search(pattern, source.read_text("utf-8"), re.M):
+                missing.append(f"{path.relative_to(ROOT)}: {file}: {name}")
+    assert not missing

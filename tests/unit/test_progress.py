@@ -40,7 +40,7 @@ def test_progress_says_how_far_and_how_good():
 def test_true_shows_a_bar_that_ends_full(capsys):
     assert isinstance(report_once(progress=True), splits.ProgressBar)
     said = capsys.readouterr().err
-    assert "instrument:  75%" in said and "error 0.004, wanted 0.002" in said
+    assert "report_once:  75%" in said and "error 0.004, wanted 0.002" in said
     assert "100%" in said and "done" in said
 
 

@@ -46,8 +46,8 @@ RANGE_ENDS = {
     "Sand.roundness": (lambda x: splits.Sand(roundness=(x, 0.1)).roundness[0], 1.0, 1),
     "Sand.partition": (lambda x: splits.Sand(partition=(0, x, 0)).partition[1], 1.0, 1),
     "Sand.texture": (lambda x: splits.Sand(texture=(x, 0, 1)).texture[0], 0.0, -1),
-    "Layer.asymmetry": (lambda x: splits.ParticleLayer(asymmetry=x).asymmetry, 0.999, 1),
-    "Layer.phase_function": (
+    "ParticleLayer.asymmetry": (lambda x: splits.ParticleLayer(asymmetry=x).asymmetry, 0.999, 1),
+    "ParticleLayer.phase_function": (
         lambda x: splits.ParticleLayer(phase_function={"cosine": [x, 1], "density": [1, 1]}).kernel_phase_function.cosines,
         -1.0, 1),
     "refractive_index": (lambda x: make_refractive_index("quartz")(x), 198.0, -1),

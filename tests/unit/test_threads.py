@@ -142,7 +142,7 @@ def test_what_a_report_of_progress_raises_ends_the_run(error, monkeypatch):
     with pytest.raises(error, match="enough"):
         splits.deep_transmittance(SNOW, [1000.0], relative_stderr=0.5, threads=2, progress=tell)
     # Reports come twice a second at most: let the first be due.
-    monkeypatch.setattr(Runner, "_log_result", lambda self, *told: self.report(told))
+    monkeypatch.setattr(Runner, "_report_progress", lambda self, *told: self.progress_callback(told))
     with pytest.raises(error, match="enough"):
         splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=tell)
 
@@ -154,7 +154,7 @@ def test_numbers_are_the_same_after_a_run_that_was_broken_off(monkeypatch):
 
     whole = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=2)
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(Runner, "_log_result", lambda self, *told: self.report(told))
+        patched.setattr(Runner, "_report_progress", lambda self, *told: self.progress_callback(told))
         splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=enough)
     again = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=1)
     assert whole.equals(again)

@@ -173,7 +173,11 @@ def _make_dataset(
         **make_variable("contraction", at, *size, "size of the image over the ring's"),
         **make_variable("concentration", at, *density, "inverse mean square size of the image"),
         **make_variable(
-            "detected_fraction", ("realisation", at), detected_fraction, None, "share of rays on the screen"
+            "detected_fraction",
+            ("realisation", at),
+            detected_fraction,
+            None,
+            "share of rays on the screen",
         ),
         **make_variable(
             "surface_position",
@@ -184,7 +188,12 @@ def _make_dataset(
             "m",
         ),
         **make_variable(
-            "screen_position", by_ray, first_realization.screen_point, None, "place on the screen", "m"
+            "screen_position",
+            by_ray,
+            first_realization.screen_point,
+            None,
+            "place on the screen",
+            "m",
         ),
         **make_variable("detected", by_ray[:2], seen, None, "whether a ray reaches it"),
     }

@@ -35,11 +35,12 @@ CASES = {
         splits.Snow(), ([600.0], "diffuse", 1), FEW_DIRECTIONS,
         {"reflectance_factor", "transmittance_factor", "anisotropy_factor", *TOTALS},
     ),
-    "goniophotometer, cells": (
+    "goniophotometer, bins": (
         LAYER, ([600.0], 0.0, 1000), {"estimator": "bins", "n_bins": (2, 4)}, ANGLES | STOKES,
     ),
-    "goniophotometer, local": (
-        LAYER, ([600.0], 30.0, 1000), {"estimator": "next_event", **FEW_DIRECTIONS}, ANGLES | STOKES,
+    "goniophotometer, next event": (
+        LAYER, ([600.0], 30.0, 1000), {"estimator": "next_event", **FEW_DIRECTIONS},
+        ANGLES | STOKES,
     ),
     "beam_spread": (
         splits.Snow(), ([900.0], 0.0, 1), {},

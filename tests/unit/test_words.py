@@ -49,8 +49,8 @@ WORDS = [
     "    Snow.natural(specific_surface_area_m2_kg=40, depth_m=0.1),\n"
     "    Snow.natural(optical_radius_um=200, density_kg_m3=350, depth_m=0.3),\n"
     "], ground='camborthid')",
-    "Stack([\n    Snow(depth_m=0.01, interpretation='geometric'),\n    ParticleLayer(bottom_albedo=None),\n"
-    "], interpretation='geometric')",
+    "Stack([\n    Snow(depth_m=0.01, interpretation='geometric'),\n"
+    "    ParticleLayer(bottom_albedo=None),\n], interpretation='geometric')",
 ]
 NAMES = {name: getattr(splits, name) for name in splits.__all__} | {
     "Ground": Ground,

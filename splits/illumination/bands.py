@@ -103,7 +103,7 @@ class SpectralBand(ContentEquality):
 
     def __repr__(self) -> str:
         """Return the band on one line."""
-        return f"Band({self.limits_nm[0]:g} to {self.limits_nm[1]:g} nm)"
+        return f"SpectralBand({self.limits_nm[0]:g} to {self.limits_nm[1]:g} nm)"
 
     @property
     def limits_nm(self) -> tuple[float, float]:

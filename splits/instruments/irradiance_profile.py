@@ -192,7 +192,7 @@ def simulate_flux(request: FluxRequest, stopping_rule: FluxStoppingRule) -> xr.D
     runner.share_kernel(ensembles)
     outcome = estimate_flux(runner, ensembles, nodes, traced, stopping_rule, request.max_rays)
     facts = {
-        **make_run_attributes("Light inside", "profile", medium, begun, seed, threads),
+        **make_run_attributes("Light inside", "irradiance_profile", medium, begun, seed, threads),
         "incidence_deg": request.incidence,
         "max_stderr": stopping_rule.max_stderr,
         "target": ERROR_QUANTITIES[0] if stopping_rule.limit_irradiance else ERROR_QUANTITIES[1],

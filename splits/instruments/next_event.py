@@ -193,7 +193,7 @@ def estimate_at_detectors(
     detectors = make_detectors(medium, polar, azimuth)
     if stopping_rule.side == 1 and not detectors.has_lower_side:
         raise invalid(
-            "target", "btdf", "brdf with estimator = local", "the layer has no open lower face"
+            "target", "btdf", "brdf with estimator = next_event", "the layer has no open lower face"
         )
     sums = _DetectorTally(detectors.sums.shape)
     begun = time.perf_counter()

@@ -123,7 +123,7 @@ class TabulatedIndex(ContentEquality):
 
     def __repr__(self) -> str:
         low, high = self.wavelength_nm[0], self.wavelength_nm[-1]
-        return f"Tabulated({self.name!r}, {low:g}-{high:g} nm)"
+        return f"TabulatedIndex({self.name!r}, {low:g}-{high:g} nm)"
 
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
         """Return complex n + i k; a wavelength outside the table raises ValueError."""

@@ -216,7 +216,7 @@ class TransportInterpretation:
 
     def __repr__(self) -> str:
         """Return the readings on one line."""
-        return f"{type(self).__name__}.of({format_value(self)})"
+        return f"{type(self).__name__}.from_input({format_value(self)})"
 
 
 @reject_unknown_keywords

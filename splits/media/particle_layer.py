@@ -160,7 +160,7 @@ class ParticleLayer(ContentEquality):
 
     def __repr__(self) -> str:
         """Return the layer on one line, as it was given."""
-        return format_call("Layer", find_differences(self, type(self)()))
+        return format_call("ParticleLayer", find_differences(self, type(self)()))
 
     @property
     def extinction_per_m(self) -> float:

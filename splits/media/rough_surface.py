@@ -122,7 +122,7 @@ class RandomHeightField(ContentEquality):
 
     def __repr__(self) -> str:
         """Return the field on one line, as it was given."""
-        return format_call("SurfaceField", self.as_input())
+        return format_call("RandomHeightField", self.as_input())
 
     @property
     def _relative_band_limit(self) -> float:

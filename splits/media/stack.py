@@ -87,7 +87,7 @@ class Stack:
                 continue
             if isinstance(layer, type) or not isinstance(layer, GranularMedium):
                 given = getattr(layer, "kind", layer)
-                near = suggest_name(str(given).capitalize(), ["Snow", "Sand", "Layer"])
+                near = suggest_name(str(given).capitalize(), ["Snow", "Sand", "ParticleLayer"])
                 allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
                 raise invalid(f"layers[{number}]", given, allowed, near)
             if layer.depth_m == math.inf and number < len(layers) - 1:

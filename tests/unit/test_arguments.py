@@ -30,7 +30,7 @@ SURFACE_CALLS = ("lens", "surface_map")
 )
 @pytest.mark.parametrize("instrument", VIEW_CALLS)
 def test_what_is_no_medium_is_refused(instrument, medium):
-    allowed = "Layer" if instrument in SURFACE_CALLS else "Snow"
+    allowed = "ParticleLayer" if instrument in SURFACE_CALLS else "Snow"
     told = re.escape(f"medium = {medium!r}: must be splits.{allowed}(...)")
     with pytest.raises(ValueError, match=f"^{told}"):
         VIEW_CALLS[instrument](medium)

@@ -139,7 +139,7 @@ FIGURES = {
     "hemisphere": draw_kind("hemisphere", directions),
     "hemispheres": draw_kind("hemisphere", lambda: directions({"depth_m": [0.1, 0.2]})),
     "lobes": draw_kind("lobes", directions),
-    "cells": draw_kind("cells", make_many_bins_dataset),
+    "bins": draw_kind("bins", make_many_bins_dataset),
     "polarization": draw_kind("polarization", directions),
     "spread": draw_kind("spread", make_beam_dataset),
     "fit": lambda: sand_fit(make_surface_areas_table()),

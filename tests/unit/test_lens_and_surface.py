@@ -105,7 +105,8 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ({"medium": {"kind": "particle_layer"}, "instrument": {"kind": "surface_map", "half_width_m": 1}},
+        ({"medium": {"kind": "particle_layer"},
+          "instrument": {"kind": "surface_map", "half_width_m": 1}},
          "a layer with a surface"),
         ({"instrument": {"kind": "surface_map", "half_width_m": 1}}, "a layer with a surface"),
         ({"medium": LAYER, "instrument": {"kind": "lens", "radius_m": 1}}, "screen_depth_m"),
@@ -118,7 +119,8 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
         ({"medium": LAYER, "instrument": {"kind": "surface_map", "half_width_m": 1},
           "grid": {"refractive_index": [1.3, 1.5]}}, "figure.select"),
         ({"figure": {"quantity": "brdf"}}, "figure.quantity = 'brdf'"),
-        ({"medium": {"kind": "particle_layer", "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},
+        ({"medium": {"kind": "particle_layer",
+                     "surface": {"rms_height_m": 1, "wave_number_per_m": 1}}},
          "band_limit_per_m"),
     ],
 )  # fmt: skip

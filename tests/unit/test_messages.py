@@ -47,7 +47,8 @@ WRONG_TYPES = {
     "instrument: {kind: lens, screen_depth_m: 1}":
         "instrument.screen_depth_m = 1: must be a list of numbers (write [1])",
     "instrument: {kind: beam_spread, rays: 1.5}": "instrument.rays = 1.5: must be a whole number",
-    "instrument: {kind: beam_spread, rays: many}": "instrument.rays = 'many': must be a whole number",
+    "instrument: {kind: beam_spread, rays: many}":
+        "instrument.rays = 'many': must be a whole number",
     "instrument: {kind: beam_spread, rays: true}": "instrument.rays = True: must be a whole number",
     "instrument: {kind: beam_spread, rays: 0}": "instrument.rays = 0: must be at least 1",
     "instrument: {kind: goniophotometre}":
@@ -56,7 +57,8 @@ WRONG_TYPES = {
     "instrument: {n_bins: [5]}": "instrument.n_bins = [5]: must be a list of 2 whole numbers",
     "instrument: 5": "instrument = 5: must be a mapping of keys to values",
     "figure: {ylim: [0, 1, 2]}": "figure.ylim = [0, 1, 2]: must be a list of 2 numbers",
-    "figure: {select: {saturation: [0]}}": "figure.select.saturation = [0]: must be a number or text",
+    "figure: {select: {saturation: [0]}}":
+        "figure.select.saturation = [0]: must be a number or text",
     "title: 2024": "title = 2024: must be text (put it into quotes)",
     "fit: 5": "fit = 5: must be a mapping with measured",
     "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, title, caption, "
@@ -138,9 +140,12 @@ UNUSED_SETTINGS = [
     *(({**ROUGH, "instrument": make_instrument_text(kind, **{key: value})}, f"instrument.{key}")
       for kind in ("lens", "surface_map")
       for key, value in (("wavelength_nm", [550]), ("incidence_deg", 30), ("stderr_scale", 2))),
-    ({"instrument": make_instrument_text("refractive_index", incidence_deg=30)}, "instrument.incidence_deg"),
-    ({"instrument": make_instrument_text("refractive_index"), "grid": {"saturation": [0, 1]}}, "grid"),
-    ({"instrument": make_instrument_text("beam_spread", rays=10, stderr_scale=2)}, "instrument.stderr_scale"),
+    ({"instrument": make_instrument_text("refractive_index", incidence_deg=30)},
+     "instrument.incidence_deg"),
+    ({"instrument": make_instrument_text("refractive_index"), "grid": {"saturation": [0, 1]}},
+     "grid"),
+    ({"instrument": make_instrument_text("beam_spread", rays=10, stderr_scale=2)},
+     "instrument.stderr_scale"),
     ({"instrument": make_instrument_text("goniophotometer", rays=10, stderr_scale=2)},
      "instrument.stderr_scale"),
     ({"instrument": make_instrument_text("goniophotometer", estimator="bins", stderr_scale=2)},

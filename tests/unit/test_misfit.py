@@ -177,13 +177,13 @@ def test_sectors_are_means_of_three_angles_with_errors_that_go_together():
 def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
     found = expand_boundaries({"entry_point": "uniform", "overlaps": "skip"})
     assert found == {
-        "entry_point": "uniform", "overlap_with_previous_segment": "skip", "overlap_with_boundary": "skip",
+        "entry_point": "uniform", "overlap_with_previous_segment": "skip",
+        "overlap_with_boundary": "skip",
     }  # fmt: skip
     assert expand_boundaries({"entry_point": "uniform"}) == {"entry_point": "uniform"}
     for fate in OVERLAP_CHOICES:
         assert (
-            find_choice(Interpretation(**expand_boundaries({"overlaps": fate})), "boundaries")
-            == fate
+            find_choice(Interpretation(**expand_boundaries({"overlaps": fate})), "overlaps") == fate
         )
 
 

@@ -136,12 +136,14 @@ def test_in_files(tmp_path):
     )
     text = (
         "medium: {base: splitsnow_table1, interpretation: geometric}\n"
-        "grid: {liquid_water_content: [0, 0.1], interpretation: {same: {}, other: {facet_sampling: any},"
-        " paper: splitsnow_2021}}\ninstrument: {wavelength_nm: [500]}\n"
+        "grid: {liquid_water_content: [0, 0.1], interpretation: {same: {}, "
+        "other: {facet_sampling: any}, paper: splitsnow_2021}}\n"
+        "instrument: {wavelength_nm: [500]}\n"
     )
     found = load_text(tmp_path, text)
     assert found[3].liquid_water_content == pytest.approx(0.1)
-    assert [(one.interpretation.entry_point, one.interpretation.facet_sampling) for one in found[:3]] == [
+    read = [one.interpretation for one in found[:3]]
+    assert [(one.entry_point, one.facet_sampling) for one in read] == [
         ("projected", "projected"), ("projected", "any"), ("uniform", "any"),
     ]  # fmt: skip
     with pytest.raises(ConfigError, match=r"medium.ssa: unknown key.*specific_surface_area_m2_kg"):

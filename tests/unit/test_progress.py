@@ -11,8 +11,8 @@ import splits
 from splits.core.progress import with_progress
 
 WITH_PROGRESS = (
-    "spectrophotometer", "spectra", "goniophotometer", "beam_spread", "deep_transmittance", "irradiance_profile",
-    "albedo", "hdrf", "radiation_profile", "retrieve",
+    "spectrophotometer", "spectra", "goniophotometer", "beam_spread", "deep_transmittance",
+    "irradiance_profile", "albedo", "hdrf", "radiation_profile", "retrieve",
 )  # fmt: skip
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
 
@@ -40,7 +40,7 @@ def test_progress_says_how_far_and_how_good():
 def test_true_shows_a_bar_that_ends_full(capsys):
     assert isinstance(report_once(progress=True), splits.ProgressBar)
     said = capsys.readouterr().err
-    assert "instrument:  75%" in said and "error 0.004, wanted 0.002" in said
+    assert "report_once:  75%" in said and "error 0.004, wanted 0.002" in said
     assert "100%" in said and "done" in said
 
 

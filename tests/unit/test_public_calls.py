@@ -67,11 +67,11 @@ def test_type_checkers_see_the_same_parameters(tmp_path):
 
 SNOW, LAYER, EMPTY = splits.Snow(), splits.ParticleLayer(), xr.Dataset()
 INVALID_CALLS = {
-    "Layer": lambda: splits.ParticleLayer(asymmetry=2),
-    "Readings": lambda: splits.Interpretation(entry_point="x"),
+    "ParticleLayer": lambda: splits.ParticleLayer(asymmetry=2),
+    "Interpretation": lambda: splits.Interpretation(entry_point="x"),
     "RoughSurface": lambda: splits.RoughSurface({"rms_height_m": -1, "wave_number_per_m": 1}),
     "Sand": lambda: splits.Sand(iron_oxide=0.5),
-    "SandReadings": lambda: splits.SandInterpretation(water="x"),
+    "SandInterpretation": lambda: splits.SandInterpretation(water="x"),
     "Snow": lambda: splits.Snow(specific_surface_area_m2_kg=-1),
     "Snow.natural": lambda: splits.Snow.natural(optical_radius_um=-1),
     "Stack": lambda: splits.Stack([SNOW, 3]),
@@ -92,14 +92,14 @@ INVALID_CALLS = {
     "retrieve_map": lambda: splits.retrieve_map(3, 3, {}, 3),
     "save": lambda: splits.save(EMPTY, "x.txt"),
     "save_brdf": lambda: splits.save_brdf(EMPTY, "x", {}),
-    "sensor": lambda: splits.sensor_bands("x"),
+    "sensor_bands": lambda: splits.sensor_bands("x"),
     "single_scattering": lambda: splits.single_scattering(SNOW, "x"),
     "sky": lambda: splits.sky("clear", zenith_deg=100),
     "sobol_indices": lambda: splits.sobol_indices(3, {}),
     "spectra": lambda: splits.spectra({}, [500]),
     "spectrophotometer": lambda: splits.spectrophotometer(SNOW, [500], progress=3),
     "surface_map": lambda: splits.surface_map(LAYER, -1),
-    "table": lambda: splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),
+    "build_table": lambda: splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),
     "with_diffraction": lambda: splits.with_diffraction(EMPTY, -1),
 }
 NO_INVALID_VALUES = {"Progress", "ProgressBar", "Sky"}

@@ -94,7 +94,7 @@ def test_angles_nearly_right_are_told(given, hint):
         (splits.Snow, "ssa", "must be one of grain_size_um, facetness, sphericity, saturation"),
         (splits.Sand, "irn_oxide", "(did you mean iron_oxide?)"),
         (splits.ParticleLayer, "optical_depth", "must be one of optical_thickness"),
-        (splits.Interpretation, "entri", "(did you mean entry?)"),
+        (splits.Interpretation, "entri", "(did you mean entry_point?)"),
         (splits.SandInterpretation, "mixin", "(did you mean mixing?)"),
     ],
 )

@@ -17,8 +17,10 @@ from splits.materials import make_refractive_index
 from splits.simulation.arguments import check_direction_angles, check_wavelengths
 from splits.tables.export import convert_to_spires
 
-FROM_30 = make_table(lambda size, _: evaluate_spectrum(size, 0.0), {SIZE: [50.0, 100.0], "incidence_deg": [
-    30.0, 60.0]})  # fmt: skip
+FROM_30 = make_table(
+    lambda size, _: evaluate_spectrum(size, 0.0),
+    {SIZE: [50.0, 100.0], "incidence_deg": [30.0, 60.0]},
+)
 LIGHT = {"wavelength_nm": [400.0, 800.0], "direct": [1.0, 1.0], "diffuse": [1.0, 1.0]}
 MEASURED = (W, evaluate_spectrum(200.0, 64.0))
 
@@ -41,14 +43,16 @@ RANGE_ENDS = {
     "Snow.grain_size_um": (lambda x: splits.Snow(grain_size_um=(x, 50)).grain_size_um[0], 1.0, -1),
     "Snow.ground": (lambda x: splits.Snow(ground=x).ground.albedo_values, 1.0, 1),
     "ground.albedo": (
-        lambda x: splits.Snow(ground={"wavelength_nm": [300, 900], "albedo": [x, 0]}).ground.albedo_values,
+        lambda x: splits.Snow(
+            ground={"wavelength_nm": [300, 900], "albedo": [x, 0]}).ground.albedo_values,
         1.0, 1),
     "Sand.roundness": (lambda x: splits.Sand(roundness=(x, 0.1)).roundness[0], 1.0, 1),
     "Sand.partition": (lambda x: splits.Sand(partition=(0, x, 0)).partition[1], 1.0, 1),
     "Sand.texture": (lambda x: splits.Sand(texture=(x, 0, 1)).texture[0], 0.0, -1),
-    "Layer.asymmetry": (lambda x: splits.ParticleLayer(asymmetry=x).asymmetry, 0.999, 1),
-    "Layer.phase_function": (
-        lambda x: splits.ParticleLayer(phase_function={"cosine": [x, 1], "density": [1, 1]}).kernel_phase_function.cosines,
+    "ParticleLayer.asymmetry": (lambda x: splits.ParticleLayer(asymmetry=x).asymmetry, 0.999, 1),
+    "ParticleLayer.phase_function": (
+        lambda x: splits.ParticleLayer(
+            phase_function={"cosine": [x, 1], "density": [1, 1]}).kernel_phase_function.cosines,
         -1.0, 1),
     "refractive_index": (lambda x: make_refractive_index("quartz")(x), 198.0, -1),
     "own index": (lambda x: compute_refraction()[0][0] and make_refractive_index("ice", {
@@ -59,16 +63,18 @@ RANGE_ENDS = {
     "zenith_deg": (lambda x: splits.sky(LIGHT, x).zenith_deg, 89.0, 1),
     "Table.interp": (lambda x: retrieve_at(FROM_30, incidence_deg=x, **{SIZE: 60}), 30.0, -1),
     "Table.interp root": (lambda x: retrieve_at(**FIXED | {SOOT: x, SIZE: 60}), 0.0, -1),
-    "Table.interp wavelength": (lambda x: retrieve_at(**FIXED, wavelength=x, **{SIZE: 60}), 1500.0, 1),
+    "Table.interp wavelength": (
+        lambda x: retrieve_at(**FIXED, wavelength=x, **{SIZE: 60}), 1500.0, 1),
     "Table.derivatives": (
         lambda x: FROM_30.derivatives([SIZE], incidence_deg=60, **{SIZE: x}).reflectance_jacobian,
         50.0, -1),
     "to_spires": (
         lambda x: convert_to_spires(TABLE.dataset, SOOT, {"a": (x, 600)}), 500.0, -1),
     "retrieve": (
-        lambda x: splits.retrieve(([x, 700], [0.9, 0.8]), TABLE, [SIZE], 0.1, fixed=FIXED).values[SIZE],
+        lambda x: splits.retrieve(
+            ([x, 700], [0.9, 0.8]), TABLE, [SIZE], 0.1, fixed=FIXED).values[SIZE],
         500.0, -1),
-    "retrieve at": (
+    "retrieve fixed": (
         lambda x: splits.retrieve(
             MEASURED, TABLE, [SIZE], 0.1, fixed={SOOT: 64.0, "sza": x}).values[SIZE], 60.0, 1),
     "retrieve free": (
@@ -76,7 +82,8 @@ RANGE_ENDS = {
         40.0, -1),
     "retrieve prior": (
         lambda x: splits.retrieve(
-            MEASURED, TABLE, [SIZE], 0.1, fixed=FIXED, prior={SIZE: (x, 200)}).values[SIZE], 2000.0, 1),
+            MEASURED, TABLE, [SIZE], 0.1, fixed=FIXED, prior={SIZE: (x, 200)}).values[SIZE],
+        2000.0, 1),
 }  # fmt: skip
 """A value's result, the end of its range, and the side on which it ends."""
 

@@ -135,8 +135,8 @@ def test_a_table_that_keeps_its_covariance_says_what_is_alike():
 
 
 def test_what_is_not_told_is_said(table):
-    found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"], 0.01,
-                            fixed={SOOT: 50.0})  # fmt: skip
+    measured = (W, evaluate_spectrum(200.0, 50.0))
+    found = splits.retrieve(measured, table, [SIZE, "incidence_deg"], 0.01, fixed={SOOT: 50.0})
     assert found.constrained == {SIZE: True, "incidence_deg": False}
     assert any("not told by the measurement: incidence_deg" in line for line in found.warnings)
     assert "not told by the measurement" in repr(found)
@@ -291,7 +291,7 @@ def test_bad_input_is_refused_in_one_line(table, name):
         "model": table,
         "free": [SIZE, SOOT],
         "noise": 0.01,
-        "at": FIXED,
+        "fixed": FIXED,
     }
     with pytest.raises(InvalidValue, match=message) as caught:
         splits.retrieve(**(given | other))

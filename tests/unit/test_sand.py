@@ -236,7 +236,7 @@ def test_mean_grain_distance():
     one_shape = Sand(sphericity=(0.8, 0.8, 0.8, 0.1))
     k2 = float(surface_to_volume_ratio(0.8)) / 4.0
     assert one_shape.attenuation_per_m == pytest.approx(
-        k2 * one_shape.sizes.size_attenuation_per_m, rel=1e-12
+        k2 * one_shape.size_distribution.size_attenuation_per_m, rel=1e-12
     )
 
 

@@ -70,7 +70,7 @@ def test_a_moved_file_changes_the_digest(package):
 
 def test_what_draws_and_compares_does_not_count(package):
     before = digest(fit=True)
-    for name in ("plotting/lines.py", "analysis/colour.py", "transport/notes.txt"):
+    for name in ("plotting/lines.py", "analysis/colour.py", "kernels/notes.txt"):
         with open(package / name, "a", encoding="utf-8") as file:
             file.write("# changed\n")
     assert digest(fit=True) == before

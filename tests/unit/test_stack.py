@@ -128,7 +128,8 @@ def test_layers_of_a_stack_have_the_same_distances_between_grains():
 
 
 def test_sand_whose_grains_fill_the_volume_has_no_distance_with_grains():
-    with pytest.raises(ValueError, match="attenuation = 'printed': must be solid"):
+    told = "attenuation_factor = 'as_printed': must be solid_fraction"
+    with pytest.raises(ValueError, match=told):
         splits.Sand(
             interpretation={"set": "radiative_transfer", "attenuation_factor": "as_printed"}
         )

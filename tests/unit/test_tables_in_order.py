@@ -80,7 +80,10 @@ def test_a_part_of_a_table(dataset):
 
 
 INVALID_TABLES = {
-    "no dataset": (lambda ds: ds.reflectance, "table = 'DataArray': must be what splits.build_table"),
+    "no dataset": (
+        lambda ds: ds.reflectance,
+        "table = 'DataArray': must be what splits.build_table",
+    ),
     "a path": (lambda ds: "table.nc", r"table = 'str': must be .*splits.open_table\(…\) takes"),
     "a table": (splits.Table, "table = 'Table': must be"),
     "another dataset": (lambda ds: ds.drop_attrs(), "table = 'a dataset': must be"),

@@ -133,6 +133,11 @@ def test_a_job_that_shares_out_work_ends_with_the_run_it_belongs_to():
     assert ended == [1]
 
 
+def report_at_once(runner, *told):
+    """Stand for `Runner._report_progress`, which reports twice a second at most."""
+    runner.progress_callback(told)
+
+
 @NEEDS_JIT
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, RuntimeError])
 def test_what_a_report_of_progress_raises_ends_the_run(error, monkeypatch):
@@ -141,8 +146,7 @@ def test_what_a_report_of_progress_raises_ends_the_run(error, monkeypatch):
 
     with pytest.raises(error, match="enough"):
         splits.deep_transmittance(SNOW, [1000.0], relative_stderr=0.5, threads=2, progress=tell)
-    # Reports come twice a second at most: let the first be due.
-    monkeypatch.setattr(Runner, "_log_result", lambda self, *told: self.report(told))
+    monkeypatch.setattr(Runner, "_report_progress", report_at_once)
     with pytest.raises(error, match="enough"):
         splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=tell)
 
@@ -154,7 +158,7 @@ def test_numbers_are_the_same_after_a_run_that_was_broken_off(monkeypatch):
 
     whole = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=2)
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(Runner, "_log_result", lambda self, *told: self.report(told))
+        patched.setattr(Runner, "_report_progress", report_at_once)
         splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=enough)
     again = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=1)
     assert whole.equals(again)

@@ -237,10 +237,10 @@ def test_bombs_are_refused(members, tmp_path, refused, monkeypatch):
         patch.setattr(splits.io.unarchive, "MAX_UNPACKED_BYTES", 1000)
         refused(path, "it would unpack to more than")
     with monkeypatch.context() as patch:
-        patch.setattr(splits.io.unarchive, "MOST_METADATA", 1000)
+        patch.setattr(splits.io.unarchive, "MAX_METADATA_BYTES", 1000)
         refused(path, "has more than")
     with monkeypatch.context() as patch:
-        patch.setattr(splits.io.unarchive, "MOST_MEMBERS", 3)
+        patch.setattr(splits.io.unarchive, "MAX_MEMBERS", 3)
         refused(path, "more than 3 members")
     assert verify_archive(path).n_files == len(members)
 

@@ -110,5 +110,5 @@ def test_dry_and_full_sands_do_not_ask_where_water_is():
 @pytest.mark.parametrize("reading", ["narrow_pores", "film"])
 def test_other_media_in_such_pores_are_refused(reading):
     given = {"pores": {"oil": 0.1}, "refractive_index": {"oil": 1.47}}
-    with pytest.raises(ValueError, match=rf"pores = .*empty with readings\.water {reading}"):
+    with pytest.raises(ValueError, match=rf"pores = .*empty with interpretation\.water {reading}"):
         Sand(saturation=0.1, interpretation={"water": reading}, **given)

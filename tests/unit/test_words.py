@@ -35,13 +35,13 @@ WORDS = [
     "Sand()",
     "Sand(iron_oxide=0.02, partition=(0, 1, 0), interpretation={'water': 'film'})",
     "Sand(interpretation='geometric')",
-    "Layer()",
-    "Layer(optical_thickness=inf, bottom_albedo=None, polarized=True)",
-    f"Layer(surface={WAVES})",
+    "ParticleLayer()",
+    "ParticleLayer(optical_thickness=inf, bottom_albedo=None, polarized=True)",
+    f"ParticleLayer(surface={WAVES})",
     f"RoughSurface([{WAVES}, {LIMITED_NORMAL}])",
-    "Readings.of('splitsnow_2021')",
-    "Readings.of({'facet_sampling': 'projected'})",
-    "SandReadings.of('splits_2007')",
+    "Interpretation.from_input('splitsnow_2021')",
+    "Interpretation.from_input({'facet_sampling': 'projected'})",
+    "SandInterpretation.from_input('splits_2007')",
     "Ground.from_input('quartzipsamment')",
     "Ground.from_input(0.25)",
     "Ground.from_input('black')",
@@ -49,8 +49,8 @@ WORDS = [
     "    Snow.natural(specific_surface_area_m2_kg=40, depth_m=0.1),\n"
     "    Snow.natural(optical_radius_um=200, density_kg_m3=350, depth_m=0.3),\n"
     "], ground='camborthid')",
-    "Stack([\n    Snow(depth_m=0.01, interpretation='geometric'),\n    Layer(bottom_albedo=None),\n"
-    "], interpretation='geometric')",
+    "Stack([\n    Snow(depth_m=0.01, interpretation='geometric'),\n"
+    "    ParticleLayer(bottom_albedo=None),\n], interpretation='geometric')",
 ]
 NAMES = {name: getattr(splits, name) for name in splits.__all__} | {
     "Ground": Ground,

@@ -153,8 +153,8 @@ def _get_user_id() -> int:
 def list_cache_folders() -> tuple[CacheFolder, ...]:
     """Return the cache folders in the order of preference.
 
-    They are the user's cache folder, or that of NUMBA_CACHE_DIR, and one in the folder for temporary
-    files.  Kernels are loaded from all of them, and saved to the first that is writable.
+    They are the user's cache folder, or that of NUMBA_CACHE_DIR, and one in the folder for
+    temporary files.  Kernels are loaded from all of them, and saved to the first that is writable.
     """
     name = f"numba-{compute_kernels_digest()}"
     folders = []

@@ -47,8 +47,8 @@ def rsqrt(x):
     """Return 1/√x of x > 0; in single precision to 2e-7 from 1e-36 on, and finite of 0.
 
     Single precision uses three steps of Newton's method from an estimate by half of the exponent
-    (error 3.5 %, Lomont 2003): the vectorized kernel needs more roots than the single unit for roots
-    and divisions of a processor delivers.
+    (error 3.5 %, Lomont 2003): the vectorized kernel needs more roots than the single unit for
+    roots and divisions of a processor delivers.
     """
     return 1.0 / math.sqrt(x)
 

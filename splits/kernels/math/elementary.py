@@ -75,7 +75,7 @@ def _overload_sample_half_circle(u):
 
 @inline
 def sample_circle(u):
-    """Return an angle uniform on the circle for u uniform on (0, 1), to 1e-6 in single precision."""
+    """Return an angle uniform on the circle for a uniform u, to 1e-6 in single precision."""
     half = sample_half_circle(u)
     return Angle(fma(TWO * half.cos, half.cos, -ONE), TWO * half.sin * half.cos)
 

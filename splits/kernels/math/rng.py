@@ -80,7 +80,8 @@ def interpolate_quantile(table, row, u):
     Parameters
     ----------
     table : float64[rows, m]
-        Quantile functions at the probabilities of `make_table_probabilities`, interpolated linearly.
+        Quantile functions at the probabilities of `make_table_probabilities`, interpolated
+        linearly.
     row : int
         Row of the distribution; a table with a single row holds for all.
     u : float

@@ -2,8 +2,8 @@
 
 Light arrives through a medium of real refractive index n1 at a medium of complex index n2 + i k2.
 Absorption and total reflection on the far side are covered by one formula (Born & Wolf 1999,
-Principles of Optics, 7th ed., sections 1.5.2-1.5.4 and 14.2; SPLITS section 4.3.4).  Rays follow the
-planes of constant real phase, so the side of incidence, too, enters with its real index.  Total
+Principles of Optics, 7th ed., sections 1.5.2-1.5.4 and 14.2; SPLITS section 4.3.4).  Rays follow
+the planes of constant real phase, so the side of incidence, too, enters with its real index.  Total
 reflection then stays total and no surface emits more than a black body, which a complex tangential
 wave number would violate to first order in k1/n1.  Where k1/n1 is large, hardly any light arrives
 from inside a coating or a grain.
@@ -57,8 +57,8 @@ def normal_component(m, g, k, cos_i, absorbs):
     """Return a and b² of a + i b = (m + i k) cosθ_t, in units of the index of incidence.
 
     Born & Wolf 1999, Eqs 14.2.(8)-(12).  The real part of its square is cos²θ_i + m² − 1 − k²,
-    written with g = m − 1 to preserve the digits of nearly equal indices; with ab = mk both parts of
-    the root are free of cancellation.  Without absorption b is nonzero only in total reflection.
+    written with g = m − 1 to preserve the digits of nearly equal indices; with ab = mk both parts
+    of the root are free of cancellation.  Without absorption b is nonzero only in total reflection.
 
     Parameters
     ----------

@@ -9,9 +9,9 @@ reference (`stokes.py`), is that of Rayleigh with a weaker polarization:
 
 P = 1 with Rayleigh's phase function is Rayleigh scattering.  With any other phase function the
 elements are a model and not a solution of Maxwell's equations: they give particles a Rayleigh-like
-polarization as measured in sea water (Voss & Fry 1984, Appl. Opt. 23, 4427), without the effect of
-nonspherical particles on m22.  A matrix of this form maps every physical Stokes vector to a physical
-one if m12² + m33² ≤ m11², that is P² (1 − µ²)² + 4µ² ≤ (1 + µ²)², which holds for P ≤ 1.
+polarization as measured in sea water (Voss & Fry 1984, Appl.  Opt. 23, 4427), without the effect of
+nonspherical particles on m22.  A matrix of this form maps every physical Stokes vector to a
+physical one if m12² + m33² ≤ m11², that is P² (1 − µ²)² + 4µ² ≤ (1 + µ²)², which holds for P ≤ 1.
 """
 
 from __future__ import annotations
@@ -131,8 +131,8 @@ def henyey_greenstein_quantile(g, u):
     """Return the quantile u of the cosine of Henyey & Greenstein.
 
     With t = 2u − 1, µ = [t + g (3 + t²)/2 + g² t + g³ (t² − 1)/2]/(1 + g t)², which is Witt 1977
-    (Astrophys. J. Suppl. 35, 1) with g divided out.  Written for 1 − µ, the sums have positive terms
-    only: no digit is lost at g = 0 or near ±1.
+    (Astrophys.  J.  Suppl. 35, 1) with g divided out.  Written for 1 − µ, the sums have positive
+    terms only: no digit is lost at g = 0 or near ±1.
     """
     v = 1.0 - u
     a = (1.0 - g) * v

@@ -195,7 +195,7 @@ def scatter_polarized(state, phase, d, stokes):
 
 @inline_only
 def _compute_scattered_stokes(e, intensity, linear, v, ratios):
-    """Return the polarization of scattered light, where `intensity` is I over the phase function."""
+    """Return the polarization of scattered light of intensity I over the phase function."""
     m12, m33 = ratios
     return normalize_stokes(e, intensity, m12 + linear.q, m33 * linear.u, m33 * v)
 

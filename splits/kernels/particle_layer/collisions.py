@@ -28,8 +28,10 @@ from splits.kernels.tallies.exits import ABSORBED, ALIVE, REFLECTED, TRANSMITTED
 
 ROULETTE_THRESHOLD = 0.1
 ROULETTE_SURVIVAL_PROBABILITY = 0.3
-"""Weight below which Russian roulette is played, and the probability to survive it.  Both are low,
-because every scattering contributes to the detectors and the rays of low weight contribute little."""
+"""Weight below which Russian roulette is played, and the probability to survive it.
+
+Both are low: every scattering contributes to the detectors, and rays of low weight hardly do.
+"""
 
 
 @inline_only

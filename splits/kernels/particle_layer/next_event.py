@@ -3,9 +3,9 @@
 The method is that of Budak & Grimailo 2020, Eqs 4-5.  Detectors are at infinity, in given
 directions above and below a layer with smooth boundaries.  A scattering at depth contributes the
 density of its phase function towards each detector (Eq 5), and a reflection at the bottom a cosine
-over π (Eq 4), attenuated by the layer and transmitted through its boundary, where refraction changes
-the solid angle.  Between two smooth boundaries, light after any number of reflections contributes,
-too.
+over π (Eq 4), attenuated by the layer and transmitted through its boundary, where refraction
+changes the solid angle.  Between two smooth boundaries, light after any number of reflections
+contributes, too.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Detectors(NamedTuple):
     has_lower_side : bool
         Whether there are detectors below the layer, too.
     sums : float64[2, detectors, 4]
-        Scores of I, Q, U, V `ABOVE` and `BELOW` (1/sr), Q along the plane of the normal; advanced in
-        place.
+        Scores of I, Q, U, V `ABOVE` and `BELOW` (1/sr), Q along the plane of the normal; advanced
+        in place.
     peak : PhaseFunctionPeak or None
         Peak of the phase function, None if it has none.
     peak_directions : float64[orders, 3]

@@ -2,11 +2,11 @@
 
 Without a narrow peak of the phase function, the current event is the last one before the detector.
 With a peak, light may be scattered into it any number n of times in between.  A local estimate at
-the last of these scatterings would be rare and large, because only directions within the peak around
-the direction of the detector contribute.  They are therefore sampled backwards from the detector,
-and the event before all of them is scored with the wide part of the phase function, which is small
-everywhere.  The sum over all orders n is exact; the method is related to the n-tuple local estimate
-of Buras & Mayer 2011 (J. Quant. Spectrosc. Radiat. Transfer 112, 434).
+the last of these scatterings would be rare and large, because only directions within the peak
+around the direction of the detector contribute.  They are therefore sampled backwards from the
+detector, and the event before all of them is scored with the wide part of the phase function, which
+is small everywhere.  The sum over all orders n is exact; the method is related to the n-tuple local
+estimate of Buras & Mayer 2011 (J.  Quant.  Spectrosc.  Radiat.  Transfer 112, 434).
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _store_direction(directions, row, d):
 
 @inline_only
 def advance_to_collision(state, layer, connection):
-    """Return a `DetectorConnection` at the next particle, after reflections at smooth interfaces."""
+    """Return a connection at the next particle, after reflections at smooth interfaces."""
     z, d, contribution, mirror_sign = connection
     density, stokes = contribution
     remaining = -math.log(uniform(state)) / layer.extinction

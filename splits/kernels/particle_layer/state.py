@@ -55,7 +55,7 @@ class LayerRay(NamedTuple):
 
 
 class EventDistances(NamedTuple):
-    """Distances to the next particle, to the bottom (inf if not ahead) and to the nearer one (m)."""
+    """Distances to the next particle, to the bottom (inf if not ahead), and the smaller one (m)."""
 
     collision: float
     bottom: float
@@ -103,7 +103,7 @@ def increment_order(history):
 
 @inline_only
 def sample_event_distances(ray, layer, u):
-    """Sample the `EventDistances` of a ray with a uniform random number u; inf outside the layer."""
+    """Sample the `EventDistances` of a ray with a uniform number u; inf outside the layer."""
     collision, bottom = math.inf, math.inf
     if ray.inside:
         collision = -math.log(u) / layer.extinction

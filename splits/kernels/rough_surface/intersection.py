@@ -204,7 +204,7 @@ def refine_probe(probe, sums, band, point, d, side, tolerance):
             free_distance,
             compute_safe_step(gap, rate, band.max_slope, band.max_curvature, side * d.z),
         )
-        # Without height in the finer waves a finer band cannot extend the step, but it decides hits.
+        # If the finer waves have no height, finer bands cannot extend the step but decide hits.
         sufficient = gap > max(band.finer_height, tolerance)
     return SurfaceProbe(
         HeightAndSlope(height, SurfaceSlope(slope_x, slope_y)), free_distance, hit, sufficient
@@ -234,11 +234,11 @@ def make_no_hit(distance, n_evaluations):
 def find_first_intersection(surface, position, d, side, max_distance=math.inf):
     """Find the first intersection of a ray with the surface.
 
-    A ray at a height G above the surface, with the derivative G' along the ray, cannot hit it within
-    `compute_safe_step`.  Near an intersection these steps converge like Newton's method, from the
-    side of the ray.  Only dips below the surface by less than `compute_height_tolerance`, and
-    heights outside `BOUND_SIGMA`, are missed.  A ray that starts on the surface must leave it, see
-    `nudge_off_surface`.
+    A ray at a height G above the surface, with the derivative G' along the ray, cannot hit it
+    within `compute_safe_step`.  Near an intersection these steps converge like Newton's method,
+    from the side of the ray.  Only dips below the surface by less than `compute_height_tolerance`,
+    and heights outside `BOUND_SIGMA`, are missed.  A ray that starts on the surface must leave it,
+    see `nudge_off_surface`.
 
     Parameters
     ----------

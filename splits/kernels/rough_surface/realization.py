@@ -129,7 +129,8 @@ def wave_number_quantile(fields, field, u):
     """Return the quantile `u` of the wave number λ (1/m) below the band limit.
 
     `EXPONENTIAL_AS_PRINTED`: λ = k0 β/√(1 − β²), Budak & Grimailo 2020, Eq 3.  `EXPONENTIAL`, with
-    the correlation exp(−k0 r): λ = k0 √(1/(1−β)² − 1).  `GAUSSIAN`, exp(−(k0 r)²): λ = 2 k0 √(−ln(1−β)).
+    the correlation exp(−k0 r): λ = k0 √(1/(1−β)² − 1).  `GAUSSIAN`, exp(−(k0 r)²): λ = 2 k0
+    √(−ln(1−β)).
     """
     distribution = fields.law[field]
     if distribution == TABULATED:

@@ -109,8 +109,8 @@ def _fma(a: Any, b: Any, c: Any) -> Any:
 def _make_wave_sum(formula: Callable[..., Any], sums_type: Any) -> Callable[..., Any]:
     """Return the function (waves, first, end, p, q) that sums a formula over columns of waves.
 
-    The formula takes p, q and the rows of waves, and returns a pair of factors for every sum, as the
-    named tuple `sums_type`.  It serves plain Python, with whole rows, and compiled code, with
+    The formula takes p, q and the rows of waves, and returns a pair of factors for every sum, as
+    the named tuple `sums_type`.  It serves plain Python, with whole rows, and compiled code, with
     vectors of `N_WAVE_LANES` columns.  The vectors are explicit because a compiler must not reorder
     a sum of floats, and would add one wave at a time.
     """

@@ -179,8 +179,8 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
     exits, absorption
         See `tally_expansion`.
     n_polar, n_azimuth : int
-        Bins from horizon to zenith, equally spaced in the cosine, and in azimuth.  The first azimuth
-        bin is centred on the direction of travel of the beam.
+        Bins from horizon to zenith, equally spaced in the cosine, and in azimuth.  The first
+        azimuth bin is centred on the direction of travel of the beam.
     factor_column : int
         Column of a factor of the weights, such as a Stokes parameter, or −1.
 

@@ -37,8 +37,10 @@ EXIT_SIDE = 0
 EXIT_WEIGHT = 1
 """Column of the inverse probability of having survived roulette."""
 EXIT_ORDER = 2
-"""Column of the order of scattering: hits of grains, particles and facets of a rough surface; NaN if a
-kernel does not count them."""
+"""Column of the order of scattering: hits of grains, particles and facets of a rough surface.
+
+NaN if a kernel does not count them.
+"""
 EXIT_DIRECTION = 3
 """First of three columns: direction outside the slab."""
 EXIT_POSITION = 6
@@ -49,9 +51,9 @@ EXIT_LENGTH = 8
 BLOCK_SIZE = 8
 """Successive rays with separate sums, whose scatter gives the correlation of errors."""
 N_BATCHES = 32
-"""Batches of rays with separate means.  Blocks of successive rays are assigned to them in turn, so that
-even the smallest first round of a stratum reaches all.  The relative uncertainty of a standard error
-from 32 batches is 13 %."""
+"""Batches of rays with separate means.  Blocks of successive rays are assigned to them in turn, so
+that even the smallest first round of a stratum reaches all.  The relative uncertainty of a standard
+error from 32 batches is 13 %."""
 
 
 class BatchStats(NamedTuple):
@@ -131,8 +133,8 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
     minimum : float64[wavelengths]
         Smallest exit weight of any ray; 0 if one did not leave.
     blocks : float32[blocks, 2, wavelengths]
-        Σ weight of every `BLOCK_SIZE` successive rays; the last block may have fewer.  Blocks in excess of
-        `N_BATCHES` are added to the first ones in turn.
+        Σ weight of every `BLOCK_SIZE` successive rays; the last block may have fewer.  Blocks in
+        excess of `N_BATCHES` are added to the first ones in turn.
     """
     wavelengths = absorption.shape[0]
     moments = np.zeros((3, 3, wavelengths))

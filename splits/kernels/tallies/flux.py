@@ -159,8 +159,8 @@ def _tally_segment(
 ):
     """Tally the absorption of a ray on a segment, and advance `last` to its end.
 
-    The weight at the end of the segment counts for all of it, although roulette may change it on the
-    way: the mean is the same.
+    The weight at the end of the segment counts for all of it, although roulette may change it on
+    the way: the mean is the same.
     """
     absorbed, path_length = sums.absorbed[layer], sums.path_length[layer]
     light[:] = ZERO

@@ -5,15 +5,8 @@ from __future__ import annotations
 import math
 
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.grains.flight import (
-    find_adjacent_layer,
-    record_crossing,
-)
-from splits.kernels.grains.free_path import (
-    RayGeometry,
-    RouletteState,
-    russian_roulette,
-)
+from splits.kernels.grains.flight import find_adjacent_layer, record_crossing
+from splits.kernels.grains.free_path import RayGeometry, RouletteState, russian_roulette
 from splits.kernels.grains.grain_path import trace_through_grain
 from splits.kernels.grains.scene import NO_GROUND, NO_PARTICLES
 from splits.kernels.grains.state import (
@@ -31,13 +24,7 @@ from splits.kernels.grains.state import (
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, UP, sample_cosine_lobe
 from splits.kernels.optics.interface import orient_horizontal_normal, sample_interface
-from splits.kernels.tallies.exits import (
-    ABSORBED,
-    ALIVE,
-    REFLECTED,
-    TO_GROUND,
-    TRANSMITTED,
-)
+from splits.kernels.tallies.exits import ABSORBED, ALIVE, REFLECTED, TO_GROUND, TRANSMITTED
 
 
 @inline_only

@@ -24,11 +24,7 @@ from splits.kernels.grains.flight import (
     move_to_event,
     sample_next_event,
 )
-from splits.kernels.grains.free_path import (
-    FIRST_ROULETTE_DEPTH,
-    RayGeometry,
-    RouletteState,
-)
+from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, RayGeometry, RouletteState
 from splits.kernels.grains.rough_top import (
     interact_at_rough_top,
     intersect_rough_top,
@@ -37,13 +33,7 @@ from splits.kernels.grains.rough_top import (
     trace_above_surface,
 )
 from splits.kernels.grains.spheroid import Segment
-from splits.kernels.grains.state import (
-    NO_SEGMENT,
-    Ray,
-    RayPayload,
-    get_layer_geometry,
-    terminate,
-)
+from splits.kernels.grains.state import NO_SEGMENT, Ray, RayPayload, get_layer_geometry, terminate
 from splits.kernels.grains.weight_window import check_weight_window
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN

@@ -23,14 +23,7 @@ from splits.kernels.compiler.jit import ONE, TWO, ZERO, inline
 from splits.kernels.grains.microfacet import compute_facet_normal
 from splits.kernels.math.arithmetic import fma, get_precision, rsqrt, sqrt
 from splits.kernels.math.elementary import Angle
-from splits.kernels.math.vectors import (
-    Vector,
-    dot,
-    linear_combination,
-    normalize,
-    reflect,
-    select,
-)
+from splits.kernels.math.vectors import Vector, dot, linear_combination, normalize, reflect, select
 from splits.kernels.optics.fresnel import NormalWave, normal_component, unpolarized_reflectance
 
 

@@ -37,7 +37,7 @@ from splits.kernels.tallies.exits import ABSORBED, ALIVE, LOST, REFLECTED
 MAX_HEIGHT_SIGMA = 50.0
 """Bound of the height of realizations in standard deviations.
 
-`realization.BOUND_SIGMA` times the root of −ln u, with u the smallest random number, is below it.
+`bands.BOUND_SIGMA` times the root of −ln u, with u the smallest random number, is below it.
 """
 
 

@@ -14,12 +14,7 @@ from splits.kernels.grains.free_path import (
     RouletteState,
 )
 from splits.kernels.grains.scene import OVERLAP_KEEP, OVERLAP_SKIP
-from splits.kernels.grains.spheroid import (
-    EntryVariates,
-    GrainSize,
-    Segment,
-    accept_axial_position,
-)
+from splits.kernels.grains.spheroid import EntryVariates, GrainSize, Segment, accept_axial_position
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
 from splits.kernels.math.vectors import ORIGIN, Vector

@@ -13,15 +13,14 @@ from typing import NamedTuple
 
 from splits.kernels.compiler.jit import entry_point_no_refcount, inline, inline_only
 from splits.kernels.math.vectors import Vector, add_scaled, dot, normalize
-from splits.kernels.rough_surface.realization import (
+from splits.kernels.rough_surface.bands import (
     BAND_END,
     BOUND_SIGMA,
     FINER_HEIGHT,
     MAX_CURVATURE,
     MAX_SLOPE,
-    HeightAndSlope,
-    SurfaceSlope,
 )
+from splits.kernels.rough_surface.realization import HeightAndSlope, SurfaceSlope
 from splits.kernels.rough_surface.wave_sums import TWO_PI, sum_ray_bounds, sum_waves
 
 NO_HIT = -1.0

@@ -23,6 +23,7 @@ from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.flight import run_flight_pass
 from splits.kernels.vectorized.ground import reaches_ground, reflect_from_ground
 from splits.kernels.vectorized.interaction import run_surface_pass
+from splits.kernels.vectorized.lane_optics import set_grain_optics
 from splits.kernels.vectorized.lane_state import PassConstants
 from splits.kernels.vectorized.layers import (
     attenuate_segment,
@@ -38,7 +39,6 @@ from splits.kernels.vectorized.lifecycle import (
     flush_path_lengths,
     record_lane_exit,
     sample_source,
-    set_grain_optics,
 )
 from splits.kernels.vectorized.sampling import draw_grain_properties
 

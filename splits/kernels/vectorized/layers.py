@@ -15,13 +15,10 @@ from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import orient_horizontal_normal, sample_interface
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing, set_current_ray
 from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.flight import load_layer_geometry, load_ray
+from splits.kernels.vectorized.lane_motion import load_layer_geometry, load_ray
+from splits.kernels.vectorized.lane_optics import refractive_index_of, set_layer_optics
 from splits.kernels.vectorized.lane_state import store_vector
-from splits.kernels.vectorized.lifecycle import (
-    draw_uniform,
-    refractive_index_of,
-    set_layer_optics,
-)
+from splits.kernels.vectorized.lifecycle import draw_uniform
 
 
 @inline_only

@@ -19,7 +19,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from splits.kernels.math.vectors import Vector
-from splits.kernels.rough_surface.intersection import find_first_intersection
 from splits.kernels.particle_layer.leak_census import (
     EVALUATIONS,
     INTERSECTIONS,
@@ -27,6 +26,7 @@ from splits.kernels.particle_layer.leak_census import (
     LOST_RAYS,
     count_leaks,
 )
+from splits.kernels.rough_surface.intersection import find_first_intersection
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes, make_realization
 from splits.media.rough_surface import RoughSurface
 

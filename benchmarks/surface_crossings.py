@@ -3,7 +3,7 @@
     python benchmarks/surface_crossings.py [--quick]
 
 Every ray has a surface of its own and is reflected and refracted there until it leaves upwards
-(`splits.kernels.rough_surface.leak_census`).  Prints, for every surface: crossings; points of legs
+(`splits.kernels.particle_layer.leak_census`).  Prints, for every surface: crossings; points of legs
 found on the wrong side of the surface; rays lost; evaluations of the surface, and time on one
 thread, per crossing.  Then time per wave of an evaluation, and per crossing, of realisations that
 are already drawn.
@@ -19,14 +19,14 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from splits.kernels.math.vectors import Vector
-from splits.kernels.rough_surface.intersection import find_first_intersection
-from splits.kernels.rough_surface.leak_census import (
+from splits.kernels.particle_layer.leak_census import (
     EVALUATIONS,
     INTERSECTIONS,
     LEAKS,
     LOST_RAYS,
     count_leaks,
 )
+from splits.kernels.rough_surface.intersection import find_first_intersection
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes, make_realization
 from splits.media.rough_surface import RoughSurface
 

@@ -1,8 +1,8 @@
-"""Light transport kernels: numbers in, numbers out.
+"""Numba kernels of light transport, in SI units and plain arrays.
 
-Nothing in this folder imports the rest of the package, but for `splits.core.atomic`.  Every function is a
-small Numba kernel; those outside `lanes` also run as plain Python with ``NUMBA_DISABLE_JIT=1``.
-Machine code is kept between processes (`splits.kernels.compiler.cache`).
+Nothing in this package imports the rest of `splits` except `splits.core`.  Every kernel outside
+`vectorized` also runs as plain Python with ``NUMBA_DISABLE_JIT=1``.  Machine code is cached on disk
+(`splits.kernels.compiler.cache`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,6 @@ import warnings
 import numba
 
 if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-    # The random stream wraps around 2**64 on purpose; NumPy scalars warn about it, machine
-    # integers do not.
+    # The random stream overflows 2**64 on purpose; NumPy scalars warn about that, machine integers
+    # do not.
     warnings.filterwarnings("ignore", "overflow encountered", RuntimeWarning)

@@ -129,7 +129,7 @@ def test_functions_that_do_not_count_who_holds_an_array_pass_none_on(folder, fun
     def caller(values):
         function(values)
 
-    with pytest.raises(TypeError, match="makes or returns arrays, but is no `inline_allocating`"):
+    with pytest.raises(TypeError, match="allocates or returns arrays: must be `inline_allocating`"):
         entry_point(caller)(np.ones(3))
 
 

@@ -13,6 +13,7 @@ from rough_surfaces import SURFACES, draw_realization, sum_waves
 from splits.kernels.math.vectors import Vector
 from splits.kernels.rough_surface import intersection
 from splits.kernels.rough_surface import realization as kernels
+from splits.kernels.rough_surface.bands import BAND_END
 from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, N_WAVE_LANES, PHASE
 from splits.media.rough_surface import RoughSurface
 
@@ -64,7 +65,7 @@ def test_bounds_bound(name):
         waves, bands, count = surface.waves, surface.bands, surface.n_bands
         # Coarse to fine, every wave in the first band.
         k = np.hypot(waves[KX], waves[KY])
-        ends = bands[kernels.BAND_END, :count]
+        ends = bands[BAND_END, :count]
         assert ends[0] == waves.shape[1] and (np.diff(ends) < 0).all()
         for azimuth in np.linspace(0.0, 3.0, 4):
             dx, dy = 0.8 * math.cos(azimuth), 0.8 * math.sin(azimuth)

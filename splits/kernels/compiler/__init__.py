@@ -1,1 +1,1 @@
-"""How kernels are compiled, kept, and made to carry nothing that a scene does not have."""
+"""Compilation, caching and compile-time specialization of the kernels."""

@@ -1,7 +1,7 @@
-"""Vectors where lines of the cache begin: others lie in two lines, and take twice the time to load.
+"""Alignment of arrays and stack frames to cache lines.
 
-Arrays and stacks of compiled functions begin at multiples of 32 and 16 bytes, by chance at one
-of 64.
+A vector that crosses a cache line takes twice the time to load.  Arrays and stack frames of
+compiled functions are aligned to 32 and 16 bytes only.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from numba.extending import intrinsic
 from splits.kernels.compiler.jit import inline_allocating
 
 CACHE_LINE_BYTES = 64
-"""Bytes in a line of the cache, and in the widest vectors."""
+"""Size of a cache line, and of the widest vectors."""
 
 
 @inline_allocating
 def allocate_aligned(count):
-    """Return so many zeros of single precision that begin where a line does."""
+    """Return float32[count] of zeros, aligned to a cache line."""
     words = CACHE_LINE_BYTES // 4
-    room = np.zeros(count + words, dtype=np.float32)
-    first = -(room.ctypes.data // 4) % words
-    return room[first : first + count]
+    buffer = np.zeros(count + words, dtype=np.float32)
+    offset = -(buffer.ctypes.data // 4) % words
+    return buffer[offset : offset + count]
 
 
 @intrinsic
 def align_stack(typing_context: Any) -> Any:
-    """Let the frame of the function that calls this begin where a line does."""
+    """Align the stack frame of the calling function to a cache line."""
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         with builder.goto_entry_block():
-            place = builder.alloca(ir.ArrayType(ir.IntType(8), CACHE_LINE_BYTES))
-            place.align = CACHE_LINE_BYTES
-        # Nothing is done with the place: but what somebody may look at is not left out.
-        looked_at = ir.FunctionType(ir.VoidType(), [place.type])
-        builder.asm(looked_at, "", "r", [place], True)
+            slot = builder.alloca(ir.ArrayType(ir.IntType(8), CACHE_LINE_BYTES))
+            slot.align = CACHE_LINE_BYTES
+        # The empty assembly uses the slot, so that LLVM does not remove it.
+        use_type = ir.FunctionType(ir.VoidType(), [slot.type])
+        builder.asm(use_type, "", "r", [slot], True)
         return context.get_dummy_value()
 
     return types.void(), lower

@@ -1,8 +1,9 @@
-"""How compiled kernels are kept between processes, and how they come back whole.
+"""Cache of compiled kernels on disk, with checksums.
 
-Numba loads what it finds: here every kernel has a file of its own that begins with its checksum.
-What fails the check is dropped and compiled again.  What cannot be written is not kept, and the
-computation goes on.  Processes that need the same kernel at the same time let one of them compile.
+Numba loads any file that it finds; here every kernel has a file of its own that begins with its
+checksum.  Files that fail the check are removed and the kernel is compiled again.  If a file cannot
+be written, the computation continues without it.  Of several processes that need the same kernel at
+the same time, one compiles it.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 def enable_caching(kernel: Any) -> Any:
-    """Let what a compiled function is compiled to be kept, and return the function."""
+    """Enable the cache on disk for a compiled function, and return that function."""
     if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         kernel._cache = cache = KernelCache(kernel.py_func)
         kernel._compiler.compile = cache.release_locks_on_failure(kernel._compiler.compile)
@@ -35,7 +36,7 @@ def enable_caching(kernel: Any) -> Any:
 
 
 class _CacheLocator:
-    """What Numba asks of a place of cached functions; `CacheFiles` knows the files."""
+    """Locator required by Numba; `CacheFiles` manages the files."""
 
     def __init__(self, first_line: int) -> None:
         self.first_line = first_line
@@ -45,13 +46,13 @@ class _CacheLocator:
         return cls(py_func.__code__.co_firstlineno)
 
     def ensure_cache_path(self) -> None:
-        """Do nothing: folders are made when something is written."""
+        """Do nothing: folders are created when a file is written."""
 
     def get_cache_path(self) -> str:
         return str(list_cache_folders()[0].path) if list_cache_folders() else ""
 
     def get_source_stamp(self) -> str:
-        # The folder's name says it.
+        # The name of the folder contains the digest of the sources.
         return ""
 
     def get_disambiguator(self) -> str:
@@ -63,7 +64,7 @@ class _KernelCacheImpl(CompileResultCacheImpl):
 
 
 class KernelCache(FunctionCache):
-    """Numba's cache of a function, in checked files."""
+    """Numba's cache of a function, in files with checksums."""
 
     _impl_class = _KernelCacheImpl
 
@@ -72,54 +73,54 @@ class KernelCache(FunctionCache):
         self._cache_file = CacheFiles(self._impl.filename_base)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what was kept for a signature, or None: then it is this process's to compile."""
-        found = self._load_cached(sig, target_context)
-        if found is not None or not self._cache_file.acquire_lock(sig):
-            return found
+        """Return the cached code of a signature, or None if this process has to compile it."""
+        overload = self._load_cached(sig, target_context)
+        if overload is not None or not self._cache_file.acquire_lock(sig):
+            return overload
         # Another process may have compiled it meanwhile.
-        found = self._load_cached(sig, target_context)
-        if found is not None:
+        overload = self._load_cached(sig, target_context)
+        if overload is not None:
             self._cache_file.release_lock(sig)
-        return found
+        return overload
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled for a signature, and let those go on that wait for it."""
+        """Save the code of a signature, and release its lock."""
         try:
             super().save_overload(sig, data)
         finally:
             self._cache_file.release_lock(sig)
 
     def release_locks_on_failure(self, compile: Callable[..., Any]) -> Callable[..., Any]:
-        """Return what compiles, and lets others go on if that fails or is interrupted."""
+        """Wrap `compile` so that locks are released if it fails or is interrupted."""
 
-        def compiled(*given: Any) -> Any:
+        def compile_or_release(*args: Any) -> Any:
             try:
                 with announce(COMPILING_MESSAGE):
-                    return compile(*given)
+                    return compile(*args)
             except BaseException:
                 self._cache_file.release_all_locks()
                 raise
 
-        return compiled
+        return compile_or_release
 
     def _load_cached(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
         except Exception as error:
-            # Whole, and yet of no use: whatever it is, compiling anew mends it.
+            # The file is intact but unusable; compiling again repairs it, whatever the reason.
             warn_once(f"{self.cache_path}: kernels are compiled again ({error})")
             return None
 
 
 class CacheFiles:
-    """Files of what a function was compiled to, one for each signature.
+    """Files of the compiled code of a function, one per signature.
 
-    Processes that write at once do not meet: a file appears whole, and no index names it.
+    Files are written atomically and without an index, so that processes can write concurrently.
 
     Parameters
     ----------
     name : str
-        What names of files begin with.
+        Prefix of the file names.
     """
 
     def __init__(self, name: str) -> None:
@@ -127,34 +128,34 @@ class CacheFiles:
         self._locked_folders: dict[Any, Path] = {}
 
     def make_file_name(self, key: Any) -> str:
-        """Return the name of a key's file."""
+        """Return the file name of a key."""
         return f"{self.name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
 
     def load(self, key: Any) -> Any:
-        """Return what was saved under a key, or None; drop what is damaged."""
+        """Return the data saved under a key, or None; remove damaged files."""
         name = self.make_file_name(key)
         for folder in list_cache_folders():
             content = folder.read(name)
             if content is None:
                 continue
-            whole = content[_DIGEST_BYTES:]
+            payload = content[_DIGEST_BYTES:]
             try:
-                if hashlib.sha256(whole).digest() != content[:_DIGEST_BYTES]:
-                    raise ValueError("checksum does not fit")
-                saved, data = pickle.loads(whole)
+                if hashlib.sha256(payload).digest() != content[:_DIGEST_BYTES]:
+                    raise ValueError("checksum differs")
+                saved, data = pickle.loads(payload)
             except Exception:
-                warn_once(f"{folder.path}: damaged compiled kernels are dropped and compiled again")
+                warn_once(f"{folder.path}: damaged compiled kernels are removed and compiled again")
                 folder.remove(name)
                 continue
-            # Names of types may coincide where types do not.
+            # Different types may have the same name.
             if saved == key:
                 return data
         return None
 
     def save(self, key: Any, data: Any) -> None:
-        """Keep data under a key, in the first folder that takes it."""
-        whole = serialize.dumps((key, data))
-        content = hashlib.sha256(whole).digest() + whole
+        """Save data under a key in the first folder that is writable."""
+        payload = serialize.dumps((key, data))
+        content = hashlib.sha256(payload).digest() + payload
         reasons = []
         for folder in list_cache_folders():
             try:
@@ -165,7 +166,10 @@ class CacheFiles:
         warn_once(f"compiled kernels are not kept for the next process ({'; '.join(reasons)})")
 
     def acquire_lock(self, sig: Any) -> bool:
-        """Wait until no other process compiles for a signature; tell whether one may have."""
+        """Lock a signature while this process compiles it; return whether the lock is held.
+
+        Another process may have compiled the signature during the wait.
+        """
         for folder in list_cache_folders():
             with suppress(OSError):
                 folder.create()
@@ -175,17 +179,17 @@ class CacheFiles:
         return False
 
     def release_lock(self, sig: Any) -> None:
-        """Let others compile for a signature, or find what this process has compiled."""
+        """Release the lock of a signature."""
         if sig in self._locked_folders:
             cache_lock.release_lock(self._locked_folders.pop(sig), f"{self.name} {sig}")
 
     def release_all_locks(self) -> None:
-        """Let others compile for all signatures."""
+        """Release the locks of all signatures."""
         for sig in list(self._locked_folders):
             self.release_lock(sig)
 
     def flush(self) -> None:
-        """Forget what was saved."""
+        """Remove all files of the function."""
         for folder in list_cache_folders():
             for path in folder.path.glob(f"{glob.escape(self.name)}.*.nbc"):
                 folder.remove(path.name)

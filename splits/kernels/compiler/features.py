@@ -1,7 +1,8 @@
-"""What a scene has: kernels are compiled for that and carry nothing else that costs time.
+"""Features of a scene for which kernels are specialized at compile time.
 
-What costs none is compiled in always (benchmarks/kernels.py): the papers' readings, horizontal
-positions, the number of grains met.
+Code of absent features is compiled away.  Features that cost no measurable time are always
+compiled (benchmarks/kernels.py): the interpretations of the papers, horizontal positions, and the
+order of scattering.
 """
 
 from __future__ import annotations
@@ -10,18 +11,20 @@ from typing import NamedTuple
 
 
 class Features(NamedTuple):
-    """What a scene has.  A feature is True or None: being types, they decide at compile time.
+    """Features of a scene, each True or None.
+
+    The two values differ in type, so that branches on them are decided at compile time.
 
     Attributes
     ----------
     wet : True or None
-        Some legs run through wet pores.
+        Some path segments run through wet pores.
     faceted : True or None
-        Grains are not all smooth.
+        Some grains are rough.
     absorbing : True or None
-        Extinction coefficients show in reflection.
+        Extinction coefficients affect reflection.
     mixed : True or None
-        Several types, or coatings; includes `absorbing`.
+        There are several grain types, or coatings; includes `absorbing`.
     layered : True or None
         There are several layers; includes `mixed`.
     """
@@ -34,4 +37,4 @@ class Features(NamedTuple):
 
 
 ALL_FEATURES = Features(*[True] * len(Features._fields))
-"""What the scalar kernel is compiled for."""
+"""Features of the scalar kernel."""

@@ -1,24 +1,23 @@
-"""Functions that are compiled into others only.
+"""Numba compiler passes: deferred code generation, reference-count check, pruning of None fields.
 
-Numba turns every function into machine code of its own, after every optimisation, although all of
-it is done again in each function that it is inlined into: of the first call of a kernel that took
-most of the time.  What only other functions call is left as it was written here, and optimised
-once, with them.  (All but passes within one function, which dissolve its named tuples.)
+Deferred code generation.  Numba generates and optimizes machine code for every function, although
+all of it is repeated in each function into which that one is inlined; this took most of the
+compile time of a kernel.  Functions that only kernels call stay unoptimized LLVM code and are
+optimized once, within the kernel.  (Passes within one function still run: they dissolve its named
+tuples.)
 
-Who counts the holders of an array: those who make some, and nobody else.
+Reference counting is enabled only in functions that allocate or return arrays.  Numba counts
+references to an array in and out of every function that takes it.  Kernels pass the dozens of
+arrays of a scene to small functions at every step, and the counting took half of the run time.
+Only functions that allocate or return arrays count (`jit.inline_allocating`, `jit.entry_point`);
+all others borrow their arguments (Numba's option `_nrt`).  A function without reference counting
+must not return an array, which is checked here; nor does it call NumPy functions on arrays, which
+are compiled separately and cannot be checked.
 
-Numba lets an array go once nobody holds it, and for that counts it in and out of every function
-that is given it.  Kernels hand the dozens of arrays of a scene to small functions at every step:
-the counting took half the time of a trace.  So only functions that make arrays, or return any,
-count (`jit.owner`, `jit.entry`); all others borrow what they are given (`_nrt`, Numba's option).  A
-borrower must not pass an array on that others take for counted, which is seen to here; nor does it
-call functions of NumPy on arrays, which are compiled out of sight.
-
-What a scene does not have, left out before types are inferred.
-
-A field of a named tuple that is None says that a scene lacks something.  Whether it does is known
-from the tuple's type; Numba itself looks at arguments only, and would infer and write all that
-follows ``if features.layered is not None`` before it is found to be dead.
+Pruning of None fields.  A field of a named tuple that is None means that the scene lacks a feature,
+which is known from the type of the tuple.  Numba prunes on arguments only: without this pass it
+would type and lower everything after ``if features.layered is not None`` before it finds the branch
+dead.
 """
 
 from __future__ import annotations
@@ -39,9 +38,9 @@ _COMPARISONS = {operator.is_: True, operator.is_not: False}
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _NoneFieldPruning(FunctionPass):
-    """Replace comparisons of fields of arguments with None by what they are."""
+    """Replace comparisons with None of fields of arguments by constants."""
 
-    _name = "fields_that_are_none"
+    _name = "prune_none_fields"
 
     def __init__(self) -> None:
         FunctionPass.__init__(self)
@@ -50,19 +49,19 @@ class _NoneFieldPruning(FunctionPass):
         definitions = state.func_ir._definitions
         changed = False
         for block in state.func_ir.blocks.values():
-            for line in block.find_insts(ir.Assign):
-                known = _evaluate_none_comparison(line.value, definitions, state.args)
+            for assignment in block.find_insts(ir.Assign):
+                known = _evaluate_none_comparison(assignment.value, definitions, state.args)
                 if known is None:
                     continue
-                others = definitions[line.target.name]
-                place = next(i for i, value in enumerate(others) if value is line.value)
-                line.value = others[place] = ir.Const(known, line.loc)
+                values = definitions[assignment.target.name]
+                position = next(i for i, value in enumerate(values) if value is assignment.value)
+                assignment.value = values[position] = ir.Const(known, assignment.loc)
                 changed = True
         return changed
 
 
 def _evaluate_none_comparison(value: Any, definitions: Any, args: Any) -> bool | None:
-    """Return what a comparison with None comes to, None where that is not known."""
+    """Return the value of a comparison with None, or None if it is unknown."""
     if not (isinstance(value, ir.Expr) and value.op == "binop" and value.fn in _COMPARISONS):
         return None
     right = _find_single_definition(value.rhs, definitions)
@@ -75,13 +74,13 @@ def _evaluate_none_comparison(value: Any, definitions: Any, args: Any) -> bool |
 
 
 def _find_single_definition(variable: Any, definitions: Any) -> Any:
-    """Return what a variable is set to, None if more than once."""
-    found = definitions.get(variable.name, [])
-    return found[0] if len(found) == 1 else None
+    """Return the only definition of a variable, or None if it has several."""
+    values = definitions.get(variable.name, [])
+    return values[0] if len(values) == 1 else None
 
 
 def _infer_type(variable: Any, definitions: Any, args: Any) -> Any:
-    """Return the type of an argument, or of a field of one, None of anything else."""
+    """Return the type of an argument or of a field of one, or None for other values."""
     value = _find_single_definition(variable, definitions)
     if isinstance(value, ir.Var):
         return _infer_type(value, definitions, args)
@@ -89,78 +88,80 @@ def _infer_type(variable: Any, definitions: Any, args: Any) -> Any:
         return args[value.index]
     if isinstance(value, ir.Expr) and value.op == "getattr":
         owner = _infer_type(value.value, definitions, args)
-        named = isinstance(owner, (types.NamedTuple, types.NamedUniTuple))
-        if named and value.attr in owner.fields:
+        is_named_tuple = isinstance(owner, (types.NamedTuple, types.NamedUniTuple))
+        if is_named_tuple and value.attr in owner.fields:
             return owner[owner.fields.index(value.attr)]
     return None
 
 
 def insert_pass(pipelines: list[Any], before: Any, new_pass: Any, description: str) -> list[Any]:
-    """Return ways of compiling with one step more, before another."""
-    for way in pipelines:
-        place = [known for known, _ in way.passes].index(before)
-        way.passes.insert(place, (new_pass, description))
+    """Insert a pass before another in each pipeline, and return the pipelines."""
+    for pipeline in pipelines:
+        position = [known for known, _ in pipeline.passes].index(before)
+        pipeline.passes.insert(position, (new_pass, description))
     return pipelines
 
 
 class NonePruningCompiler(Compiler):
-    """Numba's compiler, with such comparisons settled first."""
+    """Numba's compiler with pruning of None fields."""
 
     def define_pipelines(self) -> list[Any]:
-        """Return Numba's own ways of compiling, with one step more."""
-        ways = super().define_pipelines()
-        return insert_pass(ways, DeadBranchPrune, _NoneFieldPruning, "settle which fields are None")
+        """Return Numba's pipelines with the pruning pass."""
+        pipelines = super().define_pipelines()
+        return insert_pass(pipelines, DeadBranchPrune, _NoneFieldPruning, "prune None fields")
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
 class _RefcountCheck(AnalysisPass):
-    """Refuse a function that does not count and makes or returns arrays."""
+    """Reject a function that allocates or returns arrays without reference counting."""
 
-    _name = "borrowers_own_nothing"
+    _name = "check_no_refcounted_values"
 
     def __init__(self) -> None:
         AnalysisPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
         if not state.flags.nrt and any(
-            _is_refcounted(state, kind) for kind in _list_return_types(state)
+            _is_refcounted(state, value_type) for value_type in _list_return_types(state)
         ):
             name = state.func_id.func_qualname
-            raise TypeError(f"{name}: makes or returns arrays, but is no `owner`")
+            raise TypeError(f"{name}: allocates or returns arrays: must be `inline_allocating`")
         return False
 
 
 def _list_return_types(state: Any) -> list[Any]:
-    """Return the types of what a function returns, and of what those return that it calls."""
-    found = [state.return_type]
+    """Return the return types of a function and of the functions that it calls."""
+    return_types = [state.return_type]
     for call, signature in state.calltypes.items():
         if isinstance(call, ir.Expr) and call.op == "call":
-            made_here = isinstance(state.typemap[call.func.name], types.NamedTupleClass)
-            found += [] if made_here else [signature.return_type]
-    return found
+            is_constructor = isinstance(state.typemap[call.func.name], types.NamedTupleClass)
+            return_types += [] if is_constructor else [signature.return_type]
+    return return_types
 
 
 def _is_refcounted(state: Any, value_type: Any) -> bool:
-    """Tell whether a value has something in it whose holders are counted, as an array."""
-    inside: bool = state.targetctx.data_model_manager[value_type].contains_nrt_meminfo()
-    # What a generator holds does not show in its type.
-    return inside or isinstance(value_type, types.Generator)
+    """Return whether values of a type contain reference-counted memory, such as an array."""
+    has_meminfo: bool = state.targetctx.data_model_manager[value_type].contains_nrt_meminfo()
+    # The type of a generator does not show what it holds.
+    return has_meminfo or isinstance(value_type, types.Generator)
 
 
 class RefcountCheckedCompiler(NonePruningCompiler):
-    """Numba's compiler, with that seen to."""
+    """Numba's compiler with pruning of None fields and the reference-count check."""
 
     def define_pipelines(self) -> list[Any]:
-        """Return the ways of compiling, with one step more."""
-        ways = super().define_pipelines()
-        return insert_pass(ways, NativeLowering, _RefcountCheck, "see that borrowers own nothing")
+        """Return the pipelines with the reference-count check."""
+        pipelines = super().define_pipelines()
+        return insert_pass(
+            pipelines, NativeLowering, _RefcountCheck, "check that no values are reference-counted"
+        )
 
 
 class _DeferredLibrary(JITCodeLibrary):
-    """Code that waits to be linked into that of a caller."""
+    """LLVM library that is optimized only after it is linked into a caller."""
 
     def _optimize_final_module(self) -> None:
-        """Leave that to the caller."""
+        """Do nothing: the caller optimizes this code."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -169,37 +170,45 @@ class _DeferredLibrary(JITCodeLibrary):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _DeferredLowering(NativeLowering):
-    """Write the code of a function, but no machine code."""
+    """Lower a function to LLVM code without generating machine code."""
 
-    _name = "draft_lowering"
+    _name = "deferred_lowering"
 
     def run_pass(self, state: Any) -> bool:
         state.library = _DeferredLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags = state.flags.copy()
         state.flags.no_compile = True
         super().run_pass(state)
-        made = state["cr"]
-        # Numba finds the code by the function that Python would call: one that does nothing.
-        found_by = _dynfunc.make_function(
-            made.fndesc.lookup_module(), made.fndesc.qualname, "", 0, made.env, (state.library,)
+        result = state["cr"]
+        # Numba looks the code up by the function that Python would call: here an empty one.
+        placeholder = _dynfunc.make_function(
+            result.fndesc.lookup_module(),
+            result.fndesc.qualname,
+            "",
+            0,
+            result.env,
+            (state.library,),
         )
-        state.targetctx.insert_user_function(found_by, made.fndesc, [state.library])
-        state["cr"] = made._replace(cfunc=found_by)
+        state.targetctx.insert_user_function(placeholder, result.fndesc, [state.library])
+        state["cr"] = result._replace(cfunc=placeholder)
         return True
 
 
 class DeferredCodegenCompiler(RefcountCheckedCompiler):
-    """The compiler of such functions."""
+    """Compiler of functions that only other functions call."""
 
     def define_pipelines(self) -> list[Any]:
-        """Return Numba's own ways of compiling, with another last step."""
-        found = super().define_pipelines()
-        for way in found:
-            way.passes = [
-                (_DeferredLowering if step is NativeLowering else step, why)
-                for step, why in way.passes
+        """Return the pipelines with deferred lowering as their last pass."""
+        pipelines = super().define_pipelines()
+        for pipeline in pipelines:
+            pipeline.passes = [
+                (
+                    _DeferredLowering if compiler_pass is NativeLowering else compiler_pass,
+                    description,
+                )
+                for compiler_pass, description in pipeline.passes
             ]
-        return found
+        return pipelines
 
 
 DEFERRED_CODEGEN_OPTIONS: Any = {
@@ -207,4 +216,4 @@ DEFERRED_CODEGEN_OPTIONS: Any = {
     "no_cfunc_wrapper": True,
     "pipeline_class": DeferredCodegenCompiler,
 }
-"""Options of functions that only other functions call."""
+"""Numba options of functions that only other functions call."""

@@ -1,1 +1,1 @@
-"""Layers of grains: a grain's shape and surface, flights between grains, the scalar kernel."""
+"""Layers of grains: shape and surface of grains, free flights, and the scalar kernel."""

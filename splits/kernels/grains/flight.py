@@ -1,9 +1,9 @@
-"""The legs of a ray through layers of grains: what it meets next, and what the way there costs.
+"""Free flights of the scalar kernel through layers of grains: next event, motion and attenuation.
 
-Between layers nothing optical stands.  A flight spends one exponential distance, layer by layer,
-and a grain belongs to the layer in which the ray meets it; the pore of a leg is drawn once, so it
-changes at a face between layers only where their saturations differ.  Cutting a medium in two
-therefore changes nothing.
+A boundary between layers has no interface of its own.  A flight spends one exponential optical
+distance across the layers, and a grain belongs to the layer in which the ray hits it.  The pore of
+a path segment is sampled once, so it changes at a boundary between layers only where their
+saturations differ.  Splitting a layer in two therefore leaves the results unchanged.
 """
 
 from __future__ import annotations
@@ -36,13 +36,16 @@ from splits.kernels.tallies.crossings import append_crossing, encode_crossing
 
 @inline_only
 def find_adjacent_layer(layers, layer, direction):
-    """Return the layer behind the face that a ray along d has ahead; −1 or their number outside."""
+    """Return the layer on the other side of the boundary ahead of a ray.
+
+    Above the sample it is −1, below the sample the number of layers.
+    """
     return layer - 1 if direction.z > 0.0 else layer + 1
 
 
 @inline_only
 def has_same_pore_index(layers, optics, layer, other, pore_variate):
-    """Tell whether the pores of two layers are the same to light."""
+    """Return whether the pores of two layers have the same complex refractive index."""
     a = refractive_index_of(optics, pore_material(layers, layer, pore_variate))
     b = refractive_index_of(optics, pore_material(layers, other, pore_variate))
     return a.n == b.n and a.k == b.k
@@ -50,7 +53,7 @@ def has_same_pore_index(layers, optics, layer, other, pore_variate):
 
 @inline_only
 def record_crossing(crossings, scene, layer, upward, roulette_state, path_lengths):
-    """Note a ray that passes from a layer into the next one, where somebody listens."""
+    """Record the crossing of a ray into the next layer, if the scene records crossings."""
     if crossings is not None and scene.record_crossings:
         append_crossing(
             crossings,
@@ -62,138 +65,151 @@ def record_crossing(crossings, scene, layer, upward, roulette_state, path_length
 
 @inline_only
 def locate_layer(geometry, payload, scene, optics, path_lengths, crossings):
-    """Return a ray that left a grain, its layer that in which it now is.
+    """Return a ray after a grain, with the layer in which it is now.
 
-    Only a grain that reaches across a face lets a ray out on its other side.  If there are other
-    pores, as outside the sample, the ray counts as standing on that face.
+    A grain that extends across a boundary may release a ray on the other side.  If the pores there
+    have another index, as outside the sample, the ray is placed on that boundary.
     """
     layers = scene.layers
     z = geometry.position.z + geometry.exit_offset.z
     layer = payload.layer
     while z > layers.boundaries[layer] or z < layers.boundaries[layer + 1]:
         step = -1 if z > layers.boundaries[layer] else 1
-        face = layers.boundaries[layer] if step < 0 else layers.boundaries[layer + 1]
-        other = layer + step
-        inside = 0 <= other < layers.attenuation.size
+        boundary = layers.boundaries[layer] if step < 0 else layers.boundaries[layer + 1]
+        next_layer = layer + step
+        inside = 0 <= next_layer < layers.attenuation.size
         if not inside or not has_same_pore_index(
-            layers, optics, layer, other, payload.pore_variate
+            layers, optics, layer, next_layer, payload.pore_variate
         ):
-            z = face
+            z = boundary
             break
         record_crossing(crossings, scene, layer, step < 0, payload.roulette, path_lengths)
-        layer = other
-    way = Vector(geometry.exit_offset.x, geometry.exit_offset.y, z - geometry.position.z)
+        layer = next_layer
+    exit_offset = Vector(geometry.exit_offset.x, geometry.exit_offset.y, z - geometry.position.z)
     return RayGeometry(
-        geometry.position, way, payload.direction, geometry.previous_segment, 0.0
+        geometry.position, exit_offset, payload.direction, geometry.previous_segment, 0.0
     ), RayPayload(payload.direction, layer, payload.pore_variate, payload.roulette)
 
 
 @inline_only
 def sample_next_event(state, geometry, payload, scene, optics):
-    """Draw the next grain on a ray, or find the face that it reaches first.
+    """Sample the next grain on a ray, or find the boundary that it reaches first.
 
-    A grain that does not fit is drawn again from where the ray set out, from where the last one
-    was left out, or from where the last layer of particles was left.
+    After a rejected grain, another one is sampled from the start of the segment, from the last
+    skipped grain, or from the end of the last layer of particles.
     """
-    layers, usual = scene.layers, make_rejection_rules(scene.rules)
-    start, layer = payload.layer, payload.layer
-    ahead = RayGeometry(
+    layers, default_rules = scene.layers, make_rejection_rules(scene.rules)
+    restart_layer, layer = payload.layer, payload.layer
+    flight_geometry = RayGeometry(
         geometry.position, geometry.exit_offset, geometry.direction, geometry.previous_segment, 0.0
     )
-    tries = 0
+    n_rejected = 0
     while True:
-        space = get_layer_geometry(layers, layer)
-        candidate = sample_grain(state, scene, layer)
-        aim = sample_entry_variates(state, candidate.size.flattening)
-        fates = usual
+        layer_geometry = get_layer_geometry(layers, layer)
+        grain_sample = sample_grain(state, scene, layer)
+        variates = sample_entry_variates(state, grain_sample.size.flattening)
+        rejection_rules = default_rules
         if layers.particle_row[layer] != NO_PARTICLES:
-            # A particle is a point: it fits everywhere.
-            fates = RejectionRules(usual.entry_sampling, False, False, False, False)
-        meeting = sample_collision(ahead, candidate.size, aim, uniform(state), space, fates)
-        if meeting.accepted:
-            return NextEvent(candidate, meeting, layer, False)
-        if meeting.leaves_layer:
-            other = find_adjacent_layer(layers, layer, geometry.direction)
-            inside = 0 <= other < layers.attenuation.size
+            # Particles are points and never overlap anything.
+            rejection_rules = RejectionRules(
+                default_rules.entry_sampling, False, False, False, False
+            )
+        collision = sample_collision(
+            flight_geometry,
+            grain_sample.size,
+            variates,
+            uniform(state),
+            layer_geometry,
+            rejection_rules,
+        )
+        if collision.accepted:
+            return NextEvent(grain_sample, collision, layer, False)
+        if collision.leaves_layer:
+            next_layer = find_adjacent_layer(layers, layer, geometry.direction)
+            inside = 0 <= next_layer < layers.attenuation.size
             if not inside or not has_same_pore_index(
-                layers, optics, layer, other, payload.pore_variate
+                layers, optics, layer, next_layer, payload.pore_variate
             ):
-                return NextEvent(candidate, meeting, layer, False)
-            reach = compute_boundary_hit(geometry, space).distance
-            ahead = RayGeometry(
+                return NextEvent(grain_sample, collision, layer, False)
+            boundary_distance = compute_boundary_hit(geometry, layer_geometry).distance
+            flight_geometry = RayGeometry(
                 geometry.position,
                 geometry.exit_offset,
                 geometry.direction,
                 geometry.previous_segment,
-                reach,
+                boundary_distance,
             )
             if layers.particle_row[layer] != NO_PARTICLES:
-                # Particles let the ray pass, whatever grain beyond them does not fit.
-                start, geometry = other, ahead
-            layer = other
+                # A rejected grain in a later layer does not repeat the passage through particles.
+                restart_layer, geometry = next_layer, flight_geometry
+            layer = next_layer
             continue
-        if meeting.start_distance == meeting.distance:
-            start = layer
+        if collision.start_distance == collision.distance:
+            restart_layer = layer
             geometry = RayGeometry(
                 geometry.position,
                 geometry.exit_offset,
                 geometry.direction,
                 geometry.previous_segment,
-                meeting.start_distance,
+                collision.start_distance,
             )
-        layer = start
-        ahead = geometry
-        tries += 1
-        if tries == MAX_REJECTIONS:
-            return NextEvent(candidate, meeting, layer, True)
+        layer = restart_layer
+        flight_geometry = geometry
+        n_rejected += 1
+        if n_rejected == MAX_REJECTIONS:
+            return NextEvent(grain_sample, collision, layer, True)
 
 
 @inline_only
 def move_to_event(geometry, event, layer_geometry):
-    """Return a ray at the grain that it meets, or at the face that comes before."""
-    leg, height = event.collision.distance, event.collision.height
+    """Return a ray at the grain that it hits, or at the boundary that comes first."""
+    distance, height = event.collision.distance, event.collision.height
     if event.collision.leaves_layer:
-        arrival = compute_boundary_hit(geometry, layer_geometry)
-        leg, height = arrival.distance, arrival.position.z
-    x = geometry.position.x + geometry.exit_offset.x + leg * geometry.direction.x
-    y = geometry.position.y + geometry.exit_offset.y + leg * geometry.direction.y
+        boundary_hit = compute_boundary_hit(geometry, layer_geometry)
+        distance, height = boundary_hit.distance, boundary_hit.position.z
+    x = geometry.position.x + geometry.exit_offset.x + distance * geometry.direction.x
+    y = geometry.position.y + geometry.exit_offset.y + distance * geometry.direction.y
     return RayGeometry(
         Vector(x, y, height),
         ORIGIN,
         geometry.direction,
-        Segment(ORIGIN, geometry.direction, leg),
+        Segment(ORIGIN, geometry.direction, distance),
         0.0,
     )
 
 
 @inline_only
 def attenuate_segment(state, payload, event, segment, scene, optics, path_lengths, crossings):
-    """Take a leg through the pores of the layers up to that in which it ends.
+    """Attenuate a ray along a segment through the pores of all layers that it crosses.
 
     Parameters
     ----------
     payload : RayPayload
-        As the leg begins.
-    event : Found
-        Where it ends.
+        At the start of the segment.
+    event : NextEvent
+        At its end.
     segment : Segment
-        Its end as a place (m), and its length.
-    length, notes
-        See `follow`.
+        With its end as a position (m).
+    path_lengths, crossings
+        See `splits.kernels.grains.history.trace_history`.
     """
     layers, d, analog = scene.layers, payload.direction, scene.rules.analog
-    payment = AttenuationResult(payload.roulette, True)
-    rest, layer = segment.length, payload.layer
+    attenuation = AttenuationResult(payload.roulette, True)
+    remaining, layer = segment.length, payload.layer
     z = segment.end.z - segment.length * d.z
-    while layer != event.layer and payment.alive:
-        face = layers.boundaries[layer] if d.z > 0.0 else layers.boundaries[layer + 1]
-        piece = min(max((face - z) / d.z, 0.0), rest)
+    while layer != event.layer and attenuation.alive:
+        boundary = layers.boundaries[layer] if d.z > 0.0 else layers.boundaries[layer + 1]
+        length = min(max((boundary - z) / d.z, 0.0), remaining)
         pore = pore_material(layers, layer, payload.pore_variate)
-        payment = attenuate(state, payment.roulette, piece, pore, optics, analog, path_lengths)
-        if payment.alive:
-            record_crossing(crossings, scene, layer, d.z > 0.0, payment.roulette, path_lengths)
-        z, rest, layer = face, rest - piece, find_adjacent_layer(layers, layer, d)
-    if payment.alive:
+        attenuation = attenuate(
+            state, attenuation.roulette, length, pore, optics, analog, path_lengths
+        )
+        if attenuation.alive:
+            record_crossing(crossings, scene, layer, d.z > 0.0, attenuation.roulette, path_lengths)
+        z, remaining, layer = boundary, remaining - length, find_adjacent_layer(layers, layer, d)
+    if attenuation.alive:
         pore = pore_material(layers, layer, payload.pore_variate)
-        payment = attenuate(state, payment.roulette, rest, pore, optics, analog, path_lengths)
-    return payment
+        attenuation = attenuate(
+            state, attenuation.roulette, remaining, pore, optics, analog, path_lengths
+        )
+    return attenuation

@@ -1,9 +1,9 @@
-"""From grain to grain: roulette, the next grain and the way to it, the way to a boundary.
+"""Roulette, sampling of the next grain and of the distance to it, and distance to a boundary.
 
-SPLITS section 4.3.3 and SPLITSnow section 3.1: only the grain that the ray meets exists.  Distance,
-type, size, shape, orientation and entry point are drawn; a grain that crosses a boundary or lies
-on the leg just travelled is drawn again.  The functions serve scalar kernel and lanes, in either
-precision, without loops and without branches.
+SPLITS section 4.3.3 and SPLITSnow section 3.1: only the grain that the ray hits exists.  Distance,
+type, size, shape, orientation and entry point are sampled; a grain that overlaps a boundary or the
+previous path segment is rejected.  The functions serve the scalar and the vectorized kernel, in
+either precision, without loops and without branches.
 """
 
 from __future__ import annotations
@@ -26,26 +26,29 @@ from splits.kernels.math.vectors import Vector, linear_combination
 ROULETTE_THRESHOLD = 0.6
 ROULETTE_SURVIVAL_PROBABILITY = ROULETTE_THRESHOLD
 FIRST_ROULETTE_DEPTH = -math.log(ROULETTE_THRESHOLD)
-"""Optical depth from which a ray that carries weights plays Russian roulette: it has become lighter
-for every wavelength that listens to it.  Long paths cost as much as they are long, whatever they
-weigh, so it pays to end most of them early; nothing is lost on average.  One that goes on weighs
-what it did at first, so that none ever weighs more."""
+"""Optical depth at which a weighted ray first plays Russian roulette.
+
+The cost of a path grows with its length, not its weight, so low-weight paths are terminated by
+roulette.  The optical depth is the minimum over the wavelengths that use the path, so its weight is
+low for all of them.  The estimate stays unbiased.  A survivor regains its initial weight and never
+exceeds it.
+"""
 _NEXT_ROULETTE_STEP = float32_constant(-math.log(ROULETTE_SURVIVAL_PROBABILITY))
 _SURVIVAL_PROBABILITY = float32_constant(ROULETTE_SURVIVAL_PROBABILITY)
 _SURVIVOR_WEIGHT_FACTOR = float32_constant(1.0 / ROULETTE_SURVIVAL_PROBABILITY)
 
 
 class RouletteState(NamedTuple):
-    """What roulette knows of a ray.
+    """Statistical weight of a ray and the optical depth at which Russian roulette is next played.
 
     Attributes
     ----------
     optical_depth : float
-        Least optical depth passed so far, over the wavelengths served.
+        Optical depth so far, the minimum over the wavelengths that use the path.
     next_roulette : float
-        Optical depth at which roulette is played next.
+        Optical depth at which roulette is next played.
     weight : float
-        Inverse probability of having survived.
+        Inverse probability of survival so far.
     """
 
     optical_depth: float
@@ -54,28 +57,28 @@ class RouletteState(NamedTuple):
 
 
 class RouletteResult(NamedTuple):
-    """A purse after roulette, and whether the ray ended."""
+    """Roulette state after a game, and whether the ray is terminated."""
 
     roulette: RouletteState
     terminated: bool
 
 
 class RayGeometry(NamedTuple):
-    """A ray between grains.
+    """Geometric state of a ray between grains.
 
     Attributes
     ----------
     position : Vector
-        Where it met the grain it comes from (m).
+        Entry point of the last grain (m).
     exit_offset : Vector
-        From there to where it left that grain (m).
+        Vector from there to the exit point of that grain (m).
     direction : Vector
-        Direction.
+        Direction of travel.
     previous_segment : Segment
-        The leg before, which ended at `position`; its end is not used.
+        Segment that ended at `position`; its end is unused.
     start_distance : float
-        Distance from which the next grain is drawn (m): to the last one left out, or to the face
-        through which the ray came into its layer.
+        Distance at which the sampling of the next grain starts (m): that of the last skipped grain,
+        or of the boundary through which the ray entered its layer.
     """
 
     position: Vector
@@ -86,18 +89,18 @@ class RayGeometry(NamedTuple):
 
 
 class LayerGeometry(NamedTuple):
-    """The pore space that a ray flies through.
+    """Geometry of the pore space of a layer.
 
     Attributes
     ----------
     mean_free_path : float
         Mean distance between grains (m).
     bottom, top : float
-        Heights of the faces of the layer (m).
+        Heights of the boundaries of the layer (m).
     slab_bottom, slab_top : float
-        Heights of the faces of the whole sample (m).
+        Heights of the boundaries of the whole sample (m).
     grain_ceiling : float
-        Height (m) above which no grain may reach: the ceiling, or the mean height of a rough one.
+        Largest height (m) of a grain: the slab top, or the mean height of a rough one.
     """
 
     mean_free_path: float
@@ -109,16 +112,17 @@ class LayerGeometry(NamedTuple):
 
 
 class RejectionRules(NamedTuple):
-    """What becomes of grains that do not fit.
+    """Treatment of sampled grains that overlap a boundary or the previous segment.
 
     Attributes
     ----------
     entry_sampling : int
         See `spheroid.sample_entry_point`.
     reject_segment_overlap, reject_boundary_overlap : bool
+        Such a grain is rejected.
     skip_segment_overlap, skip_boundary_overlap : bool
-        Such a grain is left out, and the next distance counts from its place; otherwise it is drawn
-        again from the ray's origin.
+        The next distance after a rejected grain starts from that grain; otherwise from the start of
+        the segment.
     """
 
     entry_sampling: int
@@ -129,21 +133,21 @@ class RejectionRules(NamedTuple):
 
 
 class Collision(NamedTuple):
-    """The next grain on a ray, or why there is none.
+    """Sampled collision of a ray with a grain.
 
     Attributes
     ----------
     distance : float
         Distance (m).
     height : float
-        Of the entry point (m).
+        Height of the entry point (m).
     entry : EntryPoint
     leaves_layer : bool
-        A face of the layer comes first.
+        The ray reaches a boundary of its layer first.
     accepted : bool
-        The grain is met.
+        The grain is accepted.
     start_distance : float
-        Distance from which the next trial counts (m).
+        Distance at which the next sampling attempt starts (m).
     """
 
     distance: float
@@ -155,7 +159,7 @@ class Collision(NamedTuple):
 
 
 class BoundaryHit(NamedTuple):
-    """A ray at a face: the place and the leg that led there (m)."""
+    """Position of a ray at a boundary, and the distance to it (m)."""
 
     position: Vector
     distance: float
@@ -163,32 +167,32 @@ class BoundaryHit(NamedTuple):
 
 @inline
 def russian_roulette(roulette_state, u, active):
-    """Let a ray that has become light end, or go on heavier."""
+    """Play Russian roulette: terminate a low-weight ray or raise its weight."""
     played = active & (roulette_state.optical_depth > roulette_state.next_roulette)
-    limit = (
+    next_roulette = (
         roulette_state.next_roulette + _NEXT_ROULETTE_STEP
         if played
         else roulette_state.next_roulette
     )
     weight = roulette_state.weight * _SURVIVOR_WEIGHT_FACTOR if played else roulette_state.weight
     return RouletteResult(
-        RouletteState(roulette_state.optical_depth, limit, weight),
+        RouletteState(roulette_state.optical_depth, next_roulette, weight),
         played & (u > _SURVIVAL_PROBABILITY),
     )
 
 
 @inline
 def sample_collision(geometry, size, variates, u, layer_geometry, rejection_rules):
-    """Draw the next grain on a ray.
+    """Sample the next grain on a ray.
 
-    SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then the entry point.
+    SPLITS 4.3.3: the distance from Eq 21 (SPLITSnow Eq 1), then the entry point.
 
     Parameters
     ----------
     geometry : RayGeometry
     size : GrainSize
-    variates : Aim
-        One that is `spheroid.placed`.
+    variates : EntryVariates
+        Accepted by `spheroid.accept_axial_position`.
     u : float
         A uniform random number, for the distance.
     layer_geometry : LayerGeometry
@@ -196,50 +200,57 @@ def sample_collision(geometry, size, variates, u, layer_geometry, rejection_rule
 
     Returns
     -------
-    Meeting
+    Collision
     """
-    d, way = geometry.direction, geometry.exit_offset
-    leg = -log(u) * layer_geometry.mean_free_path
-    leg += geometry.start_distance
-    # A grain kept across a boundary may have ended outside: the ray stands on the boundary.
-    start = min(
-        max(geometry.position.z + way.z, layer_geometry.slab_bottom), layer_geometry.slab_top
+    d, exit_offset = geometry.direction, geometry.exit_offset
+    distance = -log(u) * layer_geometry.mean_free_path
+    distance += geometry.start_distance
+    # A ray may leave a grain that overlaps a boundary outside: it then starts on the boundary.
+    start_height = min(
+        max(geometry.position.z + exit_offset.z, layer_geometry.slab_bottom),
+        layer_geometry.slab_top,
     )
-    height = fma(leg, d.z, start)
+    height = fma(distance, d.z, start_height)
     outside = (height > layer_geometry.top) if d.z > ZERO else (height < layer_geometry.bottom)
     entry = sample_entry_point(d, size, variates, rejection_rules.entry_sampling)
-    across = rejection_rules.reject_boundary_overlap & overlaps_boundary(
+    overlaps_slab = rejection_rules.reject_boundary_overlap & overlaps_boundary(
         entry, height, layer_geometry.slab_bottom, layer_geometry.grain_ceiling
     )
-    behind = Segment(
-        linear_combination(-leg, d, -ONE, way),
+    previous_segment = Segment(
+        linear_combination(-distance, d, -ONE, exit_offset),
         geometry.previous_segment.direction,
         geometry.previous_segment.length,
     )
-    backwards = rejection_rules.reject_segment_overlap & overlaps_segment(entry.grain, behind)
-    fits = (not outside) & (not across) & (not backwards)
-    skips = (
-        rejection_rules.skip_boundary_overlap
-        if across
-        else rejection_rules.skip_segment_overlap & backwards
+    overlaps_previous = rejection_rules.reject_segment_overlap & overlaps_segment(
+        entry.grain, previous_segment
     )
-    skipped = leg if (not outside) & skips else geometry.start_distance
-    skipped = ZERO if fits | outside else skipped
-    return Collision(leg, height, entry, outside, fits, skipped)
+    accepted = (not outside) & (not overlaps_slab) & (not overlaps_previous)
+    skip = (
+        rejection_rules.skip_boundary_overlap
+        if overlaps_slab
+        else rejection_rules.skip_segment_overlap & overlaps_previous
+    )
+    start_distance = distance if (not outside) & skip else geometry.start_distance
+    start_distance = ZERO if accepted | outside else start_distance
+    return Collision(distance, height, entry, outside, accepted, start_distance)
 
 
 @inline
 def compute_boundary_hit(geometry, layer_geometry):
-    """Return where a ray meets the face of its layer ahead of it."""
-    place = Vector(
+    """Return the intersection of a ray with the boundary of its layer ahead."""
+    position = Vector(
         geometry.position.x + geometry.exit_offset.x,
         geometry.position.y + geometry.exit_offset.y,
         geometry.position.z + geometry.exit_offset.z,
     )
-    goal = layer_geometry.bottom if geometry.direction.z < ZERO else layer_geometry.top
-    height = min(max(place.z, layer_geometry.slab_bottom), layer_geometry.slab_top)
-    leg = (goal - height) / geometry.direction.z
+    boundary = layer_geometry.bottom if geometry.direction.z < ZERO else layer_geometry.top
+    height = min(max(position.z, layer_geometry.slab_bottom), layer_geometry.slab_top)
+    distance = (boundary - height) / geometry.direction.z
     return BoundaryHit(
-        Vector(place.x + leg * geometry.direction.x, place.y + leg * geometry.direction.y, goal),
-        leg,
+        Vector(
+            position.x + distance * geometry.direction.x,
+            position.y + distance * geometry.direction.y,
+            boundary,
+        ),
+        distance,
     )

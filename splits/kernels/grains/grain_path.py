@@ -1,4 +1,4 @@
-"""The walk of a ray through one grain, by trials at its surface, for the scalar kernel."""
+"""Path of a ray through one grain, by interactions at its surface, for the scalar kernel."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from splits.kernels.math.vectors import ORIGIN, Vector, add_scaled
 
 
 class GrainTransit(NamedTuple):
-    """A ray after a grain: whether it survived, its way from entry to exit (m), what it carries."""
+    """Ray after a grain: survival, displacement from entry to exit point (m), and payload."""
 
     alive: bool
     displacement: Vector
@@ -33,7 +33,7 @@ class GrainTransit(NamedTuple):
 
 
 class AdjacentMedia(NamedTuple):
-    """The media on both sides of a surface, and the number that decides the pore outside."""
+    """Relative index of the media at an interface, and the variate that selects the pore."""
 
     relative_index: RelativeIndex
     pore_variate: float
@@ -41,38 +41,45 @@ class AdjacentMedia(NamedTuple):
 
 @inline_only
 def sample_adjacent_media(state, interface, grain_type, payload, scene, optics):
-    """Return the media that a ray at a grain has on both sides."""
-    shell, beyond = int(interface.shell), int(interface.shell + interface.side)
+    """Sample the media on both sides of an interface of a grain."""
+    shell, next_shell = int(interface.shell), int(interface.shell + interface.side)
     materials, layers = scene.types.material, scene.layers
-    u = payload.pore_variate
-    # On its way into a lobe a ray keeps the pore that let it through.
-    if beyond == 0 and not interface.in_lobe:
-        u = uniform(state)
-    here = (
-        materials[grain_type, shell - 1] if shell > 0 else pore_material(layers, payload.layer, u)
+    pore_variate = payload.pore_variate
+    # A ray in a lobe keeps the pore into which it was transmitted.
+    if next_shell == 0 and not interface.in_lobe:
+        pore_variate = uniform(state)
+    near_material = (
+        materials[grain_type, shell - 1]
+        if shell > 0
+        else pore_material(layers, payload.layer, pore_variate)
     )
-    there = (
-        materials[grain_type, beyond - 1] if beyond > 0 else pore_material(layers, payload.layer, u)
+    far_material = (
+        materials[grain_type, next_shell - 1]
+        if next_shell > 0
+        else pore_material(layers, payload.layer, pore_variate)
     )
     return AdjacentMedia(
-        relative_index(refractive_index_of(optics, here), refractive_index_of(optics, there)), u
+        relative_index(
+            refractive_index_of(optics, near_material), refractive_index_of(optics, far_material)
+        ),
+        pore_variate,
     )
 
 
 @inline_only
 def sample_interaction(state, d, interface, grain, roughness, media, rules):
-    """Return what one trial at a grain's surface leads to."""
+    """Sample one interaction at the surface of a grain."""
     facet = make_smooth_facet(d, grain, interface.side)
     u = uniform(state)
     while roughness > 0.0:
         azimuth = sample_azimuth(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
-        numbers = InteractionVariates(uniform(state), u, 0.0, sample_half_normal(state), azimuth)
-        found = sample_microfacet(
-            d, facet, roughness, numbers, interface.in_lobe, rules.facet_sampling
+        variates = InteractionVariates(uniform(state), u, 0.0, sample_half_normal(state), azimuth)
+        sample = sample_microfacet(
+            d, facet, roughness, variates, interface.in_lobe, rules.facet_sampling
         )
-        if found.accepted or interface.in_lobe:
-            facet = found
+        if sample.accepted or interface.in_lobe:
+            facet = sample
             break
     return reflect_or_refract(
         d, interface, facet, media, u, rules.wrong_side != WRONG_SIDE_LOBE, ALL_FEATURES
@@ -81,14 +88,14 @@ def sample_interaction(state, d, interface, grain, roughness, media, rules):
 
 @inline_only
 def trace_through_grain(state, payload, event, scene, optics, path_lengths):
-    """Follow a ray from its entry point on a grain until it is back in the pore space.
+    """Trace a ray from its entry point on a grain until it is back in the pore space.
 
     Parameters
     ----------
     state : uint64[1]
     payload : RayPayload
-        As it meets the grain.
-    event : Found
+        At the entry point.
+    event : NextEvent
     scene, optics
         See `splits.kernels.grains.scene`.
     path_lengths : float64[materials]
@@ -96,42 +103,48 @@ def trace_through_grain(state, payload, event, scene, optics, path_lengths):
 
     Returns
     -------
-    Walk
+    GrainTransit
     """
-    kind, size, roughness = event.grain_sample
+    grain_type, size, roughness = event.grain_sample
     grain, types = event.collision.entry.grain, scene.types
-    way = ORIGIN
-    stand = InterfaceState(0.0, 1.0, False, False)
+    displacement = ORIGIN
+    interface = InterfaceState(0.0, 1.0, False, False)
     while True:
-        media = sample_adjacent_media(state, stand, kind, payload, scene, optics)
-        after = sample_interaction(
-            state, payload.direction, stand, grain, roughness, media.relative_index, scene.rules
+        media = sample_adjacent_media(state, interface, grain_type, payload, scene, optics)
+        result = sample_interaction(
+            state, payload.direction, interface, grain, roughness, media.relative_index, scene.rules
         )
-        if not after.accepted:
+        if not result.accepted:
             payload = RayPayload(
                 payload.direction, payload.layer, media.pore_variate, payload.roulette
             )
-            stand = InterfaceState(stand.shell, stand.side, after.needs_lobe, after.transmitted)
+            interface = InterfaceState(
+                interface.shell, interface.side, result.needs_lobe, result.transmitted
+            )
             continue
-        gone = find_next_region(stand, after, float(types.n_shells[kind]), True)
-        stand = gone.interface
-        if gone.in_pore:
-            u = media.pore_variate if after.transmitted else uniform(state)
+        region = find_next_region(interface, result, float(types.n_shells[grain_type]), True)
+        interface = region.interface
+        if region.in_pore:
+            pore_variate = media.pore_variate if result.transmitted else uniform(state)
             return GrainTransit(
-                True, way, RayPayload(after.direction, payload.layer, u, payload.roulette)
+                True,
+                displacement,
+                RayPayload(result.direction, payload.layer, pore_variate, payload.roulette),
             )
-        shell = int(stand.shell) - 1
-        if gone.in_core:
-            leg, grain = compute_chord(grain, after.direction)
-            way = add_scaled(leg, after.direction, way)
+        shell = int(interface.shell) - 1
+        if region.in_core:
+            length, grain = compute_chord(grain, result.direction)
+            displacement = add_scaled(length, result.direction, displacement)
         else:
-            leg = compute_coating_path_length(
-                2.0 * size.semi_major * types.coating_thickness[kind, shell], after, True
+            length = compute_coating_path_length(
+                2.0 * size.semi_major * types.coating_thickness[grain_type, shell], result, True
             )
-        material = types.material[kind, shell]
-        payment = attenuate(
-            state, payload.roulette, leg, material, optics, scene.rules.analog, path_lengths
+        material = types.material[grain_type, shell]
+        attenuation = attenuate(
+            state, payload.roulette, length, material, optics, scene.rules.analog, path_lengths
         )
-        payload = RayPayload(after.direction, payload.layer, media.pore_variate, payment.roulette)
-        if not payment.alive:
-            return GrainTransit(False, way, payload)
+        payload = RayPayload(
+            result.direction, payload.layer, media.pore_variate, attenuation.roulette
+        )
+        if not attenuation.alive:
+            return GrainTransit(False, displacement, payload)

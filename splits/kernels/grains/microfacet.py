@@ -1,9 +1,9 @@
-"""Microfacets: the normal that a ray meets on a rough grain surface.
+"""Microfacets: sampling of the facet normal at a rough grain surface.
 
-SPLITS section 4.2.3, Eq 3 and section 4.3.4; SPLITSnow section 3.3, Eqs 3-4: the facet normal n'
-leans from the macroscopic normal n by n·n' = 1 − |ξ|, ξ normal with standard deviation
-facetness/2 and n·n' > 0, at a uniform azimuth.  Facets have equal area, so a ray along d strikes
-one with probability proportional to its projected area |n'·d|, among those facing the ray.
+SPLITS section 4.2.3, Eq 3 and section 4.3.4; SPLITSnow section 3.3, Eqs 3-4: the facet normal n' is
+tilted from the macroscopic normal n by n·n' = 1 − |ξ|, ξ normal with standard deviation facetness/2
+and n·n' > 0, at a uniform azimuth.  Facets have equal area, so a ray along d hits one with
+probability proportional to its projected area |n'·d|, among those facing the ray.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import Vector, add_scaled, cross, dot, scale
 
 PROJECTED_FACETS = 0
-"""Facets facing the ray, struck in proportion to their projected area (SPLITS 4.3.4)."""
+"""Facets facing the ray, sampled in proportion to their projected area (SPLITS 4.3.4)."""
 UNWEIGHTED_FACETS = 1
-"""Facets facing the ray, each with the same probability."""
+"""Facets facing the ray, sampled with equal probability."""
 ANY_FACETS = 2
-"""Any facet; one that faces away acts through its opposite side."""
+"""Any facet; one that faces away acts with its back side."""
 
 
 class FacetSample(NamedTuple):
-    """A facet, accepted or not.
+    """Sampled facet, accepted or not.
 
     Attributes
     ----------
     accepted : bool
-        False asks for another.
+        False requires another sample.
     cos_azimuth : float
-        Of the facet, counted from the tangential part of −d, with its sign.
+        Cosine of the azimuth of the facet from the tangential part of −d, with its sign.
     cos_incidence : float
         Cosine of incidence on the facet, −d·n' (negative only under `ANY_FACETS`).
     """
@@ -43,22 +43,23 @@ class FacetSample(NamedTuple):
 
 
 class Microfacet(NamedTuple):
-    """A surface and a facet on it as a ray meets them.
+    """Surface and facet at the hit point of a ray.
 
     Attributes
     ----------
     normal : Vector
-        Of the macroscopic surface, on the ray's side.
+        Normal of the macroscopic surface, on the side of the ray.
     cos_i : float
         Cosine of incidence on it.
     accepted : bool
     back_side : bool
-        The facet's opposite side is struck.
+        The ray hits the back side of the facet.
     cos_facet : float
         Cosine of incidence on the facet.
-    leaned, azimuth, cos_lobe
-        See `compute_facet_normal`, for a facet or a lobe; the cosine of the lobe's azimuth, whose
-        sine is the facet's.
+    tilt, azimuth : Angle
+        See `compute_facet_normal`, for a facet or a lobe.
+    cos_lobe_azimuth : float
+        Cosine of the azimuth of a lobe; its sine is that of the facet.
     """
 
     normal: Vector
@@ -73,11 +74,11 @@ class Microfacet(NamedTuple):
 
 @inline
 def sample_projected_facet(tilt, cos_azimuth, incidence, u):
-    """Accept or reject a facet in proportion to its projected area, and settle its azimuth.
+    """Accept or reject a facet in proportion to its projected area, and determine its azimuth.
 
     Exact rejection sampling of two mirror azimuths at once: for φ and π − φ the weights are
     max(0, A ± B), A = cosτ cosθ, B = sinτ sinθ |cosφ|; their sum never exceeds max(2 cosθ, 1),
-    and the share of the second decides the sign of cosφ.
+    and the fraction of the second determines the sign of cosφ.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def sample_projected_facet(tilt, cos_azimuth, incidence, u):
 
 @inline
 def sample_unweighted_facet(tilt, cos_azimuth, incidence, u, rule):
-    """Return what `sample_projected_facet` does, for the rules `UNWEIGHTED_FACETS` and `ANY_FACETS`."""
+    """Sample a facet with the rule `UNWEIGHTED_FACETS` or `ANY_FACETS`."""
     cos_azimuth = -cos_azimuth if u < HALF else cos_azimuth
     cos_facet = fma(tilt.cos, incidence.cos, tilt.sin * incidence.sin * cos_azimuth)
     accepted = (cos_facet > ZERO) | ((rule == ANY_FACETS) & (cos_facet < ZERO))
@@ -112,7 +113,7 @@ def sample_unweighted_facet(tilt, cos_azimuth, incidence, u, rule):
 
 @inline
 def compute_facet_normal(d, n, cos_i, tilt, azimuth):
-    """Return the facet's normal, its azimuth counted from the tangential part of −d.
+    """Return the normal of a facet, with azimuths from the tangential part of −d.
 
     c n + (s / sinθ) (cosφ t + sinφ d×n), t = −d − cosθ n: both tangents have length sinθ.
 
@@ -133,41 +134,49 @@ def compute_facet_normal(d, n, cos_i, tilt, azimuth):
 
 @inline
 def make_smooth_facet(d, grain, side):
-    """Return the smooth surface where a ray along d is, as its own only facet."""
+    """Return the smooth surface at the position of a ray along d, as its only facet."""
     normal = scale(side, compute_outward_normal(grain))
     cos_i = max(-dot(d, normal), get_precision(d.x).min_cos_incidence)
-    numbers = get_precision(d.x)
-    flat = Angle(numbers.one, numbers.zero)
-    return Microfacet(normal, cos_i, True, False, cos_i, flat, flat, numbers.one)
+    precision = get_precision(d.x)
+    flat = Angle(precision.one, precision.zero)
+    return Microfacet(normal, cos_i, True, False, cos_i, flat, flat, precision.one)
 
 
 @inline
 def sample_microfacet(d, smooth, roughness, variates, in_lobe, rule):
-    """Return a facet of a rough surface, drawn by a rule; by default `PROJECTED_FACETS`."""
+    """Sample a facet of a rough surface with a rule, by default `PROJECTED_FACETS`."""
     normal, cos_i = smooth.normal, smooth.cos_i
     tangential = add_scaled(cos_i, normal, d)
     square = max(dot(tangential, tangential), get_precision(d.x).min_sin2_incidence)
     per_sin = rsqrt(square)
     incidence = Angle(cos_i, square * per_sin)
     # 1 − n·n' = |ξ|, ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4), below 1.
-    lean = roughness * variates.half_normal
-    # A lobe's sine takes the same root.
+    one_minus_cos_tilt = roughness * variates.half_normal
+    # One root serves the sine of a facet or of a lobe.
     tilt = Angle(
-        ONE - lean, sqrt(max(ONE - variates.u_fresnel if in_lobe else lean * (TWO - lean), ZERO))
+        ONE - one_minus_cos_tilt,
+        sqrt(
+            max(
+                ONE - variates.u_fresnel
+                if in_lobe
+                else one_minus_cos_tilt * (TWO - one_minus_cos_tilt),
+                ZERO,
+            )
+        ),
     )
     half = variates.azimuth
     cos_lobe = -half.cos if variates.u_facet < HALF else half.cos
     if rule != PROJECTED_FACETS:
-        choice = sample_unweighted_facet(tilt, half.cos, incidence, variates.u_facet, rule)
+        sample = sample_unweighted_facet(tilt, half.cos, incidence, variates.u_facet, rule)
     else:
-        choice = sample_projected_facet(tilt, half.cos, incidence, variates.u_facet)
+        sample = sample_projected_facet(tilt, half.cos, incidence, variates.u_facet)
     return Microfacet(
         normal,
         cos_i,
-        choice.accepted & (lean < ONE),
-        choice.cos_incidence < ZERO,
-        max(abs(choice.cos_incidence), get_precision(d.x).min_cos_incidence),
+        sample.accepted & (one_minus_cos_tilt < ONE),
+        sample.cos_incidence < ZERO,
+        max(abs(sample.cos_incidence), get_precision(d.x).min_cos_incidence),
         Angle(tilt.cos, tilt.sin * per_sin),
-        Angle(choice.cos_azimuth, half.sin),
+        Angle(sample.cos_azimuth, half.sin),
         cos_lobe,
     )

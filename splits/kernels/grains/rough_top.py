@@ -1,8 +1,8 @@
-"""A randomly rough surface on top of layers of grains and particles (Budak & Grimailo 2020, 3.2).
+"""Randomly rough surface on top of layers of grains and particles (Budak & Grimailo 2020, 3.2).
 
-A ray has a realisation of the surface to itself.  From the sample it meets facets on its way to the
-next particle; outside it goes from facet to facet until it is in the sample again, or away.  Where
-the top is smooth the roof is None, and all of this is compiled away.
+Every ray has its own realization of the surface.  In the sample a ray may hit facets on its way to
+the next particle; outside it is traced from facet to facet until it is in the sample again or
+leaves.  For a smooth top, `rough_top` is None and all of this is compiled away.
 """
 
 from __future__ import annotations
@@ -25,94 +25,96 @@ from splits.kernels.math.vectors import ORIGIN, Vector, add_scaled, scale
 from splits.kernels.optics.interface import sample_interface
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
+    STEP_LIMIT_REACHED,
     compute_normal_from_slope,
     find_first_intersection,
     make_no_hit,
     nudge_off_surface,
 )
-from splits.kernels.rough_surface.intersection import STEP_LIMIT_REACHED as ASTRAY
 from splits.kernels.rough_surface.realization import compute_entry_position
 from splits.kernels.tallies.exits import ABSORBED, ALIVE, LOST, REFLECTED
 
 MAX_HEIGHT_SIGMA = 50.0
-"""No point of a realisation is higher than so many standard deviations: `waves.EXTREME` times the
-root of −ln u, u the least random number, is below it."""
+"""Bound of the height of realizations in standard deviations.
+
+`bands.BOUND_SIGMA` times the root of −ln u, with u the smallest random number, is below it.
+"""
 
 
 @inline_only
 def intersect_rough_top(rough_top, geometry, event, segment_length):
-    """Return the facet, a `march.Hit`, that a ray in the sample meets before its leg's end (m)."""
+    """Return the first `Hit` of the rough top by a ray in the sample within its path segment."""
     if rough_top is None:
         return make_no_hit(NO_HIT, 0)
-    begin = _compute_segment_start(geometry)
+    start = _compute_segment_start(geometry)
     if (
         event.lost
-        or max(begin.z, begin.z + segment_length * geometry.direction.z) <= -rough_top.max_height
+        or max(start.z, start.z + segment_length * geometry.direction.z) <= -rough_top.max_height
     ):
         return make_no_hit(NO_HIT, 0)
-    return find_first_intersection(rough_top, begin, geometry.direction, -1.0, segment_length)
+    return find_first_intersection(rough_top, start, geometry.direction, -1.0, segment_length)
 
 
 @inline_only
 def _compute_segment_start(geometry):
-    """Return where a ray's leg begins."""
-    place, way = geometry.position, geometry.exit_offset
-    return Vector(place.x + way.x, place.y + way.y, place.z + way.z)
+    """Return the start of the path segment of a ray."""
+    position, exit_offset = geometry.position, geometry.exit_offset
+    return Vector(
+        position.x + exit_offset.x, position.y + exit_offset.y, position.z + exit_offset.z
+    )
 
 
 @inline_only
 def stop_at_facet(geometry, event, hit, layer_bottom):
-    """Return a ray that a facet stops on its way, and what it found: nothing, in the top layer.
+    """Return a ray that a facet stops, and its event: no collision, in the top layer.
 
-    The surface should end above the layer's lower face, `layer_bottom` (m); see `Layer.depth_m`.
+    The ray is lost if the surface extends below `layer_bottom` (m), see `ParticleLayer.depth_m`.
     """
-    place = add_scaled(hit.distance, geometry.direction, _compute_segment_start(geometry))
+    position = add_scaled(hit.distance, geometry.direction, _compute_segment_start(geometry))
     geometry = RayGeometry(
-        place, ORIGIN, geometry.direction, Segment(ORIGIN, geometry.direction, hit.distance), 0.0
+        position, ORIGIN, geometry.direction, Segment(ORIGIN, geometry.direction, hit.distance), 0.0
     )
-    lost = hit.distance == ASTRAY or place.z < layer_bottom
+    lost = hit.distance == STEP_LIMIT_REACHED or position.z < layer_bottom
     return geometry, NextEvent(event.grain_sample, event.collision, 0, lost)
 
 
 @inline_only
 def make_incident_ray(direction, roulette_state, rough_top, max_order):
-    """Return a ray along d from outside that aims at the origin of the mean surface."""
-    flier = RayGeometry(
+    """Return a ray from outside towards the origin of the mean surface."""
+    geometry = RayGeometry(
         compute_entry_position(direction, rough_top), ORIGIN, direction, NO_SEGMENT, 0.0
     )
-    return Ray(ALIVE, flier, RayPayload(direction, 0, 0.0, roulette_state), 0, 0, max_order)
+    return Ray(ALIVE, geometry, RayPayload(direction, 0, 0.0, roulette_state), 0, 0, max_order)
 
 
 @inline_only
 def scatter_at_facet(state, ray, slope, side, scene, optics):
-    """Return a ray that a facet reflects or refracts, and the side of the surface on which it is.
+    """Return a ray after reflection or refraction at a facet, and its side of the surface.
 
     Parameters
     ----------
     state, ray, scene, optics
         See `splits.kernels.grains.history.trace_history`.
-    slope : Slope
-        Of the facet.
+    slope : SurfaceSlope
+        Slope of the facet.
     side : float
-        1 where the ray comes from outside, −1 from the sample.
+        1 if the ray comes from outside, −1 from the sample.
     """
-    # Particles lie below: the pores that light comes to from there are new every time.
-    u = uniform(state)
-    inside = refractive_index_of(optics, pore_material(scene.layers, 0, u))
+    # The layer below has particles, so light always reaches new pores.
+    pore_variate = uniform(state)
+    inside = refractive_index_of(optics, pore_material(scene.layers, 0, pore_variate))
     outside = refractive_index_of(optics, scene.layers.pore[0])
     near = outside if side > 0.0 else inside
     far = inside if side > 0.0 else outside
     normal = compute_normal_from_slope(slope)
-    crossing = sample_interface(
-        ray.payload.direction, scale(side, normal), near, far, uniform(state)
-    )
-    side = -side if crossing.transmitted else side
-    d = nudge_off_surface(crossing.direction, scale(side, normal))
-    beam = RayPayload(d, 0, u, ray.payload.roulette)
+    sample = sample_interface(ray.payload.direction, scale(side, normal), near, far, uniform(state))
+    side = -side if sample.transmitted else side
+    direction = nudge_off_surface(sample.direction, scale(side, normal))
+    payload = RayPayload(direction, 0, pore_variate, ray.payload.roulette)
     return Ray(
         ray.status,
-        with_direction(ray.geometry, d),
-        beam,
+        with_direction(ray.geometry, direction),
+        payload,
         ray.n_segments,
         ray.order + 1,
         ray.max_order,
@@ -121,32 +123,32 @@ def scatter_at_facet(state, ray, slope, side, scene, optics):
 
 @inline_only
 def trace_above_surface(state, ray, scene, optics, rough_top):
-    """Follow a ray above the surface until it is in the sample, or away.
+    """Trace a ray above the surface until it enters the sample or leaves.
 
     Returns
     -------
     Ray
-        Its fate `ALIVE` in the sample, `REFLECTED`, `STEP_LIMIT_REACHED`, or `ABSORBED` where it has met as
-        many facets and grains as it may.
+        With the status `ALIVE` in the sample, `REFLECTED`, `LOST`, or `ABSORBED` at the largest
+        order of scattering.
     """
     side = 1.0
     while side > 0.0:
         hit = find_first_intersection(rough_top, ray.geometry.position, ray.payload.direction, side)
         if hit.distance < 0.0:
-            away = hit.distance == NO_HIT and ray.payload.direction.z > 0.0
-            return terminate(ray, REFLECTED if away else LOST)
+            leaves = hit.distance == NO_HIT and ray.payload.direction.z > 0.0
+            return terminate(ray, REFLECTED if leaves else LOST)
         if ray.order >= ray.max_order:
             return terminate(ray, ABSORBED)
-        place = add_scaled(hit.distance, ray.payload.direction, ray.geometry.position)
-        flier = RayGeometry(place, ORIGIN, ray.payload.direction, NO_SEGMENT, 0.0)
-        ray = Ray(ALIVE, flier, ray.payload, ray.n_segments, ray.order, ray.max_order)
+        position = add_scaled(hit.distance, ray.payload.direction, ray.geometry.position)
+        geometry = RayGeometry(position, ORIGIN, ray.payload.direction, NO_SEGMENT, 0.0)
+        ray = Ray(ALIVE, geometry, ray.payload, ray.n_segments, ray.order, ray.max_order)
         ray, side = scatter_at_facet(state, ray, hit.slope, side, scene, optics)
     return ray
 
 
 @inline_only
 def interact_at_rough_top(state, ray, slope, scene, optics, rough_top):
-    """Return a ray from the sample after a facet: sent back, away, or in the sample again.
+    """Return a ray from the sample after a hit of the rough top.
 
     Parameters are those of `scatter_at_facet` and `trace_above_surface`.
     """

@@ -1,7 +1,8 @@
-"""What a kernel is told: plain numbers and arrays, in SI units.
+"""Scene of the kernels for layers of grains: plain numbers and arrays, in SI units.
 
-These named tuples are the contract between media and kernels.  Materials are rows of the index
-arrays: row 0 fills the dry pores, row 1 the wet ones, the following rows are cores and coatings.
+These named tuples are the interface between media and kernels.  Materials are rows of the arrays of
+optical constants: row 0 fills the dry pores, row 1 the wet ones, the following rows are cores and
+coatings.
 """
 
 from __future__ import annotations
@@ -17,29 +18,32 @@ DRY_PORE = 0
 WET_PORE = 1
 
 NO_PARTICLES = -1
-"""In place of a row of particles, for a layer of grains."""
+"""Value of `Layers.particle_row` for a layer of grains."""
 
 NO_GROUND = -1
-"""In place of the ground's column, where nothing below sends light back."""
+"""Value of `Scene.ground_column` without a reflecting ground."""
 
 NO_MAX_ORDER = 2**31 - 1
-"""Grains met after which a ray is given up, where it may meet any number."""
+"""Largest order of scattering if it is unlimited."""
 
 MAX_REJECTIONS = 10_000_000
-"""Grains refused in a row from which a ray counts as lost.  At grazing incidence the first grain
-that fits below the boundary is rare: 3e5 are refused on average at 89.9999 degrees."""
+"""Successive rejections after which a ray counts as lost.
+
+At grazing incidence few grains fit below the boundary: 3e5 are rejected on average at 89.9999
+degrees.
+"""
 
 WRONG_SIDE_LOBE = 0
-"""A ray sent to the wrong side of the macroscopic surface leaves in a cosine lobe."""
+"""A direction on the wrong side of the macroscopic surface is replaced by a cosine lobe."""
 WRONG_SIDE_MIRROR = 1
-"""A ray sent to the wrong side of the macroscopic surface is mirrored in that surface."""
+"""A direction on the wrong side of the macroscopic surface is mirrored in that surface."""
 
 OVERLAP_KEEP = 0
-"""A grain that does not fit is taken as it is."""
+"""An overlapping grain is accepted."""
 OVERLAP_REJECT = 1
-"""A grain that does not fit is drawn again from the ray's origin, distance included."""
+"""An overlapping grain is rejected; distance and grain are sampled again from the segment start."""
 OVERLAP_SKIP = 2
-"""A grain that does not fit is left out: the next distance counts from its place."""
+"""An overlapping grain is skipped: the next distance starts from it."""
 
 GRAIN_EXTENT = {"finite": False, "point": True}
 """Whether the path through a grain displaces the ray, or the grain is a point scatterer."""
@@ -55,7 +59,7 @@ OVERLAP_RULE = {"reject": OVERLAP_REJECT, "keep": OVERLAP_KEEP, "skip": OVERLAP_
 
 
 class GrainTypes(NamedTuple):
-    """Table of particle types; distributions are quantile functions (`rng.table_probabilities`).
+    """Grain types; distributions are quantile functions (`rng.make_table_probabilities`).
 
     A table of distributions has one row per type, or a single row that holds for all of them.
 
@@ -63,16 +67,17 @@ class GrainTypes(NamedTuple):
     ----------
     n_shells : int64[types]
         Number of coatings plus one, the core.
-    material : int64[types, deepest]
+    material : int64[types, shells]
         Rows of the materials from the outermost coating to the core.
-    coating_thickness : float64[types, deepest]
+    coating_thickness : float64[types, shells]
         Thickness of the coatings as a fraction of the major axis; unused for the core.
     curvature : float64[rows, m]
-        Inverse semi-major axis of struck grains (1/m): the inverse, because it is what cross
-        sections make uniform, and is exact in a table whatever the range of sizes.
+        Inverse semi-major axis of the grains hit (1/m).  Weighting with the cross section makes the
+        inverse uniform, so that a table of it is exact for any range of sizes.
     sphericity : float64[rows, m]
-        Inscribed-circle sphericity of struck grains.
+        Inscribed-circle sphericity of the grains hit.
     facetness : float64[rows, m]
+        Facetness of the grains hit.
     """
 
     n_shells: np.ndarray
@@ -84,14 +89,14 @@ class GrainTypes(NamedTuple):
 
 
 class GrainPopulation(NamedTuple):
-    """What a medium is made of.
+    """Grains of a medium.
 
     Attributes
     ----------
     attenuation : float
-        Expected number of grains met per metre of pore-space path, all types together.
+        Expected number of grains hit per metre of path in the pore space, all types together.
     type_cdf : float64[types]
-        Cumulative probability that the grain met is of type 0…i; the last entry is 1.
+        Cumulative probability that the grain hit is of type 0…i; the last entry is 1.
     types : GrainTypes
     """
 
@@ -101,26 +106,26 @@ class GrainPopulation(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """Media between extended horizontal faces, top first.
+    """Media between horizontal boundaries, top first.
 
     Attributes
     ----------
     boundaries : float64[layers + 1]
-        Heights of the faces (m), 0 at the top; where that is rough, a height above all of it.
+        Heights of the boundaries (m), 0 at the top; above a rough top, a height above all of it.
     attenuation : float64[layers]
-        Expected number of grains met per metre of pore-space path.
+        Expected number of grains hit per metre of path in the pore space.
     saturation : float64[layers]
-        Probability that a leg through the pore space runs in the wet medium.
-    type_cdf : float64[layers, most]
-        Cumulative probability that the grain met is of the layer's type 0…i.
+        Probability that a path segment in the pore space is in the wet medium.
+    type_cdf : float64[layers, types]
+        Cumulative probability that the grain hit is of type 0…i of the layer.
     first_type : int64[layers]
-        Row of the layer's first type.
+        Row of the first type of the layer.
     pore : int64[layers]
-        Material of its dry pores; that of its wet ones follows, then those of others.
-    pore_cdf : float64[layers, most]
-        Cumulative probabilities, from the saturation on, that a leg runs in one of the other media.
+        Material of the dry pores, followed by those of the wet pores and of further pore media.
+    pore_cdf : float64[layers, media]
+        Cumulative probabilities, starting from the saturation, of the further pore media.
     particle_row : int64[layers]
-        Row of `ParticleScattering` of a layer that has these and no grains; `NO_PARTICLES` of others.
+        Row of `ParticleScattering` for a layer of particles, `NO_PARTICLES` for a layer of grains.
     """
 
     boundaries: np.ndarray
@@ -134,7 +139,7 @@ class Layers(NamedTuple):
 
 
 class ParticleScattering(NamedTuple):
-    """Single scattering by the small particles of layers, see `splits.kernels.optics.phase_function`.
+    """Single scattering by small particles, see `splits.kernels.optics.phase_function`.
 
     Attributes
     ----------
@@ -144,7 +149,8 @@ class ParticleScattering(NamedTuple):
     g : float64[rows]
     table_size : int64[rows]
         Length of the table.
-    cosines, density, cdf : float64[rows, longest]
+    cosines, density, cdf : float64[rows, m]
+        See `PhaseFunction`.
     """
 
     albedo: np.ndarray
@@ -157,10 +163,10 @@ class ParticleScattering(NamedTuple):
 
 
 class SamplingRules(NamedTuple):
-    """Named readings of the papers as the numbers that kernels branch on (see `ENTRY_SAMPLING` etc.).
+    """Interpretations of the papers as numbers on which kernels branch, see `ENTRY_SAMPLING` etc.
 
-    `analog` turns absorption into a coin toss on every leg; otherwise path lengths are kept and
-    turned into weights when the ray leaves.  `point_grains` makes grains point scatterers: a ray
+    With `analog`, absorption is sampled on each segment; otherwise path lengths are recorded and
+    converted to weights at the exit.  With `point_grains`, grains are point scatterers: a ray
     leaves a grain at the point at which it entered.
     """
 
@@ -175,7 +181,7 @@ class SamplingRules(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Light on layers of grains over a ground, and how the papers are read.
+    """Light source, layers, grains and ground, with the sampling rules.
 
     Attributes
     ----------
@@ -185,10 +191,10 @@ class Scene(NamedTuple):
     rules : SamplingRules
     particles : ParticleScattering
     ground_column : int
-        Column among the materials' lengths where meetings with the ground are counted, whose
-        "absorption" is −ln of its albedo; `NO_GROUND` where light leaves below.
+        Column of the path lengths that counts the hits of the ground, whose "absorption" is −ln of
+        its albedo; `NO_GROUND` without a reflecting ground.
     record_crossings : bool
-        Whether rays that pass faces between layers are noted.
+        Whether crossings of boundaries between layers are recorded.
     """
 
     source: Source
@@ -206,10 +212,10 @@ class Optics(NamedTuple):
     Attributes
     ----------
     n, k : float64[materials]
-        Complex refractive index n + i k that decides reflection and refraction.
+        Complex refractive index n + i k for reflection and refraction.
     absorption : float64[materials]
-        Absorption coefficients (1/m).  An analog run tosses its coins with them; a weighted run
-        takes them as lower bounds over the wavelengths it serves, for Russian roulette.
+        Absorption coefficients (1/m).  An analog run samples absorption with them; in a weighted
+        run they are lower bounds over the wavelengths that use the paths, for Russian roulette.
     is_absorbing : bool[materials]
         Whether a material absorbs at any of these wavelengths.
     """
@@ -221,13 +227,13 @@ class Optics(NamedTuple):
 
 
 def make_bounding_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
-    """Return what paths take that serve several wavelengths.
+    """Return the `Optics` of paths that several wavelengths use.
 
     Parameters
     ----------
     index : complex, shape (materials,)
     absorption : float, shape (wavelengths, materials)
-        Roulette may only use what holds for every wavelength that listens.
+        Absorption coefficients (1/m), of which roulette uses the minimum over wavelengths.
     """
     absorbs = absorption.max(axis=0) > 0.0
     return Optics(index.real.copy(), index.imag.copy(), absorption.min(axis=0), absorbs)

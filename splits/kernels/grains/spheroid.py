@@ -1,10 +1,10 @@
-"""Prolate spheroids: where a ray meets a grain, and what lies on the way through it.
+"""Prolate spheroids: entry points of rays, chords, and overlap with boundaries and segments.
 
 A grain has semi-major axis b along the unit vector w and two equal semi-minor axes c = Ψ² b
-(SPLITSnow Eq 2, Ψ the inscribed-circle sphericity); f = 1 − c/b is its flattening.  Squeezing
-space along w by c/b turns it into a sphere.  Points on the surface are kept as unit vectors q of
-that sphere, lengths in units of c, and directions stay those of real space: neither the grain's
-centre nor a rotation into its frame is needed.  Every function serves both precisions.
+(SPLITSnow Eq 2, Ψ the inscribed-circle sphericity); f = 1 − c/b is its flattening.  Compressing
+space along w by c/b transforms it into a sphere.  Points on the surface are stored as unit vectors
+q of that sphere, lengths in units of c, and directions remain those of real space: neither the
+centre of the grain nor a rotation into its frame is needed.  Every function serves both precisions.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from splits.kernels.math.vectors import (
 )
 
 UNIFORM_ENTRY = 0
-"""Entry point uniform over the surface that faces the ray (SPLITS 4.3.3, SPLITSnow 3.2)."""
+"""Entry point uniform over the surface facing the ray (SPLITS 4.3.3, SPLITSnow 3.2)."""
 PROJECTED_ENTRY = 1
-"""Entry point (and orientation) weighted by area projected along the ray: geometry's own law."""
+"""Entry point and orientation weighted by area projected along the ray, the geometric law."""
 
 
 class Spheroid(NamedTuple):
-    """A grain, and the point on it at which a ray is.
+    """Grain with the point of its surface at which a ray is.
 
     Attributes
     ----------
     q : Vector
-        The point, on the unit sphere.
+        Point, on the unit sphere.
     w : Vector
         Major axis.
     flattening : float
@@ -58,7 +58,7 @@ class GrainSize(NamedTuple):
 
 
 class EntryVariates(NamedTuple):
-    """Random numbers that say how a ray strikes a grain.
+    """Random numbers for the entry point and the orientation of a grain.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class EntryVariates(NamedTuple):
     normal_azimuth, axis_azimuth : Angle
         Azimuths of n around −d and of w around n.
     u_axial, u_accept : float
-        Uniform, for z/b of the entry point, and to accept it.
+        Uniform, for z/b of the entry point and its acceptance.
     """
 
     u_cos_incidence: float
@@ -78,13 +78,13 @@ class EntryVariates(NamedTuple):
 
 
 class EntryPoint(NamedTuple):
-    """How a ray strikes a grain.
+    """Entry point of a ray on a grain.
 
     Attributes
     ----------
     grain : Spheroid
     normal : Vector
-        Outward, at the entry point.
+        Outward normal at the entry point.
     axial_position : float
         z/b of the entry point.
     semi_major : float
@@ -98,14 +98,14 @@ class EntryPoint(NamedTuple):
 
 
 class Chord(NamedTuple):
-    """A way through a grain: its length (m), and the grain with the ray at its other end."""
+    """Chord through a grain: its length (m), and the grain with the ray at its end."""
 
     length: float
     grain: Spheroid
 
 
 class Segment(NamedTuple):
-    """A leg of a ray: its end, its direction, towards that end, and its length, −1 for none (m)."""
+    """Path segment: its end, its direction towards that end, and its length (m), −1 for none."""
 
     end: Vector
     direction: Vector
@@ -114,21 +114,21 @@ class Segment(NamedTuple):
 
 @inline
 def scale_along_axis(x, w, flattening):
-    """Return the vector x squeezed along w by the ratio of the axes, x − f (x·w) w."""
+    """Return the vector x compressed along w by the ratio of the axes, x − f (x·w) w."""
     return add_scaled(-flattening * dot(x, w), w, x)
 
 
 @inline
 def compute_outward_normal(grain):
-    """Return the outward unit normal where the ray is."""
+    """Return the outward unit normal at the position of the ray."""
     return normalize(scale_along_axis(grain.q, grain.w, grain.flattening))
 
 
 @inline
 def compute_chord(grain, d):
-    """Return the way through the grain from where the ray is along d.
+    """Return the chord through the grain along d from the position of the ray.
 
-    The other end is brought back to unit length, so that errors do not add up.
+    The end point is normalized, so that errors do not accumulate.
     """
     e = scale_along_axis(d, grain.w, grain.flattening)
     chord = max(-TWO * dot(grain.q, e) / dot(e, e), ZERO)
@@ -142,17 +142,18 @@ def compute_chord(grain, d):
 def normal_length_squared(axial_position, flattening):
     """Return 1 − e² z², z the axial position in units of b and e² = 1 − Ψ⁴.
 
-    It is the squared length of the normal that `scale_along_axis` makes of q, and the density of area
-    over z is proportional to its root (SPLITS Eq 27, differentiated).
+    It is the squared length of `scale_along_axis` of q, and the density of surface area over z is
+    proportional to its root (SPLITS Eq 27, differentiated).
     """
     return ONE - flattening * (TWO - flattening) * axial_position * axial_position
 
 
 @inline
 def accept_axial_position(variates, flattening):
-    """Tell whether a trial of the axial position holds; otherwise another `EntryVariates` is wanted.
+    """Return whether a sampled axial position is accepted.
 
-    It is then uniform over the area of a spheroid, exactly and without inverting SPLITS Eq 27.
+    Accepted positions are uniform over the area of a spheroid, exactly and without an inversion of
+    SPLITS Eq 27.
     """
     return variates.u_accept * variates.u_accept < normal_length_squared(
         TWO * variates.u_axial - ONE, flattening
@@ -161,32 +162,32 @@ def accept_axial_position(variates, flattening):
 
 @inline
 def sample_entry_point(d, size, variates, entry_sampling):
-    """Return where a ray along d strikes a grain, and how that grain lies.
+    """Sample the entry point of a ray along d, and the orientation of the grain.
 
-    A grain turned at random shows the normal at any fixed point of it in a random direction; so
-    the normal is drawn around −d, and the grain is then turned around that normal.
+    For a random orientation of the grain, the normal at a fixed point of its surface has a random
+    direction; the normal is therefore sampled around −d, and the axis around that normal.
 
     Parameters
     ----------
     d : Vector
     size : GrainSize
-    variates : Aim
+    variates : EntryVariates
     entry_sampling : int
         `UNIFORM_ENTRY` or `PROJECTED_ENTRY`.
 
     Returns
     -------
-    Entry
+    EntryPoint
     """
     flattening = size.flattening
     axial = TWO * variates.u_axial - ONE
     square = normal_length_squared(axial, flattening)
-    facing = (
+    cos_incidence = (
         sqrt(variates.u_cos_incidence)
         if entry_sampling == PROJECTED_ENTRY
         else variates.u_cos_incidence
     )
-    polar = Angle(facing, sqrt(max(ONE - facing * facing, ZERO)))
+    polar = Angle(cos_incidence, sqrt(max(ONE - cos_incidence * cos_incidence, ZERO)))
     n = rotate_around(Vector(-d.x, -d.y, -d.z), polar, variates.normal_azimuth)
     per_slope = rsqrt(square)
     slope = square * per_slope
@@ -200,7 +201,7 @@ def sample_entry_point(d, size, variates, entry_sampling):
 
 @inline
 def overlaps_boundary(entry, height, bottom, top):
-    """Tell whether a grain entered at a height (m) reaches below `bottom` or above `top` (m)."""
+    """Return whether a grain entered at `height` extends below `bottom` or above `top` (m)."""
     grain = entry.grain
     minor = grain.semi_minor
     excess = (entry.semi_major - minor) * grain.w.z
@@ -211,7 +212,7 @@ def overlaps_boundary(entry, height, bottom, top):
 
 @inline
 def overlaps_segment(grain, segment):
-    """Tell whether a grain overlaps a segment, whose end counts from where the ray is on it (m)."""
+    """Return whether a grain overlaps a segment, whose end is relative to the ray (m)."""
     a = scale_along_axis(segment.end, grain.w, grain.flattening)
     a = add_scaled(grain.semi_minor, grain.q, a)
     b = scale_along_axis(segment.direction, grain.w, grain.flattening)

@@ -1,4 +1,4 @@
-"""What the scalar kernel knows of a ray on its way, and how it draws its random numbers."""
+"""State of a ray in the scalar kernel, and sampling of its random variates."""
 
 from __future__ import annotations
 
@@ -14,12 +14,7 @@ from splits.kernels.grains.free_path import (
     RouletteState,
 )
 from splits.kernels.grains.scene import OVERLAP_KEEP, OVERLAP_SKIP
-from splits.kernels.grains.spheroid import (
-    EntryVariates,
-    GrainSize,
-    Segment,
-    accept_axial_position,
-)
+from splits.kernels.grains.spheroid import EntryVariates, GrainSize, Segment, accept_axial_position
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
 from splits.kernels.math.vectors import ORIGIN, Vector
@@ -29,19 +24,19 @@ from splits.kernels.optics.phase_function import PhaseFunction, sample_phase_fun
 _ZERO_ANGLE = Angle(1.0, 0.0)
 
 NO_SEGMENT = Segment(ORIGIN, Vector(0.0, 0.0, -1.0), -1.0)
-"""In place of the leg travelled last, for a ray that has not travelled yet."""
+"""Previous segment of a ray that starts."""
 
 
 class RayPayload(NamedTuple):
-    """What a ray carries besides its place.
+    """Direction, layer, pore and roulette state of a ray.
 
     Attributes
     ----------
     direction : Vector
     layer : int
-        Of the scene, in which it is.
+        Layer of the scene in which the ray is.
     pore_variate : float
-        The number that decides its pore: wet where it is below the layer's saturation.
+        Random number that selects the pore: wet if it is below the saturation of the layer.
     roulette : RouletteState
     """
 
@@ -52,19 +47,20 @@ class RayPayload(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A ray between grains, or at its end.
+    """State of a ray between grains, or at its end.
 
     Attributes
     ----------
     status : int
-        `TRAVELS`, or how it ended.
+        `ALIVE`, or the way it ended, see `splits.kernels.tallies.exits`.
     geometry : RayGeometry
     payload : RayPayload
-    n_segments, order : int
-        Legs through the sample, which is what the ray cost, and grains, particles and facets of a
-        rough surface met.
+    n_segments : int
+        Path segments in the sample, a measure of the cost.
+    order : int
+        Order of scattering: hits of grains, particles and facets of a rough surface.
     max_order : int
-        As many of these, after which it counts as absorbed.
+        Order after which the ray counts as absorbed.
     """
 
     status: int
@@ -76,7 +72,7 @@ class Ray(NamedTuple):
 
 
 class GrainSample(NamedTuple):
-    """A grain drawn, but not yet met: its type, size and half its facetness."""
+    """Sampled grain: its type, size, and roughness, half of its facetness."""
 
     grain_type: int
     size: GrainSize
@@ -84,7 +80,7 @@ class GrainSample(NamedTuple):
 
 
 class NextEvent(NamedTuple):
-    """What a ray meets next, and in which layer; `lost` where nothing was found."""
+    """Next event of a ray, and its layer; `lost` if no grain was accepted."""
 
     grain_sample: GrainSample
     collision: Collision
@@ -93,14 +89,14 @@ class NextEvent(NamedTuple):
 
 
 class EventResult(NamedTuple):
-    """Whether a ray from outside passed the sample's face, and what it carries then."""
+    """Whether a ray continues after an event, and its payload."""
 
     continues: bool
     payload: RayPayload
 
 
 class AttenuationResult(NamedTuple):
-    """A purse after a leg, and whether the ray survived it."""
+    """Roulette state after a segment or a game of roulette, and whether the ray survived."""
 
     roulette: RouletteState
     alive: bool
@@ -108,13 +104,13 @@ class AttenuationResult(NamedTuple):
 
 @inline_only
 def terminate(ray, status):
-    """Return a ray that has come to its end."""
+    """Return a ray with a final status."""
     return Ray(status, ray.geometry, ray.payload, ray.n_segments, ray.order, ray.max_order)
 
 
 @inline_only
 def with_direction(geometry, direction):
-    """Return a ray at the same place that goes along d now."""
+    """Return a ray at the same position with a new direction."""
     return RayGeometry(
         geometry.position, geometry.exit_offset, direction, geometry.previous_segment, 0.0
     )
@@ -122,10 +118,11 @@ def with_direction(geometry, direction):
 
 @inline_only
 def attenuate(state, roulette_state, distance, material, optics, analog, path_lengths):
-    """Take a leg through a material, and tell whether the ray goes on.
+    """Attenuate a ray along a distance in a material.
 
-    Lambert's law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability to
-    pass.  Weighted rays add the leg to `path_lengths` (float64[materials], m), and end only by roulette.
+    Beer-Lambert law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability of
+    survival.  The distance is added to `path_lengths` (float64[materials], m).  Analog rays may be
+    absorbed; weighted rays end by roulette only.
     """
     path_lengths[material] += distance
     depth = optics.absorption[material] * distance
@@ -143,7 +140,7 @@ def attenuate(state, roulette_state, distance, material, optics, analog, path_le
 
 @inline_only
 def pore_material(layers, layer, pore_variate):
-    """Return the material of the pore space for a leg in a layer (SPLITS 4.3.2, SPLITSnow 3.4)."""
+    """Return the material of the pore of a ray in a layer (SPLITS 4.3.2, SPLITSnow 3.4)."""
     pore = layers.pore[layer]
     if pore_variate < layers.saturation[layer]:
         return pore + 1
@@ -161,45 +158,47 @@ def refractive_index_of(optics, material):
 
 @inline_only
 def get_layer_geometry(layers, layer):
-    """Return the space of a layer of a scene."""
-    bottom, top = layers.boundaries[layers.boundaries.size - 1], layers.boundaries[0]
-    low, high = layers.boundaries[layer + 1], layers.boundaries[layer]
-    return LayerGeometry(1.0 / layers.attenuation[layer], low, high, bottom, top, min(top, 0.0))
+    """Return the `LayerGeometry` of a layer."""
+    slab_bottom, slab_top = layers.boundaries[layers.boundaries.size - 1], layers.boundaries[0]
+    bottom, top = layers.boundaries[layer + 1], layers.boundaries[layer]
+    return LayerGeometry(
+        1.0 / layers.attenuation[layer], bottom, top, slab_bottom, slab_top, min(slab_top, 0.0)
+    )
 
 
 @inline_only
 def sample_grain(state, scene, layer):
-    """Draw type, size, shape and roughness of a grain of a layer."""
-    share, types = scene.layers.type_cdf[layer], scene.types
-    kind = scene.layers.first_type[layer]
-    if share.size > 1:
-        kind += sample_discrete(share, uniform(state))
-    major = 1.0 / interpolate_quantile(types.curvature, kind, uniform(state))
-    sphericity = interpolate_quantile(types.sphericity, kind, uniform(state))
-    roughness = 0.5 * interpolate_quantile(types.facetness, kind, uniform(state))
-    return GrainSample(kind, GrainSize(major, 1.0 - sphericity * sphericity), roughness)
+    """Sample type, size, shape and roughness of a grain of a layer."""
+    type_cdf, types = scene.layers.type_cdf[layer], scene.types
+    grain_type = scene.layers.first_type[layer]
+    if type_cdf.size > 1:
+        grain_type += sample_discrete(type_cdf, uniform(state))
+    semi_major = 1.0 / interpolate_quantile(types.curvature, grain_type, uniform(state))
+    sphericity = interpolate_quantile(types.sphericity, grain_type, uniform(state))
+    roughness = 0.5 * interpolate_quantile(types.facetness, grain_type, uniform(state))
+    return GrainSample(grain_type, GrainSize(semi_major, 1.0 - sphericity * sphericity), roughness)
 
 
 @inline_only
 def sample_entry_variates(state, flattening):
-    """Draw how a ray strikes a grain."""
+    """Sample the random numbers of an entry point by rejection."""
     while True:
-        aim = EntryVariates(
+        variates = EntryVariates(
             uniform(state), _ZERO_ANGLE, _ZERO_ANGLE, uniform(state), uniform(state)
         )
-        if accept_axial_position(aim, flattening):
+        if accept_axial_position(variates, flattening):
             return EntryVariates(
-                aim.u_cos_incidence,
+                variates.u_cos_incidence,
                 sample_azimuth(state),
                 sample_azimuth(state),
-                aim.u_axial,
-                aim.u_accept,
+                variates.u_axial,
+                variates.u_accept,
             )
 
 
 @inline_only
 def sample_scattering_direction(state, particles, row, direction):
-    """Return the direction into which a layer's particle scatters light along d."""
+    """Sample the direction into which a particle of a layer scatters light."""
     size = particles.table_size[row]
     phase = PhaseFunction(
         particles.kind[row], particles.g[row], 0.0, particles.cosines[row, :size],
@@ -210,7 +209,7 @@ def sample_scattering_direction(state, particles, row, direction):
 
 @inline_only
 def make_rejection_rules(rules):
-    """Return what becomes of grains that do not fit."""
+    """Return the `RejectionRules` of sampling rules."""
     return RejectionRules(
         rules.entry_sampling,
         rules.segment_overlap != OVERLAP_KEEP,

@@ -1,4 +1,4 @@
-"""Bounds on what a ray is worth, for light that gets deep (see `splits.kernels.grains.splitting`)."""
+"""Weight windows for splitting, see `splits.kernels.grains.splitting`."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from splits.kernels.compiler.jit import inline_only
 
 
 class WeightWindow(NamedTuple):
-    """Bounds on what a ray is worth, weight · exp(κ·depth) (see `splits.kernels.grains.splitting`).
+    """Bounds of the importance of a ray, weight · exp(κ·depth).
 
     Attributes
     ----------
     weight : float
-        Of the ray, absorption not counted.
+        Weight of the ray without absorption.
     kappa : float
-        1/m.
+        Decay rate of the window with depth (1/m).
     lower, upper : float
+        Bounds of the importance.
     profile : float64[2, slices]
-        For equal slices of the depth, number and total weight of the legs that began there,
-        advanced in place.
+        Number and total weight of the segments that start in equal slices of the depth, advanced in
+        place.
     """
 
     weight: float
@@ -34,14 +35,14 @@ class WeightWindow(NamedTuple):
 
 @inline_only
 def compute_ray_height(ray, layers):
-    """Return the height at which a ray stands (m)."""
+    """Return the height of a ray (m)."""
     bottom = layers.boundaries[layers.boundaries.size - 1]
     return min(max(ray.geometry.position.z + ray.geometry.exit_offset.z, bottom), 0.0)
 
 
 @inline_only
 def compute_importance(ray, layers, weight, kappa):
-    """Return what a ray can be expected to contribute, see `WeightWindow`."""
+    """Return the importance of a ray, proportional to its expected contribution."""
     return weight * math.exp(
         -ray.payload.roulette.optical_depth - kappa * compute_ray_height(ray, layers)
     )
@@ -49,11 +50,11 @@ def compute_importance(ray, layers, weight, kappa):
 
 @inline_only
 def check_weight_window(window, ray, layers):
-    """Tell whether a ray's worth lies outside its window, and note where it is."""
+    """Return whether a ray is outside its weight window; tally its depth."""
     bottom = layers.boundaries[layers.boundaries.size - 1]
     slices = window.profile.shape[1]
-    place = min(int(compute_ray_height(ray, layers) / bottom * slices), slices - 1)
-    window.profile[0, place] += 1.0
-    window.profile[1, place] += window.weight * math.exp(-ray.payload.roulette.optical_depth)
-    worth = compute_importance(ray, layers, window.weight, window.kappa)
-    return worth < window.lower or worth > window.upper
+    slice_index = min(int(compute_ray_height(ray, layers) / bottom * slices), slices - 1)
+    window.profile[0, slice_index] += 1.0
+    window.profile[1, slice_index] += window.weight * math.exp(-ray.payload.roulette.optical_depth)
+    importance = compute_importance(ray, layers, window.weight, window.kappa)
+    return importance < window.lower or importance > window.upper

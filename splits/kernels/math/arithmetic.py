@@ -1,6 +1,6 @@
-"""Sums of products and roots, each in the way that suits the precision it is asked for.
+"""Fused multiply-add and roots, each implemented for the precision of its arguments.
 
-Plain functions for Python; compiled, the type of the numbers decides what stands in their place.
+Python calls plain functions; compiled code selects an implementation by the type of the arguments.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from splits.kernels.compiler.jit import HALF, INLINE_OPTIONS, ONE_AND_HALF
 
 
 def fma(a, b, c):
-    """Return a b + c, of compiled floats with one rounding where the machine has that."""
+    """Return a b + c, compiled with a single rounding where the processor supports it."""
     return a * b + c
 
 
@@ -31,10 +31,10 @@ def _overload_fma(a, b, c):
 @intrinsic
 def _fma_intrinsic(typing_context, a, b, c):
     def generate(context, builder, signature, arguments):
-        kind = arguments[0].type
-        shape = ir.FunctionType(kind, [kind] * 3)
+        llvm_type = arguments[0].type
+        function_type = ir.FunctionType(llvm_type, [llvm_type] * 3)
         return builder.call(
-            builder.module.declare_intrinsic("llvm.fmuladd", [kind], shape), arguments
+            builder.module.declare_intrinsic("llvm.fmuladd", [llvm_type], function_type), arguments
         )
 
     return a(a, b, c), generate
@@ -46,9 +46,9 @@ _RSQRT_MAGIC = np.int32(0x5F3759DF)
 def rsqrt(x):
     """Return 1/√x of x > 0; in single precision to 2e-7 from 1e-36 on, and finite of 0.
 
-    Compiled for single precision by Newton's method, three steps from a guess that takes half of
-    the exponent (error 3.5 %, Lomont 2003): the lanes need more roots than the one unit for roots
-    and quotients of a processor gets done.
+    Single precision uses three steps of Newton's method from an estimate by half of the exponent
+    (error 3.5 %, Lomont 2003): the vectorized kernel needs more roots than the single unit for
+    roots and divisions of a processor delivers.
     """
     return 1.0 / math.sqrt(x)
 
@@ -81,16 +81,16 @@ def _overload_sqrt(x):
 
 
 class Precision(NamedTuple):
-    """Numbers of a precision.
+    """Constants of a floating-point precision.
 
     Attributes
     ----------
     one, zero : float
     min_cos_incidence : float
-        Least cosine of incidence.
+        Lower bound of the cosine of incidence.
     min_sin2_incidence : float
-        Least sin² of incidence for which facets are turned exactly; in single precision met by
-        1e-8 of all trials.
+        Smallest sin² of incidence for which facet normals are rotated exactly; in single precision
+        1e-8 of all samples lie below.
     """
 
     one: Any

@@ -1,8 +1,8 @@
-"""Elementary functions, in single precision such that compilers can turn them into vector code.
+"""Elementary functions; polynomials in single precision, which compilers can vectorize.
 
-Calls of a mathematical library in a loop over lanes undo its vectorisation, so in single precision
-the few functions needed are polynomials.  `tests/unit/test_elementary.py` holds each against mpmath
-over its range.  In double precision the library serves.
+Calls of a mathematical library prevent the vectorization of a loop over lanes, so in single
+precision the few functions needed are polynomials.  `tests/unit/test_elementary.py` compares each
+with mpmath over its range.  Double precision uses the library.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from splits.kernels.math.arithmetic import fma
 _SIGNIFICAND_MASK = 0x007FFFFF
 _ONE_BITS = 0x3F800000
 _LOG2_E = float32_constant(1.4426950408889634)
-# ln 2 in two parts: the first has so few digits that its products with exponents are exact.
+# ln 2 as a sum: the first part has few digits, so that its products with exponents are exact.
 _LN2_HIGH = float32_constant(0.693359375)
 _LN2_LOW = float32_constant(-2.12194440e-4)
 _SQRT2 = float32_constant(1.41421356)
@@ -37,14 +37,14 @@ _PI = float32_constant(3.14159265)
 
 
 class Angle(NamedTuple):
-    """An angle, by its cosine and sine."""
+    """Cosine and sine of an angle."""
 
     cos: float
     sin: float
 
 
 def log(x):
-    """Return ln x; in single precision see `log_float32`."""
+    """Return ln x; in single precision by `log_float32`."""
     return math.log(x)
 
 
@@ -56,7 +56,7 @@ def _overload_log(x):
 
 
 def sample_half_circle(u):
-    """Return the angle π(u − ½) in (−π/2, π/2); in single precision see `sample_half_circle_float32`."""
+    """Return the angle π(u − ½); in single precision by `sample_half_circle_float32`."""
     angle = math.pi * (u - 0.5)
     return Angle(math.cos(angle), math.sin(angle))
 
@@ -75,7 +75,7 @@ def _overload_sample_half_circle(u):
 
 @inline
 def sample_circle(u):
-    """Return a uniform angle on the circle for u uniform on (0, 1), in single precision to 1e-6."""
+    """Return an angle uniform on the circle for a uniform u, to 1e-6 in single precision."""
     half = sample_half_circle(u)
     return Angle(fma(TWO * half.cos, half.cos, -ONE), TWO * half.sin * half.cos)
 
@@ -84,7 +84,7 @@ def sample_circle(u):
 def log_float32(x):
     """Return ln x of a float32 x in [1e-30, 1e30], to 2e-7 relative plus 1e-7 absolute.
 
-    The significand is brought to [√½, √2]; ln(1 + f) = f − f²/2 + f³ P(f), P of degree 8
+    The significand is scaled to [√½, √2]; ln(1 + f) = f − f²/2 + f³ P(f), P of degree 8
     (Cephes, S. Moshier, logf).
     """
     bits = np.float32(x).view(np.int32)
@@ -114,10 +114,10 @@ def exp_float32(x):
 
     exp x = 2ⁿ exp r with |r| ≤ ln 2 / 2 (Cephes, S. Moshier, expf).
     """
-    held = max(x, single(-87.0))
-    n = np.int32(held * _LOG2_E - HALF)
-    whole = np.float32(n)
-    r = fma(-whole, _LN2_LOW, fma(-whole, _LN2_HIGH, held))
+    clamped = max(x, single(-87.0))
+    n = np.int32(clamped * _LOG2_E - HALF)
+    n_float = np.float32(n)
+    r = fma(-n_float, _LN2_LOW, fma(-n_float, _LN2_HIGH, clamped))
     p = single(1.9875691500e-4)
     p = fma(p, r, single(1.3981999507e-3))
     p = fma(p, r, single(8.3334519073e-3))

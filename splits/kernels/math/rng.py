@@ -1,11 +1,11 @@
 """Counter-based random numbers: one independent stream per (seed, ensemble, ray).
 
-A ray's numbers depend on nothing but those three integers, so results are bit-identical for any
-number of threads and any split of the rays over batches or jobs.  The generator is SplitMix64
+The random numbers of a ray depend only on these three integers, so results are bit-identical for
+any number of threads and any split of the rays over batches or jobs.  The generator is SplitMix64
 (Steele, Lea & Flood 2014, OOPSLA, doi:10.1145/2660193.2660195): a Weyl counter followed by a
-64-bit finaliser; the start of the counter is itself a hash of (seed, ensemble, ray).
+64-bit finalizer.  The initial counter is a hash of (seed, ensemble, ray).
 
-A stream's state is a ``uint64`` array of one element that the draws advance in place.
+The state of a stream is a ``uint64`` array of one element, advanced in place.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TO_UNIT = 2.0**-52
 
 @inline
 def mix64(z):
-    """Return the SplitMix64 finaliser of the ``uint64`` `z`, a bijection of 64-bit integers."""
+    """Return the SplitMix64 finalizer of the ``uint64`` `z`, a bijection of 64-bit integers."""
     z = (z ^ (z >> _S30)) * _MIX1
     z = (z ^ (z >> _S27)) * _MIX2
     return z ^ (z >> _S31)
@@ -37,7 +37,7 @@ def mix64(z):
 
 @inline
 def start_stream(state, seed, ensemble, ray):
-    """Set `state` (``uint64[1]``) to the beginning of the stream of one ray."""
+    """Set `state` (``uint64[1]``) to the start of the stream of a ray."""
     key = mix64(np.uint64(seed) + GOLDEN_GAMMA)
     key = mix64(key ^ (np.uint64(ensemble) * _MIX1 + GOLDEN_GAMMA))
     state[0] = mix64(key ^ (np.uint64(ray) * GOLDEN_GAMMA + _MIX2))
@@ -47,8 +47,8 @@ def start_stream(state, seed, ensemble, ray):
 def uniform(state):
     """Return the next number of the stream, uniform on the open interval (0, 1).
 
-    52 random bits, centred in their cells: the sum below is exact, so that neither 0 nor 1 can
-    occur, a logarithm of the result is finite, and a free flight is capped only at 36 mean paths.
+    It has 52 random bits and lies at the centre of its interval.  The sum below is exact, so that
+    neither 0 nor 1 occurs, the logarithm is finite, and a free path ends at 36 mean free paths.
     """
     state[0] += GOLDEN_GAMMA
     return (float(mix64(state[0]) >> _S12) + 0.5) * _TO_UNIT
@@ -56,14 +56,14 @@ def uniform(state):
 
 @inline
 def sample_half_normal(state):
-    """Return |X| for a standard normal X (Box & Muller 1958)."""
+    """Sample |X| for a standard normal X (Box & Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(uniform(state)))
     return radius * abs(math.cos(0.5 * math.pi * uniform(state)))
 
 
 @inline
 def sample_azimuth(state):
-    """Return an angle uniform on the circle, by rejection from the disc."""
+    """Sample an angle uniform on the circle, by rejection from the disc."""
     while True:
         x = 2.0 * uniform(state) - 1.0
         y = 2.0 * uniform(state) - 1.0
@@ -75,13 +75,15 @@ def sample_azimuth(state):
 
 @inline
 def interpolate_quantile(table, row, u):
-    """Return the quantile `u` of the distribution tabulated in a row, or the only row.
+    """Return the quantile of a tabulated distribution.
 
     Parameters
     ----------
     table : float64[rows, m]
-        Quantile functions at the probabilities of `make_table_probabilities`, joined linearly.
+        Quantile functions at the probabilities of `make_table_probabilities`, interpolated
+        linearly.
     row : int
+        Row of the distribution; a table with a single row holds for all.
     u : float
         Probability in (0, 1).
     """
@@ -94,7 +96,7 @@ def interpolate_quantile(table, row, u):
 
 @inline
 def sample_discrete(cdf, u):
-    """Return the first type whose cumulative share exceeds u."""
+    """Return the first index whose cumulative probability exceeds u."""
     i = 0
     while u >= cdf[i] and i < cdf.size - 1:
         i += 1
@@ -104,8 +106,8 @@ def sample_discrete(cdf, u):
 def make_table_probabilities(n_points):
     """Return the probabilities of a quantile table, float64[points], dense at both ends.
 
-    u = 2x² below one half and its mirror image above, x equidistant: the outermost cell of 1025
-    points holds 2e-6 of the probability, so that tails of distributions survive.
+    u = 2x² below one half and its mirror image above, x equidistant: the outermost interval of 1025
+    points holds 2e-6 of the probability, so that the tails of distributions are resolved.
     """
     x = np.linspace(0.0, 1.0, n_points)
     return np.where(x < 0.5, 2.0 * x**2, 1.0 - 2.0 * (1.0 - x) ** 2)

@@ -1,7 +1,7 @@
-"""Vectors, angles and the frames directions are drawn in; every function serves both precisions.
+"""Vectors and sampling frames of directions, in either precision.
 
-A kernel hands its ray from function to function in named tuples, which the compiler dissolves: a
-`Vector` costs what three numbers cost.
+Kernels pass rays as named tuples, which the compiler dissolves: a `Vector` costs as much as three
+numbers.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from splits.kernels.math.elementary import Angle, sample_circle
 
 
 class Vector(NamedTuple):
-    """A point (m) or a direction (unit length)."""
+    """Point (m) or direction (unit length)."""
 
     x: float
     y: float
@@ -22,7 +22,7 @@ class Vector(NamedTuple):
 
 
 class Tangents(NamedTuple):
-    """Two unit vectors that complete a third to a right-handed frame."""
+    """Two unit vectors that complete a third one to a right-handed frame."""
 
     u: Vector
     v: Vector
@@ -52,7 +52,7 @@ def scale(s, a):
 
 @inline
 def add_scaled(s, a, b):
-    """Return b + s a: where one comes from b, going s along a."""
+    """Return b + s a."""
     return Vector(fma(s, a.x, b.x), fma(s, a.y, b.y), fma(s, a.z, b.z))
 
 
@@ -64,7 +64,7 @@ def linear_combination(g, a, h, b):
 
 @inline
 def select(condition, a, b):
-    """Return a where `condition` holds, otherwise b; of both, as vector code wants it."""
+    """Return a if `condition` holds, otherwise b, without a branch."""
     return Vector(a.x if condition else b.x, a.y if condition else b.y, a.z if condition else b.z)
 
 
@@ -107,7 +107,7 @@ def rotate_around(n, polar, azimuth):
 
 @inline
 def sample_cosine_lobe(n, u, u_azimuth):
-    """Return a direction around the unit vector n with density cosθ/π (Lambert).
+    """Sample a direction around the unit vector n with density cosθ/π (Lambert).
 
     Parameters
     ----------

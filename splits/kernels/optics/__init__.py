@@ -1,1 +1,1 @@
-"""What light does at faces and at single particles, polarised or not, and where it comes from."""
+"""Optics of interfaces and single particles, with and without polarization, and light sources."""

@@ -1,8 +1,8 @@
-"""The narrow peak of a phase function, apart from the rest of it.
+"""Decomposition of a phase function into a narrow peak and a wide rest.
 
     p(µ) = (1 − f) p_wide(µ) + f p_narrow(µ),   f p_narrow = max(p − limit, 0)
 
-The sum is exact for any narrow part that is nowhere above p.
+The sum is exact for any narrow part that nowhere exceeds p.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from splits.kernels.optics.phase_function import (
 )
 
 PEAK_THRESHOLD_PER_SR = 20.0
-"""Phase function (1/sr) that has a peak if it exceeds this anywhere: Henyey & Greenstein's does
-beyond g = 0.91."""
+"""Largest phase function (1/sr) without a peak: that of Henyey & Greenstein exceeds it for
+g > 0.91."""
 PEAK_BASE_PER_SR = 1.0
-"""Phase function (1/sr) above which is what counts as the peak."""
+"""Phase function (1/sr) above which it belongs to the peak."""
 N_PEAK_NODES = 64
-"""Nodes of the peak of Henyey and Greenstein, which has no table of its own."""
+"""Table nodes of the peak of a Henyey-Greenstein phase function."""
 
 
 class PhaseFunctionPeak(NamedTuple):
@@ -36,9 +36,9 @@ class PhaseFunctionPeak(NamedTuple):
     Attributes
     ----------
     phase : PhaseFunction
-        Normalised, a table.
+        Normalized, tabulated.
     fraction : float
-        Part of the scattered light that goes into it, between 0 and 1.
+        Fraction of the scattered light in the peak, between 0 and 1.
     """
 
     phase: PhaseFunction
@@ -46,7 +46,13 @@ class PhaseFunctionPeak(NamedTuple):
 
 
 def separate_peak(phase: PhaseFunction) -> PhaseFunctionPeak | None:
-    """Return what a phase function has above `PEAK_BASE_PER_SR`, None if it is nowhere above `PEAK_THRESHOLD_PER_SR`."""
+    """Return the part of a phase function above `PEAK_BASE_PER_SR`.
+
+    Returns
+    -------
+    PhaseFunctionPeak or None
+        None if the phase function nowhere exceeds `PEAK_THRESHOLD_PER_SR`.
+    """
     cosines, density = phase.cosines, phase.density
     if phase.kind == HENYEY_GREENSTEIN:
         cosines, density = _tabulate_peak(phase.g)
@@ -55,32 +61,32 @@ def separate_peak(phase: PhaseFunction) -> PhaseFunctionPeak | None:
     above = density - PEAK_BASE_PER_SR
     left, right = above[:-1], above[1:]
     crossing = left * right < 0.0
-    at = left[crossing] / (left - right)[crossing]
-    between = (1.0 - at) * cosines[:-1][crossing] + at * cosines[1:][crossing]
-    nodes = np.union1d(cosines, between)
+    position = left[crossing] / (left - right)[crossing]
+    crossing_cosines = (1.0 - position) * cosines[:-1][crossing] + position * cosines[1:][crossing]
+    nodes = np.union1d(cosines, crossing_cosines)
     excess = np.maximum(np.interp(nodes, cosines, above), 0.0)
-    excess[np.isin(nodes, between)] = 0.0
-    share = 2.0 * math.pi * np.trapezoid(excess, nodes)
-    return PhaseFunctionPeak(make_tabulated(nodes, excess, phase.max_polarization), float(share))
+    excess[np.isin(nodes, crossing_cosines)] = 0.0
+    fraction = 2.0 * math.pi * np.trapezoid(excess, nodes)
+    return PhaseFunctionPeak(make_tabulated(nodes, excess, phase.max_polarization), float(fraction))
 
 
 def _tabulate_peak(g: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return cosines and densities of Henyey & Greenstein, close where these exceed `PEAK_BASE_PER_SR`."""
+    """Return cosines and Henyey-Greenstein densities, dense above `PEAK_BASE_PER_SR`."""
     near = 1.0 - abs(g)
     highest = (1.0 + abs(g)) / (4.0 * math.pi * near**2)
     if highest <= PEAK_BASE_PER_SR:
         return np.array([-1.0, 1.0]), np.full(2, highest)
     # p = highest (1 + 2 |g| (1 − |µ|)/near²)^(−3/2), from the peak outwards.
     density = np.geomspace(highest, PEAK_BASE_PER_SR, N_PEAK_NODES)
-    away = near**2 * ((highest / density) ** (2.0 / 3.0) - 1.0) / (2.0 * abs(g))
-    cosines = np.append(-1.0, 1.0 - away[::-1])
+    one_minus_cosine = near**2 * ((highest / density) ** (2.0 / 3.0) - 1.0) / (2.0 * abs(g))
+    cosines = np.append(-1.0, 1.0 - one_minus_cosine[::-1])
     density = np.append(density[-1], density[::-1])
     return (cosines, density) if g > 0.0 else (-cosines[::-1], density[::-1])
 
 
 @inline_only
 def compute_wide_fraction(peak, phase, mu):
-    """Return what part of a phase function at a cosine its peak leaves."""
+    """Return the wide part of a phase function at a cosine as a fraction of the whole."""
     narrow = evaluate_phase_function(peak.phase, mu)
     return (
         1.0 if narrow == 0.0 else 1.0 - peak.fraction * narrow / evaluate_phase_function(phase, mu)

@@ -1,12 +1,12 @@
-"""Fresnel reflection and Snell refraction of unpolarised light at a plane interface.
+"""Fresnel reflection and Snell refraction of unpolarized light at a plane interface.
 
-The light arrives through a medium of real refractive index n1 and meets a medium of complex
-index n2 + i k2.  The far side may absorb, totally reflect, or both: one formula covers all of
-it (Born & Wolf 1999, Principles of Optics, 7th ed., sections 1.5.2-1.5.4 and 14.2; SPLITS section
-4.3.4).  Rays follow the planes of constant real phase, so the side of incidence, too, is taken by
-its real index: total reflection then stays total and no surface outshines a black body, which
-a complex tangential wave number would violate to first order in k1/n1.  Where k1/n1 is large, a
-coating or a grain lets hardly any light arrive from inside.
+Light arrives through a medium of real refractive index n1 at a medium of complex index n2 + i k2.
+Absorption and total reflection on the far side are covered by one formula (Born & Wolf 1999,
+Principles of Optics, 7th ed., sections 1.5.2-1.5.4 and 14.2; SPLITS section 4.3.4).  Rays follow
+the planes of constant real phase, so the side of incidence, too, enters with its real index.  Total
+reflection then stays total and no surface emits more than a black body, which a complex tangential
+wave number would violate to first order in k1/n1.  Where k1/n1 is large, hardly any light arrives
+from inside a coating or a grain.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from splits.kernels.math.vectors import linear_combination, normalize
 
 
 class NormalWave(NamedTuple):
-    """Normal component a + i b of the wave beyond an interface, as a and b²."""
+    """Normal component a + i b of the transmitted wave, as a and b²."""
 
     a: float
     b2: float
 
 
 class ReflectanceFraction(NamedTuple):
-    """A reflectance, its numerator and its denominator apart."""
+    """Numerator and denominator of a reflectance."""
 
     numerator: float
     denominator: float
 
 
 class FresnelResult(NamedTuple):
-    """What happens to light at an interface.
+    """Reflectance and refraction at an interface.
 
     Attributes
     ----------
     reflectance : float
-        Unpolarised Fresnel reflectance in [0, 1]; exactly 1 under total internal reflection and
+        Unpolarized Fresnel reflectance in [0, 1]; exactly 1 under total internal reflection and
         exactly 0 between equal media.
     sine_ratio : float
         Ratio by which the tangential component of the direction is scaled on refraction into
@@ -57,8 +57,8 @@ def normal_component(m, g, k, cos_i, absorbs):
     """Return a and b² of a + i b = (m + i k) cosθ_t, in units of the index of incidence.
 
     Born & Wolf 1999, Eqs 14.2.(8)-(12).  The real part of its square is cos²θ_i + m² − 1 − k²,
-    written with g = m − 1 so that nearly equal indices keep their digits; with ab = mk both parts
-    of the root come without cancellation.  Without absorption b is that of total reflection.
+    written with g = m − 1 to preserve the digits of nearly equal indices; with ab = mk both parts
+    of the root are free of cancellation.  Without absorption b is nonzero only in total reflection.
 
     Parameters
     ----------
@@ -87,12 +87,13 @@ def normal_component(m, g, k, cos_i, absorbs):
 
 @inline
 def unpolarized_reflectance(m, g, k, cos_i, sin2, wave):
-    """Return numerator and denominator of the unpolarised Fresnel reflectance.
+    """Return numerator and denominator of the unpolarized Fresnel reflectance.
 
     Born & Wolf 1999: R_s = |(cosθ_i − (a+ib)) / (cosθ_i + (a+ib))|² and R_p = R_s times
-    |(a+ib − sinθ_i tanθ_i) / (a+ib + sinθ_i tanθ_i)|²; unpolarised light sees the mean.  The
-    difference in R_s is |1 − (m+ik)²| / |cosθ_i + (a+ib)|, free of cancellation.  Kept apart, the
-    two can be compared with a random number without a division.
+    |(a+ib − sinθ_i tanθ_i) / (a+ib + sinθ_i tanθ_i)|²; the reflectance of unpolarized
+    light is their mean.  The difference in R_s is |1 − (m+ik)²| / |cosθ_i + (a+ib)|, free of
+    cancellation.  With separate numerator and denominator, a random number is compared without a
+    division.
 
     Parameters
     ----------
@@ -107,10 +108,10 @@ def unpolarized_reflectance(m, g, k, cos_i, sin2, wave):
     contrast = fma(g, g, k2) * fma(m + ONE, m + ONE, k2)
     plus = cos_i + a
     s_plus = fma(plus, plus, b2)
-    across = a * cos_i
+    a_cos = a * cos_i
     b2_cos2 = b2 * cos_i * cos_i
-    minus = across - sin2
-    plus = across + sin2
+    minus = a_cos - sin2
+    plus = a_cos + sin2
     p_minus = fma(minus, minus, b2_cos2)
     p_plus = fma(plus, plus, b2_cos2)
     return ReflectanceFraction(contrast * (p_minus + p_plus), s_plus * s_plus * (p_plus + p_plus))
@@ -118,14 +119,14 @@ def unpolarized_reflectance(m, g, k, cos_i, sin2, wave):
 
 @inline
 def fresnel(n1, n2, k2, cos_i):
-    """Return the `FresnelResult` through an interface.
+    """Return the `FresnelResult` of an interface.
 
     Parameters
     ----------
     n1 : float
         Real refractive index on the side of incidence.
     n2, k2 : float
-        Complex refractive index n2 + i k2 beyond.
+        Complex refractive index n2 + i k2 on the far side.
     cos_i : float
         Cosine of the angle of incidence, in (0, 1].
     """
@@ -138,14 +139,16 @@ def fresnel(n1, n2, k2, cos_i):
     wave = normal_component(m, g, k, cos_i, k != ZERO)
     if wave.a == ZERO:
         return FresnelResult(1.0, 0.0, 0.0)
-    share = unpolarized_reflectance(m, g, k, cos_i, sin2, wave)
+    reflectance = unpolarized_reflectance(m, g, k, cos_i, sin2, wave)
     ratio = rsqrt(fma(wave.a, wave.a, sin2))
-    return FresnelResult(min(share.numerator / share.denominator, 1.0), ratio, wave.a * ratio)
+    return FresnelResult(
+        min(reflectance.numerator / reflectance.denominator, 1.0), ratio, wave.a * ratio
+    )
 
 
 @inline
 def fresnel_between(n1, k1, n2, k2, cos_i):
-    """Return what `fresnel` returns; media of equal complex index have no interface at all."""
+    """Return the `FresnelResult` of two media; equal complex indices do not reflect."""
     if n1 == n2 and k1 == k2:
         return FresnelResult(0.0, 1.0, cos_i)
     return fresnel(n1, n2, k2, cos_i)

@@ -1,4 +1,4 @@
-"""Smooth faces between two media: a ray is mirrored or passes."""
+"""Reflection and refraction of rays at a smooth interface."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from splits.kernels.math.vectors import Vector, dot, reflect
 from splits.kernels.optics.fresnel import fresnel_between, refract
 
 MIN_COS_INCIDENCE = 1e-12
-"""Least cosine of incidence; there all light is reflected anyway."""
+"""Smallest cosine of incidence, at which all light is reflected."""
 
 
 class ComplexIndex(NamedTuple):
@@ -20,7 +20,7 @@ class ComplexIndex(NamedTuple):
 
 
 class InterfaceSample(NamedTuple):
-    """Whether a ray passed a face, and its direction after."""
+    """Whether a ray was transmitted, and its new direction."""
 
     transmitted: bool
     direction: Vector
@@ -28,27 +28,27 @@ class InterfaceSample(NamedTuple):
 
 @inline
 def sample_interface(d, normal, near, far, u):
-    """Return what becomes of a ray along d at a face.
+    """Sample reflection or refraction of a ray along d.
 
     Parameters
     ----------
     d, normal : Vector
         The normal is against d.
     near, far : ComplexIndex
-        On the side of incidence, and beyond.
+        On the side of incidence, and on the far side.
     u : float
         A uniform random number.
     """
     cos_i = min(max(-dot(d, normal), MIN_COS_INCIDENCE), 1.0)
-    passage = fresnel_between(near.n, near.k, far.n, far.k, cos_i)
-    if u < passage.reflectance:
+    result = fresnel_between(near.n, near.k, far.n, far.k, cos_i)
+    if u < result.reflectance:
         return InterfaceSample(False, reflect(d, normal))
-    if passage.sine_ratio == 1.0 and passage.cos_transmitted == cos_i:
+    if result.sine_ratio == 1.0 and result.cos_transmitted == cos_i:
         return InterfaceSample(True, d)
-    return InterfaceSample(True, refract(d, normal, cos_i, passage))
+    return InterfaceSample(True, refract(d, normal, cos_i, result))
 
 
 @inline
 def orient_horizontal_normal(d):
-    """Return the normal of a horizontal face on the side of a ray along d."""
+    """Return the normal of a horizontal interface that points against a ray along d."""
     return Vector(0.0, 0.0, -1.0 if d.z > 0.0 else 1.0)

@@ -1,17 +1,17 @@
-"""Scattering by single particles: how far it turns light and how much it polarises it.
+"""Phase functions and polarization of single scattering by small particles.
 
-The phase function p(µ), µ = cosΘ the cosine of the angle of scattering, is a density over
-directions: 2π ∫ p dµ = 1.  The scattering matrix of the normalised Stokes vector with the plane of
-scattering as reference (`stokes.py`) is Rayleigh's, with a weaker polarization:
+The phase function p(µ), µ = cosΘ the cosine of the scattering angle, is a density over directions:
+2π ∫ p dµ = 1.  The scattering matrix of the normalized Stokes vector, with the scattering plane as
+reference (`stokes.py`), is that of Rayleigh with a weaker polarization:
 
     m12/m11 = m21/m11 = −P (1 − µ²)/(1 + µ²)        m22/m11 = 1
     m33/m11 = m44/m11 = 2µ/(1 + µ²)                  m34 = m43 = 0
 
-P = 1 with Rayleigh's phase function is Rayleigh scattering.  On any other phase function the
+P = 1 with Rayleigh's phase function is Rayleigh scattering.  With any other phase function the
 elements are a model and not a solution of Maxwell's equations: they give particles a Rayleigh-like
-polarization as was measured in sea water (Voss & Fry 1984, Appl. Opt. 23, 4427), without what
-particles that are not spheres do to m22.  A matrix of this form turns every Stokes vector into a
-possible one if m12² + m33² ≤ m11², that is P² (1 − µ²)² + 4µ² ≤ (1 + µ²)²: true for P ≤ 1.
+polarization as measured in sea water (Voss & Fry 1984, Appl.  Opt. 23, 4427), without the effect of
+nonspherical particles on m22.  A matrix of this form maps every physical Stokes vector to a
+physical one if m12² + m33² ≤ m11², that is P² (1 − µ²)² + 4µ² ≤ (1 + µ²)², which holds for P ≤ 1.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _THIRD = 1.0 / 3.0
 
 
 class PhaseFunction(NamedTuple):
-    """Phase function and polarization of light scattered once.
+    """Phase function and polarization of single scattering.
 
     Attributes
     ----------
@@ -44,10 +44,10 @@ class PhaseFunction(NamedTuple):
     g : float
         Mean cosine; the parameter of Henyey and Greenstein, in (−1, 1).
     max_polarization : float
-        P in [0, 1]: the degree of linear polarization of unpolarised light scattered by 90
-        degrees, the largest there is.
+        P in [0, 1]: the degree of linear polarization of unpolarized light scattered by 90
+        degrees, the maximum over angles.
     cosines : float64[m]
-        Of a table, rising from −1 to 1; unused otherwise.
+        Nodes of a table, rising from −1 to 1; unused otherwise.
     density : float64[m]
         Phase function at the cosines (1/sr), linear in µ between them.
     cdf : float64[m]
@@ -63,7 +63,7 @@ class PhaseFunction(NamedTuple):
 
 
 class PolarizationRatios(NamedTuple):
-    """m12/m11 and m33/m11 = m44/m11 (see the module)."""
+    """Ratios m12/m11 and m33/m11 = m44/m11 of the scattering matrix, see the module."""
 
     m12: float
     m33: float
@@ -71,8 +71,10 @@ class PolarizationRatios(NamedTuple):
 
 def _make_analytic(kind: int, g: float, max_polarization: float) -> PhaseFunction:
     ends = np.array([-1.0, 1.0])
-    even = np.full(2, _ISOTROPIC_PER_SR)
-    return PhaseFunction(kind, float(g), float(max_polarization), ends, even, np.array([0.0, 1.0]))
+    isotropic = np.full(2, _ISOTROPIC_PER_SR)
+    return PhaseFunction(
+        kind, float(g), float(max_polarization), ends, isotropic, np.array([0.0, 1.0])
+    )
 
 
 def make_henyey_greenstein(g: float, max_polarization: float = 0.0) -> PhaseFunction:
@@ -91,9 +93,9 @@ def make_tabulated(cosines: Any, values: Any, max_polarization: float = 0.0) -> 
     Parameters
     ----------
     cosines : array_like
-        Different numbers, in any order, both −1 and 1 among them.
+        Distinct numbers, in any order, including −1 and 1.
     values : array_like
-        Phase function there, not negative, in any unit: it is normalised.
+        Phase function there, nonnegative, in any unit: it is normalized.
     max_polarization : float, optional
         See `PhaseFunction`.
     """
@@ -103,7 +105,7 @@ def make_tabulated(cosines: Any, values: Any, max_polarization: float = 0.0) -> 
     low, high, width = mu[:-1], mu[1:], np.diff(mu)
     cumulative = np.append(0.0, np.cumsum(0.5 * width * (y[:-1] + y[1:])))
     total = cumulative[-1]
-    # ∫ µ y dµ over a cell, exact for y linear in µ.
+    # ∫ µ y dµ over an interval, exact for y linear in µ.
     moments = width * ((2.0 * low + high) * y[:-1] + (low + 2.0 * high) * y[1:]) / 6.0
     g = float(moments.sum() / total)
     density = y / (2.0 * math.pi * total)
@@ -112,7 +114,7 @@ def make_tabulated(cosines: Any, values: Any, max_polarization: float = 0.0) -> 
 
 @inline
 def _find_interval(nodes, x):
-    """Return the last i short of the last node with nodes[i] ≤ x, or 0."""
+    """Return the index i of the interval of nodes that contains x, nodes[i] ≤ x, or 0."""
     low = 0
     high = nodes.size - 1
     while high - low > 1:
@@ -126,11 +128,11 @@ def _find_interval(nodes, x):
 
 @inline
 def henyey_greenstein_quantile(g, u):
-    """Return the cosine that the phase function of Henyey & Greenstein exceeds with 1 − u.
+    """Return the quantile u of the cosine of Henyey & Greenstein.
 
     With t = 2u − 1, µ = [t + g (3 + t²)/2 + g² t + g³ (t² − 1)/2]/(1 + g t)², which is Witt 1977
-    (Astrophys. J. Suppl. 35, 1) with g divided out.  Written for 1 − µ, sums of positive terms
-    are left: no digit is lost at g = 0 or near ±1.
+    (Astrophys.  J.  Suppl. 35, 1) with g divided out.  Written for 1 − µ, the sums have positive
+    terms only: no digit is lost at g = 0 or near ±1.
     """
     v = 1.0 - u
     a = (1.0 - g) * v
@@ -141,7 +143,7 @@ def henyey_greenstein_quantile(g, u):
 
 @inline
 def rayleigh_quantile(u):
-    """Return the cosine that Rayleigh's phase function exceeds with probability 1 − u.
+    """Return the quantile u of the cosine of Rayleigh's phase function.
 
     µ³ + 3µ = 8u − 4 by Cardano, from the larger of the two cube roots, whose product is 1.
     """
@@ -152,10 +154,10 @@ def rayleigh_quantile(u):
 
 @inline
 def table_quantile(cosines, density, cdf, u):
-    """Return the cosine that a tabulated phase function exceeds with probability 1 − u.
+    """Return the quantile u of the cosine of a tabulated phase function.
 
-    A share v of a cell's probability lies within the share s of its width, v (y₀ + y₁) = 2 y₀ s +
-    (y₁ − y₀) s²; the root in [0, 1] is written without differences.
+    A fraction v of the probability of an interval lies within the fraction s of its width,
+    v (y₀ + y₁) = 2 y₀ s + (y₁ − y₀) s²; the root in [0, 1] is written without differences.
     """
     i = _find_interval(cdf, u)
     v = (u - cdf[i]) / (cdf[i + 1] - cdf[i])
@@ -167,7 +169,7 @@ def table_quantile(cosines, density, cdf, u):
 
 @inline
 def sample_scattering_cosine(state, phase):
-    """Draw the cosine of the angle of scattering."""
+    """Sample the cosine of the scattering angle."""
     u = uniform(state)
     if phase.kind == HENYEY_GREENSTEIN:
         return henyey_greenstein_quantile(phase.g, u)
@@ -181,7 +183,7 @@ def evaluate_phase_function(phase, mu):
     """Return the phase function at a cosine in [−1, 1], per steradian."""
     if phase.kind == HENYEY_GREENSTEIN:
         g = phase.g
-        # 1 + g² − 2gµ as a sum of positive terms, whatever the sign of g.
+        # 1 + g² − 2gµ as a sum of positive terms for either sign of g.
         near = 1.0 - abs(g)
         square = near * near + 2.0 * abs(g) * (1.0 - math.copysign(1.0, g) * mu)
         return _ISOTROPIC_PER_SR * (1.0 - g) * (1.0 + g) / (square * math.sqrt(square))
@@ -204,7 +206,7 @@ def evaluate_polarization_ratios(phase, mu):
 
 @inline
 def sample_phase_function(state, phase, d):
-    """Return the direction into which unpolarised light along d is scattered."""
+    """Sample the direction into which unpolarized light along d is scattered."""
     mu = sample_scattering_cosine(state, phase)
     c, s = sample_azimuth(state)
     return rotate_around(d, Angle(mu, math.sqrt((1.0 - mu) * (1.0 + mu))), Angle(c, s))

@@ -1,6 +1,6 @@
-"""Polarised light at smooth faces, see `splits.kernels.optics.stokes`.
+"""Reflection and refraction of polarized light at a smooth interface.
 
-The plane of incidence becomes the reference of both beams.
+The plane of incidence is the reference plane of all beams, see `splits.kernels.optics.stokes`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from splits.kernels.optics.stokes import compute_azimuth, normalize_stokes, rota
 
 
 class ReflectionMueller(NamedTuple):
-    """R₊, R₋, and a + ib = r_p r_s*, see `compute_fresnel_mueller`."""
+    """Elements R₊, R₋ and a + ib = r_p r_s* of reflection, see `compute_fresnel_mueller`."""
 
     plus: float
     minus: float
@@ -25,7 +25,7 @@ class ReflectionMueller(NamedTuple):
 
 
 class TransmissionMueller(NamedTuple):
-    """T₊, T₋ and √(T_s T_p), see `compute_fresnel_mueller`."""
+    """Elements T₊, T₋ and √(T_s T_p) of refraction, see `compute_fresnel_mueller`."""
 
     plus: float
     minus: float
@@ -33,7 +33,7 @@ class TransmissionMueller(NamedTuple):
 
 
 class InterfaceMueller(NamedTuple):
-    """What an interface makes of polarised light."""
+    """Mueller matrices of an interface, and its unpolarized `FresnelResult`."""
 
     reflection: ReflectionMueller
     transmission: TransmissionMueller
@@ -41,7 +41,7 @@ class InterfaceMueller(NamedTuple):
 
 
 class IncidentLight(NamedTuple):
-    """Light as it meets a face.
+    """Light incident on an interface, with the plane of incidence as reference.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class IncidentLight(NamedTuple):
     plane_normal : Vector
         Normal of the plane of incidence.
     q, u, v : float
-        For a reference in that plane.
+        Q, U, V over I.
     """
 
     cos_incidence: float
@@ -61,7 +61,7 @@ class IncidentLight(NamedTuple):
 
 
 class ReflectedLight(NamedTuple):
-    """Share of light that is reflected; direction and `Stokes`, or None, after."""
+    """Reflectance, and direction and `Stokes` (or None) of the reflected light."""
 
     reflectance: float
     direction: Vector
@@ -69,7 +69,7 @@ class ReflectedLight(NamedTuple):
 
 
 class PolarizedInterfaceSample(NamedTuple):
-    """Whether a ray passed a face; its direction and `Stokes`, or None, after."""
+    """Whether a ray was transmitted, and its new direction and `Stokes` (or None)."""
 
     transmitted: bool
     direction: Vector
@@ -81,32 +81,32 @@ def compute_fresnel_mueller(n1, n2, cos_i):
     """Return the Mueller matrices of an interface between media of real refractive index.
 
     Born & Wolf 1999, section 1.5, with the plane of incidence as reference of all three beams.
-    Reflection takes (I, Q, U, V) to
+    Reflection maps (I, Q, U, V) to
 
         R₊ I + R₋ Q,  R₋ I + R₊ Q,  a U + b V,  a V − b U,   a + ib = r_p r_s*,
 
-    and refraction, in energy that crosses the surface, to T₊ I + T₋ Q, T₋ I + T₊ Q, T U, T V with
-    T = √(T_s T_p).  Plus and minus stand for (R_p ± R_s)/2; r_p = −r_s at normal incidence, where
-    the reference turns back with the light.  In units of n₁, with w = (n₂/n₁) cosθ_t, i√ beyond the
-    critical angle, and c and σ for cosine and sine of the angle of incidence,
+    and refraction, in energy flux through the interface, to T₊ I + T₋ Q, T₋ I + T₊ Q, T U, T V with
+    T = √(T_s T_p).  Plus and minus denote (R_p ± R_s)/2; r_p = −r_s at normal incidence, where
+    the reference reverses with the light.  In units of n₁, with w = (n₂/n₁) cosθ_t, imaginary above
+    the critical angle, and c and σ for cosine and sine of the angle of incidence,
 
         r_s = (c − w)/(c + w) = (1 − n²)/(c + w)²,   r_p = r_s h,   h = (σ² − wc)/(σ² + wc),
 
     where n = n₂/n₁; at total reflection r_p r_s* = h = e^(−iδ), tan(δ/2) = c √(σ² − n²)/σ² (their
-    section 1.5.4).  R₋, T₊ and T₋ are multiplied out: nothing cancels next to normal incidence, at
-    grazing incidence or between nearly equal media.
+    section 1.5.4).  R₋, T₊ and T₋ are expanded: nothing cancels near normal incidence, at grazing
+    incidence or between nearly equal media.
 
     Parameters
     ----------
     n1, n2 : float
-        On the side of incidence and beyond.
+        On the side of incidence and on the far side.
     cos_i : float
         Cosine of the angle of incidence, in [0, 1].
 
     Returns
     -------
-    Face
-        R₊ and the passage are those of `fresnel.interface`; R₋ ≤ 0, T₊ = 1 − R₊, T₋ = −R₋.
+    InterfaceMueller
+        R₊ and the `FresnelResult` agree with `fresnel.fresnel`; R₋ ≤ 0, T₊ = 1 − R₊, T₋ = −R₋.
     """
     m = n2 / n1
     if m == 1.0:
@@ -121,9 +121,11 @@ def compute_fresnel_mueller(n1, n2, cos_i):
     if a == 0.0:
         wc = math.sqrt(b2) * cos_i
         per = 1.0 / (sin2 * sin2 + wc * wc)
-        back = ReflectionMueller(1.0, 0.0, (sin2 - wc) * (sin2 + wc) * per, -2.0 * sin2 * wc * per)
+        reflection = ReflectionMueller(
+            1.0, 0.0, (sin2 - wc) * (sin2 + wc) * per, -2.0 * sin2 * wc * per
+        )
         return InterfaceMueller(
-            back, TransmissionMueller(0.0, 0.0, 0.0), FresnelResult(1.0, 0.0, 0.0)
+            reflection, TransmissionMueller(0.0, 0.0, 0.0), FresnelResult(1.0, 0.0, 0.0)
         )
     wc = a * cos_i
     per_s = 1.0 / (cos_i + a)
@@ -145,36 +147,39 @@ def compute_fresnel_mueller(n1, n2, cos_i):
 
 @inline_only
 def rotate_to_plane_of_incidence(d, stokes, normal):
-    """Return the `IncidentLight` of light along d; straight onto a face, its plane is that of e."""
+    """Return the `IncidentLight` of light along d.
+
+    At normal incidence the plane of incidence is that of d and e.
+    """
     f = cross(d, stokes.e)
-    at = compute_azimuth(normal, stokes.e, f)
-    light = rotate_reference(stokes.q, stokes.u, at.cos, at.sin)
+    azimuth = compute_azimuth(normal, stokes.e, f)
+    light = rotate_reference(stokes.q, stokes.u, azimuth.cos, azimuth.sin)
     cos_i = min(max(-dot(d, normal), 0.0), 1.0)
-    across = linear_combination(at.cos, f, -at.sin, stokes.e)
-    return IncidentLight(cos_i, across, light.q, light.u, stokes.v)
+    plane_normal = linear_combination(azimuth.cos, f, -azimuth.sin, stokes.e)
+    return IncidentLight(cos_i, plane_normal, light.q, light.u, stokes.v)
 
 
 @inline_only
 def _reflect_light(d, normal, incident, mueller):
-    """Return what becomes of light, an `IncidentLight`, that a face reflects."""
+    """Return the `ReflectedLight` of an `IncidentLight`."""
     plus, minus, real, imaginary = mueller.reflection
-    _, across, q, u, v = incident
-    share = plus + minus * q
+    _, plane_normal, q, u, v = incident
+    reflectance = plus + minus * q
     d = normalize(reflect(d, normal))
-    e = normalize(cross(across, d))
+    e = normalize(cross(plane_normal, d))
     stokes = normalize_stokes(
-        e, share, minus + plus * q, real * u + imaginary * v, real * v - imaginary * u
+        e, reflectance, minus + plus * q, real * u + imaginary * v, real * v - imaginary * u
     )
-    return ReflectedLight(share, d, stokes)
+    return ReflectedLight(reflectance, d, stokes)
 
 
 @inline_only
 def _refract_light(d, normal, incident, mueller):
-    """Return what becomes of light, an `IncidentLight`, that passes a face."""
+    """Return the transmitted `PolarizedInterfaceSample` of an `IncidentLight`."""
     plus, minus, root = mueller.transmission
-    cos_i, across, q, u, v = incident
+    cos_i, plane_normal, q, u, v = incident
     d = refract(d, normal, cos_i, mueller.fresnel_result)
-    e = normalize(cross(across, d))
+    e = normalize(cross(plane_normal, d))
     return PolarizedInterfaceSample(
         True, d, normalize_stokes(e, plus + minus * q, minus + plus * q, root * u, root * v)
     )
@@ -182,7 +187,7 @@ def _refract_light(d, normal, incident, mueller):
 
 @inline
 def reflect_polarized(d, stokes, normal, n1, n2):
-    """Return the share of light that a smooth interface reflects, and what it becomes.
+    """Return the reflectance of a smooth interface, and the reflected light.
 
     Parameters
     ----------
@@ -190,13 +195,13 @@ def reflect_polarized(d, stokes, normal, n1, n2):
         Direction of travel.
     stokes : Stokes
     normal : Vector
-        Of the interface against the light, d·n ≤ 0.
+        Normal of the interface against the light, d·n ≤ 0.
     n1, n2 : float
-        Real refractive indices on the side of incidence and beyond.
+        Real refractive indices on the side of incidence and on the far side.
 
     Returns
     -------
-    Reflected
+    ReflectedLight
         The reference is in the plane of incidence.
     """
     light = rotate_to_plane_of_incidence(d, stokes, normal)
@@ -205,19 +210,19 @@ def reflect_polarized(d, stokes, normal, n1, n2):
 
 @inline
 def sample_polarized_interface(state, d, stokes, normal, n1, n2):
-    """Reflect light at a smooth interface with the probability R₊ + R₋ q, or refract it.
+    """Sample reflection, with the probability R₊ + R₋ q, or refraction at a smooth interface.
 
     Parameters are those of `reflect_polarized`.
 
     Returns
     -------
-    Meeting
+    PolarizedInterfaceSample
         The reference is in the plane of incidence.
     """
     light = rotate_to_plane_of_incidence(d, stokes, normal)
-    face = compute_fresnel_mueller(n1, n2, light.cos_incidence)
-    back = face.reflection
-    if uniform(state) >= back.plus + back.minus * light.q:
-        return _refract_light(d, normal, light, face)
-    mirrored_light = _reflect_light(d, normal, light, face)
-    return PolarizedInterfaceSample(False, mirrored_light.direction, mirrored_light.stokes)
+    mueller = compute_fresnel_mueller(n1, n2, light.cos_incidence)
+    reflection = mueller.reflection
+    if uniform(state) >= reflection.plus + reflection.minus * light.q:
+        return _refract_light(d, normal, light, mueller)
+    reflected = _reflect_light(d, normal, light, mueller)
+    return PolarizedInterfaceSample(False, reflected.direction, reflected.stokes)

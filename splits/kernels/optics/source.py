@@ -1,4 +1,4 @@
-"""Light: where rays come from.  Media know nothing of it."""
+"""Light sources: a collimated beam and diffuse light from above."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from splits.kernels.math.vectors import Vector
 
 
 class Source(NamedTuple):
-    """A beam, equal radiance from the whole hemisphere above, or a mixture of both.
+    """Collimated beam, isotropic radiance from the upper hemisphere, or a mixture of both.
 
     Attributes
     ----------
     cos_incidence : float
         Cosine of the beam's angle of incidence, in (0, 1].
     diffuse_fraction : float
-        Share of the incident flux that comes from everywhere with equal radiance, 0 to 1.
+        Fraction of the incident flux that is diffuse, with isotropic radiance, 0 to 1.
     """
 
     cos_incidence: float
@@ -26,16 +26,16 @@ class Source(NamedTuple):
 
 @inline
 def sample_source_direction(source, u):
-    """Return the direction in which a ray comes from above.
+    """Sample the direction of an incident ray, from above.
 
     Parameters
     ----------
     source : Source
     u : float
-        A uniform random number; not looked at where there is a beam only.
+        A uniform random number; unused for a beam alone.
     """
     mu = source.cos_incidence
     if u < source.diffuse_fraction:
-        # Lambert's law; what is left of u once it has chosen is uniform again.
+        # Lambert's law; conditional on the choice, u / diffuse_fraction is uniform again.
         mu = sqrt(u / source.diffuse_fraction)
     return Vector(sqrt(max((1.0 - mu) * (1.0 + mu), 0.0)), 0.0, -mu)

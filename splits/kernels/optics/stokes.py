@@ -1,17 +1,17 @@
-"""Polarised light: Stokes vectors, and what scattering makes of them.
+"""Polarized light: Stokes vectors and their scattering.
 
 Light that travels along d has a reference e, a unit vector perpendicular to d; f = d × e completes
-the right-handed frame (e, f, d).  With the complex amplitudes of a field that goes as e^(−iωt),
+the right-handed frame (e, f, d).  With the complex amplitudes of a field proportional to e^(−iωt),
 
     I = |E_e|² + |E_f|²    Q = |E_e|² − |E_f|²    U = 2 Re(E_e* E_f)    V = 2 Im(E_e* E_f).
 
-Q > 0 is polarised along e; U > 0 at +45° from e towards f, anticlockwise for whom the light
-reaches; V > 0 where the field at a fixed point turns from e towards f, anticlockwise again (the
-traditional left-handed light, of positive helicity).  Kernels carry q, u, v = Q/I, U/I, V/I and no
-weight: what Stokes vectors do to probabilities is in what is drawn.
+Q > 0 is polarized along e; U > 0 at +45° from e towards f, anticlockwise for an observer who
+receives the light; V > 0 where the field at a fixed point rotates from e towards f, anticlockwise
+again (the traditional left-handed light, of positive helicity).  Kernels carry q, u, v = Q/I, U/I,
+V/I and no weight: polarization changes the sampling probabilities instead.
 
 The plane of scattering or incidence becomes the reference: e' lies in it, so that q' > 0 is
-parallel to the plane and q' < 0 perpendicular; the frames of all beams share f' on its normal.
+parallel to the plane and q' < 0 perpendicular; f' is normal to the plane for all beams.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from splits.kernels.optics.phase_function import (
 class Stokes(NamedTuple):
     """Polarization of a ray: the reference e, and Q, U and V over I.
 
-    Rays of which nobody asks it carry None in its place, and all that follows it is compiled away.
+    `None` in its place disables polarization at compile time.
     """
 
     e: Vector
@@ -50,18 +50,18 @@ class Stokes(NamedTuple):
 
 
 UNPOLARIZED = Stokes(Vector(1.0, 0.0, 0.0), 0.0, 0.0, 0.0)
-"""Unpolarised light; what its reference is does not matter."""
+"""Unpolarized light, with an arbitrary reference."""
 
 
 class LinearPolarization(NamedTuple):
-    """Q and U over I, for a reference that is known elsewhere."""
+    """Q and U over I, for a reference defined elsewhere."""
 
     q: float
     u: float
 
 
 class Azimuth(NamedTuple):
-    """An angle from e towards f by its cosine and sine, and the sine of the polar angle from d."""
+    """Cosine and sine of the azimuth from e towards f, and the sine of the polar angle from d."""
 
     cos: float
     sin: float
@@ -69,14 +69,14 @@ class Azimuth(NamedTuple):
 
 
 class DirectionSample(NamedTuple):
-    """Direction and polarization of a ray, a `Stokes` or None, after an encounter."""
+    """Direction and polarization (a `Stokes` or None) of a ray after scattering."""
 
     direction: Vector
     stokes: Any
 
 
 class ScatteredDensity(NamedTuple):
-    """Density with which light is sent into a direction (1/sr), and its polarization there."""
+    """Density of light scattered into a direction (1/sr), and its polarization."""
 
     density: float
     stokes: Stokes
@@ -84,13 +84,13 @@ class ScatteredDensity(NamedTuple):
 
 @inline_only
 def make_unpolarized(d, stokes):
-    """Return q = u = v = 0 for light along d, with any reference.
+    """Return the `Stokes` of unpolarized light along d, with an arbitrary reference.
 
     Parameters
     ----------
     d : Vector
     stokes : Stokes or None
-        None comes back, of rays that carry no polarization.
+        None, for rays without polarization, is returned as it is.
     """
     if stokes is None:
         return stokes
@@ -99,7 +99,7 @@ def make_unpolarized(d, stokes):
 
 @inline_only
 def rotate_reference(q, u, c, s):
-    """Return q and u for a reference along c e + s f, of any length but zero."""
+    """Return q and u for a reference along c e + s f, of any nonzero length."""
     per = 1.0 / (c * c + s * s)
     cos2 = (c - s) * (c + s) * per
     sin2 = 2.0 * c * s * per
@@ -108,7 +108,7 @@ def rotate_reference(q, u, c, s):
 
 @inline
 def rotate_reference_to(stokes, d, t):
-    """Return q and u when the reference changes from e to t.
+    """Return q and u for the reference t in place of e.
 
     Q' = Q cos2ψ + U sin2ψ and U' = −Q sin2ψ + U cos2ψ with cosψ = e·t and sinψ = (e × t)·d.
 
@@ -116,17 +116,17 @@ def rotate_reference_to(stokes, d, t):
     ----------
     stokes : Stokes
     d, t : Vector
-        Direction of travel and new reference; what counts of the latter is its part perpendicular
-        to d, whatever its length.
+        Direction of travel and new reference; only the part of t perpendicular to d counts, of any
+        length.
     """
     return rotate_reference(stokes.q, stokes.u, dot(stokes.e, t), dot(cross(stokes.e, t), d))
 
 
 @inline_only
 def compute_azimuth(t, e, f):
-    """Return the `Azimuth` of t in the frame (e, f, d); where t is along ±d, that of e.
+    """Return the `Azimuth` of t in the frame (e, f, d), or that of e if t is along ±d.
 
-    Cosine and sine keep t in the plane of d even where rounding decides which plane that is.
+    Cosine and sine keep t in a plane through d even where rounding determines that plane.
     """
     c = dot(t, e)
     s = dot(t, f)
@@ -139,17 +139,16 @@ def compute_azimuth(t, e, f):
 
 @inline_only
 def normalize_stokes(e, i, q, u, v):
-    """Return the `Stokes` of I, Q, U and V; rounding polarises no light beyond completely."""
+    """Return the `Stokes` of I, Q, U and V, with a degree of polarization of at most 1."""
     per = 1.0 / max(max(i, math.sqrt(q * q + u * u + v * v)), TINY)
     return Stokes(e, q * per, u * per, v * per)
 
 
 @inline_only
 def _transport_reference(mu, sine, t, d, a):
-    """Return t turned along with d into the new direction a = µ d + sinΘ t, at right angles to it.
+    """Return t rotated with d into the new direction a = µ d + sinΘ t, perpendicular to it.
 
-    References are made from references: without the projection errors would grow from one
-    scattering to the next.
+    The projection keeps rounding errors of successive references from growing.
     """
     e = linear_combination(mu, t, -sine, d)
     return normalize(add_scaled(-dot(e, a), a, e))
@@ -157,11 +156,11 @@ def _transport_reference(mu, sine, t, d, a):
 
 @inline
 def scatter_polarized(state, phase, d, stokes):
-    """Scatter light into a direction drawn from the density of `evaluate_polarized_scattering`.
+    """Sample the direction of scattered light from `evaluate_polarized_scattering`.
 
-    The cosine comes from the phase function, to which the density integrates over azimuths φ from
-    e towards f; the azimuth from 1 + (m12/m11)(q cos2φ + u sin2φ) by rejection, which keeps at
-    least half of the draws.
+    The cosine is sampled from the phase function, the integral of the density over azimuths φ from
+    e towards f.  The azimuth is sampled from 1 + (m12/m11)(q cos2φ + u sin2φ) by rejection, which
+    accepts at least half of the samples.
 
     Parameters
     ----------
@@ -173,7 +172,7 @@ def scatter_polarized(state, phase, d, stokes):
 
     Returns
     -------
-    Scattered
+    DirectionSample
         Its reference is in the plane of scattering.
     """
     mu = sample_scattering_cosine(state, phase)
@@ -181,51 +180,53 @@ def scatter_polarized(state, phase, d, stokes):
     highest = 1.0 + abs(ratios.m12) * math.sqrt(stokes.q * stokes.q + stokes.u * stokes.u)
     while True:
         c, s = sample_azimuth(state)
-        light = rotate_reference(stokes.q, stokes.u, c, s)
-        if uniform(state) * highest <= 1.0 + ratios.m12 * light.q:
+        linear = rotate_reference(stokes.q, stokes.u, c, s)
+        if uniform(state) * highest <= 1.0 + ratios.m12 * linear.q:
             break
     sine = math.sqrt((1.0 - mu) * (1.0 + mu))
     t = linear_combination(c, stokes.e, s, cross(d, stokes.e))
     a = normalize(linear_combination(mu, d, sine, t))
     e = _transport_reference(mu, sine, t, d, a)
-    part = 1.0 + ratios.m12 * light.q
-    return DirectionSample(a, _compute_scattered_stokes(e, part, light, stokes.v, ratios))
+    relative_intensity = 1.0 + ratios.m12 * linear.q
+    return DirectionSample(
+        a, _compute_scattered_stokes(e, relative_intensity, linear, stokes.v, ratios)
+    )
 
 
 @inline_only
 def _compute_scattered_stokes(e, intensity, linear, v, ratios):
-    """Return the polarization of scattered light, of which `inline_only` is I over the phase function."""
+    """Return the polarization of scattered light of intensity I over the phase function."""
     m12, m33 = ratios
     return normalize_stokes(e, intensity, m12 + linear.q, m33 * linear.u, m33 * v)
 
 
 @inline
 def evaluate_polarized_scattering(phase, d, stokes, t):
-    """Return how much light is scattered towards a given direction, and how polarised it is.
+    """Return the density and polarization of light scattered into a given direction.
 
     Parameters
     ----------
     phase, d, stokes
         See `scatter_polarized`.
     t : Vector
-        Unit vector; along ±d, where every plane is one of scattering, that of e is taken.
+        Unit vector.  Along ±d the scattering plane is undefined, and that of d and e is taken.
 
     Returns
     -------
-    Estimate
-        The density has integral 1: phase function times 1 + (m12/m11) q in the plane of scattering,
-        where the reference is.  No light has q = u = v = 0.
+    ScatteredDensity
+        The density integrates to 1: phase function times 1 + (m12/m11) q for the scattering plane,
+        which is the reference.  For a density of 0, q = u = v = 0.
     """
     f = cross(d, stokes.e)
-    at = compute_azimuth(t, stokes.e, f)
+    azimuth = compute_azimuth(t, stokes.e, f)
     mu = min(max(dot(d, t), -1.0), 1.0)
     ratios = evaluate_polarization_ratios(phase, mu)
-    light = rotate_reference(stokes.q, stokes.u, at.cos, at.sin)
-    part = max(1.0 + ratios.m12 * light.q, 0.0)
+    linear = rotate_reference(stokes.q, stokes.u, azimuth.cos, azimuth.sin)
+    relative_intensity = max(1.0 + ratios.m12 * linear.q, 0.0)
     e = _transport_reference(
-        mu, at.sin_polar, linear_combination(at.cos, stokes.e, at.sin, f), d, t
+        mu, azimuth.sin_polar, linear_combination(azimuth.cos, stokes.e, azimuth.sin, f), d, t
     )
     return ScatteredDensity(
-        evaluate_phase_function(phase, mu) * part,
-        _compute_scattered_stokes(e, part, light, stokes.v, ratios),
+        evaluate_phase_function(phase, mu) * relative_intensity,
+        _compute_scattered_stokes(e, relative_intensity, linear, stokes.v, ratios),
     )

@@ -1,1 +1,1 @@
-"""Layers of small particles, under smooth and rough surfaces, and what detectors are told."""
+"""Layers of small particles under smooth or rough surfaces, with next-event estimation."""

@@ -1,9 +1,11 @@
-"""Local estimation: every scattering tells detectors what it sends them (Budak & Grimailo Eqs 4-5).
+"""Next-event (local) estimation: every scattering contributes to the detectors.
 
-Detectors stand at infinity, in given directions above and below a layer with smooth faces.  A
-scattering at depth sends towards each the density of its phase function (Eq 5), the bottom a cosine
-over π (Eq 4), weakened on the way through the layer and at its face; refraction spreads a solid
-angle.  Under two smooth faces light also arrives after any number of reflections between them.
+The method is that of Budak & Grimailo 2020, Eqs 4-5.  Detectors are at infinity, in given
+directions above and below a layer with smooth boundaries.  A scattering at depth contributes the
+density of its phase function towards each detector (Eq 5), and a reflection at the bottom a cosine
+over π (Eq 4), attenuated by the layer and transmitted through its boundary, where refraction
+changes the solid angle.  Between two smooth boundaries, light after any number of reflections
+contributes, too.
 """
 
 from __future__ import annotations
@@ -24,34 +26,34 @@ from splits.kernels.particle_layer.peak_next_event import (
 )
 
 _I, _Q, _U, _V = range(4)
-"""Columns of what detectors hear."""
+"""Columns of the Stokes parameters of detectors."""
 ABOVE, BELOW = range(2)
-"""Sides on which they hear it."""
+"""Sides of the layer with detectors."""
 
 
 class Detectors(NamedTuple):
-    """Directions in which light is heard, and what it goes through to get there.
+    """Directions of detectors, with the transmission and reflection of the boundary on the way.
 
     Attributes
     ----------
     direction : float64[detectors, 3]
         Unit directions within the layer, upwards.
     plane : float64[detectors, 2]
-        Horizontal unit vector that, with the normal, spans the plane that Q refers to.
+        Horizontal unit vector that, with the normal, spans the reference plane of Q.
     transmission : float64[detectors, 3]
-        Of the face, a `TransmissionMueller`: transmittance times the ratio of solid angles
-        inside and outside, over the outer cosine.
+        `TransmissionMueller` of the boundary: transmittance times the ratio of solid angles inside
+        and outside, divided by the outer cosine.
     reflection : float64[detectors, 4]
-        Of the face, from inside, a `ReflectionMueller`.
+        `ReflectionMueller` of the boundary, from inside.
     has_lower_side : bool
-        Whether light is heard below, too.
+        Whether there are detectors below the layer, too.
     sums : float64[2, detectors, 4]
-        I, Q, U, V heard `ABOVE` and `BELOW` (1/sr), Q along the plane of the normal; advanced in
-        place.
+        Scores of I, Q, U, V `ABOVE` and `BELOW` (1/sr), Q along the plane of the normal; advanced
+        in place.
     peak : PhaseFunctionPeak or None
-        Of the phase function, None where it has none.
+        Peak of the phase function, None if it has none.
     peak_directions : float64[orders, 3]
-        Room for `last_scattering.sample_directions`.
+        Buffer of `peak_next_event.sample_peak_directions`.
     """
 
     direction: np.ndarray
@@ -65,7 +67,10 @@ class Detectors(NamedTuple):
 
 
 class Detector(NamedTuple):
-    """One of the detectors, see `Detectors`; `layer_transmittance` is what the whole layer lets through."""
+    """One of the detectors, see `Detectors`.
+
+    `layer_transmittance` is the direct transmittance of the whole layer in its direction.
+    """
 
     direction: Vector
     plane: Vector
@@ -80,20 +85,22 @@ def load_detector(detectors, layer, k):
     x, y, z = detectors.direction[k]
     along, across = detectors.plane[k]
     plus, minus, root = detectors.transmission[k]
-    passing = TransmissionMueller(plus, minus, root)
+    transmission = TransmissionMueller(plus, minus, root)
     plus, minus, real, imaginary = detectors.reflection[k]
-    returning = ReflectionMueller(plus, minus, real, imaginary)
-    through = math.exp(-layer.extinction * layer.depth / z)
-    return Detector(Vector(x, y, z), Vector(along, across, 0.0), passing, returning, through)
+    reflection = ReflectionMueller(plus, minus, real, imaginary)
+    transmittance = math.exp(-layer.extinction * layer.depth / z)
+    return Detector(
+        Vector(x, y, z), Vector(along, across, 0.0), transmission, reflection, transmittance
+    )
 
 
 @inline_only
 def sum_interreflections(reflection, stokes, transmittance, odd, stokes_vector):
-    """Return the `StokesVector` added up over 1, 3, … or over 2, 4, … reflections between two faces.
+    """Return the `StokesVector` summed over 1, 3, … or over 2, 4, … internal reflections.
 
-    Every reflection and the way through the layer after it multiply I + Q and I − Q by R_p t and
-    R_s t, and U + iV by (a − ib) t, a + ib = r_p r_s* (`polarized_faces.fresnel_amplitudes`):
-    geometric series.
+    Every reflection and the following passage through the layer multiply I + Q and I − Q by R_p t
+    and R_s t, and U + iV by (a − ib) t, a + ib = r_p r_s*
+    (`polarized_interface.compute_fresnel_mueller`), which gives geometric series.
     """
     i, q, u, v = stokes_vector
     if stokes is None:
@@ -112,11 +119,11 @@ def sum_interreflections(reflection, stokes, transmittance, odd, stokes_vector):
     x, y = reflection.real * transmittance, -reflection.imaginary * transmittance
     # z/(1 − z²) or z²/(1 − z²) for z = x + iy.
     square_x, square_y = x * x - y * y, 2.0 * x * y
-    top_x, top_y = (x, y) if odd else (square_x, square_y)
-    below_x, below_y = 1.0 - square_x, -square_y
-    per = 1.0 / (below_x * below_x + below_y * below_y)
-    c = (top_x * below_x + top_y * below_y) * per
-    d = (top_y * below_x - top_x * below_y) * per
+    numerator_x, numerator_y = (x, y) if odd else (square_x, square_y)
+    denominator_x, denominator_y = 1.0 - square_x, -square_y
+    per = 1.0 / (denominator_x * denominator_x + denominator_y * denominator_y)
+    c = (numerator_x * denominator_x + numerator_y * denominator_y) * per
+    d = (numerator_y * denominator_x - numerator_x * denominator_y) * per
     return StokesVector(p + s, p - s, c * u - d * v, c * v + d * u)
 
 
@@ -128,7 +135,7 @@ def _sum_geometric_series(x, odd):
 
 @inline_only
 def score_detector(sums, transmission, stokes, weight, stokes_vector):
-    """Add light that arrives at a face from inside to what a detector behind it has heard."""
+    """Score light that arrives at the boundary from inside at a detector outside."""
     i, q, u, v = stokes_vector
     if stokes is None:
         sums[_I] += weight * transmission.plus * i
@@ -141,17 +148,17 @@ def score_detector(sums, transmission, stokes, weight, stokes_vector):
 
 @inline_only
 def score_direct(detectors, layer, detector, k, stokes, weight, last_scattering):
-    """Add light after its last scattering, and after 2, 4, … reflections between two faces.
+    """Score light from its last scattering, and after 2, 4, … internal reflections.
 
     Parameters
     ----------
     detectors, layer
         See `score_scattering`.
     detector : Detector
-        The k-th detector, on whose line the light is.
+        The k-th detector, in whose direction the light travels.
     k : int
     stokes : Stokes or None
-        None where nobody asks for polarization.
+        None without polarization.
     weight : float
     last_scattering : LastScattering
     """
@@ -165,67 +172,67 @@ def score_direct(detectors, layer, detector, k, stokes, weight, last_scattering)
         sums = detectors.sums[side, k]
         score_detector(sums, detector.transmission, stokes, arriving, last_scattering.stokes_vector)
         if layer.bottom_albedo < 0.0 and detector.reflection.plus != 0.0:
-            more = sum_interreflections(
+            reflected = sum_interreflections(
                 detector.reflection,
                 stokes,
                 detector.layer_transmittance,
                 False,
                 last_scattering.stokes_vector,
             )
-            score_detector(sums, detector.transmission, stokes, arriving, more)
+            score_detector(sums, detector.transmission, stokes, arriving, reflected)
 
 
 @inline_only
 def score_reflected(detectors, layer, detector, k, stokes, weight, last_scattering):
-    """Add light that leaves on the other side, after 1, 3, … reflections between two faces.
+    """Score light that leaves on the other side, after 1, 3, … internal reflections.
 
     Parameters are those of `score_direct`.
     """
     if layer.bottom_albedo < 0.0 and detector.reflection.plus != 0.0:
         side = BELOW if last_scattering.vertical_sign > 0.0 else ABOVE
-        way = layer.depth - _vertical_distance(layer, last_scattering, side)
-        arriving = weight * math.exp(-layer.extinction * way / detector.direction.z)
-        more = sum_interreflections(
+        distance = layer.depth - _vertical_distance(layer, last_scattering, side)
+        arriving = weight * math.exp(-layer.extinction * distance / detector.direction.z)
+        reflected = sum_interreflections(
             detector.reflection,
             stokes,
             detector.layer_transmittance,
             True,
             last_scattering.stokes_vector,
         )
-        score_detector(detectors.sums[side, k], detector.transmission, stokes, arriving, more)
+        score_detector(detectors.sums[side, k], detector.transmission, stokes, arriving, reflected)
 
 
 @inline_only
 def _vertical_distance(layer, last_scattering, side):
-    """Return the height between the last scattering and the face of a side (m)."""
+    """Return the vertical distance of the last scattering from the boundary of a side (m)."""
     return -last_scattering.height if side == ABOVE else layer.depth + last_scattering.height
 
 
 @inline_only
 def score_scattering(state, detectors, layer, phase, ray):
-    """Let all detectors hear a scattering.
+    """Score a scattering at all detectors.
 
     Parameters
     ----------
     state : uint64[1]
-        Draws scatterings into the peak of the phase function, if it has one.
+        Random stream, used for scatterings into the peak of the phase function.
     detectors : Detectors
     layer : ScatteringLayer
     phase : PhaseFunction
-    ray : Ray
-        Its place, direction and polarization before the scattering, and its weight after.
+    ray : LayerRay
+        Position, direction and polarization before the scattering, and the weight after it.
     """
     for k in range(detectors.direction.shape[0]):
-        one = load_detector(detectors, layer, k)
-        score_scattering_at_detector(state, detectors, layer, phase, 0, ray, one, k)
+        detector = load_detector(detectors, layer, k)
+        score_scattering_at_detector(state, detectors, layer, phase, 0, ray, detector, k)
         order = sample_peak_order(state, detectors, layer)
         if order > 0:
-            score_scattering_at_detector(state, detectors, layer, phase, order, ray, one, k)
+            score_scattering_at_detector(state, detectors, layer, phase, order, ray, detector, k)
 
 
 @inline_only
 def score_scattering_at_detector(state, detectors, layer, phase, peak_order, ray, detector, k):
-    """Let a detector hear a scattering that so many scatterings into the peak follow."""
+    """Score a scattering that is followed by `peak_order` scatterings into the peak."""
     weight, stokes, t, plane = ray.history.weight, ray.stokes, detector.direction, detector.plane
     up = connect_scattering(state, detectors, layer, phase, peak_order, ray, t, plane)
     score_direct(detectors, layer, detector, k, stokes, weight, up)
@@ -239,20 +246,20 @@ def score_scattering_at_detector(state, detectors, layer, phase, peak_order, ray
 
 @inline_only
 def score_bottom(state, detectors, layer, phase, stokes, weight):
-    """Let all detectors above hear light of this weight that the diffuse bottom reflects."""
+    """Score light that the diffuse bottom reflects at all detectors above."""
     for k in range(detectors.direction.shape[0]):
-        one = load_detector(detectors, layer, k)
-        t, plane = one.direction, one.plane
-        share = weight * one.layer_transmittance * t.z / math.pi
+        detector = load_detector(detectors, layer, k)
+        t, plane = detector.direction, detector.plane
+        weight_at_boundary = weight * detector.layer_transmittance * t.z / math.pi
         sums = detectors.sums[ABOVE, k]
-        sums[_I] += share * one.transmission.plus
-        sums[_Q] += share * one.transmission.minus
+        sums[_I] += weight_at_boundary * detector.transmission.plus
+        sums[_Q] += weight_at_boundary * detector.transmission.minus
         order = sample_peak_order(state, detectors, layer)
         if order > 0:
             last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)
-            score_direct(detectors, layer, one, k, stokes, weight, last)
-        if order > 0 and one.reflection.plus > 0.0:
-            # Light that the upper face sends down may still be scattered upwards.
+            score_direct(detectors, layer, detector, k, stokes, weight, last)
+        if order > 0 and detector.reflection.plus > 0.0:
+            # Light that the upper boundary reflects down may still be scattered upwards.
             t = Vector(t.x, t.y, -t.z)
             last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)
-            score_direct(detectors, layer, one, k, stokes, weight, last)
+            score_direct(detectors, layer, detector, k, stokes, weight, last)

@@ -1,9 +1,9 @@
-"""A scattering layer under a smooth or a randomly rough Fresnel surface, over a diffuse bottom.
+"""History loop of a scattering layer under a smooth or a randomly rough surface.
 
 Budak & Grimailo 2020, section 3.2: free paths, scattering by small particles, reflection and
-refraction at the surface, reflection by the bottom.  Single-scattering albedo is a weight along
-the path, or a coin toss.  What a scene does not have, a rough surface, polarization or detectors,
-is None and compiled away.
+refraction at the surface, reflection by the diffuse bottom.  The single-scattering albedo reduces
+the weight, or absorption is analog.  Features absent from a scene (rough surface, polarization,
+detectors) are None and compiled away.
 """
 
 from __future__ import annotations
@@ -37,8 +37,12 @@ from splits.kernels.particle_layer.state import (
     set_status,
     to_surface_hit,
 )
-from splits.kernels.rough_surface.intersection import NO_HIT, find_first_intersection, make_no_hit
-from splits.kernels.rough_surface.intersection import STEP_LIMIT_REACHED as ASTRAY
+from splits.kernels.rough_surface.intersection import (
+    NO_HIT,
+    STEP_LIMIT_REACHED,
+    find_first_intersection,
+    make_no_hit,
+)
 from splits.kernels.rough_surface.realization import (
     compute_entry_position,
     sample_realization_if_rough,
@@ -54,14 +58,14 @@ from splits.kernels.tallies.exits import (
 )
 
 WORK_COLUMNS = ENSEMBLE, FIRST_RAY, N_RAYS, MAX_ORDER = tuple(range(4))
-"""Entries of a piece of work, see `splits.kernels.grains.history.trace_batch`."""
+"""Entries of a work item, see `splits.kernels.grains.history.trace_batch`."""
 TOTAL, UNSCATTERED = range(2)
-"""All light, and light that met nothing but smooth faces."""
+"""Rows of totals: all light, and light that only smooth interfaces reflected or refracted."""
 
 
 @inline_allocating
 def trace_history(state, scene, surface_buffer, detectors, max_order):
-    """Follow one ray from the light source until it leaves the layer or is absorbed.
+    """Trace one ray from the light source until it leaves the layer or is absorbed.
 
     Parameters
     ----------
@@ -69,16 +73,17 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
         The ray's random stream.
     scene : LayerScene
     surface_buffer : SurfaceRealization or None
-        Where realisations of the rough surface live, see `waves.room_for`; None if it is smooth.
+        Buffer for realizations of the rough surface, see `realization.allocate_realization`; None
+        if the surface is smooth.
     detectors : Detectors or None
-        What hears of every scattering, see `splits.kernels.particle_layer.next_event`.
+        Detectors of next-event estimation, see `splits.kernels.particle_layer.next_event`.
     max_order : int
-        Scatterings, meetings with the bottom or with a rough surface, after which the ray counts
+        Largest number of scatterings and hits of the bottom or a rough surface; the ray then counts
         as absorbed.
 
     Returns
     -------
-    Ray
+    LayerRay
     """
     layer, phase = scene.layer, scene.phase
     d = sample_source_direction(
@@ -90,29 +95,29 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
         compute_entry_position(d, surface), d, stokes, False, RayHistory(1.0, 0.0, 0, 0), ALIVE
     )
     while ray.status == ALIVE:
-        ways = sample_event_distances(ray, layer, uniform(state) if ray.inside else 1.0)
+        distances = sample_event_distances(ray, layer, uniform(state) if ray.inside else 1.0)
         if surface_buffer is None:
-            ahead = intersect_smooth_surface(ray)
+            surface_hit = intersect_smooth_surface(ray)
         else:
             hit = make_no_hit(NO_HIT, 0)
-            if is_near_surface(ray, surface.max_height, ways.nearest):
+            if is_near_surface(ray, surface.max_height, distances.nearest):
                 side = -1.0 if ray.inside else 1.0
                 hit = find_first_intersection(
-                    surface, ray.position, ray.direction, side, ways.nearest
+                    surface, ray.position, ray.direction, side, distances.nearest
                 )
-            if hit.distance == ASTRAY:
+            if hit.distance == STEP_LIMIT_REACHED:
                 return set_status(ray, LOST)
-            ahead = to_surface_hit(hit)
-        if ahead.distance == math.inf and not ray.inside:
+            surface_hit = to_surface_hit(hit)
+        if surface_hit.distance == math.inf and not ray.inside:
             ray = set_status(advance_ray(ray, 0.0), REFLECTED if ray.direction.z > 0.0 else LOST)
             continue
-        ray = advance_ray(ray, min(ways.nearest, ahead.distance))
-        if ahead.distance <= ways.nearest:
+        ray = advance_ray(ray, min(distances.nearest, surface_hit.distance))
+        if surface_hit.distance <= distances.nearest:
             if surface_buffer is None:
                 ray = scatter_at_surface(state, ray, layer)
             else:
-                ray = scatter_at_facet(state, ray, ahead.normal, layer, max_order)
-        elif ways.bottom <= ways.collision:
+                ray = scatter_at_facet(state, ray, surface_hit.normal, layer, max_order)
+        elif distances.bottom <= distances.collision:
             ray = scatter_at_bottom(state, ray, layer, phase, detectors, max_order)
         else:
             ray = absorb_at_particle(ray, layer, uniform(state) if layer.analog else 1.0, max_order)
@@ -127,42 +132,42 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
 
 @inline_only
 def _record_stokes(row, first_column, d, stokes):
-    """Write Q, U, V over I into three columns of a row, Q along the plane of the normal."""
+    """Write Q, U, V over I into three columns of a row, Q relative to the plane of the normal."""
     if stokes is None:
         return
-    # Straight up or down, every plane holds the normal.
-    upright = d.x == 0.0 and d.y == 0.0
-    seen = rotate_reference_to(stokes, d, Vector(1.0 if upright else d.x, d.y, 0.0))
-    row[first_column], row[first_column + 1], row[first_column + 2] = seen.q, seen.u, stokes.v
+    # For a vertical ray the plane of the normal is undefined, and the x axis is taken.
+    vertical = d.x == 0.0 and d.y == 0.0
+    rotated = rotate_reference_to(stokes, d, Vector(1.0 if vertical else d.x, d.y, 0.0))
+    row[first_column], row[first_column + 1], row[first_column + 2] = rotated.q, rotated.u, stokes.v
 
 
 @entry_point
 def trace_batch(seed, work, scene, surface_buffer, stokes_column, exits):
-    """Trace rays and record how they leave.
+    """Trace a batch of rays and record their exits.
 
     Parameters
     ----------
     seed, work
         See `splits.kernels.grains.history.trace_batch`.
-    scene, room
+    scene, surface_buffer
         See `trace_history`.
     stokes_column : int
-        First of three columns of exits for polarized rays: Q, U, V over I.
+        First of three columns of the exits of polarized rays: Q, U, V over I.
     exits : float64[rays, columns]
         A row for each ray, see `splits.kernels.tallies.exits`.
 
     Returns
     -------
-    Traced
+    BatchStats
     """
-    legs = 0
+    n_segments = 0
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[N_RAYS]):
         start_stream(state, seed, work[ENSEMBLE], work[FIRST_RAY] + number)
         ray = trace_history(state, scene, surface_buffer, None, work[MAX_ORDER])
-        legs += ray.history.n_segments
+        n_segments += ray.history.n_segments
         if ray.status == LOST:
-            return BatchStats(legs, True)
+            return BatchStats(n_segments, True)
         if ray.status == ABSORBED:
             continue
         row = exits[number]
@@ -176,12 +181,12 @@ def trace_batch(seed, work, scene, surface_buffer, stokes_column, exits):
         )
         row[EXIT_LENGTH] = ray.history.path_length
         _record_stokes(row, stokes_column, ray.direction, ray.stokes)
-    return BatchStats(legs, False)
+    return BatchStats(n_segments, False)
 
 
 @entry_point
 def trace_to_detectors(seed, work, scene, detectors, totals):
-    """Trace rays under a smooth surface for detectors to hear, and return the legs traced.
+    """Trace rays under a smooth surface, score them at detectors, and return the segments traced.
 
     Parameters
     ----------
@@ -190,18 +195,17 @@ def trace_to_detectors(seed, work, scene, detectors, totals):
     detectors : Detectors
         Advanced in place.
     totals : float64[2, 2]
-        [reflected, transmitted][all light, light that met nothing but smooth faces], advanced in
-        place.
+        [reflected, transmitted][`TOTAL`, `UNSCATTERED`], advanced in place.
     """
-    legs = 0
+    n_segments = 0
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[N_RAYS]):
         start_stream(state, seed, work[ENSEMBLE], work[FIRST_RAY] + number)
         ray = trace_history(state, scene, None, detectors, work[MAX_ORDER])
-        legs += ray.history.n_segments
+        n_segments += ray.history.n_segments
         if ray.status != ABSORBED:
             total = totals[0 if ray.status == REFLECTED else 1]
             total[TOTAL] += ray.history.weight
             if ray.history.order == 0:
                 total[UNSCATTERED] += ray.history.weight
-    return legs
+    return n_segments

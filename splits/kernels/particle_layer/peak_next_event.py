@@ -1,12 +1,12 @@
-"""Light on its way from one event to a detector, with scatterings into the peak in between.
+"""Connection of an event to a detector, with scatterings into the phase-function peak in between.
 
-Where the phase function has no narrow peak, the event at hand is the last one before the detector.
+Without a narrow peak of the phase function, the current event is the last one before the detector.
 With a peak, light may be scattered into it any number n of times in between.  A local estimate at
-the last of these would be rare and large: only directions within the peak of the detector's count.
-So they are sampled from the detector backwards, and the event before all of them counts, with the
-wide part of the phase function, which is small everywhere.  All orders n together are exact; the
-method is akin to the n-tuple local estimate of Buras & Mayer 2011 (J. Quant. Spectrosc. Radiat.
-Transfer 112, 434).
+the last of these scatterings would be rare and large, because only directions within the peak
+around the direction of the detector contribute.  They are therefore sampled backwards from the
+detector, and the event before all of them is scored with the wide part of the phase function, which
+is small everywhere.  The sum over all orders n is exact; the method is related to the n-tuple local
+estimate of Buras & Mayer 2011 (J.  Quant.  Spectrosc.  Radiat.  Transfer 112, 434).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from splits.kernels.particle_layer.scattering import reflect_or_refract_ray
 
 
 class StokesVector(NamedTuple):
-    """I, Q, U, V of light that is heard."""
+    """Stokes parameters I, Q, U, V."""
 
     i: float
     q: float
@@ -38,14 +38,14 @@ class StokesVector(NamedTuple):
 
 
 class LastScattering(NamedTuple):
-    """Light that is scattered no more before it leaves.
+    """Light after its last scattering.
 
     Attributes
     ----------
     height : float
-        Height (m).
+        Height of the last scattering (m).
     vertical_sign : float
-        1 where it travels upwards, −1 downwards.
+        1 if the light travels upwards, −1 downwards.
     stokes_vector : StokesVector
         Per steradian.
     """
@@ -56,17 +56,17 @@ class LastScattering(NamedTuple):
 
 
 class DetectorConnection(NamedTuple):
-    """Light on its way to a detector.
+    """Light between an event and a detector.
 
     Attributes
     ----------
     height : float
         Height (m).
     direction : Vector
-    contribution : Estimate
-        Its density (1/sr), 0 once it has left the layer elsewhere, and its polarization.
+    contribution : ScatteredDensity
+        Density (1/sr), 0 after the light has left the layer elsewhere, and polarization.
     mirror_sign : float
-        −1 after an odd number of reflections: sampled directions are mirrored then.
+        −1 after an odd number of reflections, which mirror the sampled directions.
     """
 
     height: float
@@ -77,21 +77,22 @@ class DetectorConnection(NamedTuple):
 
 @inline_only
 def sample_peak_order(state, detectors, layer):
-    """Sample how many scatterings into the peak follow: n with the probability (1 − q) qⁿ."""
+    """Sample the number n of scatterings into the peak that follow, with probability (1 − q) qⁿ."""
     order = 0
     if detectors.peak is not None:
-        highest = detectors.peak_directions.shape[0] - 1
-        going_on = detectors.peak.fraction * layer.albedo
-        while order < highest and uniform(state) < going_on:
+        max_order = detectors.peak_directions.shape[0] - 1
+        probability = detectors.peak.fraction * layer.albedo
+        while order < max_order and uniform(state) < probability:
             order += 1
     return order
 
 
 @inline_only
 def sample_peak_directions(state, detectors, peak_order, t):
-    """Return a direction from which so many scatterings into the peak lead to t.
+    """Sample a direction from which `peak_order` scatterings into the peak lead to t.
 
-    Row 0 of ``detectors.directions`` becomes t, row n the direction before the last n scatterings.
+    Row 0 of ``detectors.peak_directions`` is set to t, row n to the direction before the last n
+    scatterings.
     """
     if detectors.peak is not None:
         _store_direction(detectors.peak_directions, 0, t)
@@ -109,108 +110,110 @@ def _store_direction(directions, row, d):
 
 @inline_only
 def advance_to_collision(state, layer, connection):
-    """Return a `DetectorConnection` at the next particle, after reflections at smooth faces."""
-    z, d, light, side = connection
-    density, stokes = light
-    left = -math.log(uniform(state)) / layer.extinction
+    """Return a connection at the next particle, after reflections at smooth interfaces."""
+    z, d, contribution, mirror_sign = connection
+    density, stokes = contribution
+    remaining = -math.log(uniform(state)) / layer.extinction
     while density > 0.0:
-        way = math.inf
+        distance = math.inf
         if d.z != 0.0:
-            way = -(z if d.z > 0.0 else z + layer.depth) / d.z
-        if left < way:
-            z += left * d.z
+            distance = -(z if d.z > 0.0 else z + layer.depth) / d.z
+        if remaining < distance:
+            z += remaining * d.z
             break
-        left -= way
+        remaining -= distance
         below = d.z < 0.0
         z = -layer.depth if below else 0.0
-        meeting = reflect_or_refract_ray(
+        sample = reflect_or_refract_ray(
             state, d, stokes, scale(1.0 if below else -1.0, UP), layer.refractive_index, 1.0
         )
-        if meeting.transmitted or (below and layer.bottom_albedo >= 0.0):
+        if sample.transmitted or (below and layer.bottom_albedo >= 0.0):
             density = 0.0
-        d, stokes, side = meeting.direction, meeting.stokes, -side
-    return DetectorConnection(z, d, ScatteredDensity(density, stokes), side)
+        d, stokes, mirror_sign = sample.direction, sample.stokes, -mirror_sign
+    return DetectorConnection(z, d, ScatteredDensity(density, stokes), mirror_sign)
 
 
 @inline_only
 def apply_polarization(phase, d, contribution, stokes, t):
-    """Return the `ScatteredDensity` of light after a scattering into a direction sampled without it.
+    """Return the `ScatteredDensity` after a scattering whose direction was sampled unpolarized.
 
     Parameters
     ----------
     phase : PhaseFunction
     d : Vector
-    contribution : Estimate
+    contribution : ScatteredDensity
         Before the scattering.
     stokes : Stokes or None
-        Its polarization.
+        Polarization before the scattering.
     t : Vector
         The sampled direction.
     """
     if stokes is None:
         return contribution
-    after = evaluate_polarized_scattering(phase, d, stokes, t)
-    relative = after.density / evaluate_phase_function(phase, dot(d, t))
-    return ScatteredDensity(contribution.density * relative, after.stokes)
+    scattered = evaluate_polarized_scattering(phase, d, stokes, t)
+    relative = scattered.density / evaluate_phase_function(phase, dot(d, t))
+    return ScatteredDensity(contribution.density * relative, scattered.stokes)
 
 
 @inline_only
 def trace_peak_directions(state, detectors, layer, phase, peak_order, connection):
-    """Return a `DetectorConnection` after so many scatterings into the peak, see `sample_peak_directions`."""
+    """Return a `DetectorConnection` after the scatterings of `sample_peak_directions`."""
     directions = detectors.peak_directions
     for row in range(peak_order - 1, -1, -1):
         connection = advance_to_collision(state, layer, connection)
         if connection.contribution.density == 0.0:
             break
-        z, d, light, side = connection
-        t = Vector(directions[row, 0], directions[row, 1], side * directions[row, 2])
+        z, d, contribution, mirror_sign = connection
+        t = Vector(directions[row, 0], directions[row, 1], mirror_sign * directions[row, 2])
         connection = DetectorConnection(
-            z, t, apply_polarization(phase, d, light, light.stokes, t), side
+            z, t, apply_polarization(phase, d, contribution, contribution.stokes, t), mirror_sign
         )
     return connection
 
 
 @inline_only
 def complete_connection(state, detectors, layer, phase, peak_order, connection, plane):
-    """Return the `LastScattering` of light that is sent to a detector.
+    """Return the `LastScattering` of light towards a detector.
 
     Parameters
     ----------
     state, detectors, layer, phase
         See `splits.kernels.particle_layer.next_event.score_scattering`.
     peak_order : int
-        How many scatterings into the peak follow, 0 or from `sample_peak_order`.
+        Number of scatterings into the peak that follow, 0 or from `sample_peak_order`.
     connection : DetectorConnection
-        Along the first of their directions.
+        Along the direction before these scatterings.
     plane : Vector
-        Horizontal, of the plane that Q refers to.
+        Horizontal unit vector of the reference plane of Q.
     """
     if detectors.peak is not None and peak_order > 0:
-        per = 1.0 / (1.0 - detectors.peak.fraction * layer.albedo)
+        normalization = 1.0 / (1.0 - detectors.peak.fraction * layer.albedo)
         connection = trace_peak_directions(state, detectors, layer, phase, peak_order, connection)
-        light = ScatteredDensity(
-            per * connection.contribution.density, connection.contribution.stokes
+        contribution = ScatteredDensity(
+            normalization * connection.contribution.density, connection.contribution.stokes
         )
         connection = DetectorConnection(
-            connection.height, connection.direction, light, connection.mirror_sign
+            connection.height, connection.direction, contribution, connection.mirror_sign
         )
     density, stokes = connection.contribution
-    sound = resolve_stokes_vector(density, stokes, connection.direction, plane)
-    return LastScattering(connection.height, math.copysign(1.0, connection.direction.z), sound)
+    stokes_vector = resolve_stokes_vector(density, stokes, connection.direction, plane)
+    return LastScattering(
+        connection.height, math.copysign(1.0, connection.direction.z), stokes_vector
+    )
 
 
 @inline_only
 def resolve_stokes_vector(density, stokes, t, plane):
-    """Return the `StokesVector` of light along t (1/sr), Q along the plane of p and z."""
+    """Return the `StokesVector` of light along t (1/sr), Q relative to `plane`."""
     if stokes is None:
         return StokesVector(density, 0.0, 0.0, 0.0)
-    seen = rotate_reference_to(stokes, t, plane)
-    return StokesVector(density, density * seen.q, density * seen.u, density * stokes.v)
+    rotated = rotate_reference_to(stokes, t, plane)
+    return StokesVector(density, density * rotated.q, density * rotated.u, density * stokes.v)
 
 
 @inline_only
 def evaluate_scattering(phase, d, stokes, t):
-    """Return what a particle sends from d towards t, an `ScatteredDensity`."""
+    """Return the `ScatteredDensity` of a particle from d towards t."""
     if stokes is None:
         return ScatteredDensity(evaluate_phase_function(phase, dot(d, t)), stokes)
     return evaluate_polarized_scattering(phase, d, stokes, t)
@@ -218,29 +221,31 @@ def evaluate_scattering(phase, d, stokes, t):
 
 @inline_only
 def connect_scattering(state, detectors, layer, phase, peak_order, ray, t, plane):
-    """Return the `LastScattering` of light that a particle and scatterings into the peak send to t.
+    """Return the `LastScattering` towards t of light at a particle.
 
-    Light that has met no particle before comes from one direction, which none of the directions
-    that are sampled backwards would hit: it counts with the whole phase function.
+    Light that was not scattered before has a single direction, which none of the directions sampled
+    backwards would hit: it contributes with the whole phase function.
 
     Parameters are those of `complete_connection`, and the ray before the scattering.
     """
-    ahead = sample_peak_directions(state, detectors, peak_order, t)
-    light = evaluate_scattering(phase, ray.direction, ray.stokes, ahead)
+    direction = sample_peak_directions(state, detectors, peak_order, t)
+    contribution = evaluate_scattering(phase, ray.direction, ray.stokes, direction)
     if detectors.peak is not None and ray.history.order > 1:
-        wide = compute_wide_fraction(detectors.peak, phase, dot(ray.direction, ahead))
-        light = ScatteredDensity(light.density * wide, light.stokes)
-    connection = DetectorConnection(ray.position.z, ahead, light, 1.0)
+        wide_fraction = compute_wide_fraction(detectors.peak, phase, dot(ray.direction, direction))
+        contribution = ScatteredDensity(contribution.density * wide_fraction, contribution.stokes)
+    connection = DetectorConnection(ray.position.z, direction, contribution, 1.0)
     return complete_connection(state, detectors, layer, phase, peak_order, connection, plane)
 
 
 @inline_only
 def connect_bottom(state, detectors, layer, phase, peak_order, stokes, t, plane):
-    """Return the `LastScattering` of light that the bottom and scatterings into the peak send to t.
+    """Return the `LastScattering` towards t of light that the bottom reflects.
 
-    Parameters are those of `complete_connection`; `stokes` is None where nobody asks for polarization.
+    Parameters are those of `complete_connection`; `stokes` is None without polarization.
     """
-    ahead = sample_peak_directions(state, detectors, peak_order, t)
-    light = ScatteredDensity(max(ahead.z, 0.0) / math.pi, make_unpolarized(ahead, stokes))
-    connection = DetectorConnection(-layer.depth, ahead, light, 1.0)
+    direction = sample_peak_directions(state, detectors, peak_order, t)
+    contribution = ScatteredDensity(
+        max(direction.z, 0.0) / math.pi, make_unpolarized(direction, stokes)
+    )
+    connection = DetectorConnection(-layer.depth, direction, contribution, 1.0)
     return complete_connection(state, detectors, layer, phase, peak_order, connection, plane)

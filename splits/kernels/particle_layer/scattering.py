@@ -1,4 +1,4 @@
-"""What a ray meets in a layer: faces and particles, with and without polarization."""
+"""Scattering of rays at interfaces, particles and Lambertian boundaries, polarized or not."""
 
 from __future__ import annotations
 
@@ -30,44 +30,44 @@ def reflect_or_refract_ray(state, d, stokes, normal, n1, n2):
     d : Vector
         Direction of travel.
     stokes : Stokes or None
-        Its polarization.
+        Polarization of the ray.
     normal : Vector
-        Of the facet, against the ray.
+        Normal of the facet, against the ray.
     n1, n2 : float
-        Refractive index on the side of incidence and beyond.
+        Refractive indices on the side of incidence and on the far side.
 
     Returns
     -------
-    Meeting
+    PolarizedInterfaceSample
     """
     if stokes is None:
-        crossing = sample_interface(
+        sample = sample_interface(
             d, normal, ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0), uniform(state)
         )
-        return PolarizedInterfaceSample(crossing.transmitted, crossing.direction, stokes)
+        return PolarizedInterfaceSample(sample.transmitted, sample.direction, stokes)
     return sample_polarized_interface(state, d, stokes, normal, n1, n2)
 
 
 @inline_only
 def reflect_only(d, stokes, normal, n2):
-    """Reflect a ray from outside at a facet, for which other light than the reflected is lost.
+    """Reflect a ray from outside at a facet of an opaque medium.
 
     Parameters are those of `reflect_or_refract_ray`.
 
     Returns
     -------
-    Reflected
+    ReflectedLight
     """
     if stokes is None:
         cos_i = min(max(-dot(d, normal), MIN_COS_INCIDENCE), 1.0)
-        share = fresnel(1.0, n2, 0.0, cos_i).reflectance
-        return ReflectedLight(share, reflect(d, normal), stokes)
+        reflectance = fresnel(1.0, n2, 0.0, cos_i).reflectance
+        return ReflectedLight(reflectance, reflect(d, normal), stokes)
     return reflect_polarized(d, stokes, normal, 1.0, n2)
 
 
 @inline_only
 def sample_scattering(state, phase, d, stokes):
-    """Return what a particle makes of a ray, a `DirectionSample`; see `reflect_or_refract_ray`."""
+    """Sample the `DirectionSample` of a ray after scattering by a particle."""
     if stokes is None:
         return DirectionSample(sample_phase_function(state, phase, d), stokes)
     return scatter_polarized(state, phase, d, stokes)
@@ -75,9 +75,9 @@ def sample_scattering(state, phase, d, stokes):
 
 @inline_only
 def sample_lambertian_reflection(state, normal, stokes):
-    """Return what a Lambertian face makes of a ray, a `DirectionSample`: no light is polarized then.
+    """Sample the `DirectionSample` of a ray after Lambertian reflection, which depolarizes it.
 
-    Lambert's law as in `vectors.lobe`, with the azimuth drawn by rejection.
+    It follows Lambert's law as `vectors.sample_cosine_lobe`, with the azimuth sampled by rejection.
     """
     u = uniform(state)
     c, s = sample_azimuth(state)

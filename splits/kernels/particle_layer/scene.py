@@ -1,4 +1,4 @@
-"""A layer of small particles, as kernels take it."""
+"""Description of a layer of small particles for the kernels."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from splits.kernels.optics.stokes import Stokes
 from splits.kernels.rough_surface.realization import HeightFields
 
 OPEN_BOTTOM = -1.0
-"""In place of the bottom's albedo: the layer ends at a smooth face to the outer medium."""
+"""Bottom albedo of a layer that ends at a smooth interface to the outer medium."""
 
 
 class ScatteringLayer(NamedTuple):
-    """The layer between its mean surface z = 0 and z = −depth.
+    """Layer between its mean surface z = 0 and z = −depth.
 
     Attributes
     ----------
     depth : float
-        Metres; may be infinite.
+        Depth (m); may be infinite.
     extinction : float
-        1/m; infinite where nothing comes back from below the surface.
+        Extinction coefficient (1/m); infinite for an opaque layer, which only its surface reflects.
     albedo : float
-        Of single scattering.
+        Single-scattering albedo.
     refractive_index : float
         Refractive index relative to the outer medium.
     bottom_albedo : float
         Albedo of the diffuse bottom, or `OPEN_BOTTOM`.
     analog : bool
-        Absorption by coin toss.
+        Analog absorption instead of weights.
     """
 
     depth: float
@@ -41,7 +41,7 @@ class ScatteringLayer(NamedTuple):
 
 
 class LayerScene(NamedTuple):
-    """What there is.
+    """Layer with its light source and surface.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class LayerScene(NamedTuple):
     layer : ScatteringLayer
     phase : PhaseFunction
     fields : HeightFields or None
-        The rough surface; every ray meets a realisation of its own.
+        Rough surface, of which every ray has its own realization; None if it is smooth.
     stokes : Stokes or None
-        Polarization of the light as it comes, `NATURAL`, or None where nobody asks for it.
+        Polarization of the incident light, `UNPOLARIZED`, or None without polarization.
     """
 
     source: Source

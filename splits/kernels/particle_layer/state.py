@@ -1,4 +1,4 @@
-"""The ray in a layer, and how far it is to the next particle, the floor and the surface."""
+"""State of a ray in a layer of particles, and its distances to the next events."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from splits.kernels.rough_surface.intersection import NO_HIT, compute_normal_fro
 
 
 class RayHistory(NamedTuple):
-    """What has become of a ray so far.
+    """Weight, path length and counters of a ray.
 
     Attributes
     ----------
     weight : float
     path_length : float
-        Path within the layer (m).
+        Path length within the layer (m).
     order : int
-        Scatterings, and meetings with the bottom or with a rough surface.
+        Number of scatterings and hits of the bottom or a rough surface.
     n_segments : int
+        Number of path segments.
     """
 
     weight: float
@@ -30,19 +31,19 @@ class RayHistory(NamedTuple):
 
 
 class LayerRay(NamedTuple):
-    """A ray on its way, or where it left.
+    """State of a ray, in the layer or at its exit.
 
     Attributes
     ----------
     position, direction : Vector
-        Point (m) and direction.
+        Position (m) and direction.
     stokes : Stokes or None
     inside : bool
         Whether it is below the surface.
     history : RayHistory
     status : int
-        `TRAVELS`, or how it ended: `ABSORBED`, `REFLECTED`, `TRANSMITTED` (through the open face or
-        into the bottom), `LOST`.
+        `ALIVE`, or the way it ended: `ABSORBED`, `REFLECTED`, `TRANSMITTED` (through the open lower
+        boundary or into the bottom), `LOST`.
     """
 
     position: Vector
@@ -54,7 +55,7 @@ class LayerRay(NamedTuple):
 
 
 class EventDistances(NamedTuple):
-    """How far it is to the next particle, to the floor, inf if there is none, and to either (m)."""
+    """Distances to the next particle, to the bottom (inf if not ahead), and the smaller one (m)."""
 
     collision: float
     bottom: float
@@ -62,14 +63,14 @@ class EventDistances(NamedTuple):
 
 
 class SurfaceHit(NamedTuple):
-    """The surface ahead of a ray.
+    """Intersection of a ray with the surface.
 
     Attributes
     ----------
     distance : float
-        Metres; inf if it is nowhere, or beyond what matters.
+        Distance (m); inf without intersection within the distance of interest.
     normal : Vector
-        Upwards.
+        Upward normal.
     """
 
     distance: float
@@ -78,42 +79,42 @@ class SurfaceHit(NamedTuple):
 
 @inline_only
 def update_ray(ray, d, stokes, history, status):
-    """Return a ray at the same place, as an encounter leaves it."""
+    """Return a ray at the same position with a new direction, polarization, history and status."""
     return LayerRay(ray.position, d, stokes, ray.inside, history, status)
 
 
 @inline_only
 def set_status(ray, status):
-    """Return a ray that has come to its end."""
+    """Return a ray with another status."""
     return LayerRay(ray.position, ray.direction, ray.stokes, ray.inside, ray.history, status)
 
 
 @inline_only
 def with_weight(history, weight):
-    """Return the past of a ray that has another weight now."""
+    """Return a history with another weight."""
     return RayHistory(weight, history.path_length, history.order, history.n_segments)
 
 
 @inline_only
 def increment_order(history):
-    """Return the past of a ray after another scattering or meeting."""
+    """Return a history with the order of scattering increased by 1."""
     return RayHistory(history.weight, history.path_length, history.order + 1, history.n_segments)
 
 
 @inline_only
 def sample_event_distances(ray, layer, u):
-    """Return the `EventDistances` ahead of a ray, with a uniform random number u; outside there are none."""
-    free, floor = math.inf, math.inf
+    """Sample the `EventDistances` of a ray with a uniform number u; inf outside the layer."""
+    collision, bottom = math.inf, math.inf
     if ray.inside:
-        free = -math.log(u) / layer.extinction
+        collision = -math.log(u) / layer.extinction
         if ray.direction.z < 0.0:
-            floor = (-layer.depth - ray.position.z) / ray.direction.z
-    return EventDistances(free, floor, min(free, floor))
+            bottom = (-layer.depth - ray.position.z) / ray.direction.z
+    return EventDistances(collision, bottom, min(collision, bottom))
 
 
 @inline_only
 def intersect_smooth_surface(ray):
-    """Return the smooth surface `SurfaceHit` of a ray."""
+    """Return the `SurfaceHit` of a ray at the smooth surface."""
     distance = math.inf
     if ray.inside == (ray.direction.z > 0.0):
         distance = -ray.position.z / ray.direction.z if ray.inside else 0.0
@@ -122,14 +123,14 @@ def intersect_smooth_surface(ray):
 
 @inline_only
 def is_near_surface(ray, max_height, max_distance):
-    """Tell whether a leg may meet a rough surface: deep inside, most end before that."""
+    """Return whether a path segment may hit the rough surface; deep inside, most end before it."""
     z = ray.position.z
     return not ray.inside or max(z, z + max_distance * ray.direction.z) > -max_height
 
 
 @inline_only
 def to_surface_hit(hit):
-    """Return the facet `SurfaceHit` of a ray that a march has found."""
+    """Return the `SurfaceHit` of an intersection with the rough surface."""
     if hit.distance == NO_HIT:
         return SurfaceHit(math.inf, UP)
     return SurfaceHit(hit.distance, compute_normal_from_slope(hit.slope))
@@ -137,16 +138,16 @@ def to_surface_hit(hit):
 
 @inline_only
 def advance_ray(ray, length):
-    """Return a ray after a leg of so many metres."""
-    past = ray.history
-    way = past.path_length + (length if ray.inside else 0.0)
-    past = RayHistory(past.weight, way, past.order, past.n_segments + 1)
-    place = add_scaled(length, ray.direction, ray.position)
-    return LayerRay(place, ray.direction, ray.stokes, ray.inside, past, ray.status)
+    """Return a ray advanced by a distance (m)."""
+    history = ray.history
+    path_length = history.path_length + (length if ray.inside else 0.0)
+    history = RayHistory(history.weight, path_length, history.order, history.n_segments + 1)
+    position = add_scaled(length, ray.direction, ray.position)
+    return LayerRay(position, ray.direction, ray.stokes, ray.inside, history, ray.status)
 
 
 @inline_only
 def snap_to_plane(ray, z):
-    """Return a ray that has come to a smooth face: at its height exactly."""
-    place = Vector(ray.position.x, ray.position.y, z)
-    return LayerRay(place, ray.direction, ray.stokes, ray.inside, ray.history, ray.status)
+    """Return a ray placed exactly at the height of a smooth interface."""
+    position = Vector(ray.position.x, ray.position.y, z)
+    return LayerRay(position, ray.direction, ray.stokes, ray.inside, ray.history, ray.status)

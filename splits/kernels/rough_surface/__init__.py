@@ -1,1 +1,1 @@
-"""Randomly rough surfaces: realisations, and where rays meet them."""
+"""Randomly rough surfaces: realizations and ray intersections."""

@@ -1,8 +1,9 @@
-"""Where rays cross a rough surface.
+"""Intersection of rays with a rough surface.
 
-Rays are marched, by steps that bounds on slope and curvature along the ray prove to be free of
-crossings.  On surfaces of many scales it is the finest waves that keep steps short; so waves come
-in bands, and at some height above the surface the finer ones count by their reach alone.
+Rays advance in steps that are proven free of intersections by bounds on the slope and curvature of
+the surface along the ray.  On surfaces of many scales the finest waves keep the steps short.  Waves
+are therefore grouped in bands, and at some height above the surface the finer bands enter with
+their maximum height only.
 """
 
 from __future__ import annotations
@@ -12,37 +13,37 @@ from typing import NamedTuple
 
 from splits.kernels.compiler.jit import entry_point_no_refcount, inline, inline_only
 from splits.kernels.math.vectors import Vector, add_scaled, dot, normalize
-from splits.kernels.rough_surface.realization import (
+from splits.kernels.rough_surface.bands import (
     BAND_END,
     BOUND_SIGMA,
     FINER_HEIGHT,
     MAX_CURVATURE,
     MAX_SLOPE,
-    HeightAndSlope,
-    SurfaceSlope,
 )
+from splits.kernels.rough_surface.realization import HeightAndSlope, SurfaceSlope
 from splits.kernels.rough_surface.wave_sums import TWO_PI, sum_ray_bounds, sum_waves
 
 NO_HIT = -1.0
-"""No crossing: the ray leaves the surface for good."""
+"""No intersection: the ray leaves the surface for good."""
 STEP_LIMIT_REACHED = -2.0
-"""Neither a crossing nor an end after `MAX_STEPS`, as for rays that stay level."""
+"""Undecided after `MAX_STEPS`, as for horizontal rays."""
 MAX_STEPS = 100_000_000
 MIN_COS_EXIT = 1e-12
-"""Least cosine between a direction and the facet that it leaves."""
+"""Smallest cosine between a direction that leaves a facet and the normal of the facet."""
 
 
 class Hit(NamedTuple):
-    """Where a ray first meets a surface.
+    """First intersection of a ray with a surface.
 
     Attributes
     ----------
     distance : float
-        Metres; `NO_HIT` or `STEP_LIMIT_REACHED` if there is no crossing, or none that matters.
-    slope : Slope
-        Of the surface there.
+        Distance (m); `NO_HIT` if there is no intersection within the distance of interest, or
+        `STEP_LIMIT_REACHED`.
+    slope : SurfaceSlope
+        Slope of the surface there.
     n_evaluations : int
-        How often the surface was looked at.
+        Number of evaluations of the surface.
     """
 
     distance: float
@@ -51,7 +52,7 @@ class Hit(NamedTuple):
 
 
 class WaveBand(NamedTuple):
-    """A column of `Surface.bands`, and whether it is the finest, of all waves."""
+    """Column of `SurfaceRealization.bands`, and whether it is the finest, with all waves."""
 
     end: int
     finer_height: float
@@ -61,15 +62,15 @@ class WaveBand(NamedTuple):
 
 
 class SurfaceProbe(NamedTuple):
-    """What is known of the surface at a point of a ray, by the bands looked at so far.
+    """Surface at a point of a ray, from the bands evaluated so far.
 
     Attributes
     ----------
     surface : HeightAndSlope
     free_distance : float
-        Way that is free of crossings (m).
+        Distance that is free of intersections (m).
     hit, sufficient : bool
-        Whether the ray meets the surface there; whether finer bands would not add to the way.
+        Whether the ray hits the surface there; whether finer bands cannot extend the free distance.
     """
 
     surface: HeightAndSlope
@@ -89,10 +90,10 @@ def compute_normal_from_slope(slope):
 
 @inline
 def nudge_off_surface(d, n):
-    """Return the direction d that leaves a facet to the side of n, turned off it if need be.
+    """Return a direction d that leaves a facet on the side of n, tilted off the facet if necessary.
 
-    Rounding may leave a grazing direction on the wrong side.  The march takes the same slopes and
-    hence sees the ray go off the surface too: the cosine kept is far above their rounding.
+    Rounding may leave a grazing direction on the wrong side.  The intersection search uses the same
+    slopes and finds that the ray leaves the surface: the cosine is far above their rounding error.
     """
     lift = MIN_COS_EXIT - dot(d, n)
     if lift > 0.0:
@@ -102,10 +103,10 @@ def nudge_off_surface(d, n):
 
 @inline
 def compute_height_tolerance(surface, position, s):
-    """Return the height (m) below which a ray that comes down has hit, after s metres to a place.
+    """Return the height (m) below which a descending ray counts as a hit, after a distance s (m).
 
-    Above the rounding of heights, and of positions along steep surfaces far from the origin.  The
-    march takes no height for less, which keeps its steps from vanishing.
+    It exceeds the rounding errors of heights, and of positions along steep surfaces far from the
+    origin.  It is also the lower bound of heights, which keeps steps from vanishing.
     """
     far = abs(position.x) + abs(position.y) + s
     return 1e-12 * surface.max_height + 1e-15 * far * (1.0 + surface.max_slope)
@@ -113,25 +114,27 @@ def compute_height_tolerance(surface, position, s):
 
 @inline
 def set_ray_bounds(surface, d):
-    """Bound slope and curvature along a direction, for every band."""
-    total, total2, curved, curved2 = 0.0, 0.0, 0.0, 0.0
+    """Set the bounds of slope and curvature along a direction for every band."""
+    slope, slope2, curvature, curvature2 = 0.0, 0.0, 0.0, 0.0
     begin = 0
     bands = surface.bands
     for band in range(surface.n_bands - 1, -1, -1):
         end = int(bands[BAND_END, band])
         sums = sum_ray_bounds(surface.waves, begin, end, d.x, d.y)
-        total += sums.slope
-        total2 += sums.slope2
-        curved += sums.curvature
-        curved2 += sums.curvature2
-        bands[MAX_SLOPE, band] = TWO_PI * min(total, BOUND_SIGMA * math.sqrt(0.5 * total2))
-        bands[MAX_CURVATURE, band] = TWO_PI**2 * min(curved, BOUND_SIGMA * math.sqrt(0.5 * curved2))
+        slope += sums.slope
+        slope2 += sums.slope2
+        curvature += sums.curvature
+        curvature2 += sums.curvature2
+        bands[MAX_SLOPE, band] = TWO_PI * min(slope, BOUND_SIGMA * math.sqrt(0.5 * slope2))
+        bands[MAX_CURVATURE, band] = TWO_PI**2 * min(
+            curvature, BOUND_SIGMA * math.sqrt(0.5 * curvature2)
+        )
         begin = end
 
 
 @inline
 def compute_safe_step(gap, rate, slope, curvature, climb):
-    """Return how far a ray gets without meeting the surface, inf if it never will.
+    """Return the distance (m) that is free of intersections, inf if there is none ahead.
 
     Parameters
     ----------
@@ -140,23 +143,23 @@ def compute_safe_step(gap, rate, slope, curvature, climb):
     slope, curvature : float
         Bounds along the ray.
     climb : float
-        Vertical part of the direction, away from the surface.
+        Vertical component of the direction, away from the surface.
     """
-    fall = slope - climb
-    if fall <= 0.0:
+    max_descent = slope - climb
+    if max_descent <= 0.0:
         return math.inf
     # G + G's − C s²/2 = 0, without cancellation.
     root = math.sqrt(rate * rate + 2.0 * curvature * gap)
     if rate > 0.0:
-        bent = (rate + root) / max(curvature, 1e-300)
+        curved_distance = (rate + root) / max(curvature, 1e-300)
     else:
-        bent = 2.0 * gap / max(root - rate, 1e-300)
-    return max(bent, gap / fall)
+        curved_distance = 2.0 * gap / max(root - rate, 1e-300)
+    return max(curved_distance, gap / max_descent)
 
 
 @inline_only
 def _load_band(surface, number):
-    """Return a `WaveBand`."""
+    """Return the `WaveBand` of a number."""
     bands = surface.bands
     return WaveBand(
         int(bands[BAND_END, number]), bands[FINER_HEIGHT, number], bands[MAX_SLOPE, number],
@@ -166,15 +169,15 @@ def _load_band(surface, number):
 
 @inline_only
 def refine_probe(probe, sums, band, point, d, side, tolerance):
-    """Return what is known of the surface with another band.
+    """Refine a `SurfaceProbe` with another band.
 
     Parameters
     ----------
     probe : SurfaceProbe
-        Before.
+        Result of the bands before.
     sums : WaveSums
-        Of the waves that the band has beyond the last one.
-    band : Band
+        Sums over the waves that the band adds.
+    band : WaveBand
     point, d : Vector
         Point of the ray and its direction.
     side : float
@@ -184,29 +187,32 @@ def refine_probe(probe, sums, band, point, d, side, tolerance):
 
     Returns
     -------
-    Look
+    SurfaceProbe
     """
     height = probe.surface.height + sums.height
     slope_x = probe.surface.slope.x - 2.0 * TWO_PI * sums.scaled_slope_x
     slope_y = probe.surface.slope.y - 2.0 * TWO_PI * sums.scaled_slope_y
     gap = side * (point.z - height) - band.finer_height
     rate = side * (d.z - slope_x * d.x - slope_y * d.y)
-    met, enough, free = False, False, probe.free_distance
+    hit, sufficient, free_distance = False, False, probe.free_distance
     if band.is_finest:
-        met = gap <= tolerance and rate < 0.0
+        hit = gap <= tolerance and rate < 0.0
         gap = max(gap, tolerance)
-    if gap > 0.0 and not met:
-        free = max(
-            free, compute_safe_step(gap, rate, band.max_slope, band.max_curvature, side * d.z)
+    if gap > 0.0 and not hit:
+        free_distance = max(
+            free_distance,
+            compute_safe_step(gap, rate, band.max_slope, band.max_curvature, side * d.z),
         )
-        # Waves without height leave nothing to the finer bands; those that decide are among them.
-        enough = gap > max(band.finer_height, tolerance)
-    return SurfaceProbe(HeightAndSlope(height, SurfaceSlope(slope_x, slope_y)), free, met, enough)
+        # If the finer waves have no height, finer bands cannot extend the step but decide hits.
+        sufficient = gap > max(band.finer_height, tolerance)
+    return SurfaceProbe(
+        HeightAndSlope(height, SurfaceSlope(slope_x, slope_y)), free_distance, hit, sufficient
+    )
 
 
 @inline_only
 def _distance_to_max_height(surface, position, d, side):
-    """Return after how many metres a ray comes into the reach of the surface, inf if it never does.
+    """Return the distance (m) to the maximum height of the surface, inf if a ray never reaches it.
 
     Parameters are those of `find_first_intersection`.
     """
@@ -219,28 +225,29 @@ def _distance_to_max_height(surface, position, d, side):
 
 @inline_only
 def make_no_hit(distance, n_evaluations):
-    """Return a `Hit` that is none: `NO_HIT` or `STEP_LIMIT_REACHED`, after so many looks."""
+    """Return a `Hit` without intersection, with the distance `NO_HIT` or `STEP_LIMIT_REACHED`."""
     return Hit(distance, SurfaceSlope(0.0, 0.0), n_evaluations)
 
 
 @entry_point_no_refcount
 def find_first_intersection(surface, position, d, side, max_distance=math.inf):
-    """Return where a ray first meets the surface.
+    """Find the first intersection of a ray with the surface.
 
-    A ray that is G above the surface, while G changes by G' per metre, cannot meet it within
-    `compute_safe_step`; near a crossing these steps converge like Newton's, and from the ray's side.  All
-    that is missed are dips below the surface by less than `compute_height_tolerance`, and what lies beyond
-    `BOUND_SIGMA`.  A ray that stands on the surface must leave it, see `nudge_off_surface`.
+    A ray at a height G above the surface, with the derivative G' along the ray, cannot hit it
+    within `compute_safe_step`.  Near an intersection these steps converge like Newton's method,
+    from the side of the ray.  Only dips below the surface by less than `compute_height_tolerance`,
+    and heights outside `BOUND_SIGMA`, are missed.  A ray that starts on the surface must leave it,
+    see `nudge_off_surface`.
 
     Parameters
     ----------
     surface : SurfaceRealization
     position, d : Vector
-        Beginning of the ray and its direction.
+        Start of the ray and its direction.
     side : float
         1 above the surface, −1 below.
     max_distance : float
-        Distance beyond which crossings do not matter.
+        Largest distance of interest (m).
 
     Returns
     -------
@@ -250,21 +257,21 @@ def find_first_intersection(surface, position, d, side, max_distance=math.inf):
     if s > max_distance or s == math.inf:
         return make_no_hit(NO_HIT, 0)
     set_ray_bounds(surface, d)
-    for looks in range(MAX_STEPS):
-        at = add_scaled(s, d, position)
-        if side * d.z >= 0.0 and side * at.z > surface.max_height:
-            return make_no_hit(NO_HIT, looks)
-        seen, begin, little = EMPTY_PROBE, 0, compute_height_tolerance(surface, at, s)
+    for n_evaluations in range(MAX_STEPS):
+        point = add_scaled(s, d, position)
+        if side * d.z >= 0.0 and side * point.z > surface.max_height:
+            return make_no_hit(NO_HIT, n_evaluations)
+        probe, begin, tolerance = EMPTY_PROBE, 0, compute_height_tolerance(surface, point, s)
         for number in range(surface.n_bands - 1, -1, -1):
             band = _load_band(surface, number)
-            sums = sum_waves(surface.waves, begin, band.end, at.x, at.y)
-            seen = refine_probe(seen, sums, band, at, d, side, little)
+            sums = sum_waves(surface.waves, begin, band.end, point.x, point.y)
+            probe = refine_probe(probe, sums, band, point, d, side, tolerance)
             begin = band.end
-            if seen.sufficient:
+            if probe.sufficient:
                 break
-        if seen.hit:
-            return Hit(s, seen.surface.slope, looks + 1)
-        s += seen.free_distance
+        if probe.hit:
+            return Hit(s, probe.surface.slope, n_evaluations + 1)
+        s += probe.free_distance
         if s > max_distance or s == math.inf:
-            return make_no_hit(NO_HIT, looks + 1)
+            return make_no_hit(NO_HIT, n_evaluations + 1)
     return make_no_hit(STEP_LIMIT_REACHED, MAX_STEPS)

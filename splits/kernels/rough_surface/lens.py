@@ -1,4 +1,4 @@
-"""Parallel light through a given realisation of a rough surface onto a screen below it."""
+"""Refraction of vertical rays at a given realization of a rough surface."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _X, _Y, _Z = range(3)
 
 
 class RefractedRays(NamedTuple):
-    """Where rays came down, and where they go from there.
+    """Vertical rays after refraction at the surface.
 
     Attributes
     ----------
     position, direction : float64[rays, 3]
-        Of the surface (m), and below it.
+        Point on the surface (m), and direction below it.
     next_hit_distance : float64[rays]
-        How far along it the ray meets the surface again (m), or infinity.
+        Distance to the next intersection with the surface (m), or infinity.
     """
 
     position: np.ndarray
@@ -47,22 +47,22 @@ def refract_vertical_rays(waves, refractive_index, x, y):
     refractive_index : float
         Refractive index below the surface, with 1 above.
     x, y : float64[rays]
-        Where the rays come down (m).
+        Horizontal positions of the rays (m).
 
     Returns
     -------
-    Landed
+    RefractedRays
     """
     surface = make_realization(waves)
-    landed = RefractedRays(np.empty((x.size, 3)), np.empty((x.size, 3)), np.empty(x.size))
+    refracted = RefractedRays(np.empty((x.size, 3)), np.empty((x.size, 3)), np.empty(x.size))
     for ray in range(x.size):
-        relief = compute_height_and_slope(waves, x[ray], y[ray])
-        normal = compute_normal_from_slope(relief.slope)
-        passage = fresnel(1.0, refractive_index, 0.0, normal.z)
-        d = refract(Vector(0.0, 0.0, -1.0), normal, normal.z, passage)
-        place = Vector(x[ray], y[ray], relief.height)
-        hit = find_first_intersection(surface, place, d, -1.0)
-        for row, vector in ((landed.position[ray], place), (landed.direction[ray], d)):
+        surface_point = compute_height_and_slope(waves, x[ray], y[ray])
+        normal = compute_normal_from_slope(surface_point.slope)
+        fresnel_result = fresnel(1.0, refractive_index, 0.0, normal.z)
+        d = refract(Vector(0.0, 0.0, -1.0), normal, normal.z, fresnel_result)
+        position = Vector(x[ray], y[ray], surface_point.height)
+        hit = find_first_intersection(surface, position, d, -1.0)
+        for row, vector in ((refracted.position[ray], position), (refracted.direction[ray], d)):
             row[_X], row[_Y], row[_Z] = vector.x, vector.y, vector.z
-        landed.next_hit_distance[ray] = math.inf if hit.distance == NO_HIT else hit.distance
-    return landed
+        refracted.next_hit_distance[ray] = math.inf if hit.distance == NO_HIT else hit.distance
+    return refracted

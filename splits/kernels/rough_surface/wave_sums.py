@@ -1,6 +1,6 @@
 """Sums over the plane waves of a surface: heights, slopes, and bounds along a ray.
 
-One formula serves plain Python and compiled code, where it runs on `N_WAVE_LANES` waves side by side.
+One formula serves plain Python and compiled code, where it evaluates `N_WAVE_LANES` waves at once.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from numba.extending import intrinsic, overload
 from splits.kernels.compiler.jit import INLINE_OPTIONS
 
 N_WAVE_LANES = 8
-"""Waves that are evaluated side by side."""
+"""Waves that are evaluated at once, as the lanes of a vector."""
 WAVE_ROWS = AMPLITUDE, KX, KY, PHASE = tuple(range(4))
 """Rows of an array of waves."""
 
 TWO_PI = 2.0 * math.pi
 _ROUNDING_SHIFT = 6755399441055744.0
-"""1.5 · 2⁵²: a double added to it and taken off again is rounded to an integer."""
+"""1.5 · 2⁵²: adding and subtracting it rounds a double to an integer."""
 
 # sin πr / r and cos πr on |r| ≤ ½ in powers of r², Chebyshev approximations: 2e-16 and 2e-15.
 _SINE_COEFFICIENTS = (
@@ -37,7 +37,7 @@ _COSINE_COEFFICIENTS = (
 
 
 class WaveSums(NamedTuple):
-    """Σ over waves for Ψ and, per −4π, for ∂Ψ/∂x and ∂Ψ/∂y; or the pair of factors of each."""
+    """Sums over waves for Ψ and, divided by −4π, for ∂Ψ/∂x and ∂Ψ/∂y; or the factors of each."""
 
     height: Any
     scaled_slope_x: Any
@@ -45,7 +45,7 @@ class WaveSums(NamedTuple):
 
 
 class RayBoundSums(NamedTuple):
-    """Σ a|q|, Σ (aq)², Σ a q², Σ (a q²)² for q = k·d; or the pair of factors of each."""
+    """Sums Σ a|q|, Σ (aq)², Σ a q², Σ (a q²)² for q = k·d; or the factors of each."""
 
     slope: Any
     slope2: Any
@@ -54,7 +54,7 @@ class RayBoundSums(NamedTuple):
 
 
 class _WaveVector:
-    """A vector of `N_WAVE_LANES` doubles in LLVM's hands, with the operators that formulas use."""
+    """LLVM vector of `N_WAVE_LANES` doubles, with the operators that the formulas use."""
 
     llvm_type = ir.VectorType(ir.DoubleType(), N_WAVE_LANES)
 
@@ -102,17 +102,17 @@ class _WaveVector:
 
 
 def _fma(a: Any, b: Any, c: Any) -> Any:
-    """Return a b + c, of vectors as `arithmetic.fused` does of numbers."""
+    """Return a b + c of numbers, arrays or LLVM vectors."""
     return a.fma(b, c) if isinstance(a, _WaveVector) else a * b + c
 
 
 def _make_wave_sum(formula: Callable[..., Any], sums_type: Any) -> Callable[..., Any]:
     """Return the function (waves, first, end, p, q) that sums a formula over columns of waves.
 
-    The formula takes p, q and the rows of waves, and returns for every sum a pair of factors, in a
-    named tuple of the given kind, as the sums are.  It serves plain Python, with whole rows, and
-    compiled code, with vectors of `N_WAVE_LANES` columns: left to itself the compiler would add wave after
-    wave, as another order is another sum.
+    The formula takes p, q and the rows of waves, and returns a pair of factors for every sum, as
+    the named tuple `sums_type`.  It serves plain Python, with whole rows, and compiled code, with
+    vectors of `N_WAVE_LANES` columns.  The vectors are explicit because a compiler must not reorder
+    a sum of floats, and would add one wave at a time.
     """
 
     def plain(waves, first, end, p, q):
@@ -124,8 +124,8 @@ def _make_wave_sum(formula: Callable[..., Any], sums_type: Any) -> Callable[...,
     def vectors(typing_context, waves, first, end, p, q):
         if not (isinstance(waves, types.Array) and (waves.ndim, waves.layout) == (2, "C")):
             raise errors.TypingError("waves must be a contiguous array of rows")
-        ends, numbers = [types.intp] * 2, [types.float64] * 2
-        signature = types.NamedUniTuple(types.float64, count, sums_type)(waves, *ends, *numbers)
+        bounds, numbers = [types.intp] * 2, [types.float64] * 2
+        signature = types.NamedUniTuple(types.float64, count, sums_type)(waves, *bounds, *numbers)
 
         def generate(context, builder, signature, arguments):
             array = context.make_array(waves)(context, builder, arguments[0])
@@ -151,44 +151,44 @@ def _emit_loop(
     p: ir.Value,
     q: ir.Value,
 ) -> list[ir.Value]:
-    """Write the loop over columns and the sums over lanes; return the values of the sums."""
+    """Emit the loop over columns and the sums over lanes; return the values of the sums."""
     columns = cgutils.unpack_tuple(builder, waves.shape, 2)[1]
     size, index = columns.type, ir.IntType(32)
     undefined = ir.Constant(_WaveVector.llvm_type, ir.Undefined)
-    everywhere = ir.Constant(ir.VectorType(index, N_WAVE_LANES), [0] * N_WAVE_LANES)
+    first_lane = ir.Constant(ir.VectorType(index, N_WAVE_LANES), [0] * N_WAVE_LANES)
 
-    def spread(number: ir.Value) -> _WaveVector:
-        one = builder.insert_element(undefined, number, index(0))
-        return _WaveVector(builder, builder.shuffle_vector(one, undefined, everywhere))
+    def broadcast(number: ir.Value) -> _WaveVector:
+        vector = builder.insert_element(undefined, number, index(0))
+        return _WaveVector(builder, builder.shuffle_vector(vector, undefined, first_lane))
 
     def row(number: int, column: ir.Value) -> _WaveVector:
-        place = builder.gep(waves.data, [builder.add(builder.mul(columns, size(number)), column)])
-        place = builder.bitcast(place, _WaveVector.llvm_type.as_pointer())
-        return _WaveVector(builder, builder.load(place, align=8))
+        pointer = builder.gep(waves.data, [builder.add(builder.mul(columns, size(number)), column)])
+        pointer = builder.bitcast(pointer, _WaveVector.llvm_type.as_pointer())
+        return _WaveVector(builder, builder.load(pointer, align=8))
 
-    p, q = spread(p), spread(q)
+    p, q = broadcast(p), broadcast(q)
     sums = [cgutils.alloca_once(builder, _WaveVector.llvm_type) for _ in range(n_sums)]
-    for place in sums:
-        builder.store(ir.Constant(_WaveVector.llvm_type, [0.0] * N_WAVE_LANES), place)
+    for slot in sums:
+        builder.store(ir.Constant(_WaveVector.llvm_type, [0.0] * N_WAVE_LANES), slot)
     steps = builder.sdiv(builder.sub(end, first), size(N_WAVE_LANES))
     with cgutils.for_range(builder, steps) as loop:
         column = builder.add(first, builder.mul(loop.index, size(N_WAVE_LANES)))
         pairs = formula(p, q, *(row(number, column) for number in WAVE_ROWS))
-        for place, (left, right) in zip(sums, pairs, strict=True):
-            builder.store(left.fma(right, _WaveVector(builder, builder.load(place))).value, place)
-    found = []
-    for place in sums:
-        total = builder.load(place)
+        for slot, (left, right) in zip(sums, pairs, strict=True):
+            builder.store(left.fma(right, _WaveVector(builder, builder.load(slot))).value, slot)
+    totals = []
+    for slot in sums:
+        total = builder.load(slot)
         parts = [builder.extract_element(total, index(lane)) for lane in range(N_WAVE_LANES)]
         while len(parts) > 1:
             half = len(parts) // 2
             parts = [builder.fadd(*pair) for pair in zip(parts[:half], parts[half:], strict=True)]
-        found.append(parts[0])
-    return found
+        totals.append(parts[0])
+    return totals
 
 
 def _height_factors(x, y, amplitude, kx, ky, phase):
-    """Factors of Ψ and of ∂Ψ/∂x, ∂Ψ/∂y per −4π, with cos 2πt = 1 − 2 sin² πt (Eq 3)."""
+    """Return the factors of `WaveSums`, with cos 2πt = 1 − 2 sin² πt (Eq 3)."""
     t = _fma(kx, x, _fma(ky, y, -phase))
     r = t - ((t + _ROUNDING_SHIFT) - _ROUNDING_SHIFT)
     square = r * r
@@ -204,7 +204,7 @@ def _height_factors(x, y, amplitude, kx, ky, phase):
 
 
 def _bound_factors(dx, dy, amplitude, kx, ky, phase):
-    """Factors of the bounds along d, q = k·d in cycles per metre."""
+    """Return the factors of `RayBoundSums` along d, q = k·d in cycles per metre."""
     q = abs(_fma(kx, dx, ky * dy))
     slope = amplitude * q
     curvature = slope * q

@@ -1,1 +1,1 @@
-"""From rays that left, or passed a face, to sums over wavelengths, places and directions."""
+"""Tallies of traced rays: exits, boundary crossings, fluxes, angular and radial distributions."""

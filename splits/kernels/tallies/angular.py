@@ -1,14 +1,14 @@
-"""From rays that left to where they went: expansions over the hemisphere, and cells of it.
+"""Angular distributions of exits: expansion over the hemisphere, and angular bins.
 
-A BRDF is the density of exits over projected solid angle, dω cos θ = μ dμ dφ.  The expansion uses
-polynomials orthonormal over exactly that,
+A BRDF is the density of exits per projected solid angle, dω cos θ = μ dμ dφ.  The expansion uses
+polynomials orthonormal over that measure,
 
     B(μ, φ) = s · Re[(u + iv)^m] · P_l^(m,1)(2μ − 1),   u + iv = √(1 − μ) exp(iφ),
 
 disk polynomials (Koornwinder 1975) in the coordinates u, v of Lambert's equal-area map, of degree
-n = m + 2l.  They are smooth at the zenith and polynomials in μ at the horizon, and the first is
-constant, so that it alone holds the hemispherical reflectance.  Sines are left out: nothing
-distinguishes the two sides of the plane of incidence.
+n = m + 2l.  They are smooth at the zenith and polynomials in μ at the horizon.  The first one is
+constant and alone contains the hemispherical reflectance.  Sines are omitted: the distribution is
+symmetric about the plane of incidence.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from splits.kernels.tallies.exits import (
 )
 
 WEIGHT, WEIGHT_SQUARED = range(2)
-"""Rows of sums over rays: of their weights, and of the squares."""
+"""Rows of sums over rays: of the weights, and of their squares."""
 _X, _Y, _Z = range(3)
 
 
@@ -42,9 +42,9 @@ class DiskBasis(NamedTuple):
     degrees : int64[polynomials]
         n = m + 2l.
     norms : float64[polynomials]
-        What makes them orthonormal.
+        Normalization factors.
     recurrence_slope, recurrence_offset, recurrence_previous : float64[polynomials]
-        P_l = (slope·t + offset)·P_(l−1) − older·P_(l−2).
+        P_l = (slope·t + offset)·P_(l−1) − previous·P_(l−2).
     """
 
     n_per_m: np.ndarray
@@ -56,7 +56,7 @@ class DiskBasis(NamedTuple):
 
 
 class AngularSums(NamedTuple):
-    """Sums over rays: by direction of those that met a grain, and of those that met none."""
+    """Sums over scattered rays, by direction, and over unscattered rays."""
 
     scattered: np.ndarray
     unscattered: np.ndarray
@@ -67,39 +67,39 @@ def make_basis(degree: int) -> DiskBasis:
     rows = [(m, i) for m in range(degree + 1) for i in range((degree - m) // 2 + 1)]
     m, i = np.array(rows, dtype=float).T
     # ∫ (1 − μ)^m μ P² dμ is (l + 1) / ((2l + m + 2)(l + m + 1)); cosines give π, or 2π for m = 0.
-    turn = np.where(m == 0.0, 2.0 * np.pi, np.pi)
-    scale = np.sqrt((2.0 * i + m + 2.0) * (i + m + 1.0) / ((i + 1.0) * turn))
-    below = 2.0 * i * (i + m + 1.0) * (2.0 * i + m - 1.0)
-    # The first two need no recurrence, and would divide by 0.
-    below = np.where(i < 2, 1.0, below)
-    slope = (2.0 * i + m) * (2.0 * i + m + 1.0) * (2.0 * i + m - 1.0) / below
-    offset = (2.0 * i + m) * (m * m - 1.0) / below
-    older = 2.0 * (i + m - 1.0) * i * (2.0 * i + m + 1.0) / below
+    azimuth_integral = np.where(m == 0.0, 2.0 * np.pi, np.pi)
+    scale = np.sqrt((2.0 * i + m + 2.0) * (i + m + 1.0) / ((i + 1.0) * azimuth_integral))
+    denominator = 2.0 * i * (i + m + 1.0) * (2.0 * i + m - 1.0)
+    # The first two need no recurrence, which would divide by 0.
+    denominator = np.where(i < 2, 1.0, denominator)
+    slope = (2.0 * i + m) * (2.0 * i + m + 1.0) * (2.0 * i + m - 1.0) / denominator
+    offset = (2.0 * i + m) * (m * m - 1.0) / denominator
+    previous = 2.0 * (i + m - 1.0) * i * (2.0 * i + m + 1.0) / denominator
     slope, offset = (
         np.where(i == 1, 0.5 * (m + 3.0), slope),
         np.where(i == 1, 0.5 * (m - 1), offset),
     )
-    older = np.where(i == 1, 0.0, older)
+    previous = np.where(i == 1, 0.0, previous)
     per_m = np.array([(degree - k) // 2 + 1 for k in range(degree + 1)])
-    return DiskBasis(per_m, (m + 2 * i).astype(np.int64), scale, slope, offset, older)
+    return DiskBasis(per_m, (m + 2 * i).astype(np.int64), scale, slope, offset, previous)
 
 
 @inline
 def evaluate_basis(basis, dx, dy, mu, values):
     """Set `values` (float64[polynomials]) to the polynomials in the direction (dx, dy, ±μ)."""
     t = 2.0 * mu - 1.0
-    shrink = 1.0 / math.sqrt(1.0 + mu)
-    u, v = dx * shrink, dy * shrink
+    inverse_root = 1.0 / math.sqrt(1.0 + mu)
+    u, v = dx * inverse_root, dy * inverse_root
     real, imaginary = 1.0, 0.0
     row = 0
     for m in range(basis.n_per_m.size):
-        last, before = 1.0, 0.0
+        last, previous = 1.0, 0.0
         for i in range(basis.n_per_m[m]):
             if i > 0:
                 new = (
                     basis.recurrence_slope[row] * t + basis.recurrence_offset[row]
-                ) * last - basis.recurrence_previous[row] * before
-                last, before = new, last
+                ) * last - basis.recurrence_previous[row] * previous
+                last, previous = new, last
             values[row] = basis.norms[row] * real * last
             row += 1
         real, imaginary = u * real - v * imaginary, u * imaginary + v * real
@@ -107,7 +107,7 @@ def evaluate_basis(basis, dx, dy, mu, values):
 
 @entry_point
 def evaluate_basis_at(basis, directions):
-    """Return the polynomials at directions (float64[directions, 3]), float64[directions, …]."""
+    """Return the polynomials at directions (float64[n, 3]), float64[n, polynomials]."""
     values = np.empty((directions.shape[0], basis.norms.size))
     for i in range(directions.shape[0]):
         d = directions[i]
@@ -117,7 +117,7 @@ def evaluate_basis_at(basis, directions):
 
 @inline
 def compute_path_weight(exit_row, absorption, wavelength):
-    """Return a ray's weight at a wavelength (SPLITSnow Eqs 5-6)."""
+    """Return the weight of a ray at one wavelength (SPLITSnow Eqs 5-6)."""
     depth = 0.0
     for material in range(absorption.shape[1]):
         depth += absorption[wavelength, material] * exit_row[EXIT_LENGTH + material]
@@ -126,7 +126,7 @@ def compute_path_weight(exit_row, absorption, wavelength):
 
 @entry_point
 def tally_expansion(exits, absorption, max_orders, basis):
-    """Add up the polynomials of rays times their weights, by order of scattering.
+    """Tally the weights of rays times the basis polynomials, by order of scattering.
 
     Parameters
     ----------
@@ -140,13 +140,13 @@ def tally_expansion(exits, absorption, max_orders, basis):
 
     Returns
     -------
-    Parted
-        `sums` is float64[classes, 2, wavelengths, polynomials], where side 0 is reflected and 1
-        transmitted; `straight`, the weights of rays that met none, float64[2, wavelengths].
+    AngularSums
+        `scattered` is float64[classes, 2, wavelengths, polynomials], where side 0 is reflected and
+        1 transmitted; `unscattered` has the weights of the other rays, float64[2, wavelengths].
     """
     wavelengths = absorption.shape[0]
     sums = np.zeros((max_orders.size, 2, wavelengths, basis.norms.size))
-    straight = np.zeros((2, wavelengths))
+    unscattered = np.zeros((2, wavelengths))
     values = np.empty(basis.norms.size)
     for j in range(exits.shape[0]):
         row = exits[j]
@@ -155,44 +155,44 @@ def tally_expansion(exits, absorption, max_orders, basis):
             continue
         if row[EXIT_ORDER] == 0.0:
             for i in range(wavelengths):
-                straight[side, i] += compute_path_weight(row, absorption, i)
+                unscattered[side, i] += compute_path_weight(row, absorption, i)
             continue
-        group = 0
-        while row[EXIT_ORDER] > max_orders[group]:
-            group += 1
+        order_class = 0
+        while row[EXIT_ORDER] > max_orders[order_class]:
+            order_class += 1
         dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
         evaluate_basis(basis, dx, dy, abs(row[EXIT_DIRECTION + 2]), values)
         for i in range(wavelengths):
             weight = compute_path_weight(row, absorption, i)
-            total = sums[group, side, i]
+            total = sums[order_class, side, i]
             for b in range(values.size):
                 total[b] += weight * values[b]
-    return AngularSums(sums, straight)
+    return AngularSums(sums, unscattered)
 
 
 @entry_point
 def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
-    """Add up the weights of rays by cells of equal solid angle, and their squares.
+    """Tally the weights of rays and their squares in angular bins of equal solid angle.
 
     Parameters
     ----------
     exits, absorption
         See `tally_expansion`.
     n_polar, n_azimuth : int
-        Cells from horizon to zenith, equally spaced in the cosine, and around; the first of these
-        is centred on the direction in which the beam travels.
+        Bins from horizon to zenith, equally spaced in the cosine, and in azimuth.  The first
+        azimuth bin is centred on the direction of travel of the beam.
     factor_column : int
-        Column that multiplies the weights, as of a Stokes parameter, or −1.
+        Column of a factor of the weights, such as a Stokes parameter, or −1.
 
     Returns
     -------
-    Parted
-        `sums` is float64[2, 2, wavelengths, polar, azimuth], [`WEIGHT`, `WEIGHT_SQUARED`][reflected,
-        transmitted]; `straight` the same without cells.
+    AngularSums
+        `scattered` is float64[2, 2, wavelengths, polar, azimuth], [`WEIGHT`,
+        `WEIGHT_SQUARED`][reflected, transmitted]; `unscattered` is the same without bins.
     """
     wavelengths = absorption.shape[0]
     sums = np.zeros((2, 2, wavelengths, n_polar, n_azimuth))
-    straight = np.zeros((2, 2, wavelengths))
+    unscattered = np.zeros((2, 2, wavelengths))
     for j in range(exits.shape[0]):
         row = exits[j]
         side = int(row[EXIT_SIDE])
@@ -200,16 +200,16 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
             continue
         dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
         turn = math.atan2(dy, dx) / (2.0 * math.pi) + 0.5 / n_azimuth
-        column = min(int((turn - math.floor(turn)) * n_azimuth), n_azimuth - 1)
-        line = min(int(abs(row[EXIT_DIRECTION + 2]) * n_polar), n_polar - 1)
+        azimuth_bin = min(int((turn - math.floor(turn)) * n_azimuth), n_azimuth - 1)
+        polar_bin = min(int(abs(row[EXIT_DIRECTION + 2]) * n_polar), n_polar - 1)
         for i in range(wavelengths):
             weight = compute_path_weight(row, absorption, i)
             if factor_column >= 0:
                 weight *= row[factor_column]
             if row[EXIT_ORDER] == 0.0:
-                straight[WEIGHT, side, i] += weight
-                straight[WEIGHT_SQUARED, side, i] += weight * weight
+                unscattered[WEIGHT, side, i] += weight
+                unscattered[WEIGHT_SQUARED, side, i] += weight * weight
             else:
-                sums[WEIGHT, side, i, line, column] += weight
-                sums[WEIGHT_SQUARED, side, i, line, column] += weight * weight
-    return AngularSums(sums, straight)
+                sums[WEIGHT, side, i, polar_bin, azimuth_bin] += weight
+                sums[WEIGHT_SQUARED, side, i, polar_bin, azimuth_bin] += weight * weight
+    return AngularSums(sums, unscattered)

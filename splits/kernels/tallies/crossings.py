@@ -1,7 +1,8 @@
-"""Notes of rays on their way: where they pass a face, or meet the ground, and what they carry.
+"""Records of rays that cross layer boundaries or hit the ground, with their path lengths.
 
-A scene says whether faces between layers are listened to (`scene.Scene.listens`); the ground always
-is.  Notes are taken in the order of time, those of different rays in any order.
+`scene.Scene.record_crossings` says whether crossings of boundaries between layers are recorded;
+hits of the ground always are.  The records of a ray are in the order of time, those of different
+rays in any order.
 """
 
 from __future__ import annotations
@@ -13,25 +14,25 @@ import numpy as np
 from splits.kernels.compiler.jit import inline, inline_allocating
 
 CROSSING_RAY = 0
-"""Column of the row of exits of the ray that a note is of."""
+"""Column of the ray, as its row in the exits."""
 CROSSING_EVENT = 1
-"""Column of what happened, see `encode_crossing`."""
+"""Column of the event, see `encode_crossing`."""
 CROSSING_WEIGHT = 2
 """Column of the inverse probability of having survived roulette."""
 CROSSING_LENGTH = 3
-"""First of the columns of lengths so far (m), one per material, and meetings with the ground."""
+"""First of the columns of path lengths (m), one per material, and of the number of ground hits."""
 _INITIAL_CAPACITY = 64
 _N_RECORDED, _CURRENT_RAY = 0, 1
 
 
 class CrossingBank(NamedTuple):
-    """Room for notes.
+    """Growing array of crossing records.
 
     Attributes
     ----------
-    rows : float64[room, columns]
+    rows : float64[capacity, columns]
     state : int64[2]
-        Rows in use, and the ray that is now on its way.
+        Rows in use, and the current ray.
     """
 
     rows: np.ndarray
@@ -40,7 +41,7 @@ class CrossingBank(NamedTuple):
 
 @inline_allocating
 def allocate_bank(n_lengths):
-    """Return room for notes of so many lengths, none taken."""
+    """Return an empty bank of crossing records with `n_lengths` path lengths."""
     return CrossingBank(
         np.empty((_INITIAL_CAPACITY, CROSSING_LENGTH + n_lengths)), np.zeros(2, dtype=np.int64)
     )
@@ -48,26 +49,29 @@ def allocate_bank(n_lengths):
 
 @inline_allocating
 def get_recorded(bank):
-    """Return the notes taken, float64[notes, columns]."""
+    """Return the crossing records, float64[crossings, columns]."""
     return bank.rows[: bank.state[_N_RECORDED]]
 
 
 @inline
 def copy_into_row(row, first, values):
-    """Write values into a row from a column on: `row[first:] = values` takes seconds to compile."""
+    """Copy values into a row from a column on.
+
+    The equivalent `row[first:] = values` takes seconds to compile.
+    """
     for i in range(values.size):
         row[first + i] = values[i]
 
 
 @inline
 def has_capacity(bank, n_new):
-    """Tell whether there is room for so many more."""
+    """Return whether the bank has capacity for `n_new` more records."""
     return bank.state[_N_RECORDED] + n_new <= bank.rows.shape[0]
 
 
 @inline_allocating
 def ensure_capacity(bank, n_new):
-    """Return notes with room for so many more."""
+    """Return a bank with capacity for `n_new` more records, the same one if it suffices."""
     if has_capacity(bank, n_new):
         return bank
     count = bank.state[_N_RECORDED]
@@ -79,19 +83,22 @@ def ensure_capacity(bank, n_new):
 
 @inline
 def set_current_ray(bank, ray):
-    """Let the notes that follow be of a ray."""
+    """Set the ray of the records that follow."""
     bank.state[_CURRENT_RAY] = ray
 
 
 @inline
 def encode_crossing(boundary, upward):
-    """Return the event of passing a face, 0 at the top; the ground is met at the lowest one."""
+    """Return the code of a crossing of a boundary.
+
+    Boundaries are numbered from 0 at the top; the ground is at the lowest one.
+    """
     return 2 * boundary + (1 if upward else 0)
 
 
 @inline
 def append_crossing(bank, event, weight, path_lengths):
-    """Take a note, for which there must be room.
+    """Record a boundary crossing.  The caller guarantees capacity.
 
     Parameters
     ----------
@@ -99,7 +106,7 @@ def append_crossing(bank, event, weight, path_lengths):
     event : int
     weight : float
     path_lengths : float64[columns]
-        Lengths so far.
+        Path lengths so far (m).
     """
     row = bank.rows[bank.state[_N_RECORDED]]
     row[CROSSING_RAY], row[CROSSING_EVENT], row[CROSSING_WEIGHT] = (

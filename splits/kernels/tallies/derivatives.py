@@ -1,7 +1,7 @@
-"""How sums of weights change with what absorbs: derivatives of the very sums of `tally`.
+"""Derivatives of the weight tallies with respect to absorption.
 
-A ray's weight is exp(−Σ α·length), so its derivative is minus itself times Σ α′·length, for every
-change α′ of absorption coefficients at once and from the same path lengths.
+The weight of a ray is exp(−Σ α·length), so its derivative is −weight · Σ α′·length for a change α′
+of the absorption coefficients; all parameters use the same path lengths.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from splits.kernels.tallies.exits import (
 
 @entry_point
 def tally_derivatives(exits, crossings, absorption, absorption_derivatives, ground_column):
-    """Add up derivatives of the weights of rays, in the order of their rows.
+    """Tally the derivatives of the weights of rays, in the order of their rows.
 
     Parameters
     ----------
     exits : float64[rays, columns]
-    crossings : float64[notes, columns]
-        Of these rays, ray by ray, `CROSSING_RAY` counting from the first of them.
+    crossings : float64[crossings, columns]
+        Records of these rays, ray by ray; `CROSSING_RAY` counts from the first ray.
     absorption : float64[wavelengths, materials]
-        Absorption coefficients (1/m); of a ground −ln of its albedo.
+        Absorption coefficients (1/m); −ln of the albedo for a ground.
     absorption_derivatives : float64[parameters, wavelengths, materials]
         Their derivatives.
     ground_column : int
@@ -45,18 +45,18 @@ def tally_derivatives(exits, crossings, absorption, absorption_derivatives, grou
     Returns
     -------
     float32[blocks, 2, parameters, wavelengths]
-        Derivatives of Σ weight, reflected and transmitted, of every `BLOCK_SIZE` successive rays; what
-        the ground keeps counts as transmitted.
+        Derivatives of Σ weight, reflected and transmitted, of every `BLOCK_SIZE` successive rays;
+        light that the ground absorbs counts as transmitted.
     """
     wavelengths, materials = absorption.shape
     parameters = absorption_derivatives.shape[0]
     alpha = np.empty((materials, wavelengths), dtype=np.float32)
-    more = np.empty((parameters, materials, wavelengths), dtype=np.float32)
+    derivatives = np.empty((parameters, materials, wavelengths), dtype=np.float32)
     for material in range(materials):
         for i in range(wavelengths):
             alpha[material, i] = absorption[i, material]
             for p in range(parameters):
-                more[p, material, i] = absorption_derivatives[p, i, material]
+                derivatives[p, material, i] = absorption_derivatives[p, i, material]
     rays = exits.shape[0]
     blocks = np.zeros((-(-rays // BLOCK_SIZE), 2, parameters, wavelengths), dtype=np.float32)
     weight = np.empty(wavelengths, dtype=np.float32)
@@ -68,36 +68,44 @@ def tally_derivatives(exits, crossings, absorption, absorption_derivatives, grou
             lengths = exits[j, EXIT_LENGTH:]
             compute_path_weights(lengths, exits[j, EXIT_WEIGHT], alpha, weight)
             for p in range(parameters):
-                _subtract_derivative(lengths, weight, more[p], sums[side, p])
-        first = _add_ground_derivatives(crossings, first, j, alpha, more, ground_column, sums[1])
+                _subtract_derivative(lengths, weight, derivatives[p], sums[side, p])
+        first = _add_ground_derivatives(
+            crossings, first, j, alpha, derivatives, ground_column, sums[1]
+        )
     return blocks
 
 
 @entry_point_no_refcount
 def _subtract_derivative(path_lengths, weight, derivatives, total):
-    """Take from `total` what a weight loses, float32[wavelengths]."""
+    """Subtract weight · Σ α′·length from `total`, float32[wavelengths]."""
     for material in range(derivatives.shape[0]):
-        leg = np.float32(path_lengths[material])
-        if leg > ZERO:
+        segment = np.float32(path_lengths[material])
+        if segment > ZERO:
             for i in range(weight.size):
-                total[i] -= weight[i] * (derivatives[material, i] * leg)
+                total[i] -= weight[i] * (derivatives[material, i] * segment)
 
 
 @inline_allocating
 def _add_ground_derivatives(crossings, first, ray, alpha, derivatives, ground_column, totals):
-    """Add what the ground keeps of a ray, and return its first note's successor."""
+    """Add the derivatives of the weight of a ray that the ground absorbs.
+
+    Returns
+    -------
+    int
+        Row of the first crossing of the next ray.
+    """
     weight = np.empty(alpha.shape[1], dtype=np.float32)
-    sent = np.empty_like(weight)
+    reflected = np.empty_like(weight)
     while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
         lengths = crossings[first, CROSSING_LENGTH:]
         compute_path_weights(lengths, crossings[first, CROSSING_WEIGHT], alpha, weight)
-        # It keeps weight·(1 − a), a = exp(−α), and a falls by a·α′.
+        # The ground absorbs weight·(1 − a), where the albedo a = exp(−α) falls by a·α′.
         for i in range(weight.size):
-            sent[i] = weight[i] * exp_float32(-alpha[ground_column, i])
-            weight[i] -= sent[i]
+            reflected[i] = weight[i] * exp_float32(-alpha[ground_column, i])
+            weight[i] -= reflected[i]
         for p in range(totals.shape[0]):
             _subtract_derivative(lengths, weight, derivatives[p], totals[p])
             for i in range(weight.size):
-                totals[p, i] += sent[i] * derivatives[p, ground_column, i] * ONE
+                totals[p, i] += reflected[i] * derivatives[p, ground_column, i] * ONE
         first += 1
     return first

@@ -1,8 +1,8 @@
-"""From rays that left to sums of weights over wavelengths.
+"""Exits of rays, and spectral tallies of their weights.
 
-Kernels record where and with which path lengths a ray left, and know no wavelength; the lengths
-in each material then give its weight at every wavelength (SPLITSnow Eqs 5-6, the exponential read
-as the probability to pass).
+Kernels record where and with which path lengths a ray left, independent of wavelength.  The path
+lengths in each material then give its weight at every wavelength (SPLITSnow Eqs 5-6, with the
+exponential as the survival probability).
 """
 
 from __future__ import annotations
@@ -26,49 +26,53 @@ ABSORBED = 0
 REFLECTED = 1
 TRANSMITTED = 2
 LOST = 3
-"""No grain that fits was found, or no way on at a surface; never expected, counted so that it
-cannot pass unseen."""
+"""Lost ray: no grain was accepted, or no intersection with a surface was found.  This should not
+happen and is reported."""
 ALIVE = 4
 TO_GROUND = 5
-"""Left below, towards a ground that sends light back."""
+"""The ray left below, towards a reflecting ground."""
 
 EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
 EXIT_WEIGHT = 1
 """Column of the inverse probability of having survived roulette."""
 EXIT_ORDER = 2
-"""Column of the order of scattering: grains, particles, facets of a rough surface met; NaN where a
-kernel does not count them."""
+"""Column of the order of scattering: hits of grains, particles and facets of a rough surface.
+
+NaN if a kernel does not count them.
+"""
 EXIT_DIRECTION = 3
 """First of three columns: direction outside the slab."""
 EXIT_POSITION = 6
-"""First of two columns: horizontal position (m); NaN where a kernel does not track it."""
+"""First of two columns: horizontal position (m); NaN if a kernel does not track it."""
 EXIT_LENGTH = 8
 """First of the columns of path lengths (m), one per material."""
 
 BLOCK_SIZE = 8
-"""Successive rays whose sums are kept apart: how blocks scatter tells how errors go together."""
+"""Successive rays with separate sums, whose scatter gives the correlation of errors."""
 N_BATCHES = 32
-"""Groups of rays whose means are told apart.  Blocks of successive rays take turns, so that the
-smallest first round of a level reaches all.  A standard error from 32 groups is known to 13 %."""
+"""Batches of rays with separate means.  Blocks of successive rays are assigned to them in turn, so
+that even the smallest first round of a stratum reaches all.  The relative uncertainty of a standard
+error from 32 batches is 13 %."""
 
 
 class BatchStats(NamedTuple):
-    """How many legs a batch of rays took, and whether it ended early as a ray was lost."""
+    """Number of path segments of a batch of rays, and whether it ended early on a lost ray."""
 
     n_segments: int
     lost: bool
 
 
 class BatchResult(NamedTuple):
-    """What a batch of rays cost, and what is noted of them.
+    """Result of a batch of rays: its cost and the crossing records.
 
     Attributes
     ----------
     n_segments : int or int64[items]
+        Path segments, a measure of the cost.
     lost : bool
-        The batch ended early, as a ray was lost.
-    crossings : float64[notes, columns]
+        The batch ended early because a ray was lost.
+    crossings : float64[crossings, columns]
         See `splits.kernels.tallies.crossings`.
     """
 
@@ -78,13 +82,13 @@ class BatchResult(NamedTuple):
 
 
 def allocate_exits(n_rays: int, n_materials: int, n_extra_columns: int = 0) -> np.ndarray:
-    """Return room for so many rays, float64[rays, columns]: a row each, none having left.
+    """Return empty exit records, float64[rays, columns].
 
     Parameters
     ----------
     n_rays, n_materials : int
     n_extra_columns : int, optional
-        Columns after those of the materials, for what else a kernel has to tell.
+        Further columns of a kernel after those of the materials.
     """
     rows = np.full((n_rays, EXIT_LENGTH + n_materials + n_extra_columns), np.nan)
     rows[:, EXIT_SIDE] = -1.0
@@ -93,7 +97,7 @@ def allocate_exits(n_rays: int, n_materials: int, n_extra_columns: int = 0) -> n
 
 @inline
 def record_exit(row, reflected, position, direction, weight, order):
-    """Write where and how a ray left into its row; path lengths are left to the caller."""
+    """Write the exit of a ray into its row, except for the path lengths."""
     row[EXIT_SIDE] = 0.0 if reflected else 1.0
     row[EXIT_WEIGHT] = weight
     row[EXIT_ORDER] = order
@@ -107,37 +111,37 @@ def record_exit(row, reflected, position, direction, weight, order):
 
 @entry_point
 def tally_weights(exits, crossings, absorption, weighted, ground_column):
-    """Add up the weights of rays, in the order of their rows.
+    """Tally the weights of rays, in the order of their rows.
 
     Parameters
     ----------
     exits : float64[rays, columns]
-    crossings : float64[notes, columns]
-        Of these rays, ray by ray, `CROSSING_RAY` counting from the first of them.
+    crossings : float64[crossings, columns]
+        Records of these rays, ray by ray; `CROSSING_RAY` counts from the first ray.
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m).
     weighted : bool
-        False counts every ray that left as 1: absorption was decided on the way.
+        False counts every exit as 1: absorption was sampled during tracing.
     ground_column : int
-        Column of the ground, see `scene.Scene`.  What it keeps of the light that reaches it counts
-        as transmitted.
+        Column of the ground, see `scene.Scene`.  Light that the ground absorbs counts as
+        transmitted.
 
     Returns
     -------
     moments : float64[3, 3, wavelengths]
         Over rays, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
-    least : float64[wavelengths]
-        Smallest weight with which any ray left; 0 once one did not.
+    minimum : float64[wavelengths]
+        Smallest exit weight of any ray; 0 if one did not leave.
     blocks : float32[blocks, 2, wavelengths]
-        Σ weight of every `BLOCK_SIZE` successive rays, the last of which may be fewer.  More than
-        `N_BATCHES` blocks take turns.
+        Σ weight of every `BLOCK_SIZE` successive rays; the last block may have fewer.  Blocks in
+        excess of `N_BATCHES` are added to the first ones in turn.
     """
     wavelengths = absorption.shape[0]
     moments = np.zeros((3, 3, wavelengths))
     rays = exits.shape[0]
     blocks = np.zeros((min(-(-rays // BLOCK_SIZE), N_BATCHES), 2, wavelengths), dtype=np.float32)
-    before = np.zeros((2, wavelengths))
-    least = np.full(wavelengths, np.inf)
+    previous = np.zeros((2, wavelengths))
+    minimum = np.full(wavelengths, np.inf)
     alpha = _transpose_absorption(absorption, weighted)
     sides = np.zeros((2, wavelengths), dtype=np.float32)
     first = 0
@@ -145,22 +149,22 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
         side = int(exits[j, EXIT_SIDE])
         if ground_column < 0:
             if side < 0:
-                least[:] = 0.0
+                minimum[:] = 0.0
             else:
                 compute_path_weights(
                     exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side]
                 )
                 score_moments(moments[side], sides[side])
-                update_minimum(least, sides[side])
+                update_minimum(minimum, sides[side])
         elif side <= 0 and not (first < crossings.shape[0] and crossings[first, CROSSING_RAY] == j):
-            # Nothing of it came near the ground, as is so for most rays in deep packs.
+            # Fast path for rays that never reached the ground, most rays in deep media.
             if side < 0:
-                least[:] = 0.0
+                minimum[:] = 0.0
             else:
                 compute_path_weights(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[0])
                 score_moments(moments[0], sides[0])
                 score_moments(moments[2], sides[0])
-                update_minimum(least, sides[0])
+                update_minimum(minimum, sides[0])
         else:
             sides[:] = ZERO
             if side >= 0:
@@ -173,27 +177,27 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
             for i in range(wavelengths):
                 sides[0, i] += sides[1, i]
             score_moments(moments[2], sides[0])
-            update_minimum(least, sides[0])
+            update_minimum(minimum, sides[0])
         if (j + 1) % BLOCK_SIZE == 0 or j + 1 == rays:
             for side in range(2):
                 for i in range(wavelengths):
-                    more = moments[side, 0, i] - before[side, i]
-                    blocks[j // BLOCK_SIZE % N_BATCHES, side, i] += more
-                    before[side, i] = moments[side, 0, i]
+                    new = moments[side, 0, i] - previous[side, i]
+                    blocks[j // BLOCK_SIZE % N_BATCHES, side, i] += new
+                    previous[side, i] = moments[side, 0, i]
     if ground_column < 0:
-        # A ray leaves on one side only.
+        # Without a ground a ray leaves on one side only.
         for i in range(wavelengths):
             moments[2, 0, i] = moments[0, 0, i] + moments[1, 0, i]
             moments[2, 1, i] = moments[0, 1, i] + moments[1, 1, i]
             moments[2, 2, i] = max(moments[0, 2, i], moments[1, 2, i])
-    return moments, least, blocks
+    return moments, minimum, blocks
 
 
 @inline_allocating
 def _transpose_absorption(absorption, weighted):
-    """Return coefficients, float32[materials, wavelengths]; zeros where weights do not fall.
+    """Return the coefficients as float32[materials, wavelengths]; zeros if not weighted.
 
-    Wavelengths run fastest, in single precision: the exponential is then vectorised.
+    With contiguous wavelengths in single precision, the exponential is vectorized.
     """
     alpha = np.zeros((absorption.shape[1], absorption.shape[0]), dtype=np.float32)
     if weighted:
@@ -205,21 +209,27 @@ def _transpose_absorption(absorption, weighted):
 
 @entry_point_no_refcount
 def compute_path_weights(path_lengths, roulette_weight, alpha, weight):
-    """Write factor·exp(−Σ α·length) of every wavelength into `compute_path_weightst`, float32[wavelengths]."""
+    """Write the weight of a ray at every wavelength, factor · exp(−Σ α·length), into `weight`."""
     weight[:] = ZERO
     for material in range(alpha.shape[0]):
-        leg = np.float32(path_lengths[material])
-        if leg > ZERO:
+        segment = np.float32(path_lengths[material])
+        if segment > ZERO:
             for i in range(weight.size):
-                weight[i] += alpha[material, i] * leg
-    light = np.float32(roulette_weight)
+                weight[i] += alpha[material, i] * segment
+    factor = np.float32(roulette_weight)
     for i in range(weight.size):
-        weight[i] = light * exp_float32(-weight[i])
+        weight[i] = factor * exp_float32(-weight[i])
 
 
 @inline_allocating
 def _add_ground_absorption(crossings, first, ray, alpha, ground_column, total):
-    """Add to `total` what the ground keeps of a ray, and return its first note's successor."""
+    """Add the weight of a ray that the ground absorbs to `total`.
+
+    Returns
+    -------
+    int
+        Row of the first crossing of the next ray.
+    """
     weight = np.empty_like(total)
     while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
         compute_path_weights(
@@ -233,7 +243,7 @@ def _add_ground_absorption(crossings, first, ray, alpha, ground_column, total):
 
 @entry_point_no_refcount
 def score_moments(moments, weight):
-    """Add one ray's weights, float32[wavelengths], to moments."""
+    """Add the weights of a ray, float32[wavelengths], to the moments."""
     total, square, largest = moments[0], moments[1], moments[2]
     for i in range(weight.size):
         w = weight[i] * ONE
@@ -244,6 +254,6 @@ def score_moments(moments, weight):
 
 @inline
 def update_minimum(minimum, weight):
-    """Lower the least weights to those of one more ray."""
+    """Update the smallest weights with those of a ray."""
     for i in range(weight.size):
         minimum[i] = min(minimum[i], weight[i] * ONE)

@@ -1,7 +1,7 @@
-"""From rays that passed faces to irradiances there and to what was absorbed in between.
+"""Irradiances at layer boundaries, absorption and path lengths in layers, from crossing records.
 
-Between two notes a ray stays in one layer.  What it loses on that stretch is absorbed there, by the
-materials in proportion to their part of the optical depth; the lengths of such stretches give the
+Between two crossings a ray stays in one layer.  Its loss of weight on that segment is absorbed
+there, by the materials in proportion to their optical depths.  The lengths of the segments give the
 actinic flux.
 """
 
@@ -23,7 +23,7 @@ from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT
 
 DOWNWARD, UPWARD = 0, 1
 _MAX_SERIES_DEPTH = float32_constant(0.05)
-"""Optical depth of a stretch below which a series takes the place of a difference."""
+"""Optical depth of a segment below which a series replaces the difference of exponentials."""
 _HALF, _SIXTH, _TWENTY_FOURTH = (
     float32_constant(1.0 / 2.0),
     float32_constant(1.0 / 6.0),
@@ -32,17 +32,17 @@ _HALF, _SIXTH, _TWENTY_FOURTH = (
 
 
 class FluxTally(NamedTuple):
-    """Sums over rays.
+    """Flux and absorption tallies, summed over rays.
 
     Attributes
     ----------
-    boundary_weight : float64[2, faces, wavelengths]
-        Weights of rays that pass a face, downwards and upwards; of those that come from above
-        none, and of the ground's light all.
+    boundary_weight : float64[2, boundaries, wavelengths]
+        Weights of rays that cross a boundary, downwards and upwards.  Incident light is not
+        included; all light that the ground reflects is.
     absorbed : float64[layers, materials, wavelengths]
-        Weights that materials take.
+        Weights absorbed in the materials.
     path_length : float64[layers, wavelengths]
-        Lengths (m) by weight.
+        Path lengths (m) times weight.
     """
 
     boundary_weight: np.ndarray
@@ -51,7 +51,7 @@ class FluxTally(NamedTuple):
 
 
 class _LastCrossing(NamedTuple):
-    """A ray at its last note: lengths so far, and exp(−optical depth) at all wavelengths."""
+    """State of a ray at its last crossing: path lengths, and exp(−optical depth) by wavelength."""
 
     path_lengths: np.ndarray
     transmittance: np.ndarray
@@ -59,28 +59,28 @@ class _LastCrossing(NamedTuple):
 
 @entry_point
 def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_column):
-    """Add up what rays carry past faces, and what they leave between.
+    """Tally the weights of rays at boundaries, and their absorption in the layers.
 
     Parameters
     ----------
     exits : float64[rays, columns]
-    crossings : float64[notes, columns]
+    crossings : float64[crossings, columns]
         Of these rays, ray by ray, see `splits.kernels.tallies.crossings`.
     absorption : float64[wavelengths, materials]
-        Absorption coefficients (1/m) of recorded lengths; of a ground −ln of its albedo.
+        Absorption coefficients (1/m) of recorded path lengths; −ln of the albedo for a ground.
     path_fractions : float64[materials]
-        Path over recorded length, see `splits.media.medium.compute_path_fractions`.
+        Ratio of path length to recorded length, see `splits.media.medium.compute_path_fractions`.
     n_layers : int
     ground_column : int
         Column of the ground, see `scene.Scene`.
 
     Returns
     -------
-    Passages
+    FluxTally
     """
     wavelengths, materials = absorption.shape
     alpha = np.empty((materials, wavelengths), dtype=np.float32)
-    part = path_fractions.astype(np.float32)
+    fractions = path_fractions.astype(np.float32)
     for material in range(materials):
         for i in range(wavelengths):
             alpha[material, i] = absorption[i, material]
@@ -89,50 +89,58 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
         np.zeros((n_layers, materials, wavelengths)),
         np.zeros((n_layers, wavelengths)),
     )
-    past = _LastCrossing(np.zeros(materials), np.ones(wavelengths, dtype=np.float32))
-    now = np.empty(wavelengths, dtype=np.float32)
+    last = _LastCrossing(np.zeros(materials), np.ones(wavelengths, dtype=np.float32))
+    light = np.empty(wavelengths, dtype=np.float32)
     first = 0
     for ray in range(exits.shape[0]):
-        past.path_lengths[:] = 0.0
-        past.transmittance[:] = ONE
+        last.path_lengths[:] = 0.0
+        last.transmittance[:] = ONE
         layer = 0
         while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
             row = crossings[first]
             _tally_segment(
                 sums,
-                past,
-                now,
+                last,
+                light,
                 row[CROSSING_LENGTH:],
                 row[CROSSING_WEIGHT],
                 alpha,
-                part,
+                fractions,
                 layer,
                 ground_column,
             )
-            face, up = divmod(int(row[CROSSING_EVENT]), 2)
-            _add_weighted(sums.boundary_weight[up, face], now, row[CROSSING_WEIGHT])
-            layer = face - up
-            if face == n_layers:
-                # The ground: what comes back from there has met it once more.
+            boundary, upward = divmod(int(row[CROSSING_EVENT]), 2)
+            _add_weighted(sums.boundary_weight[upward, boundary], light, row[CROSSING_WEIGHT])
+            layer = boundary - upward
+            if boundary == n_layers:
+                # Light that the ground reflects has hit it once more.
                 layer = n_layers - 1
-                past.path_lengths[ground_column] += 1.0
+                last.path_lengths[ground_column] += 1.0
                 for i in range(wavelengths):
-                    past.transmittance[i] *= exp_float32(-alpha[ground_column, i])
+                    last.transmittance[i] *= exp_float32(-alpha[ground_column, i])
                 _add_weighted(
-                    sums.boundary_weight[UPWARD, face], past.transmittance, row[CROSSING_WEIGHT]
+                    sums.boundary_weight[UPWARD, boundary], last.transmittance, row[CROSSING_WEIGHT]
                 )
             first += 1
         side = int(exits[ray, EXIT_SIDE])
         if side >= 0:
             weight = exits[ray, EXIT_WEIGHT]
             _tally_segment(
-                sums, past, now, exits[ray, EXIT_LENGTH:], weight, alpha, part, layer, ground_column
+                sums,
+                last,
+                light,
+                exits[ray, EXIT_LENGTH:],
+                weight,
+                alpha,
+                fractions,
+                layer,
+                ground_column,
             )
             _add_weighted(
                 sums.boundary_weight[
                     UPWARD if side == 0 else DOWNWARD, 0 if side == 0 else n_layers
                 ],
-                now,
+                light,
                 weight,
             )
     return sums
@@ -140,7 +148,7 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
 
 @inline
 def _add_weighted(total, light, weight):
-    """Add light, float32[wavelengths], of a ray of a weight."""
+    """Add transmittances, float32[wavelengths], times a weight."""
     for i in range(light.size):
         total[i] += light[i] * weight
 
@@ -149,32 +157,37 @@ def _add_weighted(total, light, weight):
 def _tally_segment(
     sums, last, light, path_lengths, weight, alpha, path_fractions, layer, ground_column
 ):
-    """Add what a ray leaves on a stretch, and bring its past to the end of that.
+    """Tally the absorption of a ray on a segment, and advance `last` to its end.
 
-    Roulette on the way counts from the beginning of the stretch: on average that is the same.
+    The weight at the end of the segment counts for all of it, although roulette may change it on
+    the way: the mean is the same.
     """
-    absorbed, way = sums.absorbed[layer], sums.path_length[layer]
+    absorbed, path_length = sums.absorbed[layer], sums.path_length[layer]
     light[:] = ZERO
-    whole = 0.0
+    length = 0.0
     for material in range(alpha.shape[0]):
-        leg = np.float32(path_lengths[material] - last.path_lengths[material])
-        if leg > ZERO and material != ground_column:
-            whole += leg * path_fractions[material]
+        segment = np.float32(path_lengths[material] - last.path_lengths[material])
+        if segment > ZERO and material != ground_column:
+            length += segment * path_fractions[material]
             for i in range(light.size):
-                light[i] += alpha[material, i] * leg
+                light[i] += alpha[material, i] * segment
     for i in range(light.size):
         depth = light[i]
-        left = exp_float32(-depth)
-        mean = ONE - depth * (_HALF - depth * (_SIXTH - depth * _TWENTY_FOURTH))
-        mean = mean if depth < _MAX_SERIES_DEPTH else (ONE - left) / max(depth, _MAX_SERIES_DEPTH)
-        light[i] = last.transmittance[i] * mean
-        last.transmittance[i] *= left
+        transmittance = exp_float32(-depth)
+        mean_transmittance = ONE - depth * (_HALF - depth * (_SIXTH - depth * _TWENTY_FOURTH))
+        mean_transmittance = (
+            mean_transmittance
+            if depth < _MAX_SERIES_DEPTH
+            else (ONE - transmittance) / max(depth, _MAX_SERIES_DEPTH)
+        )
+        light[i] = last.transmittance[i] * mean_transmittance
+        last.transmittance[i] *= transmittance
     for material in range(alpha.shape[0]):
-        leg = path_lengths[material] - last.path_lengths[material]
-        if leg > 0.0 and material != ground_column:
+        segment = path_lengths[material] - last.path_lengths[material]
+        if segment > 0.0 and material != ground_column:
             for i in range(light.size):
-                absorbed[material, i] += light[i] * weight * (alpha[material, i] * leg)
+                absorbed[material, i] += light[i] * weight * (alpha[material, i] * segment)
         last.path_lengths[material] = path_lengths[material]
     for i in range(light.size):
-        way[i] += light[i] * weight * whole
+        path_length[i] += light[i] * weight * length
         light[i] = last.transmittance[i]

@@ -1,4 +1,4 @@
-"""From rays that left to where they left: distances from the point of entry, and maps."""
+"""Radial distributions and maps of the exit positions of rays."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from splits.kernels.tallies.exits import EXIT_ORDER, EXIT_POSITION, EXIT_SIDE
 
 
 class RadialTally(NamedTuple):
-    """Where rays left; sides are reflected and transmitted.
+    """Distributions of exit positions, for the reflected and the transmitted side.
 
     Attributes
     ----------
     radial : float64[2, wavelengths, bins]
-        Weights by side and distance.
+        Weights by side and distance from the point of entry.
     first_moment : float64[2, wavelengths]
         Weights times distance (m).
-    exit_map : float64[2, 2, wavelengths, cells, cells]
-        [`WEIGHT`, `WEIGHT_SQUARED`][side], along the beam and across; the two sides of the plane of
-        incidence are alike and share what they have.
+    exit_map : float64[2, 2, wavelengths, pixels, pixels]
+        [`WEIGHT`, `WEIGHT_SQUARED`][side], along and across the beam; symmetrized about the plane
+        of incidence.
     """
 
     radial: np.ndarray
@@ -35,9 +35,9 @@ class RadialTally(NamedTuple):
 def tally_radial(
     exits, absorption, min_distance, bins_per_decade, n_bins, map_half_width, n_pixels
 ):
-    """Add up the weights of rays by distance from their point of entry and by place.
+    """Tally the weights of rays by distance from the point of entry and by exit position.
 
-    Rays that met no grain do not count.
+    Unscattered rays do not count.
 
     Parameters
     ----------
@@ -48,20 +48,20 @@ def tally_radial(
     min_distance : float
         Upper edge of the first bin (m).
     bins_per_decade, n_bins : int
-        Bins of equal ratio; the first and the last have no limit to their side.
+        Logarithmic bins; the first and the last are open.
     map_half_width : float
-        Of the map (m).
+        Half width of the map (m).
     n_pixels : int
-        Of the map along each edge, odd; 0 for no map.
+        Pixels along each edge of the map, odd; 0 for no map.
 
     Returns
     -------
-    Spread
+    RadialTally
     """
     wavelengths = absorption.shape[0]
     radial = np.zeros((2, wavelengths, n_bins))
     first_moment = np.zeros((2, wavelengths))
-    place = np.zeros((2, 2, wavelengths, n_pixels, n_pixels))
+    exit_map = np.zeros((2, 2, wavelengths, n_pixels, n_pixels))
     for j in range(exits.shape[0]):
         row = exits[j]
         side = int(row[EXIT_SIDE])
@@ -69,24 +69,26 @@ def tally_radial(
             continue
         x, y = row[EXIT_POSITION], row[EXIT_POSITION + 1]
         radius = math.hypot(x, y)
-        number = 0
+        radial_bin = 0
         if radius >= min_distance:
-            number = min(int(math.log10(radius / min_distance) * bins_per_decade) + 1, n_bins - 1)
+            radial_bin = min(
+                int(math.log10(radius / min_distance) * bins_per_decade) + 1, n_bins - 1
+            )
         inside = abs(x) < map_half_width and abs(y) < map_half_width
         if inside:
             along = min(int((x / map_half_width + 1.0) * 0.5 * n_pixels), n_pixels - 1)
             across = min(int((y / map_half_width + 1.0) * 0.5 * n_pixels), n_pixels - 1)
         for i in range(wavelengths):
             weight = compute_path_weight(row, absorption, i)
-            radial[side, i, number] += weight
+            radial[side, i, radial_bin] += weight
             first_moment[side, i] += weight * radius
             if inside and n_pixels > 0:
                 mirrored = n_pixels - 1 - across
                 if across == mirrored:
-                    place[WEIGHT, side, i, along, across] += weight
-                    place[WEIGHT_SQUARED, side, i, along, across] += weight * weight
+                    exit_map[WEIGHT, side, i, along, across] += weight
+                    exit_map[WEIGHT_SQUARED, side, i, along, across] += weight * weight
                     continue
-                for line in (across, mirrored):
-                    place[WEIGHT, side, i, along, line] += 0.5 * weight
-                    place[WEIGHT_SQUARED, side, i, along, line] += 0.25 * weight * weight
-    return RadialTally(radial, first_moment, place)
+                for column in (across, mirrored):
+                    exit_map[WEIGHT, side, i, along, column] += 0.5 * weight
+                    exit_map[WEIGHT_SQUARED, side, i, along, column] += 0.25 * weight * weight
+    return RadialTally(radial, first_moment, exit_map)

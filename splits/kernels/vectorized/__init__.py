@@ -1,14 +1,16 @@
-"""The lane kernel: many rays side by side in single precision, for compilers to vectorise.
+"""Vectorized kernel: batches of rays on SIMD lanes, in single precision.
 
-A scalar kernel waits for its rejection loops and branches.  Here `LANES` rays advance together;
-two passes over all lanes alternate, each a loop without branches, whose ``if`` only select values:
+A scalar kernel spends much of its time in rejection loops and branches.  Here `N_LANES` rays
+advance together.  Two passes over all lanes alternate; each is a loop without branches, in which
+every ``if`` selects values only:
 
-`flight`    plays roulette, draws the next grain and the way to it, for lanes between grains;
-`surface`   is one trial at a grain's surface (facet, Fresnel, direction, chord), for lanes at one.
+`run_flight_pass`   plays roulette and samples the next grain, for lanes between grains;
+`run_surface_pass`  samples one interaction (facet, Fresnel, direction, chord), for lanes at a
+grain.
 
-A trial that is rejected, or a grain that does not fit, just waits for the next pass.  What is
-rare (boundaries, launches) is a plain loop in between.
-The formulas are those of the scalar kernel: `facets`, `fresnel`, `spheroid` serve both.
+After a rejected interaction or grain a lane is served by the next pass.  Rare events (boundaries,
+new rays) are handled in a plain loop between the passes.  The formulas are those of the scalar
+kernel: `microfacet`, `fresnel` and `spheroid` serve both.
 """
 
 from splits.kernels.vectorized.batch import trace_batch

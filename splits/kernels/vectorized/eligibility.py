@@ -1,4 +1,4 @@
-"""Whether lanes can serve a scene, and with which features."""
+"""Choice of the kernel for a scene, and the features for which it is compiled."""
 
 from __future__ import annotations
 
@@ -13,30 +13,36 @@ from splits.kernels.grains.scene import DRY_PORE, NO_PARTICLES, WET_PORE, Optics
 from splits.kernels.optics.fresnel import fresnel
 
 EXTINCTION_TOLERANCE = 1e-5
-"""Change of the reflectance of diffuse light up to which extinction coefficients are left out of
-reflection.  They show most where light meets an absorbing medium of lower index."""
+"""Largest change of the diffuse reflectance for which extinction coefficients are neglected in
+reflection.  Their effect is largest for an absorbing medium of lower index."""
 
 MIN_FIRST_DEPTH = 1e-6
-"""Mean depth of the first grain in a beam, in semi-major axes of the largest grain, below which
-single precision no longer decides as double precision does whether the grain fits below the
-boundary: of the grains that fit it decides 1 % otherwise here, to both sides alike."""
+"""Smallest mean depth of the first grain in a beam for single precision, in semi-major axes of the
+largest grain.
+
+It decides whether the grain fits below the boundary.  Relative to the grains that fit, 1 % of the
+decisions differ at this depth from double precision, in both directions alike.
+"""
 
 MAX_INDEX = 1e3
-"""Refractive index and extinction coefficient whose powers single precision still holds."""
+"""Largest refractive index and extinction coefficient whose powers single precision can hold."""
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(96)
 
 MAX_DEPTH_MFP = 1e5
-"""Depth in mean distances between grains up to which single precision places rays well: its
-steps are then below 1 % of that distance."""
+"""Largest depth in mean free paths for single precision.
+
+Rounding of positions is then below 1 % of the mean free path.
+"""
 
 
 def select_features(scene: Scene, optics: Optics) -> Features | None:
-    """Return what a scene has, or None if only the scalar kernel serves it.
+    """Return the features of a scene, or None if only the scalar kernel supports it.
 
-    Lanes do without layers of particles, pores of more than two media, absorption by coin toss,
-    more than one coating, samples of more than `MAX_DEPTH_MFP` mean distances, beams that meet their
-    first grain above `MIN_FIRST_DEPTH`, and indices beyond `MAX_INDEX`; and they need a compiler.
+    The vectorized kernel does not support layers of particles, pores of more than two media, analog
+    absorption, more than one coating, samples deeper than `MAX_DEPTH_MFP` mean free paths, beams
+    with their first grain above `MIN_FIRST_DEPTH`, and indices above `MAX_INDEX` or below its
+    inverse; and it needs the compiler.
 
     Parameters
     ----------
@@ -45,14 +51,14 @@ def select_features(scene: Scene, optics: Optics) -> Features | None:
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None
-    light, layers, types, rules, *_ = scene
+    source, layers, types, rules, *_ = scene
     depth = layers.boundaries[0] - layers.boundaries[-1]
     if (layers.particle_row != NO_PARTICLES).any() or layers.pore_cdf.shape[1] > 0:
         return None
     if rules.analog or types.n_shells.max() > 2 or depth * layers.attenuation.max() > MAX_DEPTH_MFP:
         return None
-    first_depth = light.cos_incidence / layers.attenuation[0] * types.curvature.min()
-    if light.diffuse_fraction < 1.0 and first_depth < MIN_FIRST_DEPTH:
+    first_depth = source.cos_incidence / layers.attenuation[0] * types.curvature.min()
+    if source.diffuse_fraction < 1.0 and first_depth < MIN_FIRST_DEPTH:
         return None
     if max(optics.n.max(), optics.k.max()) > MAX_INDEX or optics.n.min() < 1.0 / MAX_INDEX:
         return None
@@ -77,7 +83,7 @@ def select_features(scene: Scene, optics: Optics) -> Features | None:
 
 
 def compute_extinction_effect(optics: Optics, near: int, far: int) -> float:
-    """Return by how much the far side's extinction moves the reflectance of diffuse light.
+    """Return the effect of the extinction of the far side on the diffuse reflectance.
 
     The integral of 2μ |R(n, k) − R(n, 0)| over the cosine of incidence μ.
 
@@ -85,7 +91,7 @@ def compute_extinction_effect(optics: Optics, near: int, far: int) -> float:
     ----------
     optics : Optics
     near, far : int
-        Materials on the side of incidence and beyond.
+        Materials on the side of incidence and on the far side.
     """
     n1, n2, k2 = float(optics.n[near]), float(optics.n[far]), float(optics.k[far])
     return float(_integrate_extinction_effect(n1, n2, k2)) if k2 > 0.0 else 0.0
@@ -93,20 +99,20 @@ def compute_extinction_effect(optics: Optics, near: int, far: int) -> float:
 
 @entry_point_no_refcount
 def _integrate_extinction_effect(n1, n2, k2):
-    """Integrate on both sides of the critical angle, where the difference peaks.
+    """Integrate the effect on both sides of the critical angle, where the difference peaks.
 
-    Towards that angle nodes crowd by a square, for a root that ends there.
+    Nodes are quadratically denser towards that angle, where the reflectance has a square root.
     """
     critical = math.sqrt(max(1.0 - (n2 / n1) ** 2, 0.0)) if n2 < n1 else 0.0
     total = 0.0
     for i in range(_GAUSS_NODES.size):
         t = 0.5 * (_GAUSS_NODES[i] + 1.0)
         for span in (critical - 1.0, critical):
-            # t² of the way from the critical cosine to 1 or to 0.
+            # A fraction t² of the interval from the critical cosine to 1 or to 0.
             mu = critical - span * t * t
             if span != 0.0:
-                moved = fresnel(n1, n2, k2, mu)[0] - fresnel(n1, n2, 0.0, mu)[0]
-                total += _GAUSS_WEIGHTS[i] * t * abs(span) * 2.0 * mu * abs(moved)
+                effect = fresnel(n1, n2, k2, mu)[0] - fresnel(n1, n2, 0.0, mu)[0]
+                total += _GAUSS_WEIGHTS[i] * t * abs(span) * 2.0 * mu * abs(effect)
     return total
 
 

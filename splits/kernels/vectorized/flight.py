@@ -1,4 +1,4 @@
-"""Roulette, the next grain and the way to it, for every lane between grains.
+"""Flight pass: roulette and sampling of the next grain, for every lane between grains.
 
 See `splits.kernels.grains.free_path` for the physics.
 """
@@ -11,30 +11,20 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.kernels.compiler.jit import ONE, ZERO, entry_point_no_refcount, inline_only
-from splits.kernels.grains.free_path import (
-    LayerGeometry,
-    RayGeometry,
-    RouletteState,
-    russian_roulette,
-    sample_collision,
-)
+from splits.kernels.grains.free_path import RouletteState, russian_roulette, sample_collision
 from splits.kernels.grains.scene import MAX_REJECTIONS
-from splits.kernels.grains.spheroid import (
-    EntryVariates,
-    GrainSize,
-    Segment,
-    accept_axial_position,
-)
+from splits.kernels.grains.spheroid import EntryVariates, GrainSize, accept_axial_position
 from splits.kernels.math.elementary import sample_circle
-from splits.kernels.math.vectors import Vector, select
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.intrinsics import interleave_loops, prefer_512_bit_vectors
-from splits.kernels.vectorized.lane_rng import (
-    compute_random_bits,
-    to_three_uniforms,
-    to_uniform_46,
+from splits.kernels.vectorized.lane_motion import (
+    has_left_layer,
+    load_layer_geometry,
+    load_ray,
+    move_to_grain,
+    store_grain,
 )
-from splits.kernels.vectorized.lane_state import load_vector, store_vector
+from splits.kernels.vectorized.lane_rng import compute_random_bits, to_three_uniforms, to_uniform_46
 
 _MAX_REJECTIONS = single(MAX_REJECTIONS)
 _N_VARIATES = np.uint32(5)
@@ -49,7 +39,7 @@ class FlightVariates(NamedTuple):
 
 
 class PassCounts(NamedTuple):
-    """Lanes that wait for a grain, and for the loop that ends and launches rays."""
+    """Number of lanes in flight, and of lanes that wait for `batch.service_lanes`."""
 
     n_in_flight: int
     n_finished: int
@@ -57,246 +47,150 @@ class PassCounts(NamedTuple):
 
 @inline_only
 def draw_flight_variates(words, i, active):
-    """Draw a lane's random numbers of a flight; lanes that wait keep their place in the stream."""
-    roulette_, facing, azimuth = to_three_uniforms(compute_random_bits(words, i, 0))
-    turn, axial, area = to_three_uniforms(compute_random_bits(words, i, 1))
-    leg = to_uniform_46(compute_random_bits(words, i, 2))
-    count = words[lane_state.N_DRAWN + i]
-    words[lane_state.N_DRAWN + i] = np.uint32(count + _N_VARIATES) if active else count
-    legs = words[lane_state.N_SEGMENTS + i]
-    words[lane_state.N_SEGMENTS + i] = np.uint32(legs + np.uint32(1)) if active else legs
+    """Draw the random numbers of a flight; only active lanes advance in their streams."""
+    roulette, cos_incidence, normal_azimuth = to_three_uniforms(compute_random_bits(words, i, 0))
+    axis_azimuth, axial, accept = to_three_uniforms(compute_random_bits(words, i, 1))
+    distance = to_uniform_46(compute_random_bits(words, i, 2))
+    n_drawn = words[lane_state.N_DRAWN + i]
+    words[lane_state.N_DRAWN + i] = np.uint32(n_drawn + _N_VARIATES) if active else n_drawn
+    n_segments = words[lane_state.N_SEGMENTS + i]
+    words[lane_state.N_SEGMENTS + i] = (
+        np.uint32(n_segments + np.uint32(1)) if active else n_segments
+    )
     return FlightVariates(
-        roulette_,
-        leg,
-        EntryVariates(facing, sample_circle(azimuth), sample_circle(turn), axial, area),
+        roulette,
+        distance,
+        EntryVariates(
+            cos_incidence, sample_circle(normal_azimuth), sample_circle(axis_azimuth), axial, accept
+        ),
     )
-
-
-@inline_only
-def load_ray(state, i, layered):
-    """Return a lane's ray between grains."""
-    last = Segment(
-        load_vector(state, lane_state.PREV_DIR_X + i),
-        load_vector(state, lane_state.PREV_DIR_X + i),
-        state[lane_state.PREV_LENGTH + i],
-    )
-    place, way = (
-        load_vector(state, lane_state.X + i),
-        load_vector(state, lane_state.EXIT_OFFSET_X + i),
-    )
-    skipped = state[lane_state.SKIP_DISTANCE + i]
-    if layered is not None:
-        skipped = state[lane_state.START_DISTANCE + i]
-    return RayGeometry(place, way, load_vector(state, lane_state.DIR_X + i), last, skipped)
-
-
-@inline_only
-def load_layer_geometry(state, i, constants, layered):
-    """Return the space that a lane's ray is in."""
-    space = constants.layer_geometry
-    if layered is None:
-        return space
-    mean_leg, low, high = (
-        state[lane_state.MEAN_FREE_PATH + i], state[lane_state.LAYER_BOTTOM + i], state[lane_state.LAYER_TOP + i]
-    )  # fmt: skip
-    return LayerGeometry(
-        mean_leg, low, high, space.slab_bottom, space.slab_top, space.grain_ceiling
-    )
-
-
-@inline_only
-def has_left_layer(state, i, geometry, layer_geometry):
-    """Tell whether a lane's ray left a grain on the other side of a face between layers."""
-    z = geometry.position.z + geometry.exit_offset.z
-    above = (z > layer_geometry.top) & (layer_geometry.top < layer_geometry.slab_top)
-    below = (z < layer_geometry.bottom) & (layer_geometry.bottom > layer_geometry.slab_bottom)
-    setting_out = (state[lane_state.LAYER + i] == state[lane_state.FLIGHT_LAYER + i]) & (
-        state[lane_state.ON_BOUNDARY + i] == ZERO
-    )
-    return setting_out & (above | below)
 
 
 @inline_only
 def update_restart(state, i, geometry, collision, rejected):
-    """Note from where a lane's next grain is drawn; tell whether that is in another layer."""
-    left_out = rejected & (collision.start_distance == collision.distance)
-    ahead, skip, start = (
+    """Set the start of the next sampling attempt; return whether it is in another layer."""
+    skipped = rejected & (collision.start_distance == collision.distance)
+    start_distance, skip_distance, draw_layer = (
         state[lane_state.START_DISTANCE + i],
         state[lane_state.SKIP_DISTANCE + i],
         state[lane_state.DRAW_LAYER + i],
     )
     layer = state[lane_state.LAYER + i]
-    back = rejected & (not left_out) & (layer != start)
-    again = rejected & (not left_out) & (layer == start)
-    state[lane_state.SKIP_DISTANCE + i] = collision.distance if left_out else skip
-    state[lane_state.DRAW_LAYER + i] = layer if left_out else start
-    ahead = skip if again else ahead
-    state[lane_state.START_DISTANCE + i] = collision.distance if left_out else ahead
-    return back
+    restarts = rejected & (not skipped) & (layer != draw_layer)
+    repeats = rejected & (not skipped) & (layer == draw_layer)
+    state[lane_state.SKIP_DISTANCE + i] = collision.distance if skipped else skip_distance
+    state[lane_state.DRAW_LAYER + i] = layer if skipped else draw_layer
+    start_distance = skip_distance if repeats else start_distance
+    state[lane_state.START_DISTANCE + i] = collision.distance if skipped else start_distance
+    return restarts
 
 
 @inline_only
 def run_flight_step(state, words, i, features, constants):
-    """Give a lane its next grain or another fate, and return what it then waits for."""
+    """Sample the next grain of a lane, and return its new status."""
     status = state[lane_state.STATUS + i]
     active = status == lane_state.IN_FLIGHT
-    numbers = draw_flight_variates(words, i, active)
-    purse = RouletteState(
+    variates = draw_flight_variates(words, i, active)
+    roulette_state = RouletteState(
         state[lane_state.OPTICAL_DEPTH + i],
         state[lane_state.NEXT_ROULETTE + i],
         state[lane_state.WEIGHT + i],
     )
-    played = russian_roulette(purse, numbers.roulette, active)
+    result = russian_roulette(roulette_state, variates.roulette, active)
     state[lane_state.NEXT_ROULETTE + i], state[lane_state.WEIGHT + i] = (
-        played.roulette.next_roulette,
-        played.roulette.weight,
+        result.roulette.next_roulette,
+        result.roulette.weight,
     )
-    ray = load_ray(state, i, features.layered)
-    space = load_layer_geometry(state, i, constants, features.layered)
-    # The trial of the axial position comes before all else that a draw can lead to, so that its
-    # failures leave no trace in distances, shapes and types.
+    geometry = load_ray(state, i, features.layered)
+    layer_geometry = load_layer_geometry(state, i, constants, features.layered)
+    # A rejected axial position has precedence over all other results of a sample, so that it does
+    # not bias distances, shapes and types.
     size = GrainSize(
         ONE / state[lane_state.NEW_CURVATURE + i], state[lane_state.NEW_FLATTENING + i]
     )
-    met = sample_collision(
-        ray, size, numbers.entry, numbers.distance, space, constants.rejection_rules
+    collision = sample_collision(
+        geometry, size, variates.entry, variates.distance, layer_geometry, constants.rejection_rules
     )
-    sound = accept_axial_position(numbers.entry, size.flattening)
-    going = active & sound & (not played.terminated)
-    strays = False
+    axial_ok = accept_axial_position(variates.entry, size.flattening)
+    in_flight = active & axial_ok & (not result.terminated)
+    relocates = False
     if features.layered is not None:
-        strays = active & (not played.terminated) & has_left_layer(state, i, ray, space)
-        going = going & (not strays)
-    fits = going & met.accepted
-    after = lane_state.AT_SURFACE if fits else lane_state.IN_FLIGHT
-    after = lane_state.AT_BOUNDARY if going & met.leaves_layer else after
+        relocates = (
+            active & (not result.terminated) & has_left_layer(state, i, geometry, layer_geometry)
+        )
+        in_flight = in_flight & (not relocates)
+    accepted = in_flight & collision.accepted
+    next_status = lane_state.AT_SURFACE if accepted else lane_state.IN_FLIGHT
+    next_status = lane_state.AT_BOUNDARY if in_flight & collision.leaves_layer else next_status
     if features.layered is not None:
-        refused = going & (not met.accepted) & (not met.leaves_layer)
-        after = lane_state.RESTART if update_restart(state, i, ray, met, refused) else after
-        after = lane_state.RELOCATE if strays else after
-        landed = state[lane_state.SEGMENT_ATTENUATED + i]
-        state[lane_state.SEGMENT_ATTENUATED + i] = ZERO if fits else landed
+        rejected = in_flight & (not collision.accepted) & (not collision.leaves_layer)
+        next_status = (
+            lane_state.RESTART
+            if update_restart(state, i, geometry, collision, rejected)
+            else next_status
+        )
+        next_status = lane_state.RELOCATE if relocates else next_status
+        attenuated = state[lane_state.SEGMENT_ATTENUATED + i]
+        state[lane_state.SEGMENT_ATTENUATED + i] = ZERO if accepted else attenuated
     else:
-        state[lane_state.SKIP_DISTANCE + i] = met.start_distance if going else ray.start_distance
-    state[lane_state.KEEP_SHAPE + i] = ONE if active & (not sound) else ZERO
-    tries = state[lane_state.N_REJECTED + i]
-    tries = tries + ONE if active & (not fits) else ZERO
-    state[lane_state.N_REJECTED + i] = tries
-    move_to_grain(state, i, ray, met, fits, features)
-    store_grain(state, i, met.entry.grain, fits, features)
-    after = lane_state.LOST if tries > _MAX_REJECTIONS else after
-    after = lane_state.ABSORBED if played.terminated else after
+        state[lane_state.SKIP_DISTANCE + i] = (
+            collision.start_distance if in_flight else geometry.start_distance
+        )
+    state[lane_state.KEEP_SHAPE + i] = ONE if active & (not axial_ok) else ZERO
+    n_rejected = state[lane_state.N_REJECTED + i]
+    n_rejected = n_rejected + ONE if active & (not accepted) else ZERO
+    state[lane_state.N_REJECTED + i] = n_rejected
+    move_to_grain(state, i, geometry, collision, accepted, features)
+    store_grain(state, i, collision.entry.grain, accepted, features)
+    next_status = lane_state.LOST if n_rejected > _MAX_REJECTIONS else next_status
+    next_status = lane_state.ABSORBED if result.terminated else next_status
     order = words[lane_state.ORDER + i]
-    over = fits & (order >= words[lane_state.MAX_ORDER + i])
-    words[lane_state.ORDER + i] = np.uint32(order + np.uint32(1)) if fits else order
-    after = lane_state.ABSORBED if over else after
-    after = after if active else status
-    state[lane_state.STATUS + i] = after
-    return after
-
-
-@inline_only
-def move_to_grain(state, i, geometry, collision, accepted, features):
-    """Bring a lane's ray to the grain that it meets, if there is one."""
-    place, way, d, leg = (
-        geometry.position,
-        geometry.exit_offset,
-        geometry.direction,
-        collision.distance,
-    )
-    state[lane_state.X + i] = place.x + way.x + leg * d.x if accepted else place.x
-    state[lane_state.Y + i] = place.y + way.y + leg * d.y if accepted else place.y
-    state[lane_state.Z + i] = collision.height if accepted else place.z
-    store_vector(
-        state, lane_state.EXIT_OFFSET_X + i, select(accepted, Vector(ZERO, ZERO, ZERO), way)
-    )
-    store_vector(
-        state, lane_state.PREV_DIR_X + i, select(accepted, d, geometry.previous_segment.direction)
-    )
-    state[lane_state.PREV_LENGTH + i] = leg if accepted else geometry.previous_segment.length
-    # Legs through several layers are booked between the passes.
-    if features.layered is None:
-        attenuate(state, i, leg if accepted else ZERO, features)
-
-
-@inline_only
-def attenuate(state, i, distance, features):
-    """Take a lane's leg through its pore."""
-    wet = state[lane_state.PORE_WET + i]
-    if features.wet is not None:
-        path = distance * wet
-        state[lane_state.WET_PATH + i] += path
-        state[lane_state.OPTICAL_DEPTH + i] += path * state[lane_state.ABSORPTION_WET + i]
-    path = distance * (ONE - wet)
-    state[lane_state.DRY_PATH + i] += path
-    state[lane_state.OPTICAL_DEPTH + i] += path * state[lane_state.ABSORPTION_DRY + i]
-
-
-@inline_only
-def store_grain(state, i, grain, accepted, features):
-    """Give a lane the grain that its ray meets, if it does."""
-    store_vector(
-        state,
-        lane_state.UNIT_POINT_X + i,
-        select(accepted, grain.q, load_vector(state, lane_state.UNIT_POINT_X + i)),
-    )
-    store_vector(
-        state,
-        lane_state.AXIS_X + i,
-        select(accepted, grain.w, load_vector(state, lane_state.AXIS_X + i)),
-    )
-    flattening, minor = state[lane_state.FLATTENING + i], state[lane_state.SEMI_MINOR + i]
-    layer, side = state[lane_state.SHELL + i], state[lane_state.SIDE + i]
-    state[lane_state.FLATTENING + i] = grain.flattening if accepted else flattening
-    state[lane_state.SEMI_MINOR + i] = grain.semi_minor if accepted else minor
-    state[lane_state.SHELL + i] = ZERO if accepted else layer
-    state[lane_state.SIDE + i] = ONE if accepted else side
-    if features.faceted is not None:
-        old, new = state[lane_state.ROUGHNESS + i], state[lane_state.NEW_ROUGHNESS + i]
-        state[lane_state.ROUGHNESS + i] = new if accepted else old
-    if features.mixed is not None:
-        old, new = state[lane_state.TYPE + i], state[lane_state.NEW_TYPE + i]
-        state[lane_state.TYPE + i] = new if accepted else old
+    terminated = accepted & (order >= words[lane_state.MAX_ORDER + i])
+    words[lane_state.ORDER + i] = np.uint32(order + np.uint32(1)) if accepted else order
+    next_status = lane_state.ABSORBED if terminated else next_status
+    next_status = next_status if active else status
+    state[lane_state.STATUS + i] = next_status
+    return next_status
 
 
 @inline_only
 def run_flight_stride(state, words, first_lane, features, constants):
-    """Do what `run_flight_pass` does for `STRIDE` lanes from `first_lane` on."""
-    flying = np.int32(0)
-    ended = np.int32(0)
+    """Run the flight pass for `STRIDE` lanes from `first_lane` on."""
+    n_in_flight = np.int32(0)
+    n_finished = np.int32(0)
     prefer_512_bit_vectors()
-    # What cannot be negative needs no test for an index that counts from the end.
+    # The mask shows that the index is not negative and needs no wraparound test.
     first_lane &= lane_state.N_LANES - 1
     for j in range(lane_state.STRIDE):
-        after = run_flight_step(state, words, first_lane + j, features, constants)
-        flying = np.int32(flying + 1) if after == lane_state.IN_FLIGHT else flying
-        ended = np.int32(ended + 1) if after >= lane_state.AT_BOUNDARY else ended
+        status = run_flight_step(state, words, first_lane + j, features, constants)
+        n_in_flight = np.int32(n_in_flight + 1) if status == lane_state.IN_FLIGHT else n_in_flight
+        n_finished = np.int32(n_finished + 1) if status >= lane_state.AT_BOUNDARY else n_finished
     interleave_loops()
-    return PassCounts(flying, ended)
+    return PassCounts(n_in_flight, n_finished)
 
 
 @entry_point_no_refcount
 def run_flight_pass(state, words, width, features, constants):
-    """Give all lanes between grains their next grain, or another fate.
+    """Sample the next grain for all lanes between grains.
 
     Parameters
     ----------
-    state : float32[STATE]
-    words : uint32[WORDS]
+    state : float32[STATE_SIZE]
+    words : uint32[WORDS_SIZE]
     width : int
-        Lanes in use, from the first on: a multiple of `rows.STRIDE`.
-    features, constants : Features, LayerScene
+        Lanes in use, from the first on: a multiple of `lane_state.STRIDE`.
+    features, constants : Features, PassConstants
         See `splits.kernels.vectorized.lane_state`.
 
     Returns
     -------
-    Waiting
+    PassCounts
     """
     prefer_512_bit_vectors()
-    flying = np.int32(0)
-    ended = np.int32(0)
-    for first in range(0, width, lane_state.STRIDE):
-        more = run_flight_stride(state, words, first, features, constants)
-        flying = np.int32(flying + more.n_in_flight)
-        ended = np.int32(ended + more.n_finished)
-    return PassCounts(flying, ended)
+    n_in_flight = np.int32(0)
+    n_finished = np.int32(0)
+    for first_lane in range(0, width, lane_state.STRIDE):
+        counts = run_flight_stride(state, words, first_lane, features, constants)
+        n_in_flight = np.int32(n_in_flight + counts.n_in_flight)
+        n_finished = np.int32(n_finished + counts.n_finished)
+    return PassCounts(n_in_flight, n_finished)

@@ -1,4 +1,4 @@
-"""What the compiler does not do by itself: wide vectors, two at a time, and tables read in them."""
+"""LLVM intrinsics and hints: vector width, loop interleaving, and gathers."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from splits.kernels.vectorized.lane_state import VECTOR_WIDTH
 def prefer_512_bit_vectors(typing_context):
     """Mark the function that calls this with LLVM's attribute prefer-vector-width=512.
 
-    By default LLVM keeps to 256 bits on processors that have 512, because their clocks once
-    suffered; for these passes 512 bits are about twice as fast.  On other machines the request
-    means nothing.
+    By default LLVM uses 256 bits on processors with 512, because early ones reduced their clock
+    rate; for these passes 512 bits are about twice as fast.  Other machines ignore the attribute.
     """
 
     def generate(context, builder, signature, arguments):
-        # llvmlite knows attributes without a value only; the set below them takes any text.
+        # llvmlite accepts attributes without a value only; its base class, a set, accepts any text.
         set.add(builder.function.attributes, '"prefer-vector-width"="512"')
         return context.get_dummy_value()
 
@@ -32,8 +31,8 @@ def prefer_512_bit_vectors(typing_context):
 def interleave_loops(typing_context):
     """Mark the loops above, in the function that calls this, with llvm.loop.interleave.count=2.
 
-    A lane's trial is one long chain in which every step waits for the one before: two vectors in
-    turn fill the waiting.  LLVM, who counts registers only, would take one.
+    An interaction is one long chain of dependent operations; two interleaved vectors hide their
+    latency.  LLVM, which considers registers only, would not interleave.
     """
 
     def generate(context, builder, signature, arguments):
@@ -46,7 +45,7 @@ def interleave_loops(typing_context):
                 end.operands[0]
             ) < _get_bytecode_offset(block):
                 loop = module.add_metadata([count])
-                # LLVM knows the name of a loop by its referring to itself.
+                # LLVM identifies a loop by metadata that refers to itself.
                 loop.operands = (loop, count)
                 end.set_metadata("llvm.loop", loop)
         return context.get_dummy_value()
@@ -55,25 +54,25 @@ def interleave_loops(typing_context):
 
 
 def _get_bytecode_offset(block: ir.Block) -> int:
-    """Return where in the bytecode a block begins, by its name: B216, or B74.endif."""
+    """Return the bytecode offset of a block from its name, such as B216 or B74.endif."""
     found = re.match(r"B(\d+)", block.name)
     return int(found[1]) if found else 0
 
 
 @intrinsic
 def gather_interpolate(typing_context, table, state, row_at, position_at, value_at):
-    """Read a table for `VECTOR_WIDTH` lanes at once, joined linearly between its points.
+    """Interpolate a table linearly for `VECTOR_WIDTH` lanes at once.
 
-    LLVM cannot know that stores to lanes leave a table as it is, and reads it one by one; with
-    its gathering load named, this takes a fifth of the time.
+    LLVM cannot prove that stores to lanes do not change the table, and loads its values one by one;
+    an explicit gather takes a fifth of the time.
 
     Parameters
     ----------
     table : float32[rows, points]
     state : float32[:]
     row_at, position_at, value_at : int
-        Where in `state` the lanes have their row (the last one, if there are fewer), their
-        position from 0 to points − 1, and room for the value.
+        Offsets in `state` of the rows of the lanes (clipped to the last one), of their positions
+        from 0 to points − 1, and of the interpolated values.
     """
 
     def generate(context, builder, signature, arguments):
@@ -91,7 +90,7 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
             builder.trunc(size, short) for size in cgutils.unpack_tuple(builder, values.shape)
         )
 
-        def everywhere(value, kind):
+        def broadcast(value, kind):
             undefined = ir.Constant(kind, ir.Undefined)
             first = builder.insert_element(undefined, value, ir.Constant(short, 0))
             return builder.shuffle_vector(first, undefined, ir.Constant(shorts, [0] * VECTOR_WIDTH))
@@ -99,11 +98,11 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
         def lane(offset):
             return builder.bitcast(builder.gep(lanes.data, [offset]), numbers.as_pointer())
 
-        def at_most(value, limit):
-            limit = everywhere(limit, shorts)
+        def clip(value, limit):
+            limit = broadcast(limit, shorts)
             return builder.select(builder.icmp_signed("<", value, limit), value, limit)
 
-        def gathered(address):
+        def gather_values(address):
             gather = cgutils.get_or_insert_function(
                 builder.module,
                 ir.FunctionType(numbers, [pointers, short, mask, numbers]),
@@ -121,16 +120,16 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
 
         position = builder.load(lane(arguments[3]), align=4)
         below = builder.fptosi(position, shorts)
-        below = at_most(below, builder.sub(points, ir.Constant(short, 2)))
-        between = builder.fsub(position, builder.sitofp(below, numbers))
+        below = clip(below, builder.sub(points, ir.Constant(short, 2)))
+        fraction = builder.fsub(position, builder.sitofp(below, numbers))
         which = builder.fptosi(builder.load(lane(arguments[2]), align=4), shorts)
-        which = at_most(which, builder.sub(rows, ir.Constant(short, 1)))
-        place = builder.add(builder.mul(which, everywhere(points, shorts)), below)
+        which = clip(which, builder.sub(rows, ir.Constant(short, 1)))
+        offset_in_table = builder.add(builder.mul(which, broadcast(points, shorts)), below)
         step = ir.Constant(longs, [4] * VECTOR_WIDTH)
-        start = everywhere(builder.ptrtoint(values.data, long), longs)
-        low_at = builder.add(start, builder.mul(builder.zext(place, longs), step))
-        low, high = gathered(low_at), gathered(builder.add(low_at, step))
-        value = builder.fadd(low, builder.fmul(between, builder.fsub(high, low)))
+        start = broadcast(builder.ptrtoint(values.data, long), longs)
+        low_at = builder.add(start, builder.mul(builder.zext(offset_in_table, longs), step))
+        low, high = gather_values(low_at), gather_values(builder.add(low_at, step))
+        value = builder.fadd(low, builder.fmul(fraction, builder.fsub(high, low)))
         builder.store(value, lane(arguments[4]), align=4)
         return context.get_dummy_value()
 

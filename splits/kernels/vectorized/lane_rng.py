@@ -1,4 +1,4 @@
-"""Random numbers of the lanes: the streams of `numerics.rng`, cut into single precision."""
+"""Random numbers of the lanes: the streams of `splits.kernels.math.rng` in single precision."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LARGEST_BELOW_ONE = single(1.0 - 2.0**-24)
 
 @inline_only
 def compute_random_bits(words, lane, offset):
-    """Return 64 random bits: the number `offset` after those that the lane has drawn."""
+    """Return 64 random bits of the stream of a lane, `offset` numbers ahead of its counter."""
     key = (np.uint64(words[KEY_HIGH + lane]) << np.uint64(32)) | np.uint64(words[KEY_LOW + lane])
     number = np.uint32(words[N_DRAWN + lane] + np.uint32(offset))
     return mix64(key + np.uint64(number) * GOLDEN_GAMMA)
@@ -29,7 +29,7 @@ def compute_random_bits(words, lane, offset):
 
 @inline_only
 def to_three_uniforms(bits):
-    """Return three numbers uniform on (0, 1), of 21 bits each, centred in their cells."""
+    """Return three numbers uniform on (0, 1) of 21 bits each, at the centres of their intervals."""
     return (
         (single(np.int32(bits & _MASK_21)) + HALF) * _SCALE_21,
         (single(np.int32((bits >> np.uint64(21)) & _MASK_21)) + HALF) * _SCALE_21,
@@ -39,9 +39,9 @@ def to_three_uniforms(bits):
 
 @inline_only
 def to_uniform_46(bits):
-    """Return a number uniform on (0, 1] with 46 bits near 0: for logarithms of it.
+    """Return a number uniform on (0, 1] with 46 bits near 0, for logarithms.
 
-    A free flight is capped at 32 mean paths only; 24 bits would cap it at 17.
+    It limits free paths to 32 mean free paths; 24 bits would limit them to 17.
     """
     high = single(np.int32(bits >> np.uint64(41)))
     low = single(np.int32((bits >> np.uint64(18)) & _MASK_23))
@@ -52,7 +52,8 @@ def to_uniform_46(bits):
 def to_uniform_31(bits):
     """Return a number uniform on (0, 1) from the lowest 31 bits.
 
-    Single precision rounds the last ones to 1, which no table of cumulative shares allows for.
+    Values that single precision would round to 1 are reduced, because cumulative distributions need
+    u < 1.
     """
     u = (single(np.int32(bits & _MASK_31)) + HALF) * _SCALE_31
     return u if u < ONE else _LARGEST_BELOW_ONE

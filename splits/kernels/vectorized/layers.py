@@ -1,6 +1,6 @@
-"""Rays of lanes among layers, between the passes: faces, legs through several layers, the way back.
+"""Layer boundaries and segments through several layers for the rays of lanes, between the passes.
 
-See `splits.kernels.grains.history` for what happens there.
+See `splits.kernels.grains.flight` and `splits.kernels.grains.events` for the physics.
 """
 
 from __future__ import annotations
@@ -9,31 +9,28 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.kernels.compiler.jit import ONE, ZERO, inline_only
+from splits.kernels.grains.flight import find_adjacent_layer
 from splits.kernels.grains.free_path import compute_boundary_hit
-from splits.kernels.grains.history import find_adjacent_layer
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import orient_horizontal_normal, sample_interface
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing, set_current_ray
 from splits.kernels.vectorized import lane_state
-from splits.kernels.vectorized.flight import load_layer_geometry, load_ray
+from splits.kernels.vectorized.lane_motion import load_layer_geometry, load_ray
+from splits.kernels.vectorized.lane_optics import refractive_index_of, set_layer_optics
 from splits.kernels.vectorized.lane_state import store_vector
-from splits.kernels.vectorized.lifecycle import (
-    draw_uniform,
-    refractive_index_of,
-    set_layer_optics,
-)
+from splits.kernels.vectorized.lifecycle import draw_uniform
 
 
 @inline_only
 def pore_material(lanes, lane, layers, layer):
-    """Return the material of the pore space that a lane's ray has, or would have, in a layer."""
+    """Return the material of the pore of a ray in a layer."""
     wet = lanes.state[lane_state.PORE_VARIATE + lane] < single(layers.saturation[layer])
     return layers.pore[layer] + (1 if wet else 0)
 
 
 @inline_only
 def has_same_pore_index(lanes, lane, job, layer, other):
-    """Tell whether the pores of two layers are the same to a lane's light."""
+    """Return whether the pores of two layers have the same complex refractive index."""
     layers, item = job.scene.layers, lanes.item[lane]
     a = refractive_index_of(job.optics, item, pore_material(lanes, lane, layers, layer))
     b = refractive_index_of(job.optics, item, pore_material(lanes, lane, layers, other))
@@ -42,7 +39,7 @@ def has_same_pore_index(lanes, lane, job, layer, other):
 
 @inline_only
 def set_layer(lanes, lane, job, layer):
-    """Bring a lane's ray into a layer; its pore there is the one that its number decides."""
+    """Set the layer of a ray, with the pore that its variate selects."""
     state, layers = lanes.state, job.scene.layers
     state[lane_state.LAYER + lane] = single(layer)
     wet = lanes.state[lane_state.PORE_VARIATE + lane] < single(layers.saturation[layer])
@@ -52,7 +49,7 @@ def set_layer(lanes, lane, job, layer):
 
 @inline_only
 def start_flight(state, lane):
-    """Let a lane's flight set out in the layer in which its ray is."""
+    """Start a flight in the current layer of a ray."""
     layer = state[lane_state.LAYER + lane]
     state[lane_state.FLIGHT_LAYER + lane], state[lane_state.DRAW_LAYER + lane] = layer, layer
     state[lane_state.START_DISTANCE + lane], state[lane_state.SKIP_DISTANCE + lane] = ZERO, ZERO
@@ -61,7 +58,7 @@ def start_flight(state, lane):
 
 @inline_only
 def append_lane_crossing(lanes, lane, crossings, event):
-    """Note where a lane's ray is; its lengths must have been put down."""
+    """Record a crossing of a ray, whose path lengths must have been flushed."""
     set_current_ray(crossings, lanes.ray[lane])
     append_crossing(
         crossings,
@@ -73,7 +70,7 @@ def append_lane_crossing(lanes, lane, crossings, event):
 
 @inline_only
 def record_crossing(lanes, lane, job, crossings, layer, upward):
-    """Note a lane's ray that passes from a layer into the next one, where somebody listens."""
+    """Record the crossing of a ray into the next layer, if the scene records crossings."""
     if job.scene.record_crossings:
         append_lane_crossing(
             lanes, lane, crossings, encode_crossing(layer if upward else layer + 1, upward)
@@ -82,26 +79,29 @@ def record_crossing(lanes, lane, job, crossings, layer, upward):
 
 @inline_only
 def attenuate_segment(lanes, lane, job, crossings):
-    """Take the leg that a lane's ray has just flown through the pores of its layers."""
+    """Attenuate a ray along its last segment through the pores of all layers that it crossed."""
     state, item, layers = lanes.state, lanes.item[lane], job.scene.layers
     d = np.float64(state[lane_state.PREV_DIR_Z + lane])
-    rest = np.float64(state[lane_state.PREV_LENGTH + lane])
-    z = np.float64(state[lane_state.Z + lane]) - rest * d
-    layer, goal = int(state[lane_state.FLIGHT_LAYER + lane]), int(state[lane_state.LAYER + lane])
+    remaining = np.float64(state[lane_state.PREV_LENGTH + lane])
+    z = np.float64(state[lane_state.Z + lane]) - remaining * d
+    layer, last_layer = (
+        int(state[lane_state.FLIGHT_LAYER + lane]),
+        int(state[lane_state.LAYER + lane]),
+    )
     depth = 0.0
     while True:
-        piece = rest
-        if layer != goal:
-            face = layers.boundaries[layer] if d > 0.0 else layers.boundaries[layer + 1]
-            piece = min(max((face - z) / d, 0.0), rest)
-            z = face
+        length = remaining
+        if layer != last_layer:
+            boundary = layers.boundaries[layer] if d > 0.0 else layers.boundaries[layer + 1]
+            length = min(max((boundary - z) / d, 0.0), remaining)
+            z = boundary
         pore = pore_material(lanes, lane, layers, layer)
-        lanes.path_lengths[lane, pore] += piece
-        depth += piece * job.optics.absorption[item, pore]
-        if layer == goal:
+        lanes.path_lengths[lane, pore] += length
+        depth += length * job.optics.absorption[item, pore]
+        if layer == last_layer:
             break
         record_crossing(lanes, lane, job, crossings, layer, d > 0.0)
-        rest -= piece
+        remaining -= length
         layer += -1 if d > 0.0 else 1
     state[lane_state.OPTICAL_DEPTH + lane] += single(depth)
     state[lane_state.SEGMENT_ATTENUATED + lane] = ONE
@@ -110,7 +110,7 @@ def attenuate_segment(lanes, lane, job, crossings):
 
 @inline_only
 def restart_flight(lanes, lane, job):
-    """Let a lane's ray draw its next grain from where it set out, or left the last one out."""
+    """Restart the sampling of a grain at the start of the segment or at the last skipped grain."""
     state = lanes.state
     set_layer(lanes, lane, job, int(state[lane_state.DRAW_LAYER + lane]))
     state[lane_state.START_DISTANCE + lane] = state[lane_state.SKIP_DISTANCE + lane]
@@ -119,74 +119,76 @@ def restart_flight(lanes, lane, job):
 
 @inline_only
 def locate_layer(lanes, lane, job, crossings):
-    """Find the layer of a lane's ray that left a grain on the other side of a face.
+    """Set the layer of a ray that left a grain on the other side of a boundary.
 
-    Where there are other pores the ray counts as standing on that face.
+    If the pores there have another index, the ray is placed on that boundary.
     """
-    state, face = lanes.state, job.scene.layers.boundaries
+    state, boundaries = lanes.state, job.scene.layers.boundaries
     z = state[lane_state.Z + lane] + state[lane_state.EXIT_OFFSET_Z + lane]
     layer = int(state[lane_state.LAYER + lane])
     state[lane_state.ON_BOUNDARY + lane] = ONE
-    while z > single(face[layer]) or z < single(face[layer + 1]):
-        step = -1 if z > single(face[layer]) else 1
-        other = layer + step
-        if other < 0 or other == face.size - 1:
+    while z > single(boundaries[layer]) or z < single(boundaries[layer + 1]):
+        step = -1 if z > single(boundaries[layer]) else 1
+        next_layer = layer + step
+        if next_layer < 0 or next_layer == boundaries.size - 1:
             break
-        if not has_same_pore_index(lanes, lane, job, layer, other):
-            border = face[layer] if step < 0 else face[layer + 1]
-            state[lane_state.EXIT_OFFSET_Z + lane] = single(border) - state[lane_state.Z + lane]
+        if not has_same_pore_index(lanes, lane, job, layer, next_layer):
+            boundary = boundaries[layer] if step < 0 else boundaries[layer + 1]
+            state[lane_state.EXIT_OFFSET_Z + lane] = single(boundary) - state[lane_state.Z + lane]
             break
         record_crossing(lanes, lane, job, crossings, layer, step < 0)
-        layer = other
+        layer = next_layer
     set_layer(lanes, lane, job, layer)
-    stands = state[lane_state.ON_BOUNDARY + lane]
+    on_boundary = state[lane_state.ON_BOUNDARY + lane]
     start_flight(state, lane)
-    state[lane_state.ON_BOUNDARY + lane] = stands
+    state[lane_state.ON_BOUNDARY + lane] = on_boundary
     state[lane_state.STATUS + lane] = lane_state.IN_FLIGHT
 
 
 @inline_only
 def cross_interface(lanes, lane, job, crossings):
-    """Bring a lane's ray to the face ahead; return whether it leaves the sample there.
+    """Move a ray to the boundary ahead; return whether it leaves the sample there.
 
-    Where the pores on both sides are the same nothing stands between them, and the flight goes on.
+    If the pores on both sides have the same index, the flight continues without an interface.
     """
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
     layers, optics = job.scene.layers, job.optics
-    ray = load_ray(state, lane, True)
-    space = load_layer_geometry(state, lane, job.constants, True)
+    geometry = load_ray(state, lane, True)
+    layer_geometry = load_layer_geometry(state, lane, job.constants, True)
     layer = int(state[lane_state.LAYER + lane])
-    arrival = compute_boundary_hit(ray, space)
-    other = find_adjacent_layer(layers, layer, ray.direction)
-    inside = 0 <= other < layers.attenuation.size
+    boundary_hit = compute_boundary_hit(geometry, layer_geometry)
+    next_layer = find_adjacent_layer(layers, layer, geometry.direction)
+    inside = 0 <= next_layer < layers.attenuation.size
     state[lane_state.STATUS + lane] = lane_state.IN_FLIGHT
-    if inside and has_same_pore_index(lanes, lane, job, layer, other):
-        set_layer(lanes, lane, job, other)
+    if inside and has_same_pore_index(lanes, lane, job, layer, next_layer):
+        set_layer(lanes, lane, job, next_layer)
         state[lane_state.START_DISTANCE + lane] = max(
-            arrival.distance, state[lane_state.START_DISTANCE + lane]
+            boundary_hit.distance, state[lane_state.START_DISTANCE + lane]
         )
         return False
-    store_vector(state, lane_state.X + lane, arrival.position)
+    store_vector(state, lane_state.X + lane, boundary_hit.position)
     store_vector(state, lane_state.EXIT_OFFSET_X + lane, Vector(ZERO, ZERO, ZERO))
-    store_vector(state, lane_state.PREV_DIR_X + lane, ray.direction)
-    state[lane_state.PREV_LENGTH + lane] = arrival.distance
+    store_vector(state, lane_state.PREV_DIR_X + lane, geometry.direction)
+    state[lane_state.PREV_LENGTH + lane] = boundary_hit.distance
     attenuate_segment(lanes, lane, job, crossings)
     near = refractive_index_of(optics, item, pore_material(lanes, lane, layers, layer))
     far = refractive_index_of(optics, item, layers.pore[layer])
     if inside:
-        far = refractive_index_of(optics, item, pore_material(lanes, lane, layers, other))
-    passed = True
+        far = refractive_index_of(optics, item, pore_material(lanes, lane, layers, next_layer))
+    transmitted = True
     if job.scene.rules.boundary_fresnel and (near.n != far.n or near.k != far.k):
         d = Vector(
-            np.float64(ray.direction.x), np.float64(ray.direction.y), np.float64(ray.direction.z)
+            np.float64(geometry.direction.x),
+            np.float64(geometry.direction.y),
+            np.float64(geometry.direction.z),
         )
-        passed, e = sample_interface(
+        transmitted, e = sample_interface(
             d, orient_horizontal_normal(d), near, far, draw_uniform(words, lane)
         )
         store_vector(state, lane_state.DIR_X + lane, Vector(single(e.x), single(e.y), single(e.z)))
     state[lane_state.N_REJECTED + lane] = ZERO
-    if passed and inside:
-        record_crossing(lanes, lane, job, crossings, layer, other < layer)
-        set_layer(lanes, lane, job, other)
+    if transmitted and inside:
+        record_crossing(lanes, lane, job, crossings, layer, next_layer < layer)
+        set_layer(lanes, lane, job, next_layer)
         start_flight(state, lane)
-    return passed and not inside
+    return transmitted and not inside

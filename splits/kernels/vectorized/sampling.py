@@ -1,4 +1,4 @@
-"""What decides the next grain of every lane: its type, size, shape and roughness."""
+"""Sampling of type, size, shape and roughness of the next grain in every lane."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ _SHIFT_33 = np.uint64(33)
 
 @inline_only
 def compute_quantile_position(u, last_node):
-    """Return where the probability u lies in a table of `rng.table_probabilities`, 0 to `last_node`."""
+    """Return the position of the probability u in a quantile table, from 0 to `last_node`.
+
+    See `rng.make_table_probabilities`.
+    """
     below = u < HALF
     x = sqrt(HALF * (u if below else max(ONE - u, ZERO)))
     return (x if below else ONE - x) * last_node
@@ -28,7 +31,7 @@ def compute_quantile_position(u, last_node):
 
 @inline_only
 def draw_variates(state, words, first_lane, features, last_node):
-    """Draw the numbers that decide the next grain of `STRIDE` lanes from `first_lane` on."""
+    """Draw the variates of the next grain for `STRIDE` lanes from `first_lane` on."""
     prefer_512_bit_vectors()
     first_lane &= lane_state.N_LANES - 1
     for j in range(lane_state.STRIDE):
@@ -47,57 +50,60 @@ def draw_variates(state, words, first_lane, features, last_node):
             )
         if features.mixed is not None:
             state[lane_state.U_TYPE + i] = to_uniform_31(bits)
-            picked = ZERO
+            first_type = ZERO
             if features.layered is not None:
-                picked = state[lane_state.FIRST_TYPE + i]
-            state[lane_state.CHOSEN_TYPE + i] = picked
+                first_type = state[lane_state.FIRST_TYPE + i]
+            state[lane_state.CHOSEN_TYPE + i] = first_type
     interleave_loops()
 
 
 @inline_only
 def pick_types(state, first_lane, type_cdf, features):
-    """Choose the type of the next grain of `STRIDE` lanes from `first_lane` on."""
+    """Select the type of the next grain for `STRIDE` lanes from `first_lane` on."""
     prefer_512_bit_vectors()
     first_lane &= lane_state.N_LANES - 1
     for layer in range(type_cdf.shape[0]):
-        here = single(layer)
+        layer_number = single(layer)
         for row in range(type_cdf.shape[1] - 1):
-            bound = single(type_cdf[layer, row])
+            probability = single(type_cdf[layer, row])
             for j in range(lane_state.STRIDE):
                 i = first_lane + j
-                more = ONE if state[lane_state.U_TYPE + i] >= bound else ZERO
+                step = ONE if state[lane_state.U_TYPE + i] >= probability else ZERO
                 if features.layered is not None:
-                    more = more if state[lane_state.LAYER + i] == here else ZERO
-                state[lane_state.CHOSEN_TYPE + i] += more
+                    step = step if state[lane_state.LAYER + i] == layer_number else ZERO
+                state[lane_state.CHOSEN_TYPE + i] += step
     for j in range(lane_state.STRIDE):
         i = first_lane + j
-        kind, picked = state[lane_state.NEW_TYPE + i], state[lane_state.CHOSEN_TYPE + i]
-        state[lane_state.NEW_TYPE + i] = kind if state[lane_state.KEEP_SHAPE + i] > ZERO else picked
+        kept_type, chosen_type = state[lane_state.NEW_TYPE + i], state[lane_state.CHOSEN_TYPE + i]
+        state[lane_state.NEW_TYPE + i] = (
+            kept_type if state[lane_state.KEEP_SHAPE + i] > ZERO else chosen_type
+        )
 
 
 @entry_point_no_refcount
 def draw_grain_properties(state, words, width, features, tables, type_cdf):
     """Draw type, size, shape and roughness of the next grain in every lane.
 
-    A trial refused for its axial position keeps type and shape, which made that likely.
+    After a rejected axial position type and shape are kept, because its probability depends on the
+    shape.
 
     Parameters
     ----------
     state, words, width, features
-        See `flight`.
+        See `flight.run_flight_pass`.
     tables : tuple of 3 float32[rows, m]
         Curvature, flattening and half facetness at the probabilities of
-        `rng.table_probabilities`.
-    type_cdf : float64[layers, most]
+        `rng.make_table_probabilities`.
+    type_cdf : float64[layers, types]
         See `splits.kernels.grains.scene.Layers`.
     """
     prefer_512_bit_vectors()
-    curvature, flattening, sigma = tables
-    last = single(curvature.shape[1] - 1)
-    for first in range(0, width, lane_state.STRIDE):
-        draw_variates(state, words, first, features, last)
+    curvature, flattening, roughness = tables
+    last_node = single(curvature.shape[1] - 1)
+    for first_lane in range(0, width, lane_state.STRIDE):
+        draw_variates(state, words, first_lane, features, last_node)
         if features.mixed is not None:
-            pick_types(state, first, type_cdf, features)
+            pick_types(state, first_lane, type_cdf, features)
     for i in range(0, width, lane_state.VECTOR_WIDTH):
         gather_interpolate(
             curvature,
@@ -115,7 +121,7 @@ def draw_grain_properties(state, words, width, features, tables, type_cdf):
         )
         if features.faceted is not None:
             gather_interpolate(
-                sigma,
+                roughness,
                 state,
                 lane_state.NEW_TYPE + i,
                 lane_state.QUANTILE_ROUGHNESS + i,

@@ -1,4 +1,4 @@
-"""Rays through surfaces of their own, to count what must not be: leaks and losses."""
+"""Count of errors of the surface intersection: leaks of rays through a surface, and lost rays."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ INTERSECTIONS, LEAKS, LOST_RAYS, SEGMENTS, EVALUATIONS = range(5)
 
 
 class LeakCount(NamedTuple):
-    """What was counted.
+    """Counts of surface interactions and errors.
 
     Attributes
     ----------
     counts : int64[5]
-        `INTERSECTIONS`; `LEAKS`, points of legs that are on the wrong side of the surface; `LOST_RAYS`,
-        rays that were lost; `SEGMENTS`; `EVALUATIONS` of the surface in the search for crossings.
-    rays_by_hits : int64[MOST_HITS + 1]
-        Rays by the number of their hits.
+        `INTERSECTIONS`; `LEAKS`, points of path segments on the wrong side of the surface;
+        `LOST_RAYS`; `SEGMENTS`; `EVALUATIONS` of the surface in the search for intersections.
+    rays_by_hits : int64[MAX_HITS + 1]
+        Rays by their number of hits.
     """
 
     counts: np.ndarray
@@ -49,7 +49,7 @@ class LeakCount(NamedTuple):
 
 
 class SurfaceRay(NamedTuple):
-    """A ray above the surface, side 1, or below it, side −1."""
+    """Ray above the surface, side 1, or below it, side −1."""
 
     position: Vector
     direction: Vector
@@ -58,32 +58,32 @@ class SurfaceRay(NamedTuple):
 
 @inline_only
 def _count_leaks(state, surface, ray, length):
-    """Return how many of four points of a leg are on the wrong side of the surface."""
-    found = 0
+    """Return how many of four points of a path segment are on the wrong side of the surface."""
+    n_leaks = 0
     for i in range(4):
-        # Three anywhere, and one where a step too long at the end of the march would show.
+        # Three random points, and one where a last step that is too long would show.
         s = length * (uniform(state) if i else 1.0 - 1e-9)
-        at = add_scaled(s, ray.direction, ray.position)
-        height = compute_height_and_slope(surface.waves, at.x, at.y).height
-        if ray.side * (at.z - height) < -4.0 * compute_height_tolerance(surface, at, s):
-            found += 1
-    return found
+        point = add_scaled(s, ray.direction, ray.position)
+        height = compute_height_and_slope(surface.waves, point.x, point.y).height
+        if ray.side * (point.z - height) < -4.0 * compute_height_tolerance(surface, point, s):
+            n_leaks += 1
+    return n_leaks
 
 
 @inline_only
 def _scatter_at_facet(state, ray, hit, refractive_index):
-    """Return a walk after a facet, where it is reflected or refracted."""
+    """Return a ray after reflection or refraction at a facet."""
     upward = compute_normal_from_slope(hit.slope)
     near, far = (1.0, refractive_index) if ray.side > 0.0 else (refractive_index, 1.0)
-    meeting = reflect_or_refract_ray(state, ray.direction, None, scale(ray.side, upward), near, far)
-    side = -ray.side if meeting.transmitted else ray.side
-    place = add_scaled(hit.distance, ray.direction, ray.position)
-    return SurfaceRay(place, nudge_off_surface(meeting.direction, scale(side, upward)), side)
+    sample = reflect_or_refract_ray(state, ray.direction, None, scale(ray.side, upward), near, far)
+    side = -ray.side if sample.transmitted else ray.side
+    position = add_scaled(hit.distance, ray.direction, ray.position)
+    return SurfaceRay(position, nudge_off_surface(sample.direction, scale(side, upward)), side)
 
 
 @inline_only
 def _trace_ray(state, surface, refractive_index, ray, counts):
-    """Count along one ray, and return how many facets it hit."""
+    """Trace one ray, update the counts, and return its number of hits."""
     hits = 0
     while hits < MAX_HITS:
         hit = find_first_intersection(surface, ray.position, ray.direction, ray.side)
@@ -93,15 +93,15 @@ def _trace_ray(state, surface, refractive_index, ray, counts):
             counts[LOST_RAYS] += 1
             break
         if hit.distance == NO_HIT:
-            rest = surface.max_height - ray.side * ray.position.z
-            if rest > 0.0 and ray.side * ray.direction.z > 0.0:
-                length = rest / (ray.side * ray.direction.z)
+            vertical_distance = surface.max_height - ray.side * ray.position.z
+            if vertical_distance > 0.0 and ray.side * ray.direction.z > 0.0:
+                length = vertical_distance / (ray.side * ray.direction.z)
                 counts[LEAKS] += _count_leaks(state, surface, ray, length)
             if ray.side > 0.0:
                 break
-            place = Vector(ray.position.x, ray.position.y, -2.0 * surface.max_height)
+            position = Vector(ray.position.x, ray.position.y, -2.0 * surface.max_height)
             ray = SurfaceRay(
-                place, sample_lambertian_reflection(state, UP, None).direction, ray.side
+                position, sample_lambertian_reflection(state, UP, None).direction, ray.side
             )
             continue
         counts[LEAKS] += _count_leaks(state, surface, ray, hit.distance)
@@ -112,16 +112,16 @@ def _trace_ray(state, surface, refractive_index, ray, counts):
 
 @entry_point
 def count_leaks(seed, first_ray, n_rays, fields, refractive_index, cos_incidence):
-    """Send rays through surfaces of their own and count what must not be.
+    """Trace rays through realizations of a surface, one for each, and count leaks and lost rays.
 
-    Every ray comes from above, and is reflected or refracted at the facets that it meets until it
-    leaves upwards or has had `MAX_HITS`.  One that leaves downwards comes back from below, as
-    diffuse light does.
+    Every ray comes from above, and is reflected or refracted at the facets that it hits until it
+    leaves upwards or has `MAX_HITS` hits.  A ray that leaves downwards is replaced by one with a
+    Lambertian direction from below.
 
     Parameters
     ----------
     seed, first_ray, n_rays : int
-        Streams of the rays.
+        Random streams of the rays.
     fields : HeightFields
     refractive_index : float
         Refractive index below the surface, with 1 above.
@@ -129,17 +129,17 @@ def count_leaks(seed, first_ray, n_rays, fields, refractive_index, cos_incidence
 
     Returns
     -------
-    Census
+    LeakCount
     """
-    census = LeakCount(np.zeros(5, dtype=np.int64), np.zeros(MAX_HITS + 1, dtype=np.int64))
+    leaks = LeakCount(np.zeros(5, dtype=np.int64), np.zeros(MAX_HITS + 1, dtype=np.int64))
     state = np.zeros(1, dtype=np.uint64)
-    room = allocate_realization(fields)
+    buffer = allocate_realization(fields)
     d = sample_source_direction(Source(cos_incidence, 0.0), 1.0)
     for ray in range(first_ray, first_ray + n_rays):
         start_stream(state, seed, 0, ray)
-        surface = sample_realization(state, fields, room)
-        walk = SurfaceRay(Vector(0.0, 0.0, surface.max_height), d, 1.0)
-        hits = _trace_ray(state, surface, refractive_index, walk, census.counts)
-        census.counts[INTERSECTIONS] += hits
-        census.rays_by_hits[hits] += 1
-    return census
+        surface = sample_realization(state, fields, buffer)
+        surface_ray = SurfaceRay(Vector(0.0, 0.0, surface.max_height), d, 1.0)
+        hits = _trace_ray(state, surface, refractive_index, surface_ray, leaks.counts)
+        leaks.counts[INTERSECTIONS] += hits
+        leaks.rays_by_hits[hits] += 1
+    return leaks

@@ -133,8 +133,8 @@ def test_a_run_ends_well_after_its_terminal_is_closed(tmp_path):
 @FULL_DISK
 def test_an_interrupt_ends_a_run_whose_lines_cannot_be_written():
     script = (
-        "import os, signal, time\nfrom splits.core.interrupts import end_on_signals\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\nend_on_signals('a job')\n"
+        "import os, signal, time\nfrom splits.core.interrupts import exit_on_signals\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\nexit_on_signals('a job')\n"
         "os.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
     )
     with open("/dev/full", "wb") as full:

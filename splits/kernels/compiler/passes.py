@@ -126,7 +126,7 @@ class _RefcountCheck(AnalysisPass):
             _is_refcounted(state, kind) for kind in _list_return_types(state)
         ):
             name = state.func_id.func_qualname
-            raise TypeError(f"{name}: makes or returns arrays, but is no `owner`")
+            raise TypeError(f"{name}: makes or returns arrays, but is no `inline_allocating`")
         return False
 
 

@@ -133,8 +133,8 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a dataset to netCDF so that the file appears whole or not at all.
 
     Every array has checksums of its own (fletcher32), and the whole file has those of
-    `splits.io.integrity`, which `load` checks.  Coordinates whose values are texts, or numbers in no
-    order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
+    `splits.io.integrity`, which `load` checks.  Coordinates whose values are texts, or numbers in
+    no order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
     ``depth_m_value(depth_m)``, as the CF conventions (section 5) want them; `load` makes them
     coordinates of their dimension again.  Names have letters, digits and underscores in the file
     (section 2.3): ``layers.0.depth_m`` is ``layers_0_depth_m`` there, and `load` gives it its own

@@ -1,17 +1,16 @@
 """Labelled results: CF attributes, provenance, netCDF in and out.
 
-The layout of datasets in files has a number, and files of every older number can be read.
+The layout of datasets in files has a number, and only files of the present number are read.
 
 The number goes up when variables, dimensions or attributes get another name or meaning; a new
-variable alone is no reason.  Whoever raises `SCHEMA_VERSION` adds to `SCHEMA_MIGRATIONS` what turns the layout
-before into the new one, and keeps a file of the layout before among the tests.
+variable alone is no reason.
 """
 
 from __future__ import annotations
 
 import platform
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -39,20 +38,11 @@ from splits.io.integrity import (
 
 SCHEMA_ATTRIBUTE = "splits_schema"
 """Attribute that holds the number; files from before there was one are of schema 0."""
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
-def _migrate_schema_0(dataset: xr.Dataset) -> xr.Dataset:
-    """Give a file of schema 0 its number: nothing else has changed."""
-    return dataset
-
-
-SCHEMA_MIGRATIONS: Mapping[int, Callable[[xr.Dataset], xr.Dataset]] = {0: _migrate_schema_0}
-"""From an older schema: what turns its datasets into those of the next."""
-
-
-def upgrade_schema(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
-    """Return a dataset in the layout of this version.
+def check_schema(dataset: xr.Dataset, path: str | Path) -> None:
+    """Refuse a dataset in another layout than that of this version.
 
     Parameters
     ----------
@@ -64,22 +54,25 @@ def upgrade_schema(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
     Raises
     ------
     ValueError
-        If the number is none, or a newer version of this package wrote the file.
+        If the number is none, or an older or newer version of this package wrote the file.
     """
     found = dataset.attrs.get(SCHEMA_ATTRIBUTE, 0)
     if not isinstance(found, (int, np.integer)) or found < 0:
         raise ValueError(
             f"{path}: {SCHEMA_ATTRIBUTE} = {found!r}: must be a whole number, 0 or more"
         )
+    by = dataset.attrs.get("splits_version", "unknown")
     if found > SCHEMA_VERSION:
-        by = dataset.attrs.get("splits_version", "unknown")
         raise ValueError(
-            f"{path}: {SCHEMA_ATTRIBUTE} = {int(found)}: must be at most {SCHEMA_VERSION}; a newer version of the "
-            f"package wrote it ({by}): pip install --upgrade splits-optics"
+            f"{path}: {SCHEMA_ATTRIBUTE} = {int(found)}: must be at most {SCHEMA_VERSION}; a newer "
+            f"version of the package wrote it ({by}): pip install --upgrade splits-optics"
         )
-    for number in range(int(found), SCHEMA_VERSION):
-        dataset = SCHEMA_MIGRATIONS[number](dataset)
-    return dataset.assign_attrs({SCHEMA_ATTRIBUTE: SCHEMA_VERSION})
+    if found < SCHEMA_VERSION:
+        raise ValueError(
+            f"{path}: {SCHEMA_ATTRIBUTE} = {int(found)}: must be {SCHEMA_VERSION}; an older "
+            f"version of the package wrote it ({by}): run the experiment again, or read it with "
+            "that version"
+        )
 
 
 CF_CONVENTIONS = "CF-1.11"
@@ -140,8 +133,8 @@ def save(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a dataset to netCDF so that the file appears whole or not at all.
 
     Every array has checksums of its own (fletcher32), and the whole file has those of
-    `splits.verify_checksumssum`, which `load` checks.  Coordinates whose values are texts, or numbers in no
-    order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
+    `splits.io.integrity`, which `load` checks.  Coordinates whose values are texts, or numbers in
+    no order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
     ``depth_m_value(depth_m)``, as the CF conventions (section 5) want them; `load` makes them
     coordinates of their dimension again.  Names have letters, digits and underscores in the file
     (section 2.3): ``layers.0.depth_m`` is ``layers_0_depth_m`` there, and `load` gives it its own
@@ -209,15 +202,16 @@ def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
 def load(path: str | Path) -> xr.Dataset:
     """Read a dataset into memory and check that this package wrote it and that it is undamaged.
 
-    A dataset of an older version is brought to the present schema (see `splits.io.netcdf`).  One
-    without checksum is read with a warning.
+    A dataset in the layout of an older version is refused (see `splits.io.netcdf`).  One without
+    checksum is read with a warning.
 
     Raises
     ------
     splits.io.integrity.DamagedFileError
         A ValueError: if the file cannot be read, or holds something else than was written.
     ValueError
-        If the file has no provenance of this package, or a newer version wrote it.
+        If the file has no provenance of this package, or another version wrote it in another
+        layout.
     OSError
         If the file cannot be opened.
     """
@@ -236,7 +230,7 @@ def _check_origin(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
     """Return a dataset of the present schema, or refuse one that this package has not written."""
     if "splits_version" not in dataset.attrs:
         raise ValueError(f"{path}: not a dataset written by splits")
-    dataset = upgrade_schema(dataset, path)
+    check_schema(dataset, path)
     if CHECKSUM_ATTRIBUTE not in dataset.attrs:
         older = "an older version or another program wrote it"
         warnings.warn(f"{path}: has no checksum, damage would go unseen ({older})", stacklevel=2)

@@ -66,7 +66,7 @@ class PlotLines:
     ----------
     dataset : xarray.Dataset
     dims : sequence of str
-    dashed : bool
+    use_dashes : bool
         Whether dashes, too, tell few lines over one dimension, which may lie on each other.
     """
 

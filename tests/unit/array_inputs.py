@@ -69,13 +69,13 @@ def make_dirty_snow(**changes):
 
 def make_phase(**changes):
     given = {"cosine": [-1.0, 0.0, 1.0], "density": PARAMETERS} | changes
-    return splits.ParticleLayer(phase_function=given).kernel_phase_function.quantiles
+    return splits.ParticleLayer(phase_function=given).kernel_phase_function.cdf
 
 
 def simulate_spectrum(**changes):
     given = {"wave_number_per_m": [0.0, 1.0, 2.0], "density": PARAMETERS} | changes
     surface = {"rms_height_m": 1.0, "correlation": "spectrum", "spectrum": given}
-    return splits.RoughSurface(surface).fields[0].quantiles
+    return splits.RoughSurface(surface).fields[0].wave_number_quantiles
 
 
 def sky(**changes):
@@ -121,10 +121,13 @@ CASES = {
     "Sand ground.albedo": ArrayCase(lambda a: ground(splits.Sand, albedo=a), PARAMETERS, labels=NM),
     "Stack ground.albedo": ArrayCase(
         lambda a: ground(lambda **g: splits.Stack([SNOW], **g), albedo=a), PARAMETERS, labels=NM),
-    "Snow refractive_index.wavelength_nm": ArrayCase(lambda a: compute_refraction(wavelength_nm=a), NM),
-    "Snow refractive_index.n": ArrayCase(lambda a: compute_refraction(n=a), [1.25, 1.5, 1.75], labels=NM),
+    "Snow refractive_index.wavelength_nm": ArrayCase(lambda a: compute_refraction(wavelength_nm=a),
+                                                     NM),
+    "Snow refractive_index.n": ArrayCase(lambda a: compute_refraction(n=a), [1.25, 1.5, 1.75],
+                                         labels=NM),
     "Snow refractive_index.k": ArrayCase(lambda a: compute_refraction(k=a), PARAMETERS, True, NM),
-    "Snow impurities": ArrayCase(lambda a: make_dirty_snow(absorption_m2_kg=a), PARAMETERS, labels=NM),
+    "Snow impurities": ArrayCase(lambda a: make_dirty_snow(absorption_m2_kg=a), PARAMETERS,
+                                 labels=NM),
     "Snow impurities.wavelength_nm": ArrayCase(lambda a: make_dirty_snow(wavelength_nm=a), NM),
     "Snow facetness": ArrayCase(
         lambda a: splits.Snow(facetness=a).facetness, [0.25, 0.5, 0.375, 0.125],
@@ -137,11 +140,14 @@ CASES = {
     "Sand partition": ArrayCase(
         lambda a: splits.Sand(partition=a).partition, [0.25, 0.5, 0.25],
         labels=["pure", "mixed", "coated"]),
-    "Layer phase_function.cosine": ArrayCase(lambda a: make_phase(cosine=a), [-1.0, 0.0, 1.0]),
-    "Layer phase_function.density": ArrayCase(
+    "ParticleLayer phase_function.cosine": ArrayCase(lambda a: make_phase(cosine=a),
+                                                     [-1.0, 0.0, 1.0]),
+    "ParticleLayer phase_function.density": ArrayCase(
         lambda a: make_phase(density=a), PARAMETERS, labels=[-1.0, 0.0, 1.0]),
-    "RoughSurface wave_number": ArrayCase(lambda a: simulate_spectrum(wave_number_per_m=a), [0.0, 1.0, 2.0]),
-    "RoughSurface density": ArrayCase(lambda a: simulate_spectrum(density=a), PARAMETERS, labels=[0.0, 1.0, 2.0]),
+    "RoughSurface wave_number": ArrayCase(lambda a: simulate_spectrum(wave_number_per_m=a),
+                                          [0.0, 1.0, 2.0]),
+    "RoughSurface density": ArrayCase(lambda a: simulate_spectrum(density=a), PARAMETERS,
+                                      labels=[0.0, 1.0, 2.0]),
     "RoughSurface correlation": ArrayCase(SEA.surface.correlation, UP, one=True),
     "refractive_index": ArrayCase(make_refractive_index("ice"), NM, one=True),
     # Skies.
@@ -149,7 +155,8 @@ CASES = {
     "sky direct": ArrayCase(lambda a: sky(direct=a), PARAMETERS, labels=NM),
     "sky diffuse": ArrayCase(lambda a: sky(diffuse=a), PARAMETERS, labels=NM),
     "Sky direct": ArrayCase(lambda a: make_labelled_sky("direct", a), PARAMETERS, labels=NM),
-    "albedo": ArrayCase(lambda a: splits.albedo(GREY_LAYER, splits.sky(SKY, 50.0), a, **FEW_WAVELENGTHS), TWO, runs=True),
+    "albedo": ArrayCase(lambda a: splits.albedo(GREY_LAYER, splits.sky(SKY, 50.0), a,
+                                                **FEW_WAVELENGTHS), TWO, runs=True),
     "albedo bands": ArrayCase(
         lambda a: splits.albedo(
             GREY_LAYER, splits.sky(SKY, 50.0), NM, **FEW_WAVELENGTHS,
@@ -163,10 +170,13 @@ CASES = {
         [0.0009765625, 0.001953125], one=True, runs=True),
     # Instruments.
     "spectrophotometer": ArrayCase(
-        lambda a: splits.spectrophotometer(GREY_LAYER, a, **FEW_WAVELENGTHS), NM, one=True, runs=True),
-    "spectra": ArrayCase(lambda a: splits.spectra({"one": SNOW}, a, **FEW_WAVELENGTHS), NM, one=True, runs=True),
+        lambda a: splits.spectrophotometer(GREY_LAYER, a, **FEW_WAVELENGTHS), NM, one=True,
+        runs=True),
+    "spectra": ArrayCase(lambda a: splits.spectra({"one": SNOW}, a, **FEW_WAVELENGTHS), NM,
+                         one=True, runs=True),
     "goniophotometer wavelength_nm": ArrayCase(
-        lambda a: splits.goniophotometer(GREY_LAYER, a, relative_stderr=0.5, threads=1, polar_deg=UP,
+        lambda a: splits.goniophotometer(GREY_LAYER, a, relative_stderr=0.5, threads=1,
+                                         polar_deg=UP,
                                          azimuth_deg=[0.0]), [800.0], one=True, runs=True),
     "goniophotometer polar_deg": ArrayCase(
         lambda a: splits.goniophotometer(GREY_LAYER, [800.0], relative_stderr=0.5, threads=1,
@@ -175,41 +185,48 @@ CASES = {
         lambda a: splits.goniophotometer(GREY_LAYER, [800.0], relative_stderr=0.5, threads=1,
                                          polar_deg=UP, azimuth_deg=a), UP, one=True, runs=True),
     "beam_spread": ArrayCase(
-        lambda a: splits.beam_spread(GREY_LAYER, a, rays=100, half_width_m=1.0, threads=1), NM, one=True,
+        lambda a: splits.beam_spread(GREY_LAYER, a, rays=100, half_width_m=1.0, threads=1), NM,
+        one=True,
         runs=True),
     "deep_transmittance": ArrayCase(
         lambda a: splits.deep_transmittance(SNOW, a, relative_stderr=0.5, threads=1), [800.0],
         one=True, runs=True),
-    "profile": ArrayCase(
-        lambda a: splits.irradiance_profile(SNOW, [800.0], a, **FEW_WAVELENGTHS), [0.0009765625, 0.001953125], one=True,
+    "irradiance_profile": ArrayCase(
+        lambda a: splits.irradiance_profile(SNOW, [800.0], a, **FEW_WAVELENGTHS),
+        [0.0009765625, 0.001953125], one=True,
         runs=True),
     "single_scattering": ArrayCase(
         lambda a: splits.single_scattering(SNOW, a, moments=2, rays=2, threads=1), NM, one=True,
         runs=True),
     "lens screen_depth_m": ArrayCase(
-        lambda a: splits.lens(SEA, a, 1.0, centre_on="origin", rays=3), [1.0, 2.0], one=True, runs=True),
+        lambda a: splits.lens(SEA, a, 1.0, centre_on="origin", rays=3), [1.0, 2.0], one=True,
+        runs=True),
     "lens waves": ArrayCase(
         lambda a: splits.lens(SEA, [1.0], 1.0, centre_on="origin", rays=3, waves=a),
         [[0.0625, 1.0, 0.5, 0.0], [0.125, 0.5, 0.0, 1.0]], runs=True),
     # Tables.
-    "table wavelength_nm": ArrayCase(
-        lambda a: splits.build_table(lambda saturation: SNOW, {"saturation": [0.0]}, a, **FEW_WAVELENGTHS), NM,
+    "build_table wavelength_nm": ArrayCase(
+        lambda a: splits.build_table(lambda saturation: SNOW, {"saturation": [0.0]}, a,
+                                     **FEW_WAVELENGTHS), NM,
         one=True, runs=True),
-    "table grid": ArrayCase(lambda a: ParameterGrid.from_mapping({"depth_m": a}).values, UP),
+    "build_table grid": ArrayCase(lambda a: ParameterGrid.from_mapping({"depth_m": a}).values, UP),
     "Table.interp": ArrayCase(
         lambda a: TABLE.interp(**FIXED, **{SIZE: 128.0}, wavelength=a), [512.0, 1024.0], one=True),
     # Retrievals.
     "retrieve wavelengths": ArrayCase(lambda a: retrieve_spectrum((a, MEASURED)), W.tolist()),
-    "retrieve values": ArrayCase(lambda a: retrieve_spectrum((W, a)), MEASURED.tolist(), labels=W.tolist()),
+    "retrieve values": ArrayCase(lambda a: retrieve_spectrum((W, a)), MEASURED.tolist(),
+                                 labels=W.tolist()),
     "retrieve noise": ArrayCase(lambda a: retrieve_spectrum(noise=a), [0.0625] * 5 + [0.125] * 6,
                            True, W.tolist()),
-    "retrieve covariance": ArrayCase(lambda a: retrieve_spectrum(noise=a), np.diag([0.015625] * 11).tolist(),
+    "retrieve covariance": ArrayCase(lambda a: retrieve_spectrum(noise=a),
+                                     np.diag([0.015625] * 11).tolist(),
                                 True),
     "retrieve stderr": ArrayCase(make_retrieval, [0.0625] * 5 + [0.125] * 6, True, W.tolist()),
     "retrieve bands": ArrayCase(
         lambda a: retrieve_spectrum(a, bands=BANDS), SHADES, labels=list(BANDS)),
     "retrieve noise of bands": ArrayCase(
-        lambda a: retrieve_spectrum(SHADES, a, bands=BANDS), [0.0625, 0.125, 0.25], True, list(BANDS)),
+        lambda a: retrieve_spectrum(SHADES, a, bands=BANDS), [0.0625, 0.125, 0.25], True,
+        list(BANDS)),
     "retrieve free": ArrayCase(
         lambda a: splits.retrieve((W, MEASURED), TABLE, {SIZE: a}, 0.0625, fixed=FIXED).dataset,
         [64.0, 512.0], labels=["low", "high"]),
@@ -217,7 +234,7 @@ CASES = {
         lambda a: retrieve_spectrum(prior={SIZE: a}), [128.0, 64.0],
         labels=["mean", "standard deviation"]),
     "select_bands": ArrayCase(lambda a: select_bands(bands=a), [512.0, 1024.0]),
-    "best_bands noise": ArrayCase(
+    "select_bands noise": ArrayCase(
         lambda a: select_bands(noise=a), [0.0625] * 5 + [0.125] * 6, True, W.tolist()),
     "sobol_indices free": ArrayCase(
         lambda a: splits.sobol_indices(TABLE, {SIZE: a, SOOT: (0.0, 512.0)}, points=64,

@@ -25,9 +25,12 @@ ANGLE_TABLE = make_table(
 GIVEN_TWICE = {
     "interp": lambda: TABLE.interp(**PLACE, **BOTH_SPELLINGS),
     "derivatives": lambda: TABLE.derivatives([SIZE], **PLACE, **BOTH_SPELLINGS),
-    "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **PLACE, **BOTH_SPELLINGS),
-    "retrieve": lambda: splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, fixed={SOOT: 64.0} | BOTH_SPELLINGS),
-    "select_bands": lambda: splits.select_bands(TABLE, W, [SIZE], 0.1, fixed={SOOT: 64.0} | BOTH_SPELLINGS),
+    "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **PLACE,
+                                                               **BOTH_SPELLINGS),
+    "retrieve": lambda: splits.retrieve(MEASURED, TABLE, [SIZE], 0.1,
+                                        fixed={SOOT: 64.0} | BOTH_SPELLINGS),
+    "select_bands": lambda: splits.select_bands(TABLE, W, [SIZE], 0.1,
+                                                fixed={SOOT: 64.0} | BOTH_SPELLINGS),
     "sobol_indices": lambda: splits.sobol_indices(TABLE, [SIZE, SOOT], fixed=BOTH_SPELLINGS),
     "at of a medium": lambda: check_measurement_incidence(BOTH_SPELLINGS, {}),
     "table": lambda: splits.build_table(

@@ -65,7 +65,7 @@ def test_bad_input_is_refused(name):
         "bands": W,
         "free": [SIZE, SOOT],
         "noise": 0.01,
-        "at": FIXED,
+        "fixed": FIXED,
     }
     with pytest.raises(InvalidValue, match=message):
         splits.select_bands(**(given | other))

@@ -41,7 +41,8 @@ def make_brdf(incidence, **keywords):
     attrs = {
         "medium": "snow", "snow_depth_m": 0.1, "snow_facetness": np.array([0.2, 0.4]),
         "snow_asymmetry_parameter_900nm_dry": 0.678,
-        "snow_asymmetry_parameter_900nm_dry_stderr": 0.001, "snow_interpretation_entry_point": "uniform",
+        "snow_asymmetry_parameter_900nm_dry_stderr": 0.001,
+        "snow_interpretation_entry_point": "uniform",
         "incidence_deg": incidence, "seed": 3, "physics_sources_sha256": "0123456789abcdef",
         "date_created": "2026-11-24T12:00:00+00:00", "title": "BRDF",
     }  # fmt: skip

@@ -131,7 +131,8 @@ def draw_surfaces(random, indices, extinction):
     k = extinction * random.uniform(size=N_SAMPLES)
     return [
         d, n, 0.0 * ones, ones, random.uniform(0.001, 0.999, (N_SAMPLES, 2)),
-        np.abs(random.normal(size=N_SAMPLES)), draw_circle(random), random.uniform(0.05, 0.5, N_SAMPLES),
+        np.abs(random.normal(size=N_SAMPLES)), draw_circle(random),
+        random.uniform(0.05, 0.5, N_SAMPLES),
         near, 0.0 * ones, far, k * (near != far),
     ]  # fmt: skip
 
@@ -248,7 +249,8 @@ def _compute_entries(x, entry, out):
 def draw_entry_variates(random):
     """Return random numbers that say how a ray strikes a grain."""
     return [
-        random.uniform(size=N_SAMPLES), draw_circle(random), draw_circle(random), random.uniform(size=(N_SAMPLES, 2))
+        random.uniform(size=N_SAMPLES), draw_circle(random), draw_circle(random),
+        random.uniform(size=(N_SAMPLES, 2))
     ]  # fmt: skip
 
 
@@ -279,8 +281,10 @@ def test_overlaps_with_boundaries_and_legs(random):
     ones = np.ones(N_SAMPLES)
     q, w = draw_directions(random), draw_directions(random)
     columns = [
-        q, w, draw_sizes(random), (q * w).sum(axis=1), ones, -RELATIVE_SCALE * random.uniform(0.0, 20.0, N_SAMPLES),
-        -20.0 * RELATIVE_SCALE * ones, 0.0 * ones, 3.0 * RELATIVE_SCALE * random.normal(size=(N_SAMPLES, 3)),
+        q, w, draw_sizes(random), (q * w).sum(axis=1), ones,
+        -RELATIVE_SCALE * random.uniform(0.0, 20.0, N_SAMPLES),
+        -20.0 * RELATIVE_SCALE * ones, 0.0 * ones,
+        3.0 * RELATIVE_SCALE * random.normal(size=(N_SAMPLES, 3)),
         draw_directions(random), RELATIVE_SCALE * random.exponential(5.0, N_SAMPLES),
     ]  # fmt: skip
     one, other = run_both_precisions(_check_overlaps, columns, 2)
@@ -332,10 +336,13 @@ def test_next_grains(random, name):
         RELATIVE_SCALE * random.uniform(0.0, 3.0, N_SAMPLES) * random.integers(0, 2, N_SAMPLES)
     )
     columns = [
-        d, draw_sizes(random), *draw_entry_variates(random), 0.0 * ones, -DEPTH * random.uniform(0.15, 0.85, N_SAMPLES),
+        d, draw_sizes(random), *draw_entry_variates(random), 0.0 * ones,
+        -DEPTH * random.uniform(0.15, 0.85, N_SAMPLES),
         0.5 * RELATIVE_SCALE * random.normal(size=(N_SAMPLES, 3)), draw_directions(random),
-        np.where(random.uniform(size=N_SAMPLES) < 0.1, -1.0, RELATIVE_SCALE * random.exponential(5.0, N_SAMPLES)),
-        skipped, 5.0 * RELATIVE_SCALE * ones, -0.9 * DEPTH * ones, random.uniform(1e-6, 1.0, N_SAMPLES),
+        np.where(random.uniform(size=N_SAMPLES) < 0.1, -1.0,
+                 RELATIVE_SCALE * random.exponential(5.0, N_SAMPLES)),
+        skipped, 5.0 * RELATIVE_SCALE * ones, -0.9 * DEPTH * ones,
+        random.uniform(1e-6, 1.0, N_SAMPLES),
         -0.1 * DEPTH * ones, -DEPTH * ones,
     ]  # fmt: skip
     one, other = run_both_precisions(_find_next_grains, columns, 12, OVERLAP_RULES[name])

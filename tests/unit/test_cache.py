@@ -207,7 +207,7 @@ import os, pathlib, signal, sys
 from splits.kernels.compiler.cache_folders import CacheFolder
 
 os.replace = lambda *paths: os.kill(os.getpid(), signal.SIGKILL)
-Folder(pathlib.Path(sys.argv[1]), True).write("killed", b"content")
+CacheFolder(pathlib.Path(sys.argv[1]), True).write("killed", b"content")
 """
 
 
@@ -358,7 +358,7 @@ from splits.kernels.compiler.cache import enable_caching
 def slow(x):
     return x + 1
 
-kernel = keep(njit(slow))
+kernel = enable_caching(njit(slow))
 """
 CONCURRENT_PROGRAM = f"""{KERNEL}
 compile = kernel._compiler.compile
@@ -387,7 +387,8 @@ def test_of_processes_that_start_together_one_compiles(tmp_path):
 @NEEDS_JIT
 def test_nobody_waits_for_a_process_that_is_gone(tmp_path):
     holds = "import sys, pathlib; from splits.kernels.compiler import cache_lock\n"
-    holds += "cache_lock.acquire_lock(pathlib.Path(sys.argv[1]), 'kernel'); print(1, flush=True); input()"
+    holds += "cache_lock.acquire_lock(pathlib.Path(sys.argv[1]), 'kernel')\n"
+    holds += "print(1, flush=True); input()"
     command = [sys.executable, "-c", holds, tmp_path]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     first = subprocess.Popen(command, **pipes)

@@ -50,7 +50,9 @@ CASES = {**{name: case[0] for name, case in SAMPLES.items()}, **OTHER_SAMPLES}
 def compute_mineral_masses(made):
     """Return the mass of every mineral per mass of sand."""
     return {
-        m: math.fsum(t.mass_fraction * t.concentration.get(m, 0.0) for t in made.types)
+        m: math.fsum(
+            t.mass_fraction * t.mineral_mass_fractions.get(m, 0.0) for t in made.particle_types
+        )
         for m in DENSITY
     }
 

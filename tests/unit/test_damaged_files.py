@@ -97,7 +97,8 @@ def delete_variable(path):
 DAMAGE_FUNCTIONS = {
     way.__name__: way
     for way in (
-        flip_data, flip_header, flip_text, flip_label, truncate, zero_fill, zero_block, empty_file, write_text,
+        flip_data, flip_header, flip_text, flip_label, truncate, zero_fill, zero_block, empty_file,
+        write_text,
         change_attribute, change_values, delete_variable,
     )
 }  # fmt: skip

@@ -188,13 +188,13 @@ def test_a_reference_is_kept_until_its_sources_change(program, monkeypatch, tmp_
 
     monkeypatch.setattr(program, "simulate_spectrum", measure)
     snow = splits.Snow()
-    first = program.reference("a b", snow, plan, tmp_path)
-    again = program.reference("a b", snow, plan, tmp_path)
+    first = program.load_or_compute_reference("a b", snow, plan, tmp_path)
+    again = program.load_or_compute_reference("a b", snow, plan, tmp_path)
     assert len(calls) == 1
     xr.testing.assert_equal(first, again)
-    program.reference("a b", replace(snow, depth_m=0.05), plan, tmp_path)
+    program.load_or_compute_reference("a b", replace(snow, depth_m=0.05), plan, tmp_path)
     assert len(calls) == 2
     monkeypatch.setattr(program, "compute_source_digest", lambda medium: "other")
-    program.reference("a b", snow, plan, tmp_path)
+    program.load_or_compute_reference("a b", snow, plan, tmp_path)
     assert len(calls) == 3
     assert calls[0]["seed"] != program.SEED

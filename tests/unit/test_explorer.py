@@ -57,7 +57,8 @@ def directions():
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     path = tmp_path_factory.mktemp("explorer") / "explorer.html"
-    shown = {"snow": ExplorerTable(table(), "results/data/a.nc", "Snow", directions()), "</script>": ExplorerTable(
+    shown = {"snow": ExplorerTable(table(), "results/data/a.nc", "Snow", directions()),
+             "</script>": ExplorerTable(
         table("none"), "b.nc", "An awkward name")}  # fmt: skip
     write_explorer(shown, path)
     return path

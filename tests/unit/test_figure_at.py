@@ -16,7 +16,7 @@ CROSSED_GRID = {"0.1": 1.0, "1": 0.1}
 def resolve_fixed_values(grid, **at):
     """Return what the figure of an experiment holds fixed, and the grid's coordinates."""
     experiment = ExperimentConfig(name="made", grid=grid, figure={"select": at})
-    return experiment.resolve_figure()["at"], experiment.grid
+    return experiment.resolve_figure()["select"], experiment.grid
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_the_drawing_names_the_coordinate_of_the_dataset():
         name="made", medium=layer, grid=grid, instrument={"wavelength_nm": [500, 550]},
         figure={"select": {"polarized": True}},
     )  # fmt: skip
-    assert experiment.resolve_figure()["at"] == {"polarized": "True"}
+    assert experiment.resolve_figure()["select"] == {"polarized": "True"}
 
 
 def test_datasets_are_cut_at_the_nearest_only_up_to_rounding():

@@ -24,7 +24,7 @@ from test_figure_files import SECTION, spectrum
 from splits.plotting import draw, save_figure
 from splits.plotting.style import pick_colours
 save_figure(draw(spectrum(), SECTION), "one")
-colours(3, "medium")
+pick_colours(3, "medium")
 assert dict.__getitem__(matplotlib.rcParams, "backend") == before
 import matplotlib.pyplot as plt
 assert plt.get_fignums() == []

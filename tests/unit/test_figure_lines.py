@@ -71,8 +71,10 @@ def test_values_are_named_as_print_has_them(value, parameter, text):
 )
 def test_no_two_lines_look_the_same(sizes):
     grid = {f"p{i}": np.arange(float(n)) for i, n in enumerate(sizes)}
-    for dashed in (False, True):
-        looks = [(one.colour, one.dash) for one in make_plot_lines(grid, dashed=dashed).lines]
+    for use_dashes in (False, True):
+        looks = [
+            (one.colour, one.dash) for one in make_plot_lines(grid, use_dashes=use_dashes).lines
+        ]
         assert len(set(looks)) == len(looks) == np.prod(sizes, dtype=int)
 
 

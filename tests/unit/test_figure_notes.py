@@ -18,11 +18,11 @@ from splits.plotting import (
     describe_conditions,
     draw,
     draw_area_law,
+    draw_fits,
     draw_fitted_spectra,
     draw_interpretation_shifts,
     draw_measured_albedo,
     draw_sensitivity_bars,
-    sand_fit,
 )
 from splits.plotting.annotations import format_panel_letter
 from splits.plotting.nodes import find_coarse_nodes
@@ -87,7 +87,8 @@ def surface_areas():
 
 def make_statements():
     rows = [
-        {"combination": number, "interpretation": f"entry_point: {word}", "set": name, "statement": said,
+        {"combination": number, "interpretation": f"entry_point: {word}", "set": name,
+         "statement": said,
          "place": "Fig 1", "nearest_water": True, "ours": value, "stderr": 0.01, "bar": 0.1,
          "distance": 10.0 * value}
         for number, (word, name, value) in enumerate(
@@ -124,7 +125,8 @@ def draw_kind(kind, made, **section):
 
 FIGURES = {
     "spectra": draw_kind("spectra", lambda: spectral({"saturation": [0.0, 1.0]})),
-    "many spectra": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0.0, 1.0, 9)})),
+    "many spectra": draw_kind("spectra",
+                              lambda: spectral({"saturation": np.linspace(0.0, 1.0, 9)})),
     "facets": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 40),
                                                  "depth_m": [0.1, 0.2]})),
     "colour bar": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 20)})),
@@ -142,7 +144,7 @@ FIGURES = {
     "bins": draw_kind("bins", make_many_bins_dataset),
     "polarization": draw_kind("polarization", directions),
     "spread": draw_kind("spread", make_beam_dataset),
-    "fit": lambda: sand_fit(make_surface_areas_table()),
+    "fit": lambda: draw_fits(make_surface_areas_table()),
     "measured": lambda: draw_measured_albedo(ALBEDO),
     "surface area": lambda: draw_fitted_spectra(surface_areas()),
     "law": lambda: draw_area_law(LAW),
@@ -183,10 +185,11 @@ def test_conditions_say_what_is_held_fixed():
     said = describe_conditions(made, at, "").replace("\u00a0", " ")
     assert "dry, depth 0.02 m" in said and "diffuse light" in said and "sample: dune" in said
     assert describe_conditions(spectral({})) == ""
-    opaque = {"medium": "particle_layer", "particle_layer_opaque": "true", "particle_layer_refractive_index": 1.5,
+    opaque = {"medium": "particle_layer", "particle_layer_opaque": "true",
+              "particle_layer_refractive_index": 1.5,
               "particle_layer_optical_thickness": 10.0}  # fmt: skip
     said = describe_conditions(spectral({}).assign_attrs(opaque)).replace("\u00a0", " ")
-    assert said.startswith("Layer, index 1.5, nothing below the surface")
+    assert said.startswith("Particle layer, index 1.5, nothing below the surface")
     assert "thickness" not in said
 
 

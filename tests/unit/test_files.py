@@ -30,7 +30,7 @@ def die(dataset, target, **options):
     os.kill(os.getpid(), signal.SIGKILL)
 
 xr.Dataset.to_netcdf = die
-splits.save(xr.Dataset({"x": 1.0}, attrs=attributes(provenance())), sys.argv[1])
+splits.save(xr.Dataset({"x": 1.0}, attrs=to_netcdf_attributes(make_provenance())), sys.argv[1])
 """
 
 
@@ -60,7 +60,7 @@ WRITE_FUNCTIONS = """
 import sys
 from splits.core.atomic import atomic_write
 
-with whole(sys.argv[1]) as aside:
+with atomic_write(sys.argv[1]) as aside:
     aside.write_text("whole")
     print(aside.name, flush=True)
     input()
@@ -108,7 +108,10 @@ def test_only_what_writers_that_have_ended_left_is_swept(tmp_path):
 )
 def test_what_another_container_writes_stays(tmp_path):
     process, name = start_writing(tmp_path / "live.csv", *OTHER_MACHINE)
-    script = "import sys; from splits.core.atomic import sweep; print(len(sweep(sys.argv[1])))"
+    script = (
+        "import sys; from splits.core.atomic import remove_stale_files; "
+        "print(len(remove_stale_files(sys.argv[1])))"
+    )
     sweeps = [sys.executable, "-c", script, str(tmp_path)]
     for command in (sweeps, [*OTHER_MACHINE, *sweeps]):
         assert subprocess.run(command, capture_output=True, text=True).stdout == "0\n"

@@ -120,20 +120,20 @@ def test_a_descent_finds_the_least_misfit_also_on_the_border(truth):
     calls = []
 
     class Smooth:
-        free = StateVector.from_ranges(
+        state_vector = StateVector.from_ranges(
             ("a", "b", "c"), None, dict.fromkeys("abc", ParameterRange(0.0, 1.0, "itself"))
         )
-        margin = 0.0
+        bound_margin = 0.0
 
-        def values(self, place, stage):
+        def evaluate(self, place, stage):
             calls.append(place)
             assert (place >= 0.0).all() and (place <= 1.0).all()
             return evaluate_smooth_spectrum(place)
 
-        def slopes(self, place, stage):
-            return compute_central_differences(lambda x: self.values(x, stage), place)
+        def compute_jacobian(self, place, stage):
+            return compute_central_differences(lambda x: self.evaluate(x, stage), place)
 
-    aim = Objective.least_squares(wanted, Smooth.free)
+    aim = Objective.least_squares(wanted, Smooth.state_vector)
     cost, place = minimize_gauss_newton(Smooth(), 1, np.full(3, 0.5), aim, 60, 0.3)
     assert np.sqrt(cost / len(wanted)) < 1e-3
     assert len(calls) < 100
@@ -148,7 +148,8 @@ def test_a_known_sand_is_met():
     wanted = spectrophotometer(sand, WAVELENGTHS, 10.0, max_stderr=0.002, seed=9).reflectance
     ranges = {"iron_oxide": (0.005, 0.05), "magnetite": (0.01, 0.1), "clay": (1e-4, 0.005)}
     lines = []
-    # A search of `SMALL_EFFORT` ends at 0.002 to 0.008 with other seeds, one of this length below 0.004.
+    # A search of `SMALL_EFFORT` ends at 0.002 to 0.008 with other seeds, one of this length below
+    # 0.004.
     effort = Effort(
         points=64, starts=(3, 1), evaluations=(30, 40), rays=(512, 1024, 16_384), max_stderr=0.002
     )

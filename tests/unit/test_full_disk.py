@@ -93,7 +93,7 @@ def test_a_large_table_is_not_begun_where_it_does_not_fit(disk, monkeypatch):
 
 
 def test_a_disk_that_fills_meanwhile_gets_its_space_back(disk, monkeypatch):
-    monkeypatch.setattr("splits.io.integrity.check_room", lambda path, size: None)
+    monkeypatch.setattr("splits.io.integrity.check_disk_space", lambda path, size: None)
     with pytest.raises(OSError, match=r"perhaps no space is left .*made\.nc'"):
         save_dataset(disk)
     assert os.listdir(disk) == []

@@ -24,9 +24,11 @@ FILES = {
     f"grid: {{incidence_deg: [{HUGE_NUMBER}]}}": "grid.incidence_deg = 1000",
     SPEC.format(HUGE_NUMBER): "medium.refractive_index[ice] = 1000",
     SPEC.format(f"{{n: 1.3, k: {HUGE_NUMBER}}}"): "medium.refractive_index[ice].k = 1000",
-    SPEC.format(f"{{wavelength_nm: [1, 2], n: [1, {HUGE_NUMBER}], k: 0}}"): "medium.refractive_index[ice]",
+    SPEC.format(f"{{wavelength_nm: [1, 2], n: [1, {HUGE_NUMBER}], k: 0}}"):
+        "medium.refractive_index[ice]",
     SPEC.format(300 * "x" + ".csv"): "medium.refractive_index[ice] = 'xxxx",
-    f"medium: {{kind: particle_layer, phase_function: {{cosine: [-1, 1], density: [1, {HUGE_NUMBER}]}}}}":
+    "medium: {kind: particle_layer, phase_function: "
+    f"{{cosine: [-1, 1], density: [1, {HUGE_NUMBER}]}}}}":
         "medium.phase_function.density = 1000",
     "instrument: {wavelength_nm: {start: 400, stop: 500, step: 5e-324}}":
         "instrument.wavelength_nm.step = 5e-324",
@@ -63,7 +65,8 @@ FILES = {
     "instrument: {kind: beam_spread, half_width_m: 1e7}":
         "instrument.half_width_m = 10000000.0: must be in [1e-09, 1e+06] m",
     LENS + "half_width_m: 1e7, screen_depth_m: [1]}": "instrument.half_width_m = 10000000.0: must",
-    LENS + "centre_on: origin, rays: 100000000, screen_depth_m: [1]}": "instrument.rays = 100000000",
+    LENS + "centre_on: origin, rays: 100000000, screen_depth_m: [1]}":
+        "instrument.rays = 100000000",
     "instrument: {kind: goniophotometer, wavelength_nm: {start: 300, stop: 10000, step: 1}}":
         "grid = '1 points of 25144992 values each': must be at most 10000000 values in all",
     "grid: {saturation: {start: 0, stop: 1, step: 0.001}, depth_m: {start: 0.1, stop: 1, "

@@ -18,8 +18,8 @@ IDLE_PROGRAM = "import time; time.sleep(300)"
 JOB_PROGRAM = """
 from pathlib import Path
 from splits.core.interrupts import exit_on_signals, track_unfinished_file
-end_on_signals('a job')
-with half_written(Path({path!r})):
+exit_on_signals('a job')
+with track_unfinished_file(Path({path!r})):
     Path({path!r}).touch()
     print('begun', flush=True)
     {work}
@@ -27,7 +27,7 @@ with half_written(Path({path!r})):
 PARENT_PROGRAM = """
 import subprocess, sys
 from splits.core.interrupts import forward_interrupts
-pass_on_interrupts()
+forward_interrupts()
 child = subprocess.Popen([sys.executable, '-c', sys.argv[1]])
 child.wait()
 """

@@ -79,8 +79,8 @@ RESULTS = {
     "single_scattering": grains,
     "with_diffraction": lambda: splits.with_diffraction(grains()),
     "phase_function": lambda: splits.phase_function(grains(), [0, 90, 180]),
-    "table": small_table,
-    "table, covariance": lambda: small_table(covariance=True),
+    "build_table": small_table,
+    "build_table, covariance": lambda: small_table(covariance=True),
     "Table": lambda: make_snowlike_table().dataset,
     "Table.interp": lambda: make_snowlike_table().interp(**make_place()),
     "Table.derivatives": lambda: make_snowlike_table().derivatives(FREE_PARAMETERS, **make_place()),
@@ -110,8 +110,10 @@ RESULTS = {
 }
 """What every public function returns that returns data, by its name and what differs."""
 MISSING_DATA = {
-    "Layer", "Progress", "ProgressBar", "Readings", "RoughSurface", "Sand", "SandReadings", "Sky",
-    "Snow", "Stack", "__version__", "load", "open_table", "save", "save_brdf", "sensor", "sky",
+    "Interpretation", "ParticleLayer", "Progress", "ProgressBar", "RoughSurface", "Sand",
+    "SandInterpretation", "Sky",
+    "Snow", "Stack", "__version__", "load", "open_table", "save", "save_brdf", "sensor_bands",
+    "sky",
 }  # fmt: skip
 """Public names of inputs, of what reads and writes, and of what tells of a run."""
 
@@ -215,8 +217,9 @@ def test_gaps_without_a_flag_are_refused(change, tmp_path):
 NON_DATASETS = {
     "an array": (lambda: image(), r"'DataArray'.*array.to_dataset\(name='reflectance'\)"),
     "a table": (make_snowlike_table, r"'Table'.*write its dataset"),
-    "a retrieval": (lambda: splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED),
-                    r"'Retrieved'.*write its dataset"),
+    "a retrieval": (lambda: splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01,
+                                            fixed=FIXED),
+                    r"'RetrievalResult'.*write its dataset"),
     "a path": (lambda: "kept.nc", "'str': must be an xarray.Dataset$"),
 }  # fmt: skip
 

@@ -1,13 +1,14 @@
-"""Packs so deep that paths in them have no end: a cut, and a ground that stands for what is below.
+"""Optically deep media: tracing to a truncation depth, and a boundary that replaces the rest.
 
-Where little is absorbed, light wanders through a deep pack for ten thousand grains, and comes back.
-Far below the surface it is diffuse, and what the rest of the pack does with it is known from
-diffusion theory: F↓ and F↑ are φ/4 ± J/2, and φ obeys D φ″ = μ φ (Ishimaru 1978, Wave Propagation
-and Scattering in Random Media, chapter 9).  So rays are traced down to a cut only.  A ground there
-sends back what the rest would, and keeps what that absorbs or lets through, at every wavelength.
+Where little is absorbed, light in a deep medium is scattered by ten thousand grains before it
+leaves.  Far below the surface it is diffuse, and diffusion theory gives the reflectance of the rest
+of the medium: F↓ and F↑ are φ/4 ± J/2, and φ obeys D φ″ = μ φ (Ishimaru 1978, Wave Propagation and
+Scattering in Random Media, chapter 9).  Rays are therefore traced down to a truncation depth only.
+A Lambertian boundary there reflects what the rest would reflect at each wavelength.
 
-What theory may miss is stated: `THEORY_UNCERTAINTY` of what the rest keeps, times the chance that light from the
-cut leaves at the top.  The cut lies so deep that this is a part of the error asked for.
+The error of the theory enters the standard errors: it is `THEORY_UNCERTAINTY` of the light that the
+rest keeps, times the probability that light from the truncation depth escapes at the top.  The
+truncation depth is chosen so that this is a fraction of the requested error.
 """
 
 from __future__ import annotations
@@ -47,35 +48,36 @@ from splits.simulation.truncated_medium import (
 )
 
 MIN_DEPTH_MFP = 600.0
-"""Mean distances between grains below which no pack is cut: it is traced in no time."""
+"""Depth in mean distances between grains up to which tracing the whole medium is fast."""
 MAX_DECAY_EXPONENT = 5.0
-"""Light that decays by more than exp(−REACH) down to the cut, at all wavelengths, asks for none."""
+"""Media are not truncated where light decays by more than exp(−MAX_DECAY_EXPONENT) down to the
+truncation depth at all wavelengths."""
 MIN_DEPTH_IN_D = 30.0
-"""Least depth of a cut in units of D, a third of the way on which light forgets its direction."""
+"""Smallest truncation depth in units of D, which is a third of the transport mean free path."""
 PILOT_MARGIN = 2.0
-"""How far beyond a limit a rough look has to be for no better one to be taken."""
+"""Factor by which a pilot estimate must exceed a limit for the full estimate to be skipped."""
 MIN_TRANSPORT_FACTOR = 0.01
-"""Least 1 − ωg of grains among which light gets diffuse before it has gone far."""
+"""Smallest 1 − ωg of grains for which diffusion theory is used."""
 OPTICS_RAYS_PER_TYPE = GRAIN_RAYS_PER_CHUNK
-"""To measure what each type of grain does: asymmetry to 2 %, far better than `THEORY_UNCERTAINTY`."""
+"""Rays per grain type: the asymmetry is then known to 2 %, far better than `THEORY_UNCERTAINTY`."""
 OPTICS_PILOT_RAYS = 256
-"""To see roughly what they do, far better than `PILOT_MARGIN`; of rare dark grains too little is seen,
-and then a better look is taken."""
+"""Rays of the pilot estimate, far more precise than `PILOT_MARGIN`; rare absorbing grains may be
+undersampled, in which case the full estimate is made."""
 
 
 class _DiffusionProperties(NamedTuple):
-    """How light diffuses among grains, at every wavelength.
+    """Diffusion properties of a granular medium at each wavelength.
 
     Attributes
     ----------
     coalbedo : float
-        Share that a grain absorbs.
+        Fraction of the light that a grain absorbs, 1 − ω.
     transport_factor : float
-        1 − g, and the loss besides: 1 − ωg where little is lost.
+        1 − g + (1 − ω), which is 1 − ωg where little is absorbed.
     diffusion_coefficient : float
         D (m).
     decay_rate : float
-        By which light decays on its way down (1/m).
+        Rate at which diffuse light decays with depth (1/m).
     """
 
     coalbedo: np.ndarray
@@ -85,38 +87,49 @@ class _DiffusionProperties(NamedTuple):
 
     @classmethod
     def from_optics(cls, optics: xr.Dataset) -> _DiffusionProperties:
-        """Return it for grains that do this to light, see `pool_optics_by_type`."""
-        step = effective_mean_free_path(optics)
-        loss = np.maximum(1.0 - optics.single_scattering_albedo.values, 0.0)
-        turn = 1.0 - optics.asymmetry_parameter.values + loss
-        diffusion = step / (3.0 * np.maximum(turn, np.finfo(float).tiny))
-        return cls(loss, turn, diffusion, np.sqrt(loss / step / diffusion))
+        """Return the properties for single-scattering properties, see `pool_optics_by_type`."""
+        mean_free_path = effective_mean_free_path(optics)
+        coalbedo = np.maximum(1.0 - optics.single_scattering_albedo.values, 0.0)
+        transport_factor = 1.0 - optics.asymmetry_parameter.values + coalbedo
+        diffusion_coefficient = mean_free_path / (
+            3.0 * np.maximum(transport_factor, np.finfo(float).tiny)
+        )
+        return cls(
+            coalbedo,
+            transport_factor,
+            diffusion_coefficient,
+            np.sqrt(coalbedo / mean_free_path / diffusion_coefficient),
+        )
 
     def compute_truncation_depth(
         self, lowest_layer: Any, max_stderr: float, undisturbed_depth_m: float = 0.0
     ) -> float:
-        """Return how far below the top of its layer a cut has to lie (m), see `truncate_deep_medium`."""
-        # What the cut misses is at most DOUBT/4 of the light that reaches it, 4 D over its depth.
-        needed = THEORY_UNCERTAINTY / (ERROR_BUDGET_FRACTION * max_stderr)
-        farthest = float(self.diffusion_coefficient.max())
-        # So far above it, light has the directions that it would have without a cut.
-        margin = max(MIN_DEPTH_IN_D * farthest, 2.0 * lowest_layer.largest_grain_m)
-        return max(farthest * needed, undisturbed_depth_m + margin)
+        """Return the truncation depth below the top of the lowest layer (m).
+
+        See `truncate_deep_medium` for the parameters.
+        """
+        # The error is at most THEORY_UNCERTAINTY/4 of the light that reaches the truncation depth,
+        # which is 4 D over that depth.
+        depth_in_d = THEORY_UNCERTAINTY / (ERROR_BUDGET_FRACTION * max_stderr)
+        max_diffusion = float(self.diffusion_coefficient.max())
+        # Above this distance the truncation does not change the angular distribution of the light.
+        margin = max(MIN_DEPTH_IN_D * max_diffusion, 2.0 * lowest_layer.largest_grain_m)
+        return max(max_diffusion * depth_in_d, undisturbed_depth_m + margin)
 
     def compute_regularized_rate(self, truncation_depth_m: float) -> np.ndarray:
-        """Return the rate (1/m), almost 0 where nothing is absorbed: that says the same, no 0/0."""
+        """Return the decay rate (1/m), slightly above 0 where nothing absorbs, to avoid 0/0."""
         return np.maximum(self.decay_rate, 1e-9 / truncation_depth_m)
 
     def is_truncation_worthwhile(
         self, lowest_layer: Any, max_stderr: float, margin: float = 1.0
     ) -> bool:
-        """Return whether a layer that ends is worth a cut, or may be if this is off by a margin."""
-        height = self.compute_truncation_depth(lowest_layer, max_stderr)
-        deep = lowest_layer.depth_m * margin >= 4.0 * height
+        """Return whether truncation saves time in a finite layer, or may, within a margin."""
+        depth = self.compute_truncation_depth(lowest_layer, max_stderr)
+        is_deep = lowest_layer.depth_m * margin >= 4.0 * depth
         return bool(
             self.transport_factor.min() * margin >= MIN_TRANSPORT_FACTOR
-            and deep
-            and (self.decay_rate * height).min() <= MAX_DECAY_EXPONENT * margin
+            and is_deep
+            and (self.decay_rate * depth).min() <= MAX_DECAY_EXPONENT * margin
         )
 
 
@@ -128,7 +141,7 @@ def truncate_deep_medium(
     threads: int,
     undisturbed_depth_m: float = 0.0,
 ) -> TruncatedMedium | None:
-    """Return packs cut where that serves the error asked for, None where they are traced as such.
+    """Return truncated media where that serves the requested error, None where it does not.
 
     Parameters
     ----------
@@ -139,107 +152,114 @@ def truncate_deep_medium(
     max_stderr, seed, threads
         As for the spectrophotometer.
     undisturbed_depth_m : float
-        Depth (m) in the lowest layer above which light has to be as without a cut.
+        Depth (m) in the lowest layer above which the truncation must not change the light.
 
     Raises
     ------
     ValueError
-        For a pack without end whose lowest layer is not of grains.
+        For a semi-infinite medium whose lowest layer is not granular.
     """
     lowest = [_get_lowest_layer(medium) for medium in path_sharing.media]
-    part = lowest[0]
-    if not isinstance(part, GranularMedium):
+    layer = lowest[0]
+    if not isinstance(layer, GranularMedium):
         return None
-    depth = float(part.depth_m)
-    if depth * part.make_grain_population().attenuation < MIN_DEPTH_MFP:
+    depth = float(layer.depth_m)
+    if depth * layer.make_grain_population().attenuation < MIN_DEPTH_MFP:
         return None
     if any(one.pores or "air" in one.refractive_index for one in lowest):
-        # The rest of a pack is reckoned for pores of water and of air of index 1.
+        # The reflectance of the rest assumes pores of water and of air of index 1.
         if math.isinf(depth):
             raise invalid("depth_m", depth, "finite where pores hold other media or other air")
         return None
-    finite = _make_layer_finite(lowest[0]) if math.isinf(depth) else part
+    finite = _make_layer_finite(lowest[0]) if math.isinf(depth) else layer
     constants = _combine_constants(lowest, path_sharing.size_ratios, wavelengths)
-    plan = GrainOpticsRequest(1, OPTICS_RAYS_PER_TYPE, seed, threads, "equilibrium")
+    request = GrainOpticsRequest(1, OPTICS_RAYS_PER_TYPE, seed, threads, "equilibrium")
     if not math.isinf(depth):
-        look = estimate_pilot_optics(finite, constants, plan._replace(n_rays=OPTICS_PILOT_RAYS))
-        looks = _split_by_medium(look, len(lowest))
+        pilot = estimate_pilot_optics(finite, constants, request._replace(n_rays=OPTICS_PILOT_RAYS))
+        pilots = _split_by_medium(pilot, len(lowest))
         if not any(
             _DiffusionProperties.from_optics(one).is_truncation_worthwhile(
-                part, max_stderr, PILOT_MARGIN
+                layer, max_stderr, PILOT_MARGIN
             )
-            for one in looks
+            for one in pilots
         ):
             return None
-    optics = _split_by_medium(pool_optics_by_type(finite, constants, plan), len(lowest))
+    optics = _split_by_medium(pool_optics_by_type(finite, constants, request), len(lowest))
     return _truncate(path_sharing, wavelengths, optics, max_stderr, undisturbed_depth_m)
 
 
 def _make_layer_finite(layer: Any) -> Any:
-    """Return a layer that ends, as scenes need one."""
+    """Return the layer with a finite depth, as scenes require."""
     return replace(layer, depth_m=1.0)
 
 
 def _combine_constants(
     layers: Sequence[GranularMedium], size_ratios: np.ndarray, wavelengths: np.ndarray
 ) -> OpticalConstants:
-    """Return what lowest layers are to light, one after the other, in units of the first's size."""
-    found = [compute_material_constants(one, wavelengths) for one in layers]
+    """Return the optical constants of the lowest layers, stacked, in units of the first's size."""
+    constants = [
+        compute_material_constants(layer_constants, wavelengths) for layer_constants in layers
+    ]
     return OpticalConstants(
-        np.concatenate([one.indices for one in found]),
-        np.concatenate([s * one.absorption for one, s in zip(found, size_ratios, strict=True)]),
+        np.concatenate([layer_constants.indices for layer_constants in constants]),
+        np.concatenate(
+            [
+                s * layer_constants.absorption
+                for layer_constants, s in zip(constants, size_ratios, strict=True)
+            ]
+        ),
     )
 
 
 def _split_by_medium(optics: xr.Dataset, n_media: int) -> list[xr.Dataset]:
-    """Return parts of what grains do, which hold for one medium after the other."""
+    """Return the single-scattering properties of each medium."""
     parts = {name: np.split(one.values, n_media) for name, one in optics.data_vars.items()}
     return [xr.Dataset({n: ("row", part[i]) for n, part in parts.items()}) for i in range(n_media)]
 
 
 def _truncate(
-    path_sharing: PathSharingMedia, wavelengths: np.ndarray, optics: Sequence[xr.Dataset], max_stderr: float,
-    undisturbed_depth_m: float,
+    path_sharing: PathSharingMedia, wavelengths: np.ndarray, optics: Sequence[xr.Dataset],
+    max_stderr: float, undisturbed_depth_m: float,
 ) -> TruncatedMedium | None:  # fmt: skip
-    """Return what `truncate_deep_medium` returns, for lowest layers of such optics."""
+    """Return what `truncate_deep_medium` returns, from the single-scattering properties."""
     media, scales = path_sharing
-    found = [_DiffusionProperties.from_optics(one) for one in optics]
-    part = _get_lowest_layer(media[0])
-    if math.isinf(part.depth_m):
-        if min(one.transport_factor.min() for one in found) < MIN_TRANSPORT_FACTOR:
+    properties = [_DiffusionProperties.from_optics(one) for one in optics]
+    layer = _get_lowest_layer(media[0])
+    if math.isinf(layer.depth_m):
+        if min(one.transport_factor.min() for one in properties) < MIN_TRANSPORT_FACTOR:
             raise invalid("depth_m", math.inf, "finite", "these grains hardly turn light")
-    elif not any(one.is_truncation_worthwhile(part, max_stderr) for one in found):
+    elif not any(one.is_truncation_worthwhile(layer, max_stderr) for one in properties):
         return None
-    height = max(
-        one.compute_truncation_depth(part, max_stderr, undisturbed_depth_m) for one in found
+    depth = max(
+        one.compute_truncation_depth(layer, max_stderr, undisturbed_depth_m) for one in properties
     )
-    rests = [
-        _SubstrateResponse.from_diffusion(medium, scale, one, wavelengths, height)
-        for medium, scale, one in zip(media, scales, found, strict=True)
+    substrates = [
+        _SubstrateResponse.from_diffusion(medium, scale, one, wavelengths, depth)
+        for medium, scale, one in zip(media, scales, properties, strict=True)
     ]
     # Media that share paths all have a ground, or none.
-    least = np.finfo(float).tiny if len(media) > 1 else 0.0
-    sent = [
+    min_albedo = np.finfo(float).tiny if len(media) > 1 else 0.0
+    albedos = [
         _compute_albedo_below_interface(
-            rest.reflected_fraction,
+            substrate.reflected_fraction,
             compute_material_constants(_get_lowest_layer(m), wavelengths).indices,
             _get_lowest_layer(m),
             o,
         )
-        for m, rest, o in zip(media, rests, optics, strict=True)
+        for m, substrate, o in zip(media, substrates, optics, strict=True)
     ]
-    grounds = [_make_ground(wavelengths, np.maximum(one, least)) for one in sent]
+    grounds = [_make_ground(wavelengths, np.maximum(one, min_albedo)) for one in albedos]
     return TruncatedMedium(
         tuple(
-            _truncate_lowest_layer(m, s * height, g)
+            _truncate_lowest_layer(m, s * depth, g)
             for m, s, g in zip(media, scales, grounds, strict=True)
         ),
-        height,
-        np.stack([rest.transmitted_fraction for rest in rests]),
-        np.stack([rest.conservative for rest in rests]),
-        np.stack([rest.escape_probability for rest in rests]),
+        depth,
+        np.stack([substrate.transmitted_fraction for substrate in substrates]),
+        np.stack([substrate.conservative for substrate in substrates]),
+        np.stack([substrate.escape_probability for substrate in substrates]),
         np.stack([ground.optical_depth(wavelengths) for ground in grounds]),
-        _compute_semi_infinite_depth(*_select_least_attenuated(found, height), max_stderr),
+        _compute_semi_infinite_depth(*_select_least_attenuated(properties, depth), max_stderr),
     )
 
 
@@ -249,21 +269,21 @@ def _get_lowest_layer(medium: Medium) -> Any:
 
 
 def _truncate_lowest_layer(medium: Medium, depth_m: float, ground: Ground) -> Medium:
-    """Return a pack whose lowest layer is cut, over a ground."""
-    part = replace(_get_lowest_layer(medium), depth_m=depth_m)
+    """Return a medium whose lowest layer is truncated, over a ground."""
+    layer = replace(_get_lowest_layer(medium), depth_m=depth_m)
     if isinstance(medium, Stack):
-        return replace(medium, layers=(*medium.layers[:-1], part), ground=ground)
-    return replace(part, ground=ground)  # type: ignore[no-any-return]
+        return replace(medium, layers=(*medium.layers[:-1], layer), ground=ground)
+    return replace(layer, ground=ground)  # type: ignore[no-any-return]
 
 
 class _SubstrateResponse(NamedTuple):
-    """What the part of a pack below its cut does, at every wavelength; see `TruncatedMedium`.
+    """Response of the part of a medium below the truncation depth; see `TruncatedMedium`.
 
     Attributes
     ----------
     reflected_fraction : float
-        Share that it sends back.
-    passed, clear, escape
+        Fraction of the incident diffuse light that is reflected, by wavelength.
+    transmitted_fraction, conservative, escape_probability
         As of a `TruncatedMedium`.
     """
 
@@ -281,77 +301,81 @@ class _SubstrateResponse(NamedTuple):
         wavelengths: np.ndarray,
         truncation_depth_m: float,
     ) -> _SubstrateResponse:
-        """Return it for a pack of a size among whose grains light diffuses so."""
+        """Return the response of a medium of a given size with the given diffusion properties."""
         depth = float(_get_lowest_layer(medium).depth_m) / size_ratio
         rate, diffusion = (
             properties.compute_regularized_rate(truncation_depth_m),
             properties.diffusion_coefficient,
         )
-        below = Ground.from_input(medium.ground)  # type: ignore[union-attr]
-        open_below = below is None or math.isinf(depth)
-        albedo = np.zeros_like(rate) if open_below else below.albedo(wavelengths)  # type: ignore[union-attr]
-        rest = DiffusiveSubstrate(
+        ground = Ground.from_input(medium.ground)  # type: ignore[union-attr]
+        is_open = ground is None or math.isinf(depth)
+        albedo = np.zeros_like(rate) if is_open else ground.albedo(wavelengths)  # type: ignore[union-attr]
+        substrate = DiffusiveSubstrate(
             rate * diffusion,
             rate * (depth - truncation_depth_m),
             0.5 * (1.0 - albedo) / (1.0 + albedo),
         )
-        clear = properties.coalbedo <= 0.0
-        sent = np.where(
-            clear & (math.isinf(depth) | (albedo == 1.0)), 1.0, rest.compute_reflected_fraction()
+        lossless = properties.coalbedo <= 0.0
+        reflected = np.where(
+            lossless & (math.isinf(depth) | (albedo == 1.0)),
+            1.0,
+            substrate.compute_reflected_fraction(),
         )
-        passed = np.where(clear & (sent < 1.0), 1.0, rest.compute_transmitted_fraction())
+        transmitted = np.where(
+            lossless & (reflected < 1.0), 1.0, substrate.compute_transmitted_fraction()
+        )
         arriving = 1.0 / (1.0 + 0.75 * truncation_depth_m / (diffusion * 3.0))
-        escape = arriving / (arriving + 1.0 - sent)
-        dark_above = _has_absorption_above(medium, wavelengths)
-        return cls(sent, passed, (passed == 1.0) & ~dark_above, escape)
+        escape = arriving / (arriving + 1.0 - reflected)
+        absorbs_above = _has_absorption_above(medium, wavelengths)
+        return cls(reflected, transmitted, (transmitted == 1.0) & ~absorbs_above, escape)
 
 
 def _has_absorption_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:
-    """Tell at which wavelengths a layer above the lowest one may absorb."""
+    """Return at which wavelengths a layer above the lowest one may absorb."""
     if not isinstance(medium, Stack):
         return np.zeros(wavelengths.size, dtype=bool)
-    above = len(medium.list_materials()) - len(medium.scene_layers[-1].list_materials())
+    n_materials_above = len(medium.list_materials()) - len(medium.scene_layers[-1].list_materials())
     absorption = compute_absorption(
         medium, medium.compute_refractive_indices(wavelengths), wavelengths
     )
-    pale = [
+    particles_absorb = [
         p.layer.single_scattering_albedo < 1.0
         for p in medium.scene_layers
         if isinstance(p, StackedParticleLayer)
     ]
-    dark = (absorption[:, :above] > 0.0).any(axis=1)
-    return np.asarray(dark | any(pale))
+    materials_absorb = (absorption[:, :n_materials_above] > 0.0).any(axis=1)
+    return np.asarray(materials_absorb | any(particles_absorb))
 
 
 def _select_least_attenuated(
     properties: Sequence[_DiffusionProperties], truncation_depth_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rate (1/m) and D (m) of the medium that light gets deepest in, by wavelength."""
+    """Return decay rate (1/m) and D (m) of the medium with the slowest decay, by wavelength."""
     rate, diffusion = (
         np.stack(x)
         for x in (
             [one.compute_regularized_rate(truncation_depth_m) for one in properties],
-            [f.diffusion_coefficient for f in properties],
+            [one.diffusion_coefficient for one in properties],
         )
     )
-    clearest = rate.argmin(axis=0), np.arange(rate.shape[1])
-    return rate[clearest], diffusion[clearest]
+    slowest = rate.argmin(axis=0), np.arange(rate.shape[1])
+    return rate[slowest], diffusion[slowest]
 
 
 def _compute_semi_infinite_depth(
     decay_rate: np.ndarray, diffusion_coefficient: np.ndarray, max_stderr: float
 ) -> float:
-    """Return the least depth (m) over a black ground that is as bright as any."""
+    """Return the smallest depth (m) over a black ground with the reflectance of infinite depth."""
     depths = np.geomspace(1e-4, 1e4, 1601)[:, np.newaxis]
     black = np.full_like(decay_rate, 0.5)
-    shallow = DiffusiveSubstrate(
+    finite = DiffusiveSubstrate(
         decay_rate * diffusion_coefficient, decay_rate * depths, black
     ).compute_reflected_fraction()
-    endless = DiffusiveSubstrate(
+    semi_infinite = DiffusiveSubstrate(
         decay_rate * diffusion_coefficient, np.full_like(decay_rate, np.inf), black
     ).compute_reflected_fraction()
-    far = np.abs(endless - shallow).max(axis=1) > max_stderr
-    return float(depths[min(far.sum(), len(depths) - 1), 0])
+    n_differing = np.abs(semi_infinite - finite).max(axis=1) > max_stderr
+    return float(depths[min(n_differing.sum(), len(depths) - 1), 0])
 
 
 def _compute_albedo_below_interface(
@@ -360,10 +384,10 @@ def _compute_albedo_below_interface(
     lowest_layer: GranularMedium,
     optics: xr.Dataset,
 ) -> np.ndarray:
-    """Return the albedo of a ground that, below the face of wet pores, sends back so much.
+    """Return the albedo of a ground below a wet-pore interface for a given reflectance.
 
-    A face keeps diffuse light of wet pores from leaving, more than it keeps that from outside from
-    entering: by n², as reciprocity asks for.
+    An interface reflects the diffuse light of wet pores more strongly from inside than from
+    outside, by a factor n², by reciprocity.
     """
     if (
         not lowest_layer.wet_fraction
@@ -372,19 +396,24 @@ def _compute_albedo_below_interface(
         return reflected_fraction
     index = indices.real
     n = index[:, WET_PORE] / index[:, DRY_PORE]
-    outer = diffuse_reflectance(n)
-    inner = 1.0 - (1.0 - outer) / n**2
-    wet = optics.wet_fraction.values
-    out, back = 1.0 - wet * inner, 1.0 - float(lowest_layer.wet_fraction) * outer
-    # What the ground keeps, in units of what reaches the face from within, is to be 1 − sent.
-    kept = 1.0 - reflected_fraction
-    albedo: np.ndarray = np.clip((out - kept) / (out - kept * (1.0 - back)), 0.0, 1.0)
+    external_reflectance = diffuse_reflectance(n)
+    internal_reflectance = 1.0 - (1.0 - external_reflectance) / n**2
+    wet_pore_light = optics.wet_fraction.values
+    transmitted, entering = (
+        1.0 - wet_pore_light * internal_reflectance,
+        1.0 - float(lowest_layer.wet_fraction) * external_reflectance,
+    )
+    # The absorptance below, per incident light at the interface from inside, is 1 − reflected.
+    absorbed = 1.0 - reflected_fraction
+    albedo: np.ndarray = np.clip(
+        (transmitted - absorbed) / (transmitted - absorbed * (1.0 - entering)), 0.0, 1.0
+    )
     return albedo
 
 
 def _make_ground(wavelengths: np.ndarray, albedo: np.ndarray) -> Ground:
-    """Return the ground that stands for the rest of a pack."""
-    name = "rest of the pack"
+    """Return the ground that replaces the part below the truncation depth."""
+    name = "substrate of a truncated medium"
     if wavelengths.size == 1:
         return Ground(name, "diffusion theory", albedo)
     return Ground(name, "diffusion theory", albedo, wavelengths)

@@ -196,7 +196,7 @@ WRONG = {
     "other depth": ({"a": BASE, "b": snow(0.0, depth_m=0.1)}, r"media\['b'\]"),
     "a ground": ({"a": BASE, "b": snow(0.0, depth_m=0.05, ground=0.5)}, r"media\['b'\]"),
     "another kind": ({"a": BASE, "b": splits.Sand(depth_m=0.05)}, r"media\['b'\] = 'sand'"),
-    "a layer": ({"a": splits.ParticleLayer(optical_thickness=1)}, "medium of grains"),
+    "a layer": ({"a": splits.ParticleLayer(optical_thickness=1)}, "granular medium"),
     "none": ({}, "at least one"),
     "a list": ([BASE], "a mapping of names"),
 }

@@ -253,7 +253,7 @@ def check_path_sharing(media: Mapping[str, Medium]) -> None:
     """
     (first, base), *others = media.items()
     if not isinstance(base, GranularMedium | LayeredMedium):
-        raise invalid(f"media[{first!r}]", base.kind, "a granular medium, or a stack")
+        raise invalid(f"medium[{first!r}]", base.kind, "a granular medium, or a stack")
     scene = build_scene(base, 0.0, False)
     for name, medium in others:
         shares_paths = (
@@ -264,7 +264,7 @@ def check_path_sharing(media: Mapping[str, Medium]) -> None:
         )
         if not shares_paths:
             raise invalid(
-                f"media[{name!r}]", medium.kind, f"like media[{first!r}] except for absorption",
+                f"medium[{name!r}]", medium.kind, f"like medium[{first!r}] except for absorption",
                 "grains, depths, pores and interpretation must be the same; impurities, and the "
                 "albedo of a reflecting ground, may differ",
             )  # fmt: skip

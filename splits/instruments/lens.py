@@ -82,10 +82,10 @@ def lens(
         centre over the radius of the ring, and ``concentration``, the inverse of its mean square: 1
         without waves, otherwise the reduction in area of an image that remains a ring; over
         realisations that transmit at least half of the ring, with standard errors.  Over
-        ``realisation``, too: ``caught``, the fraction of rays that reach the screen without hitting
-        the surface again; the others are excluded.  Of the first realisation, over ``ray``:
-        ``path``, the point where it hits the surface, ``place`` on the screens (m) and whether it
-        is ``seen``.
+        ``realisation``, too: ``detected_fraction``, the fraction of rays that reach the screen
+        without hitting the surface again; the others are excluded.  Of the first realisation, over
+        ``ray``: ``surface_position``, where it hits the surface, ``screen_position`` on the screens
+        (m) and whether it is ``detected``.
 
     Raises
     ------
@@ -188,14 +188,14 @@ def _make_dataset(
             "concentration", dim, *concentration_estimate, "inverse mean square size of the image"
         ),
         **make_variable(
-            "caught",
+            "detected_fraction",
             ("realisation", dim),
             detected_fraction,
             None,
             "fraction of rays on the screen",
         ),
         **make_variable(
-            "path",
+            "surface_position",
             ("ray", "point"),
             first_realization.surface_point,
             None,
@@ -203,9 +203,14 @@ def _make_dataset(
             "m",
         ),
         **make_variable(
-            "place", by_ray, first_realization.screen_point, None, "place on the screen", "m"
+            "screen_position",
+            by_ray,
+            first_realization.screen_point,
+            None,
+            "position on the screen",
+            "m",
         ),
-        **make_variable("seen", by_ray[:2], reaches_screen, None, "whether a ray reaches it"),
+        **make_variable("detected", by_ray[:2], reaches_screen, None, "whether a ray reaches it"),
     }
     coordinates = {
         dim: (dim, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),

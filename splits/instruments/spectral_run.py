@@ -115,7 +115,7 @@ class SpectralRequest(NamedTuple):
                 [] if truncation is None else wavelengths[truncation.ground_absorption[0] == 0.0]
             )
             if len(lossless):
-                allowed = "left out for deep packs at wavelengths where nothing absorbs"
+                allowed = "left out for deep media at wavelengths where nothing absorbs"
                 hint = f"as at {lossless[0]:g} nm"
                 raise invalid("jacobian", list(perturbations.parameters), allowed, hint)
             ground_column = NO_GROUND if truncation is None else rows.absorption.shape[1] - 1

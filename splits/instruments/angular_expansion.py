@@ -38,10 +38,8 @@ def trace_expansion(
     stopping_rule: StoppingRule,
 ) -> tuple[list[ExpansionTally], AngularEstimate, str]:
     """Trace until the stopping rule is satisfied; return tallies, estimate and stop reason."""
-    axisymmetric, diffuse = (
-        runner.tracer.normal_incidence or runner.tracer.diffuse,
-        runner.tracer.diffuse,
-    )
+    diffuse, side = runner.tracer.diffuse, stopping_rule.side
+    axisymmetric = runner.tracer.normal_incidence or diffuse
     directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
     direction_mask = make_direction_mask(polar, azimuth)
     tallies = [
@@ -52,33 +50,20 @@ def trace_expansion(
     ]
     strata = [(tally, stratum) for tally in tallies for stratum in tally.strata]
     max_rays = stopping_rule.n_rays or stopping_rule.max_rays
-    runner.trace(
-        [(tally, stratum, RAYS_PER_ROUND) for tally, stratum in strata],
-        1.0,
-        stopping_rule.relative_stderr,
-    )
+    first_round = [(*stratum_of, RAYS_PER_ROUND) for stratum_of in strata]
+    runner.trace(first_round, 1.0, stopping_rule.relative_stderr)
     history: list[tuple[float, float]] = []
     while True:
         with limit_blas_threads():
             result, variance = estimate_brdf(
-                tallies,
-                nodes.interpolation_bound,
-                directions,
-                axisymmetric,
-                stopping_rule.side,
-                direction_mask,
+                tallies, nodes.interpolation_bound, directions, axisymmetric, side, direction_mask
             )
-        error = compute_max_relative_error(
-            result, stopping_rule.side, direction_mask, use_stopping_error=True
-        )
+        error = compute_max_relative_error(result, side, direction_mask, use_stopping_error=True)
         n_rays = np.array([stratum.n_rays for _, stratum in strata])
         if stopping_rule.n_rays is None and error <= stopping_rule.relative_stderr:
-            stated_error = compute_max_relative_error(result, stopping_rule.side, direction_mask)
-            return (
-                tallies,
-                result,
-                "converged" if stated_error <= stopping_rule.relative_stderr else "unresolved_lobe",
-            )
+            stated_error = compute_max_relative_error(result, side, direction_mask)
+            resolved = stated_error <= stopping_rule.relative_stderr
+            return tallies, result, "converged" if resolved else "unresolved_lobe"
         # Eight times the rays should reduce a statistical error by a factor of nearly three.
         stagnates = any(
             n_rays.sum() >= 8.0 * earlier_rays and error > 0.8 * earlier
@@ -92,7 +77,7 @@ def trace_expansion(
         if n_rays.sum() >= max_rays:
             return tallies, result, "max_rays"
         interpolation_error = INTERPOLATION_FACTOR * nodes.interpolation_bound[:, np.newaxis]
-        reference = compute_error_reference(result)[stopping_rule.side][:, direction_mask]
+        reference = compute_error_reference(result)[side][:, direction_mask]
         target = (stopping_rule.relative_stderr**2 - interpolation_error**2) * reference**2
         target_rays = allocate_angular_rays(tallies, variance, target)
         step = _allocate_round(target_rays, n_rays, max_rays, stopping_rule.n_rays is not None)

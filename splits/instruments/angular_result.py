@@ -15,7 +15,8 @@ from splits.instruments.angular_bins import (
     estimate_bin_stokes,
 )
 from splits.instruments.angular_estimate import AngularEstimate
-from splits.instruments.next_event import DetectorResult, StoppingRule
+from splits.instruments.detector_tally import DetectorResult
+from splits.instruments.next_event import StoppingRule
 from splits.simulation.runner import Runner
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Tally

@@ -275,10 +275,8 @@ def _make_dataset(
     profile = binned / (np.pi * np.diff(edges**2))
     radius = np.sqrt(edges[1:] * edges[:-1])
     fraction = radial.sum(axis=-1)
-    jackknife_radial, jackknife_fraction = (
-        compute_leave_one_out_means(radial),
-        compute_leave_one_out_means(fraction),
-    )
+    jackknife_radial = compute_leave_one_out_means(radial)
+    jackknife_fraction = compute_leave_one_out_means(fraction)
     mean = _divide_or_zero(moment.mean(axis=0), fraction.mean(axis=0))
     quantile = _compute_quantile_radii(radial.mean(axis=0), RADIUS_QUANTILES)
     pixel_area = (2.0 * half_width / N_MAP_PIXELS) ** 2
@@ -315,20 +313,27 @@ def _make_dataset(
     for name, (long_name, units, dims, values, stderr) in results.items():
         variable_dims = ("side", "wavelength", *dims)
         variables |= make_variable(name, variable_dims, values, stderr, long_name, units)
+    coordinates = _make_coordinates(wavelengths, radius, half_width)
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+def _make_coordinates(
+    wavelengths: np.ndarray, radius: np.ndarray, half_width: float
+) -> dict[str, Any]:
+    """Return the coordinates of the dataset."""
     positions = half_width * ((2.0 * np.arange(N_MAP_PIXELS) + 1.0) / N_MAP_PIXELS - 1.0)
-    coordinates = {
+    return {
         "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
         "wavelength": make_wavelength_coordinate(wavelengths),
         "quantile": (
             "quantile",
             list(RADIUS_QUANTILES),
-            {"long_name": "part of the light", "units": "1"},
+            {"long_name": "fraction of the light", "units": "1"},
         ),
         "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
         "x": ("x", positions, {"long_name": "distance along the beam's travel", "units": "m"}),
         "y": ("y", positions, {"long_name": "distance across the beam's travel", "units": "m"}),
     }
-    return xr.Dataset(variables, coordinates, attributes)
 
 
 def _compute_maps(tallies: Sequence[_BeamSpreadTally], n_wavelengths: int) -> np.ndarray:

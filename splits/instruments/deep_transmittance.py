@@ -125,19 +125,12 @@ def deep_transmittance(
             tally = _trace_to_error(stopping_rule, tracer, first_stream + N_PILOTS, rate)
             results[:, row] = *tally.estimate(), tally.n_histories, rate
     transmittance, errors, fractions, n_rays, rates = results
-    long_name = (
-        "hemispherical" if incidence == "diffuse" else "directional"
-    ) + "-hemispherical transmittance"
-    dim = "wavelength"
+    illumination = "hemispherical" if incidence == "diffuse" else "directional"
+    long_name = f"{illumination}-hemispherical transmittance"
+    dim, fraction_label = "wavelength", "largest fraction of the sum from one history"
     variables = {
         **make_variable("transmittance", dim, transmittance, errors, long_name),
-        **make_variable(
-            "largest_history_fraction",
-            dim,
-            fractions,
-            None,
-            "largest fraction of the sum from one history",
-        ),
+        **make_variable("largest_history_fraction", dim, fractions, None, fraction_label),
         **make_variable(
             "attenuation_rate", dim, rates, None, "rate of splitting with depth", "m-1"
         ),
@@ -151,9 +144,8 @@ def deep_transmittance(
         "stop_reason": "converged" if converged.all() else "max_rays",
         "max_rays": max_rays,
     }
-    return xr.Dataset(
-        variables, {"wavelength": make_wavelength_coordinate(wavelengths)}, attributes
-    )
+    coordinates = {"wavelength": make_wavelength_coordinate(wavelengths)}
+    return xr.Dataset(variables, coordinates, attributes)
 
 
 class _DeepStoppingRule(NamedTuple):

@@ -103,6 +103,24 @@ def _estimate_at_planes(
     return FluxEstimate(irradiance, absorptance, by_material, path_length)
 
 
+def _compute_stopping_errors(
+    estimate: FluxEstimate, systematic_error: SystematicError, stopping_rule: FluxStoppingRule
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the standard errors of the quantities of a rule, and their irreducible parts."""
+    scatter = compute_batch_stderr(
+        stopping_rule.average_over_bands(
+            stopping_rule.select_quantities(estimate.irradiance, estimate.absorptance)
+        )
+    )
+    irreducible = stopping_rule.average_over_bands(
+        stopping_rule.select_quantities(*systematic_error.irreducible)
+    )
+    systematic = stopping_rule.average_over_bands(
+        stopping_rule.select_quantities(systematic_error.irradiance, systematic_error.absorptance)
+    )
+    return np.hypot(scatter, systematic), irreducible
+
+
 def estimate_flux(
     runner: Runner,
     tallies: Sequence[FluxPathTally],
@@ -129,38 +147,19 @@ def estimate_flux(
         whole = FluxEstimate(
             *(np.sum(arrays, axis=0) for arrays in zip(*all_estimates, strict=True))
         )
-        estimate, estimates = (
-            whole.select_wavelengths(requested),
-            [tally_estimate.select_wavelengths(requested) for tally_estimate in all_estimates],
-        )
+        estimate = whole.select_wavelengths(requested)
         perturbed = (
             whole.select_wavelengths(slice(traced_medium.n_wavelengths, None))
             if traced_medium.truncated
             else None
         )
-        single_ray_error = compute_single_ray_error(tallies, nodes.weights)[requested]
         systematic_error = estimate_systematic_error(
             estimate[:2],
             None if perturbed is None else perturbed[:2],
             nodes.interpolation_bound[requested],
-            single_ray_error,
+            compute_single_ray_error(tallies, nodes.weights)[requested],
         )
-        scatter = compute_batch_stderr(
-            stopping_rule.average_over_bands(
-                stopping_rule.select_quantities(estimate.irradiance, estimate.absorptance)
-            )
-        )
-        irreducible = stopping_rule.average_over_bands(
-            stopping_rule.select_quantities(*systematic_error.irreducible)
-        )
-        stderr = np.hypot(
-            scatter,
-            stopping_rule.average_over_bands(
-                stopping_rule.select_quantities(
-                    systematic_error.irradiance, systematic_error.absorptance
-                )
-            ),
-        )
+        stderr, irreducible = _compute_stopping_errors(estimate, systematic_error, stopping_rule)
         reached = float((stderr / stopping_rule.stderr_limits).max()) * stopping_rule.max_stderr
         n_rays = np.array([stratum.n_rays for _, stratum in strata], dtype=float)
         if reached <= stopping_rule.max_stderr:
@@ -171,17 +170,11 @@ def estimate_flux(
             return FluxResult(estimate, systematic_error, perturbed, reached, "interpolation_bound")
         if n_rays.sum() >= max_rays:
             return FluxResult(estimate, systematic_error, perturbed, reached, "max_rays")
-        target_rays = allocate_flux_rays(
-            stopping_rule,
-            tallies,
-            [
-                stopping_rule.select_quantities(
-                    tally_estimate.irradiance, tally_estimate.absorptance
-                )
-                for tally_estimate in estimates
-            ],
-            irreducible,
-        )
+        estimates = [one.select_wavelengths(requested) for one in all_estimates]
+        quantities = [
+            stopping_rule.select_quantities(one.irradiance, one.absorptance) for one in estimates
+        ]
+        target_rays = allocate_flux_rays(stopping_rule, tallies, quantities, irreducible)
         step = np.minimum(target_rays - n_rays, (_MAX_ROUND_GROWTH - 1.0) * n_rays)
         step = np.ceil(
             step * min(1.0, (max_rays - n_rays.sum()) / step.sum()) / FLUX_RAYS_PER_ROUND

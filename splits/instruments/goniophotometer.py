@@ -168,9 +168,8 @@ def goniophotometer(
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
-    polar, azimuth = _make_directions(
-        polar_deg, azimuth_deg, n_bins if estimator == "bins" else None
-    )
+    bins = n_bins if estimator == "bins" else None
+    polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
     stopping_rule = StoppingRule(side, relative_stderr, rays, max_rays)
     if estimator == "bins":
@@ -186,6 +185,7 @@ def goniophotometer(
         )
         result = AngularResult(estimate, stop_reason, count_traced_rays(tallies), tallies)
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
+    max_error = compute_max_relative_error(result.estimate, side, direction_mask)
     attributes = {
         **make_run_attributes(
             "Virtual goniophotometer", "goniophotometer", medium, start_time, seed, threads
@@ -193,9 +193,7 @@ def goniophotometer(
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
-        "relative_stderr_reached": compute_max_relative_error(
-            result.estimate, side, direction_mask
-        ),
+        "relative_stderr_reached": max_error,
         **make_angular_attributes(result, stopping_rule, nodes, runner),
     }
     dataset = _make_dataset(result.estimate, result.stokes, wavelengths, polar, azimuth, attributes)

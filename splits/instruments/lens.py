@@ -104,11 +104,7 @@ def lens(
     width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
     rays, realisations = check_ring_size(rays, realisations, depths.size)
     seed = check_integer("seed", seed, 0)
-    if waves is None and medium.surface is None:
-        raise invalid("surface", None, "given: a lens needs waves")
-    plane_waves = None if waves is None else check_plane_waves(waves)
-    if plane_waves is not None and realisations > 1:
-        raise invalid("realisations", realisations, "1 for given waves")
+    plane_waves = _get_plane_waves(medium, waves, realisations)
     angles = 2.0 * np.pi * np.arange(rays) / rays
     contraction = np.empty((realisations, depths.size))
     detected_fraction = np.empty_like(contraction)
@@ -140,13 +136,18 @@ def lens(
         "radius_m": radius, "centre_on": centre_on, "half_width_m": width,
         "realisations": realisations, "rays": rays * realisations,
     }  # fmt: skip
-    return _make_dataset(
-        contraction,
-        detected_fraction,
-        _FirstRealization(surface_points, screen_points, first_detected),
-        depths,
-        attributes,
-    )
+    first = _FirstRealization(surface_points, screen_points, first_detected)
+    return _make_dataset(contraction, detected_fraction, first, depths, attributes)
+
+
+def _get_plane_waves(medium: SurfaceMedium, waves: Any, realisations: int) -> np.ndarray | None:
+    """Return given waves, None for realisations of the medium's surface, after checking them."""
+    if waves is None and medium.surface is None:
+        raise invalid("surface", None, "given: a lens needs waves")
+    plane_waves = None if waves is None else check_plane_waves(waves)
+    if plane_waves is not None and realisations > 1:
+        raise invalid("realisations", realisations, "1 for given waves")
+    return plane_waves
 
 
 class _FirstRealization(NamedTuple):

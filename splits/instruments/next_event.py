@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from splits.core.progress import Progress
 from splits.core.validation import invalid
-from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
+from splits.instruments.detector_tally import DetectorResult, DetectorTally
 from splits.kernels.grains.scene import NO_MAX_ORDER
 from splits.kernels.optics.forward_peak import PhaseFunctionPeak, separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
@@ -49,66 +50,12 @@ class StoppingRule:
     n_rays: int | None
     max_rays: int
 
-
-@dataclass(frozen=True)
-class DetectorResult:
-    """Result of detectors.
-
-    Attributes
-    ----------
-    mean, stderr : float, shape (2, directions, 4)
-        I, Q, U, V of the BRDF and the BTDF (1/sr) for unpolarized light.
-    stopping_error : float, shape (2, directions)
-        Errors of I for the stopping rule: larger, so that no run stops on batches that agree by
-        chance.
-    hemispherical, hemispherical_stderr : float, shape (2, 2)
-        [reflected, transmitted][all light, unscattered light].
-    n_rays : int
-    stop_reason : str
-        "converged" or "max_rays".
-    polarized : bool
-    has_lower_side : bool
-        Whether light is detected below.
-    """
-
-    mean: np.ndarray
-    stderr: np.ndarray
-    stopping_error: np.ndarray
-    hemispherical: np.ndarray
-    hemispherical_stderr: np.ndarray
-    n_rays: int
-    stop_reason: str
-    polarized: bool
-    has_lower_side: bool
-
-    def compute_max_error(self, side: int) -> float:
-        """Return the largest relative error of one side for the stopping rule."""
-        return compute_max_relative_error(
-            self.to_angular_estimate(1), side, use_stopping_error=True
-        )
-
-    def to_angular_estimate(self, n_wavelengths: int) -> AngularEstimate:
-        """Return BRDF and BTDF, the same at all wavelengths."""
-        sums = np.empty((4, 2, n_wavelengths))
-        sums[0::2] = self.hemispherical.T[:, :, np.newaxis]
-        sums[1::2] = self.hemispherical_stderr.T[:, :, np.newaxis]
-        mean, stderr, stopping_error = (
-            np.repeat(x[:, np.newaxis], n_wavelengths, axis=1)
-            for x in (self.mean[..., 0], self.stderr[..., 0], self.stopping_error)
-        )
-        degree = np.zeros((2, n_wavelengths), dtype=int)
-        return AngularEstimate(mean, stderr, stopping_error, sums, degree, np.zeros_like(mean))
-
-    def to_stokes(self, n_wavelengths: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
-        return {
-            f"{function}_{name}": (
-                np.repeat(self.mean[np.newaxis, side, :, component], n_wavelengths, axis=0),
-                np.repeat(self.stderr[np.newaxis, side, :, component], n_wavelengths, axis=0),
-            )
-            for side, function in enumerate(("brdf", "btdf")[: 1 + self.has_lower_side])
-            for component, name in ((1, "q"), (2, "u"), (3, "v"))
-        }
+    def count_batches(self, pilot_batches: int) -> tuple[int, int]:
+        """Return the numbers of batches of the first round and of the whole run at most."""
+        if self.n_rays is None:
+            return pilot_batches, max(2, self.max_rays // RAYS_PER_CHUNK)
+        n_batches = max(2, -(-self.n_rays // RAYS_PER_CHUNK))
+        return n_batches, n_batches
 
 
 def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarray) -> Detectors:
@@ -202,153 +149,75 @@ def estimate_at_detectors(
     scene = LayerScene(source, layer, medium.kernel_phase_function, None, stokes)
     detectors = make_detectors(medium, polar, azimuth)
     if stopping_rule.side == 1 and not detectors.has_lower_side:
-        raise invalid(
-            "target",
-            "btdf",
-            "brdf with estimator = next_event",
-            "the layer has no open lower boundary",
-        )
-    tally = _DetectorTally(detectors.sums.shape)
-    start_time = time.perf_counter()
+        allowed = "brdf with estimator = next_event"
+        raise invalid("target", "btdf", allowed, "the layer has no open lower boundary")
+    return _trace_to_error(
+        _DetectorTracer(runner.seed, scene, detectors), medium, stopping_rule, runner
+    )
 
-    def trace_batch(batch: int) -> np.ndarray:
-        scores, hemispherical = np.zeros_like(detectors.sums), np.zeros((2, 2))
-        batch_detectors = detectors._replace(
-            sums=scores, peak_directions=np.zeros_like(detectors.peak_directions)
+
+class _DetectorTracer(NamedTuple):
+    """Tracer of batches of rays that contribute to detectors."""
+
+    seed: int
+    scene: LayerScene
+    detectors: Detectors
+
+    def trace_batch(self, batch: int) -> np.ndarray:
+        """Return the mean contributions to detectors, and to hemispherical quantities."""
+        scores, hemispherical = np.zeros_like(self.detectors.sums), np.zeros((2, 2))
+        batch_detectors = self.detectors._replace(
+            sums=scores, peak_directions=np.zeros_like(self.detectors.peak_directions)
         )
         work = np.array(
             [random_streams.NEXT_EVENT, batch * RAYS_PER_CHUNK, RAYS_PER_CHUNK, NO_MAX_ORDER]
         )
-        kernels.trace_to_detectors(runner.seed, work, scene, batch_detectors, hemispherical)
+        kernels.trace_to_detectors(self.seed, work, self.scene, batch_detectors, hemispherical)
         return np.concatenate([scores.ravel(), hemispherical.ravel()]) / RAYS_PER_CHUNK
 
+    def trace_up_to(self, tally: DetectorTally, n_batches: int, pool: DaemonThreadPool) -> None:
+        """Trace further batches up to a number and add them in order."""
+        while tally.n_batches < n_batches:
+            last = min(n_batches, tally.n_batches + MAX_PENDING_BATCHES)
+            for score in pool.map(self.trace_batch, range(tally.n_batches, last)):
+                tally.add_batch(score)
+
+
+def _trace_to_error(
+    tracer: _DetectorTracer, medium: ParticleMedium, stopping_rule: StoppingRule, runner: Runner
+) -> DetectorResult:
+    """Trace batches until the stopping rule is satisfied."""
+    start_time = time.perf_counter()
+    layer, has_lower_side = tracer.scene.layer, tracer.detectors.has_lower_side
     # For forward-peaked phase functions few events dominate the estimate, so the pilot is longer.
     g = abs(medium.kernel_phase_function.g)
     pilot_batches = int(PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
-    target_batches = (
-        pilot_batches
-        if stopping_rule.n_rays is None
-        else max(2, -(-stopping_rule.n_rays // RAYS_PER_CHUNK))
-    )
-    max_batches = (
-        max(2, stopping_rule.max_rays // RAYS_PER_CHUNK)
-        if stopping_rule.n_rays is None
-        else target_batches
-    )
+    to_error = stopping_rule.n_rays is None
+    target_batches, max_batches = stopping_rule.count_batches(pilot_batches)
     no_signal = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom_albedo <= 0.0
+    lossless = not runner.tracer.traits.extra_absorption and layer.bottom_albedo == 1.0
+    tally = DetectorTally(tracer.detectors.sums.shape)
     with DaemonThreadPool(runner.threads) as pool:
         while True:
-            while tally.n_batches < target_batches:
-                for score in pool.map(
-                    trace_batch,
-                    range(
-                        tally.n_batches, min(target_batches, tally.n_batches + MAX_PENDING_BATCHES)
-                    ),
-                ):
-                    tally.add_batch(score)
-            lossless = not runner.tracer.traits.extra_absorption and layer.bottom_albedo == 1.0
-            result = tally.compute_result(
-                detectors.has_lower_side, medium.polarized, no_signal, lossless
-            )
+            tracer.trace_up_to(tally, target_batches, pool)
+            n_batches = tally.n_batches
+            result = tally.compute_result(has_lower_side, medium.polarized, no_signal, lossless)
             error = result.compute_max_error(stopping_rule.side)
             is_empty = not no_signal and not result.mean[stopping_rule.side].any()
-            converged = (
-                stopping_rule.n_rays is None
-                and error <= stopping_rule.relative_stderr
-                and not is_empty
-            )
-            if (
-                converged
-                or tally.n_batches >= max_batches
-                or (is_empty and tally.n_batches >= 64 * pilot_batches)
-            ):
+            converged = to_error and error <= stopping_rule.relative_stderr and not is_empty
+            exhausted = n_batches >= max_batches or (is_empty and n_batches >= 64 * pilot_batches)
+            if converged or exhausted:
                 return replace(result, stop_reason="converged" if converged else "max_rays")
-            factor = (
-                _MAX_ROUND_GROWTH
-                if is_empty
-                else 1.05 * (error / stopping_rule.relative_stderr) ** 2
-            )
-            needed_batches = tally.n_batches * factor
+            factor = 1.05 * (error / stopping_rule.relative_stderr) ** 2
+            needed_batches = n_batches * (_MAX_ROUND_GROWTH if is_empty else factor)
             target_batches = int(
-                min(
-                    max(needed_batches, tally.n_batches + 1),
-                    _MAX_ROUND_GROWTH * tally.n_batches,
-                    max_batches,
-                )
+                min(max(needed_batches, n_batches + 1), _MAX_ROUND_GROWTH * n_batches, max_batches)
             )
             if runner.progress_callback:
                 seconds = time.perf_counter() - start_time
-                seconds_left = seconds * (needed_batches / tally.n_batches - 1.0)
-                progress = Progress(
-                    target_batches * RAYS_PER_CHUNK,
-                    error,
-                    stopping_rule.relative_stderr,
-                    seconds,
-                    seconds_left,
+                seconds_left = seconds * (needed_batches / n_batches - 1.0)
+                n_rays = target_batches * RAYS_PER_CHUNK
+                relative_stderr = stopping_rule.relative_stderr
+                runner.progress_callback(
+                    Progress(n_rays, error, relative_stderr, seconds, seconds_left)
                 )
-                runner.progress_callback(progress)
-
-
-class _DetectorTally:
-    """Sums of batch scores in a fixed order.
-
-    Attributes
-    ----------
-    n_batches : int
-    sums, sums_of_squares, max_scores : float, shape (values,)
-        Sums, sums of squares, and the score of largest magnitude of a batch, with its sign.
-    """
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.shape = shape
-        self.n_batches = 0
-        self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, int(np.prod(shape)) + 4))
-
-    def add_batch(self, score: np.ndarray) -> None:
-        """Add the score of one batch."""
-        self.n_batches += 1
-        self.sums += score
-        self.sums_of_squares += score**2
-        self.max_scores = np.where(np.abs(score) > np.abs(self.max_scores), score, self.max_scores)
-
-    def compute_result(
-        self, has_lower_side: bool, polarized: bool, no_signal: bool, lossless: bool
-    ) -> DetectorResult:
-        """Return means and standard errors.
-
-        One more batch with the largest score so far is included in the errors; where nothing was
-        scored, one ray, except where no signal is possible (`no_signal`) or no light can be lost
-        (`lossless`).
-        """
-        n, n_rays = self.n_batches, self.n_batches * RAYS_PER_CHUNK
-        mean = self.sums / n
-        mean_square = (self.sums_of_squares + self.max_scores**2) / (n + 1)
-        # The additional batch enters the mean about which scatter is computed, but not the result.
-        mean_with_extra = (self.sums + self.max_scores) / (n + 1)
-        count = int(np.prod(self.shape))
-        (scores, hemispherical), (stderr, hemispherical_stderr), (stopping_error, _) = (
-            (values[:count].reshape(self.shape), values[count:].reshape(2, 2))
-            for values in (
-                mean,
-                *(
-                    np.sqrt(np.maximum(mean_square - centre**2, 0.0) / n)
-                    for centre in (mean_with_extra, mean)
-                ),
-            )
-        )
-        for side in range(1 + has_lower_side) if not no_signal else ():
-            unscored = scores[side, :, 0] == 0.0
-            stderr[side, unscored, 0] = stopping_error[side, unscored, 0] = 1.0 / (np.pi * n_rays)
-        if not lossless:
-            hemispherical_stderr = np.maximum(hemispherical_stderr, 1.0 / n_rays)
-        return DetectorResult(
-            scores,
-            stderr,
-            stopping_error[..., 0],
-            hemispherical,
-            hemispherical_stderr,
-            n_rays,
-            "",
-            polarized,
-            has_lower_side,
-        )

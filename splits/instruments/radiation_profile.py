@@ -132,18 +132,11 @@ def radiation_profile(
     run_attributes: list[dict[str, Any]] = []
 
     def simulate(incidence: float | str, number: int) -> xr.Dataset:
-        arguments = (
-            medium,
-            wavelengths,
-            depth_m,
-            incidence,
-            seed + number,
-            max_rays,
-            threads,
-            "auto",
+        request = FluxRequest(
+            medium, wavelengths, depth_m, incidence, seed + number, max_rays, threads, "auto",
             progress,
-        )
-        dataset = simulate_flux(FluxRequest(*arguments).validate(), stopping_rules[number])
+        )  # fmt: skip
+        dataset = simulate_flux(request.validate(), stopping_rules[number])
         run_attributes.append(dataset.attrs)
         coordinates.update(
             {name: dataset[name] for name in ("depth", "interval_top", "interval_bottom")}
@@ -151,32 +144,15 @@ def radiation_profile(
         return dataset
 
     dataset = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, list(OUTPUT_VARIABLES))
-    variables: dict[str, Variable] = {}
-    band_weights = xr.DataArray(weights, {"wavelength": wavelengths}, ("band", "wavelength"))
-    for name, (label, long_name) in OUTPUT_VARIABLES.items():
-        value = (band_weights * dataset[name]).sum("wavelength")
-        error = xr.concat(
-            [compute_weighted_error(dataset, name, band_weight) for band_weight in band_weights],
-            "band",
-        )
-        depth_dim = next(dim for dim in value.dims if dim != "band")
-        dims = ("band", str(depth_dim))
-        variables |= make_variable(
-            label, dims, value.transpose(*dims).values, error.transpose(*dims).values, long_name,
-            "W m-2",
-        )  # fmt: skip
     band_irradiance = [
         sky_spectrum.compute_weights(sky_spectrum.wavelength_nm, band).sum()
         for band in named.values()
     ]
-    covered_attributes = {
-        "long_name": "fraction of the band's light within the wavelengths",
-        "units": "1",
-    }
+    variables = _make_variables(dataset, wavelengths, weights)
     variables["irradiance_covered"] = (
         "band",
         weights.sum(axis=1) / band_irradiance,
-        covered_attributes,
+        {"long_name": "fraction of the band's light within the wavelengths", "units": "1"},
     )
     attributes = {
         **make_run_attributes(
@@ -191,6 +167,25 @@ def radiation_profile(
         "rays": sum(run["rays"] for run in run_attributes),
     }
     return xr.Dataset(variables, {**coordinates, "band": list(named)}, attributes)
+
+
+def _make_variables(
+    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray
+) -> dict[str, Variable]:
+    """Return irradiances and absorbed power by band, with their errors."""
+    variables: dict[str, Variable] = {}
+    band_weights = xr.DataArray(weights, {"wavelength": wavelengths}, ("band", "wavelength"))
+    for name, (label, long_name) in OUTPUT_VARIABLES.items():
+        value = (band_weights * dataset[name]).sum("wavelength")
+        errors = [compute_weighted_error(dataset, name, one) for one in band_weights]
+        error = xr.concat(errors, "band")
+        depth_dim = next(dim for dim in value.dims if dim != "band")
+        dims = ("band", str(depth_dim))
+        variables |= make_variable(
+            label, dims, value.transpose(*dims).values, error.transpose(*dims).values, long_name,
+            "W m-2",
+        )  # fmt: skip
+    return variables
 
 
 def _make_stopping_rules(

@@ -88,11 +88,10 @@ def estimate_spectral(
     ]
     strata = [(tally, stratum) for tally in tallies for stratum in tally.strata]
     weights = nodes.weights[:, np.newaxis, :]
-
     if len(rows.index) > LARGE_PROBLEM_ROWS and not len(rows.absorption_derivatives):
         runner.rays_per_chunk = RAYS_PER_LARGE_CHUNK
     runner.share_kernel(tallies)
-    runner.trace([(tally, stratum, PILOT_RAYS) for tally, stratum in strata], 1.0, max_stderr)
+    runner.trace([(*stratum_of, PILOT_RAYS) for stratum_of in strata], 1.0, max_stderr)
     while True:
         mean = np.einsum(
             "jw,jqw->qw",

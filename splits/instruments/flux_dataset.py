@@ -13,12 +13,12 @@ from splits.core.uncertainty import (
     make_deviation_variable,
     make_variable,
 )
-from splits.instruments.flux_errors import (
+from splits.instruments.absorption_steps import (
     bound_actinic_flux_error,
     bound_material_absorptance_error,
     compute_absorption_steps,
-    compute_nonstatistical_error,
 )
+from splits.instruments.flux_errors import compute_nonstatistical_error
 from splits.instruments.flux_estimate import FluxEstimate, FluxResult, compute_absorbed_fractions
 from splits.instruments.flux_media import TracedMedium
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.instruments.flux_errors import compute_absorption_steps
+from splits.instruments.absorption_steps import compute_absorption_steps
 from splits.kernels.grains.scene import WET_PORE
 from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
 from splits.media.medium import GranularMedium, LayeredMedium

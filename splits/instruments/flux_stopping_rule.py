@@ -10,7 +10,7 @@ import numpy as np
 from splits.core.uncertainty import compute_batch_stderr
 from splits.instruments.flux_tally import FluxPathTally
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD
-from splits.simulation.estimators import allocate_rays
+from splits.simulation.ray_allocation import allocate_rays
 from splits.simulation.tally import N_BATCHES, RAYS_PER_CHUNK
 
 MIN_SCATTER_FRACTION = 0.1

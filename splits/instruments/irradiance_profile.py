@@ -124,7 +124,7 @@ def irradiance_profile(
 
     Actinic flux and the absorptances of materials assume that weights decrease evenly along the
     path between planes.  Where single grains or pores absorb much of the light that crosses them,
-    both are approximate; their errors include this (`splits.instruments.flux_errors`).
+    both are approximate; their errors include this (`splits.instruments.absorption_steps`).
 
     References
     ----------

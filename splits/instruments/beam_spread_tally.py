@@ -146,11 +146,10 @@ def make_beam_spread_dataset(
     pixel_area = (2.0 * half_width / N_MAP_PIXELS) ** 2
     # Without any light recorded, the error is that of one more ray.
     single_ray_error = max(1.0 / tally.strata[0].n_rays for tally in tallies)
-    fraction_error = np.where(
-        fraction.mean(axis=0) > 0.0, compute_batch_stderr(fraction), single_ray_error
-    )
+    mean_fraction = fraction.mean(axis=0)
     fraction_error = np.hypot(
-        fraction_error, bound_interpolation_error(interpolation_bound, fraction.mean(axis=0))
+        np.where(mean_fraction > 0.0, compute_batch_stderr(fraction), single_ray_error),
+        bound_interpolation_error(interpolation_bound, mean_fraction),
     )
     jackknife_moment = compute_leave_one_out_means(moment)
     jackknife_quantile = compute_quantile_radii(jackknife_radial, RADIUS_QUANTILES)

@@ -144,15 +144,11 @@ def estimate_flux(
             _estimate_at_planes(tally, weight, boundary_rows, traced_medium.semi_infinite)
             for tally, weight in zip(tallies, nodes.weights, strict=True)
         ]
-        whole = FluxEstimate(
-            *(np.sum(arrays, axis=0) for arrays in zip(*all_estimates, strict=True))
-        )
+        arrays = zip(*all_estimates, strict=True)
+        whole = FluxEstimate(*(np.sum(each, axis=0) for each in arrays))
         estimate = whole.select_wavelengths(requested)
-        perturbed = (
-            whole.select_wavelengths(slice(traced_medium.n_wavelengths, None))
-            if traced_medium.truncated
-            else None
-        )
+        rest = whole.select_wavelengths(slice(traced_medium.n_wavelengths, None))
+        perturbed = rest if traced_medium.truncated else None
         systematic_error = estimate_systematic_error(
             estimate[:2],
             None if perturbed is None else perturbed[:2],

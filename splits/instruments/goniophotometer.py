@@ -38,7 +38,7 @@ from splits.simulation.arguments import (
 from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.runner import Runner
 from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
-from splits.simulation.spectral_nodes import choose_nodes
+from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.tracer import KERNELS
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
@@ -180,10 +180,7 @@ def goniophotometer(
             wavelengths,
         )
     else:
-        tallies, estimate, stop_reason = trace_expansion(
-            runner, nodes, absorption, polar, azimuth, stopping_rule
-        )
-        result = AngularResult(estimate, stop_reason, count_traced_rays(tallies), tallies)
+        result = _estimate_by_expansion(runner, nodes, absorption, polar, azimuth, stopping_rule)
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     max_error = compute_max_relative_error(result.estimate, side, direction_mask)
     attributes = {
@@ -200,6 +197,21 @@ def goniophotometer(
     undefined = TRANSMITTED_VARIABLES if has_ground else result.undefined_variables
     dataset = dataset.drop_vars([name + suffix for name in undefined for suffix in ("", "_stderr")])
     return relabel_for_diffuse_light(dataset) if incidence == "diffuse" else dataset
+
+
+def _estimate_by_expansion(
+    runner: Runner,
+    nodes: IndexNodes,
+    absorption: np.ndarray,
+    polar: np.ndarray,
+    azimuth: np.ndarray,
+    stopping_rule: StoppingRule,
+) -> AngularResult:
+    """Return the result of the expansion in polynomials."""
+    tallies, estimate, stop_reason = trace_expansion(
+        runner, nodes, absorption, polar, azimuth, stopping_rule
+    )
+    return AngularResult(estimate, stop_reason, count_traced_rays(tallies), tallies)
 
 
 def _check_estimator(estimator: str, incidence: float | str) -> None:

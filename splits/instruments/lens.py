@@ -6,7 +6,7 @@ Budak & Grimailo 2020, section 3.1 and Fig 2.
 from __future__ import annotations
 
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -19,8 +19,12 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
-from splits.core.uncertainty import make_variable
 from splits.core.validation import check_choice, check_range, invalid, reject_unknown_arguments
+from splits.instruments.lens_dataset import (
+    MIN_DETECTED_FRACTION,
+    FirstRealization,
+    make_lens_dataset,
+)
 from splits.kernels.rough_surface.lens import RefractedRays, refract_vertical_rays
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, N_WAVE_LANES, PHASE, WAVE_ROWS
@@ -28,8 +32,6 @@ from splits.media.medium import SurfaceMedium
 from splits.simulation.arguments import check_half_width, check_integer, check_medium
 from splits.simulation.attributes import make_run_attributes
 
-MIN_DETECTED_FRACTION = 0.5
-"""Fraction of a ring that must reach a screen for a realisation to be included there."""
 CENTRE_CHOICES = ("crest", "trough", "origin")
 DEFAULT_RAYS = 360
 MAX_SCREEN_POINTS = 10_000_000
@@ -136,8 +138,8 @@ def lens(
         "radius_m": radius, "centre_on": centre_on, "half_width_m": width,
         "realisations": realisations, "rays": rays * realisations,
     }  # fmt: skip
-    first = _FirstRealization(surface_points, screen_points, first_detected)
-    return _make_dataset(contraction, detected_fraction, first, depths, attributes)
+    first = FirstRealization(surface_points, screen_points, first_detected)
+    return make_lens_dataset(contraction, detected_fraction, first, depths, attributes)
 
 
 def _get_plane_waves(medium: SurfaceMedium, waves: Any, realisations: int) -> np.ndarray | None:
@@ -148,77 +150,6 @@ def _get_plane_waves(medium: SurfaceMedium, waves: Any, realisations: int) -> np
     if plane_waves is not None and realisations > 1:
         raise invalid("realisations", realisations, "1 for given waves")
     return plane_waves
-
-
-class _FirstRealization(NamedTuple):
-    """Rays at the first realisation of the surface, for figures.
-
-    Attributes
-    ----------
-    surface_point : float, shape (rays, 3)
-        Where rays hit the surface (m).
-    screen_point : float, shape (screens, rays, 2)
-        Where they hit the screens (m).
-    reaches_screen : bool, shape (screens, rays)
-        Whether they reach them.
-    """
-
-    surface_point: np.ndarray
-    screen_point: np.ndarray
-    reaches_screen: np.ndarray
-
-
-def _make_dataset(
-    contraction: np.ndarray,
-    detected_fraction: np.ndarray,
-    first_realization: _FirstRealization,
-    depths: np.ndarray,
-    attributes: dict[str, Any],
-) -> xr.Dataset:
-    """Return the results as a labelled dataset."""
-    is_valid = detected_fraction >= MIN_DETECTED_FRACTION
-    contraction_estimate = _average_realizations(contraction, is_valid)
-    concentration_estimate = _invert_with_error(*_average_realizations(contraction**2, is_valid))
-    dim, by_ray = "screen_depth", ("screen_depth", "ray", "axis")
-    reaches_screen = first_realization.reaches_screen.astype(float)
-    variables = {
-        **make_variable(
-            "contraction", dim, *contraction_estimate, "size of the image over the ring's"
-        ),
-        **make_variable(
-            "concentration", dim, *concentration_estimate, "inverse mean square size of the image"
-        ),
-        **make_variable(
-            "detected_fraction",
-            ("realisation", dim),
-            detected_fraction,
-            None,
-            "fraction of rays on the screen",
-        ),
-        **make_variable(
-            "surface_position",
-            ("ray", "point"),
-            first_realization.surface_point,
-            None,
-            "point of the surface",
-            "m",
-        ),
-        **make_variable(
-            "screen_position",
-            by_ray,
-            first_realization.screen_point,
-            None,
-            "position on the screen",
-            "m",
-        ),
-        **make_variable("detected", by_ray[:2], reaches_screen, None, "whether a ray reaches it"),
-    }
-    coordinates = {
-        dim: (dim, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
-        "axis": ("axis", ["x", "y"], {"long_name": "axis on the screen"}),
-        "point": ("point", ["x", "y", "z"], {"long_name": "axis in space"}),
-    }
-    return xr.Dataset(variables, coordinates, attributes)
 
 
 def check_plane_waves(waves: Any) -> np.ndarray:
@@ -267,28 +198,6 @@ def _compute_rms_radius(points: np.ndarray, detected: np.ndarray) -> np.ndarray:
     centre = (points * weight).sum(axis=1) / count[:, np.newaxis]
     square = (((points - centre[:, np.newaxis]) ** 2) * weight).sum(axis=(1, 2)) / count
     return np.sqrt(square)
-
-
-def _average_realizations(
-    values: np.ndarray, valid: np.ndarray
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the mean over valid realisations with its standard error, None for a single one."""
-    count = valid.sum(axis=0)
-    mean = np.where(valid, values, 0.0).sum(axis=0) / count
-    if len(values) == 1:
-        return mean, None
-    square = np.where(valid, (values - mean) ** 2, 0.0).sum(axis=0)
-    # Of a single valid realisation the error is its value.
-    stderr = np.sqrt(square / np.maximum(count - 1, 1) / count)
-    return mean, np.where(count > 1, stderr, mean)
-
-
-def _invert_with_error(
-    mean: np.ndarray, stderr: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return 1/mean and its standard error to first order."""
-    inverse = 1.0 / np.maximum(mean, np.finfo(float).tiny)
-    return inverse, None if stderr is None else stderr * inverse**2
 
 
 def check_screen_depths(key: str, values: Any) -> np.ndarray:

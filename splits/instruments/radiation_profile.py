@@ -122,12 +122,9 @@ def radiation_profile(
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
     weights = np.array([sky_spectrum.compute_weights(wavelengths, band) for band in named.values()])
-    stopping_rules = _make_stopping_rules(
-        sky_spectrum.compute_direct_fraction(wavelengths),
-        weights,
-        max_stderr,
-        target == POWER_ERROR_QUANTITIES[1],
-    )
+    direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
+    limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
+    rules = _make_stopping_rules(direct_fraction, weights, max_stderr, limit_irradiance)
     coordinates: dict[str, Any] = {}
     run_attributes: list[dict[str, Any]] = []
 
@@ -136,24 +133,18 @@ def radiation_profile(
             medium, wavelengths, depth_m, incidence, seed + number, max_rays, threads, "auto",
             progress,
         )  # fmt: skip
-        dataset = simulate_flux(request.validate(), stopping_rules[number])
+        dataset = simulate_flux(request.validate(), rules[number])
         run_attributes.append(dataset.attrs)
-        coordinates.update(
-            {name: dataset[name] for name in ("depth", "interval_top", "interval_bottom")}
-        )
+        names = ("depth", "interval_top", "interval_bottom")
+        coordinates.update({name: dataset[name] for name in names})
         return dataset
 
     dataset = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, list(OUTPUT_VARIABLES))
+    all_wavelengths = sky_spectrum.wavelength_nm
     band_irradiance = [
-        sky_spectrum.compute_weights(sky_spectrum.wavelength_nm, band).sum()
-        for band in named.values()
+        sky_spectrum.compute_weights(all_wavelengths, band).sum() for band in named.values()
     ]
-    variables = _make_variables(dataset, wavelengths, weights)
-    variables["irradiance_covered"] = (
-        "band",
-        weights.sum(axis=1) / band_irradiance,
-        {"long_name": "fraction of the band's light within the wavelengths", "units": "1"},
-    )
+    variables = _make_variables(dataset, wavelengths, weights, band_irradiance)
     attributes = {
         **make_run_attributes(
             "Sunlight inside", "radiation_profile", medium, start_time, seed, threads
@@ -170,9 +161,9 @@ def radiation_profile(
 
 
 def _make_variables(
-    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray
+    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray, band_irradiance: list[Any]
 ) -> dict[str, Variable]:
-    """Return irradiances and absorbed power by band, with their errors."""
+    """Return irradiances and absorbed power by band with their errors, and the coverage."""
     variables: dict[str, Variable] = {}
     band_weights = xr.DataArray(weights, {"wavelength": wavelengths}, ("band", "wavelength"))
     for name, (label, long_name) in OUTPUT_VARIABLES.items():
@@ -185,7 +176,9 @@ def _make_variables(
             label, dims, value.transpose(*dims).values, error.transpose(*dims).values, long_name,
             "W m-2",
         )  # fmt: skip
-    return variables
+    label = "fraction of the band's light within the wavelengths"
+    covered = weights.sum(axis=1) / band_irradiance
+    return variables | {"irradiance_covered": ("band", covered, {"long_name": label, "units": "1"})}
 
 
 def _make_stopping_rules(

@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 
 from splits.core.validation import invalid
-from splits.illumination.sky import Sky, sky
+from splits.illumination.sky import Sky
+from splits.illumination.sky_spectra import sky
 from splits.simulation.arguments import check_wavelengths
 
 DEFAULT_STEP_NM = 10.0

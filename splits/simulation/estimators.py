@@ -116,11 +116,8 @@ def estimate_spectral(
         remaining_rays = float((target_rays - stratum_rays - step).clip(0).sum())
         # However few rays are left, the stratum that needs most gets some.
         min_step = min(1.0, step.max())
-        work = [
-            (*stratum_of, int(np.ceil(s)))
-            for stratum_of, s in zip(strata, step, strict=True)
-            if s >= min_step
-        ]
+        steps = zip(strata, step, strict=True)
+        work = [(*stratum_of, int(np.ceil(s))) for stratum_of, s in steps if s >= min_step]
         runner.trace(work, float(stderr.max()), max_stderr, remaining_rays)
     batch_deviations = np.zeros((N_BATCHES, 2, len(rows.absorption)))
     for tally, weight in zip(tallies, nodes.weights, strict=True):

@@ -15,11 +15,11 @@ from splits.simulation.deep_medium import THEORY_UNCERTAINTY, truncate_deep_medi
 from splits.simulation.diffusion import DiffusiveSubstrate, diffuse_reflectance
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
-    WEIGHTED_MEANS,
     GrainOpticsRequest,
     compute_material_constants,
     pool_optics_by_type,
 )
+from splits.simulation.grain_optics_means import WEIGHTED_MEANS
 from splits.simulation.path_tally import PathSharingMedia
 
 CLEAR = {"ice": 1.31, "water": 1.33}

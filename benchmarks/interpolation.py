@@ -18,8 +18,9 @@ import numpy as np
 import splits
 from splits.materials.lookup import absorption_coefficient
 from splits.simulation.fixed_budget import estimate_fixed_budget
+from splits.simulation.interpolation_bounds import MAX_LOG_CURVATURE, MAX_LOG_SLOPE
 from splits.simulation.runner import Runner
-from splits.simulation.spectral_nodes import MAX_LOG_CURVATURE, MAX_LOG_SLOPE, choose_nodes
+from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.tally import PathTally
 
 # Wider apart than any spectrum spreads them, so that the bend shows beyond the noise.

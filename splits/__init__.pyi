@@ -15,7 +15,6 @@ from .instruments import irradiance_profile as irradiance_profile
 from .instruments import lens as lens
 from .instruments import radiation_profile as radiation_profile
 from .instruments import single_scattering as single_scattering
-from .instruments import spectra as spectra
 from .instruments import spectrophotometer as spectrophotometer
 from .instruments import surface_map as surface_map
 from .io.bird_brdf import save_brdf as save_brdf

@@ -155,7 +155,7 @@ def compute_difference(
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.spectra`, or of `splits.albedo` of several media.
+        Of `splits.spectrophotometer` or `splits.albedo` with several media.
     quantity : str
         Such as ``reflectance`` or ``band_albedo``, with its ``_stderr`` and ``_batches``.
     one, other : str

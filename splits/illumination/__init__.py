@@ -1,7 +1,8 @@
 """Illumination: spectral irradiance of skies, and spectral bands of sensors."""
 
 from splits.illumination.bands import sensor_bands
-from splits.illumination.sky import Sky, sky
+from splits.illumination.sky import Sky
+from splits.illumination.sky_spectra import sky
 
 __all__ = [
     "Sky",

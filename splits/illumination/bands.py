@@ -1,4 +1,4 @@
-"""Bands of sensors: by their ends, or by how a sensor responds to each wavelength."""
+"""Spectral bands of sensors, given by limits or by spectral response."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ SENSORS = {
     "sentinel_2a": ("Sentinel-2A", "MSI"),
     "sentinel_2b": ("Sentinel-2B", "MSI"),
 }
-"""Satellite and instrument of every sensor, as pyrsr calls them."""
+"""Satellite and instrument of every sensor, as named by pyrsr."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SpectralBand(ContentEquality):
-    """How much a sensor makes of light at each wavelength.
+    """Spectral response of a band of a sensor.
 
     Attributes
     ----------
     wavelength_nm : float, shape (n,)
         Strictly increasing (nm).
     response : float, shape (n,)
-        Linear in between, nothing outside.
+        Linear in between, 0 outside.
     sha256 : str
         Of a user's file.
     """
@@ -56,20 +56,20 @@ class SpectralBand(ContentEquality):
 
     @classmethod
     def from_limits(cls, low: float, high: float) -> SpectralBand:
-        """Return the band in which all light counts alike, from low to high (nm)."""
+        """Return the band with constant response from low to high (nm)."""
         return cls(np.array([low, high]), np.ones(2))
 
     @classmethod
     def from_input(cls, key: str, value: Any) -> SpectralBand:
-        """Return the band that a user's value stands for, or refuse it.
+        """Return the band for a user's value, after checking it.
 
         Parameters
         ----------
         key : str
             For messages.
         value : (float, float), mapping or path
-            Its ends (nm), or a mapping of ``wavelength_nm`` and ``response``, or the path of a CSV
-            file with these columns.
+            Its limits (nm), or a mapping of ``wavelength_nm`` and ``response``, or the path of a
+            CSV file with these columns.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class SpectralBand(ContentEquality):
             columns, digest = read_user_table(key, value, BAND_COLUMNS)
         elif isinstance(value, Mapping):
             if set(value) != set(BAND_COLUMNS):
-                allowed = "its ends (nm), or a mapping of " + ", ".join(BAND_COLUMNS)
+                allowed = "its limits (nm), or a mapping of " + ", ".join(BAND_COLUMNS)
                 raise invalid(key, sorted(map(str, value)), allowed)
             columns = [value[name] for name in BAND_COLUMNS]
         else:
@@ -89,17 +89,17 @@ class SpectralBand(ContentEquality):
             if not 0.0 < low < high:
                 raise invalid(key, value, "0 < low < high (nm)")
             return cls.from_limits(low, high)
-        w, response = read_columns(key, dict(zip(BAND_COLUMNS, columns, strict=True)))
-        check_increasing(f"{key}.wavelength_nm", w)
-        if not w.size == response.size >= 2:
-            found = f"{w.size} wavelengths, {response.size} responses"
-            raise invalid(key, found, "two lists of the same length, at least 2")
+        wavelengths, response = read_columns(key, dict(zip(BAND_COLUMNS, columns, strict=True)))
+        check_increasing(f"{key}.wavelength_nm", wavelengths)
+        if not wavelengths.size == response.size >= 2:
+            sizes = f"{wavelengths.size} wavelengths, {response.size} responses"
+            raise invalid(key, sizes, "two lists of the same length, at least 2")
         response = snap_to_limits(response, 0.0, np.inf)
         if response.min() < 0.0 or not response.any():
             raise invalid(
                 f"{key}.response", float(response.min()), "at least 0, and not 0 everywhere"
             )
-        return cls(w, response, digest)
+        return cls(wavelengths, response, digest)
 
     def __repr__(self) -> str:
         """Return the band on one line."""
@@ -113,10 +113,10 @@ class SpectralBand(ContentEquality):
 
 @reject_unknown_arguments
 def sensor_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
-    """Return the bands of a sensor, as `splits.albedo` takes them.
+    """Return the bands of a sensor in the form that `splits.albedo` takes.
 
-    The tables are those of pyrsr (extra ``sky``), which has bands 1 to 16 of MODIS.  Bands of
-    thermal light are left out.
+    The tables are those of pyrsr (extra ``sky``), which has bands 1 to 16 of MODIS.  Thermal bands
+    are excluded.
 
     Parameters
     ----------
@@ -127,8 +127,8 @@ def sensor_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
     Returns
     -------
     dict
-        By name, the sensor's and the number of its makers, so that bands of several sensors can
-        stand together: ``wavelength_nm`` and ``response``, at most 1.
+        By name, which consists of the sensor and the number of the band, so that bands of several
+        sensors can be combined: ``wavelength_nm`` and ``response``, at most 1.
 
     Raises
     ------
@@ -147,22 +147,22 @@ def sensor_bands(name: str) -> dict[str, dict[str, np.ndarray]]:
     """
     check_choice("sensor", name, SENSORS)
     rsr = import_optional("pyrsr", "sky", "bands of sensors need").RSR
-    found = rsr(*SENSORS[name], no_thermal=True)
-    w = np.asarray(found.rsrs_wvl, dtype=float)
+    spectral_response = rsr(*SENSORS[name], no_thermal=True)
+    wavelengths = np.asarray(spectral_response.rsrs_wvl, dtype=float)
     bands = {}
-    for label, response in found.rsrs_norm01.items():
+    for label, response in spectral_response.rsrs_norm01.items():
         # From the last zero before the first response to the first after the last.
         first, last = np.flatnonzero(response > 0.0)[[0, -1]]
-        some = slice(max(first - 1, 0), last + 2)
+        support = slice(max(first - 1, 0), last + 2)
         bands[f"{name}_{label}"] = {
-            "wavelength_nm": w[some],
-            "response": response[some].clip(0.0, 1.0),
+            "wavelength_nm": wavelengths[support],
+            "response": response[support].clip(0.0, 1.0),
         }
     return bands
 
 
 def as_bands(bands: Any) -> dict[str, SpectralBand]:
-    """Return all bands that a user names, or refuse them."""
+    """Return the bands of a user's value, after checking them."""
     if bands is None:
         return {}
     if isinstance(bands, str):

@@ -1,46 +1,22 @@
-"""Spectral irradiance on a horizontal surface: from the sun, and from the rest of the sky."""
+"""Spectral irradiance of skies on a horizontal surface: direct sunlight and diffuse light."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from splits.core.arrays import check_array_range, check_increasing, read_columns
 from splits.core.equality import ContentEquality
-from splits.core.optional import import_optional
-from splits.core.validation import check_range, invalid, reject_unknown_arguments, suggest_name
+from splits.core.validation import check_range, invalid
 from splits.illumination.bands import SpectralBand, as_bands
-from splits.materials.csv_table import read_user_table, to_columns
 from splits.materials.refractive_index import check_wavelength_range
 
-_SNICAR_CSV = Path(__file__).with_name("skies.csv")
 SKY_COLUMNS = ("wavelength_nm", "direct", "diffuse")
 BROADBAND = "broadband"
-CLOUDY_SUFFIX = "_cloudy"
-"""How names of skies end from which all light is diffuse."""
-CLEAR_SKY = "clear"
-ASTM_G173 = "astm_g173"
-SNICAR_ZENITH_DEG = 60.0
-"""Of the sun in the clear skies of SNICAR."""
 MAX_ZENITH_DEG = 89.0
-ZENITH_REQUIREMENT = "given: the polar angle of the sun in degrees"
-ASTM_ZENITH_DEG, ASTM_TILT_DEG = 48.19, 37.0
-"""Of the sun, and of the surface that ASTM G173 is for."""
-ATMOSPHERE_PARAMETERS: dict[str, tuple[float, tuple[float, float]]] = {
-    "pressure_pa": (101_325.0, (3e4, 1.1e5)),
-    "precipitable_water_cm": (1.0, (0.0, 10.0)),
-    "ozone_atm_cm": (0.3, (0.0, 1.0)),
-    "turbidity_500nm": (0.1, (0.0, 2.0)),
-    "ground_albedo": (0.8, (0.0, 1.0)),
-}
-"""What a clear sky depends on besides the sun: value by default, and range."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,9 +31,9 @@ class Sky(ContentEquality):
     wavelength_nm : float, shape (n,)
         Strictly increasing (nm).
     direct, diffuse : float, shape (n,)
-        Spectral irradiance (W m⁻² nm⁻¹); only ratios count for albedos.
+        Spectral irradiance (W m⁻² nm⁻¹); for albedos only ratios matter.
     relative : bool
-        Whether irradiances are in other units, of which nothing is known.
+        Whether irradiances are in arbitrary units.
     sha256 : str
         Of a user's file.
     """
@@ -72,40 +48,40 @@ class Sky(ContentEquality):
     relative: bool = False
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
+        def set_attribute(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
         zenith = check_range("zenith_deg", self.zenith_deg, 0.0, MAX_ZENITH_DEG, "degrees")
-        put("zenith_deg", zenith)
-        given = {key: getattr(self, key) for key in SKY_COLUMNS}
-        w, *light = read_columns("sky", given)
-        check_increasing("sky.wavelength_nm", w)
-        if not w.size == light[0].size == light[1].size >= 2:
-            sizes = f"{w.size}, {light[0].size} and {light[1].size} numbers"
+        set_attribute("zenith_deg", zenith)
+        columns = {key: getattr(self, key) for key in SKY_COLUMNS}
+        wavelengths, *light = read_columns("sky", columns)
+        check_increasing("sky.wavelength_nm", wavelengths)
+        if not wavelengths.size == light[0].size == light[1].size >= 2:
+            sizes = f"{wavelengths.size}, {light[0].size} and {light[1].size} numbers"
             raise invalid("sky", sizes, "three lists of the same length, at least 2")
-        for key, values in zip(SKY_COLUMNS, (w, *light), strict=True):
-            put(key, check_array_range(f"sky.{key}", values, 0.0, np.inf))
+        for key, values in zip(SKY_COLUMNS, (wavelengths, *light), strict=True):
+            set_attribute(key, check_array_range(f"sky.{key}", values, 0.0, np.inf))
         if not self.total.any():
             raise invalid("sky", "0 everywhere", "light at some wavelength")
 
     def __repr__(self) -> str:
         """Return the sky on one line."""
         first, last = self.wavelength_nm[[0, -1]]
-        span = f"{first:g} to {last:g} nm"
-        return f"Sky({self.name!r}, zenith_deg={self.zenith_deg:g}, {span}: {self.source})"
+        limits = f"{first:g} to {last:g} nm"
+        return f"Sky({self.name!r}, zenith_deg={self.zenith_deg:g}, {limits}: {self.source})"
 
     @property
     def total(self) -> np.ndarray:
-        """Direct and diffuse irradiance together."""
+        """Sum of direct and diffuse irradiance."""
         return self.direct + self.diffuse
 
     def scale_to(self, total_w_m2: float | None) -> Sky:
-        """Return this sky with an irradiance over all its wavelengths (W m⁻²), direct and diffuse.
+        """Return this sky scaled to an irradiance over all its wavelengths (W m⁻²).
 
         Raises
         ------
         ValueError
-            Where it is left out and must not be, or is out of range.
+            If the irradiance is out of range, or missing for a sky in relative units.
         """
         if total_w_m2 is None:
             if self.relative:
@@ -122,49 +98,51 @@ class Sky(ContentEquality):
         return replace(self, direct=direct, diffuse=diffuse, relative=False)
 
     def check_coverage(self, wavelength_nm: np.ndarray) -> None:
-        """Refuse wavelengths (nm) at which nothing is known of this sky."""
+        """Check that wavelengths (nm) are within the spectrum of this sky."""
         first, last = self.wavelength_nm[[0, -1]]
         check_wavelength_range(wavelength_nm, first, last, f"the sky {self.name}")
 
     def compute_direct_fraction(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return the part of the light that comes straight from the sun, by wavelength (nm)."""
+        """Return the fraction of direct sunlight by wavelength (nm)."""
         self.check_coverage(wavelength_nm)
         direct, total = (
             np.interp(wavelength_nm, self.wavelength_nm, values)
             for values in (self.direct, self.total)
         )
-        # Where there is no light at all, nothing depends on it.
+        # Without light the fraction has no effect.
         return np.divide(direct, total, out=np.zeros_like(total), where=total > 0.0)
 
     def make_bands(self, bands: Any) -> dict[str, SpectralBand]:
-        """Return the bands that a user names, after the one of all light.
+        """Return the bands of a user's value, after the broadband one.
 
         Raises
         ------
         ValueError
-            For a malformed band, or one named like that of all light.
+            For a malformed band, or one with the name of the broadband one.
         """
-        own = as_bands(bands)
-        if BROADBAND in own:
+        user_bands = as_bands(bands)
+        if BROADBAND in user_bands:
             raise invalid(
-                f"bands.{BROADBAND}", own[BROADBAND].limits_nm, "left out: it is there always"
+                f"bands.{BROADBAND}",
+                user_bands[BROADBAND].limits_nm,
+                "left out: it is always included",
             )
-        return {BROADBAND: SpectralBand.from_limits(*self.wavelength_nm[[0, -1]]), **own}
+        return {BROADBAND: SpectralBand.from_limits(*self.wavelength_nm[[0, -1]]), **user_bands}
 
     def check_bands(self, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray) -> None:
-        """Refuse bands of which no light lies within the wavelengths (nm)."""
+        """Check that all bands have light within the wavelengths (nm)."""
         for name, band in bands.items():
             if not self.compute_weights(wavelength_nm, band).any():
                 first, last = wavelength_nm[[0, -1]]
                 allowed = f"bands with light between {first:g} and {last:g} nm"
-                hint = "ask for more wavelengths, or for some bands of a sensor alone"
+                hint = "give more wavelengths, or only some bands of a sensor"
                 raise invalid(f"bands.{name}", band.limits_nm, allowed, hint)
 
     def compute_weights(self, wavelength_nm: np.ndarray, band: SpectralBand) -> np.ndarray:
-        """Return the irradiance that each wavelength (nm) stands for, as a band responds to it.
+        """Return the irradiance of a band by wavelength (nm), as weights for an average.
 
-        Between wavelengths an albedo is taken as linear, beyond them as nothing: weights are the
-        integrals of irradiance times response times hats.
+        An albedo is assumed to be linear between wavelengths and 0 outside them: weights are the
+        integrals of irradiance times response times hat functions.
         """
         low, high = band.limits_nm
         nodes = np.concatenate([wavelength_nm, self.wavelength_nm, band.wavelength_nm])
@@ -175,177 +153,17 @@ class Sky(ContentEquality):
         # All three factors are linear between nodes: Simpson's rule is exact.
         nodes = np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
         step = nodes[2::2] - nodes[:-2:2]
-        rule = np.zeros(nodes.size)
-        for place, part in (
+        simpson = np.zeros(nodes.size)
+        for points, coefficient in (
             (slice(0, -2, 2), 1.0),
             (slice(1, -1, 2), 4.0),
             (slice(2, None, 2), 1.0),
         ):
-            rule[place] += part * step / 6.0
-        light = rule * np.interp(nodes, self.wavelength_nm, self.total)
-        light *= np.interp(nodes, band.wavelength_nm, band.response)
+            simpson[points] += coefficient * step / 6.0
+        integrand = simpson * np.interp(nodes, self.wavelength_nm, self.total)
+        integrand *= np.interp(nodes, band.wavelength_nm, band.response)
         hats = np.array(
             [np.interp(nodes, wavelength_nm, hat) for hat in np.eye(wavelength_nm.size)]
         )
-        weights: np.ndarray = hats @ light
+        weights: np.ndarray = hats @ integrand
         return weights
-
-
-@cache
-def _load_snicar_skies() -> pd.DataFrame:
-    return pd.read_csv(_SNICAR_CSV, comment="#", dtype=float)
-
-
-def list_sky_names() -> tuple[str, ...]:
-    """Return the names of the skies that need nothing else."""
-    return tuple(name for name in _load_snicar_skies().columns if name != "wavelength_nm")
-
-
-@reject_unknown_arguments
-def sky(
-    spectrum: Any = "midlatitude_winter",
-    zenith_deg: float | None = None,
-    *,
-    pressure_pa: float | None = None,
-    precipitable_water_cm: float | None = None,
-    ozone_atm_cm: float | None = None,
-    turbidity_500nm: float | None = None,
-    ground_albedo: float | None = None,
-) -> Sky:
-    """Return the light of a sky.
-
-    Parameters
-    ----------
-    spectrum : str, mapping, DataFrame or path
-        One of the skies of SNICAR, see `list_sky_names`: clear ones, for which all light counts as direct
-        and the spectrum is that of the sun at 60°, or cloudy ones, all diffuse.  ``"clear"`` is
-        a clear sky for any position of the sun and ``"astm_g173"`` the standard of that name;
-        both need pvlib (extra ``sky``).  Or a mapping of ``wavelength_nm``, ``direct`` and
-        ``diffuse`` (W m⁻² nm⁻¹), lists; a DataFrame with these columns, or the path of a CSV file.
-    zenith_deg : float, optional
-        Polar angle of the sun, 0 to 89 degrees.  Skies of SNICAR have 60 by default, and
-        ``astm_g173`` has 48.19 and no other; other skies with direct light need it.
-    pressure_pa, precipitable_water_cm, ozone_atm_cm : float, optional
-        Of the air, for ``"clear"`` alone (Bird & Riordan 1986); `ATMOSPHERE_PARAMETERS` has their ranges and
-        defaults.
-    turbidity_500nm, ground_albedo : float, optional
-        Likewise: optical thickness of aerosol, and albedo of the ground from which light comes back
-        by way of the sky, 0.8 by default, for snow.
-
-    Raises
-    ------
-    ValueError
-        For an unknown name, a malformed table or a value outside its range.
-    TypeError
-        For an unknown keyword.
-    ModuleNotFoundError
-        Without pvlib where it is needed.
-    """
-    spectrum = to_columns(spectrum)
-    # Arrays have no single answer to whether they equal a text.
-    name = spectrum if isinstance(spectrum, str) else ""
-    if name == ASTM_G173 and zenith_deg is not None:
-        raise invalid(
-            "zenith_deg", zenith_deg, "left out", f"{ASTM_G173} is for {ASTM_ZENITH_DEG}°"
-        )
-    zenith = None
-    if zenith_deg is not None:
-        zenith = check_range("zenith_deg", zenith_deg, 0.0, MAX_ZENITH_DEG, "degrees")
-    given_air = {
-        "pressure_pa": pressure_pa,
-        "precipitable_water_cm": precipitable_water_cm,
-        "ozone_atm_cm": ozone_atm_cm,
-        "turbidity_500nm": turbidity_500nm,
-        "ground_albedo": ground_albedo,
-    }
-    atmosphere = {key: value for key, value in given_air.items() if value is not None}
-    if name == CLEAR_SKY:
-        if zenith is None:
-            raise invalid(
-                "zenith_deg", None, ZENITH_REQUIREMENT, f'splits.sky("{CLEAR_SKY}", zenith_deg=50)'
-            )
-        return _make_clear_sky(zenith, atmosphere)
-    if atmosphere:
-        first, value = next(iter(atmosphere.items()))
-        raise invalid(first, value, "left out", f"it is for the sky {CLEAR_SKY} only")
-    if name == ASTM_G173:
-        return _make_astm_sky()
-    if isinstance(spectrum, Mapping):
-        if set(spectrum) != set(SKY_COLUMNS):
-            raise invalid(
-                "sky", sorted(map(str, spectrum)), "a mapping of " + ", ".join(SKY_COLUMNS)
-            )
-        return _make_user_sky("table", zenith, [spectrum[name] for name in SKY_COLUMNS])
-    if isinstance(spectrum, Path) or name.endswith(".csv"):
-        columns, digest = read_user_table("sky", spectrum, SKY_COLUMNS)
-        return _make_user_sky(Path(spectrum).name, zenith, columns, digest)
-    if name not in list_sky_names():
-        known = [*list_sky_names(), CLEAR_SKY, ASTM_G173]
-        allowed = "one of " + ", ".join(known) + ", a mapping or a .csv file"
-        raise invalid("sky", spectrum, allowed, suggest_name(spectrum, known))
-    table = _load_snicar_skies()
-    light = table[name].to_numpy()
-    none = np.zeros_like(light)
-    cloudy = name.endswith(CLOUDY_SUFFIX)
-    parts = (none, light) if cloudy else (light, none)
-    source = "SNICAR-ADv3 (Flanner et al. 2021)"
-    zenith = SNICAR_ZENITH_DEG if zenith is None else zenith
-    return Sky(name, source, zenith, table["wavelength_nm"].to_numpy(), *parts, relative=True)
-
-
-def _make_user_sky(name: str, zenith: float | None, columns: list[Any], sha256: str = "") -> Sky:
-    w, direct, diffuse = columns
-    own = Sky(name, "given by the user", SNICAR_ZENITH_DEG, w, direct, diffuse)
-    if zenith is None and own.direct.any():
-        raise invalid(
-            "zenith_deg",
-            None,
-            ZENITH_REQUIREMENT,
-            "splits.sky(…, zenith_deg=50): this sky has direct light",
-        )
-    table = np.stack([own.wavelength_nm, own.direct, own.diffuse])
-    digest = sha256 or hashlib.sha256(table.tobytes()).hexdigest()
-    return replace(own, zenith_deg=own.zenith_deg if zenith is None else zenith, sha256=digest)
-
-
-def _make_clear_sky(zenith: float, atmosphere: Mapping[str, float]) -> Sky:
-    """Return a clear sky after Bird & Riordan (1986), as pvlib has it, or refuse its atmosphere."""
-    air = {
-        name: check_range(name, atmosphere.get(name, default), *limits)
-        for name, (default, limits) in ATMOSPHERE_PARAMETERS.items()
-    }
-    air_mass = import_optional("pvlib.atmosphere", "sky", "clear skies need").get_relative_airmass
-    found = import_optional("pvlib.spectrum", "sky", "clear skies need").spectrl2(
-        apparent_zenith=zenith,
-        aoi=zenith,
-        surface_tilt=0.0,
-        ground_albedo=air["ground_albedo"],
-        surface_pressure=air["pressure_pa"],
-        relative_airmass=air_mass(zenith, model="kasten1966"),
-        precipitable_water=air["precipitable_water_cm"],
-        ozone=air["ozone_atm_cm"],
-        aerosol_turbidity_500nm=air["turbidity_500nm"],
-        dayofyear=80,
-    )
-    direct, diffuse = (np.ravel(found[key]) for key in ("dni", "dhi"))
-    direct = np.maximum(direct, 0.0) * np.cos(np.radians(zenith))
-    given = ", ".join(f"{name} {value:g}" for name, value in air.items())
-    source = f"Bird & Riordan (1986), by pvlib: {given}"
-    w = np.ravel(found["wavelength"])
-    return Sky(CLEAR_SKY, source, zenith, w, direct, np.maximum(diffuse, 0.0))
-
-
-def _make_astm_sky() -> Sky:
-    """Return ASTM G173 for a horizontal surface.
-
-    The standard gives the beam, and the light on a surface that leans towards the sun; what that
-    gets besides the beam is taken as diffuse.
-    """
-    spectrum = import_optional("pvlib.spectrum", "sky", "the standard sky needs")
-    table = spectrum.get_reference_spectra(standard="ASTM G173-03")
-    beam, leaning = table["direct"].to_numpy(), table["global"].to_numpy()
-    facing = np.cos(np.radians(ASTM_ZENITH_DEG - ASTM_TILT_DEG))
-    diffuse = np.maximum(leaning - beam * facing, 0.0)
-    direct = beam * np.cos(np.radians(ASTM_ZENITH_DEG))
-    w = table.index.to_numpy(dtype=float)
-    return Sky(ASTM_G173, "ASTM G173-03, by pvlib", ASTM_ZENITH_DEG, w, direct, diffuse)

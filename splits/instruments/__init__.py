@@ -1,4 +1,4 @@
-"""Virtual instruments: a medium and its illumination in, a labelled dataset with errors out."""
+"""Virtual instruments: from a medium and its illumination to a labelled dataset with errors."""
 
 from splits.instruments.albedo import albedo
 from splits.instruments.beam_spread import beam_spread
@@ -9,7 +9,6 @@ from splits.instruments.irradiance_profile import irradiance_profile
 from splits.instruments.lens import lens
 from splits.instruments.radiation_profile import radiation_profile
 from splits.instruments.single_scattering import single_scattering
-from splits.instruments.spectra import spectra
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.instruments.surface_map import surface_map
 
@@ -23,7 +22,6 @@ __all__ = [
     "lens",
     "radiation_profile",
     "single_scattering",
-    "spectra",
     "spectrophotometer",
     "surface_map",
 ]

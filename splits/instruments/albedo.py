@@ -1,4 +1,4 @@
-"""Albedos under a sky: by wavelength, and over bands, with errors that go together as they do."""
+"""Spectral and band albedo under a sky, with correlated errors propagated."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from splits.instruments.sky_mixing import (
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
-from splits.instruments.spectra import spectra
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_integer, check_threads
@@ -44,76 +43,89 @@ def albedo(
     Parameters
     ----------
     medium : GranularMedium or ParticleMedium, or a mapping
-        Names to media that share paths, as for `splits.spectra`: their differences are known far
-        better than their albedos (`splits.core.uncertainty.compute_difference`).
+        Names to media that share paths, as for `splits.spectrophotometer`: the errors of their
+        differences are much smaller than those of their albedos
+        (`splits.core.uncertainty.compute_difference`).
     sky : Sky, str or mapping
         See `splits.sky`.
     wavelength_nm : array_like, optional
         Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from
         the first of the sky to 2495.
     max_stderr : float
-        Largest standard error wanted at any wavelength, of the light of the sun and of the
-        diffuse light each, 1e-6 to 0.5.
+        Largest standard error at any wavelength, for direct sunlight and for diffuse light each,
+        1e-6 to 0.5.
     seed : int
-        Non-negative; diffuse light takes the next.
+        Non-negative; diffuse light uses the next one.
     bands : mapping or str, optional
-        Names of bands to their ends (nm): ``{"visible": (305, 700)}``; or to how a sensor responds,
+        Names of bands to their limits (nm): ``{"visible": (305, 700)}``; or to a spectral response,
         a mapping of ``wavelength_nm`` and ``response`` or the path of a CSV file with these
         columns; or the name of a sensor, see `splits.sensor_bands`.
     threads : int, optional
-        Default: every CPU this process may use.
+        Default: every CPU that this process may use.
     progress : callable or bool, optional
-        True shows a bar; a function is called now and then with a `Progress`.
+        True shows a progress bar; a function is called periodically with a `Progress`.
 
     Returns
     -------
     xarray.Dataset
         ``albedo`` and its error ``albedo_stderr`` over ``wavelength``, with ``albedo_batches`` for
-        what combines wavelengths; ``direct_fraction`` of the light; and over ``band``, the first of
-        which is "broadband", ``band_albedo`` with ``band_albedo_stderr``, weighted by irradiance
-        times response, ``band_albedo_batches``, and ``irradiance_covered``, the part of the band's
-        light within the wavelengths.  Of several media all but the last are over ``medium``, too.
+        errors of combinations of wavelengths; ``direct_fraction`` of the light; and over ``band``,
+        the first of which is "broadband", ``band_albedo`` with ``band_albedo_stderr``, weighted by
+        irradiance times response, ``band_albedo_batches``, and ``irradiance_covered``, the fraction
+        of the band's light within the wavelengths.  With several media all but the last are over
+        ``medium``, too.
 
     Raises
     ------
     ValueError
-        For a value outside its range, or wavelengths that the sky does not have.
+        For a value outside its range, or wavelengths outside the spectrum of the sky.
     """
-    begun = time.perf_counter()
-    light = as_sky(sky)
-    w = choose_wavelengths(wavelength_nm, light, 2)
+    start_time = time.perf_counter()
+    sky_spectrum = as_sky(sky)
+    wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     seed, threads = check_integer("seed", seed, 0), check_threads(threads)
-    named = light.make_bands(bands)
-    light.check_bands(named, w)
+    named = sky_spectrum.make_bands(bands)
+    sky_spectrum.check_bands(named, wavelengths)
 
-    many = isinstance(medium, Mapping)
+    is_mapping = isinstance(medium, Mapping)
 
-    def run(incidence: float | str, number: int) -> xr.Dataset:
-        measure: Any = spectra if many else spectrophotometer
-        return measure(
-            medium, w, incidence, max_stderr, seed + number, threads=threads, progress=progress
+    def simulate(incidence: float | str, number: int) -> xr.Dataset:
+        return spectrophotometer(
+            medium,
+            wavelengths,
+            incidence,
+            max_stderr,
+            seed + number,
+            threads=threads,
+            progress=progress,
         )
 
-    found = mix_direct_and_diffuse(light, w, run, ["reflectance"])
-    facts = {
+    mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, ["reflectance"])
+    attributes = {
         **make_run_attributes(
-            "Albedo under a sky", "albedo", _get_first_medium(medium), begun, seed, threads
+            "Albedo under a sky", "albedo", _get_first_medium(medium), start_time, seed, threads
         ),
-        **make_sky_attributes(light),
+        **make_sky_attributes(sky_spectrum),
         "max_stderr": max_stderr,
     }
-    facts |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
-    axes = {name: axis for name, axis in found.coords.items() if name != "wavelength"}
-    facts = {name: fact for name, fact in facts.items() if name == "medium" or name not in axes}
-    axes["wavelength"] = make_wavelength_coordinate(w)
-    dims = ("medium", "wavelength") if many else ("wavelength",)
+    attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
+    axes = {name: axis for name, axis in mixed.coords.items() if name != "wavelength"}
+    attributes = {
+        name: fact for name, fact in attributes.items() if name == "medium" or name not in axes
+    }
+    axes["wavelength"] = make_wavelength_coordinate(wavelengths)
+    dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
     spectrum = xr.Dataset(
-        _rename_reflectance("albedo", dims, found, "albedo under this sky"), axes, facts
+        _rename_reflectance("albedo", dims, mixed, "albedo under this sky"), axes, attributes
     )
-    about = {"long_name": "part of the light that comes straight from the sun", "units": "1"}
-    spectrum["direct_fraction"] = ("wavelength", light.compute_direct_fraction(w), about)
-    return spectrum.assign(_average_over_bands(spectrum, light, named)).assign_coords(
+    direct_attributes = {"long_name": "fraction of direct sunlight", "units": "1"}
+    spectrum["direct_fraction"] = (
+        "wavelength",
+        sky_spectrum.compute_direct_fraction(wavelengths),
+        direct_attributes,
+    )
+    return spectrum.assign(_average_over_bands(spectrum, sky_spectrum, named)).assign_coords(
         band=list(named)
     )
 
@@ -125,35 +137,39 @@ def _get_first_medium(medium: Medium | Mapping[str, Medium]) -> Medium:
 def _rename_reflectance(
     name: str, dims: tuple[str, ...], reflectance: xr.Dataset, label: str
 ) -> dict[str, Any]:
-    """Return what was found of reflectance under another name: values, errors and groups."""
+    """Return a reflectance under another name: values, errors and batch deviations."""
     value, error = (
-        reflectance[f"reflectance{end}"].transpose(*dims).values for end in ("", "_stderr")
+        reflectance[f"reflectance{suffix}"].transpose(*dims).values for suffix in ("", "_stderr")
     )
-    groups = reflectance.reflectance_batches.transpose("batch", *dims).values
+    batch_deviations = reflectance.reflectance_batches.transpose("batch", *dims).values
     return make_variable(name, dims, value, error, label) | make_deviation_variable(
-        name, dims, groups, label
+        name, dims, batch_deviations, label
     )
 
 
 def _average_over_bands(
     spectrum: xr.Dataset, sky: Sky, bands: Mapping[str, SpectralBand]
 ) -> dict[str, Any]:
-    """Return the albedo of every band, its error, and how much of the band's light is known."""
-    w = spectrum.wavelength.values
-    value, error, groups, covered = [], [], [], []
+    """Return the albedo of every band, its error, and the fraction of its light that is covered."""
+    wavelengths = spectrum.wavelength.values
+    value, error, batch_deviations, covered = [], [], [], []
     for band in bands.values():
-        weights = sky.compute_weights(w, band)
+        weights = sky.compute_weights(wavelengths, band)
         all_light = sky.compute_weights(sky.wavelength_nm, band).sum()
-        normal = xr.DataArray(weights / weights.sum(), {"wavelength": w}, ("wavelength",))
-        value.append((normal * spectrum.albedo).sum("wavelength").values)
-        error.append(compute_weighted_error(spectrum, "albedo", normal).values)
-        groups.append((normal * spectrum.albedo_batches).sum("wavelength").values)
+        normalized = xr.DataArray(
+            weights / weights.sum(), {"wavelength": wavelengths}, ("wavelength",)
+        )
+        value.append((normalized * spectrum.albedo).sum("wavelength").values)
+        error.append(compute_weighted_error(spectrum, "albedo", normalized).values)
+        batch_deviations.append((normalized * spectrum.albedo_batches).sum("wavelength").values)
         covered.append(weights.sum() / all_light)
     label = "albedo over a band, weighted by irradiance"
-    dims = (*(d for d in spectrum.albedo.dims if d != "wavelength"), "band")
-    found: dict[str, Any] = make_variable(
+    dims = (*(dim for dim in spectrum.albedo.dims if dim != "wavelength"), "band")
+    variables: dict[str, Any] = make_variable(
         "band_albedo", dims, np.stack(value, axis=-1), np.stack(error, axis=-1), label
     )
-    found |= make_deviation_variable("band_albedo", dims, np.stack(groups, axis=-1), label)
-    about = {"long_name": "part of the band's light within the wavelengths", "units": "1"}
-    return found | {"irradiance_covered": ("band", np.array(covered), about)}
+    variables |= make_deviation_variable(
+        "band_albedo", dims, np.stack(batch_deviations, axis=-1), label
+    )
+    attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}
+    return variables | {"irradiance_covered": ("band", np.array(covered), attributes)}

@@ -1,4 +1,4 @@
-"""From coefficients by groups of rays to a BRDF, its errors, and the rays that are still wanted."""
+"""Estimates of BRDFs from coefficients by batch: values, errors, and the rays still needed."""
 
 from __future__ import annotations
 
@@ -16,37 +16,38 @@ from splits.instruments.angular_truncation import (
 )
 
 INTERPOLATION_FACTOR = 8.0
-"""What interpolation between refractive indices misses of a BRDF, relative, in units of its bound
-for a reflectance near 1/2; see `splits.simulation.estimators`."""
+"""Relative error of a BRDF from interpolation between refractive indices, in units of the bound for
+a reflectance near 1/2; see `splits.simulation.estimators`."""
 
 MAX_SPARSE_BATCHES = 8
-"""Groups of rays with light up to which the error is at least that of an even spread."""
+"""Number of batches with light up to which the error is at least that of isotropic light."""
 
 MIN_REFERENCE_FRACTION = 0.05
-"""Part of an even spread of light below which relative errors are not asked for."""
+"""Fraction of an isotropic distribution below which the error is relative to that fraction."""
 
 
 TallyVariances = dict[int, np.ndarray]
-"""Variances by number of the ensemble, each of shape (classes, directions)."""
+"""Variances by number of the tally, each of shape (classes, directions)."""
 
 
 @dataclass(frozen=True)
 class AngularEstimate:
-    """A BRDF and a BTDF so far.
+    """Estimate of a BRDF and a BTDF.
 
     Attributes
     ----------
     mean, stderr : float, shape (2, wavelengths, directions)
-        Reflected and transmitted (1/sr), of light that met a grain.
+        Reflected and transmitted (1/sr), of scattered light.
     stopping_error : float, shape (2, wavelengths, directions)
-        The error by which runs are steered: what was dropped is spread evenly over directions.
+        Error for the stopping rule: the power of dropped terms is distributed evenly over
+        directions.
     hemispherical : float, shape (4, 2, wavelengths)
         Directional-hemispherical reflectance and transmittance, their standard errors, and the
-        same of the part of these that met no grain.
+        same for their unscattered parts.
     degree : int, shape (2, wavelengths)
         Largest degree of a polynomial that was kept.
     truncation_error : float, shape (2, wavelengths, directions)
-        Part of the standard errors that stands for detail finer than the polynomials (1/sr).
+        Part of the standard errors due to detail finer than the polynomials (1/sr).
     """
 
     mean: np.ndarray
@@ -57,7 +58,7 @@ class AngularEstimate:
     truncation_error: np.ndarray
 
     def compute_scattered(self) -> np.ndarray:
-        """Return the reflectance and the transmittance of light that met a grain."""
+        """Return the reflectance and the transmittance of scattered light."""
         return self.hemispherical[0] - self.hemispherical[2]
 
 
@@ -69,7 +70,7 @@ def estimate_brdf(
     side: int,
     direction_mask: np.ndarray,
 ) -> tuple[AngularEstimate, list[TallyVariances]]:
-    """Estimate BRDF and BTDF, and how much each class adds to their variance.
+    """Estimate BRDF and BTDF, and the contributions of classes to their variance.
 
     Parameters
     ----------
@@ -82,94 +83,106 @@ def estimate_brdf(
     side : int
         0 reflected, 1 transmitted; for the variances.
     direction_mask : bool, shape (directions,)
-        Directions whose variances are wanted.
+        Directions of the variances.
 
     Returns
     -------
-    Estimate
+    AngularEstimate
     variance : list of TallyVariances
-        For each wavelength, what the classes of the ensembles it draws on add to the variance.
+        For each wavelength, the contributions of the classes of its tallies to the variance.
     """
-    mean, stderr, steering, beyond = np.zeros(
+    mean, stderr, stopping_error, truncation_error = np.zeros(
         (4, 2, len(interpolation_bound), len(directions.polynomials))
     )
     sums = np.zeros((4, 2, len(interpolation_bound)))
     degree = np.zeros((2, len(interpolation_bound)), dtype=int)
     variance: list[TallyVariances] = []
-    for column in range(len(interpolation_bound)):
-        drawn = [i for i, e in enumerate(tallies) if column in e.wavelength_rows]
-        parts = [tallies[i].compute_coefficients(column) for i in drawn]
-        together = np.sum(parts, axis=0)
-        straight = np.sum([tallies[i].compute_unscattered(column) for i in drawn], axis=0)
-        keep = select_terms(together, directions.basis, axisymmetric)
-        shares = {}
-        for i, part in zip(drawn, parts, strict=True):
-            one = (
-                np.where(keep[:, side], part[:, :, side], 0.0)
+    for wavelength in range(len(interpolation_bound)):
+        used = [
+            number for number, tally in enumerate(tallies) if wavelength in tally.wavelength_rows
+        ]
+        coefficients = [tallies[number].compute_coefficients(wavelength) for number in used]
+        total = np.sum(coefficients, axis=0)
+        unscattered = np.sum(
+            [tallies[number].compute_unscattered(wavelength) for number in used], axis=0
+        )
+        keep = select_terms(total, directions.basis, axisymmetric)
+        class_variances = {}
+        for number, coefficient in zip(used, coefficients, strict=True):
+            values_by_class = (
+                np.where(keep[:, side], coefficient[:, :, side], 0.0)
                 @ directions.polynomials[direction_mask].T
             )
-            shares[i] = one.var(axis=0, ddof=1) / N_ANGULAR_BATCHES
-        variance.append(shares)
-        values = np.where(keep, together, 0.0).sum(axis=1) @ directions.polynomials.T
-        mean[:, column] = values.mean(axis=0)
-        stated, steered, beyond[:, column] = compute_truncation_errors(
-            compute_batch_stderr(values), together, keep, directions, axisymmetric
+            class_variances[number] = values_by_class.var(axis=0, ddof=1) / N_ANGULAR_BATCHES
+        variance.append(class_variances)
+        values = np.where(keep, total, 0.0).sum(axis=1) @ directions.polynomials.T
+        mean[:, wavelength] = values.mean(axis=0)
+        total_error, stopping, truncation_error[:, wavelength] = compute_truncation_errors(
+            compute_batch_stderr(values), total, keep, directions, axisymmetric
         )
-        counts = np.min([tallies[i].count_rays() for i in drawn], axis=0)
-        light = together[..., 0].sum(axis=1) / directions.basis.norms[0]
-        sums[:, :, column], few, unseen = _compute_hemispherical(light, straight, counts)
-        stderr[:, column] = np.hypot(stated, few[:, np.newaxis] / np.pi)
-        steering[:, column] = np.hypot(steered, unseen[:, np.newaxis] / np.pi)
-        degree[:, column] = np.where(keep, directions.basis.degrees, 0).max(axis=(0, -1))
-    missed = INTERPOLATION_FACTOR * interpolation_bound[:, np.newaxis] * mean
+        n_rays = np.min([tallies[number].count_rays() for number in used], axis=0)
+        scattered = total[..., 0].sum(axis=1) / directions.basis.norms[0]
+        sums[:, :, wavelength], sparse_error, unsampled_error = _compute_hemispherical(
+            scattered, unscattered, n_rays
+        )
+        stderr[:, wavelength] = np.hypot(total_error, sparse_error[:, np.newaxis] / np.pi)
+        stopping_error[:, wavelength] = np.hypot(stopping, unsampled_error[:, np.newaxis] / np.pi)
+        degree[:, wavelength] = np.where(keep, directions.basis.degrees, 0).max(axis=(0, -1))
+    interpolation_error = INTERPOLATION_FACTOR * interpolation_bound[:, np.newaxis] * mean
     sums[1::2] = np.hypot(sums[1::2], bound_interpolation_error(interpolation_bound, sums[::2]))
-    stderr, steering = np.hypot(stderr, missed), np.hypot(steering, missed)
-    return AngularEstimate(mean, stderr, steering, sums, degree, beyond), variance
+    stderr, stopping_error = (
+        np.hypot(stderr, interpolation_error),
+        np.hypot(stopping_error, interpolation_error),
+    )
+    return AngularEstimate(mean, stderr, stopping_error, sums, degree, truncation_error), variance
 
 
 def _compute_hemispherical(
     scattered: np.ndarray, unscattered: np.ndarray, n_rays: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the sums of an `AngularEstimate` at one wavelength, and light that its errors must allow for.
+    """Return the sums of an `AngularEstimate` at one wavelength, and allowances for sparse light.
 
-    Nothing seen is not certainty: it is as if one more ray had come, from no matter where.  Nor
-    does the scatter of a few rays tell their errors where the polynomials cross 0.
+    If no light was recorded, the error is that of one more ray in an unknown direction.  The
+    scatter of a few rays underestimates the error where the polynomials are 0, so that an allowance
+    is made for them, too.
 
     Parameters
     ----------
-    scattered, unscattered : float, shape (groups, 2)
-        Light that met a grain, and that met none.
+    scattered, unscattered : float, shape (batches, 2)
+        Scattered and unscattered light.
     n_rays : int, shape (classes,)
         Rays.
 
     Returns
     -------
     sums : float, shape (4, 2)
-    few, unseen : float, shape (2,)
-        What was seen in too few groups, or not at all; only the latter steers a run.
+    sparse, unsampled : float, shape (2,)
+        Light recorded in too few batches, or not at all; only the latter enters the stopping rule.
     """
-    whole = scattered + unscattered
-    seen = scattered.astype(bool).sum(axis=0)
-    unseen = np.where(seen == 0, 1.0 / n_rays[-1], 0.0)
-    few = np.where(seen <= MAX_SPARSE_BATCHES, scattered.mean(axis=0), 0.0)
-    errors = np.hypot(compute_batch_stderr(whole), unseen)
-    sharp = np.hypot(compute_batch_stderr(unscattered), ~unscattered.any(axis=0) / n_rays[0])
-    sums = np.array([whole.mean(axis=0), errors, unscattered.mean(axis=0), sharp])
-    return sums, unseen + few, unseen
+    total = scattered + unscattered
+    n_nonzero = scattered.astype(bool).sum(axis=0)
+    unsampled = np.where(n_nonzero == 0, 1.0 / n_rays[-1], 0.0)
+    sparse = np.where(n_nonzero <= MAX_SPARSE_BATCHES, scattered.mean(axis=0), 0.0)
+    errors = np.hypot(compute_batch_stderr(total), unsampled)
+    unscattered_errors = np.hypot(
+        compute_batch_stderr(unscattered), ~unscattered.any(axis=0) / n_rays[0]
+    )
+    sums = np.array([total.mean(axis=0), errors, unscattered.mean(axis=0), unscattered_errors])
+    return sums, unsampled + sparse, unsampled
 
 
 def bound_interpolation_error(interpolation_bound: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return what interpolation may miss of hemispherical quantities, as the spectrophotometer."""
+    """Return a bound on the interpolation error of hemispherical quantities."""
     return interpolation_bound * np.clip(8.0 * value * (1.0 - value), 0.0, 1.0)
 
 
 def compute_error_reference(estimate: AngularEstimate) -> np.ndarray:
-    """Return what relative errors refer to, shape (2, wavelengths, directions).
+    """Return the reference of relative errors, shape (2, wavelengths, directions).
 
-    The value, or a twentieth of what it would be if the light were spread evenly, where it is less.
+    It is the value, or 1/20 of that of an isotropic distribution, whichever is larger.
     """
-    even = estimate.compute_scattered()[..., np.newaxis] / np.pi
-    return np.maximum(estimate.mean, MIN_REFERENCE_FRACTION * even)
+    isotropic = estimate.compute_scattered()[..., np.newaxis] / np.pi
+    return np.maximum(estimate.mean, MIN_REFERENCE_FRACTION * isotropic)
 
 
 def compute_max_relative_error(
@@ -179,15 +192,17 @@ def compute_max_relative_error(
     *,
     use_stopping_error: bool = False,
 ) -> float:
-    """Return the largest relative error of one side; wavelengths without light do not count.
+    """Return the largest relative error of one side, over wavelengths with light.
 
-    Of the errors stated, or of those that steer.
+    It is that of the standard errors, or of the errors for the stopping rule.
     """
     stderr = (estimate.stopping_error if use_stopping_error else estimate.stderr)[side][
         :, direction_mask
     ]
-    scale = compute_error_reference(estimate)[side][:, direction_mask]
-    return float(np.divide(stderr, scale, out=np.zeros_like(scale), where=scale > 0.0).max())
+    reference = compute_error_reference(estimate)[side][:, direction_mask]
+    return float(
+        np.divide(stderr, reference, out=np.zeros_like(reference), where=reference > 0.0).max()
+    )
 
 
 def allocate_angular_rays(
@@ -195,12 +210,12 @@ def allocate_angular_rays(
     variance: Sequence[TallyVariances],
     target_variances: np.ndarray,
 ) -> np.ndarray:
-    """Return the rays that every level should have for the least cost, ensemble by ensemble.
+    """Return the rays of every stratum for the least cost, tally by tally.
 
-    With V the variance per ray and c the legs that a ray spends in a class, Σ V/M reaches a target
-    at the least Σ c·M for M = √(V/c)·Σ √(V·c)/target (Neyman's allocation), M being the rays that
-    a class listens to; every direction has its say.  Rays serve all classes up to that of their
-    level, so M may only fall from class to class.
+    With V the variance per ray and c the segments of a ray in a class, Σ V/M reaches a target at
+    the least Σ c·M for M = √(V/c)·Σ √(V·c)/target (Neyman's allocation), M being the rays that
+    contribute to a class; the largest M over directions is taken.  Rays contribute to all classes
+    up to that of their stratum, so M must not increase from class to class.
 
     Parameters
     ----------
@@ -210,17 +225,17 @@ def allocate_angular_rays(
     target_variances : float, shape (wavelengths, directions)
         Variances to reach.
     """
-    counts = np.array([e.count_rays() for e in tallies])[:, :, np.newaxis]
-    costs = np.array([e.compute_class_costs() for e in tallies])[:, :, np.newaxis]
-    listened = np.zeros(counts.shape[:2])
-    for shares, goal in zip(variance, target_variances, strict=True):
-        rows = list(shares)
-        per_ray = np.stack([shares[i] for i in rows]) * counts[rows]
-        need = np.sqrt(per_ray * costs[rows]).sum(axis=(0, 1))
-        # Where no light goes no rays are asked for.
-        factor = np.divide(need, goal, out=np.zeros_like(need), where=goal > 0.0)
-        asked = (np.sqrt(per_ray / costs[rows]) * factor).max(axis=-1)
-        listened[rows] = np.maximum(listened[rows], asked)
-    listened = np.maximum.accumulate(listened[:, ::-1], axis=1)[:, ::-1]
-    own = -np.diff(listened, axis=1, append=0.0)
-    return np.maximum(np.ceil(1.1 * own.ravel() / RAYS_PER_ROUND), 1.0) * RAYS_PER_ROUND
+    n_rays = np.array([tally.count_rays() for tally in tallies])[:, :, np.newaxis]
+    costs = np.array([tally.compute_class_costs() for tally in tallies])[:, :, np.newaxis]
+    target_rays = np.zeros(n_rays.shape[:2])
+    for class_variances, target in zip(variance, target_variances, strict=True):
+        rows = list(class_variances)
+        per_ray = np.stack([class_variances[number] for number in rows]) * n_rays[rows]
+        root_cost = np.sqrt(per_ray * costs[rows]).sum(axis=(0, 1))
+        # Directions without light need no rays.
+        factor = np.divide(root_cost, target, out=np.zeros_like(root_cost), where=target > 0.0)
+        required_rays = (np.sqrt(per_ray / costs[rows]) * factor).max(axis=-1)
+        target_rays[rows] = np.maximum(target_rays[rows], required_rays)
+    target_rays = np.maximum.accumulate(target_rays[:, ::-1], axis=1)[:, ::-1]
+    stratum_rays = -np.diff(target_rays, axis=1, append=0.0)
+    return np.maximum(np.ceil(1.1 * stratum_rays.ravel() / RAYS_PER_ROUND), 1.0) * RAYS_PER_ROUND

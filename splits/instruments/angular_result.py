@@ -1,4 +1,4 @@
-"""What the estimators of a goniophotometer found, in one form."""
+"""Common result of the estimators of a goniophotometer."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from splits.instruments.angular_bins import (
     estimate_bin_stokes,
 )
 from splits.instruments.angular_estimate import AngularEstimate
-from splits.instruments.next_event import DetectorResult, StoppingRule
+from splits.instruments.detector_tally import DetectorResult
+from splits.instruments.next_event import StoppingRule
 from splits.simulation.runner import Runner
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Tally
 
 
 class AngularResult(NamedTuple):
-    """What an estimator found: result, what stopped it, rays, their paths, polarization.
+    """Result of an estimator: estimate, stop reason, rays, tallies, polarization.
 
-    `undefined_variables` are variables of which it tells nothing.
+    `undefined_variables` are variables that the estimator does not provide.
     """
 
     estimate: AngularEstimate
@@ -38,7 +39,7 @@ class AngularResult(NamedTuple):
 def make_angular_attributes(
     result: AngularResult, stopping_rule: StoppingRule, nodes: IndexNodes, runner: Runner
 ) -> dict[str, Any]:
-    """Return what was asked of an estimator, what stopped it, and what it spent."""
+    """Return the attributes of the estimator, its stop reason and its cost."""
     return {
         "relative_stderr": stopping_rule.relative_stderr,
         "max_rays": stopping_rule.max_rays,
@@ -52,43 +53,49 @@ def make_angular_attributes(
 
 
 def count_traced_rays(tallies: Sequence[Tally]) -> int:
-    """Return how many rays were traced."""
-    return sum(level.n_rays for one in tallies for level in one.strata)
+    """Return the number of rays traced."""
+    return sum(stratum.n_rays for tally in tallies for stratum in tally.strata)
 
 
 def from_detectors(detector_result: DetectorResult, wavelengths: np.ndarray) -> AngularResult:
-    """Return what local estimation found."""
+    """Return the result of next-event estimation."""
     stokes = detector_result.to_stokes(len(wavelengths)) if detector_result.polarized else {}
-    # A bottom hears light at other angles than detectors outside would.
-    unseen = () if detector_result.has_lower_side else ("btdf",)
-    result = detector_result.to_angular_estimate(len(wavelengths))
+    # Light that reaches the bottom has other angles than at detectors outside.
+    undefined = () if detector_result.has_lower_side else ("btdf",)
+    estimate = detector_result.to_angular_estimate(len(wavelengths))
     return AngularResult(
-        result, detector_result.stop_reason, detector_result.n_rays, (), stokes, unseen
+        estimate, detector_result.stop_reason, detector_result.n_rays, (), stokes, undefined
     )
 
 
 def estimate_by_bins(
     runner: Runner, nodes: IndexNodes, absorption: np.ndarray, n_bins: tuple[int, int], n_rays: int
 ) -> AngularResult:
-    """Trace so many rays and count them in cells."""
-    paths = [
-        AngularBinTally(number, m, absorption, w, n_bins, runner.tracer.stokes_columns)
-        for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
+    """Trace a number of rays and count them in angular bins."""
+    tallies = [
+        AngularBinTally(number, indices, absorption, weights, n_bins, runner.tracer.stokes_columns)
+        for number, (indices, weights) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
-    each = -(-n_rays // len(paths))
-    runner.trace([(e, level, each) for e in paths for level in e.strata], 1.0, 0.0)
-    result = estimate_bin_brdf(paths, nodes.interpolation_bound)
+    rays_per_tally = -(-n_rays // len(tallies))
+    runner.trace(
+        [(tally, stratum, rays_per_tally) for tally in tallies for stratum in tally.strata],
+        1.0,
+        0.0,
+    )
+    estimate = estimate_bin_brdf(tallies, nodes.interpolation_bound)
     return AngularResult(
-        result, "max_rays", count_traced_rays(paths), paths, estimate_bin_stokes(paths)
+        estimate, "max_rays", count_traced_rays(tallies), tallies, estimate_bin_stokes(tallies)
     )
 
 
 def relabel_for_diffuse_light(dataset: xr.Dataset) -> xr.Dataset:
-    """Return in the terms of diffuse light what was found of a BRDF's place in it."""
-    found = dataset
+    """Return a dataset with the quantities and terms for diffuse illumination."""
+    relabelled = dataset
     if "btdf" in dataset:
-        for end in ("", "_stderr"):
-            found = found.assign({f"transmittance_factor{end}": np.pi * found[f"btdf{end}"]})
+        for suffix in ("", "_stderr"):
+            relabelled = relabelled.assign(
+                {f"transmittance_factor{suffix}": np.pi * relabelled[f"btdf{suffix}"]}
+            )
     terms = {
         "reflectance_factor": "hemispherical-directional reflectance factor",
         "transmittance_factor": "hemispherical-directional transmittance factor",
@@ -96,12 +103,12 @@ def relabel_for_diffuse_light(dataset: xr.Dataset) -> xr.Dataset:
         "transmittance": "bihemispherical transmittance",
     }
     for name, term in terms.items():
-        if name in found:
-            about = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
-            found[name].attrs = about
-            found[f"{name}_stderr"].attrs = {
+        if name in relabelled:
+            attributes = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
+            relabelled[name].attrs = attributes
+            relabelled[f"{name}_stderr"].attrs = {
                 "long_name": f"standard error of {term}", "units": "1"
             }  # fmt: skip
-    beams = ("brdf", "btdf", "specular_reflectance", "direct_transmittance")
-    names = [name + end for name in beams for end in ("", "_stderr")]
-    return found.drop_vars([name for name in names if name in found])
+    beam_quantities = ("brdf", "btdf", "specular_reflectance", "direct_transmittance")
+    names = [name + suffix for name in beam_quantities for suffix in ("", "_stderr")]
+    return relabelled.drop_vars([name for name in names if name in relabelled])

@@ -1,10 +1,10 @@
-"""Ensembles of a goniophotometer: where light goes, by order of scattering.
+"""Tallies of a goniophotometer: polynomial coefficients by order of scattering.
 
-Few scatterings carry the structure of a BRDF and cost little; many make most of the light, cost
-most, and are nearly diffuse.  Orders of scattering are therefore grouped in classes.  Rays of a
-level are given up after the last order of its class: they serve that class and all before it, so
-that early classes can have many times the rays of the late ones (correlated through the paths they
-share, which errors from groups of rays account for).
+Low orders of scattering produce the structure of a BRDF and cost little; high orders make most of
+the light, cost most, and are nearly diffuse.  Orders of scattering are therefore grouped in
+classes. Rays of a stratum are terminated after the last order of its class: they contribute to that
+class and all before it, so that low classes can have many times the rays of the high ones
+(correlated through common paths, which errors from batches account for).
 """
 
 from __future__ import annotations
@@ -24,44 +24,44 @@ ORDER_CLASSES = (2, 8, 32, 128, NO_MAX_ORDER)
 """Largest order of scattering of each class."""
 
 N_ANGULAR_BATCHES = 64
-"""Equal parts of all rays, between which errors are estimated: to 9 %."""
+"""Number of batches for the estimation of errors, to 9 %."""
 
 RAYS_PER_ROUND = N_ANGULAR_BATCHES * RAYS_PER_CHUNK
-"""Rays of a level come in multiples of this."""
+"""The rays of a stratum are a multiple of this."""
 
 
 ExpansionScore = tuple[int, np.ndarray, np.ndarray]
-"""What a batch yields: group, sums of polynomials, sums of weights that met no grain."""
+"""Score of a chunk: batch, sums of polynomials, sums of unscattered weights."""
 
 
 class ExpansionTally:
-    """Paths traced with one set of refractive indices, and where they lead.
+    """Tally of paths traced with one set of refractive indices, by direction of exit.
 
     Parameters
     ----------
-    number : int
-        Names the random streams.
+    stream_index : int
+        Position among the tallies of a run, which determines the random streams.
     index : complex, shape (materials,)
     absorption : float, shape (wavelengths, materials)
         Absorption coefficients (1/m) of all wavelengths.
     weights : float, shape (wavelengths,)
-        How much each wavelength draws on this ensemble.
+        Weight of this tally at each wavelength.
     basis : DiskBasis
-    classes : sequence of int
+    max_orders : sequence of int
         Largest order of scattering of each class, the last `NO_MAX_ORDER`.
     exclude_unscattered : bool
-        Light that met no grain leaves as a beam, so that polynomials leave it out; of diffuse
-        light they do not.
+        Unscattered light of a beam leaves as a beam and is excluded from the polynomials; that of
+        diffuse light is included.
 
     Attributes
     ----------
     strata : list of Stratum
         One for each class.
     wavelength_rows : dict
-        Rows of the wavelengths that draw on this ensemble in the arrays below.
-    coefficient_sums : float, shape (groups, classes, 2, rows, polynomials)
+        Rows of the wavelengths that use this tally in the arrays below.
+    coefficient_sums : float, shape (batches, classes, 2, rows, polynomials)
         See `splits.kernels.tallies.angular.tally_expansion`.
-    unscattered_sums : float, shape (groups, 2, rows)
+    unscattered_sums : float, shape (batches, 2, rows)
     """
 
     def __init__(
@@ -74,73 +74,77 @@ class ExpansionTally:
         max_orders: Sequence[int] = ORDER_CLASSES,
         exclude_unscattered: bool = True,
     ) -> None:
-        served = weights > 0.0
-        self.absorption = absorption[served]
+        wavelength_mask = weights > 0.0
+        self.absorption = absorption[wavelength_mask]
         self.weights = weights
         self.wavelength_rows = {
-            int(column): row for row, column in enumerate(np.flatnonzero(served))
+            int(column): row for row, column in enumerate(np.flatnonzero(wavelength_mask))
         }
         self.basis = basis
         self.exclude_unscattered = exclude_unscattered
         self.max_orders = np.array(max_orders, dtype=np.int64)
-        rows = len(self.wavelength_rows)
+        n_rows = len(self.wavelength_rows)
         self.coefficient_sums = np.zeros(
-            (N_ANGULAR_BATCHES, len(max_orders), 2, rows, basis.norms.size)
+            (N_ANGULAR_BATCHES, len(max_orders), 2, n_rows, basis.norms.size)
         )
-        self.unscattered_sums = np.zeros((N_ANGULAR_BATCHES, 2, rows))
+        self.unscattered_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows))
         optics = make_bounding_optics(index, self.absorption)
-        first = random_streams.ANGULAR_EXPANSION + stream_index * len(max_orders)
+        first_stream = random_streams.ANGULAR_EXPANSION + stream_index * len(max_orders)
         self.strata = [
-            Stratum(first + i, optics, served, min(3.0 * most, 400.0), most)
-            for i, most in enumerate(max_orders)
+            Stratum(
+                first_stream + i, optics, wavelength_mask, min(3.0 * max_order, 400.0), max_order
+            )
+            for i, max_order in enumerate(max_orders)
         ]
 
     def count_score_values(self) -> int:
-        """Return how many numbers a tally holds."""
+        """Return the number of values in the score of a chunk."""
         return int(self.coefficient_sums[0].size + self.unscattered_sums[0].size)
 
     def score_chunk(
         self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
     ) -> ExpansionScore:
-        """Return the sums of a batch of exits of a level."""
-        heard = self.max_orders[self.max_orders <= stratum.max_order]
+        """Return the sums of a chunk of exits of a stratum."""
+        scored_orders = self.max_orders[self.max_orders <= stratum.max_order]
         if not self.exclude_unscattered:
             exits[:, EXIT_ORDER] = np.maximum(exits[:, EXIT_ORDER], 1.0)
         return (first_ray // RAYS_PER_CHUNK) % N_ANGULAR_BATCHES, *tally_expansion(
-            exits, self.absorption, heard, self.basis
+            exits, self.absorption, scored_orders, self.basis
         )
 
     def add_scores(self, stratum: Stratum, scores: Sequence[ExpansionScore]) -> None:
-        """Add the sums of batches one by one: they do not depend on who traced them."""
+        """Add the sums of chunks one by one: they do not depend on the threads."""
         stratum.n_rays += RAYS_PER_CHUNK * len(scores)
-        for group, sums, straight in scores:
-            self.coefficient_sums[group, : len(sums)] += sums
-            self.unscattered_sums[group] += straight
+        for batch, sums, unscattered in scores:
+            self.coefficient_sums[batch, : len(sums)] += sums
+            self.unscattered_sums[batch] += unscattered
 
     def count_rays(self) -> np.ndarray:
-        """Return the rays that each class listens to, shape (classes,)."""
-        rays = np.array([level.n_rays for level in self.strata])
+        """Return the rays that contribute to each class, shape (classes,)."""
+        rays = np.array([stratum.n_rays for stratum in self.strata])
         return np.cumsum(rays[::-1])[::-1]
 
     def compute_coefficients(self, wavelength: int) -> np.ndarray:
-        """Return its part of a wavelength's coefficients, shape (groups, classes, 2, …)."""
-        each = (self.count_rays() / N_ANGULAR_BATCHES)[:, np.newaxis, np.newaxis]
+        """Return the contribution to a wavelength's coefficients, (batches, classes, 2, …)."""
+        rays_per_batch = (self.count_rays() / N_ANGULAR_BATCHES)[:, np.newaxis, np.newaxis]
         return (
             self.weights[wavelength]
             * self.coefficient_sums[:, :, :, self.wavelength_rows[wavelength]]
-            / each
+            / rays_per_batch
         )
 
     def compute_unscattered(self, wavelength: int) -> np.ndarray:
-        """Return its part of a wavelength's light that met no grain, shape (groups, 2)."""
-        each = self.count_rays()[0] / N_ANGULAR_BATCHES
+        """Return the contribution to a wavelength's unscattered light, shape (batches, 2)."""
+        rays_per_batch = self.count_rays()[0] / N_ANGULAR_BATCHES
         return (
             self.weights[wavelength]
             * self.unscattered_sums[:, :, self.wavelength_rows[wavelength]]
-            / each
+            / rays_per_batch
         )
 
     def compute_class_costs(self) -> np.ndarray:
-        """Return the legs of a ray within each class, shape (classes,)."""
-        legs = np.array([level.n_segments / max(level.n_rays, 1) for level in self.strata])
-        return np.maximum(np.diff(legs, prepend=-1.0), 0.01)
+        """Return the segments of a ray within each class, shape (classes,)."""
+        n_segments = np.array(
+            [stratum.n_segments / max(stratum.n_rays, 1) for stratum in self.strata]
+        )
+        return np.maximum(np.diff(n_segments, prepend=-1.0), 0.01)

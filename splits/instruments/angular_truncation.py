@@ -1,4 +1,4 @@
-"""How much detail coefficients of a BRDF support, and what errors the rest of it leaves."""
+"""Selection of expansion terms and the truncation error."""
 
 from __future__ import annotations
 
@@ -9,30 +9,31 @@ import numpy as np
 from splits.kernels.tallies.angular import DiskBasis, evaluate_basis_at
 
 VARIANCE_PENALTY = 4.0
-"""Variances by which coefficients' squares must on average exceed 0 to be kept.  From 1 on, what
-one adds in noise is less than what it takes away in bias; 1 more because its square holds its
-noise; the rest because the best of many choices is taken."""
+"""Number of variances by which the squares of coefficients must on average exceed 0 to be kept.
+From 1 on, the noise added by a term is less than the bias removed; 1 more because the square
+contains the noise; the rest because the best of many choices is taken."""
 
 N_ALWAYS_KEPT = 3
-"""Polynomials that are kept in any case: the constant one and its neighbours with m = 0."""
+"""Polynomials that are always kept: the constant one and its neighbours with m = 0."""
 
 BAND_DEGREES = 4
-"""Degrees whose power is compared with that of as many below, to tell what lies beyond."""
+"""Degrees of a band, whose power is compared with that of the band below for extrapolation."""
 SIGNIFICANCE_SIGMA = 4.0
-"""Standard deviations of a normal variable that something found by chance exceeds as rarely as
-coefficients must that are to tell of what lies beyond the polynomials."""
+"""Significance, in standard deviations of a normal variable, of coefficients from which finer
+detail is extrapolated."""
 MAX_POWER_RATIO = 0.95
-"""Largest ratio of these powers to go on with."""
+"""Largest ratio of these powers in the extrapolation."""
 POWER_MARGIN_SIGMA = 2.0
-"""Standard errors of noise alone by which a power may be raised and the one before it lowered."""
+"""Standard errors of noise by which a power may be raised and the one before it lowered."""
 NOISE_ALLOWANCE_SIGMA = 1.0
-"""Standard errors of noise alone that are taken off the power of what was dropped.  Noise makes
-it positive half of the time: counted in full, errors are a quarter too large where nothing is."""
+"""Standard errors of noise that are subtracted from the power of dropped terms.  Noise makes it
+positive half of the time: without the allowance, errors are a quarter too large where
+it is zero."""
 
 
 @dataclass(frozen=True)
 class DirectionGrid:
-    """Directions in which results are wanted, azimuth running fastest.
+    """Directions of the results, azimuth running fastest.
 
     Attributes
     ----------
@@ -56,50 +57,50 @@ def make_direction_grid(
 
 
 def select_terms(coefficients: np.ndarray, basis: DiskBasis, axisymmetric: bool) -> np.ndarray:
-    """Tell which polynomials the data support, bool[…, polynomials].
+    """Return which polynomials the data support, bool[…, polynomials].
 
-    Of each coefficient, the square it really has is lost if it is dropped, and its variance is
-    gained if it is kept.  For each m those up to some l are kept, and never more for a higher m:
-    the choice of largest gain, and its neighbours: what has only just been out of sight is what
-    errors should cover.  The constant one always stays: it is the hemispherical reflectance.
+    Dropping a coefficient loses the square of its true value, keeping it adds its variance.  For
+    each m, terms up to some l are kept, and never more for a higher m: the choice of largest gain,
+    and its neighbours, which the error estimate should cover.  The constant term is always kept: it
+    is the hemispherical reflectance.
 
     Parameters
     ----------
-    coefficients : float, shape (groups, …, polynomials)
+    coefficients : float, shape (batches, …, polynomials)
     basis : DiskBasis
     axisymmetric : bool
-        The beam is normal to the surface, so that only m = 0 can be.
+        Whether the beam is normal to the surface, so that only m = 0 occurs.
     """
     mean = coefficients.mean(axis=0)
     variance = coefficients.var(axis=0, ddof=1) / len(coefficients)
-    # Where there is no light, nothing is gained by keeping anything.
+    # Without light, no term has a gain.
     gain = mean**2 - VARIANCE_PENALTY * variance - np.finfo(float).tiny
-    tallest = basis.n_per_m[0]
+    max_terms = basis.n_per_m[0]
     orders = basis.n_per_m[:1] if axisymmetric else basis.n_per_m
-    # Best total gain of m and all higher ones, if m keeps at most so many.
-    best = np.zeros((len(orders) + 1, *mean.shape[:-1], tallest + 1))
+    # Best total gain of m and all higher ones, by the largest number of terms of m.
+    best = np.zeros((len(orders) + 1, *mean.shape[:-1], max_terms + 1))
     choice = np.zeros(best.shape, dtype=int)
-    heights = np.arange(tallest + 1)
+    n_terms = np.arange(max_terms + 1)
     ends = np.cumsum(basis.n_per_m)
     for m in reversed(range(len(orders))):
-        part = slice(ends[m] - orders[m], ends[m])
-        gained = np.full(best.shape[1:], -np.inf)
-        gained[..., 0] = 0.0
-        gained[..., 1 : orders[m] + 1] = np.cumsum(gain[..., part], axis=-1)
-        gained += best[m + 1]
-        best[m] = np.maximum.accumulate(gained, axis=-1)
-        choice[m] = np.maximum.accumulate(np.where(gained == best[m], heights, 0), axis=-1)
+        terms = slice(ends[m] - orders[m], ends[m])
+        gains = np.full(best.shape[1:], -np.inf)
+        gains[..., 0] = 0.0
+        gains[..., 1 : orders[m] + 1] = np.cumsum(gain[..., terms], axis=-1)
+        gains += best[m + 1]
+        best[m] = np.maximum.accumulate(gains, axis=-1)
+        choice[m] = np.maximum.accumulate(np.where(gains == best[m], n_terms, 0), axis=-1)
     keep = np.zeros(mean.shape, dtype=bool)
-    height = np.full(mean.shape[:-1], tallest)
-    above = np.zeros_like(height)
+    n_kept = np.full(mean.shape[:-1], max_terms)
+    previous = np.zeros_like(n_kept)
     for m in range(len(orders)):
-        part = slice(ends[m] - orders[m], ends[m])
-        height = np.take_along_axis(choice[m], height[..., np.newaxis], axis=-1)[..., 0]
-        height = np.maximum(height, m == 0)
+        terms = slice(ends[m] - orders[m], ends[m])
+        n_kept = np.take_along_axis(choice[m], n_kept[..., np.newaxis], axis=-1)[..., 0]
+        n_kept = np.maximum(n_kept, m == 0)
         # One more where some are kept, and two of the rotationally symmetric ones.
-        kept = np.maximum(height + (height > 0) + (m == 0), above)
-        keep[..., part] = np.arange(orders[m]) < kept[..., np.newaxis]
-        above = height
+        kept = np.maximum(n_kept + (n_kept > 0) + (m == 0), previous)
+        keep[..., terms] = np.arange(orders[m]) < kept[..., np.newaxis]
+        previous = n_kept
     return keep
 
 
@@ -110,19 +111,19 @@ def compute_truncation_errors(
     directions: DirectionGrid,
     axisymmetric: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return standard errors with detail that was dropped: stated, for steering, and what is finer.
+    """Return standard errors with truncation: total, for the stopping rule, and of finer detail.
 
-    What was dropped adds up where what was kept does, class by class or, of the detail that classes
-    have in common, in their sum, whichever is more.  Of an even spread it counts as far as noise
-    does not feign it, and beyond that, in lobes, in full.  To steer, it is spread evenly, noise and
-    all, so that no run stops early.  A lobe of which nothing is kept shows nowhere: its error
-    remains spread evenly.
+    The power of dropped terms is added where the kept terms are large, by class or, for detail that
+    classes have in common, for their sum, whichever is more.  Up to an even distribution it counts
+    after subtraction of the noise allowance; above, in lobes, in full.  For the stopping rule it is
+    distributed evenly, including noise, so that no run stops early.  The error of a lobe of which
+    no term is kept remains distributed evenly.
 
     Parameters
     ----------
     noise_stderr : float, shape (2, directions)
-        Standard errors of what was kept as groups of rays tell them.
-    coefficients : float, shape (groups, classes, 2, polynomials)
+        Standard errors of the kept terms from batches.
+    coefficients : float, shape (batches, classes, 2, polynomials)
     term_mask : bool, shape (classes, 2, polynomials)
         See `select_terms`.
     directions : DirectionGrid
@@ -131,41 +132,45 @@ def compute_truncation_errors(
 
     Returns
     -------
-    stderr, steering, beyond : float, shape (2, directions)
+    stderr, stopping_error, truncation_error : float, shape (2, directions)
         See `splits.instruments.angular_estimate.AngularEstimate`.
     """
-    kept, rest = np.where(term_mask, coefficients, 0.0), np.where(term_mask, 0.0, coefficients)
-    (apart, less), (common, less_common) = (
+    kept, dropped = np.where(term_mask, coefficients, 0.0), np.where(term_mask, 0.0, coefficients)
+    (class_power, reduced_class_power), (sum_power, reduced_sum_power) = (
         [
-            estimate_dropped_power(one, axisymmetric, directions.basis, doubt)
-            for doubt in (0.0, NOISE_ALLOWANCE_SIGMA)
+            estimate_dropped_power(terms, axisymmetric, directions.basis, noise_sigma)
+            for noise_sigma in (0.0, NOISE_ALLOWANCE_SIGMA)
         ]
-        for one in (rest, rest.sum(axis=1))
+        for terms in (dropped, dropped.sum(axis=1))
     )
-    even = np.maximum(apart.sum(axis=0), common)[:, np.newaxis]
-    where, joint = (
-        np.maximum(1.0, compute_power_concentration(one, directions))
-        for one in (kept, kept.sum(axis=1))
+    even_power = np.maximum(class_power.sum(axis=0), sum_power)[:, np.newaxis]
+    class_concentration, sum_concentration = (
+        np.maximum(1.0, compute_power_concentration(terms, directions))
+        for terms in (kept, kept.sum(axis=1))
     )
-    there = np.maximum(
-        (less[..., np.newaxis] + apart[..., np.newaxis] * (where - 1.0)).sum(axis=0),
-        less_common[:, np.newaxis] + common[:, np.newaxis] * (joint - 1.0),
+    local_power = np.maximum(
+        (
+            reduced_class_power[..., np.newaxis]
+            + class_power[..., np.newaxis] * (class_concentration - 1.0)
+        ).sum(axis=0),
+        reduced_sum_power[:, np.newaxis] + sum_power[:, np.newaxis] * (sum_concentration - 1.0),
     )
-    beyond = estimate_truncation_error(coefficients.sum(axis=1), axisymmetric, directions)
-    stderr, steering = (
-        np.hypot(np.hypot(noise_stderr, np.sqrt(dropped)), beyond) for dropped in (there, even)
+    truncation_error = estimate_truncation_error(coefficients.sum(axis=1), axisymmetric, directions)
+    stderr, stopping_error = (
+        np.hypot(np.hypot(noise_stderr, np.sqrt(power)), truncation_error)
+        for power in (local_power, even_power)
     )
-    return stderr, steering, beyond
+    return stderr, stopping_error, truncation_error
 
 
 def estimate_dropped_power(
     coefficients: np.ndarray, axisymmetric: bool, basis: DiskBasis, noise_sigma: float = 0.0
 ) -> np.ndarray:
-    """Return the mean square, over the hemisphere, of the detail that dropped coefficients hold.
+    """Return the mean square over the hemisphere of the detail in dropped coefficients.
 
-    Their squares less their variances, as far as the sum is positive: what is too weak to be told
-    from noise one by one may show in its sum.  So many standard errors (`noise_sigma`) of what that sum
-    is by noise alone are taken off.
+    It is the sum of their squares minus their variances, where positive: terms that are
+    individually insignificant may be significant in the sum.  `noise_sigma` standard errors of the
+    sum for pure noise are subtracted.
     """
     if axisymmetric:
         coefficients = coefficients[..., : basis.n_per_m[0]]
@@ -176,39 +181,39 @@ def estimate_dropped_power(
 
 
 def compute_power_concentration(coefficients: np.ndarray, directions: DirectionGrid) -> np.ndarray:
-    """Return the detail's square over its mean over the hemisphere, shape (…, directions).
+    """Return the squared detail over its hemispherical mean, shape (…, directions).
 
-    What a class drops adds up where what it keeps does: a lobe is cut where the lobe is.  To spread
-    its power evenly would state too small an error there.  Polynomials that `select_terms` keeps in
-    any case tell nothing of where detail is, nor does the part of the others that is noise: for
-    that part, the answer is 1.
+    The dropped terms of a class are largest where its kept terms are: a truncated lobe has its
+    error in the lobe, and an even distribution of its power would give too small an error there.
+    Neither the polynomials that `select_terms` always keeps nor the noise of the others locate
+    detail: for that part, the result is 1.
 
     Parameters
     ----------
-    coefficients : float, shape (groups, …, polynomials)
+    coefficients : float, shape (batches, …, polynomials)
         Coefficients, 0 for those that were dropped.
     """
     detail = coefficients[..., N_ALWAYS_KEPT:]
     mean, variance = detail.mean(axis=0), detail.var(axis=0, ddof=1) / len(detail)
     power = (mean**2).sum(axis=-1, keepdims=True)
-    real = np.maximum(power - variance.sum(axis=-1, keepdims=True), 0.0)
-    share = np.divide(real, power, out=np.zeros_like(power), where=power > 0.0)
+    signal = np.maximum(power - variance.sum(axis=-1, keepdims=True), 0.0)
+    signal_fraction = np.divide(signal, power, out=np.zeros_like(power), where=power > 0.0)
     square = np.pi * (mean @ directions.polynomials[:, N_ALWAYS_KEPT:].T) ** 2
     square = np.divide(square, power, out=np.zeros_like(square), where=power > 0.0)
-    found: np.ndarray = share * square + 1.0 - share
-    return found
+    concentration: np.ndarray = signal_fraction * square + 1.0 - signal_fraction
+    return concentration
 
 
 def is_significant(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Tell whether coefficients together are more than noise, shape (…).
+    """Return whether coefficients together are more than noise, shape (…).
 
-    Of k equal variances the sum of squares is distributed as χ², whose quantiles are near a cube
-    (Wilson and Hilferty 1931); unequal ones are as if they were fewer (Satterthwaite 1946).
+    The sum of squares of k terms of equal variance is distributed as χ², whose quantiles are close
+    to a cube (Wilson and Hilferty 1931); unequal variances act as a smaller k (Satterthwaite 1946).
     """
     total = variance.sum(axis=-1)
-    part = np.divide(variance, total[..., np.newaxis], out=np.zeros_like(variance),
+    fraction = np.divide(variance, total[..., np.newaxis], out=np.zeros_like(variance),
                      where=total[..., np.newaxis] > 0.0)  # fmt: skip
-    ninths = 2.0 / 9.0 * (part**2).sum(axis=-1)
+    ninths = 2.0 / 9.0 * (fraction**2).sum(axis=-1)
     bound: np.ndarray = total * (1.0 - ninths + SIGNIFICANCE_SIGMA * np.sqrt(ninths)) ** 3
     return (mean**2).sum(axis=-1) > bound + np.finfo(float).tiny
 
@@ -216,13 +221,12 @@ def is_significant(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
 def estimate_truncation_error(
     coefficients: np.ndarray, axisymmetric: bool, directions: DirectionGrid
 ) -> np.ndarray:
-    """Return what detail finer than the polynomials may add, shape (2, directions).
+    """Return the error of detail finer than the polynomials, shape (2, directions).
 
-    What the finest polynomials hold, if it stands out from noise, is taken to go on falling from
-    band to band of degrees as it fell last: where they add up to a peak, finer ones would; and
-    anywhere else their mean square over the hemisphere counts.  Of a lobe much narrower than the
-    polynomials this is a lower bound, and so it is where detail that hardly falls has not yet
-    risen well above the noise.
+    The power of the highest polynomials, if it is significant, is extrapolated with the ratio of
+    the last two bands of degrees: at full amplitude where they add up to a peak, and elsewhere as
+    their mean square over the hemisphere.  For a lobe much narrower than the polynomials this is a
+    lower bound, and also where slowly decreasing power is not yet well above the noise.
     """
     values = directions.polynomials
     if axisymmetric:
@@ -232,22 +236,26 @@ def estimate_truncation_error(
     mean = coefficients.mean(axis=0)
     variance = coefficients.var(axis=0, ddof=1) / len(coefficients)
     power = mean**2 - variance
-    fine = degree > degree.max() - BAND_DEGREES
-    coarse = (degree > degree.max() - 2 * BAND_DEGREES) & ~fine
-    last, before = power[..., fine].sum(axis=-1), power[..., coarse].sum(axis=-1)
-    noise, noise_before = (
-        np.sqrt(2.0 * (variance[..., band] ** 2).sum(axis=-1)) for band in (fine, coarse)
+    last_band = degree > degree.max() - BAND_DEGREES
+    previous_band = (degree > degree.max() - 2 * BAND_DEGREES) & ~last_band
+    last_power, previous_power = (
+        power[..., last_band].sum(axis=-1),
+        power[..., previous_band].sum(axis=-1),
+    )
+    noise, previous_noise = (
+        np.sqrt(2.0 * (variance[..., band] ** 2).sum(axis=-1))
+        for band in (last_band, previous_band)
     )
     tiny = np.finfo(float).tiny
-    seen = is_significant(mean[..., fine], variance[..., fine])
-    # A slow fall, which much follows from, is believed as far as noise does not feign it.
-    least, most = (
-        last - POWER_MARGIN_SIGMA * noise,
-        np.maximum(before + POWER_MARGIN_SIGMA * noise_before, tiny),
+    significant = is_significant(mean[..., last_band], variance[..., last_band])
+    # A slow decrease, which gives large errors, is accepted only as far as noise cannot cause it.
+    low, high = (
+        last_power - POWER_MARGIN_SIGMA * noise,
+        np.maximum(previous_power + POWER_MARGIN_SIGMA * previous_noise, tiny),
     )
-    fall = np.clip(least / most, 0.0, MAX_POWER_RATIO)
-    everywhere = np.sqrt(np.where(seen, last * fall / (1.0 - fall), 0.0) / np.pi)
-    fall = np.sqrt(fall)
-    there = np.abs(mean[..., fine] @ values[:, fine].T)
-    there *= np.where(seen, fall / (1.0 - fall), 0.0)[:, np.newaxis]
-    return np.hypot(there, everywhere[:, np.newaxis])
+    ratio = np.clip(low / high, 0.0, MAX_POWER_RATIO)
+    mean_error = np.sqrt(np.where(significant, last_power * ratio / (1.0 - ratio), 0.0) / np.pi)
+    ratio = np.sqrt(ratio)
+    local_error = np.abs(mean[..., last_band] @ values[:, last_band].T)
+    local_error *= np.where(significant, ratio / (1.0 - ratio), 0.0)[:, np.newaxis]
+    return np.hypot(local_error, mean_error[:, np.newaxis])

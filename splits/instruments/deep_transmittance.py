@@ -1,4 +1,4 @@
-"""Transmittance of samples that let almost nothing through, to a relative error."""
+"""Transmittance of optically thick samples to a relative error, by splitting and roulette."""
 
 from __future__ import annotations
 
@@ -28,20 +28,21 @@ from splits.simulation.scene import build_scene, compute_optical_constants, get_
 from splits.simulation.threads import DaemonThreadPool
 
 HISTORIES_PER_CHUNK = 64
-"""Families per batch: the grain of parallel work."""
+"""Histories per chunk, the unit of parallel work."""
 PILOT_HISTORIES = 512
-"""Families of each pilot and of the first round."""
+"""Histories of each pilot run and of the first round."""
 MAX_HISTORY_FRACTION = 0.05
-"""A run goes on while a single family makes more than this of the sum: an error estimated from
-rare large contributions that mostly have not been seen yet would be too small."""
+"""Largest fraction of the sum from a single history for convergence: the error would be
+underestimated if rare large contributions dominate it that were mostly not sampled yet."""
 N_PILOTS = 3
-"""Pilots, each of which sees deeper than the one before."""
+"""Pilot runs, each of which samples deeper than the one before."""
 N_DEPTH_SLICES = 24
-"""Slices of the depth in which pilots look how fast the light falls off."""
+"""Depth slices in which pilot runs record the decrease of the light."""
 _MIN_SLICE_COLLISIONS = 200
-"""Grains met in a slice from which on its weight counts."""
+"""Smallest number of collisions in a slice for the fit."""
 _RATE_SAFETY_FACTOR = 0.6
-"""Part of diffusion theory's rate that the first pilot dares: too high a rate multiplies rays."""
+"""Fraction of the diffusion-theory rate for the first pilot run: too high a rate splits
+excessively."""
 OPTICS_RAYS = 20_000
 
 
@@ -58,11 +59,12 @@ def deep_transmittance(
     threads: int | None = None,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure hemispherical transmittance to a relative error, however small it is.
+    """Measure hemispherical transmittance to a relative error, however small the transmittance.
 
-    Each wavelength is traced by itself in double precision; rays are split as they get deeper and
-    end by roulette where they cannot matter (see `splits.kernels.grains.splitting`).  How fast they
-    are split comes from three pilots, whose rays do not count, and does not touch the mean.
+    Each wavelength is traced separately in double precision.  Rays are split as they get deeper and
+    terminated by roulette where their contribution is small (see
+    `splits.kernels.grains.splitting`). The splitting rate comes from three pilot runs, whose rays
+    are not scored, and does not bias the mean.
 
     Parameters
     ----------
@@ -70,32 +72,33 @@ def deep_transmittance(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
+        Polar angle of a beam, 0 to 89.9999 degrees, or isotropic radiance.
     relative_stderr : float
-        Largest standard error wanted as a part of the transmittance, 0.001 to 0.5.
+        Largest standard error relative to the transmittance, 0.001 to 0.5.
     seed : int
-        Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
+        Non-negative; results with the same seed are identical on any number of threads.
     max_rays : int
-        Rays per wavelength, not counting those they are split into, after which a run stops.
+        Number of rays per wavelength, before splitting, after which a run stops.
     threads : int, optional
-        Default: every CPU this process may use.
+        Default: every CPU that this process may use.
     progress : callable or bool, optional
-        True shows a bar; a function is called after every round with a `Progress`, errors being
-        relative.
+        True shows a progress bar; a function is called after every round with a `Progress` of
+        relative errors.
 
     Returns
     -------
     xarray.Dataset
-        ``transmittance`` and ``transmittance_stderr`` over ``wavelength``; ``largest_history_fraction``, what
-        part of the sum the heaviest family of rays makes; ``estimate_attenuation_rate`` (1/m), the rate at
-        which rays were split; ``rays``.  Attribute ``stop_reason`` is "converged" or "max_rays".
+        Over ``wavelength``: ``transmittance`` and ``transmittance_stderr``;
+        ``largest_history_fraction``, the largest fraction of the sum from one history;
+        ``attenuation_rate`` (1/m), the rate of splitting with depth; ``rays``.  Attribute
+        ``stop_reason`` is "converged" or "max_rays".
 
     Raises
     ------
     ValueError
         For a value outside its range.
     RuntimeError
-        If a ray found no grain that fits where it was.
+        If no grain fits between the boundaries along a ray.
     """
     check_medium(medium, GranularMedium)
     wavelengths = check_wavelengths(wavelength_nm)
@@ -106,49 +109,47 @@ def deep_transmittance(
     threads = check_threads(threads)
     ground = get_reflecting_ground(medium)
     if ground is not None:
-        raise invalid("ground", ground.name, "open", "what would reach a ground is the question")
-    begun = time.perf_counter()
+        raise invalid("ground", ground.name, "open", "no light leaves through a ground")
+    start_time = time.perf_counter()
     scene = build_scene(medium, incidence, False)
     index, absorption = compute_optical_constants(medium, wavelengths)
-    first_guess = estimate_attenuation_rate(medium, wavelengths, seed, threads)
+    initial_rates = estimate_attenuation_rate(medium, wavelengths, seed, threads)
     results = np.zeros((5, len(wavelengths)))
-    goal = _DeepStoppingRule(relative_stderr, max_rays, begun, progress)
+    stopping_rule = _DeepStoppingRule(relative_stderr, max_rays, start_time, progress)
     with DaemonThreadPool(threads) as pool:
-        for row, guess in enumerate(first_guess):
+        for row, initial_rate in enumerate(initial_rates):
             optics = make_bounding_optics(index[row], absorption[row : row + 1])
-            source = _HistoryTracer(pool, seed, scene, optics)
-            number = random_streams.DEEP_TRANSMITTANCE + (N_PILOTS + 1) * row
-            rate = _run_pilots(source, number, guess, float(medium.depth_m))
-            run = _trace_to_error(goal, source, number + N_PILOTS, rate)
-            results[:, row] = *run.estimate(), run.n_histories, rate
-    transmittance, errors, shares, count, rates = results
-    long_name = (
-        "hemispherical" if incidence == "diffuse" else "directional"
-    ) + "-hemispherical transmittance"
-    over = "wavelength"
+            tracer = _HistoryTracer(pool, seed, scene, optics)
+            first_stream = random_streams.DEEP_TRANSMITTANCE + (N_PILOTS + 1) * row
+            rate = _run_pilots(tracer, first_stream, initial_rate, float(medium.depth_m))
+            tally = _trace_to_error(stopping_rule, tracer, first_stream + N_PILOTS, rate)
+            results[:, row] = *tally.estimate(), tally.n_histories, rate
+    transmittance, errors, fractions, n_rays, rates = results
+    illumination = "hemispherical" if incidence == "diffuse" else "directional"
+    long_name = f"{illumination}-hemispherical transmittance"
+    dim, fraction_label = "wavelength", "largest fraction of the sum from one history"
     variables = {
-        **make_variable("transmittance", over, transmittance, errors, long_name),
+        **make_variable("transmittance", dim, transmittance, errors, long_name),
+        **make_variable("largest_history_fraction", dim, fractions, None, fraction_label),
         **make_variable(
-            "largest_history_fraction", over, shares, None, "share of the heaviest family of rays"
+            "attenuation_rate", dim, rates, None, "rate of splitting with depth", "m-1"
         ),
-        **make_variable(
-            "attenuation_rate", over, rates, None, "rate at which rays are split with depth", "m-1"
-        ),
-        **make_variable("rays", over, count.astype(np.int64), None, "rays"),
+        **make_variable("rays", dim, n_rays.astype(np.int64), None, "rays"),
     }
-    reached = (errors <= relative_stderr * transmittance) & (shares <= MAX_HISTORY_FRACTION)
-    facts = {
-        **make_run_attributes("Deep transmittance", "deep_transmittance", medium, begun, seed),
+    converged = (errors <= relative_stderr * transmittance) & (fractions <= MAX_HISTORY_FRACTION)
+    attributes = {
+        **make_run_attributes("Deep transmittance", "deep_transmittance", medium, start_time, seed),
         "incidence_deg": incidence,
         "relative_stderr": relative_stderr,
-        "stop_reason": "converged" if reached.all() else "max_rays",
+        "stop_reason": "converged" if converged.all() else "max_rays",
         "max_rays": max_rays,
     }
-    return xr.Dataset(variables, {"wavelength": make_wavelength_coordinate(wavelengths)}, facts)
+    coordinates = {"wavelength": make_wavelength_coordinate(wavelengths)}
+    return xr.Dataset(variables, coordinates, attributes)
 
 
 class _DeepStoppingRule(NamedTuple):
-    """What is asked for, when that began, and who wants to know how far it is."""
+    """Stopping rule of a run, its start time and its progress callback."""
 
     relative_stderr: float
     max_rays: int
@@ -159,34 +160,36 @@ class _DeepStoppingRule(NamedTuple):
 def _trace_to_error(
     stopping_rule: _DeepStoppingRule, tracer: _HistoryTracer, stream: int, splitting_rate: float
 ) -> _TransmittanceTally:
-    """Return families of rays of one wavelength, traced until the error or the rays asked for."""
-    run = _TransmittanceTally()
-    wanted = PILOT_HISTORIES
+    """Return the tally of one wavelength, traced to the requested error or number of rays."""
+    tally = _TransmittanceTally()
+    n_histories = PILOT_HISTORIES
     while True:
-        run.trace_histories(tracer, stream, wanted, splitting_rate)
-        mean, stderr, share = run.estimate()
+        tally.trace_histories(tracer, stream, n_histories, splitting_rate)
+        mean, stderr, fraction = tally.estimate()
         error = stderr / mean if mean > 0.0 else np.inf
         if callable(stopping_rule.progress):
             seconds = time.perf_counter() - stopping_rule.start_time
-            left = seconds * max((error / stopping_rule.relative_stderr) ** 2 - 1.0, 0.0)
+            seconds_left = seconds * max((error / stopping_rule.relative_stderr) ** 2 - 1.0, 0.0)
             stopping_rule.progress(
-                Progress(run.n_histories, error, stopping_rule.relative_stderr, seconds, left)
+                Progress(
+                    tally.n_histories, error, stopping_rule.relative_stderr, seconds, seconds_left
+                )
             )
-        done = error <= stopping_rule.relative_stderr and share <= MAX_HISTORY_FRACTION
-        if done or run.n_histories >= stopping_rule.max_rays:
-            return run
-        needed = 1.1 * run.n_histories * (error / stopping_rule.relative_stderr) ** 2
-        wanted = int(
+        converged = error <= stopping_rule.relative_stderr and fraction <= MAX_HISTORY_FRACTION
+        if converged or tally.n_histories >= stopping_rule.max_rays:
+            return tally
+        predicted = 1.1 * tally.n_histories * (error / stopping_rule.relative_stderr) ** 2
+        n_histories = int(
             min(
-                max(needed, 1.5 * run.n_histories),
-                4.0 * run.n_histories,
+                max(predicted, 1.5 * tally.n_histories),
+                4.0 * tally.n_histories,
                 2.0 * stopping_rule.max_rays,
             )
         )
 
 
 class _HistoryTracer(NamedTuple):
-    """What traces families of rays of one wavelength."""
+    """Tracer of histories of one wavelength."""
 
     pool: DaemonThreadPool
     seed: int
@@ -196,19 +199,22 @@ class _HistoryTracer(NamedTuple):
     def trace(
         self, stream: int, first_history: int, splitting_rate: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return moments and profile of a batch, see `splits.kernels.grains.splitting.trace_batch_with_splitting`."""
+        """Return moments and depth profile of a chunk.
+
+        See `splits.kernels.grains.splitting.trace_batch_with_splitting`.
+        """
         moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
         work = np.array([stream, first_history, HISTORIES_PER_CHUNK])
-        spent = trace_batch_with_splitting(
+        result = trace_batch_with_splitting(
             self.seed, work, self.scene, self.optics, splitting_rate, moments, profile
         )
-        if spent.lost:
-            raise RuntimeError("a ray found no grain that fits between the boundaries")
+        if result.lost:
+            raise RuntimeError("no grain fits between the boundaries along a ray")
         return moments[1], profile
 
 
 class _TransmittanceTally:
-    """Families of rays added up in order.
+    """Sums over histories in a fixed order.
 
     Attributes
     ----------
@@ -223,10 +229,10 @@ class _TransmittanceTally:
     def trace_histories(
         self, tracer: _HistoryTracer, stream: int, n_histories: int, splitting_rate: float
     ) -> None:
-        """Trace whole batches until there are so many rays."""
-        batches = range(self.n_histories, n_histories, HISTORIES_PER_CHUNK)
+        """Trace whole chunks up to a number of histories."""
+        first_histories = range(self.n_histories, n_histories, HISTORIES_PER_CHUNK)
         for moments, profile in tracer.pool.map(
-            lambda first: tracer.trace(stream, first, splitting_rate), batches
+            lambda first: tracer.trace(stream, first, splitting_rate), first_histories
         ):
             self._sum += moments[0]
             self._sum_of_squares += moments[1]
@@ -235,30 +241,30 @@ class _TransmittanceTally:
             self.n_histories += HISTORIES_PER_CHUNK
 
     def estimate(self) -> tuple[float, float, float]:
-        """Return the mean, its standard error, and the heaviest family's share of the sum."""
+        """Return the mean, its standard error, and the largest fraction from one history."""
         mean = self._sum / self.n_histories
         stderr = np.sqrt(
             max(self._sum_of_squares / self.n_histories - mean**2, 0.0) / self.n_histories
         )
-        share = self._max_score / self._sum if self._sum > 0.0 else 1.0
-        return float(mean), float(stderr), float(share)
+        fraction = self._max_score / self._sum if self._sum > 0.0 else 1.0
+        return float(mean), float(stderr), float(fraction)
 
     def estimate_attenuation_rate(self, depth: float, fallback: float) -> float:
-        """Return the rate (1/m) at which the weight falls off with depth, as far as it was seen."""
+        """Return the rate (1/m) at which the weight decreases with depth, from sampled slices."""
         count, weight = self._depth_profile
-        # Neither the slice at the top nor that at the bottom, where light escapes.
+        # Without the slices at the top and bottom, where light escapes.
         inside = (count >= _MIN_SLICE_COLLISIONS) & (weight > 0.0)
         inside[[0, -1]] = False
         if inside.sum() < 3:
             return fallback
-        place = depth * (np.arange(N_DEPTH_SLICES)[inside] + 0.5) / N_DEPTH_SLICES
-        return max(-float(np.polyfit(place, np.log(weight[inside]), 1)[0]), 0.0)
+        depths = depth * (np.arange(N_DEPTH_SLICES)[inside] + 0.5) / N_DEPTH_SLICES
+        return max(-float(np.polyfit(depths, np.log(weight[inside]), 1)[0]), 0.0)
 
 
 def _run_pilots(
     tracer: _HistoryTracer, first_stream: int, initial_rate: float, depth: float
 ) -> float:
-    """Return the rate (1/m) at which rays are to be split, as pilots see the light fall off."""
+    """Return the splitting rate (1/m) from pilot runs."""
     rate = _RATE_SAFETY_FACTOR * initial_rate
     for stage in range(N_PILOTS):
         pilot = _TransmittanceTally()
@@ -270,7 +276,7 @@ def _run_pilots(
 def estimate_attenuation_rate(
     medium: GranularMedium, wavelengths: np.ndarray, seed: int, threads: int | None
 ) -> np.ndarray:
-    """Return the rate (1/m) at which diffuse light falls off with depth, by diffusion theory.
+    """Return the rate (1/m) at which diffuse light decreases with depth, by diffusion theory.
 
     √(3 (1 − ω)(1 − ωg)) times the extinction (Ishimaru 1978, Wave Propagation and Scattering in
     Random Media, section 9.1), from the medium's single-scattering properties.

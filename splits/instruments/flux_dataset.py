@@ -1,4 +1,4 @@
-"""The light inside as a labelled dataset."""
+"""Dataset of radiative fluxes inside a medium."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from splits.core.uncertainty import (
     make_deviation_variable,
     make_variable,
 )
-from splits.instruments.flux_errors import (
+from splits.instruments.absorption_steps import (
     bound_actinic_flux_error,
     bound_material_absorptance_error,
     compute_absorption_steps,
-    compute_nonstatistical_error,
 )
+from splits.instruments.flux_errors import compute_nonstatistical_error
 from splits.instruments.flux_estimate import FluxEstimate, FluxResult, compute_absorbed_fractions
 from splits.instruments.flux_media import TracedMedium
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD
@@ -34,38 +34,45 @@ def make_flux_dataset(
     wavelengths: np.ndarray,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
-    """Return what was found as a dataset, see `splits.instruments.irradiance_profile`.
+    """Return the dataset of a result, see `splits.instruments.irradiance_profile`.
 
     Parameters
     ----------
-    result : Outcome
-    traced_medium : Traced
+    result : FluxResult
+    traced_medium : TracedMedium
     wavelengths : float, shape (wavelengths,)
         nm.
     attributes : dict
-        Attributes.
+        Attributes of the dataset.
     """
-    found, doubt = result.estimate, result.systematic_error
+    estimate, systematic = result.estimate, result.systematic_error
     variables: dict[str, Variable] = {}
-    for name, groups, besides_scatter, dims, label in (
-        ("downward_irradiance", found.irradiance[:, DOWNWARD], doubt.irradiance[DOWNWARD], DEPTH_DIMS,
-         "downward irradiance"),
-        ("upward_irradiance", found.irradiance[:, UPWARD], doubt.irradiance[UPWARD], DEPTH_DIMS, "upward irradiance"),
-        ("absorptance", found.absorptance, doubt.absorptance, INTERVAL_DIMS, "absorptance of the interval"),
+    for name, batch_means, systematic_error, dims, label in (
+        ("downward_irradiance", estimate.irradiance[:, DOWNWARD], systematic.irradiance[DOWNWARD],
+         DEPTH_DIMS, "downward irradiance"),
+        ("upward_irradiance", estimate.irradiance[:, UPWARD], systematic.irradiance[UPWARD],
+         DEPTH_DIMS, "upward irradiance"),
+        ("absorptance", estimate.absorptance, systematic.absorptance,
+         INTERVAL_DIMS, "absorptance of the interval"),
     ):  # fmt: skip
-        error = np.hypot(compute_batch_stderr(groups), besides_scatter)
-        variables |= _make_flux_variable(name, dims, groups, error, label)
-        off = np.moveaxis(groups - groups.mean(axis=0), -1, 1)
+        error = np.hypot(compute_batch_stderr(batch_means), systematic_error)
+        variables |= _make_flux_variable(name, dims, batch_means, error, label)
+        deviations = np.moveaxis(batch_means - batch_means.mean(axis=0), -1, 1)
         variables |= make_deviation_variable(
-            name, dims, off / np.sqrt(len(off) * (len(off) - 1)), label
+            name, dims, deviations / np.sqrt(len(deviations) * (len(deviations) - 1)), label
         )
     variables |= _make_path_variables(result, traced_medium)
     edges = traced_medium.edges_m
     depths = edges[np.isfinite(edges)]
-    about = {"long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth"}
+    depth_attributes = {
+        "long_name": "depth",
+        "units": "m",
+        "positive": "down",
+        "standard_name": "depth",
+    }
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "depth": ("depth", depths, about),
+        "depth": ("depth", depths, depth_attributes),
         "interval_top": ("interval", edges[:-1], {"long_name": "top", "units": "m"}),
         "interval_bottom": ("interval", edges[1:], {"long_name": "bottom", "units": "m"}),
         "material": (
@@ -80,65 +87,76 @@ def make_flux_dataset(
 def _make_flux_variable(
     name: str, dims: tuple[str, ...], batch_means: np.ndarray, stderr: np.ndarray, label: str
 ) -> dict[str, Variable]:
-    """Return a variable and its error, from arrays whose last axis is that of wavelengths."""
-    mean, error = (np.moveaxis(each, -1, 0) for each in (batch_means.mean(axis=0), stderr))
+    """Return a variable and its error, from arrays whose last axis is the wavelength."""
+    mean, error = (np.moveaxis(array, -1, 0) for array in (batch_means.mean(axis=0), stderr))
     return make_variable(name, dims, mean, error, label)
 
 
 def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dict[str, Variable]:
-    """Return actinic fluxes and what materials absorb, which lengths of paths tell."""
-    found, doubt, edges = result.estimate, result.systematic_error, traced_medium.edges_m
+    """Return actinic fluxes and absorptances of materials, from path lengths."""
+    estimate, systematic, edges = result.estimate, result.systematic_error, traced_medium.edges_m
     absorption = traced_medium.constants.absorption[: traced_medium.n_wavelengths]
     steps = compute_absorption_steps(traced_medium.medium, absorption, edges)
     thickness = np.diff(edges)[:, np.newaxis]
-    intervals = len(thickness)
-    flux, shared = (
-        _compute_actinic_flux(found, traced_medium),
-        _compute_material_absorptance(found, traced_medium),
+    n_intervals = len(thickness)
+    flux, material_absorptance = (
+        _compute_actinic_flux(estimate, traced_medium),
+        _compute_material_absorptance(estimate, traced_medium),
     )
-    light, whole = found.irradiance.mean(axis=0), found.absorptance.mean(axis=0)
-    from_below = np.zeros_like(whole)
-    from_below[: light.shape[1] - 1] = light[UPWARD, 1:]
-    arriving = (light[DOWNWARD, :intervals] + from_below) / thickness
-    missed = [
-        compute_batch_stderr(flux), compute_nonstatistical_error(flux, doubt.interpolation_bound, doubt.unsampled_light),
-        bound_actinic_flux_error(steps, flux.mean(axis=0), whole / thickness, arriving),
-    ]  # fmt: skip
-    told = found.absorptance - found.material_absorptance.sum(axis=2)
-    heard = found.material_absorptance.sum(axis=2).mean(axis=0) > 0.0
-    unheard = np.abs(told.mean(axis=0)) - np.where(heard, 2.0 * compute_batch_stderr(told), 0.0)
-    off = bound_material_absorptance_error(
-        steps, shared.mean(axis=0), whole, np.maximum(unheard, 0.0)
+    irradiance, absorptance = estimate.irradiance.mean(axis=0), estimate.absorptance.mean(axis=0)
+    from_below = np.zeros_like(absorptance)
+    from_below[: irradiance.shape[1] - 1] = irradiance[UPWARD, 1:]
+    incident = (irradiance[DOWNWARD, :n_intervals] + from_below) / thickness
+    bound = systematic.interpolation_bound
+    flux_errors = [
+        compute_batch_stderr(flux),
+        compute_nonstatistical_error(flux, bound, systematic.unsampled_light),
+        bound_actinic_flux_error(steps, flux.mean(axis=0), absorptance / thickness, incident),
+    ]
+    unscored = estimate.absorptance - estimate.material_absorptance.sum(axis=2)
+    is_scored = estimate.material_absorptance.sum(axis=2).mean(axis=0) > 0.0
+    unscored_bound = np.abs(unscored.mean(axis=0)) - np.where(
+        is_scored, 2.0 * compute_batch_stderr(unscored), 0.0
     )
-    wrong = [
-        compute_batch_stderr(shared), compute_nonstatistical_error(shared, doubt.interpolation_bound, doubt.unsampled_light[:, np.newaxis]), off,
-    ]  # fmt: skip
+    material_bound = bound_material_absorptance_error(
+        steps, material_absorptance.mean(axis=0), absorptance, np.maximum(unscored_bound, 0.0)
+    )
+    material_errors = [
+        compute_batch_stderr(material_absorptance),
+        compute_nonstatistical_error(
+            material_absorptance, bound, systematic.unsampled_light[:, np.newaxis]
+        ),
+        material_bound,
+    ]
     if result.perturbed_estimate is not None:
-        missed.append(
+        flux_errors.append(
             (flux - _compute_actinic_flux(result.perturbed_estimate, traced_medium)).mean(axis=0)
         )
-        wrong.append(
-            (shared - _compute_material_absorptance(result.perturbed_estimate, traced_medium)).mean(
-                axis=0
-            )
+        material_errors.append(
+            (
+                material_absorptance
+                - _compute_material_absorptance(result.perturbed_estimate, traced_medium)
+            ).mean(axis=0)
         )
-    error = _add_in_quadrature(missed)
+    error = _add_in_quadrature(flux_errors)
     if traced_medium.semi_infinite:
         error[-1] *= ~traced_medium.is_absorbing()
-    found_flux = _make_flux_variable("actinic_flux", INTERVAL_DIMS, flux, error, ACTINIC_FLUX_LABEL)
-    by_material = (*INTERVAL_DIMS, "material")
-    error = _add_in_quadrature(wrong)
+    flux_variable = _make_flux_variable(
+        "actinic_flux", INTERVAL_DIMS, flux, error, ACTINIC_FLUX_LABEL
+    )
+    material_dims = (*INTERVAL_DIMS, "material")
+    error = _add_in_quadrature(material_errors)
     label = "absorptance of a material"
-    return found_flux | _make_flux_variable(
-        "absorptance_of_material", by_material, shared, error, label
+    return flux_variable | _make_flux_variable(
+        "absorptance_of_material", material_dims, material_absorptance, error, label
     )
 
 
 def _compute_actinic_flux(estimate: FluxEstimate, traced_medium: TracedMedium) -> np.ndarray:
-    """Return actinic fluxes by group.
+    """Return actinic fluxes by batch.
 
-    The mean over an interval without end is 0 where anything absorbs; where nothing does, it is
-    that far from the top.
+    The mean over a semi-infinite interval is 0 where anything absorbs; where nothing does, it is
+    the value far from the top.
     """
     flux: np.ndarray = estimate.path_length / np.diff(traced_medium.planes_m)[:, np.newaxis]
     if traced_medium.semi_infinite:
@@ -149,7 +167,7 @@ def _compute_actinic_flux(estimate: FluxEstimate, traced_medium: TracedMedium) -
 def _compute_material_absorptance(
     estimate: FluxEstimate, traced_medium: TracedMedium
 ) -> np.ndarray:
-    """Return absorptances of materials by group."""
+    """Return absorptances of materials by batch."""
     columns = list(traced_medium.material_columns.values())
     return compute_absorbed_fractions(
         estimate._replace(material_absorptance=estimate.material_absorptance[:, :, columns])

@@ -1,4 +1,4 @@
-"""Rays traced until what they tell of the light inside is known as well as asked for."""
+"""Estimates of radiative fluxes inside a medium, traced to the requested error."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ _MAX_ROUND_GROWTH = 8.0
 
 
 class FluxEstimate(NamedTuple):
-    """Means by batch of rays at the depths asked for, and between them.
+    """Batch means at the requested depths, and between them.
 
     Attributes
     ----------
-    irradiance : float, shape (GROUPS, 2, depths, wavelengths)
-        Irradiances downwards and upwards, over that of the light from above.
-    absorptance : float, shape (GROUPS, intervals, wavelengths)
-        What goes in less what comes out.
-    material_absorptance : float, shape (GROUPS, intervals, materials, wavelengths)
-        By the lengths in each material.
-    path_length : float, shape (GROUPS, intervals, wavelengths)
-        Metres; of an interval without end, down to where tracing ends.
+    irradiance : float, shape (N_BATCHES, 2, depths, wavelengths)
+        Downward and upward irradiances, relative to the incident irradiance.
+    absorptance : float, shape (N_BATCHES, intervals, wavelengths)
+        Difference of the net irradiances at the planes of an interval.
+    material_absorptance : float, shape (N_BATCHES, intervals, materials, wavelengths)
+        From the lengths in each material.
+    path_length : float, shape (N_BATCHES, intervals, wavelengths)
+        Metres; of a semi-infinite interval, down to the end of tracing.
     """
 
     irradiance: np.ndarray
@@ -48,22 +48,23 @@ class FluxEstimate(NamedTuple):
     path_length: np.ndarray
 
     def select_wavelengths(self, wavelengths: slice) -> FluxEstimate:
-        """Return what was found at some wavelengths."""
-        return FluxEstimate(*(each[..., wavelengths] for each in self))
+        """Return the estimate at some wavelengths."""
+        return FluxEstimate(*(array[..., wavelengths] for array in self))
 
 
 class FluxResult(NamedTuple):
-    """What was found, with what errors hold besides scatter, and the error reached.
+    """Estimate with its systematic error, the error reached and the stop reason.
 
     Attributes
     ----------
-    estimate : Found
+    estimate : FluxEstimate
     systematic_error : SystematicError
-    perturbed_estimate : Found or None
-        What would have been found if the part below a cut kept more, see `TracedMedium`.
+    perturbed_estimate : FluxEstimate or None
+        Estimate with a more absorbing substrate below a truncation depth, see `TracedMedium`.
     max_stderr_reached : float
     stop_reason : {"converged", "max_rays", "interpolation_bound"}
-        The error was reached, or so many rays, or what remains is a bound that rays do not lower.
+        Whether the error or the number of rays was reached, or the rest is a bound that more rays
+        do not reduce.
     """
 
     estimate: FluxEstimate
@@ -76,25 +77,48 @@ class FluxResult(NamedTuple):
 def _estimate_at_planes(
     tally: FluxPathTally, weight: np.ndarray, boundary_rows: np.ndarray, semi_infinite: bool
 ) -> FluxEstimate:
-    """Return what an ensemble tells at faces `boundary_rows`, as its wavelengths weigh it.
+    """Return the weighted estimate of a tally at the boundaries `boundary_rows`.
 
-    In a medium without end, the last face is where tracing ends, and the last interval goes on.
+    In a semi-infinite medium, the last boundary is the end of tracing, and the last interval
+    continues below it.
     """
-    told = tally.compute_batch_means()
-    light = weight * told.irradiance[:, :, boundary_rows]
-    net = light[:, DOWNWARD] - light[:, UPWARD]
-    first = boundary_rows[:-1]
-    absorbed = net[:, :-1] - net[:, 1:]
-    by_material = weight * np.add.reduceat(told.absorptance[:, : boundary_rows[-1]], first, axis=1)
-    way = weight * np.add.reduceat(told.path_length[:, : boundary_rows[-1]], first, axis=1)
+    means = tally.compute_batch_means()
+    irradiance = weight * means.irradiance[:, :, boundary_rows]
+    net = irradiance[:, DOWNWARD] - irradiance[:, UPWARD]
+    first_layers = boundary_rows[:-1]
+    absorptance = net[:, :-1] - net[:, 1:]
+    by_material = weight * np.add.reduceat(
+        means.absorptance[:, : boundary_rows[-1]], first_layers, axis=1
+    )
+    path_length = weight * np.add.reduceat(
+        means.path_length[:, : boundary_rows[-1]], first_layers, axis=1
+    )
     if semi_infinite:
-        light, absorbed[:, -1] = light[:, :, :-1], net[:, -2]
-        # What enters below is absorbed by the materials of the lowest layer, as just above.
-        last = told.absorptance[:, boundary_rows[-1] - 1].mean(axis=0)
-        whole = last.sum(axis=0)
-        share = np.divide(last, whole, out=np.zeros_like(last), where=whole > 0.0)
-        by_material[:, -1] += share * net[:, -1, np.newaxis]
-    return FluxEstimate(light, absorbed, by_material, way)
+        irradiance, absorptance[:, -1] = irradiance[:, :, :-1], net[:, -2]
+        # Light that enters the rest is absorbed by materials in proportion to the layer just above.
+        last = means.absorptance[:, boundary_rows[-1] - 1].mean(axis=0)
+        total = last.sum(axis=0)
+        fraction = np.divide(last, total, out=np.zeros_like(last), where=total > 0.0)
+        by_material[:, -1] += fraction * net[:, -1, np.newaxis]
+    return FluxEstimate(irradiance, absorptance, by_material, path_length)
+
+
+def _compute_stopping_errors(
+    estimate: FluxEstimate, systematic_error: SystematicError, stopping_rule: FluxStoppingRule
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the standard errors of the quantities of a rule, and their irreducible parts."""
+    scatter = compute_batch_stderr(
+        stopping_rule.average_over_bands(
+            stopping_rule.select_quantities(estimate.irradiance, estimate.absorptance)
+        )
+    )
+    irreducible = stopping_rule.average_over_bands(
+        stopping_rule.select_quantities(*systematic_error.irreducible)
+    )
+    systematic = stopping_rule.average_over_bands(
+        stopping_rule.select_quantities(systematic_error.irradiance, systematic_error.absorptance)
+    )
+    return np.hypot(scatter, systematic), irreducible
 
 
 def estimate_flux(
@@ -105,86 +129,84 @@ def estimate_flux(
     stopping_rule: FluxStoppingRule,
     max_rays: int,
 ) -> FluxResult:
-    """Trace until the error asked for is reached, or so many rays."""
-    levels = [(e, level) for e in tallies for level in e.strata]
-    # The face above a rough surface is above the depth 0.
-    at = np.append(0, np.searchsorted(runner.tracer.boundary_depths_m, traced_medium.planes_m[1:]))
-    own = slice(traced_medium.n_wavelengths)
-    runner.trace([(*who, FLUX_RAYS_PER_ROUND) for who in levels], 1.0, stopping_rule.max_stderr)
+    """Trace until the requested error or the largest number of rays is reached."""
+    strata = [(tally, stratum) for tally in tallies for stratum in tally.strata]
+    # The boundary above a rough surface is above the depth 0.
+    boundary_rows = np.append(
+        0, np.searchsorted(runner.tracer.boundary_depths_m, traced_medium.planes_m[1:])
+    )
+    requested = slice(traced_medium.n_wavelengths)
+    runner.trace(
+        [(*stratum_of, FLUX_RAYS_PER_ROUND) for stratum_of in strata], 1.0, stopping_rule.max_stderr
+    )
     while True:
-        every = [
-            _estimate_at_planes(e, weight, at, traced_medium.semi_infinite)
-            for e, weight in zip(tallies, nodes.weights, strict=True)
+        all_estimates = [
+            _estimate_at_planes(tally, weight, boundary_rows, traced_medium.semi_infinite)
+            for tally, weight in zip(tallies, nodes.weights, strict=True)
         ]
-        whole = FluxEstimate(*(np.sum(part, axis=0) for part in zip(*every, strict=True)))
-        found, each = whole.select_wavelengths(own), [one.select_wavelengths(own) for one in every]
-        moved = (
-            whole.select_wavelengths(slice(traced_medium.n_wavelengths, None))
-            if traced_medium.truncated
-            else None
+        arrays = zip(*all_estimates, strict=True)
+        whole = FluxEstimate(*(np.sum(each, axis=0) for each in arrays))
+        estimate = whole.select_wavelengths(requested)
+        rest = whole.select_wavelengths(slice(traced_medium.n_wavelengths, None))
+        perturbed = rest if traced_medium.truncated else None
+        systematic_error = estimate_systematic_error(
+            estimate[:2],
+            None if perturbed is None else perturbed[:2],
+            nodes.interpolation_bound[requested],
+            compute_single_ray_error(tallies, nodes.weights)[requested],
         )
-        least = compute_single_ray_error(tallies, nodes.weights)[own]
-        doubt = estimate_systematic_error(
-            found[:2], None if moved is None else moved[:2], nodes.interpolation_bound[own], least
-        )
-        scatter = compute_batch_stderr(
-            stopping_rule.average_over_bands(
-                stopping_rule.select_quantities(found.irradiance, found.absorptance)
-            )
-        )
-        bias = stopping_rule.average_over_bands(stopping_rule.select_quantities(*doubt.irreducible))
-        stderr = np.hypot(
-            scatter,
-            stopping_rule.average_over_bands(
-                stopping_rule.select_quantities(doubt.irradiance, doubt.absorptance)
-            ),
-        )
+        stderr, irreducible = _compute_stopping_errors(estimate, systematic_error, stopping_rule)
         reached = float((stderr / stopping_rule.stderr_limits).max()) * stopping_rule.max_stderr
-        rays = np.array([level.n_rays for _, level in levels], dtype=float)
+        n_rays = np.array([stratum.n_rays for _, stratum in strata], dtype=float)
         if reached <= stopping_rule.max_stderr:
-            return FluxResult(found, doubt, moved, reached, "converged")
-        if (bias > stopping_rule.stderr_limits).any() and (
-            stderr**2 - bias**2 < MIN_SCATTER_FRACTION * stopping_rule.stderr_limits**2
+            return FluxResult(estimate, systematic_error, perturbed, reached, "converged")
+        if (irreducible > stopping_rule.stderr_limits).any() and (
+            stderr**2 - irreducible**2 < MIN_SCATTER_FRACTION * stopping_rule.stderr_limits**2
         ).all():
-            return FluxResult(found, doubt, moved, reached, "interpolation_bound")
-        if rays.sum() >= max_rays:
-            return FluxResult(found, doubt, moved, reached, "max_rays")
-        more = allocate_flux_rays(
-            stopping_rule,
-            tallies,
-            [stopping_rule.select_quantities(one.irradiance, one.absorptance) for one in each],
-            bias,
-        )
-        step = np.minimum(more - rays, (_MAX_ROUND_GROWTH - 1.0) * rays)
-        step = np.ceil(step * min(1.0, (max_rays - rays.sum()) / step.sum()) / FLUX_RAYS_PER_ROUND)
-        left = float((more - rays - step * FLUX_RAYS_PER_ROUND).clip(0).sum())
-        work = [
-            (*who, int(s) * FLUX_RAYS_PER_ROUND)
-            for who, s in zip(levels, step, strict=True)
-            if s > 0
+            return FluxResult(estimate, systematic_error, perturbed, reached, "interpolation_bound")
+        if n_rays.sum() >= max_rays:
+            return FluxResult(estimate, systematic_error, perturbed, reached, "max_rays")
+        estimates = [one.select_wavelengths(requested) for one in all_estimates]
+        quantities = [
+            stopping_rule.select_quantities(one.irradiance, one.absorptance) for one in estimates
         ]
-        runner.trace(work, reached, stopping_rule.max_stderr, left)
+        target_rays = allocate_flux_rays(stopping_rule, tallies, quantities, irreducible)
+        step = np.minimum(target_rays - n_rays, (_MAX_ROUND_GROWTH - 1.0) * n_rays)
+        step = np.ceil(
+            step * min(1.0, (max_rays - n_rays.sum()) / step.sum()) / FLUX_RAYS_PER_ROUND
+        )
+        remaining = float((target_rays - n_rays - step * FLUX_RAYS_PER_ROUND).clip(0).sum())
+        work = [
+            (*stratum_of, int(n_rounds) * FLUX_RAYS_PER_ROUND)
+            for stratum_of, n_rounds in zip(strata, step, strict=True)
+            if n_rounds > 0
+        ]
+        runner.trace(work, reached, stopping_rule.max_stderr, remaining)
 
 
 def compute_absorbed_fractions(estimate: FluxEstimate) -> np.ndarray:
-    """Return absorbed shares by material, whose sums are those of `Found.absorbed`.
+    """Return the absorptance of each material; the sum over materials is the total absorptance.
 
-    Shape (GROUPS, intervals, materials, wavelengths); the materials' parts vary by group to first
-    order.  Where no path tells of an interval, its shares are those of the whole sample, and the
-    same for all materials where none tells of that; errors say so (`share_missed`).
+    The shape is (N_BATCHES, intervals, materials, wavelengths); the materials' parts vary by batch
+    to first order.  Where no path scores an interval, the fractions are those of the whole sample,
+    and equal for all materials where none scores that either; the errors include this
+    (`bound_material_absorptance_error`).
     """
     parts = estimate.material_absorptance
-    whole = parts.sum(axis=2, keepdims=True)
-    mean = whole.mean(axis=0)
-    of_all = parts.mean(axis=0).sum(axis=0, keepdims=True)
-    every = of_all.sum(axis=1, keepdims=True)
-    even = np.full_like(of_all, 1.0 / of_all.shape[1])
-    share = np.broadcast_to(
-        np.divide(of_all, every, out=even, where=every > 0.0), mean.shape[:1] + of_all.shape[1:]
+    total_scored = parts.sum(axis=2, keepdims=True)
+    mean_scored = total_scored.mean(axis=0)
+    sample_parts = parts.mean(axis=0).sum(axis=0, keepdims=True)
+    sample_total = sample_parts.sum(axis=1, keepdims=True)
+    equal = np.full_like(sample_parts, 1.0 / sample_parts.shape[1])
+    fraction = np.broadcast_to(
+        np.divide(sample_parts, sample_total, out=equal, where=sample_total > 0.0),
+        mean_scored.shape[:1] + sample_parts.shape[1:],
     ).copy()
-    np.divide(parts.mean(axis=0), mean, out=share, where=mean > 0.0)
+    np.divide(parts.mean(axis=0), mean_scored, out=fraction, where=mean_scored > 0.0)
     absorbed = estimate.absorptance[:, :, np.newaxis]
-    total = absorbed.mean(axis=0)
-    scale = np.divide(total, mean, out=np.zeros_like(total), where=mean > 0.0)
-    result: np.ndarray = absorbed * share + scale * (parts - share * whole)
-    return result
+    mean_absorbed = absorbed.mean(axis=0)
+    scale = np.divide(
+        mean_absorbed, mean_scored, out=np.zeros_like(mean_absorbed), where=mean_scored > 0.0
+    )
+    absorptance: np.ndarray = absorbed * fraction + scale * (parts - fraction * total_scored)
+    return absorptance

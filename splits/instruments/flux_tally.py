@@ -1,4 +1,4 @@
-"""Paths that are listened to at planes in a sample: ensembles, and what they tell by group."""
+"""Tallies of radiative fluxes at planes in a medium, by batch."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from splits.simulation.tally import (
 )
 
 FLUX_RAYS_PER_CHUNK = 32
-"""Rays whose weights are added up together: few, so that a first round of every group is short."""
+"""Rays whose weights are added up together: few, so that a first round of all batches is short."""
 FLUX_RAYS_PER_ROUND = FLUX_RAYS_PER_CHUNK * N_BATCHES
-"""Rays of which every group gets as many."""
+"""Rays of one chunk for each batch."""
 CROSSINGS_PER_BOUNDARY = 4
-"""Passages of a face to expect of a ray, for the memory that a job takes."""
+"""Expected crossings of a boundary per ray, for the memory of a job."""
 
 FluxScore = tuple[int, FluxTally]
-"""What a batch yields: its group, and sums over its rays."""
+"""Score of a chunk: its batch, and sums over its rays."""
 
 
 class FluxByBatch(NamedTuple):
@@ -33,10 +33,10 @@ class FluxByBatch(NamedTuple):
 
     Attributes
     ----------
-    irradiance : float, shape (GROUPS, 2, faces, wavelengths)
-        Of light that passes a face, downwards and upwards; at the top, what comes counts.
-    absorptance : float, shape (GROUPS, layers, materials, wavelengths)
-    path_length : float, shape (GROUPS, layers, wavelengths)
+    irradiance : float, shape (N_BATCHES, 2, boundaries, wavelengths)
+        Of light that crosses a boundary, downwards and upwards; at the top, incident light counts.
+    absorptance : float, shape (N_BATCHES, layers, materials, wavelengths)
+    path_length : float, shape (N_BATCHES, layers, wavelengths)
         Metres.
     """
 
@@ -46,15 +46,15 @@ class FluxByBatch(NamedTuple):
 
 
 class FluxPathTally:
-    """Paths traced with one set of refractive indices, listened to at the faces of all layers.
+    """Tally of paths traced with one set of refractive indices, at the boundaries of all layers.
 
     Parameters
     ----------
-    number : int
-        Names the random streams.
+    stream_index : int
+        Position among the tallies of a run, which determines the random streams.
     index : complex, shape (materials,)
     absorption : float, shape (wavelengths, materials)
-    served : bool, shape (wavelengths,)
+    wavelength_mask : bool, shape (wavelengths,)
     traits : TransportTraits
     n_layers : int
     path_fractions : float, shape (materials,)
@@ -80,37 +80,43 @@ class FluxPathTally:
         self.irradiance_sums = np.zeros((N_BATCHES, 2, n_layers + 1, wavelengths))
         self.absorptance_sums = np.zeros((N_BATCHES, n_layers, materials, wavelengths))
         self.path_length_sums = np.zeros((N_BATCHES, n_layers, wavelengths))
-        first = random_streams.IRRADIANCE_PROFILE + stream_index * len(STRATUM_BOUNDS)
-        self.strata = make_strata(first, index, absorption, wavelength_mask, traits, STRATUM_BOUNDS)
+        first_stream = random_streams.IRRADIANCE_PROFILE + stream_index * len(STRATUM_BOUNDS)
+        self.strata = make_strata(
+            first_stream, index, absorption, wavelength_mask, traits, STRATUM_BOUNDS
+        )
 
     def count_score_values(self) -> int:
-        """Return how many numbers a tally and the notes of a batch hold."""
+        """Return the number of values in the score and the crossings of a chunk."""
         wavelengths, materials = self.absorption.shape
-        notes = FLUX_RAYS_PER_CHUNK * CROSSINGS_PER_BOUNDARY * self.n_layers * (materials + 3)
-        return notes + self.n_layers * (3 + materials) * wavelengths
+        crossings = FLUX_RAYS_PER_CHUNK * CROSSINGS_PER_BOUNDARY * self.n_layers * (materials + 3)
+        return crossings + self.n_layers * (3 + materials) * wavelengths
 
     def score_chunk(
         self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
     ) -> FluxScore:
-        """Return the sums of a batch of `FLUX_RAYS_PER_CHUNK` rays of a level."""
+        """Return the sums of a chunk of `FLUX_RAYS_PER_CHUNK` rays of a stratum."""
         absorption = self.absorption[stratum.wavelength_mask]
         ground = self.traits.ground_column
         sums = tally_flux(exits, crossings, absorption, self.path_fractions, self.n_layers, ground)
         return (first_ray // FLUX_RAYS_PER_CHUNK) % N_BATCHES, sums
 
     def add_scores(self, stratum: Stratum, scores: Sequence[FluxScore]) -> None:
-        """Add the sums of batches one by one: they do not depend on who added them."""
-        served = stratum.wavelength_mask
+        """Add the sums of chunks one by one: they do not depend on the threads."""
+        mask = stratum.wavelength_mask
         stratum.n_rays += FLUX_RAYS_PER_CHUNK * len(scores)
-        self.n_rays[served] += FLUX_RAYS_PER_CHUNK * len(scores)
-        for group, sums in scores:
-            self.irradiance_sums[group][..., served] += sums.boundary_weight
-            self.absorptance_sums[group][..., served] += sums.absorbed
-            self.path_length_sums[group][..., served] += sums.path_length
+        self.n_rays[mask] += FLUX_RAYS_PER_CHUNK * len(scores)
+        for batch, sums in scores:
+            self.irradiance_sums[batch][..., mask] += sums.boundary_weight
+            self.absorptance_sums[batch][..., mask] += sums.absorbed
+            self.path_length_sums[batch][..., mask] += sums.path_length
 
     def compute_batch_means(self) -> FluxByBatch:
-        """Return the means of every group, zero where no ray was traced."""
-        each = np.maximum(self.n_rays, 1.0) / N_BATCHES
-        light = self.irradiance_sums / each
-        light[:, 0, 0] = self.n_rays > 0.0
-        return FluxByBatch(light, self.absorptance_sums / each, self.path_length_sums / each)
+        """Return the means of every batch, zero where no ray was traced."""
+        rays_per_batch = np.maximum(self.n_rays, 1.0) / N_BATCHES
+        irradiance = self.irradiance_sums / rays_per_batch
+        irradiance[:, 0, 0] = self.n_rays > 0.0
+        return FluxByBatch(
+            irradiance,
+            self.absorptance_sums / rays_per_batch,
+            self.path_length_sums / rays_per_batch,
+        )

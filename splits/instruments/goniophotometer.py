@@ -1,4 +1,4 @@
-"""Virtual goniophotometer: where reflected and transmitted light goes."""
+"""Virtual goniophotometer: angular distributions of reflected and transmitted light."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from splits.simulation.arguments import (
 from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.runner import Runner
 from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
-from splits.simulation.spectral_nodes import choose_nodes
+from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.tracer import KERNELS
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
@@ -47,11 +47,11 @@ AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
 ANGULAR_ESTIMATORS = ("expansion", "bins", "next_event")
 TARGET_SIDES = {"brdf": 0, "btdf": 1}
 TRANSMITTED_VARIABLES = ("btdf", "transmittance", "direct_transmittance")
-"""What a dataset tells of light that leaves below: nothing of it over a ground."""
+"""Variables of light that leaves below, which is undefined over a ground."""
 
 _INTERPOLATION_FRACTION = 0.05
-"""Bound on what interpolation between refractive indices may miss of a reflectance, as a part of
-the relative error asked for."""
+"""Bound on the error of a reflectance from interpolation between refractive indices, relative to
+the requested relative error."""
 
 
 @reject_unknown_arguments
@@ -83,58 +83,63 @@ def goniophotometer(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     incidence_deg : float or "diffuse"
-        Polar angle of the beam, 0 to 89.9999 degrees; beyond 89.9 a run takes minutes, because few
-        grains fit below the boundary there.  Or equal radiance from everywhere, of which only the
-        estimator ``expansion`` knows.
+        Polar angle of the beam, 0 to 89.9999 degrees; above 89.9 a run takes minutes, because few
+        grains fit below the boundary there.  Or isotropic radiance, for the estimator ``expansion``
+        only.
     rays : int, optional
-        How many rays to trace, rounded up; by default as many as `relative_stderr` takes.
+        Number of rays, rounded up; by default as many as `relative_stderr` requires.
     seed : int
-        Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
+        Non-negative; results with the same seed are identical on any number of threads.
     relative_stderr : float
-        Largest standard error wanted as a part of the value, 1e-4 to 0.5, for polar angles up to
-        `STEEPEST_DEG`; of local estimation, for all.
+        Largest standard error relative to the value, 1e-4 to 0.5, for polar angles up to
+        `splits.instruments.angular_expansion.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
+        all.
     target : {"brdf", "btdf"}
-        Which of both is to reach it; wavelengths without light there do not count.
+        The function to which the error applies; wavelengths without light there are ignored.
     polar_deg : array_like
         Angles from the normal, 0 to below 90 degrees, strictly increasing.
     azimuth_deg : array_like
-        Angles from the direction in which the beam travels, 0 to below 360 degrees, strictly
-        increasing: the principal plane is 0 (forward) and 180 (back).
+        Angles from the direction of travel of the beam, 0 to below 360 degrees, strictly
+        increasing: the principal plane is 0 (forward) and 180 (backward).
     estimator : {"expansion", "bins", "next_event"}
-        Orthonormal polynomials over the hemisphere, or the papers' collectors as a reference:
-        cells of equal solid angle; or, for a layer under a smooth surface, local estimation: every
-        scattering tells each direction what it sends there.  Cells take `rays`, a million by
-        default; local estimation takes time for every direction, so ask for few.
+        Orthonormal polynomials over the hemisphere; or the collectors of the papers as a reference,
+        angular bins of equal solid angle; or, for a layer under a smooth surface, next-event
+        estimation: every scattering contributes to each direction.  Bins use `rays`, a million by
+        default; the cost of next-event estimation is proportional to the number of directions.
     n_bins : (int, int)
-        Cells between horizon and zenith and around; results stand at their middles, and
-        `polar_deg` and `azimuth_deg` do not count.
+        Bins in polar and in azimuth angle; results are at their centres, and `polar_deg` and
+        `azimuth_deg` are ignored.
     max_rays : int
-        A run to an error stops once this many are traced; attribute ``stop_reason`` says what came
-        first: "converged", "max_rays", or "max_degree" where the light goes into lobes too narrow for the
-        polynomials, which no rays mend; take cells then.  "unresolved_lobe" is "converged" but for a direction
-        in a lobe: what is too weak there to be told from noise keeps its error, which is stated,
-        above the one asked for (see ``relative_stderr_reached``); ask for a smaller one.
+        Number of rays after which a run to an error stops.  Attribute ``stop_reason`` is
+        "converged", "max_rays", or "max_degree" where the light is in lobes too narrow for the
+        polynomials, which more rays do not change; use bins then.  "unresolved_lobe" means
+        converged except for directions in a lobe, where terms that are insignificant individually
+        keep the stated error above the requested one (see ``relative_stderr_reached``); request a
+        smaller error then.
     threads : int, optional
-        Default: every CPU this process may use.
+        Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}
         See `splits.spectrophotometer`.
     progress : callable or bool, optional
-        True shows a bar; a function is called now and then with a `Progress`; errors are relative.
+        True shows a progress bar; a function is called periodically with a `Progress` of relative
+        errors.
 
     Returns
     -------
     xarray.Dataset
-        ``brdf`` and ``btdf`` (1/sr) over ``wavelength``, ``polar`` and ``azimuth``, of light that
-        met a grain; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor`` π·BRDF over the
-        reflectance of that light (its error is that of the BRDF alone), 0 where there is none.
-        Over wavelength, ``reflectance`` and
-        ``transmittance`` of all light, and the parts of them that met no grain, which leave as
-        sharp beams: ``specular_reflectance`` and ``direct_transmittance``.  All with their
-        standard errors ``…_stderr``.  Local estimation and cells of a polarized medium add
-        ``brdf_q``, ``brdf_u``, ``brdf_v`` and the same of the BTDF: Stokes parameters for
-        unpolarized incidence, Q > 0 along the plane that holds the normal.  Over a diffuse bottom
-        the BTDF is that of light that arrives there, at angles within the layer; local estimation
-        leaves it out.  Under diffuse light there is no BRDF: ``reflectance_factor`` is then the
+        Over ``wavelength``, ``polar`` and ``azimuth``: ``brdf`` and ``btdf`` (1/sr) of scattered
+        light; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor`` π·BRDF over the
+        reflectance of scattered light (its error is that of the BRDF alone), 0 where there is none.
+        Over ``wavelength``: ``reflectance`` and ``transmittance`` of all light, and their
+        unscattered parts, which leave as sharp beams: ``specular_reflectance`` and
+        ``direct_transmittance``.  All with their standard errors ``…_stderr``.
+
+        Next-event estimation and bins of a polarized medium add ``brdf_q``, ``brdf_u``, ``brdf_v``
+        and the same of the BTDF: Stokes parameters for unpolarized incidence, Q > 0 along the plane
+        that contains the normal.  Over a diffuse bottom the BTDF is that of light that arrives
+        there, at angles within the layer; next-event estimation omits it.
+
+        Under diffuse light there is no BRDF: ``reflectance_factor`` is then the
         hemispherical-directional one, of all light, ``transmittance_factor`` the same below, and
         ``reflectance`` and ``transmittance`` are bihemispherical.
 
@@ -151,72 +156,84 @@ def goniophotometer(
     check_medium(medium)
     wavelengths, incidence = check_wavelengths(wavelength_nm), check_incidence(incidence_deg)
     relative_stderr = check_range("relative_stderr", relative_stderr, 1e-4, 0.5)
-    grounded = get_reflecting_ground(medium) is not None
-    side = _get_target_side(target, grounded)
+    has_ground = get_reflecting_ground(medium) is not None
+    side = _get_target_side(target, has_ground)
     _check_estimator(estimator, incidence)
     check_choice("kernel", kernel, KERNELS)
     seed, max_rays = check_integer("seed", seed, 0), check_integer("max_rays", max_rays, 1)
     if rays is not None:
         check_integer("rays", rays, 1)
     threads = check_threads(threads)
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
     runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
-    polar, azimuth = _make_directions(
-        polar_deg, azimuth_deg, n_bins if estimator == "bins" else None
-    )
+    bins = n_bins if estimator == "bins" else None
+    polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
-    goal = StoppingRule(side, relative_stderr, rays, max_rays)
+    stopping_rule = StoppingRule(side, relative_stderr, rays, max_rays)
     if estimator == "bins":
-        found = estimate_by_bins(runner, nodes, absorption, n_bins, rays or 1_000_000)
+        result = estimate_by_bins(runner, nodes, absorption, n_bins, rays or 1_000_000)
     elif estimator == "next_event":
-        found = from_detectors(
-            estimate_at_detectors(medium, float(incidence), polar, azimuth, goal, runner),
+        result = from_detectors(
+            estimate_at_detectors(medium, float(incidence), polar, azimuth, stopping_rule, runner),
             wavelengths,
         )
     else:
-        paths, result, reached = trace_expansion(runner, nodes, absorption, polar, azimuth, goal)
-        found = AngularResult(result, reached, count_traced_rays(paths), paths)
-    seen = make_direction_mask(polar, azimuth) | (estimator == "next_event")
-    facts = {
+        result = _estimate_by_expansion(runner, nodes, absorption, polar, azimuth, stopping_rule)
+    direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
+    max_error = compute_max_relative_error(result.estimate, side, direction_mask)
+    attributes = {
         **make_run_attributes(
-            "Virtual goniophotometer", "goniophotometer", medium, begun, seed, threads
+            "Virtual goniophotometer", "goniophotometer", medium, start_time, seed, threads
         ),
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
-        "relative_stderr_reached": compute_max_relative_error(found.estimate, side, seen),
-        **make_angular_attributes(found, goal, nodes, runner),
+        "relative_stderr_reached": max_error,
+        **make_angular_attributes(result, stopping_rule, nodes, runner),
     }
-    dataset = _make_dataset(found.estimate, found.stokes, wavelengths, polar, azimuth, facts)
-    unseen = TRANSMITTED_VARIABLES if grounded else found.undefined_variables
-    dataset = dataset.drop_vars([name + end for name in unseen for end in ("", "_stderr")])
+    dataset = _make_dataset(result.estimate, result.stokes, wavelengths, polar, azimuth, attributes)
+    undefined = TRANSMITTED_VARIABLES if has_ground else result.undefined_variables
+    dataset = dataset.drop_vars([name + suffix for name in undefined for suffix in ("", "_stderr")])
     return relabel_for_diffuse_light(dataset) if incidence == "diffuse" else dataset
 
 
+def _estimate_by_expansion(
+    runner: Runner,
+    nodes: IndexNodes,
+    absorption: np.ndarray,
+    polar: np.ndarray,
+    azimuth: np.ndarray,
+    stopping_rule: StoppingRule,
+) -> AngularResult:
+    """Return the result of the expansion in polynomials."""
+    tallies, estimate, stop_reason = trace_expansion(
+        runner, nodes, absorption, polar, azimuth, stopping_rule
+    )
+    return AngularResult(estimate, stop_reason, count_traced_rays(tallies), tallies)
+
+
 def _check_estimator(estimator: str, incidence: float | str) -> None:
-    """Refuse an estimator that there is not, or that does not know diffuse light."""
+    """Check the estimator, and that it supports the incidence."""
     check_choice("estimator", estimator, ANGULAR_ESTIMATORS)
     if isinstance(incidence, str) and estimator != "expansion":
         allowed = "an angle for this estimator"
-        raise invalid("incidence_deg", incidence, allowed, "expansion takes it")
+        raise invalid("incidence_deg", incidence, allowed, "expansion allows it")
 
 
 def _get_target_side(target: str, has_ground: bool) -> int:
-    """Return the side of the sample that the target is on, or refuse that of a ground."""
+    """Return the side of the sample of the target, which must not be that of a ground."""
     side = TARGET_SIDES[check_choice("target", target, TARGET_SIDES)]
     if has_ground and side == 1:
-        raise invalid(
-            "target", target, "brdf over a ground", "what reaches it does not leave there"
-        )
+        raise invalid("target", target, "brdf over a ground", "no light leaves through a ground")
     return side
 
 
 def _make_directions(
     polar_deg: Any, azimuth_deg: Any, n_bins: tuple[int, int] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the directions asked for (degrees), or those of the centres of cells."""
+    """Return the requested directions (degrees), or those of bin centres."""
     if n_bins is not None:
         return compute_bin_centres(check_n_bins(n_bins))
     return check_direction_angles("polar_deg", polar_deg, 90.0), check_direction_angles(
@@ -236,41 +253,43 @@ def _make_dataset(
     grid = ("wavelength", "polar", "azimuth")
     shape = (len(wavelengths), len(polar), len(azimuth))
     scattered = estimate.compute_scattered()[0][:, np.newaxis]
-    share = np.divide(np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0)
+    anisotropy_scale = np.divide(
+        np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0
+    )
     variables: dict[str, Variable] = {}
     directional = {
         "brdf": ("bidirectional reflectance distribution function", "sr-1", 0, 1.0),
         "btdf": ("bidirectional transmittance distribution function", "sr-1", 1, 1.0),
         "reflectance_factor": ("bidirectional reflectance factor", "1", 0, np.pi),
-        "anisotropy_factor": ("anisotropy factor", "1", 0, share),
+        "anisotropy_factor": ("anisotropy factor", "1", 0, anisotropy_scale),
     }
     for name, (long_name, units, side, factor) in directional.items():
         mean = (factor * estimate.mean[side]).reshape(shape)
         stderr = (factor * estimate.stderr[side]).reshape(shape)
         variables |= make_variable(name, grid, mean, stderr, long_name, units)
     for name, (values, error) in stokes.items():
-        part = name[-1].upper()
-        label = f"Stokes {part} of the light that the {name[:4].upper()} is of"
+        component = name[-1].upper()
+        label = f"Stokes {component} of the light of the {name[:4].upper()}"
         variables |= make_variable(
             name, grid, values.reshape(shape), error.reshape(shape), label, "sr-1"
         )
-    whole = {
+    hemispherical = {
         "reflectance": ("directional-hemispherical reflectance", 0, 0),
         "transmittance": ("directional-hemispherical transmittance", 0, 1),
         "specular_reflectance": ("reflectance without scattering", 2, 0),
         "direct_transmittance": ("transmittance without scattering", 2, 1),
     }
-    for name, (long_name, row, side) in whole.items():
+    for name, (long_name, row, side) in hemispherical.items():
         mean, stderr = estimate.hemispherical[row : row + 2, side]
         variables |= make_variable(name, "wavelength", mean, stderr, long_name)
-    angle = {"units": "degree"}
+    angle_attributes = {"units": "degree"}
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "polar": ("polar", polar, {**angle, "long_name": "angle from the normal"}),
+        "polar": ("polar", polar, {**angle_attributes, "long_name": "angle from the normal"}),
         "azimuth": (
             "azimuth",
             azimuth,
-            {**angle, "long_name": "angle from the direction in which the beam travels"},
+            {**angle_attributes, "long_name": "angle from the direction in which the beam travels"},
         ),
     }
     return xr.Dataset(variables, coordinates, attributes)

@@ -1,4 +1,4 @@
-"""The reflectance factor of a sample under a sky, by direction of view."""
+"""Hemispherical-directional reflectance factor under a sky."""
 
 from __future__ import annotations
 
@@ -40,59 +40,59 @@ def hdrf(
 
     Parameters
     ----------
-    medium : GranularMedium or TurbidMedium
+    medium : GranularMedium or ParticleMedium
     sky : Sky, str or mapping
         See `splits.sky`.
     wavelength_nm : array_like
-        Strictly increasing vacuum wavelengths (nm) that the sky has.
+        Strictly increasing vacuum wavelengths (nm) within the spectrum of the sky.
     relative_stderr : float
-        Largest standard error wanted as a part of the value, under the sun and under diffuse light
+        Largest standard error relative to the value, under the sun and under diffuse light
         each, see `splits.goniophotometer`.
     seed : int
-        Non-negative; diffuse light takes the next.
+        Non-negative; diffuse light uses the next one.
     polar_deg, azimuth_deg : array_like
         Directions of view, see `splits.goniophotometer`; azimuth 0 is forward, away from the sun.
     threads : int, optional
-        Default: every CPU this process may use.
+        Default: every CPU that this process may use.
     progress : callable or bool, optional
-        True shows a bar; a function is called now and then with a `Progress`.
+        True shows a progress bar; a function is called periodically with a `Progress`.
 
     Returns
     -------
     xarray.Dataset
         ``reflectance_factor`` and its error ``reflectance_factor_stderr`` over ``wavelength``,
         ``polar`` and ``azimuth``: the radiance over that of a white Lambertian surface in the same
-        light.  Sunlight that is reflected as a beam, by a smooth face, is left out.
+        light.  The specular reflection of sunlight at a smooth boundary is excluded.
 
     Raises
     ------
     ValueError
-        For a value outside its range, or wavelengths that the sky does not have.
+        For a value outside its range, or wavelengths outside the spectrum of the sky.
 
     References
     ----------
     Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42, section 2.
     """
-    begun = time.perf_counter()
-    light = as_sky(sky)
-    w = choose_wavelengths(wavelength_nm, light, 1)
+    start_time = time.perf_counter()
+    sky_spectrum = as_sky(sky)
+    wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 1)
     seed, threads = check_integer("seed", seed, 0), check_threads(threads)
 
-    def run(incidence: float | str, number: int) -> xr.Dataset:
+    def simulate(incidence: float | str, number: int) -> xr.Dataset:
         return goniophotometer(
-            medium, w, incidence, seed=seed + number, relative_stderr=relative_stderr,
+            medium, wavelengths, incidence, seed=seed + number, relative_stderr=relative_stderr,
             polar_deg=polar_deg, azimuth_deg=azimuth_deg, threads=threads, progress=progress,
         )  # fmt: skip
 
     name = "reflectance_factor"
-    found = mix_direct_and_diffuse(light, w, run, [name])
+    mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, [name])
     term = "hemispherical-directional reflectance factor under this sky"
-    error = {"long_name": f"standard error of {term}", "units": "1"}
-    about = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
-    found[name].attrs, found[f"{name}_stderr"].attrs = about, error
-    facts = make_run_attributes(
-        "Reflectance factor under a sky", "hdrf", medium, begun, seed, threads
+    error_attributes = {"long_name": f"standard error of {term}", "units": "1"}
+    value_attributes = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
+    mixed[name].attrs, mixed[f"{name}_stderr"].attrs = value_attributes, error_attributes
+    attributes = make_run_attributes(
+        "Reflectance factor under a sky", "hdrf", medium, start_time, seed, threads
     )
-    asked_for = {"relative_stderr": relative_stderr}
-    found = found.assign_coords(wavelength=make_wavelength_coordinate(w))
-    return found.assign_attrs(facts | make_sky_attributes(light) | asked_for)
+    requested = {"relative_stderr": relative_stderr}
+    mixed = mixed.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))
+    return mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum) | requested)

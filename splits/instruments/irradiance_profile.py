@@ -1,4 +1,4 @@
-"""Light inside a sample: irradiances at depths, and what is absorbed between them."""
+"""Vertical profiles of irradiance, and the absorptance between depths."""
 
 from __future__ import annotations
 
@@ -44,13 +44,14 @@ from splits.simulation.tracer import KERNELS
 
 MAX_DEPTHS = 200
 MAX_TALLY_VALUES = 100_000_000
-"""Sums by group, layer, material and wavelength that are held: some three times their memory."""
+"""Largest number of sums by batch, layer, material and wavelength; a run takes three times their
+memory."""
 INTERPOLATION_FRACTION = 0.4
-"""Part of the error asked for that interpolation between indices may take."""
+"""Fraction of the requested error that interpolation between indices may contribute."""
 BAND_INTERPOLATION_FRACTION = 0.04
-"""The same where errors are those of bands: more indices then take hardly any more rays."""
+"""The same for errors of bands, for which more index nodes need hardly any more rays."""
 ERROR_QUANTITIES = ("irradiance", "absorptance")
-"""Quantities that a largest error is asked of: the first stands for all of them."""
+"""Quantities to which the largest error applies; the first means all of them."""
 
 
 @reject_unknown_arguments
@@ -69,41 +70,42 @@ def irradiance_profile(
     kernel: str = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Return irradiances inside a medium, and where its light is absorbed.
+    """Measure irradiances inside a medium, and the absorptance between depths.
 
     Parameters
     ----------
     medium : GranularMedium, LayeredMedium or ParticleMedium
-        For example `splits.Snow`, `splits.Stack` or `splits.ParticleLayer`; may have no end.
+        For example `splits.Snow`, `splits.Stack` or `splits.ParticleLayer`; may be semi-infinite.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     depth_m : array_like
         Strictly increasing depths (m) inside the medium, at most 200.  Its top and its bottom are
-        added to them; of a medium without end, only the top.
+        added to them; of a semi-infinite medium, only the top.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
+        Polar angle of a beam, 0 to 89.9999 degrees, or isotropic radiance.
     max_stderr : float
-        Largest standard error wanted, 1e-6 to 0.5; see `target`.
+        Largest standard error, 1e-6 to 0.5; see `target`.
     seed : int
-        Non-negative; the same seed gives the same numbers on any number of threads.
+        Non-negative; results with the same seed are identical on any number of threads.
     target : {"irradiance", "absorptance"}
-        Quantities whose errors `max_stderr` limits: all irradiances and absorptances, or only
-        absorptances and reflectance.  In bright and thick media the latter take far fewer rays.
+        Quantities to which `max_stderr` applies: all irradiances and absorptances, or only
+        absorptances and reflectance, which need far fewer rays in thick, weakly absorbing media.
     max_rays, threads, kernel, progress
         As for `splits.spectrophotometer`.
 
     Returns
     -------
     xarray.Dataset
-        Over ``wavelength`` and ``depth``, in units of the irradiance from above:
+        Over ``wavelength`` and ``depth``, relative to the incident irradiance:
         ``downward_irradiance`` and ``upward_irradiance``, the latter at the top the reflectance.
-        Over ``wavelength`` and ``interval``, between successive depths: ``absorptance``, the share
-        of the light that is absorbed there, and ``actinic_flux``, the mean path of the light in
-        the interval over its thickness, grains and pores together.  ``absorptance_of_material``
-        over ``material`` besides.  All with standard errors ``…_stderr``; irradiances and
-        absorptances also with ``…_batches``, see `splits.core.uncertainty`.  Reflectance,
-        absorptances, and the net irradiance at the bottom add up to 1.  The last interval of a
-        medium without end goes on below all depths; its mean actinic flux is 0 if it absorbs.
+        Over ``wavelength`` and ``interval``, between successive depths: ``absorptance``, the
+        fraction of the light that is absorbed there, and ``actinic_flux``, the mean path of the
+        light in the interval over its thickness, grains and pores together;
+        ``absorptance_of_material`` is also over ``material``.  All with standard errors
+        ``…_stderr``; irradiances and absorptances also with ``…_batches``, see
+        `splits.core.uncertainty`.  Reflectance, absorptances, and the net irradiance at the bottom
+        add up to 1.  The last interval of a semi-infinite medium extends below all depths; its mean
+        actinic flux is 0 if it absorbs.
 
     Raises
     ------
@@ -112,33 +114,33 @@ def irradiance_profile(
 
     Notes
     -----
-    Small particles absorb along the path here, which is the same to light; what they absorb counts
-    for the matrix of their layer.
+    Small particles are treated as absorbing along the path, which is equivalent; their absorptance
+    is attributed to the matrix of their layer.
 
-    Light inside a grain that lies across a plane counts as passing it where the ray leaves the
-    grain on the other side, and what that grain absorbs belongs to the interval of its entry.  A
-    plane at a face between layers of different saturation counts the light that passes; what the
-    face reflects does not, on either side of it.
+    Light inside a grain that lies across a plane crosses the plane where the ray leaves the grain
+    on the other side, and the absorptance of that grain belongs to the interval of its entry.  A
+    plane at a boundary between layers of different saturation records transmitted light; the light
+    that the boundary reflects counts on neither side of it.
 
-    Actinic flux and shares of materials take weights to fall evenly along the path between planes.
-    Where single grains or pores absorb much of the light that crosses them, both are rough; their
-    errors hold what that may be (`splits.instruments.flux_errors`).
+    Actinic flux and the absorptances of materials assume that weights decrease evenly along the
+    path between planes.  Where single grains or pores absorb much of the light that crosses them,
+    both are approximate; their errors include this (`splits.instruments.absorption_steps`).
 
     References
     ----------
     Paths and weights are those of SPLITSnow Eqs 5-6; actinic flux as path per volume, for example
     Mayer (2009), EPJ Web of Conferences 1, 75, section 4.
     """
-    asked = FluxRequest(
+    request = FluxRequest(
         medium, wavelength_nm, depth_m, incidence_deg, seed, max_rays, threads, kernel, progress
     ).validate()
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
-    whole = check_choice("target", target, ERROR_QUANTITIES) == ERROR_QUANTITIES[0]
-    return simulate_flux(asked, FluxStoppingRule(max_stderr, whole))
+    limit_irradiance = check_choice("target", target, ERROR_QUANTITIES) == ERROR_QUANTITIES[0]
+    return simulate_flux(request, FluxStoppingRule(max_stderr, limit_irradiance))
 
 
 class FluxRequest(NamedTuple):
-    """What is to be known of the light inside, see `irradiance_profile`."""
+    """Request for fluxes inside a medium, see `irradiance_profile`."""
 
     medium: Any
     wavelengths: Any
@@ -151,7 +153,7 @@ class FluxRequest(NamedTuple):
     progress: ProgressCallback
 
     def validate(self) -> FluxRequest:
-        """Return it, or refuse a value outside its range."""
+        """Return the request with checked values."""
         check_medium(
             self.medium, GranularMedium, LayeredMedium, ParticleMedium, allow_semi_infinite=True
         )
@@ -167,85 +169,94 @@ class FluxRequest(NamedTuple):
 
 
 def simulate_flux(request: FluxRequest, stopping_rule: FluxStoppingRule) -> xr.Dataset:
-    """Return the dataset of `irradiance_profile`, for quantities known as well as a goal asks for."""
-    begun = time.perf_counter()
+    """Return the dataset of `irradiance_profile` for a stopping rule."""
+    start_time = time.perf_counter()
     medium, seed, threads = request.medium, request.seed, request.threads
-    traced = prepare_medium(
+    traced_medium = prepare_medium(
         medium, request.wavelengths, request.depths, stopping_rule.max_stderr, seed, threads
     )
     runner = Runner(
-        traced.medium, request.incidence, seed, threads, False, request.kernel, request.progress,
-        planes_m=request.depths.tolist(),
+        traced_medium.medium, request.incidence, seed, threads, False, request.kernel,
+        request.progress, planes_m=request.depths.tolist(),
     )  # fmt: skip
     runner.rays_per_chunk = FLUX_RAYS_PER_CHUNK
-    index, absorption = traced.constants
-    nodes = _choose_nodes(index, traced.medium, stopping_rule)
-    layers = len(runner.tracer.boundary_depths_m) - 1
-    _check_memory(traced, layers, len(nodes.index))
-    fractions = np.ones(absorption.shape[1])
-    own = compute_path_fractions(traced.medium)
-    fractions[: own.size] = own
-    ensembles = [
-        FluxPathTally(number, m, absorption, w > 0.0, runner.tracer.traits, layers, fractions)
-        for number, (m, w) in enumerate(zip(nodes.index, nodes.weights, strict=True))
+    index, absorption = traced_medium.constants
+    nodes = _choose_nodes(index, traced_medium.medium, stopping_rule)
+    n_layers = len(runner.tracer.boundary_depths_m) - 1
+    _check_memory(traced_medium, n_layers, len(nodes.index))
+    path_fractions = np.ones(absorption.shape[1])
+    material_fractions = compute_path_fractions(traced_medium.medium)
+    path_fractions[: material_fractions.size] = material_fractions
+    tallies = [
+        FluxPathTally(
+            number,
+            indices,
+            absorption,
+            weights > 0.0,
+            runner.tracer.traits,
+            n_layers,
+            path_fractions,
+        )
+        for number, (indices, weights) in enumerate(zip(nodes.index, nodes.weights, strict=True))
     ]
-    runner.share_kernel(ensembles)
-    outcome = estimate_flux(runner, ensembles, nodes, traced, stopping_rule, request.max_rays)
-    facts = {
-        **make_run_attributes("Light inside", "irradiance_profile", medium, begun, seed, threads),
+    runner.share_kernel(tallies)
+    result = estimate_flux(runner, tallies, nodes, traced_medium, stopping_rule, request.max_rays)
+    attributes = {
+        **make_run_attributes("Light inside", "irradiance_profile", medium, start_time, seed, threads),
         "incidence_deg": request.incidence,
         "max_stderr": stopping_rule.max_stderr,
         "target": ERROR_QUANTITIES[0] if stopping_rule.limit_irradiance else ERROR_QUANTITIES[1],
-        "stop_reason": outcome.stop_reason,
-        "max_stderr_reached": outcome.max_stderr_reached,
+        "stop_reason": result.stop_reason,
+        "max_stderr_reached": result.max_stderr_reached,
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "max_rays": request.max_rays,
-        "rays": sum(level.n_rays for e in ensembles for level in e.strata),
-        "ensembles": len(ensembles),
-        "kernel": runner.list_kernels(ensembles),
+        "rays": sum(stratum.n_rays for tally in tallies for stratum in tally.strata),
+        "ensembles": len(tallies),
+        "kernel": runner.list_kernels(tallies),
     }
-    if traced.semi_infinite:
-        facts["truncation_depth_m"] = float(traced.planes_m[-1])
-    return make_flux_dataset(outcome, traced, request.wavelengths, facts)
+    if traced_medium.semi_infinite:
+        attributes["truncation_depth_m"] = float(traced_medium.planes_m[-1])
+    return make_flux_dataset(result, traced_medium, request.wavelengths, attributes)
 
 
 def _choose_nodes(index: np.ndarray, medium: Medium, stopping_rule: FluxStoppingRule) -> IndexNodes:
-    """Return refractive indices to trace with: more of them where many share the rays of a band."""
-    found = choose_nodes(
+    """Return the index nodes: more of them for bands, whose wavelengths share the rays."""
+    nodes = choose_nodes(
         index, medium.list_interfaces(), INTERPOLATION_FRACTION * stopping_rule.max_stderr
     )
     if stopping_rule.band_weights is None:
-        return found
-    finer = choose_nodes(
+        return nodes
+    band_nodes = choose_nodes(
         index, medium.list_interfaces(), BAND_INTERPOLATION_FRACTION * stopping_rule.max_stderr
     )
-    return finer if len(finer.index) <= MAX_NODES else found
+    return band_nodes if len(band_nodes.index) <= MAX_NODES else nodes
 
 
 def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
-    """Return depths inside a sample of a thickness (m), or refuse them."""
+    """Return depths inside a sample of a thickness (m), after checking them."""
     depths = check_increasing("depth_m", as_1d_array("depth_m", depth_m, "numbers in metres"))
     if depths.size > MAX_DEPTHS:
         raise invalid("depth_m", f"{depths.size} depths", f"at most {MAX_DEPTHS}")
-    hint = "top and bottom are there in any case"
-    # Rounding leaves what is meant as the bottom on either side of it.
-    bottom = np.isclose(depths, thickness, rtol=ROUNDING_TOLERANCE, atol=0.0)
-    depths = np.where(bottom, thickness, depths)
+    hint = "top and bottom are always included"
+    # Rounding may put a depth at the bottom on either side of it.
+    at_bottom = np.isclose(depths, thickness, rtol=ROUNDING_TOLERANCE, atol=0.0)
+    depths = np.where(at_bottom, thickness, depths)
     return check_array_range(
         "depth_m", depths, 0.0, thickness, "m", open_low=True, open_high=True, hint=hint
     )
 
 
 def _check_memory(traced_medium: TracedMedium, n_layers: int, n_nodes: int) -> None:
-    """Refuse what would not fit into memory."""
-    rows, columns = traced_medium.constants.absorption.shape
-    wavelengths, sums = (
+    """Check that the tallies fit into memory."""
+    n_rows, n_columns = traced_medium.constants.absorption.shape
+    n_wavelengths, n_values = (
         traced_medium.n_wavelengths,
-        N_BATCHES * n_layers * (columns + 3) * rows * n_nodes,
+        N_BATCHES * n_layers * (n_columns + 3) * n_rows * n_nodes,
     )
-    if sums > MAX_TALLY_VALUES:
+    if n_values > MAX_TALLY_VALUES:
+        max_wavelengths = max(1, n_wavelengths * MAX_TALLY_VALUES // n_values)
         raise invalid(
-            "wavelength_nm", f"{wavelengths} wavelengths",
-            f"at most {max(1, wavelengths * MAX_TALLY_VALUES // sums)} with so many depths and layers",
-            "several calls hold more",
+            "wavelength_nm", f"{n_wavelengths} wavelengths",
+            f"at most {max_wavelengths} with these depths and layers",
+            "use several calls",
         )  # fmt: skip

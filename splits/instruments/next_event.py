@@ -1,7 +1,7 @@
-"""Local estimation: directions hear of every scattering under a smooth surface.
+"""Next-event estimation: every scattering contributes to each view direction.
 
-Budak & Grimailo 2020, Eqs 4-5: the radiance on a circle above the layer, without collectors of
-finite size.  Errors come from the scatter of batches of rays.
+Budak & Grimailo 2020, Eqs 4-5 (local estimation): the radiance on a circle above the layer,
+without collectors of finite size.  Errors come from the scatter of batches of rays.
 """
 
 from __future__ import annotations
@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from splits.core.progress import Progress
 from splits.core.validation import invalid
-from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
+from splits.instruments.detector_tally import DetectorResult, DetectorTally
 from splits.kernels.grains.scene import NO_MAX_ORDER
 from splits.kernels.optics.forward_peak import PhaseFunctionPeak, separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
@@ -32,82 +33,29 @@ PILOT_BATCHES = 128
 """Batches of the first round."""
 _MAX_ROUND_GROWTH = 8.0
 NEGLIGIBLE_PROBABILITY = 1e-16
-"""Probability of more scatterings into a peak than there is room for."""
+"""Probability of more successive scatterings into a peak than are stored."""
 MAX_PEAK_FRACTION = 0.99
-"""Of scattering into a peak: with more of it, light takes hundreds of scatterings to turn."""
+"""Largest probability of scattering into a peak: above it, light needs hundreds of scatterings to
+change its direction."""
 MAX_PENDING_BATCHES = 4096
-"""Batches that wait for a thread at most."""
+"""Largest number of batches that wait for a thread."""
 
 
 @dataclass(frozen=True)
 class StoppingRule:
-    """How far a run goes: to a relative error on one side, or to a number of rays."""
+    """Stopping rule of a run: a relative error on one side, or a number of rays."""
 
     side: int
     relative_stderr: float
     n_rays: int | None
     max_rays: int
 
-
-@dataclass(frozen=True)
-class DetectorResult:
-    """What detectors heard.
-
-    Attributes
-    ----------
-    mean, stderr : float, shape (2, directions, 4)
-        I, Q, U, V of the BRDF and the BTDF (1/sr) for unpolarized light.
-    stopping_error : float, shape (2, directions)
-        Errors of I by which runs are steered: larger, so that none stops on batches that happen
-        to agree.
-    hemispherical, hemispherical_stderr : float, shape (2, 2)
-        [reflected, transmitted][all light, light that met nothing but smooth faces].
-    n_rays : int
-    stop_reason : str
-        "converged" or "max_rays".
-    polarized : bool
-    has_lower_side : bool
-        Whether there was something to hear below.
-    """
-
-    mean: np.ndarray
-    stderr: np.ndarray
-    stopping_error: np.ndarray
-    hemispherical: np.ndarray
-    hemispherical_stderr: np.ndarray
-    n_rays: int
-    stop_reason: str
-    polarized: bool
-    has_lower_side: bool
-
-    def compute_max_error(self, side: int) -> float:
-        """Return the largest error that steers, of one side, relative to `angular.reference`."""
-        return compute_max_relative_error(
-            self.to_angular_estimate(1), side, use_stopping_error=True
-        )
-
-    def to_angular_estimate(self, n_wavelengths: int) -> AngularEstimate:
-        """Return BRDF and BTDF, the same at so many wavelengths."""
-        sums = np.empty((4, 2, n_wavelengths))
-        sums[0::2] = self.hemispherical.T[:, :, np.newaxis]
-        sums[1::2] = self.hemispherical_stderr.T[:, :, np.newaxis]
-        mean, stderr, steering = (
-            np.repeat(x[:, np.newaxis], n_wavelengths, axis=1)
-            for x in (self.mean[..., 0], self.stderr[..., 0], self.stopping_error)
-        )
-        degree = np.zeros((2, n_wavelengths), dtype=int)
-        return AngularEstimate(mean, stderr, steering, sums, degree, np.zeros_like(mean))
-
-    def to_stokes(self, n_wavelengths: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
-        return {
-            f"{function}_{name}": (
-                np.repeat(self.mean[np.newaxis, side, :, place], n_wavelengths, axis=0),
-                np.repeat(self.stderr[np.newaxis, side, :, place], n_wavelengths, axis=0),
-            )
-            for side, function in enumerate(("brdf", "btdf")[: 1 + self.has_lower_side])
-            for place, name in ((1, "q"), (2, "u"), (3, "v"))
-        }
+    def count_batches(self, pilot_batches: int) -> tuple[int, int]:
+        """Return the numbers of batches of the first round and of the whole run at most."""
+        if self.n_rays is None:
+            return pilot_batches, max(2, self.max_rays // RAYS_PER_CHUNK)
+        n_batches = max(2, -(-self.n_rays // RAYS_PER_CHUNK))
+        return n_batches, n_batches
 
 
 def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarray) -> Detectors:
@@ -120,31 +68,40 @@ def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarra
         Degrees, of the directions outside.
     """
     layer = medium.make_scattering_layer(False)
-    outer, turn = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
-    sine = np.sin(outer) / layer.refractive_index
+    outer_polar, azimuth_rad = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
+    sine = np.sin(outer_polar) / layer.refractive_index
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-    toward = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
-    faces = [compute_fresnel_mueller(layer.refractive_index, 1.0, c) for c in cosine]
-    returning = np.array([face.reflection for face in faces])
-    passing = np.array([face.transmission for face in faces])
+    directions = np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), cosine], axis=1)
+    interfaces = [compute_fresnel_mueller(layer.refractive_index, 1.0, c) for c in cosine]
+    reflection = np.array([interface.reflection for interface in interfaces])
+    transmission = np.array([interface.transmission for interface in interfaces])
     if not medium.polarized:
-        returning = returning * [1.0, 0.0, 0.0, 0.0]
-        passing = passing * [1.0, 0.0, 0.0]
+        reflection = reflection * [1.0, 0.0, 0.0, 0.0]
+        transmission = transmission * [1.0, 0.0, 0.0]
     # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
-    passing = passing / (layer.refractive_index**2 * cosine[:, np.newaxis])
-    below = layer.bottom_albedo == OPEN_BOTTOM and np.isfinite(layer.depth)
-    sums = np.zeros((2, len(toward), 4))
-    plane = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    transmission = transmission / (layer.refractive_index**2 * cosine[:, np.newaxis])
+    has_lower_side = layer.bottom_albedo == OPEN_BOTTOM and np.isfinite(layer.depth)
+    sums = np.zeros((2, len(directions), 4))
+    plane = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
     peak = _check_forward_peak(medium)
     orders = (
         0 if peak is None else math.ceil(math.log(NEGLIGIBLE_PROBABILITY) / math.log(peak.fraction))
     )
-    room = np.zeros((1 + orders, 3))
-    return Detectors(toward, plane, passing, returning, bool(below), sums, peak, room)
+    peak_directions = np.zeros((1 + orders, 3))
+    return Detectors(
+        directions,
+        plane,
+        transmission,
+        reflection,
+        bool(has_lower_side),
+        sums,
+        peak,
+        peak_directions,
+    )
 
 
 def _check_forward_peak(medium: ParticleMedium) -> PhaseFunctionPeak | None:
-    """Return the narrow peak of the phase function, or refuse one that holds nearly all light."""
+    """Return the narrow peak of the phase function, which must not hold nearly all light."""
     peak = separate_peak(medium.kernel_phase_function)
     if peak is not None and peak.fraction > MAX_PEAK_FRACTION:
         raise invalid(
@@ -162,7 +119,7 @@ def estimate_at_detectors(
     stopping_rule: StoppingRule,
     runner: Runner,
 ) -> DetectorResult:
-    """Trace rays until every direction has the relative error asked for, or so many.
+    """Trace rays until every direction has the requested relative error, or a number of rays.
 
     Parameters
     ----------
@@ -170,9 +127,9 @@ def estimate_at_detectors(
     incidence_deg : float
     polar, azimuth : float
         Degrees, see `make_detectors`.
-    stopping_rule : Goal
+    stopping_rule : StoppingRule
     runner : Runner
-        For its seed, its threads and its report.
+        For its seed, its threads and its progress callback.
 
     Raises
     ------
@@ -184,127 +141,83 @@ def estimate_at_detectors(
     if medium.make_height_fields() is not None:
         raise invalid(
             "estimator", "next_event", "expansion or bins under a rough surface",
-            "no single path leads through it to a given direction; cells have Stokes parameters",
+            "no single path leads through it to a given direction; bins have Stokes parameters",
         )  # fmt: skip
-    light = Source(float(np.cos(np.radians(incidence_deg))), 0.0)
+    source = Source(float(np.cos(np.radians(incidence_deg))), 0.0)
     layer = medium.make_scattering_layer(False)
     stokes = UNPOLARIZED if medium.polarized else None
-    scene = LayerScene(light, layer, medium.kernel_phase_function, None, stokes)
+    scene = LayerScene(source, layer, medium.kernel_phase_function, None, stokes)
     detectors = make_detectors(medium, polar, azimuth)
     if stopping_rule.side == 1 and not detectors.has_lower_side:
-        raise invalid(
-            "target", "btdf", "brdf with estimator = next_event", "the layer has no open lower face"
-        )
-    sums = _DetectorTally(detectors.sums.shape)
-    begun = time.perf_counter()
+        allowed = "brdf with estimator = next_event"
+        raise invalid("target", "btdf", allowed, "the layer has no open lower boundary")
+    return _trace_to_error(
+        _DetectorTracer(runner.seed, scene, detectors), medium, stopping_rule, runner
+    )
 
-    def hear(batch: int) -> np.ndarray:
-        heard, totals = np.zeros_like(detectors.sums), np.zeros((2, 2))
-        own = detectors._replace(
-            sums=heard, peak_directions=np.zeros_like(detectors.peak_directions)
+
+class _DetectorTracer(NamedTuple):
+    """Tracer of batches of rays that contribute to detectors."""
+
+    seed: int
+    scene: LayerScene
+    detectors: Detectors
+
+    def trace_batch(self, batch: int) -> np.ndarray:
+        """Return the mean contributions to detectors, and to hemispherical quantities."""
+        scores, hemispherical = np.zeros_like(self.detectors.sums), np.zeros((2, 2))
+        batch_detectors = self.detectors._replace(
+            sums=scores, peak_directions=np.zeros_like(self.detectors.peak_directions)
         )
         work = np.array(
             [random_streams.NEXT_EVENT, batch * RAYS_PER_CHUNK, RAYS_PER_CHUNK, NO_MAX_ORDER]
         )
-        kernels.trace_to_detectors(runner.seed, work, scene, own, totals)
-        return np.concatenate([heard.ravel(), totals.ravel()]) / RAYS_PER_CHUNK
+        kernels.trace_to_detectors(self.seed, work, self.scene, batch_detectors, hemispherical)
+        return np.concatenate([scores.ravel(), hemispherical.ravel()]) / RAYS_PER_CHUNK
 
-    # Peaked phase functions speak rarely, and loudly.
+    def trace_up_to(self, tally: DetectorTally, n_batches: int, pool: DaemonThreadPool) -> None:
+        """Trace further batches up to a number and add them in order."""
+        while tally.n_batches < n_batches:
+            last = min(n_batches, tally.n_batches + MAX_PENDING_BATCHES)
+            for score in pool.map(self.trace_batch, range(tally.n_batches, last)):
+                tally.add_batch(score)
+
+
+def _trace_to_error(
+    tracer: _DetectorTracer, medium: ParticleMedium, stopping_rule: StoppingRule, runner: Runner
+) -> DetectorResult:
+    """Trace batches until the stopping rule is satisfied."""
+    start_time = time.perf_counter()
+    layer, has_lower_side = tracer.scene.layer, tracer.detectors.has_lower_side
+    # For forward-peaked phase functions few events dominate the estimate, so the pilot is longer.
     g = abs(medium.kernel_phase_function.g)
-    pilot = int(PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
-    wanted = (
-        pilot
-        if stopping_rule.n_rays is None
-        else max(2, -(-stopping_rule.n_rays // RAYS_PER_CHUNK))
-    )
-    most = (
-        max(2, stopping_rule.max_rays // RAYS_PER_CHUNK) if stopping_rule.n_rays is None else wanted
-    )
-    silent = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom_albedo <= 0.0
+    pilot_batches = int(PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
+    to_error = stopping_rule.n_rays is None
+    target_batches, max_batches = stopping_rule.count_batches(pilot_batches)
+    no_signal = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom_albedo <= 0.0
+    lossless = not runner.tracer.traits.extra_absorption and layer.bottom_albedo == 1.0
+    tally = DetectorTally(tracer.detectors.sums.shape)
     with DaemonThreadPool(runner.threads) as pool:
         while True:
-            while sums.n_batches < wanted:
-                for one in pool.map(
-                    hear, range(sums.n_batches, min(wanted, sums.n_batches + MAX_PENDING_BATCHES))
-                ):
-                    sums.add_batch(one)
-            certain = not runner.tracer.traits.extra_absorption and layer.bottom_albedo == 1.0
-            result = sums.compute_result(
-                detectors.has_lower_side, medium.polarized, silent, certain
-            )
+            tracer.trace_up_to(tally, target_batches, pool)
+            n_batches = tally.n_batches
+            result = tally.compute_result(has_lower_side, medium.polarized, no_signal, lossless)
             error = result.compute_max_error(stopping_rule.side)
-            nothing = not silent and not result.mean[stopping_rule.side].any()
-            done = (
-                stopping_rule.n_rays is None
-                and error <= stopping_rule.relative_stderr
-                and not nothing
-            )
-            if done or sums.n_batches >= most or (nothing and sums.n_batches >= 64 * pilot):
-                return replace(result, stop_reason="converged" if done else "max_rays")
-            factor = (
-                _MAX_ROUND_GROWTH
-                if nothing
-                else 1.05 * (error / stopping_rule.relative_stderr) ** 2
-            )
-            more = sums.n_batches * factor
-            wanted = int(
-                min(max(more, sums.n_batches + 1), _MAX_ROUND_GROWTH * sums.n_batches, most)
+            is_empty = not no_signal and not result.mean[stopping_rule.side].any()
+            converged = to_error and error <= stopping_rule.relative_stderr and not is_empty
+            exhausted = n_batches >= max_batches or (is_empty and n_batches >= 64 * pilot_batches)
+            if converged or exhausted:
+                return replace(result, stop_reason="converged" if converged else "max_rays")
+            factor = 1.05 * (error / stopping_rule.relative_stderr) ** 2
+            needed_batches = n_batches * (_MAX_ROUND_GROWTH if is_empty else factor)
+            target_batches = int(
+                min(max(needed_batches, n_batches + 1), _MAX_ROUND_GROWTH * n_batches, max_batches)
             )
             if runner.progress_callback:
-                spent = time.perf_counter() - begun
-                left = spent * (more / sums.n_batches - 1.0)
-                progress = Progress(
-                    wanted * RAYS_PER_CHUNK, error, stopping_rule.relative_stderr, spent, left
+                seconds = time.perf_counter() - start_time
+                seconds_left = seconds * (needed_batches / n_batches - 1.0)
+                n_rays = target_batches * RAYS_PER_CHUNK
+                relative_stderr = stopping_rule.relative_stderr
+                runner.progress_callback(
+                    Progress(n_rays, error, relative_stderr, seconds, seconds_left)
                 )
-                runner.progress_callback(progress)
-
-
-class _DetectorTally:
-    """What batches heard, added up in their order.
-
-    Attributes
-    ----------
-    n_batches : int
-    sums, sums_of_squares, max_scores : float, shape (numbers,)
-        Sums, sums of squares, and what the batch heard that heard most, of either sign.
-    """
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.shape = shape
-        self.n_batches = 0
-        self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, int(np.prod(shape)) + 4))
-
-    def add_batch(self, score: np.ndarray) -> None:
-        """Add what one batch heard."""
-        self.n_batches += 1
-        self.sums += score
-        self.sums_of_squares += score**2
-        self.max_scores = np.where(np.abs(score) > np.abs(self.max_scores), score, self.max_scores)
-
-    def compute_result(
-        self, has_lower_side: bool, polarized: bool, no_signal: bool, lossless: bool
-    ) -> DetectorResult:
-        """Return means and standard errors.
-
-        As if one more batch had come that heard as much as the loudest so far; and where nothing
-        was heard, one ray, unless there is nothing to hear (`no_signal`), or nothing to go astray
-        (`lossless`).
-        """
-        n, rays = self.n_batches, self.n_batches * RAYS_PER_CHUNK
-        mean = self.sums / n
-        square = (self.sums_of_squares + self.max_scores**2) / (n + 1)
-        # The batch that is added belongs to the mean that scatter is about, but not to the answer.
-        about = (self.sums + self.max_scores) / (n + 1)
-        count = int(np.prod(self.shape))
-        (heard, totals), (stderr, of_totals), (steering, _) = (
-            (x[:count].reshape(self.shape), x[count:].reshape(2, 2))
-            for x in (mean, *(np.sqrt(np.maximum(square - m**2, 0.0) / n) for m in (about, mean)))
-        )
-        for side in range(1 + has_lower_side) if not no_signal else ():
-            unheard = heard[side, :, 0] == 0.0
-            stderr[side, unheard, 0] = steering[side, unheard, 0] = 1.0 / (np.pi * rays)
-        if not lossless:
-            of_totals = np.maximum(of_totals, 1.0 / rays)
-        return DetectorResult(
-            heard, stderr, steering[..., 0], totals, of_totals, rays, "", polarized, has_lower_side
-        )

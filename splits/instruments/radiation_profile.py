@@ -1,4 +1,4 @@
-"""Sunlight inside a sample: irradiances at depths, and the power absorbed between them."""
+"""Vertical profiles of radiation under a sky: irradiances at depths and absorbed power."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ OUTPUT_VARIABLES = {
     "upward_irradiance": ("upward_irradiance", "upward irradiance"),
     "absorptance": ("absorbed_power", "absorbed power of the interval"),
 }
-"""Variables of a profile, and what becomes of them in sunlight."""
+"""Variables of an irradiance profile, and the names and labels of those under a sky."""
 STOP_REASONS = ("converged", "interpolation_bound", "max_rays")
-"""What ended a run: the error asked for was reached, or one of what kept it from that."""
+"""Stop reasons of runs, in increasing order of severity."""
 POWER_ERROR_QUANTITIES = ("absorbed_power", "irradiance")
-"""Quantities that a largest error is asked of: the last stands for all of them."""
+"""Quantities to which the largest error applies; the last means all of them."""
 
 
 @reject_unknown_arguments
@@ -54,7 +54,7 @@ def radiation_profile(
     threads: int | None = None,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure the light of a sky inside a medium, and the power that is absorbed there.
+    """Measure irradiances inside a medium under a sky, and the power that it absorbs.
 
     Parameters
     ----------
@@ -63,31 +63,32 @@ def radiation_profile(
     sky : Sky, str or mapping
         See `splits.sky`.
     depth_m : array_like
-        Strictly increasing depths (m) inside the medium; its top and, if it ends, its bottom are
-        added.  Faces of a stack's layers among them give the power absorbed by each layer.
+        Strictly increasing depths (m) inside the medium; its top and, if it is finite, its bottom
+        are added.  Include the boundaries of a stack's layers to obtain the power absorbed by each
+        layer.
     wavelength_nm : array_like, optional
         Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from the
-        first of the sky to 2495.  Light beyond them is left out, see ``irradiance_covered``.
+        first of the sky to 2495.  Light outside them is ignored, see ``irradiance_covered``.
     max_stderr : float
-        Largest standard error wanted in any band, as a part of the band's irradiance from above;
-        see `target`.
+        Largest standard error in any band, relative to the band's incident irradiance; see
+        `target`.
     seed : int
-        Non-negative; diffuse light takes the next.
+        Non-negative; diffuse light uses the next one.
     target : {"absorbed_power", "irradiance"}
-        Quantities whose errors `max_stderr` limits: absorbed power and the light sent back at the
-        top, or irradiances at all depths besides.  In bright and thick packs the latter take
+        Quantities to which `max_stderr` applies: absorbed power and the light reflected at the
+        top, or also irradiances at all depths.  In thick, weakly absorbing media the latter need
         many times as many rays, since light crosses a plane there many times.
     total_w_m2 : float, optional
-        Irradiance from above at all wavelengths of the sky (W m⁻²), to which it is scaled; the
-        skies of SNICAR need it.
+        Incident irradiance at all wavelengths of the sky (W m⁻²), to which it is scaled; the
+        skies of SNICAR require it.
     bands : mapping or str, optional
         As for `splits.albedo`: ``{"photosynthetic": (400, 700)}``.
     max_rays : int
-        Rays after which the light of the sun, and diffuse light, is traced no further.
+        Number of rays after which the simulation of sunlight, and of diffuse light, stops.
     threads : int, optional
-        Default: every CPU this process may use.
+        Default: every CPU that this process may use.
     progress : callable or bool, optional
-        True shows a bar; a function is called now and then with a `Progress`.
+        True shows a progress bar; a function is called periodically with a `Progress`.
 
     Returns
     -------
@@ -95,12 +96,12 @@ def radiation_profile(
         Over ``band``, the first of which is "broadband", and ``depth``: ``downward_irradiance`` and
         ``upward_irradiance`` (W m⁻²).  Over ``band`` and ``interval``, between successive depths:
         ``absorbed_power`` (W m⁻²).  All with standard errors ``…_stderr``.  Over ``band``
-        ``irradiance_covered``, the part of the band's light within the wavelengths.
+        ``irradiance_covered``, the fraction of the band's light within the wavelengths.
 
     Raises
     ------
     ValueError
-        For a value outside its range, or wavelengths that the sky does not have.
+        For a value outside its range, or wavelengths outside the spectrum of the sky.
 
     Examples
     --------
@@ -111,78 +112,98 @@ def radiation_profile(
     >>> ds.absorbed_power.dims
     ('band', 'interval')
     """
-    begun = time.perf_counter()
-    light = as_sky(sky).scale_to(total_w_m2)
-    w = choose_wavelengths(wavelength_nm, light, 2)
+    start_time = time.perf_counter()
+    sky_spectrum = as_sky(sky).scale_to(total_w_m2)
+    wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     check_choice("target", target, POWER_ERROR_QUANTITIES)
     seed, threads = check_integer("seed", seed, 0), check_threads(threads)
     max_rays = check_integer("max_rays", max_rays, 1)
-    named = light.make_bands(bands)
-    light.check_bands(named, w)
-    weights = np.array([light.compute_weights(w, band) for band in named.values()])
-    goals = _make_stopping_rules(
-        light.compute_direct_fraction(w), weights, max_stderr, target == POWER_ERROR_QUANTITIES[1]
-    )
-    axes: dict[str, Any] = {}
-    runs: list[dict[str, Any]] = []
+    named = sky_spectrum.make_bands(bands)
+    sky_spectrum.check_bands(named, wavelengths)
+    weights = np.array([sky_spectrum.compute_weights(wavelengths, band) for band in named.values()])
+    direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
+    limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
+    rules = _make_stopping_rules(direct_fraction, weights, max_stderr, limit_irradiance)
+    coordinates: dict[str, Any] = {}
+    run_attributes: list[dict[str, Any]] = []
 
-    def run(incidence: float | str, number: int) -> xr.Dataset:
-        given = (medium, w, depth_m, incidence, seed + number, max_rays, threads, "auto", progress)
-        found = simulate_flux(FluxRequest(*given).validate(), goals[number])
-        runs.append(found.attrs)
-        axes.update({name: found[name] for name in ("depth", "interval_top", "interval_bottom")})
-        return found
+    def simulate(incidence: float | str, number: int) -> xr.Dataset:
+        request = FluxRequest(
+            medium, wavelengths, depth_m, incidence, seed + number, max_rays, threads, "auto",
+            progress,
+        )  # fmt: skip
+        dataset = simulate_flux(request.validate(), rules[number])
+        run_attributes.append(dataset.attrs)
+        names = ("depth", "interval_top", "interval_bottom")
+        coordinates.update({name: dataset[name] for name in names})
+        return dataset
 
-    found = mix_direct_and_diffuse(light, w, run, list(OUTPUT_VARIABLES))
+    dataset = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, list(OUTPUT_VARIABLES))
+    all_wavelengths = sky_spectrum.wavelength_nm
+    band_irradiance = [
+        sky_spectrum.compute_weights(all_wavelengths, band).sum() for band in named.values()
+    ]
+    variables = _make_variables(dataset, wavelengths, weights, band_irradiance)
+    attributes = {
+        **make_run_attributes(
+            "Sunlight inside", "radiation_profile", medium, start_time, seed, threads
+        ),
+        **make_sky_attributes(sky_spectrum),
+        "irradiance_w_m2": band_irradiance[0],
+        "max_stderr": max_stderr,
+        "target": target,
+        "stop_reason": max((run["stop_reason"] for run in run_attributes), key=STOP_REASONS.index),
+        "max_rays": max_rays,
+        "rays": sum(run["rays"] for run in run_attributes),
+    }
+    return xr.Dataset(variables, {**coordinates, "band": list(named)}, attributes)
+
+
+def _make_variables(
+    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray, band_irradiance: list[Any]
+) -> dict[str, Variable]:
+    """Return irradiances and absorbed power by band with their errors, and the coverage."""
     variables: dict[str, Variable] = {}
-    each = xr.DataArray(weights, {"wavelength": w}, ("band", "wavelength"))
+    band_weights = xr.DataArray(weights, {"wavelength": wavelengths}, ("band", "wavelength"))
     for name, (label, long_name) in OUTPUT_VARIABLES.items():
-        value = (each * found[name]).sum("wavelength")
-        error = xr.concat([compute_weighted_error(found, name, one) for one in each], "band")
-        place = next(dim for dim in value.dims if dim != "band")
-        dims = ("band", str(place))
+        value = (band_weights * dataset[name]).sum("wavelength")
+        errors = [compute_weighted_error(dataset, name, one) for one in band_weights]
+        error = xr.concat(errors, "band")
+        depth_dim = next(dim for dim in value.dims if dim != "band")
+        dims = ("band", str(depth_dim))
         variables |= make_variable(
             label, dims, value.transpose(*dims).values, error.transpose(*dims).values, long_name,
             "W m-2",
         )  # fmt: skip
-    whole = [light.compute_weights(light.wavelength_nm, band).sum() for band in named.values()]
-    about = {"long_name": "part of the band's light within the wavelengths", "units": "1"}
-    variables["irradiance_covered"] = ("band", weights.sum(axis=1) / whole, about)
-    facts = {
-        **make_run_attributes("Sunlight inside", "radiation_profile", medium, begun, seed, threads),
-        **make_sky_attributes(light),
-        "irradiance_w_m2": whole[0],
-        "max_stderr": max_stderr,
-        "target": target,
-        "stop_reason": max((r["stop_reason"] for r in runs), key=STOP_REASONS.index),
-        "max_rays": max_rays,
-        "rays": sum(r["rays"] for r in runs),
-    }
-    return xr.Dataset(variables, {**axes, "band": list(named)}, facts)
+    label = "fraction of the band's light within the wavelengths"
+    covered = weights.sum(axis=1) / band_irradiance
+    return variables | {"irradiance_covered": ("band", covered, {"long_name": label, "units": "1"})}
 
 
 def _make_stopping_rules(
     direct_fraction: np.ndarray, band_weights: np.ndarray, max_stderr: float, limit_irradiance: bool
 ) -> list[FluxStoppingRule]:
-    """Return what is asked of the light of the sun, and of diffuse light.
+    """Return the stopping rules for sunlight and for diffuse light.
 
-    Each may take that part of a band's variance which it has of the band's light.
+    Each may contribute to a band's variance in proportion to its fraction of the band's light.
 
     Parameters
     ----------
     direct_fraction : float, shape (wavelengths,)
-        Part of the light that comes from the sun.
+        Fraction of direct sunlight.
     band_weights : float, shape (bands, wavelengths)
-        Irradiance of each band that a wavelength stands for.
+        Irradiance of each band by wavelength.
     max_stderr : float
     limit_irradiance : bool
-        Whether errors are asked of irradiances, too.
+        Whether errors of irradiances are limited, too.
     """
-    parts = band_weights / band_weights.sum(axis=1, keepdims=True)
-    goals = []
-    for part in (direct_fraction, 1.0 - direct_fraction):
-        lit = (parts * part).sum(axis=1)
-        share = np.where(lit > 0.0, lit, 1.0)
-        goals.append(FluxStoppingRule(max_stderr, limit_irradiance, parts * part, share))
-    return goals
+    normalized = band_weights / band_weights.sum(axis=1, keepdims=True)
+    rules = []
+    for fraction in (direct_fraction, 1.0 - direct_fraction):
+        band_fraction = (normalized * fraction).sum(axis=1)
+        variance_fraction = np.where(band_fraction > 0.0, band_fraction, 1.0)
+        rules.append(
+            FluxStoppingRule(max_stderr, limit_irradiance, normalized * fraction, variance_fraction)
+        )
+    return rules

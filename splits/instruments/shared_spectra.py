@@ -1,4 +1,4 @@
-"""Spectra of media that share paths, a dataset for each as if it had been measured alone."""
+"""Spectra of media that share paths, with a dataset for each as if it had been simulated alone."""
 
 from __future__ import annotations
 
@@ -16,44 +16,52 @@ from splits.simulation.path_tally import PathSharingMedia
 def simulate_spectra(
     path_sharing: PathSharingMedia, request: SpectralRequest, progress: ProgressCallback = None
 ) -> list[xr.Dataset]:
-    """Return what `splits.spectrophotometer` would of each medium of a family, from one ensemble.
+    """Return the dataset of `splits.spectrophotometer` for each medium of a set that shares paths.
 
-    Each has the error asked for.  Errors of different media go together, as their `…_batches` tell.
+    Each has the requested error.  The `…_batches` of different media give the correlations of their
+    errors.
 
     Parameters
     ----------
     path_sharing : PathSharingMedia
-    request : Run
+    request : SpectralRequest
     progress : callable, optional
 
     Returns
     -------
     list of xarray.Dataset
-        ``rays`` are those that all of them share.
+        The attribute ``rays`` counts those used by all media.
     """
-    begun = time.perf_counter()
-    found = request.estimate(path_sharing, progress=progress)
-    whole, count = found.estimate, request.wavelengths.size
+    start_time = time.perf_counter()
+    result = request.estimate(path_sharing, progress=progress)
+    estimate, n_wavelengths = result.estimate, request.wavelengths.size
     datasets = []
-    for number, (medium, scale) in enumerate(zip(*path_sharing, strict=True)):
-        rows = slice(number * count, (number + 1) * count)
-        own = replace(
-            whole,
-            mean=whole.mean[:, rows],
-            stderr=whole.stderr[:, rows],
-            interpolation_error=whole.interpolation_error[:, rows],
-            batch_deviations=whole.batch_deviations[..., rows],
-            converged=bool(whole.stderr[:, rows].max() <= request.max_stderr),
+    for position, (medium, size_ratio) in enumerate(zip(*path_sharing, strict=True)):
+        rows = slice(position * n_wavelengths, (position + 1) * n_wavelengths)
+        medium_estimate = replace(
+            estimate,
+            mean=estimate.mean[:, rows],
+            stderr=estimate.stderr[:, rows],
+            interpolation_error=estimate.interpolation_error[:, rows],
+            batch_deviations=estimate.batch_deviations[..., rows],
+            converged=bool(estimate.stderr[:, rows].max() <= request.max_stderr),
         )
-        cut = found.truncation
-        if cut is not None:
-            cut = cut._replace(
-                depth_m=scale * cut.depth_m, semi_infinite_depth_m=scale * cut.semi_infinite_depth_m
+        truncation = result.truncation
+        if truncation is not None:
+            truncation = truncation._replace(
+                depth_m=size_ratio * truncation.depth_m,
+                semi_infinite_depth_m=size_ratio * truncation.semi_infinite_depth_m,
             )
-        facts = make_run_attributes(
-            TITLE, "spectrophotometer", medium, begun, request.seed, request.threads
+        attributes = make_run_attributes(
+            TITLE, "spectrophotometer", medium, start_time, request.seed, request.threads
         )
-        facts |= {"estimator": "spectral"} | request.make_attributes(SpectralResult(own, cut))
-        axes = {"wavelength": make_wavelength_coordinate(request.wavelengths)}
-        datasets.append(xr.Dataset(request.make_variables(own, ("wavelength",)), axes, facts))
+        attributes |= {"estimator": "spectral"} | request.make_attributes(
+            SpectralResult(medium_estimate, truncation)
+        )
+        coordinates = {"wavelength": make_wavelength_coordinate(request.wavelengths)}
+        datasets.append(
+            xr.Dataset(
+                request.make_variables(medium_estimate, ("wavelength",)), coordinates, attributes
+            )
+        )
     return datasets

@@ -1,4 +1,4 @@
-"""Single-scattering properties of a granular medium, for radiative transfer by other means."""
+"""Single-scattering properties of granular media, for other radiative-transfer models."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ VARIABLE_LABELS = {
     "single_scattering_albedo": ("single-scattering albedo", "1"),
     "asymmetry_parameter": ("asymmetry parameter", "1"),
     "legendre_moment": ("Legendre moment of the phase function", "1"),
-    "displacement_along_incident": ("mean way through a grain along the ray before it", "m"),
-    "displacement_along_exit": ("mean way through a grain along the ray after it", "m"),
-    "mean_square_displacement": ("mean square of the way through a grain", "m2"),
-    "wet_fraction": ("share of the light scattered that leaves into a wet pore", "1"),
+    "displacement_along_incident": ("mean displacement in a grain along the incident ray", "m"),
+    "displacement_along_exit": ("mean displacement in a grain along the scattered ray", "m"),
+    "mean_square_displacement": ("mean square displacement in a grain", "m2"),
+    "wet_fraction": ("fraction of the scattered light that enters a wet pore", "1"),
     "extinction": ("extinction coefficient", "m-1"),
     "optical_thickness": ("optical thickness of extinction", "1"),
 }
 ERROR_COMPONENTS = {
-    "_jackknife": (("batch",), "without one part of the rays:"),
-    "_interpolation_bound": ((), "bound on what interpolation misses of"),
+    "_jackknife": (("batch",), "without one batch of the rays:"),
+    "_interpolation_bound": ((), "bound on the interpolation error of"),
 }
-"""What theories know errors of the optics by: how names end, dimensions before, and labels."""
+"""Components of the errors, for theories: suffixes of names, additional dimensions, and labels."""
 
 
 @reject_unknown_arguments
@@ -58,14 +58,14 @@ def single_scattering(
     *,
     wet_pores: str = "saturation",
 ) -> xr.Dataset:
-    """Measure what single grains of a medium do to light, as radiative transfer wants to know it.
+    """Measure the single-scattering properties of the grains of a medium.
 
-    Rays meet one grain each in free pore space, wet with the medium's `wet_fraction`, drawn
-    and followed by the rules of the full model (SPLITS sections 4.3.3-4.3.4, SPLITSnow 3.2-3.3)
-    except those that look at neighbours: no boundary and no last leg rejects a grain.
+    Rays hit one grain each in free pore space, wet with the medium's `wet_fraction`, sampled
+    and traced by the rules of the full model (SPLITS sections 4.3.3-4.3.4, SPLITSnow 3.2-3.3)
+    except those for neighbours: neither a boundary nor the previous segment rejects a grain.
 
-    As in the papers' model, diffraction is left out: the extinction is that of the geometric
-    cross-section, half of what Mie theory has for large grains, and the phase function lacks the
+    As in the model of the papers, diffraction is excluded: the extinction is that of the geometric
+    cross-section, half of that of Mie theory for large grains, and the phase function lacks the
     narrow forward peak.  `splits.with_diffraction` adds both.
 
     Parameters
@@ -77,35 +77,36 @@ def single_scattering(
     moments : int
         Highest order l of the Legendre moments, 1 to 4096.
     rays : int
-        Rays per refractive-index node, at least 2; rounded up to whole batches of `GRAIN_RAYS_PER_CHUNK`.
+        Rays per refractive-index node, at least 2; rounded up to whole chunks of
+        `splits.simulation.grain_optics.GRAIN_RAYS_PER_CHUNK`.
     seed : int
-        Non-negative; the same seed gives the same numbers on any number of threads.
+        Non-negative; results with the same seed are identical on any number of threads.
     threads : int, optional
-        Default: every CPU this process may use.
+        Default: every CPU that this process may use.
     wet_pores : {"saturation", "equilibrium"}
-        Share of the light that meets grains, and is absorbed between them, in wet pores: the
+        Fraction of the light in wet pores where it hits grains or is absorbed between them: the
         `wet_fraction` S, as where light enters the sample; or S n²/(S n² + 1 − S), n the index of
-        water over that of air, as deep in the sample, where radiance goes with n² (light leaves
-        grains into water more easily).
+        water over that of air, as deep in the sample, where radiance is proportional to n².
 
     Returns
     -------
     xarray.Dataset
-        Over ``wavelength``, all but ``extinction`` and ``optical_thickness``, which are exact,
-        with standard error ``…_stderr``:
-        ``single_scattering_albedo`` (0 to 1, absorption by the pores included),
-        ``asymmetry_parameter``, ``legendre_moment`` over (wavelength, order), χ_l = <P_l(cosΘ)>
-        by weight of the light that leaves the grain, χ_0 = 1; ``extinction`` (1/m), the grains
-        met per metre plus absorption by the pores, and ``optical_thickness``.
+        Over ``wavelength``, all except ``extinction`` and ``optical_thickness``, which are exact,
+        with standard error ``…_stderr``: ``single_scattering_albedo`` (0 to 1, absorption by the
+        pores included), ``asymmetry_parameter``, ``legendre_moment`` over (wavelength, order), χ_l
+        = <P_l(cosΘ)> weighted by the light that leaves the grain, χ_0 = 1; ``extinction`` (1/m),
+        the collisions with grains per metre plus absorption by the pores, and
+        ``optical_thickness``.
 
-        Besides, for `splits.analysis.theory.asymptotic.correct_dense_packing`:
-        ``displacement_along_incident`` and ``displacement_along_exit`` (m), the way from entry to exit along
-        the direction before and after; ``mean_square_displacement`` (m²); and ``wet_fraction``, the
-        share of the scattered light that leaves into a wet pore.
+        For `splits.analysis.theory.asymptotic.correct_dense_packing`:
+        ``displacement_along_incident`` and ``displacement_along_exit`` (m), the displacement from
+        entry to exit along the direction before and after; ``mean_square_displacement`` (m²); and
+        ``wet_fraction``, the fraction of the scattered light that enters a wet pore.
 
-        Theories need to know which errors go together: ``…_jackknife`` over ``batch`` holds each
-        quantity without one of `PARTS` equal parts of the rays, ``…_interpolation_bound`` the bound on what
-        interpolation between refractive indices may add to it.
+        For the correlations of errors: ``…_jackknife`` over ``batch`` holds each quantity without
+        one of `splits.kernels.grains.single_grain.N_SCATTERING_BATCHES` equal batches of the rays,
+        ``…_interpolation_bound`` a bound on its error from interpolation between refractive
+        indices.
 
     Raises
     ------
@@ -115,7 +116,7 @@ def single_scattering(
     Notes
     -----
     Paths are traced with the refractive indices of a few nodes, as by the spectral estimator;
-    standard errors contain the bound on what that misses.
+    standard errors include the bound on the interpolation error.
     """
     check_medium(medium, GranularMedium, allow_semi_infinite=True)
     if medium.pores:
@@ -126,16 +127,16 @@ def single_scattering(
     seed = check_integer("seed", seed, 0)
     threads = check_threads(threads)
     check_choice("wet_pores", wet_pores, WET_PORE_MODELS)
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     scene = build_scene(medium, 0.0, False)
-    plan = GrainOpticsRequest(moments, rays, seed, threads, wet_pores)
+    request = GrainOpticsRequest(moments, rays, seed, threads, wet_pores)
     constants = compute_material_constants(medium, wavelengths)
     nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION_TOLERANCE)
-    values = compute_grain_optics(medium, scene, constants, plan, nodes)
+    values = compute_grain_optics(medium, scene, constants, request, nodes)
     values["optical_thickness"] = values["extinction"] * medium.depth_m
-    facts = {
+    attributes = {
         **make_run_attributes(
-            "Single-scattering properties", "single_scattering", medium, begun, seed, threads
+            "Single-scattering properties", "single_scattering", medium, start_time, seed, threads
         ),
         "diffraction": "none",
         "extinction_by_grains_per_m": float(medium.make_grain_population().attenuation),
@@ -150,14 +151,14 @@ def single_scattering(
         stderr = values.get(f"{name}_stderr")
         variables |= make_variable(name, dims, values[name], stderr, long_name, units)
         if stderr is not None:
-            for end, (also, about) in ERROR_COMPONENTS.items():
-                over, label = (*also, *dims), f"{about} {long_name}"
+            for suffix, (extra_dims, prefix) in ERROR_COMPONENTS.items():
+                all_dims, label = (*extra_dims, *dims), f"{prefix} {long_name}"
                 variables |= make_variable(
-                    f"{name}{end}", over, values[name + end], None, label, units
+                    f"{name}{suffix}", all_dims, values[name + suffix], None, label, units
                 )
-    order = {"long_name": "order of the Legendre moment", "units": "1"}
+    order_attributes = {"long_name": "order of the Legendre moment", "units": "1"}
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "order": ("order", np.arange(moments + 1), order),
+        "order": ("order", np.arange(moments + 1), order_attributes),
     }
-    return xr.Dataset(variables, coordinates, facts)
+    return xr.Dataset(variables, coordinates, attributes)

@@ -1,4 +1,4 @@
-"""What spectra of one medium, and of several that share paths, have in common."""
+"""Requests and results of spectra, of one medium or of several that share paths."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ QUANTITY_LABELS = {
 
 
 class SpectralResult(NamedTuple):
-    """Estimates, and where packs were cut for them."""
+    """Estimates, and the truncation of the media."""
 
     estimate: SpectralEstimate
     truncation: TruncatedMedium | None
 
 
 class SpectralRequest(NamedTuple):
-    """What a user asks of a spectrophotometer, checked; see there."""
+    """Checked arguments of a spectrophotometer; see there."""
 
     wavelengths: np.ndarray
     incidence: float | str
@@ -62,7 +62,7 @@ class SpectralRequest(NamedTuple):
         threads: Any,
         kernel: Any,
     ) -> SpectralRequest:
-        """Return what is asked for, or refuse a value outside its range."""
+        """Return the request, after checking all values."""
         return cls(
             check_wavelengths(wavelength_nm),
             check_incidence(incidence_deg),
@@ -74,7 +74,7 @@ class SpectralRequest(NamedTuple):
         )
 
     def truncate(self, path_sharing: PathSharingMedia) -> TruncatedMedium | None:
-        """Return where packs are cut, which does not depend on the incidence."""
+        """Return the truncated media, which do not depend on the incidence."""
         return truncate_deep_medium(
             path_sharing, self.wavelengths, self.max_stderr, self.seed, self.threads
         )
@@ -86,12 +86,14 @@ class SpectralRequest(NamedTuple):
         estimator: str = "spectral",
         progress: ProgressCallback = None,
     ) -> SpectralResult:
-        """Return estimates for media that share paths, or for one, and its derivatives."""
+        """Return estimates for media that share paths, or for one with its derivatives."""
         if perturbations.media:
-            scales = np.concatenate([path_sharing.size_ratios, perturbations.size_ratios])
-            path_sharing = PathSharingMedia((*path_sharing.media, *perturbations.media), scales)
-        cut = None if estimator == "analog" else self.truncate(path_sharing)
-        return self.estimate_truncated(cut, path_sharing, perturbations, estimator, progress)
+            size_ratios = np.concatenate([path_sharing.size_ratios, perturbations.size_ratios])
+            path_sharing = PathSharingMedia(
+                (*path_sharing.media, *perturbations.media), size_ratios
+            )
+        truncation = None if estimator == "analog" else self.truncate(path_sharing)
+        return self.estimate_truncated(truncation, path_sharing, perturbations, estimator, progress)
 
     def estimate_truncated(
         self,
@@ -101,56 +103,59 @@ class SpectralRequest(NamedTuple):
         estimator: str = "spectral",
         progress: ProgressCallback = None,
     ) -> SpectralResult:
-        """Return what `estimate` does, where it is known where packs are cut."""
+        """Return the result of `estimate` for a known truncation."""
         analog = estimator == "analog"
-        w, count = self.wavelengths, len(path_sharing.media) - len(perturbations.media)
+        wavelengths, n_media = self.wavelengths, len(path_sharing.media) - len(perturbations.media)
         traced = (
             path_sharing if truncation is None else path_sharing._replace(media=truncation.media)
         )
-        rows = SpectralRows.from_media(traced.select(slice(count)), w)
+        rows = SpectralRows.from_media(traced.select(slice(n_media)), wavelengths)
         if perturbations.media:
-            white = [] if truncation is None else w[truncation.ground_absorption[0] == 0.0]
-            if len(white):
-                allowed = "left out for deep packs at wavelengths where nothing absorbs"
-                hint = f"as at {white[0]:g} nm"
+            lossless = (
+                [] if truncation is None else wavelengths[truncation.ground_absorption[0] == 0.0]
+            )
+            if len(lossless):
+                allowed = "left out for deep media at wavelengths where nothing absorbs"
+                hint = f"as at {lossless[0]:g} nm"
                 raise invalid("jacobian", list(perturbations.parameters), allowed, hint)
-            ground = NO_GROUND if truncation is None else rows.absorption.shape[1] - 1
+            ground_column = NO_GROUND if truncation is None else rows.absorption.shape[1] - 1
             rows = rows.with_derivatives(
-                traced.select(slice(count, None)), perturbations.steps, w, ground
+                traced.select(slice(n_media, None)), perturbations.steps, wavelengths, ground_column
             )
 
-        def estimate(goal: float) -> SpectralEstimate:
-            how = (self.seed, self.threads, analog, self.kernel, progress)
-            runner = Runner(traced.media[0], self.incidence, *how)
-            return ESTIMATORS[estimator](runner, rows, goal, self.max_rays)
+        def run_estimator(target_stderr: float) -> SpectralEstimate:
+            settings = (self.seed, self.threads, analog, self.kernel, progress)
+            runner = Runner(traced.media[0], self.incidence, *settings)
+            return ESTIMATORS[estimator](runner, rows, target_stderr, self.max_rays)
 
         if truncation is None:
-            return SpectralResult(estimate(self.max_stderr), None)
+            return SpectralResult(run_estimator(self.max_stderr), None)
         return SpectralResult(
-            truncation.estimate_to_error(estimate, self.max_stderr, perturbations.steps), truncation
+            truncation.estimate_to_error(run_estimator, self.max_stderr, perturbations.steps),
+            truncation,
         )
 
     def make_variables(
         self, estimate: SpectralEstimate, dims: tuple[str, ...]
     ) -> dict[str, Variable]:
-        """Return what was estimated, with errors and groups, over the media and wavelengths."""
+        """Return the estimates with errors and batch deviations, over media and wavelengths."""
         illumination = "hemispherical" if self.incidence == "diffuse" else "directional"
         shape = (self.wavelengths.size,) if len(dims) == 1 else (-1, self.wavelengths.size)
-        found: dict[str, Variable] = {}
+        variables: dict[str, Variable] = {}
         for row, (name, label) in enumerate(QUANTITY_LABELS.items()):
             long_name = label if name == "absorptance" else f"{illumination}-{label}"
             mean, stderr = estimate.mean[row].reshape(shape), estimate.stderr[row].reshape(shape)
-            found |= make_variable(name, dims, mean, stderr, long_name)
+            variables |= make_variable(name, dims, mean, stderr, long_name)
             if name in SIDE_QUANTITIES:
-                groups = estimate.batch_deviations[:, row]
-                groups = groups.reshape(len(groups), *shape)
-                found |= make_deviation_variable(name, dims, groups, long_name)
-        return found
+                batch_deviations = estimate.batch_deviations[:, row]
+                batch_deviations = batch_deviations.reshape(len(batch_deviations), *shape)
+                variables |= make_deviation_variable(name, dims, batch_deviations, long_name)
+        return variables
 
     def make_attributes(self, spectral_result: SpectralResult) -> dict[str, Any]:
-        """Return how it went, for a dataset's attributes."""
-        result, cut = spectral_result
-        facts = {
+        """Return the attributes of a result."""
+        result, truncation = spectral_result
+        attributes = {
             "incidence_deg": self.incidence,
             "max_stderr": self.max_stderr,
             "stop_reason": "converged" if result.converged else "max_rays",
@@ -161,9 +166,9 @@ class SpectralRequest(NamedTuple):
             "ensembles": result.n_ensembles,
             "kernel": result.kernel,
         }
-        if cut is not None:
-            facts |= {
-                "truncation_depth_m": cut.depth_m,
-                "semi_infinite_depth_m": cut.semi_infinite_depth_m,
+        if truncation is not None:
+            attributes |= {
+                "truncation_depth_m": truncation.depth_m,
+                "semi_infinite_depth_m": truncation.semi_infinite_depth_m,
             }
-        return facts
+        return attributes

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from splits.core.progress import ProgressCallback, with_progress
-from splits.core.validation import check_choice, invalid, reject_unknown_arguments
+from splits.core.validation import check_choice, invalid, reject_unknown_arguments, to_text_keys
 from splits.instruments.spectral_run import SIDE_QUANTITIES, TITLE, SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_medium
@@ -23,13 +24,13 @@ from splits.simulation.derivatives import (
 )
 from splits.simulation.estimators import ESTIMATORS, SpectralEstimate
 from splits.simulation.finite_differences import compute_finite_difference
-from splits.simulation.path_tally import PathSharingMedia
+from splits.simulation.path_tally import PathSharingMedia, check_path_sharing
 
 
 @reject_unknown_arguments
 @with_progress
 def spectrophotometer(
-    medium: Medium,
+    medium: Medium | Mapping[str, Medium],
     wavelength_nm: Any,
     incidence_deg: float | str = 0.0,
     max_stderr: float = 0.002,
@@ -42,97 +43,210 @@ def spectrophotometer(
     kernel: str = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure hemispherical reflectance, transmittance and absorptance of a medium.
+    """Measure hemispherical reflectance, transmittance and absorptance of one medium or several.
+
+    Several media that differ only in absorption are simulated with the same paths: rays are traced
+    once, and the errors of differences between the media are much smaller than those of the
+    spectra, as the statistical noise is common to them.
 
     Parameters
     ----------
-    medium : GranularMedium or TurbidMedium
-        For example `splits.Snow` or `splits.ParticleLayer`.
+    medium : GranularMedium, LayeredMedium or ParticleMedium, or a mapping
+        For example `splits.Snow` or `splits.ParticleLayer`.  A mapping holds granular media, or
+        stacks of them, by name: alike except for impurities, or for the albedo of a reflecting
+        ground.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
         medium's refractive indices.
     incidence_deg : float or "diffuse"
-        Polar angle of a collimated beam, 0 to 89.9999 degrees, or equal radiance from everywhere.
+        Polar angle of a collimated beam, 0 to 89.9999 degrees, or isotropic radiance.
     max_stderr : float
-        Largest standard error wanted for any quantity at any wavelength, 1e-6 to 0.5.
+        Largest standard error of any quantity at any wavelength, 1e-6 to 0.5; of several media, of
+        each.
     seed : int
-        Non-negative; the same seed gives the same numbers bit for bit on any number of threads.
+        Non-negative; results with the same seed are identical on any number of threads.
     estimator : {"spectral", "analog"}
-        Paths shared by all wavelengths, or the papers' algorithm as a reference: one wavelength
-        at a time, absorption by coin toss.
+        Paths shared by all wavelengths, or, for one medium, the algorithm of the papers as a
+        reference: one wavelength at a time, with analog absorption sampled at each segment.
     jacobian : sequence of str
-        Parameters to give derivatives to: keywords of the medium that are numbers, such as
-        ``depth_m`` or ``optical_radius_um``, distributions such as ``facetness``, amounts that are
-        there or might be (``impurities_ng_g.black_carbon``), one of these in a layer of a stack
-        (``layers.0.depth_m``), and ``incidence_deg``.  The other keywords stay.  Those that leave
-        the paths as they are cost next to nothing, each of the others four to a dozen runs more
-        (`splits.simulation.finite_differences`); ``parameter_method`` tells which is which.
+        Parameters of one medium to which derivatives are computed: numeric keywords of the medium,
+        such as ``depth_m`` or ``optical_radius_um``, distributions such as ``facetness``, amounts,
+        also absent ones (``impurities_ng_g.black_carbon``), one of these in a layer of a stack
+        (``layers.0.depth_m``), and ``incidence_deg``.  The other keywords are held constant.
+        Parameters that leave the paths unchanged have negligible cost, each of the others needs
+        four to a dozen additional runs (`splits.simulation.finite_differences`);
+        ``parameter_method`` indicates the method.
     max_rays : int
-        The run stops once this many are traced (the first round is traced in any case);
-        attribute ``stop_reason`` says whether the error or the rays came first.
+        Number of rays after which the run stops (the first round is always completed);
+        attribute ``stop_reason`` indicates whether the error or this limit was reached.
     threads : int, optional
-        Default: every CPU this process may use.
+        Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}
-        Many rays side by side in single precision where that serves the sample, or the plain
+        Many rays side by side in single precision where the sample allows it, or the plain
         reference kernel in double precision.
     progress : callable or bool, optional
-        True shows a bar; a function is called now and then with a `Progress`.
+        True shows a progress bar; a function is called periodically with a `Progress`.
 
     Returns
     -------
     xarray.Dataset
         ``reflectance``, ``transmittance``, ``absorptance`` and their standard errors
         ``…_stderr`` over ``wavelength``; the three add up to 1.  ``reflectance_batches`` and
-        ``transmittance_batches`` over ``batch`` and ``wavelength`` tell how errors go together,
-        see `splits.core.uncertainty`; absorptance's are minus their sum.  All inputs stand in
-        the attributes.  ``reflectance_jacobian`` and ``transmittance_jacobian`` over
-        ``parameter`` and ``wavelength``, with errors and groups, where they were asked for.
-        Of packs so deep that they are cut (`splits.simulation.deep_medium`), the
-        attribute ``truncation_depth_m`` says where, and ``semi_infinite_depth_m`` from which depth on they
-        are as bright as without end; what theory may miss of the rest is in the errors.
+        ``transmittance_batches`` over ``batch`` and ``wavelength`` give the correlations of the
+        errors, see `splits.core.uncertainty`; those of absorptance are minus their sum.  The
+        attributes record all inputs.  ``reflectance_jacobian`` and ``transmittance_jacobian`` over
+        ``parameter`` and ``wavelength``, with errors and batches, if requested.
+
+        With a mapping all variables are over ``medium``, too.  Sums over ``batch`` of products of
+        ``…_batches`` are covariances, between media as between wavelengths.  Inputs in which media
+        differ are coordinates over ``medium``.
+
+        For optically deep media, which are truncated (`splits.simulation.deep_medium`), the
+        attribute ``truncation_depth_m`` gives the truncation depth, and ``semi_infinite_depth_m``
+        the depth above which the reflectance is that of a semi-infinite medium; the errors include
+        the uncertainty of the theory.
 
     Raises
     ------
     ValueError
-        For a value outside its range.
+        For a value outside its range, or a medium that cannot share the paths of the first.
 
     References
     ----------
-    SPLITSnow section 4.1, Eq 8: reflectance is the share of rays that leave upwards, n/N (the
-    printed 1/π belongs to a radiance, not to a share of rays).
+    SPLITSnow section 4.1, Eq 8: reflectance is the fraction of rays that leave upwards, n/N (the
+    printed 1/π belongs to a radiance, not to a fraction of rays).
+
+    Examples
+    --------
+    >>> import splits
+    >>> snow = dict(specific_surface_area_m2_kg=20, depth_m=0.3)
+    >>> ds = splits.spectrophotometer(
+    ...     {
+    ...         "clean": splits.Snow.natural(**snow),
+    ...         "dirty": splits.Snow.natural(**snow, impurities_ng_g={"black_carbon": 500}),
+    ...     },
+    ...     [500, 900],
+    ...     max_stderr=0.01,
+    ... )
+    >>> ds.reflectance.dims
+    ('medium', 'wavelength')
     """
-    check_medium(medium, allow_semi_infinite=estimator == "spectral")
+    media = _check_media(medium, estimator)
     check_choice("estimator", estimator, ESTIMATORS)
-    run = SpectralRequest.from_arguments(
+    request = SpectralRequest.from_arguments(
         wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel
     )
-    names = check_jacobian(medium, run.incidence, jacobian)
+    if isinstance(medium, Mapping):
+        _check_mapping_options(estimator, jacobian)
+        return _simulate_media(media, request, progress)
+    names = check_jacobian(medium, request.incidence, jacobian)
     if names and estimator != "spectral":
         raise invalid("jacobian", list(names), "left out for this estimator")
-    moves = Perturbations.select_exact(medium, names, run.wavelengths)
-    begun = time.perf_counter()
-    found = run.estimate(PathSharingMedia.from_media([medium]), moves, estimator, progress)
+    return _simulate_medium(medium, request, estimator, names, progress)
 
-    def nearby(other: Medium, incidence: float | str) -> SpectralEstimate:
-        one = run._replace(incidence=incidence)
-        return one.estimate(PathSharingMedia.from_media([other]), progress=progress).estimate
 
-    others = [
-        compute_finite_difference(nearby, medium, run.incidence, n)
-        for n in names
-        if n not in moves.parameters
+def _check_media(medium: Any, estimator: str) -> dict[str, Medium]:
+    """Return the media by name, one without a name, after checking them."""
+    if not isinstance(medium, Mapping):
+        check_medium(medium, allow_semi_infinite=estimator == "spectral")
+        return {"": medium}
+    if not medium:
+        raise invalid("medium", medium, "a medium, or a mapping of names to media, at least one")
+    named: dict[str, Medium] = to_text_keys("medium", medium)
+    for one in named.values():
+        check_medium(one, allow_semi_infinite=True)
+    check_path_sharing(named)
+    return named
+
+
+def _check_mapping_options(estimator: str, jacobian: Any) -> None:
+    """Check that no option is given that applies to one medium only."""
+    if estimator != "spectral":
+        raise invalid("estimator", estimator, "'spectral' for several media")
+    if not isinstance(jacobian, Sequence) or len(jacobian):
+        raise invalid("jacobian", jacobian, "left out for several media")
+
+
+def _simulate_medium(
+    medium: Medium,
+    request: SpectralRequest,
+    estimator: str,
+    parameters: tuple[str, ...],
+    progress: ProgressCallback,
+) -> xr.Dataset:
+    """Return the dataset of one medium, with derivatives to parameters."""
+    perturbations = Perturbations.select_exact(medium, parameters, request.wavelengths)
+    start_time = time.perf_counter()
+    media = PathSharingMedia.from_media([medium])
+    result = request.estimate(media, perturbations, estimator, progress)
+
+    def estimate_perturbed(perturbed: Medium, incidence: float | str) -> SpectralEstimate:
+        perturbed_request = request._replace(incidence=incidence)
+        perturbed_media = PathSharingMedia.from_media([perturbed])
+        return perturbed_request.estimate(perturbed_media, progress=progress).estimate
+
+    differences = [
+        compute_finite_difference(estimate_perturbed, medium, request.incidence, name)
+        for name in parameters
+        if name not in perturbations.parameters
     ]
-    variables = run.make_variables(found.estimate, ("wavelength",))
-    if names:
-        slopes = combine_derivatives(names, found.estimate.derivatives, moves, others)
-        variables |= make_jacobian_variables(slopes, names, SIDE_QUANTITIES)
-    facts = make_run_attributes(TITLE, "spectrophotometer", medium, begun, run.seed, run.threads)
-    if others:
-        facts["finite_difference_rays"] = sum(one.n_rays for one in others)
-    axes = {
-        "wavelength": make_wavelength_coordinate(run.wavelengths),
-        **make_parameter_coordinates(names, moves),
-    }
-    return xr.Dataset(
-        variables, axes, facts | {"estimator": estimator} | run.make_attributes(found)
+    variables = request.make_variables(result.estimate, ("wavelength",))
+    if parameters:
+        derivatives = combine_derivatives(
+            parameters, result.estimate.derivatives, perturbations, differences
+        )
+        variables |= make_jacobian_variables(derivatives, parameters, SIDE_QUANTITIES)
+    attributes = make_run_attributes(
+        TITLE, "spectrophotometer", medium, start_time, request.seed, request.threads
     )
+    if differences:
+        attributes["finite_difference_rays"] = sum(one.n_rays for one in differences)
+    coordinates = {
+        "wavelength": make_wavelength_coordinate(request.wavelengths),
+        **make_parameter_coordinates(parameters, perturbations),
+    }
+    attributes |= {"estimator": estimator} | request.make_attributes(result)
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+def _simulate_media(
+    media: Mapping[str, Medium], request: SpectralRequest, progress: ProgressCallback
+) -> xr.Dataset:
+    """Return the dataset of several media that share paths."""
+    start_time = time.perf_counter()
+    result = request.estimate(PathSharingMedia.from_media(list(media.values())), progress=progress)
+    differing = _find_differing_inputs(list(media.values()))
+    first = next(iter(media.values()))
+    attributes = make_run_attributes(
+        TITLE, "spectrophotometer", first, start_time, request.seed, request.threads
+    )
+    attributes = {key: value for key, value in attributes.items() if key not in differing}
+    coordinates = {
+        "medium": ("medium", list(media), {"long_name": "name of the medium"}),
+        "wavelength": make_wavelength_coordinate(request.wavelengths),
+        **differing,
+    }
+    variables = request.make_variables(result.estimate, ("medium", "wavelength"))
+    attributes |= {"estimator": "spectral"} | request.make_attributes(result)
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+def _find_differing_inputs(media: Sequence[Medium]) -> dict[str, Any]:
+    """Return the inputs in which media differ, as coordinates over the media.
+
+    Absent amounts are 0.
+    """
+    inputs = [{f"{m.kind}_{k}": v for k, v in m.describe().items()} for m in media]
+    differing: dict[str, Any] = {}
+    for key in dict.fromkeys(key for one in inputs for key in one):
+        values: list[Any] = [one.get(key) for one in inputs]
+        if all(np.array_equal(value, values[0]) for value in values):
+            continue
+        numeric = all(value is None or isinstance(value, int | float) for value in values)
+        column: list[Any] = (
+            [0.0 if value is None else float(value) for value in values]
+            if numeric
+            else ["" if value is None else str(value) for value in values]
+        )
+        differing[key] = ("medium", column, {"long_name": key.replace("_", " ")})
+    return differing

@@ -1,4 +1,4 @@
-"""Heights of a realisation of a rough surface, on a grid, and how rough realisations are."""
+"""Height map of a realisation of a rough surface, and the roughness of realisations."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def surface_map(
     medium : SurfaceMedium
         A `splits.ParticleLayer` with a rough surface.
     half_width_m : float
-        Half the side of the square shown (m).
+        Half the side of the mapped square (m).
     points : int
         Per side, at least 2.
     realisations : int
-        At least 2, from which roughness is estimated; the first is shown.
+        At least 2, from which the roughness is estimated; the first is mapped.
     seed : int
 
     Returns
@@ -56,37 +56,44 @@ def surface_map(
     ----------
     Budak & Grimailo 2020, Eq 3 and Fig 1.
     """
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     check_medium(medium, SurfaceMedium)
     width = check_half_width("surface_map", half_width_m)
     points = check_integer("points", points, 2, 3000)
     realisations = check_integer("realisations", realisations, 2, MAX_REALIZATIONS)
     seed = check_integer("seed", seed, 0)
     if medium.surface is None:
-        raise invalid("surface", None, "given: there is nothing to map")
-    line = np.linspace(-width, width, points)
-    x, y = (part.ravel() for part in np.meshgrid(line, line, indexing="ij"))
-    # Roughness needs fewer points than a picture.
-    few = np.linspace(-width, width, 41)
-    u, v = (part.ravel() for part in np.meshgrid(few, few, indexing="ij"))
-    rough = np.empty((2, realisations))
-    for number in range(realisations):
-        waves = medium.surface.sample_realization(seed, number)
-        if number == 0:
+        raise invalid("surface", None, "given for a map")
+    positions = np.linspace(-width, width, points)
+    x, y = (axis.ravel() for axis in np.meshgrid(positions, positions, indexing="ij"))
+    # Roughness needs fewer points than a map.
+    coarse_line = np.linspace(-width, width, 41)
+    u, v = (axis.ravel() for axis in np.meshgrid(coarse_line, coarse_line, indexing="ij"))
+    roughness = np.empty((2, realisations))
+    for realisation in range(realisations):
+        waves = medium.surface.sample_realization(seed, realisation)
+        if realisation == 0:
             height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
         z, slope = compute_heights_and_slopes(waves, u, v)
-        rough[:, number] = np.sqrt(np.mean(z**2)), np.sqrt(np.mean(slope.x**2 + slope.y**2))
-    facts = {
-        **make_run_attributes("Rough surface", "surface_map", medium, begun, seed),
+        roughness[:, realisation] = (
+            np.sqrt(np.mean(z**2)),
+            np.sqrt(np.mean(slope.x**2 + slope.y**2)),
+        )
+    attributes = {
+        **make_run_attributes("Rough surface", "surface_map", medium, start_time, seed),
         "realisations": realisations,
         "rays": 0,
     }
     variables = {
         **make_variable("height", ("x", "y"), height, None, "height of the surface", "m"),
         **make_variable(
-            "rms_height", "realisation", rough[0], None, "rms height of the square", "m"
+            "rms_height", "realisation", roughness[0], None, "rms height of the square", "m"
         ),
-        **make_variable("rms_slope", "realisation", rough[1], None, "rms slope of the square"),
+        **make_variable("rms_slope", "realisation", roughness[1], None, "rms slope of the square"),
     }
-    about = {"units": "m", "long_name": "horizontal distance"}
-    return xr.Dataset(variables, {"x": ("x", line, about), "y": ("y", line, about)}, facts)
+    distance_attributes = {"units": "m", "long_name": "horizontal distance"}
+    return xr.Dataset(
+        variables,
+        {"x": ("x", positions, distance_attributes), "y": ("y", positions, distance_attributes)},
+        attributes,
+    )

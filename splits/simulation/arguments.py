@@ -1,4 +1,4 @@
-"""What several instruments ask alike, checked alike."""
+"""Checks of arguments that several instruments have in common."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from splits.simulation.threads import count_cpus
 
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
 HALF_WIDTH_RANGE_M = {"beam_spread": (1e-9, 1e6), "surface_map": (1e-9, 1e9), "lens": (1e-9, 1e6)}
-"""Half the edge of the square that an instrument looks at: shortest, longest."""
+"""Smallest and largest half edge (m) of the square that an instrument observes."""
 MAX_INT64 = 2**63 - 1
 MAX_DATASET_VALUES = 10_000_000
-"""Largest number of values of a quantity by wavelength and direction: a run takes some thirty
+"""Largest number of values of a quantity over wavelength and direction: a run takes about thirty
 times their memory."""
 MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
     GranularMedium: ("Snow", "Sand"),
@@ -41,11 +41,11 @@ MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
     ParticleMedium: ("ParticleLayer",),
     SurfaceMedium: ("ParticleLayer",),
 }
-"""Names of the media that are what an instrument asks for."""
+"""Names of the media of each kind, for messages."""
 
 
 def check_medium(medium: Any, *kinds: type, allow_semi_infinite: bool = False) -> None:
-    """Refuse what is no medium of these kinds, by default of any.
+    """Check that a medium is of an allowed kind, by default of any.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def check_medium(medium: Any, *kinds: type, allow_semi_infinite: bool = False) -
     *kinds : type
         Keys of `MEDIUM_NAMES`.
     allow_semi_infinite : bool
-        Whether packs without end are taken.
+        Whether semi-infinite media are allowed.
     """
     kinds = kinds or (GranularMedium, LayeredMedium, ParticleMedium)
     is_class = isinstance(medium, type)
@@ -61,33 +61,33 @@ def check_medium(medium: Any, *kinds: type, allow_semi_infinite: bool = False) -
         if isinstance(medium, GranularMedium | LayeredMedium):
             check_thickness(medium)
             if math.isinf(medium.depth_m) and not allow_semi_infinite:
-                hint = "give depth_m; spectra, albedos and profiles take packs without end"
+                hint = "give depth_m; spectra, albedos and profiles allow semi-infinite media"
                 raise invalid("depth_m", math.inf, "finite", hint)
         return
     names = [name for kind in kinds for name in MEDIUM_NAMES[kind]]
-    given = medium if is_class else getattr(medium, "kind", medium)
-    near = suggest_name(medium.__name__ if is_class else str(given).capitalize(), names)
-    hint = re.sub(r"mean (\w+)", r"mean splits.\1()", near)
+    kind_name = medium if is_class else getattr(medium, "kind", medium)
+    suggestion = suggest_name(medium.__name__ if is_class else str(kind_name).capitalize(), names)
+    hint = re.sub(r"mean (\w+)", r"mean splits.\1()", suggestion)
     allowed = " or ".join(f"splits.{name}(...)" for name in names)
-    raise invalid("medium", given, allowed, hint)
+    raise invalid("medium", kind_name, allowed, hint)
 
 
 def check_wavelengths(wavelength_nm: Any) -> np.ndarray:
-    """Return wavelengths (nm) as a strictly increasing array, or refuse them."""
+    """Return wavelengths (nm) as a strictly increasing array, after checking their range."""
     values = as_1d_array("wavelength_nm", wavelength_nm, "numbers in nanometres")
     low, high = WAVELENGTH_RANGE_NM
     values = snap_to_limits(values, low, high)
     outside = values[(values < low) | (values > high)]
     if outside.size:
         first = float(outside[0])
-        micrometres = low <= 1e3 * first <= high and first < low
-        hint = f"in micrometres? write {1e3 * first:g}" if micrometres else ""
+        in_micrometres = low <= 1e3 * first <= high and first < low
+        hint = f"in micrometres? write {1e3 * first:g}" if in_micrometres else ""
         check_range("wavelength_nm", first, low, high, "nm", hint=hint)
     return check_increasing("wavelength_nm", values)
 
 
 def check_incidence(incidence_deg: Any) -> float | str:
-    """Return the angle of incidence in [0, 89.9999] degrees, or "diffuse", or refuse it."""
+    """Return the angle of incidence in [0, 89.9999] degrees, or "diffuse", after checking it."""
     if isinstance(incidence_deg, str):
         if incidence_deg == "diffuse":
             return incidence_deg
@@ -97,16 +97,16 @@ def check_incidence(incidence_deg: Any) -> float | str:
 
 
 def check_beam_angle(incidence_deg: Any) -> float:
-    """Return the polar angle of a beam in [0, 89.9999] degrees, or refuse it."""
+    """Return the polar angle of a beam in [0, 89.9999] degrees, after checking it."""
     if isinstance(incidence_deg, str):
-        hint = "not for this instrument"
+        hint = "this instrument takes a beam"
         hint = hint if incidence_deg == "diffuse" else _suggest_incidence(incidence_deg)
         raise invalid("incidence_deg", incidence_deg, "an angle", hint)
     return check_single_angle(incidence_deg, "an angle in degrees")
 
 
 def check_single_angle(incidence_deg: Any, allowed: str) -> float:
-    """Return one angle of incidence in [0, 89.9999] degrees, or refuse it."""
+    """Return one angle of incidence in [0, 89.9999] degrees, after checking it."""
     if isinstance(incidence_deg, Iterable) and getattr(incidence_deg, "shape", None) != ():
         hint = "one call for each angle, or an experiment with a grid"
         raise invalid("incidence_deg", incidence_deg, allowed, hint)
@@ -114,7 +114,7 @@ def check_single_angle(incidence_deg: Any, allowed: str) -> float:
 
 
 def _suggest_incidence(given: str) -> str:
-    """Return what was meant by text in place of an angle, if that can be told."""
+    """Return a hint for text in place of an angle, empty where there is none."""
     try:
         return f"write {float(given):g}, without quotes"
     except ValueError:
@@ -122,7 +122,7 @@ def _suggest_incidence(given: str) -> str:
 
 
 def check_integer(key: str, value: object, low: int, high: int = MAX_INT64) -> int:
-    """Return a whole number from `low` to `high`, by default what fits into 63 bits, or refuse."""
+    """Return a whole number from `low` to `high`, by default the largest that fits into 63 bits."""
     value = as_scalar(value)
     if not isinstance(value, Integral) or isinstance(value, NON_NUMERIC_TYPES):
         hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
@@ -136,7 +136,7 @@ def check_integer(key: str, value: object, low: int, high: int = MAX_INT64) -> i
 
 
 def check_half_width(instrument: str, half_width_m: Any) -> float:
-    """Return half the edge of what an instrument looks at (m), or refuse it.
+    """Return half the edge of the square that an instrument observes (m), after checking it.
 
     Parameters
     ----------
@@ -148,23 +148,24 @@ def check_half_width(instrument: str, half_width_m: Any) -> float:
 
 
 def check_dataset_size(n_wavelengths: int, n_directions: int) -> None:
-    """Refuse a goniophotometer's result that would not fit into memory."""
+    """Check that the result of a goniophotometer fits into memory."""
     if n_wavelengths * n_directions > MAX_DATASET_VALUES:
         raise invalid(
-            "wavelength_nm", f"{n_wavelengths} wavelengths", f"at most {MAX_DATASET_VALUES // n_directions}",
+            "wavelength_nm", f"{n_wavelengths} wavelengths",
+            f"at most {MAX_DATASET_VALUES // n_directions}",
             f"{n_directions} directions each; {MAX_DATASET_VALUES} values fit into memory",
         )  # fmt: skip
 
 
 def check_threads(threads: Any) -> int:
-    """Return a number of threads, every CPU this process may use for None, or refuse it."""
+    """Return a number of threads; None gives every CPU that this process may use."""
     if threads is None:
         return count_cpus()
     return check_integer("threads", threads, 1)
 
 
 def check_direction_angles(key: str, values: Any, upper_deg: float) -> np.ndarray:
-    """Return increasing angles from 0 to below `upper_deg` degrees, or refuse them."""
+    """Return increasing angles from 0 to below `upper_deg` degrees, after checking them."""
     angles = as_1d_array(key, values, "numbers in degrees")
     return check_increasing(
         key, check_array_range(key, angles, 0.0, upper_deg, "degrees", open_high=True)
@@ -172,7 +173,7 @@ def check_direction_angles(key: str, values: Any, upper_deg: float) -> np.ndarra
 
 
 def check_n_bins(n_bins: Any) -> tuple[int, int]:
-    """Return numbers of cells in polar and azimuth angle, 1 to 1000 each, or refuse them."""
+    """Return the numbers of bins in polar and azimuth angle, after checking them (1 to 1000)."""
     try:
         polar, azimuth = (check_integer("n_bins", n, 1, 1000) for n in n_bins)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""What the datasets of all instruments say in the same words."""
+"""Attributes and coordinates common to the datasets of all instruments."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def make_run_attributes(
     seed: int,
     threads: int | None = None,
 ) -> dict[str, Any]:
-    """Return the attributes that every run has, one begun at that `time.perf_counter`."""
-    facts = {
+    """Return the attributes of a run; `start_time` is its `time.perf_counter` at the start."""
+    attributes = {
         "title": f"{title}: {medium.kind}",
         "instrument": instrument,
         "medium": medium.kind,
@@ -32,14 +32,14 @@ def make_run_attributes(
         "wall_time_s": round(time.perf_counter() - start_time, 3),
         "physics_sources_sha256": hash_physics_sources(),
     }
-    return to_netcdf_attributes(facts | make_provenance(instrument))
+    return to_netcdf_attributes(attributes | make_provenance(instrument))
 
 
 def make_wavelength_coordinate(wavelengths: np.ndarray) -> Variable:
     """Return the coordinate of vacuum wavelengths (nm)."""
-    about = {
+    attributes = {
         "long_name": "wavelength in vacuum",
         "units": "nm",
         "standard_name": "radiation_wavelength",
     }
-    return "wavelength", wavelengths, about
+    return "wavelength", wavelengths, attributes

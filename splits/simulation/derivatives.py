@@ -1,8 +1,8 @@
-"""What derivatives a spectrum is to come with, and how each of them is found.
+"""Derivatives of spectra: which parameters have exact ones and which need finite differences.
 
-What only changes how much is absorbed along the same paths (impurities, the albedo of a ground, the
-size of everything in a pack without end) has exact derivatives, from the paths of the spectrum
-itself.  All else changes the paths: `splits.simulation.finite_differences`.
+Parameters that only change absorption along the same paths (impurities, the albedo of a ground, the
+size of everything in a semi-infinite medium) have exact derivatives, estimated from the paths of
+the spectrum.  All others change the paths: see `splits.simulation.finite_differences`.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from splits.simulation.path_reuse import compute_path_signature
 from splits.simulation.path_tally import Derivatives, PathSharingMedia
 
 MAX_ABSORPTION_STEP = 1e-3
-"""Part of what any wavelength's absorption is moved by at most: what absorbs is linear in amounts
-of impurities, and diffusion theory, where it stands for the rest of a pack, is smooth."""
+"""Largest relative change of the absorption at any wavelength: absorption is linear in amounts of
+impurities, and diffusion theory below a truncation depth is smooth."""
 MIN_ABSORPTION_STEP_PER_M = 1e-7
-"""By how much (1/m) it is moved where nothing absorbs: theory goes as its root."""
+"""Change of the absorption (1/m) where nothing absorbs; diffusion theory depends on its root."""
 PARAMETER_STEP = 1e-4
-"""Part of itself that another parameter is moved by."""
+"""Relative change of other parameters."""
 
 
 class Perturbations(NamedTuple):
@@ -43,11 +43,11 @@ class Perturbations(NamedTuple):
     ----------
     parameters : tuple of str
     media : tuple of Medium
-        With one after the other moved.
+        Each with one of the parameters changed.
     size_ratios : float, shape (parameters,)
-        Sizes of these in units of the medium's own.
+        Sizes of these in units of the unperturbed medium's.
     steps : float, shape (parameters,)
-        By so much each is moved.
+        Changes of the parameters.
     """
 
     parameters: tuple[str, ...]
@@ -59,25 +59,30 @@ class Perturbations(NamedTuple):
     def select_exact(
         cls, medium: Medium, names: Sequence[str], wavelengths: np.ndarray
     ) -> Perturbations:
-        """Return the moves of those parameters that leave the paths as they are."""
-        own, found = compute_path_signature(medium) if _is_granular(medium) else (b"", 1.0), []
+        """Return the perturbations of the parameters that leave the paths unchanged."""
+        signature, perturbations = (
+            compute_path_signature(medium) if _is_granular(medium) else (b"", 1.0),
+            [],
+        )
         for name in names:
             step = _choose_step(medium, name, wavelengths) if _is_granular(medium) else 0.0
             if not step:
                 continue
-            other = shift_parameter(medium, name, step)
-            alike, unit = compute_path_signature(other)
-            if alike == own[0]:
-                found.append((name, other, unit / own[1], step))
-        parameters, media, scales, steps = zip(*found, strict=True) if found else ((),) * 4
-        return cls(parameters, media, np.array(scales), np.array(steps))
+            perturbed = shift_parameter(medium, name, step)
+            perturbed_signature, unit = compute_path_signature(perturbed)
+            if perturbed_signature == signature[0]:
+                perturbations.append((name, perturbed, unit / signature[1], step))
+        parameters, media, size_ratios, steps = (
+            zip(*perturbations, strict=True) if perturbations else ((),) * 4
+        )
+        return cls(parameters, media, np.array(size_ratios), np.array(steps))
 
 
 NO_PERTURBATIONS = Perturbations((), (), np.zeros(0), np.zeros(0))
 
 
 def check_jacobian(medium: Medium, incidence: float | str, jacobian: Any) -> tuple[str, ...]:
-    """Return the parameters that a user asks derivatives to, or refuse them.
+    """Return the parameters for which derivatives are requested, after checking them.
 
     Raises
     ------
@@ -95,7 +100,7 @@ def check_jacobian(medium: Medium, incidence: float | str, jacobian: Any) -> tup
             if not math.isfinite(value):
                 raise invalid("jacobian", name, "of a finite value", f"here it is {value:g}")
         elif isinstance(incidence, str):
-            raise invalid("jacobian", name, "left out under this light", "it is one of a beam")
+            raise invalid("jacobian", name, "left out for diffuse light", "it belongs to a beam")
     return names
 
 
@@ -104,37 +109,37 @@ def _is_granular(medium: Medium) -> bool:
 
 
 def _choose_step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:
-    """Return by how much to move a parameter, 0 where it can be told that paths change."""
+    """Return the step of a parameter, 0 where its change is known to alter the paths."""
     if name == INCIDENCE_KEY:
         return 0.0
-    amount = name.split(".")[-2:-1]
-    if not amount or amount[0] not in IMPURITY_KEYWORDS:
-        trial = PARAMETER_STEP * abs(get_parameter(medium, name))
-        for step in (trial, -trial):
+    key = name.split(".")[-2:-1]
+    if not key or key[0] not in IMPURITY_KEYWORDS:
+        size = PARAMETER_STEP * abs(get_parameter(medium, name))
+        for step in (size, -size):
             try:
                 shift_parameter(medium, name, step)
             except ValueError:
                 continue
             return step
         return 0.0
-    base, more = (
+    base, perturbed = (
         PathSharingMedia.from_media([one]).compute_constants(wavelengths)[0].absorption
         for one in (medium, shift_parameter(medium, name, 1.0))
     )
     steps = [1.0]
-    for before, rise in zip(base, np.abs(more - base), strict=True):
+    for before, change in zip(base, np.abs(perturbed - base), strict=True):
         absorbing = before > 0.0
-        both = absorbing & (rise > 0.0)
-        if both.any():
-            steps.append(MAX_ABSORPTION_STEP * float((before[both] / rise[both]).min()))
-        elif rise.any():
-            # Clean pores, for example: what else absorbs is there to be compared with.
-            least = (
+        changed = absorbing & (change > 0.0)
+        if changed.any():
+            steps.append(MAX_ABSORPTION_STEP * float((before[changed] / change[changed]).min()))
+        elif change.any():
+            # Clean pores, for example: the step is relative to the other absorbing materials.
+            min_change = (
                 MAX_ABSORPTION_STEP * before[absorbing].min()
                 if absorbing.any()
                 else MIN_ABSORPTION_STEP_PER_M
             )
-            steps.append(float(least / rise.max()))
+            steps.append(float(min_change / change.max()))
     return min(steps)
 
 
@@ -144,14 +149,16 @@ def combine_derivatives(
     perturbations: Perturbations,
     finite_differences: Sequence[FiniteDifference],
 ) -> Derivatives:
-    """Return derivatives in the order asked for, of paths and of differences."""
-    found = {name: exact.select(slice(i, i + 1)) for i, name in enumerate(perturbations.parameters)}
-    found |= {one.parameter: one.derivatives for one in finite_differences}
-    rows = [found[name] for name in names]
+    """Return exact derivatives and finite differences in the requested order."""
+    by_parameter = {
+        name: exact.select(slice(i, i + 1)) for i, name in enumerate(perturbations.parameters)
+    }
+    by_parameter |= {one.parameter: one.derivatives for one in finite_differences}
+    ordered = [by_parameter[name] for name in names]
     return Derivatives(
-        np.concatenate([row.mean for row in rows], axis=1),
-        np.concatenate([row.batch_deviations for row in rows], axis=2),
-        np.concatenate([row.bias_bound for row in rows], axis=1),
+        np.concatenate([derivative.mean for derivative in ordered], axis=1),
+        np.concatenate([derivative.batch_deviations for derivative in ordered], axis=2),
+        np.concatenate([derivative.bias_bound for derivative in ordered], axis=1),
     )
 
 
@@ -159,31 +166,39 @@ def make_jacobian_variables(
     derivatives: Derivatives, parameters: Sequence[str], names: Sequence[str]
 ) -> dict[str, Variable]:
     """Return derivatives of reflectance and transmittance over parameter and wavelength."""
-    found: dict[str, Variable] = {}
+    variables: dict[str, Variable] = {}
     if not parameters:
-        return found
+        return variables
     dims = ("parameter", "wavelength")
     for side, name in enumerate(names):
         label = f"derivative of {name} to the parameter, in the inverse of its unit"
         key = f"{name}_jacobian"
-        found |= make_variable(key, dims, derivatives.mean[side], derivatives.stderr[side], label)
-        found |= make_deviation_variable(key, dims, derivatives.batch_deviations[:, side], label)
-    return found
+        variables |= make_variable(
+            key, dims, derivatives.mean[side], derivatives.stderr[side], label
+        )
+        variables |= make_deviation_variable(
+            key, dims, derivatives.batch_deviations[:, side], label
+        )
+    return variables
 
 
 def make_parameter_coordinates(
     parameters: Sequence[str], perturbations: Perturbations
 ) -> dict[str, object]:
-    """Return the coordinates of parameters, none without any."""
+    """Return the coordinates of the parameters, empty without any."""
     if not parameters:
         return {}
     units = [get_derivative_unit(parameter) for parameter in parameters]
-    how = [
+    methods = [
         "shared_paths" if name in perturbations.parameters else "finite_difference"
         for name in parameters
     ]
     return {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of derivatives to it"}),
-        "parameter_method": ("parameter", how, {"long_name": "where derivatives to it are from"}),
+        "parameter_method": (
+            "parameter",
+            methods,
+            {"long_name": "where derivatives to it are from"},
+        ),
     }

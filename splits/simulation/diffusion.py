@@ -1,4 +1,4 @@
-"""Diffuse light deep in a pack: how far it goes between turns, and what a layer does with it.
+"""Diffusion theory of deep layers: effective mean free path, and reflectance of a substrate.
 
 Of the fluence rate φ and the net flux J, F↓ and F↑ are φ/4 ± J/2; J = −D φ′ and D φ″ = μ φ, which
 decays by exp(−κ z) (Ishimaru 1978, Wave Propagation and Scattering in Random Media, chapter 9).
@@ -13,31 +13,34 @@ import xarray as xr
 
 
 def effective_mean_free_path(optics: xr.Dataset) -> np.ndarray:
-    """Return the mean distance (m) between points that let light diffuse as grains of a size do.
+    """Return the mean free path (m) of point scatterers that diffuse light as finite grains do.
 
-    Light advances from grain to grain by l = 1/extinction, and by a grain itself, δ from entry to
-    exit.  Diffusion over many grains is that of points at the mean distance
+    Light advances from grain to grain by l = 1/extinction, and by a displacement δ from entry to
+    exit within each grain.  Diffusion over many grains is that of points at the mean distance
 
         l'² = (l + <δ·d>) (l + <δ·d'>) + (1 − g) <δ²>/2,
 
-    d and d' the directions before and after: half the mean square distance gone per grain, summed
-    over the memory g, g², … of directions, is l'²/(1 − g).
+    d and d' the directions before and after: half the mean square displacement per grain, summed
+    over the correlations g, g², … of directions, is l'²/(1 − g).
     """
-    # Arrays add in a hundredth of the time that labelled ones take.
+    # Plain arrays add a hundred times faster than labelled ones.
     free = 1.0 / optics.extinction.values
-    before, after = optics.displacement_along_incident.values, optics.displacement_along_exit.values
-    turned = 1.0 - optics.asymmetry_parameter.values
-    square = (free + before) * (
-        free + after
-    ) + 0.5 * turned * optics.mean_square_displacement.values
+    incident, exit = (
+        optics.displacement_along_incident.values,
+        optics.displacement_along_exit.values,
+    )
+    transport_factor = 1.0 - optics.asymmetry_parameter.values
+    square = (free + incident) * (
+        free + exit
+    ) + 0.5 * transport_factor * optics.mean_square_displacement.values
     values: np.ndarray = np.sqrt(square)
     return values
 
 
 def diffuse_reflectance(n: np.ndarray) -> np.ndarray:
-    """Return the reflectance of a face for diffuse light from the side of index 1.
+    """Return the reflectance of an interface for diffuse light from the side of index 1.
 
-    Twice the mean of Fresnel's reflectance, each cosine by its own weight.
+    It is the cosine-weighted mean of the Fresnel reflectance.
 
     Parameters
     ----------
@@ -50,14 +53,14 @@ def diffuse_reflectance(n: np.ndarray) -> np.ndarray:
     # From the dense side, where the integrand has a corner, by reciprocity.
     dense = np.maximum(n, 1.0 / n)[..., np.newaxis]
     inner = np.sqrt(1.0 - (1.0 - mu**2) / dense**2)
-    across = ((mu - dense * inner) / (mu + dense * inner)) ** 2
-    along = ((dense * mu - inner) / (dense * mu + inner)) ** 2
-    values: np.ndarray = (weight * mu * (across + along)).sum(axis=-1)
+    s_polarized = ((mu - dense * inner) / (mu + dense * inner)) ** 2
+    p_polarized = ((dense * mu - inner) / (dense * mu + inner)) ** 2
+    values: np.ndarray = (weight * mu * (s_polarized + p_polarized)).sum(axis=-1)
     return np.where(n < 1.0, 1.0 - (1.0 - values) * n**2, values)
 
 
 class DiffusiveSubstrate(NamedTuple):
-    """What lies below a cut, to diffusion theory; one value per wavelength.
+    """Diffusion-theory description of the medium below a truncation depth, by wavelength.
 
     Attributes
     ----------
@@ -74,7 +77,7 @@ class DiffusiveSubstrate(NamedTuple):
     bottom_flux_ratio: np.ndarray
 
     def compute_flux_ratio(self) -> np.ndarray:
-        """Return the net flux over the fluence rate at the cut."""
+        """Return the net flux over the fluence rate at the truncation depth."""
         tanh = np.tanh(self.decay_depth)
         upper = self.bottom_flux_ratio + self.decay_flux_ratio * tanh
         lower = self.decay_flux_ratio + self.bottom_flux_ratio * tanh
@@ -82,21 +85,21 @@ class DiffusiveSubstrate(NamedTuple):
         return values
 
     def compute_reflected_fraction(self) -> np.ndarray:
-        """Return the share of the light that enters which comes back."""
-        net = self.compute_flux_ratio()
-        values: np.ndarray = (1.0 - 2.0 * net) / (1.0 + 2.0 * net)
+        """Return the reflectance for diffuse light."""
+        flux_ratio = self.compute_flux_ratio()
+        values: np.ndarray = (1.0 - 2.0 * flux_ratio) / (1.0 + 2.0 * flux_ratio)
         return np.clip(values, 0.0, 1.0)
 
     def compute_transmitted_fraction(self) -> np.ndarray:
-        """Return the share of the net flux at the cut that enters the bottom."""
+        """Return the fraction of the net flux at the truncation depth that enters the bottom."""
         kappa = np.minimum(self.decay_depth, 700.0)
         fluence = self.decay_flux_ratio / (
             self.decay_flux_ratio * np.cosh(kappa) + self.bottom_flux_ratio * np.sinh(kappa)
         )
-        gone = np.where(
+        transmitted = np.where(
             self.decay_depth > 700.0,
             0.0,
             self.bottom_flux_ratio * fluence / self.compute_flux_ratio(),
         )
-        values: np.ndarray = np.clip(gone, 0.0, 1.0)
+        values: np.ndarray = np.clip(transmitted, 0.0, 1.0)
         return values

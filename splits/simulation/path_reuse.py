@@ -1,9 +1,9 @@
-"""Which media share paths: those alike but for what absorbs, for the ground, and for size.
+"""Detection of media that share paths: alike except for absorption, the ground, and a length scale.
 
 Where all lengths of a medium are s times those of another (grains, the distances between them, the
-depths of faces), light takes the same paths in both, s times as long.  In a pack without end no
-depth is left to tell sizes apart.  Nothing is assumed about parameters: the scenes themselves are
-compared, so a family is found whatever the names of what its members differ in.
+depths of boundaries), light takes the same paths in both, s times as long.  A semi-infinite medium
+has no depth that fixes the scale.  The scenes themselves are compared, so that sets of media that
+share paths are found whichever parameters differ.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from splits.simulation.scene import (
 )
 
 MAX_SHARED_ROWS = 200_000
-"""Wavelengths of different media that one ensemble serves: what bounds its memory."""
+"""Largest number of rows (wavelengths of different media) of one tally: this limits its memory."""
 _COMPARED_BITS = 36
 """Binary digits to which numbers of two scenes must agree."""
 
 
 class MediaGroup(NamedTuple):
-    """Media that share paths, by their places among all.
+    """Media that share paths, by their positions among all media.
 
     Attributes
     ----------
     path_sharing : PathSharingMedia
-        Each that is different, once.
+        Each distinct medium once.
     positions : int, shape (members,)
     media_indices : int, shape (members,)
-        Of the family's media.
+        Of the media in `path_sharing`.
     """
 
     path_sharing: PathSharingMedia
@@ -53,7 +53,7 @@ class MediaGroup(NamedTuple):
 
 
 def group_by_shared_paths(media: Sequence[Any], wavelength_nm: np.ndarray) -> list[MediaGroup]:
-    """Return media in families that share paths, each in order of size.
+    """Return media in sets that share paths, each in order of size.
 
     Parameters
     ----------
@@ -63,96 +63,103 @@ def group_by_shared_paths(media: Sequence[Any], wavelength_nm: np.ndarray) -> li
     Raises
     ------
     ValueError
-        For a medium that is not made of grains.
+        For a medium that is not granular.
     """
-    found: dict[bytes, list[tuple[float, int]]] = {}
-    for place, medium in enumerate(media):
+    by_signature: dict[bytes, list[tuple[float, int]]] = {}
+    for position, medium in enumerate(media):
         if not isinstance(medium, GranularMedium | LayeredMedium):
-            raise invalid("medium", medium.kind, "a medium of grains, or a stack")
+            raise invalid("medium", medium.kind, "a granular medium, or a stack")
         key, unit = compute_path_signature(medium)
-        found.setdefault(key, []).append((unit, place))
-    most = max(1, MAX_SHARED_ROWS // wavelength_nm.size)
-    grouped = []
-    for alike in found.values():
-        # Places of each medium that is different, in order of size.
-        places: dict[tuple[float, bytes], list[int]] = {}
-        for unit, place in sorted(alike):
-            light = compute_absorption_signature(media[place], wavelength_nm)
-            places.setdefault((unit, light), []).append(place)
-        different = list(places.items())
-        for first in range(0, len(different), most):
-            part = different[first : first + most]
+        by_signature.setdefault(key, []).append((unit, position))
+    max_media = max(1, MAX_SHARED_ROWS // wavelength_nm.size)
+    groups = []
+    for members in by_signature.values():
+        # Positions of each distinct medium, in order of size.
+        positions: dict[tuple[float, bytes], list[int]] = {}
+        for unit, position in sorted(members):
+            absorption_key = compute_absorption_signature(media[position], wavelength_nm)
+            positions.setdefault((unit, absorption_key), []).append(position)
+        distinct = list(positions.items())
+        for first in range(0, len(distinct), max_media):
+            part = distinct[first : first + max_media]
             smallest = part[0][0][0]
-            family = PathSharingMedia(
+            path_sharing = PathSharingMedia(
                 tuple(media[one[0]] for _, one in part),
                 np.array([unit / smallest for (unit, _), _ in part]),
             )
-            which = [number for number, (_, one) in enumerate(part) for _ in one]
-            all_places = [place for _, one in part for place in one]
-            grouped.append(MediaGroup(family, np.array(all_places), np.array(which)))
-    return grouped
+            media_indices = [number for number, (_, one) in enumerate(part) for _ in one]
+            all_positions = [position for _, one in part for position in one]
+            groups.append(
+                MediaGroup(path_sharing, np.array(all_positions), np.array(media_indices))
+            )
+    return groups
 
 
 def compute_absorption_signature(medium: Any, wavelength_nm: np.ndarray) -> bytes:
-    """Return what a medium is to light, and its ground but below a pack without end, as bytes."""
+    """Return a hash of the optical constants of a medium and of a ground at finite depth."""
     if math.isinf(medium.depth_m):
         index = medium.compute_refractive_indices(wavelength_nm)
-        found = OpticalConstants(index, compute_absorption(medium, index, wavelength_nm))
+        constants = OpticalConstants(index, compute_absorption(medium, index, wavelength_nm))
     else:
-        found = compute_optical_constants(medium, wavelength_nm)
-    return hashlib.sha256(found.indices.tobytes() + found.absorption.tobytes()).digest()
+        constants = compute_optical_constants(medium, wavelength_nm)
+    return hashlib.sha256(constants.indices.tobytes() + constants.absorption.tobytes()).digest()
 
 
 def compute_path_signature(medium: Any) -> tuple[bytes, float]:
-    """Return what media that share paths have in common, as bytes, and the unit of its lengths (m).
+    """Return a hash common to media that share paths, and the length unit of this one (m).
 
     Parameters
     ----------
     medium : GranularMedium or LayeredMedium
     """
-    endless = math.isinf(medium.depth_m)
-    scene = build_scene(_make_finite(medium) if endless else medium, 0.0, False)
+    semi_infinite = math.isinf(medium.depth_m)
+    scene = build_scene(_make_finite(medium) if semi_infinite else medium, 0.0, False)
     layers, types = scene.layers, scene.types
-    # A rough surface has a scale of its own.
+    # A rough surface has a length scale of its own.
     unit = 1.0 if make_height_fields(medium) is not None else float(1.0 / layers.attenuation[0])
-    face = layers.boundaries / unit
-    if endless:
-        face[-1] = -math.inf
+    boundaries = layers.boundaries / unit
+    if semi_infinite:
+        boundaries[-1] = -math.inf
     digest = hashlib.sha256()
     for table in (
-        face,
+        boundaries,
         unit * layers.attenuation,
         unit * types.curvature,
         *(
-            t
-            for t, n in zip(layers, layers._fields, strict=True)
-            if n not in ("boundaries", "attenuation")
+            array
+            for array, field in zip(layers, layers._fields, strict=True)
+            if field not in ("boundaries", "attenuation")
         ),
-        *(t for t, n in zip(types, types._fields, strict=True) if n != "curvature"),
+        *(array for array, field in zip(types, types._fields, strict=True) if field != "curvature"),
         *scene.particles,
         np.array(scene.rules, dtype=float),
         np.array(
             [
-                (i.fraction, i.outer_material, i.inner_material, i.layer)
-                for i in medium.list_interfaces()
+                (
+                    interface.fraction,
+                    interface.outer_material,
+                    interface.inner_material,
+                    interface.layer,
+                )
+                for interface in medium.list_interfaces()
             ],
             dtype=float,
         ),
         np.array(
             [
                 len(medium.list_materials()),
-                not endless and get_reflecting_ground(medium) is not None,
+                not semi_infinite and get_reflecting_ground(medium) is not None,
             ]
         ),
     ):
         digest.update(repr(np.shape(table)).encode())
         digest.update(_round_significands(np.asarray(table, dtype=float)).tobytes())
-    names = [type(medium).__name__, *(i.location for i in medium.list_interfaces())]
-    # What particles lie in has one index at all wavelengths, so no interface speaks of it.
+    names = [type(medium).__name__, *(interface.location for interface in medium.list_interfaces())]
+    # The matrix of particles has one index at all wavelengths and appears in no interface.
     matrices = [
-        float(part.layer.refractive_index)
-        for part in (medium.scene_layers if isinstance(medium, LayeredMedium) else ())
-        if isinstance(part, StackedParticleLayer)
+        float(layer.layer.refractive_index)
+        for layer in (medium.scene_layers if isinstance(medium, LayeredMedium) else ())
+        if isinstance(layer, StackedParticleLayer)
     ]
     digest.update(repr([names, matrices]).encode())
     for table in make_height_fields(medium) or ():
@@ -161,9 +168,10 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
 
 
 def _round_significands(values: np.ndarray) -> np.ndarray:
-    """Return numbers without their last digits.
+    """Return numbers with their last digits rounded.
 
-    A little is added, as those that a unit has made whole numbers lie where rounding turns.
+    A small offset is added, because scaled lengths are often whole numbers, where rounding is
+    discontinuous.
     """
     mantissa, exponent = np.frexp(values * (1.0 + 1e-6 * 2.0 ** (-_COMPARED_BITS / 2)))
     finite = np.isfinite(values)
@@ -174,7 +182,7 @@ def _round_significands(values: np.ndarray) -> np.ndarray:
 
 
 def _make_finite(medium: Any) -> Any:
-    """Return a pack without end with an end somewhere, as scenes need one."""
+    """Return a semi-infinite medium with a finite depth, as scenes require."""
     if isinstance(medium, Stack):
         return replace(medium, layers=(*medium.layers[:-1], _make_finite(medium.layers[-1])))
     return replace(medium, depth_m=1.0)

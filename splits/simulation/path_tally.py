@@ -1,8 +1,8 @@
-"""Spectra that share paths: of media that differ only in what they absorb, and how they change.
+"""Tallies of paths shared by several media, and of derivatives to their absorption.
 
-A path's lengths in the materials give its weight whatever these absorb (SPLITSnow Eqs 5-6).  So
-one ensemble serves every medium whose grains, layers and refractive indices are the same, and
-every derivative to what absorbs, at no cost of tracing.
+The lengths of a path in the materials give its weight for any absorption (SPLITSnow Eqs 5-6).  One
+path ensemble therefore gives results for every medium with the same grains, layers and refractive
+indices, and derivatives to all absorption parameters, without more tracing.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from splits.simulation.tally import N_BATCHES, PathTally, Stratum, TransportTrai
 
 
 class PathSharingMedia(NamedTuple):
-    """Media that share paths: alike but for what absorbs, for the ground, and for size.
+    """Media that share paths: alike except for absorption, the ground, and a length scale.
 
     Where all lengths of a medium are s times those of another, light takes the same paths in both,
-    s times as long; it is as if the other one absorbed s times as much per metre.
+    s times as long, which is equivalent to s times the absorption per metre.
 
     Attributes
     ----------
@@ -46,31 +46,31 @@ class PathSharingMedia(NamedTuple):
 
     @classmethod
     def from_media(cls, media: Sequence[Medium]) -> PathSharingMedia:
-        """Return the family of media that are of one size."""
+        """Return path-sharing media of equal size."""
         return cls(tuple(media), np.ones(len(media)))
 
     def select(self, selection: slice) -> PathSharingMedia:
-        """Return some of it."""
+        """Return a subset of the media."""
         return PathSharingMedia(self.media[selection], self.size_ratios[selection])
 
     def compute_constants(self, wavelength_nm: np.ndarray) -> list[OpticalConstants]:
-        """Return what each is to light at wavelengths (nm), lengths in units of the first's size.
+        """Return the optical constants of each at wavelengths (nm), in units of the first's size.
 
-        Meetings with a ground are no lengths.
+        The optical depth of a ground is not scaled.
         """
-        found = []
-        for medium, scale in zip(*self, strict=True):
-            one = compute_optical_constants(medium, wavelength_nm)
-            absorption = scale * one.absorption
+        scaled = []
+        for medium, size_ratio in zip(*self, strict=True):
+            constants = compute_optical_constants(medium, wavelength_nm)
+            absorption = size_ratio * constants.absorption
             if get_reflecting_ground(medium) is not None:
-                absorption[:, -1] = one.absorption[:, -1]
-            found.append(one._replace(absorption=absorption))
-        return found
+                absorption[:, -1] = constants.absorption[:, -1]
+            scaled.append(constants._replace(absorption=absorption))
+        return scaled
 
 
 @dataclass(frozen=True)
 class SpectralRows:
-    """What a few ensembles of paths are to tell: a row for every wavelength of every medium.
+    """Rows of path tallies: one for every wavelength of every medium.
 
     Attributes
     ----------
@@ -79,8 +79,8 @@ class SpectralRows:
     absorption : float, shape (rows, columns)
         Absorption coefficients (1/m); of the ground, −ln of its albedo.
     min_absorption : float, shape (rows, columns)
-        The least of those among the media of one size at a row's wavelength.  It alone decides on
-        roulette and on the rays that a row listens to: so these media listen to the same.
+        The smallest absorption among the media of one size at a row's wavelength.  It determines
+        roulette and the strata of a row, so that these media use the same rays.
     absorption_derivatives : float, shape (parameters, rows, columns)
         Derivatives of absorption.
     interfaces : sequence of Interface
@@ -95,17 +95,17 @@ class SpectralRows:
     @classmethod
     def from_media(cls, path_sharing: PathSharingMedia, wavelength_nm: np.ndarray) -> SpectralRows:
         """Return the rows of media that share paths, medium after medium."""
-        found = path_sharing.compute_constants(wavelength_nm)
-        absorption = np.stack([one.absorption for one in found])
-        weakest = np.empty_like(absorption)
-        for scale in np.unique(path_sharing.size_ratios):
-            alike = path_sharing.size_ratios == scale
-            weakest[alike] = absorption[alike].min(axis=0)
+        constants = path_sharing.compute_constants(wavelength_nm)
+        absorption = np.stack([one.absorption for one in constants])
+        min_absorption = np.empty_like(absorption)
+        for size_ratio in np.unique(path_sharing.size_ratios):
+            same_size = path_sharing.size_ratios == size_ratio
+            min_absorption[same_size] = absorption[same_size].min(axis=0)
         columns = absorption.shape[-1]
         return cls(
-            np.concatenate([one.indices for one in found]),
+            np.concatenate([one.indices for one in constants]),
             absorption.reshape(-1, columns),
-            weakest.reshape(-1, columns),
+            min_absorption.reshape(-1, columns),
             np.zeros((0, absorption[..., 0].size, columns)),
             path_sharing.media[0].list_interfaces(),
         )
@@ -117,36 +117,41 @@ class SpectralRows:
         wavelength_nm: np.ndarray,
         ground_column: int,
     ) -> SpectralRows:
-        """Return these rows, of one medium, with the derivatives that moved ones tell.
+        """Return these rows, of one medium, with absorption derivatives from perturbed media.
 
         Parameters
         ----------
         perturbed : PathSharingMedia
-            The medium with one parameter after the other moved.
+            The medium with one parameter after the other changed.
         steps : float, shape (media,)
-            By so much.
+            Changes of the parameters.
         wavelength_nm : float, shape (rows,)
         ground_column : int
-            Column of a ground to whose own absorption the last derivative is, or `NO_GROUND`.
+            Column of a ground; the last derivative is to its absorption.  `NO_GROUND` for none.
         """
-        others = [one.absorption for one in perturbed.compute_constants(wavelength_nm)]
-        changes = [(o - self.absorption) / s for o, s in zip(others, steps, strict=True)]
+        perturbed_absorption = [
+            one.absorption for one in perturbed.compute_constants(wavelength_nm)
+        ]
+        derivatives = [
+            (other - self.absorption) / step
+            for other, step in zip(perturbed_absorption, steps, strict=True)
+        ]
         if ground_column != NO_GROUND:
-            changes.append(np.zeros_like(self.absorption))
-            changes[-1][:, ground_column] = 1.0
-        return replace(self, absorption_derivatives=np.stack(changes))
+            derivatives.append(np.zeros_like(self.absorption))
+            derivatives[-1][:, ground_column] = 1.0
+        return replace(self, absorption_derivatives=np.stack(derivatives))
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of reflected and transmitted shares.
+    """Derivatives of reflected and transmitted fractions.
 
     Attributes
     ----------
     mean : float, shape (2, parameters, rows)
-    batch_deviations : float, shape (GROUPS, 2, parameters, rows)
-        How far groups of rays take them off: sums over them of products are covariances.
+    batch_deviations : float, shape (N_BATCHES, 2, parameters, rows)
+        Contributions of batches to the deviations of the means: sums of products are covariances.
     bias_bound : float, shape (2, parameters, rows)
-        Bound on what these do not tell.
+        Bound on the systematic error.
     """
 
     mean: np.ndarray
@@ -168,12 +173,12 @@ class Derivatives(NamedTuple):
 
 
 class SharedPathTally(PathTally):
-    """Paths that serve several media and derivatives, see `PathTally`.
+    """Tally of paths for several media and derivatives, see `PathTally`.
 
     Attributes
     ----------
-    derivative_sums : float, shape (GROUPS, 2, parameters, rows)
-        Σ derivative of weight of the rays of every group, reflected and transmitted.
+    derivative_sums : float, shape (N_BATCHES, 2, parameters, rows)
+        Σ derivative of weight of the rays of each batch, reflected and transmitted.
     """
 
     def __init__(
@@ -189,13 +194,15 @@ class SharedPathTally(PathTally):
         self.derivative_sums = np.zeros(
             (N_BATCHES, 2, len(rows.absorption_derivatives), len(self.rows))
         )
-        for level in self.strata:
-            some = self.absorption[level.wavelength_mask].max(axis=0) > 0.0
-            some |= (self.absorption_derivatives[:, level.wavelength_mask] != 0.0).any(axis=(0, 1))
-            level.optics = level.optics._replace(is_absorbing=some)
+        for stratum in self.strata:
+            is_absorbing = self.absorption[stratum.wavelength_mask].max(axis=0) > 0.0
+            is_absorbing |= (self.absorption_derivatives[:, stratum.wavelength_mask] != 0.0).any(
+                axis=(0, 1)
+            )
+            stratum.optics = stratum.optics._replace(is_absorbing=is_absorbing)
 
     def count_score_values(self) -> int:
-        """Return how many numbers a tally holds."""
+        """Return the number of values in the score of a chunk."""
         return super().count_score_values() + len(self.absorption_derivatives) * len(self.rows) * (
             1 + BLOCK_SIZE
         )
@@ -203,63 +210,68 @@ class SharedPathTally(PathTally):
     def score_chunk(
         self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
     ) -> Any:
-        """Return the sums of a batch of a level, and their derivatives by block."""
+        """Return the sums of a chunk of a stratum, and their derivatives by block."""
         sums = super().score_chunk(stratum, first_ray, exits, crossings)
         if not len(self.absorption_derivatives):
             return sums, None
-        served = self.rows[self.select_rows(stratum)]
-        absorption, changes = self.absorption[served], self.absorption_derivatives[:, served]
+        used_rows = self.rows[self.select_rows(stratum)]
+        absorption, derivatives = (
+            self.absorption[used_rows],
+            self.absorption_derivatives[:, used_rows],
+        )
         return sums, tally_derivatives(
-            exits, crossings, absorption, changes, self.traits.ground_column
+            exits, crossings, absorption, derivatives, self.traits.ground_column
         )
 
     def add_scores(self, stratum: Stratum, scores: Sequence[Any]) -> None:
-        """Add the tallies of batches one by one."""
-        for sums, blocks in scores:
+        """Add the scores of chunks one by one."""
+        for sums, block_sums in scores:
             first = stratum.n_rays // BLOCK_SIZE % N_BATCHES
             super().add_scores(stratum, [sums])
-            if blocks is not None:
+            if block_sums is not None:
                 self.derivative_sums[
-                    first : first + len(blocks), :, :, self.select_rows(stratum)
-                ] += blocks
+                    first : first + len(block_sums), :, :, self.select_rows(stratum)
+                ] += block_sums
 
     def compute_derivatives(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean derivatives, and how far groups take them off, as `deviations` does."""
-        count = np.maximum(self.n_rays, 1.0)
-        mean = self.derivative_sums.sum(axis=0) / count
-        off = self.derivative_sums - self.count_rays_per_batch()[:, np.newaxis, np.newaxis] * mean
-        return mean, off / count
+        """Return mean derivatives and their deviations by batch, as `compute_batch_deviations`."""
+        n_rays = np.maximum(self.n_rays, 1.0)
+        mean = self.derivative_sums.sum(axis=0) / n_rays
+        deviations = (
+            self.derivative_sums - self.count_rays_per_batch()[:, np.newaxis, np.newaxis] * mean
+        )
+        return mean, deviations / n_rays
 
 
 def check_path_sharing(media: Mapping[str, Medium]) -> None:
-    """Refuse media that differ in more than what they absorb.
+    """Check that media differ only in absorption.
 
     Raises
     ------
     ValueError
-        Names the first medium that paths of the first one do not serve.
+        Names the first medium that cannot share the paths of the first one.
     """
     (first, base), *others = media.items()
     if not isinstance(base, GranularMedium | LayeredMedium):
-        raise invalid(f"media[{first!r}]", base.kind, "a medium of grains, or a stack")
+        raise invalid(f"medium[{first!r}]", base.kind, "a granular medium, or a stack")
     scene = build_scene(base, 0.0, False)
     for name, medium in others:
-        alike = (
+        shares_paths = (
             type(medium) is type(base)
             and medium.list_materials() == base.list_materials()
             and (get_reflecting_ground(medium) is None) == (get_reflecting_ground(base) is None)
             and tables_equal(scene, build_scene(medium, 0.0, False))
         )
-        if not alike:
+        if not shares_paths:
             raise invalid(
-                f"media[{name!r}]", medium.kind, f"like media[{first!r}] but for what absorbs",
-                "grains, depths, pores and readings must be the same; impurities, and the albedo "
-                "of a ground that sends light back, may differ",
+                f"medium[{name!r}]", medium.kind, f"like medium[{first!r}] except for absorption",
+                "grains, depths, pores and interpretation must be the same; impurities, and the "
+                "albedo of a reflecting ground, may differ",
             )  # fmt: skip
 
 
 def tables_equal(first: Any, second: Any) -> bool:
-    """Tell whether tables of a scene hold the same numbers."""
+    """Return whether tables of a scene hold the same numbers."""
     if isinstance(first, tuple) and hasattr(first, "_fields"):
         return all(tables_equal(a, b) for a, b in zip(first, second, strict=True))
     return np.array_equal(first, second)

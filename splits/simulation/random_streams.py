@@ -1,7 +1,7 @@
-"""Which random streams each way of measuring has: with one seed, no two draw the same numbers.
+"""Random-number streams of the instruments: with one seed, no two use the same numbers.
 
-A stream is named by seed, level and ray (`splits.kernels.math.rng`).  Each of these is the
-number of the first level of one of them, which has all numbers up to the next.
+A stream is identified by seed, stratum and ray (`splits.kernels.math.rng`).  Each constant is the
+number of the first stratum of an instrument, which owns all numbers up to the next.
 """
 
 from __future__ import annotations

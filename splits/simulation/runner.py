@@ -1,4 +1,4 @@
-"""Tracing rays: batches, in jobs, on threads, and the same numbers whoever traces which."""
+"""Parallel tracing with results independent of the number of threads."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from splits.simulation.tracer import make_tracer
 
 MAX_JOB_BYTES = 2**27
 MAX_SEGMENTS_PER_JOB = 2e7
-"""Largest memory (bytes) that a thread's job takes, and number of legs on lanes, for signs of life
-every few seconds; of the scalar kernel's, an eighth.  Otherwise the more the
-better: lanes stand idle while the last rays of a job end."""
+"""Largest memory (bytes) of a thread's job, and its largest number of segments with the vectorized
+kernel, so that progress is reported every few seconds; an eighth of it with the scalar kernel.
+Larger jobs are more efficient, as lanes are idle while the last rays of a job end."""
 
 WorkItem = tuple[Tally, Stratum, int, int]
-"""Some batches of a level: ensemble, level, first ray, number of batches."""
+"""Some chunks of a stratum: tally, stratum, first ray, number of chunks."""
 
 
 class Runner:
-    """Traces rays of a medium on several threads, the same whatever their number.
+    """Tracer of rays of a medium on several threads, with the same results on any number of them.
 
     Parameters
     ----------
@@ -35,14 +35,14 @@ class Runner:
     incidence_deg : float or "diffuse"
     seed : int
     threads : int or None
-        None takes every CPU this process may use.
+        None gives every CPU that this process may use.
     analog : bool
-        Absorption by coin toss.
+        Whether absorption is analog, sampled at each segment.
     kernel : {"auto", "vectorized", "scalar"}
     progress_callback : callable, optional
-        Receives a `Progress` a few times per second at most.
+        Receives a `Progress` at most twice per second.
     planes_m : sequence of float
-        Depths (m) of planes to listen at, see `splits.simulation.tracer.GrainTracer`.
+        Depths (m) of recording planes, see `splits.simulation.tracer.GrainTracer`.
 
     Attributes
     ----------
@@ -77,14 +77,14 @@ class Runner:
         target: float,
         remaining_rays: float = 0.0,
     ) -> None:
-        """Trace so many more rays of each level and add them up in a fixed order.
+        """Trace additional rays of each stratum and add their scores in a fixed order.
 
         Parameters
         ----------
-        work : sequence of (Ensemble, Stratum, int)
-            Rays to add, rounded up to whole batches.
+        work : sequence of (Tally, Stratum, int)
+            Rays to add, rounded up to whole chunks.
         stderr, target, remaining_rays : float
-            What to report as reached, wanted, and still to do after this (in rays).
+            Error reached, error requested and rays remaining after this call, for progress reports.
 
         Raises
         ------
@@ -92,102 +92,107 @@ class Runner:
             If a ray was lost.
         """
         jobs = self.make_jobs(work)
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         costs = [
-            sum(self.estimate_cost(level) * count for _, level, _, count in job) for job in jobs
+            sum(self.estimate_cost(stratum) * count for _, stratum, _, count in job) for job in jobs
         ]
         rays = self.rays_per_chunk * sum(count for job in jobs for *_, count in job)
         total = sum(costs) * (1.0 + remaining_rays / rays)
         done = 0.0
         with DaemonThreadPool(self.threads) as pool:
-            found = pool.map(self.trace_job, jobs)
-            for job, cost, tallied in zip(jobs, costs, found, strict=True):
-                for (ensemble, level, *_), (tallies, legs) in zip(job, tallied, strict=True):
-                    ensemble.add_scores(level, tallies)
-                    level.n_segments += legs
+            results = pool.map(self.trace_job, jobs)
+            for job, cost, job_scores in zip(jobs, costs, results, strict=True):
+                for (tally, stratum, *_), (scores, n_segments) in zip(job, job_scores, strict=True):
+                    tally.add_scores(stratum, scores)
+                    stratum.n_segments += n_segments
                 done += cost
-                pace = (time.perf_counter() - begun) / done
-                self._report_progress(rays, stderr, target, pace * (total - done))
+                seconds_per_cost = (time.perf_counter() - start_time) / done
+                self._report_progress(rays, stderr, target, seconds_per_cost * (total - done))
 
     def make_jobs(self, work: Sequence[tuple[Tally, Stratum, int]]) -> list[list[WorkItem]]:
-        """Return what threads are to trace at a time: levels of one kernel, cut at equal costs."""
-        kinds: dict[Features | None, list[WorkItem]] = {}
-        for ensemble, level, rays in work:
-            piece = ensemble, level, level.n_rays, -(-rays // self.rays_per_chunk)
-            kinds.setdefault(self.tracer.get_features(level), []).append(piece)
+        """Return jobs for threads: strata of one kernel, divided at equal costs."""
+        by_kernel: dict[Features | None, list[WorkItem]] = {}
+        for tally, stratum, rays in work:
+            item = tally, stratum, stratum.n_rays, -(-rays // self.rays_per_chunk)
+            by_kernel.setdefault(self.tracer.get_features(stratum), []).append(item)
         jobs = []
-        for features, pieces in kinds.items():
-            # Short paths last, so that few lanes wait for the last long one.
-            pieces.sort(key=lambda piece: -piece[1].expected_segments)
-            batches = sum(count for *_, count in pieces)
-            cost = sum(self.estimate_cost(level) * count for _, level, _, count in pieces)
-            most = MAX_SEGMENTS_PER_JOB if features else MAX_SEGMENTS_PER_JOB / 8
-            held = min(self.compute_job_capacity(ensemble) for ensemble, *_ in pieces)
-            # A multiple of the threads, so that all have as much to do.
-            number = int(np.ceil(max(cost / most, batches / held) / self.threads)) * self.threads
-            number = min(number, batches)
-            jobs += self.split_jobs(pieces, number, cost / number, held)
+        for features, items in by_kernel.items():
+            # Short paths last, so that few lanes are idle while the last long path ends.
+            items.sort(key=lambda item: -item[1].expected_segments)
+            n_chunks = sum(count for *_, count in items)
+            cost = sum(self.estimate_cost(stratum) * count for _, stratum, _, count in items)
+            max_segments = MAX_SEGMENTS_PER_JOB if features else MAX_SEGMENTS_PER_JOB / 8
+            max_chunks = min(self.compute_job_capacity(tally) for tally, *_ in items)
+            # A multiple of the threads, so that all have the same load.
+            n_jobs = (
+                int(np.ceil(max(cost / max_segments, n_chunks / max_chunks) / self.threads))
+                * self.threads
+            )
+            n_jobs = min(n_jobs, n_chunks)
+            jobs += self.split_jobs(items, n_jobs, cost / n_jobs, max_chunks)
         return jobs
 
     def compute_job_capacity(self, tally: Tally) -> int:
-        """Return how many batches a job may hold: exits of their rays, and tallies."""
-        numbers = (
+        """Return the largest number of chunks of a job that fit into memory."""
+        n_values = (
             self.rays_per_chunk * self.tracer.allocate_exits(1).shape[1]
             + tally.count_score_values()
         )
-        return max(1, MAX_JOB_BYTES // (8 * numbers))
+        return max(1, MAX_JOB_BYTES // (8 * n_values))
 
     def split_jobs(
         self, items: Sequence[WorkItem], n_jobs: int, cost_per_job: float, max_chunks: int
     ) -> list[list[WorkItem]]:
-        """Return pieces in a number of jobs that cost about a share each, in order.
+        """Return the items divided among a number of jobs of about equal cost, in order.
 
-        There are more of them where one would hold more than `max_chunks` batches.
+        There are more jobs where one would hold more than `max_chunks` chunks.
         """
         jobs: list[list[WorkItem]] = [[]]
-        room, held = cost_per_job, 0
-        for ensemble, level, first, count in items:
-            cost = self.estimate_cost(level)
+        remaining_cost, n_chunks = cost_per_job, 0
+        for tally, stratum, first, count in items:
+            cost = self.estimate_cost(stratum)
             while count > 0:
-                if held == max_chunks or (jobs[-1] and room < 0.5 * cost and len(jobs) < n_jobs):
+                if n_chunks == max_chunks or (
+                    jobs[-1] and remaining_cost < 0.5 * cost and len(jobs) < n_jobs
+                ):
                     jobs.append([])
-                    room, held = cost_per_job + min(room, 0.5 * cost), 0
-                now = min(count, max_chunks - held)
+                    remaining_cost, n_chunks = cost_per_job + min(remaining_cost, 0.5 * cost), 0
+                n_added = min(count, max_chunks - n_chunks)
                 if len(jobs) < n_jobs:
-                    now = min(now, max(1, round(room / cost)))
-                jobs[-1].append((ensemble, level, first, now))
-                first += now * self.rays_per_chunk
-                count -= now
-                room -= now * cost
-                held += now
+                    n_added = min(n_added, max(1, round(remaining_cost / cost)))
+                jobs[-1].append((tally, stratum, first, n_added))
+                first += n_added * self.rays_per_chunk
+                count -= n_added
+                remaining_cost -= n_added * cost
+                n_chunks += n_added
         return jobs
 
     def estimate_cost(self, stratum: Stratum) -> float:
-        """Return the legs to expect of a batch, and one to launch each ray; at first, a guess."""
+        """Return the expected segments of a chunk, plus one per ray; a default at first."""
         if stratum.n_rays == 0:
             return self.rays_per_chunk * (1.0 + stratum.expected_segments)
         return self.rays_per_chunk * (1.0 + stratum.n_segments / stratum.n_rays)
 
     def share_kernel(self, tallies: Sequence[Tally]) -> None:
-        """Let all levels of these ensembles share a kernel, if they can."""
-        self.tracer.share_kernel([level for ensemble in tallies for level in ensemble.strata])
+        """Let all strata of these tallies use one kernel, if possible."""
+        self.tracer.share_kernel([stratum for tally in tallies for stratum in tally.strata])
 
     def list_kernels(self, tallies: Sequence[Tally]) -> str:
-        """Return which kernels trace these ensembles, joined by a comma."""
+        """Return the kernels that trace these tallies, joined by a comma."""
         used = {
-            "scalar" if self.tracer.get_features(level) is None else "vectorized"
-            for ensemble in tallies
-            for level in ensemble.strata
+            "scalar" if self.tracer.get_features(stratum) is None else "vectorized"
+            for tally in tallies
+            for stratum in tally.strata
         }
         return ", ".join(sorted(used))
 
     def trace_job(self, job: Sequence[WorkItem]) -> list[tuple[list[Any], int]]:
-        """Trace pieces that share a kernel; the same numbers whoever does, and in whatever job.
+        """Trace items of one kernel; results do not depend on threads or jobs.
 
         Returns
         -------
-        list of (list of tallies, int)
-            For each piece: what its ensemble makes of each batch, in order, and the legs traced.
+        list of (list of scores, int)
+            For each item: the score of each chunk, in order, and the segments traced.
 
         Raises
         ------
@@ -196,34 +201,36 @@ class Runner:
         """
         work = np.array(
             [
-                (level.stream, first, count * self.rays_per_chunk, level.max_order)
-                for _, level, first, count in job
+                (stratum.stream, first, count * self.rays_per_chunk, stratum.max_order)
+                for _, stratum, first, count in job
             ]
         )
         exits = self.tracer.allocate_exits(int(work[:, 2].sum()))
-        followed = self.tracer.trace(work, [level for _, level, *_ in job], exits)
-        if followed.lost:
-            raise RuntimeError(followed.lost)
-        parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
+        result = self.tracer.trace(work, [stratum for _, stratum, *_ in job], exits)
+        if result.lost:
+            raise RuntimeError(result.lost)
+        exits_by_item = np.split(exits, np.cumsum(work[:, 2])[:-1])
         return [
-            (self._score_item(piece, part, notes), int(cost))
-            for piece, part, notes, cost in zip(
-                job, parts, followed.crossings, followed.n_segments, strict=True
+            (self._score_item(item, item_exits, crossings), int(n_segments))
+            for item, item_exits, crossings, n_segments in zip(
+                job, exits_by_item, result.crossings, result.n_segments, strict=True
             )
         ]
 
     def _score_item(self, item: WorkItem, exits: np.ndarray, crossings: np.ndarray) -> list[Any]:
-        """Return what a piece's ensemble makes of each of its batches, in order."""
-        ensemble, level, first, count = item
+        """Return the score of each chunk of an item, in order."""
+        tally, stratum, first, count = item
         starts = np.arange(count) * self.rays_per_chunk
-        parts = np.split(crossings, np.searchsorted(crossings[:, CROSSING_RAY], starts[1:]))
-        sums = []
-        for start, batch, part in zip(
-            starts, exits.reshape(count, self.rays_per_chunk, -1), parts, strict=True
+        crossings_by_chunk = np.split(
+            crossings, np.searchsorted(crossings[:, CROSSING_RAY], starts[1:])
+        )
+        scores = []
+        for start, chunk, chunk_crossings in zip(
+            starts, exits.reshape(count, self.rays_per_chunk, -1), crossings_by_chunk, strict=True
         ):
-            part[:, CROSSING_RAY] -= start
-            sums.append(ensemble.score_chunk(level, first + int(start), batch, part))
-        return sums
+            chunk_crossings[:, CROSSING_RAY] -= start
+            scores.append(tally.score_chunk(stratum, first + int(start), chunk, chunk_crossings))
+        return scores
 
     def _report_progress(
         self, n_rays: int, stderr: float, target: float, seconds_left: float

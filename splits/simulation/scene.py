@@ -1,4 +1,4 @@
-"""Scenes: a light on media, as kernels take them."""
+"""Scenes: illuminated media in the form that kernels use."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from splits.media.stacked_particle_layer import StackedParticleLayer
 
 LayerModel = GranularMedium | StackedParticleLayer
 MIN_ATTENUATION_PER_M = 1e-12
-"""Scatterings per metre of a layer without particles, whose mean free path must be a number."""
+"""Scatterings per metre of a layer without particles, so that its mean free path is finite."""
 
 
 class OpticalConstants(NamedTuple):
-    """Optical constants over wavelength; a ground, if there is one, comes after the materials.
+    """Optical constants over wavelength; a ground, if there is one, follows the materials.
 
     Attributes
     ----------
@@ -45,31 +45,31 @@ class OpticalConstants(NamedTuple):
 
 
 def make_source(incidence_deg: float | str) -> Source:
-    """Return the light of an incidence: degrees of a beam, or "diffuse"."""
+    """Return the source for an incidence: degrees of a beam, or "diffuse"."""
     if incidence_deg == "diffuse":
         return Source(1.0, 1.0)
     return Source(float(np.cos(np.radians(float(incidence_deg)))), 0.0)
 
 
 def get_reflecting_ground(medium: Medium) -> Ground | None:
-    """Return the ground below a medium, None where nothing comes back from there."""
+    """Return the ground below a medium, None where it does not reflect."""
     ground = getattr(medium, "ground", None)
     return ground if ground is not None and ground.is_reflecting else None
 
 
 def make_height_fields(medium: Medium) -> HeightFields | None:
-    """Return the rough surface on top of layers as kernels take it, None where it is smooth."""
+    """Return the rough surface on top of layers in the form of kernels, None where it is smooth."""
     top = medium.scene_layers[0] if isinstance(medium, LayeredMedium) else medium
     return top.make_height_fields() if isinstance(top, StackedParticleLayer) else None
 
 
 def count_length_columns(medium: Medium) -> int:
-    """Return how many lengths a path has: one in each material, and meetings with a ground."""
+    """Return the number of recorded lengths of a path: one per material, and hits of a ground."""
     return len(medium.list_materials()) + (get_reflecting_ground(medium) is not None)
 
 
 def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> OpticalConstants:
-    """Return what a medium and its ground are to light at wavelengths (nm)."""
+    """Return the optical constants of a medium and its ground at wavelengths (nm)."""
     index = medium.compute_refractive_indices(wavelength_nm)
     absorption = compute_absorption(medium, index, wavelength_nm)
     ground = get_reflecting_ground(medium)
@@ -84,141 +84,160 @@ def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opti
 def build_scene(
     medium: GranularMedium | LayeredMedium, incidence_deg: float | str, analog: bool
 ) -> Scene:
-    """Return granular media under a light; `analog` is absorption by coin toss."""
+    """Return illuminated granular media; `analog` samples absorption at each segment."""
     media = medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,)
-    granular = [one for one in media if not isinstance(one, StackedParticleLayer)]
-    tables = [one.make_grain_population() for one in granular]
-    points = tables[0].types.curvature.shape[1] if tables else 2
-    given = iter(tables)
+    granular = [layer for layer in media if not isinstance(layer, StackedParticleLayer)]
+    populations = [layer.make_grain_population() for layer in granular]
+    n_points = populations[0].types.curvature.shape[1] if populations else 2
+    remaining = iter(populations)
     grains = [
-        _make_placeholder_grains(one.layer.extinction_per_m, points)
-        if isinstance(one, StackedParticleLayer)
-        else next(given)
-        for one in media
+        _make_placeholder_grains(layer.layer.extinction_per_m, n_points)
+        if isinstance(layer, StackedParticleLayer)
+        else next(remaining)
+        for layer in media
     ]
-    materials = np.cumsum([0, *(len(one.list_materials()) for one in media)])
-    types = np.cumsum([0, *(len(one.type_cdf) for one in grains)])
-    most = max(len(one.type_cdf) for one in grains)
-    face = -np.cumsum([0.0, *(float(one.depth_m) for one in media)])
+    first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
+    first_types = np.cumsum([0, *(len(layer.type_cdf) for layer in grains)])
+    max_types = max(len(layer.type_cdf) for layer in grains)
+    boundaries = -np.cumsum([0.0, *(float(layer.depth_m) for layer in media)])
     fields = make_height_fields(medium)
     if fields is not None:
-        # Above the surface: nothing of a realisation may reach there.
-        face[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(fields.rms_height)
+        # Above the highest point that a realisation of the surface may have.
+        boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(fields.rms_height)
     layers = Layers(
-        boundaries=face,
-        attenuation=np.array([one.attenuation for one in grains]),
-        saturation=np.array([float(one.wet_fraction) for one in media]),
+        boundaries=boundaries,
+        attenuation=np.array([layer.attenuation for layer in grains]),
+        saturation=np.array([float(layer.wet_fraction) for layer in media]),
         type_cdf=np.array(
-            [np.pad(one.type_cdf, (0, most - len(one.type_cdf)), "edge") for one in grains]
+            [
+                np.pad(layer.type_cdf, (0, max_types - len(layer.type_cdf)), "edge")
+                for layer in grains
+            ]
         ),
-        first_type=types[:-1],
-        pore=materials[:-1],
+        first_type=first_types[:-1],
+        pore=first_materials[:-1],
         pore_cdf=_compute_pore_cdf(media),
         particle_row=_find_particle_rows(media),
     )
     rules = (granular[0].interpretation if granular else Interpretation()).to_sampling_rules(analog)
-    particles = make_particle_table([one for one in media if isinstance(one, StackedParticleLayer)])
-    column = NO_GROUND if get_reflecting_ground(medium) is None else int(materials[-1])
-    table = _merge_grain_types(grains, materials)
-    return Scene(make_source(incidence_deg), layers, table, rules, particles, column, False)
+    particles = make_particle_table(
+        [layer for layer in media if isinstance(layer, StackedParticleLayer)]
+    )
+    ground_column = NO_GROUND if get_reflecting_ground(medium) is None else int(first_materials[-1])
+    grain_types = _merge_grain_types(grains, first_materials)
+    return Scene(
+        make_source(incidence_deg), layers, grain_types, rules, particles, ground_column, False
+    )
 
 
 def _compute_pore_cdf(media: Sequence[LayerModel]) -> np.ndarray:
-    """Return cumulative shares of what fills pores besides air and water."""
-    shares = [
-        [] if isinstance(one, StackedParticleLayer) else list(one.pores.values()) for one in media
+    """Return cumulative fractions of the pore materials other than air and water."""
+    fractions = [
+        [] if isinstance(layer, StackedParticleLayer) else list(layer.pores.values())
+        for layer in media
     ]
-    most = max(len(row) for row in shares)
+    n_columns = max(len(layer_fractions) for layer_fractions in fractions)
     return np.array(
         [
-            float(one.wet_fraction) + np.cumsum([*row, *[0.0] * (most - len(row))])
-            for one, row in zip(media, shares, strict=True)
+            float(layer.wet_fraction)
+            + np.cumsum([*layer_fractions, *[0.0] * (n_columns - len(layer_fractions))])
+            for layer, layer_fractions in zip(media, fractions, strict=True)
         ]
-    ).reshape(len(media), most)
+    ).reshape(len(media), n_columns)
 
 
 def add_recording_planes(scene: Scene, depths_m: Sequence[float]) -> Scene:
-    """Return a scene cut at depths (m), in which rays that pass faces between layers are noted.
+    """Return a scene divided at depths (m), in which crossings of boundaries are recorded.
 
-    Cutting a layer changes nothing for the light in it.
+    Dividing a layer does not change the transport in it.
     """
     layers = scene.layers
-    cut = -np.asarray(depths_m, dtype=float)
-    face = -np.unique(-np.concatenate([layers.boundaries, cut]))
-    # The layer that each of the new ones is a piece of.
-    piece = np.searchsorted(-layers.boundaries, -face[:-1], side="right") - 1
-    rows = {name: getattr(layers, name)[piece] for name in layers._fields if name != "boundaries"}
-    return scene._replace(layers=Layers(boundaries=face, **rows), record_crossings=True)
+    plane_heights = -np.asarray(depths_m, dtype=float)
+    boundaries = -np.unique(-np.concatenate([layers.boundaries, plane_heights]))
+    # The original layer of each new one.
+    original = np.searchsorted(-layers.boundaries, -boundaries[:-1], side="right") - 1
+    rows = {
+        name: getattr(layers, name)[original] for name in layers._fields if name != "boundaries"
+    }
+    return scene._replace(layers=Layers(boundaries=boundaries, **rows), record_crossings=True)
 
 
 def _make_placeholder_grains(attenuation: float, points: int) -> GrainPopulation:
-    """Return for a layer of particles what stands in place of its grains, and is never met."""
-    one = np.ones((1, points))
+    """Return a placeholder for the grains of a particle layer, which no ray hits."""
+    ones = np.ones((1, points))
     types = GrainTypes(
         n_shells=np.ones(1, dtype=np.int64),
         material=np.zeros((1, 1), dtype=np.int64),
         coating_thickness=np.zeros((1, 1)),
-        curvature=one,
-        sphericity=one,
+        curvature=ones,
+        sphericity=ones,
         facetness=np.zeros((1, points)),
     )
     return GrainPopulation(max(attenuation, MIN_ATTENUATION_PER_M), np.ones(1), types)
 
 
 def _find_particle_rows(media: Sequence[LayerModel]) -> np.ndarray:
-    """Return the row of its particles for every layer, `NO_PARTICLES` for one of grains."""
-    has = np.array([isinstance(one, StackedParticleLayer) for one in media])
-    return np.where(has, np.cumsum(has) - 1, NO_PARTICLES)
+    """Return the row of each layer in the particle table, `NO_PARTICLES` for granular layers."""
+    has_particles = np.array([isinstance(layer, StackedParticleLayer) for layer in media])
+    return np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES)
 
 
 def make_particle_table(media: Sequence[StackedParticleLayer]) -> ParticleScattering:
     """Return the table of the particles of these layers."""
-    phases = [one.layer.kernel_phase_function for one in media]
-    longest = max((len(one.cosines) for one in phases), default=2)
+    phase_functions = [layer.layer.kernel_phase_function for layer in media]
+    n_columns = max((len(layer.cosines) for layer in phase_functions), default=2)
 
-    def table(name: str) -> np.ndarray:
-        rows = [np.pad(row, (0, longest - len(row))) for row in (getattr(p, name) for p in phases)]
-        return np.array(rows).reshape(len(phases), longest)
+    def pad_columns(name: str) -> np.ndarray:
+        rows = [
+            np.pad(row, (0, n_columns - len(row)))
+            for row in (getattr(phase, name) for phase in phase_functions)
+        ]
+        return np.array(rows).reshape(len(phase_functions), n_columns)
 
     return ParticleScattering(
-        albedo=np.array([one.layer.single_scattering_albedo for one in media], dtype=float),
-        kind=np.array([one.kind for one in phases], dtype=np.int64),
-        g=np.array([one.g for one in phases], dtype=float),
-        table_size=np.array([len(one.cosines) for one in phases], dtype=np.int64),
-        cosines=table("cosines"),
-        density=table("density"),
-        cdf=table("cdf"),
+        albedo=np.array([layer.layer.single_scattering_albedo for layer in media], dtype=float),
+        kind=np.array([layer.kind for layer in phase_functions], dtype=np.int64),
+        g=np.array([layer.g for layer in phase_functions], dtype=float),
+        table_size=np.array([len(layer.cosines) for layer in phase_functions], dtype=np.int64),
+        cosines=pad_columns("cosines"),
+        density=pad_columns("density"),
+        cdf=pad_columns("cdf"),
     )
 
 
 def _merge_grain_types(
     populations: Sequence[GrainPopulation], first_materials: np.ndarray
 ) -> GrainTypes:
-    """Return one table of the types of all layers, whose materials begin at given rows."""
+    """Return one table of the grain types of all layers, given the first material of each layer."""
     if len(populations) == 1:
         return populations[0].types
-    deepest = max(one.types.material.shape[1] for one in populations)
+    max_shells = max(population.types.material.shape[1] for population in populations)
 
-    def wide(table: np.ndarray) -> np.ndarray:
-        return np.pad(table, ((0, 0), (0, deepest - table.shape[1])))
+    def pad_columns(table: np.ndarray) -> np.ndarray:
+        return np.pad(table, ((0, 0), (0, max_shells - table.shape[1])))
 
-    def every(name: str) -> np.ndarray:
+    def concatenate(name: str) -> np.ndarray:
         rows = [
-            np.broadcast_to(table, (len(one.type_cdf), table.shape[1]))
-            for one in populations
-            for table in [getattr(one.types, name)]
+            np.broadcast_to(table, (len(population.type_cdf), table.shape[1]))
+            for population in populations
+            for table in [getattr(population.types, name)]
         ]
-        # Kernels read tables row by row, and concatenation keeps the order of what is broadcast.
+        # Kernels read tables row by row; concatenation keeps the memory order of broadcast rows.
         return np.ascontiguousarray(np.concatenate(rows))
 
-    shift = zip(populations, first_materials, strict=False)
+    population_materials = zip(populations, first_materials, strict=False)
     return GrainTypes(
-        n_shells=np.concatenate([one.types.n_shells for one in populations]),
-        material=np.concatenate([wide(one.types.material + first) for one, first in shift]),
-        coating_thickness=np.concatenate(
-            [wide(one.types.coating_thickness) for one in populations]
+        n_shells=np.concatenate([population.types.n_shells for population in populations]),
+        material=np.concatenate(
+            [
+                pad_columns(population.types.material + first_material)
+                for population, first_material in population_materials
+            ]
         ),
-        curvature=every("curvature"),
-        sphericity=every("sphericity"),
-        facetness=every("facetness"),
+        coating_thickness=np.concatenate(
+            [pad_columns(population.types.coating_thickness) for population in populations]
+        ),
+        curvature=concatenate("curvature"),
+        sphericity=concatenate("sphericity"),
+        facetness=concatenate("facetness"),
     )

@@ -1,4 +1,4 @@
-"""Ensembles of paths, and those of a spectrophotometer: sums of weights, means, variances."""
+"""Tallies of paths for spectra: sums of weights, means and variances."""
 
 from __future__ import annotations
 
@@ -13,38 +13,39 @@ from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, tally_weights
 from splits.simulation import random_streams
 
 STRATUM_BOUNDS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
-"""Absorption over one mean distance between grains from which wavelengths have rays of their own.
-Visible light needs few rays and long paths, the near infrared many rays and short paths."""
+"""Absorption over one mean distance between grains at which strata of wavelengths begin.  Visible
+light needs few rays and long paths, the near infrared many rays and short paths."""
 
 _INITIAL_SEGMENTS = 400.0
-"""Legs per ray to expect at first at the level of least absorption; a third fewer at the next."""
+"""Expected segments per ray, before tracing, of the stratum with the least absorption; a third
+fewer in each further stratum."""
 
 RAYS_PER_CHUNK = 128
-"""Rays whose weights are added up together: fixed, so that sums do not depend on who adds them."""
+"""Rays whose weights are added up together: fixed, so that sums do not depend on the threads."""
 RAYS_PER_LARGE_CHUNK = 1024
-"""So many where sums are of many rows: they take more memory than the rays."""
+"""The same for sums over many rows, which take more memory than the rays."""
 
 SpectralScore = tuple[np.ndarray, np.ndarray, np.ndarray, int]
-"""What a batch yields here: moments, least weight, sums of blocks, rays."""
+"""Score of a chunk: moments, smallest weight, sums of blocks, rays."""
 
 
 @dataclass(eq=False)
 class Stratum:
-    """Rays of an ensemble that serve only some wavelengths, or only some orders of scattering.
+    """Rays of a tally for a subset of the wavelengths, or of the orders of scattering.
 
-    They may end paths early where nobody listens: by roulette, because the wavelengths that need
-    long paths do not, or once they have met as many grains as somebody listens to.
+    Rays of a stratum for strongly absorbed wavelengths only can be terminated early by roulette,
+    and those for low orders of scattering after the last of these orders.
 
     Attributes
     ----------
     stream : int
-        Names the random streams.
+        Number of the random streams.
     optics : Optics
     wavelength_mask : bool, shape (wavelengths,)
     expected_segments : float
-        Legs per ray to expect before any was traced.
+        Expected segments per ray before any was traced.
     max_order : int
-        Grains that a ray may meet.
+        Largest order of scattering of a ray.
     n_rays, n_segments : int
         Traced so far.
     """
@@ -59,18 +60,18 @@ class Stratum:
 
 
 class TransportTraits(NamedTuple):
-    """How rays are traced, as far as those who add them up must know it.
+    """Properties of the transport that tallies depend on.
 
     Attributes
     ----------
     attenuation : float
-        Scatterings to expect per metre.
+        Expected scatterings per metre.
     ground_column : int
-        Column of meetings with the ground, see `splits.kernels.grains.scene.Scene`.
+        Column of hits of the ground, see `splits.kernels.grains.scene.Scene`.
     extra_absorption : bool
-        Whether a ray's weight may fall for another reason than absorption by materials.
+        Whether a ray loses weight other than by absorption in materials.
     analog : bool
-        Whether absorption is a coin toss, so that any ray might have been absorbed.
+        Whether absorption is analog, so that any ray may be absorbed.
     """
 
     attenuation: float
@@ -80,23 +81,23 @@ class TransportTraits(NamedTuple):
 
 
 class Tally(Protocol):
-    """What a `splits.simulation.runner.Runner` asks of an ensemble."""
+    """Interface of tallies that a `splits.simulation.runner.Runner` uses."""
 
     absorption: np.ndarray
     strata: list[Stratum]
 
     def count_score_values(self) -> int:
-        """Return how many numbers a tally holds."""
+        """Return the number of values in the score of a chunk."""
         ...
 
     def score_chunk(
         self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
     ) -> Any:
-        """Return what a batch of a level's exits and notes, from that ray on, adds up to."""
+        """Return the score of a chunk of a stratum's exits and crossings, from a ray on."""
         ...
 
     def add_scores(self, stratum: Stratum, scores: Sequence[Any]) -> None:
-        """Add the tallies of successive batches."""
+        """Add the scores of successive chunks."""
         ...
 
 
@@ -115,51 +116,51 @@ def make_strata(
     traits: TransportTraits,
     bounds: Sequence[float],
 ) -> list[Stratum]:
-    """Return levels for wavelengths that absorb more and more, numbered from `first_stream` on.
+    """Return strata for increasingly absorbed wavelengths, numbered from `first_stream` on.
 
     For the other parameters see `PathTally`.
     """
     strength = compute_absorption_per_mfp(absorption, traits)
-    levels: list[Stratum] = []
+    strata: list[Stratum] = []
     for step, threshold in enumerate(bounds):
-        part = wavelength_mask & (strength >= threshold)
-        if not part.any() or (levels and part.sum() == levels[-1].wavelength_mask.sum()):
+        mask = wavelength_mask & (strength >= threshold)
+        if not mask.any() or (strata and mask.sum() == strata[-1].wavelength_mask.sum()):
             continue
-        optics = make_bounding_optics(index, absorption[part])
-        levels.append(Stratum(first_stream + step, optics, part, _INITIAL_SEGMENTS / 1.5**step))
-    return levels
+        optics = make_bounding_optics(index, absorption[mask])
+        strata.append(Stratum(first_stream + step, optics, mask, _INITIAL_SEGMENTS / 1.5**step))
+    return strata
 
 
 class PathTally:
-    """Paths traced with one set of refractive indices.
+    """Tally of paths traced with one set of refractive indices.
 
     Parameters
     ----------
-    number : int
-        Names the random streams.
+    stream_index : int
+        Position among the tallies of a run, which determines the random streams.
     index : complex, shape (materials,)
     absorption : float, shape (wavelengths, materials)
         Absorption coefficients of all wavelengths (1/m).
-    served : bool, shape (wavelengths,)
-        Wavelengths that draw on this ensemble.
+    wavelength_mask : bool, shape (wavelengths,)
+        Wavelengths that use this tally.
     traits : TransportTraits
-    strata : sequence of float
-        Absorption from which wavelengths have rays of their own, at most as many as `STRATUM_BOUNDS`; an
-        analog ensemble has one level only.
+    bounds : sequence of float
+        Absorption at which strata begin, at most as many as `STRATUM_BOUNDS`; an analog tally has
+        one stratum only.
 
     Attributes
     ----------
     strata : list of Stratum
-    rows : int, shape (drawing,)
-        The wavelengths that draw on it, from the palest to the darkest, so that those which a
-        level serves are the last ones.
-    moments : float, shape (3, 3, drawing)
-        Over the rays that each of them listens to, [reflected, transmitted, both][Σ weight,
-        Σ weight², largest weight].
-    min_weight : float, shape (drawing,)
-        Smallest weight with which any of those left; 0 once one was absorbed.
-    batch_sums : float, shape (GROUPS, 2, drawing)
-        Σ weight of the rays of every group, reflected and transmitted.
+    rows : int, shape (used,)
+        The wavelengths that use this tally, in order of increasing absorption, so that those of a
+        stratum are the last ones.
+    moments : float, shape (3, 3, used)
+        Over the rays of each row, [reflected, transmitted, both][Σ weight, Σ weight², largest
+        weight].
+    min_weight : float, shape (used,)
+        Smallest weight of a ray that left the medium; 0 once one was absorbed.
+    batch_sums : float, shape (N_BATCHES, 2, used)
+        Σ weight of the rays of every batch, reflected and transmitted.
     """
 
     def __init__(
@@ -180,104 +181,110 @@ class PathTally:
         self.moments = np.zeros((3, 3, len(rows)))
         self.min_weight = np.full(len(rows), np.inf)
         self.batch_sums = np.zeros((N_BATCHES, 2, len(rows)))
-        used = bounds[:1] if traits.analog else bounds
-        first = random_streams.ANALOG if traits.analog else random_streams.SPECTRAL
-        first += stream_index * len(STRATUM_BOUNDS)
-        self.strata = make_strata(first, index, absorption, wavelength_mask, traits, used)
+        stratum_bounds = bounds[:1] if traits.analog else bounds
+        first_stream = random_streams.ANALOG if traits.analog else random_streams.SPECTRAL
+        first_stream += stream_index * len(STRATUM_BOUNDS)
+        self.strata = make_strata(
+            first_stream, index, absorption, wavelength_mask, traits, stratum_bounds
+        )
 
     def count_score_values(self) -> int:
-        """Return how many numbers a tally holds at most, those of blocks being half as long."""
+        """Return the largest number of values in the score of a chunk."""
         return (10 + N_BATCHES) * len(self.rows)
 
     def select_rows(self, stratum: Stratum) -> slice:
-        """Return which of the rows a level serves."""
+        """Return the rows of a stratum."""
         return slice(len(self.rows) - int(stratum.wavelength_mask.sum()), None)
 
     def score_chunk(
         self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
     ) -> SpectralScore:
-        """Return the sums of a batch of a level, for the rows it serves."""
+        """Return the sums of a chunk of a stratum, for its rows."""
         absorption = self.absorption[self.rows[self.select_rows(stratum)]]
         weighted, ground = not self.traits.analog, self.traits.ground_column
         return *tally_weights(exits, crossings, absorption, weighted, ground), len(exits)
 
     def add_scores(self, stratum: Stratum, scores: Sequence[SpectralScore]) -> None:
-        """Add the tallies of batches one by one: sums do not depend on who traced them."""
-        part = self.select_rows(stratum)
-        moments, least = self.moments[:, :, part], self.min_weight[part]
-        groups = self.batch_sums[:, :, part]
-        for more, lightest, blocks, rays in scores:
+        """Add the scores of chunks one by one: sums do not depend on the threads."""
+        rows = self.select_rows(stratum)
+        moments, min_weight = self.moments[:, :, rows], self.min_weight[rows]
+        batch_sums = self.batch_sums[:, :, rows]
+        for chunk_moments, chunk_min_weight, block_sums, n_rays in scores:
             first = stratum.n_rays // BLOCK_SIZE % N_BATCHES
-            groups[first : first + len(blocks)] += blocks
-            stratum.n_rays += rays
-            moments[:, :2] += more[:, :2]
-            np.maximum(moments[:, 2], more[:, 2], out=moments[:, 2])
-            np.minimum(least, lightest, out=least)
+            batch_sums[first : first + len(block_sums)] += block_sums
+            stratum.n_rays += n_rays
+            moments[:, :2] += chunk_moments[:, :2]
+            np.maximum(moments[:, 2], chunk_moments[:, 2], out=moments[:, 2])
+            np.minimum(min_weight, chunk_min_weight, out=min_weight)
 
     @property
     def n_rays(self) -> np.ndarray:
-        """Rays that each row listens to, shape (drawing,)."""
+        """Number of rays of each row, shape (used,)."""
         count = np.zeros(len(self.rows))
-        for level in self.strata:
-            count[self.select_rows(level)] += level.n_rays
+        for stratum in self.strata:
+            count[self.select_rows(stratum)] += stratum.n_rays
         return count
 
     def expand_to_all_rows(self, values: np.ndarray) -> np.ndarray:
-        """Return what is known of the rows for all wavelengths, 0 for those that do not draw."""
-        found = np.zeros((*values.shape[:-1], len(self.absorption)))
-        found[..., self.rows] = values
-        return found
+        """Return values of the rows for all wavelengths, 0 for those that do not use this tally."""
+        expanded = np.zeros((*values.shape[:-1], len(self.absorption)))
+        expanded[..., self.rows] = values
+        return expanded
 
     def compute_means(self) -> np.ndarray:
-        """Return the mean weight, shape (2, drawing): reflected, transmitted."""
+        """Return the mean weight, shape (2, used): reflected, transmitted."""
         return self.moments[:2, 0] / np.maximum(self.n_rays, 1.0)
 
     def compute_batch_deviations(self) -> np.ndarray:
-        """Return how far each group of rays takes the means off, shape (GROUPS, 2, drawing).
+        """Return contributions of batches to the deviations of means, (N_BATCHES, 2, used).
 
-        Sums over groups of products of two of them estimate covariances of means (random groups;
+        Sums over batches of products of two of them estimate covariances of means (random groups;
         Wolter 2007, Introduction to Variance Estimation, chapter 2).
         """
-        off = self.batch_sums - self.count_rays_per_batch()[:, np.newaxis] * self.compute_means()
-        return off / np.maximum(self.n_rays, 1.0)
+        deviations = (
+            self.batch_sums - self.count_rays_per_batch()[:, np.newaxis] * self.compute_means()
+        )
+        return deviations / np.maximum(self.n_rays, 1.0)
 
     def count_rays_per_batch(self) -> np.ndarray:
-        """Return how many rays of each group every row listens to, (GROUPS, drawing)."""
-        rays = np.zeros((N_BATCHES, len(self.rows)))
-        for level in self.strata:
-            turns, rest = divmod(level.n_rays // BLOCK_SIZE, N_BATCHES)
-            rays[:, self.select_rows(level)] += (
-                BLOCK_SIZE * (turns + (np.arange(N_BATCHES) < rest))[:, np.newaxis]
+        """Return the number of rays of each batch by row, (N_BATCHES, used)."""
+        n_rays = np.zeros((N_BATCHES, len(self.rows)))
+        for stratum in self.strata:
+            n_cycles, remainder = divmod(stratum.n_rays // BLOCK_SIZE, N_BATCHES)
+            n_rays[:, self.select_rows(stratum)] += (
+                BLOCK_SIZE * (n_cycles + (np.arange(N_BATCHES) < remainder))[:, np.newaxis]
             )
-        return rays
+        return n_rays
 
     def compute_variances(self) -> np.ndarray:
         """Return the variance per ray of reflected, transmitted and absorbed weight, (3, …).
 
-        Two rays are added, of the largest and of the smallest weight possible by what was seen
-        (after Agresti & Coull 1998): few or no arrivals then do not look like certainty.
+        Two rays are added, of the largest and of the smallest weight that the data allow (after
+        Agresti & Coull 1998), so that few or no arrivals do not give a zero variance.
         """
         total, square, largest = self.moments[:, 0], self.moments[:, 1], self.moments[:, 2]
         largest = np.where(largest == 0.0, 1.0, largest)
         smallest = np.zeros_like(largest)
-        absorbs = self.absorption[self.rows].max(axis=1) > 0.0
-        tossed = self.traits.extra_absorption | (self.traits.analog & absorbs)
-        smallest[2] = np.where(tossed | (self.n_rays == 0.0), 0.0, self.min_weight)
+        is_absorbing = self.absorption[self.rows].max(axis=1) > 0.0
+        may_vanish = self.traits.extra_absorption | (self.traits.analog & is_absorbing)
+        smallest[2] = np.where(may_vanish | (self.n_rays == 0.0), 0.0, self.min_weight)
         n = self.n_rays + 2.0
         mean = (total + largest + smallest) / n
         return np.maximum((square + largest**2 + smallest**2) / n - mean**2, 0.0)
 
 
 def rescale_deviations(deviations: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return deviations of groups whose squares add up to a variance known better than they tell.
+    """Return batch deviations whose squares add up to a more precisely known variance.
 
-    Their correlations stay; where no group deviates at all, none does after.
+    Their correlations are preserved; zero deviations remain zero.
 
     Parameters
     ----------
-    deviations : float, shape (groups, ...)
+    deviations : float, shape (batches, ...)
     variance : float, shape (...)
     """
-    square = (deviations**2).sum(axis=0)
-    seen = square > 0.0
-    return deviations * np.sqrt(np.divide(variance, square, out=np.zeros_like(square), where=seen))
+    sum_of_squares = (deviations**2).sum(axis=0)
+    nonzero = sum_of_squares > 0.0
+    return deviations * np.sqrt(
+        np.divide(variance, sum_of_squares, out=np.zeros_like(sum_of_squares), where=nonzero)
+    )

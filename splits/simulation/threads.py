@@ -1,7 +1,7 @@
-"""Threads that nobody has to wait for: a run that is broken off ends at once.
+"""Thread pool with daemon workers, so that an interrupted run exits immediately.
 
-Kernels cannot be broken off.  Those of `concurrent.futures.ThreadPoolExecutor` keep a process
-from ending until they are through, which may be minutes.
+Compiled kernels cannot be interrupted.  `concurrent.futures.ThreadPoolExecutor` would keep a
+process from exiting until they return, which may take minutes.
 """
 
 from __future__ import annotations
@@ -30,25 +30,26 @@ def count_cpus() -> int:
 
 
 def limit_blas_threads() -> AbstractContextManager[Any]:
-    """Leave linear algebra the thread that calls it.
+    """Limit linear algebra to the calling thread.
 
-    It would take every CPU, whatever threads were asked for, for products so small that they take
-    six to eighteen times as long where another process has a CPU.
+    BLAS would use every CPU, whatever number of threads was requested; small products then take
+    six to eighteen times as long where another process occupies a CPU.
     """
     return _get_threadpool_controller().limit(limits=1, user_api="blas")
 
 
 @cache
 def _get_threadpool_controller() -> ThreadpoolController:
-    # To find the libraries that are loaded takes milliseconds.
+    # Inspecting the loaded libraries takes milliseconds.
     return ThreadpoolController()
 
 
 class DaemonThreadPool(Executor):
-    """So many threads that work off jobs, until they are shut down or the process ends.
+    """Pool of threads that run jobs until they are shut down or the process ends.
 
-    Left by an error or a signal, it begins no other job, and does not wait for those that run: what
-    they find is lost.  A job that itself shares out work then fails as soon as it does so again.
+    After an error or a signal no further job begins, and running jobs are not waited for: their
+    results are discarded.  A running job that submits jobs to a pool of its own then fails at its
+    next submission.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ class DaemonThreadPool(Executor):
 
     Examples
     --------
-    >>> with Threads(2) as threads:
+    >>> with DaemonThreadPool(2) as threads:
     ...     list(threads.map(abs, [-1, 2]))
     [1, 2]
     """
@@ -70,18 +71,18 @@ class DaemonThreadPool(Executor):
         self._n_started = 0
 
     def submit(self, fn: Callable, /, *args: Any, **kwargs: Any) -> Future:
-        """Hand out a job.
+        """Submit a job.
 
         Raises
         ------
         CancelledError
-            If these threads, or those that this job belongs to, were shut down.
+            If this pool, or the pool that runs the calling job, was shut down.
         """
-        within: DaemonThreadPool | None = self
-        while within is not None:
-            if within.closed:
-                raise CancelledError("broken off")
-            within = within._parent_pool
+        pool: DaemonThreadPool | None = self
+        while pool is not None:
+            if pool.closed:
+                raise CancelledError("the pool was shut down")
+            pool = pool._parent_pool
         future: Future = Future()
         self._jobs.put((future, fn, args, kwargs))
         if self._n_started < self.n_threads:
@@ -90,7 +91,7 @@ class DaemonThreadPool(Executor):
         return future
 
     def shutdown(self, wait: bool = False, *, cancel_futures: bool = True) -> None:
-        """Let no other job begin; those that run are not waited for."""
+        """Start no further jobs; running ones are not waited for."""
         self.closed = True
         while True:
             try:
@@ -112,5 +113,5 @@ class DaemonThreadPool(Executor):
                 else:
                     future.set_result(result)
                     del result
-            # Or the last result would be kept while there is nothing to do.
+            # Release the last result while the thread is idle.
             del job, future, fn, args, kwargs

@@ -1,12 +1,11 @@
-"""What traces the rays of a medium: kernels for grains, or for a layer of small particles.
+"""Tracers: the kernel of a scene, for grains or for a layer of small particles.
 
-A runner knows batches, jobs and threads; a tracer knows the kernel that a scene takes.
+A runner handles chunks, jobs and threads; a tracer calls the kernel that suits a scene.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -32,84 +31,14 @@ from splits.simulation.scene import (
     make_source,
 )
 from splits.simulation.tally import Stratum, TransportTraits
+from splits.simulation.tracer_interface import Tracer, TraceResult
 
 KERNELS = ("auto", "vectorized", "scalar")
-"""What traces: lanes where they serve the scene, lanes or an error, or always the scalar kernel."""
-
-
-class TraceResult(NamedTuple):
-    """What pieces of levels yielded besides their exits.
-
-    Attributes
-    ----------
-    n_segments : int, shape (pieces,)
-    crossings : list of float, shape (notes, columns)
-        Of each piece, ray by ray, rays counted from its first; see
-        `splits.kernels.tallies.exits.Notes`.
-    lost : str
-        Why a ray was lost, or nothing.
-    """
-
-    n_segments: np.ndarray
-    crossings: list[np.ndarray]
-    lost: str
-
-
-class Tracer(Protocol):
-    """The kernel of a scene.
-
-    Attributes
-    ----------
-    traits : TransportTraits
-    normal_incidence : bool
-        Whether light comes along the normal, so that nothing tells azimuths apart.
-    diffuse : bool
-        Whether light comes from everywhere.
-    boundary_depths_m : float, shape (faces,)
-        Depths (m) of all faces of the scene; of a rough top, a height above it.
-    stokes_columns : tuple of int
-        Columns of exits that hold Q, U, V over I, or nothing.
-    """
-
-    traits: TransportTraits
-    normal_incidence: bool
-    diffuse: bool
-    boundary_depths_m: np.ndarray
-    stokes_columns: tuple[int, ...]
-
-    def get_features(self, stratum: Stratum) -> Features | None:
-        """Return the lane kernel's features for a level, or None for a scalar kernel."""
-        ...
-
-    def share_kernel(self, strata: Sequence[Stratum]) -> None:
-        """Let levels share a kernel, if they can."""
-        ...
-
-    def allocate_exits(self, n_rays: int) -> np.ndarray:
-        """Return room for the exits of so many rays."""
-        ...
-
-    def trace(self, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray) -> TraceResult:
-        """Trace pieces of levels that share features.
-
-        Parameters
-        ----------
-        work : int64, shape (pieces, 4)
-            See `splits.kernels.grains.history.trace_batch`.
-        strata : sequence of Stratum
-            One for each piece.
-        exits : float, shape (rays, columns)
-            Of all pieces together.
-
-        Returns
-        -------
-        Followed
-        """
-        ...
+"""Choices of kernel: vectorized where the scene allows it, vectorized or an error, or scalar."""
 
 
 class GrainTracer:
-    """Traces rays among grains, on lanes where they serve.
+    """Tracer of rays among grains, vectorized where possible.
 
     Parameters
     ----------
@@ -117,16 +46,16 @@ class GrainTracer:
     incidence_deg : float or "diffuse"
     seed : int
     analog : bool
-        Absorption by coin toss.
+        Whether absorption is analog, sampled at each segment.
     kernel : {"auto", "vectorized", "scalar"}
     planes_m : sequence of float
-        Depths (m) of planes to listen at, besides all faces between layers; with none, nobody
-        listens at these.
+        Depths (m) of recording planes, besides all boundaries between layers; without any,
+        crossings are not recorded.
     """
 
     LOST_MESSAGE = (
-        "a ray found no grain that fits between the boundaries, or its way at a rough surface: the "
-        "sample is barely thicker than its grains, or the incidence too close to 90 degrees"
+        "no grain fits between the boundaries along a ray, or a ray is lost at a rough surface: "
+        "the sample is barely thicker than its grains, or the incidence too close to 90 degrees"
     )
 
     def __init__(
@@ -155,24 +84,24 @@ class GrainTracer:
         self._features: dict[Stratum, Features | None] = {}
 
     def share_kernel(self, strata: Sequence[Stratum]) -> None:
-        """Let levels share a kernel, if that is all that parts them.
+        """Let strata use one kernel, if they differ only in extinction.
 
-        Reflection with extinction also serves where extinction does not show, and rays of all
-        levels then share the lanes.
+        The kernel for reflection with extinction also handles negligible extinction, and rays of
+        all strata then fill the lanes together.
         """
-        found = [self.get_features(level) for level in strata]
-        if any(one is not None and one.absorbing for one in found):
-            for level, one in zip(strata, found, strict=True):
-                if one is not None and not one.mixed:
-                    self._features[level] = one._replace(absorbing=True)
+        all_features = [self.get_features(stratum) for stratum in strata]
+        if any(features is not None and features.absorbing for features in all_features):
+            for stratum, features in zip(strata, all_features, strict=True):
+                if features is not None and not features.mixed:
+                    self._features[stratum] = features._replace(absorbing=True)
 
     def get_features(self, stratum: Stratum) -> Features | None:
-        """Return the lane kernel's features for a level, or None for the scalar kernel.
+        """Return the vectorized kernel's features for a stratum, or None for the scalar kernel.
 
         Raises
         ------
         ValueError
-            If lanes are asked for and cannot serve the scene.
+            If the vectorized kernel is requested and does not support the scene.
         """
         if self.kernel == "scalar":
             return None
@@ -184,55 +113,55 @@ class GrainTracer:
                 "kernel",
                 "vectorized",
                 "'auto' or 'scalar' for this sample",
-                "lanes know no layers of particles, coin tosses, stacked coatings, extreme inputs",
+                "not for particle layers, analog absorption, stacked coatings, extreme inputs",
             )
         return features
 
     def allocate_exits(self, n_rays: int) -> np.ndarray:
-        """Return room for the exits of so many rays."""
+        """Return an array for the exits of `n_rays` rays."""
         return allocate_exits(n_rays, self.n_columns)
 
     def trace(self, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray) -> TraceResult:
-        """Trace pieces of levels that share features, see `Tracer`."""
+        """Trace items of strata that share features, see `Tracer`."""
         features = self.get_features(strata[0])
         if features is None:
-            parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
+            item_parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
             fields = self.height_fields
-            room = None if fields is None else allocate_realization(fields)
-            told = [
-                history.trace_batch(self.seed, item, self.scene, level.optics, part, fields, room)
-                for item, part, level in zip(work, parts, strata, strict=True)
+            realization = None if fields is None else allocate_realization(fields)
+            result = [
+                history.trace_batch(
+                    self.seed, item, self.scene, stratum.optics, item_part, fields, realization
+                )
+                for item, item_part, stratum in zip(work, item_parts, strata, strict=True)
             ]
             return TraceResult(
-                np.array([one.n_segments for one in told]),
-                [one.crossings for one in told],
-                self.LOST_MESSAGE if any(one.lost for one in told) else "",
+                np.array([item_result.n_segments for item_result in result]),
+                [item_result.crossings for item_result in result],
+                self.LOST_MESSAGE if any(item_result.lost for item_result in result) else "",
             )
-        optics = Optics(*map(np.stack, zip(*(level.optics for level in strata), strict=True)))
-        told = vectorized.trace_batch(self.seed, work, self.scene, optics, exits, features)
-        # Of each ray in the order of time, as they were taken.
-        notes = told.crossings[np.argsort(told.crossings[:, CROSSING_RAY], kind="stable")]
-        last = np.cumsum(work[:, 2])
-        parts = np.split(notes, np.searchsorted(notes[:, CROSSING_RAY], last[:-1]))
-        for part, first in zip(parts[1:], last[:-1], strict=True):
-            part[:, CROSSING_RAY] -= first
-        return TraceResult(told.n_segments, parts, self.LOST_MESSAGE if told.lost else "")
+        optics = Optics(*map(np.stack, zip(*(stratum.optics for stratum in strata), strict=True)))
+        result = vectorized.trace_batch(self.seed, work, self.scene, optics, exits, features)
+        # Stable, so that the crossings of each ray remain in order of time.
+        crossings = result.crossings[np.argsort(result.crossings[:, CROSSING_RAY], kind="stable")]
+        end_rays = np.cumsum(work[:, 2])
+        item_parts = np.split(crossings, np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1]))
+        for item_part, first_ray in zip(item_parts[1:], end_rays[:-1], strict=True):
+            item_part[:, CROSSING_RAY] -= first_ray
+        return TraceResult(result.n_segments, item_parts, self.LOST_MESSAGE if result.lost else "")
 
 
 class LayerTracer:
-    """Traces rays in a layer of small particles.
+    """Tracer of rays in a layer of small particles.
 
     Parameters
     ----------
     medium : ParticleMedium
-    light : Source
+    source : Source
     seed, analog, kernel
         As in `GrainTracer`.
     """
 
-    LOST_MESSAGE = (
-        "a ray lost its way at the rough surface: please report this with the configuration"
-    )
+    LOST_MESSAGE = "a ray was lost at the rough surface: please report this with the configuration"
 
     def __init__(
         self,
@@ -243,7 +172,8 @@ class LayerTracer:
         kernel: str,
     ) -> None:
         if kernel == "vectorized":
-            raise invalid("kernel", kernel, "'auto' or 'scalar' for a layer", "lanes know grains")
+            hint = "the vectorized kernel supports grains only"
+            raise invalid("kernel", kernel, "'auto' or 'scalar' for a particle layer", hint)
         stokes = UNPOLARIZED if medium.polarized else None
         self.scene = LayerScene(
             source,
@@ -276,18 +206,18 @@ class LayerTracer:
         return None
 
     def allocate_exits(self, n_rays: int) -> np.ndarray:
-        """Return room for the exits of so many rays."""
+        """Return an array for the exits of `n_rays` rays."""
         return allocate_exits(n_rays, self.n_materials, len(self.stokes_columns))
 
     def trace(self, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray) -> TraceResult:
-        """Trace pieces of levels, see `Tracer`."""
-        room = None if self.scene.fields is None else allocate_realization(self.scene.fields)
-        parts = np.split(exits, np.cumsum(work[:, particle_history.N_RAYS])[:-1])
+        """Trace items of strata, see `Tracer`."""
+        realization = None if self.scene.fields is None else allocate_realization(self.scene.fields)
+        exits_by_item = np.split(exits, np.cumsum(work[:, particle_history.N_RAYS])[:-1])
         results = [
             particle_history.trace_batch(
-                self.seed, item, self.scene, room, self.first_stokes_column, part
+                self.seed, item, self.scene, realization, self.first_stokes_column, item_exits
             )
-            for item, part in zip(work, parts, strict=True)
+            for item, item_exits in zip(work, exits_by_item, strict=True)
         ]
         return TraceResult(
             np.array([one.n_segments for one in results]),
@@ -304,7 +234,7 @@ def make_tracer(
     kernel: str,
     planes_m: Sequence[float],
 ) -> Tracer:
-    """Return what traces the rays of a medium; see `GrainTracer` for the parameters."""
+    """Return the tracer of a medium; see `GrainTracer` for the parameters."""
     if isinstance(medium, ParticleMedium):
         return LayerTracer(medium, make_source(incidence_deg), seed, analog, kernel)
     return GrainTracer(medium, incidence_deg, seed, analog, kernel, planes_m)

@@ -1,4 +1,4 @@
-"""Packs that are cut, and the answer of the whole from that of the part above the cut."""
+"""Truncated media: results of a whole medium from those of the part above a truncation depth."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from splits.simulation.estimators import SpectralEstimate
 from splits.simulation.path_tally import Derivatives
 
 THEORY_UNCERTAINTY = 0.3
-"""How far, as a part of itself, theory may be off in what the rest of a pack keeps."""
+"""Relative uncertainty of the diffusion-theory absorptance below the truncation depth."""
 ERROR_BUDGET_FRACTION = 0.4
-"""Part of the error asked for that the cut may take."""
+"""Fraction of the requested error that the truncation may contribute."""
 MAX_ATTEMPTS = 3
-"""Runs of a pack that is cut, each to half the error of the one before."""
+"""Runs of a truncated medium, each to half the error of the one before."""
 NO_STEPS = np.zeros(0)
 
 
 class TruncatedMedium(NamedTuple):
-    """A pack that is cut, or several alike that share paths, all cut at one depth.
+    """A truncated medium, or several that share paths, with one truncation depth.
 
     Attributes
     ----------
     media : tuple of Medium
-        Down to the cut, over grounds that stand for the rest.
+        Down to the truncation depth, over grounds that replace the rest.
     depth_m : float
-        Of the cut (m).
+        Truncation depth (m).
     transmitted_fraction : float, shape (media, wavelengths)
-        Share that the rest lets through of what it keeps.
+        Fraction of the light that enters the rest which leaves it at the bottom.
     conservative : bool, shape (media, wavelengths)
-        Whether nothing absorbs, below the cut and above, and the ground below lets pass what is
-        not sent back.
+        Whether nothing absorbs, below the truncation depth and above, and the ground below
+        transmits what it does not reflect.
     escape_probability : float, shape (media, wavelengths)
-        Chance that light from the cut leaves at the top.
+        Probability that light from the truncation depth escapes at the top.
     ground_absorption : float, shape (media, wavelengths)
-        Absorption of the ground that stands for the rest, −ln of its albedo.
+        Absorption of the ground that replaces the rest, −ln of its albedo.
     semi_infinite_depth_m : float
-        Depth from which on the lowest layer reflects diffuse light like one without end, within
-        the error asked for, to diffusion theory (m).
+        Depth above which the lowest layer reflects diffuse light like a semi-infinite one, within
+        the requested error, by diffusion theory (m).
     """
 
     media: tuple[Medium, ...]
@@ -58,86 +58,105 @@ class TruncatedMedium(NamedTuple):
         max_stderr: float,
         steps: np.ndarray = NO_STEPS,
     ) -> SpectralEstimate:
-        """Return the estimate of the whole pack to an error.
+        """Return the estimate of the whole medium to an error.
 
-        More may reach the cut than was foreseen, so that theory misses more there: then the part
-        above it is measured again, to a smaller error.
+        If more light than predicted reaches the truncation depth, the error of the theory is
+        larger: the part above is then simulated again, to a smaller error.
 
         Parameters
         ----------
         estimate_above : callable
-            Takes a largest error, returns the estimate of the part above the cut.
+            Takes a largest error, returns the estimate of the part above the truncation depth.
         max_stderr : float
         steps : float, shape (parameters,)
-            By how much parameters are moved in all media but the first, where derivatives are
-            asked for: those of the estimate, and one more to what the ground at the cut absorbs.
+            Changes of parameters in all media but the first, where derivatives are requested: those
+            of the estimate, and one more to the absorption of the ground at the truncation depth.
         """
-        goal = max_stderr * (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
+        target_stderr = max_stderr * (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
         for _ in range(MAX_ATTEMPTS):
-            found = estimate_above(goal)
-            result = self.complete_estimate(found, max_stderr)
-            if result.converged or not found.converged:
+            above = estimate_above(target_stderr)
+            result = self.complete_estimate(above, max_stderr)
+            if result.converged or not above.converged:
                 break
-            goal *= 0.5
+            target_stderr *= 0.5
         return (
-            replace(result, derivatives=self.complete_derivatives(found, steps))
+            replace(result, derivatives=self.complete_derivatives(above, steps))
             if steps.size
             else result
         )
 
     def complete_estimate(self, above: SpectralEstimate, max_stderr: float) -> SpectralEstimate:
-        """Return the estimate of the whole pack from that of the part above the cut."""
-        media = above.mean.shape[1] // self.transmitted_fraction.shape[1]
-        passed, clear, escape = (
-            x[:media].ravel()
+        """Return the estimate of the whole medium from that of the part above."""
+        n_media = above.mean.shape[1] // self.transmitted_fraction.shape[1]
+        transmitted_fraction, conservative, escape = (
+            x[:n_media].ravel()
             for x in (self.transmitted_fraction, self.conservative, self.escape_probability)
         )
-        kept = above.mean[1]
-        back = np.minimum(above.mean[0], 1.0)
-        # Where nothing is absorbed, all that does not come back goes through, in error as in size.
-        through = np.where(clear, 1.0 - back, np.minimum(kept * passed, 1.0 - back))
-        mean = np.stack([back, through, 1.0 - back - through])
-        doubt = THEORY_UNCERTAINTY * kept * escape
-        below = np.where(passed == 1.0, doubt, THEORY_UNCERTAINTY * through)
-        rest = np.where(clear, 0.0, np.hypot(doubt, below))
-        missed = np.stack([doubt, below, rest])
-        scale = np.stack([np.ones_like(kept), passed, np.ones_like(kept)])
-        own = scale * above.stderr
-        # Absorbed is what was so above the cut, and what the rest keeps for itself: all that is
-        # neither reflected nor let through.
-        own[2] = np.minimum(own[2] + (1.0 - passed) * above.stderr[1], own[0] + own[1])
-        own[1], own[2] = np.where(clear, own[0], own[1]), np.where(clear, 0.0, own[2])
-        stderr = np.hypot(own, missed)
-        groups = above.batch_deviations * scale[:2]
-        groups[:, 1] = np.where(clear, -groups[:, 0], groups[:, 1])
-        bias = np.hypot(scale * above.interpolation_error, missed)
+        entering = above.mean[1]
+        reflected = np.minimum(above.mean[0], 1.0)
+        # Where nothing is absorbed, transmittance is 1 − reflectance, and has the same error.
+        transmitted = np.where(
+            conservative,
+            1.0 - reflected,
+            np.minimum(entering * transmitted_fraction, 1.0 - reflected),
+        )
+        mean = np.stack([reflected, transmitted, 1.0 - reflected - transmitted])
+        reflected_error = THEORY_UNCERTAINTY * entering * escape
+        transmitted_error = np.where(
+            transmitted_fraction == 1.0, reflected_error, THEORY_UNCERTAINTY * transmitted
+        )
+        absorbed_error = np.where(conservative, 0.0, np.hypot(reflected_error, transmitted_error))
+        theory_error = np.stack([reflected_error, transmitted_error, absorbed_error])
+        scale = np.stack([np.ones_like(entering), transmitted_fraction, np.ones_like(entering)])
+        statistical_error = scale * above.stderr
+        # The absorptance is that above the truncation depth plus that of the rest: everything
+        # that is neither reflected nor transmitted.
+        statistical_error[2] = np.minimum(
+            statistical_error[2] + (1.0 - transmitted_fraction) * above.stderr[1],
+            statistical_error[0] + statistical_error[1],
+        )
+        statistical_error[1], statistical_error[2] = (
+            np.where(conservative, statistical_error[0], statistical_error[1]),
+            np.where(conservative, 0.0, statistical_error[2]),
+        )
+        stderr = np.hypot(statistical_error, theory_error)
+        batch_deviations = above.batch_deviations * scale[:2]
+        batch_deviations[:, 1] = np.where(
+            conservative, -batch_deviations[:, 0], batch_deviations[:, 1]
+        )
+        interpolation_error = np.hypot(scale * above.interpolation_error, theory_error)
         converged = bool(stderr.max() <= max_stderr)
         return replace(
             above,
             mean=mean,
             stderr=stderr,
-            interpolation_error=bias,
-            batch_deviations=groups,
+            interpolation_error=interpolation_error,
+            batch_deviations=batch_deviations,
             converged=converged,
         )
 
     def complete_derivatives(self, above: SpectralEstimate, steps: np.ndarray) -> Derivatives:
-        """Return derivatives of the whole pack's answer from those of the part above the cut.
+        """Return derivatives of the whole medium from those of the part above.
 
-        What the rest keeps and lets through is moved in theory, whose doubt holds for that part.
+        Changes of the reflectance and transmittance of the rest follow from diffusion theory, whose
+        relative uncertainty applies to them.
         """
         step = steps[:, np.newaxis]
-        darker = (self.ground_absorption[1:] - self.ground_absorption[0]) / step
-        passing = (self.transmitted_fraction[1:] - self.transmitted_fraction[0]) / step
-        of_paths, ground = (
+        ground_change = (self.ground_absorption[1:] - self.ground_absorption[0]) / step
+        transmitted_change = (self.transmitted_fraction[1:] - self.transmitted_fraction[0]) / step
+        path_derivatives, ground = (
             above.derivatives.select(slice(None, -1)),
             above.derivatives.select(slice(-1, None)),
         )
-        kept, passed = above.mean[1], self.transmitted_fraction[0]
-        scale = np.stack([np.ones_like(passed), passed])[:, np.newaxis]
-        more = np.stack([np.zeros_like(passing), kept * passing])
-        groups = of_paths.batch_deviations * scale
-        groups[:, 1] += above.batch_deviations[:, 1, np.newaxis] * passing
-        doubt = THEORY_UNCERTAINTY * (scale * np.abs(darker * ground.mean) + np.abs(more))
-        missed = np.hypot(scale * of_paths.bias_bound, doubt)
-        return Derivatives(of_paths.mean * scale + more, groups, missed)
+        entering, transmitted_fraction = above.mean[1], self.transmitted_fraction[0]
+        scale = np.stack([np.ones_like(transmitted_fraction), transmitted_fraction])[:, np.newaxis]
+        theory_term = np.stack([np.zeros_like(transmitted_change), entering * transmitted_change])
+        batch_deviations = path_derivatives.batch_deviations * scale
+        batch_deviations[:, 1] += above.batch_deviations[:, 1, np.newaxis] * transmitted_change
+        theory_error = THEORY_UNCERTAINTY * (
+            scale * np.abs(ground_change * ground.mean) + np.abs(theory_term)
+        )
+        bias_bound = np.hypot(scale * path_derivatives.bias_bound, theory_error)
+        return Derivatives(
+            path_derivatives.mean * scale + theory_term, batch_deviations, bias_bound
+        )

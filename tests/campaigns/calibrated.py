@@ -209,7 +209,7 @@ def make_grain_run(medium, wavelengths):
 
 def run_soot(seed):
     media = {"clean": SNOW, "sooty": SOOTY}
-    return splits.spectra(media, DISTANT_WAVELENGTHS_NM, 0.0, 0.004, seed, **ONE_THREAD)
+    return splits.spectrophotometer(media, DISTANT_WAVELENGTHS_NM, 0.0, 0.004, seed, **ONE_THREAD)
 
 
 def run_lens(seed):

@@ -11,16 +11,17 @@ from chi2 import NEEDS_JIT, judge_z
 import splits
 from splits.core.validation import InvalidValue
 from splits.simulation import deep_medium
-from splits.simulation.deep_medium import THEORY_UNCERTAINTY, truncate_deep_medium
+from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.diffusion import DiffusiveSubstrate, diffuse_reflectance
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,
-    WEIGHTED_MEANS,
     GrainOpticsRequest,
     compute_material_constants,
     pool_optics_by_type,
 )
+from splits.simulation.grain_optics_means import WEIGHTED_MEANS
 from splits.simulation.path_tally import PathSharingMedia
+from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
 
 CLEAR = {"ice": 1.31, "water": 1.33}
 WAVELENGTHS = np.array([450.0, 700.0, 850.0, 1000.0])

@@ -192,5 +192,5 @@ def test_only_the_top_of_a_stack_is_rough():
 
 
 def test_lanes_know_no_particles():
-    with pytest.raises(ValueError, match="lanes know no layers of particles"):
+    with pytest.raises(ValueError, match="not for particle layers"):
         splits.spectrophotometer(splits.Stack([LID, SNOW]), 500.0, kernel="vectorized")

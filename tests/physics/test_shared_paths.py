@@ -37,9 +37,11 @@ def soiled(amounts, **place) -> dict[str, splits.Snow]:
 def test_bits_do_not_depend_on_who_else_shares_the_paths(place, kernel):
     """Twenty concentrations at once, against each of them beside the clean snow alone."""
     asked = {"max_stderr": 0.5, "kernel": kernel, "seed": 3}
-    together = splits.spectra(soiled(CONCENTRATIONS, **PLACES[place]), WAVELENGTHS, **asked)
+    together = splits.spectrophotometer(
+        soiled(CONCENTRATIONS, **PLACES[place]), WAVELENGTHS, **asked
+    )
     for name, soot in zip(together.medium.values, CONCENTRATIONS, strict=True):
-        pair = splits.spectra(soiled((0.0, soot), **PLACES[place]), WAVELENGTHS, **asked)
+        pair = splits.spectrophotometer(soiled((0.0, soot), **PLACES[place]), WAVELENGTHS, **asked)
         assert pair.rays == together.rays
         for quantity in ("reflectance", "transmittance", "absorptance"):
             one = pair[quantity].sel(medium=f"{soot:g}").values
@@ -56,7 +58,9 @@ def test_twenty_concentrations_against_runs_of_their_own(place, error):
     what they share, with the smaller error, is told far better than what twenty runs add to it.
     """
     where = PLACES[place]
-    together = splits.spectra(soiled(CONCENTRATIONS, **where), WAVELENGTHS, max_stderr=error)
+    together = splits.spectrophotometer(
+        soiled(CONCENTRATIONS, **where), WAVELENGTHS, max_stderr=error
+    )
     z = []
     for number, (name, medium) in enumerate(soiled(CONCENTRATIONS, **where).items()):
         own = splits.spectrophotometer(
@@ -105,7 +109,7 @@ def test_derivatives_against_differences_of_shared_paths(place, error):
             snow(200.0, **where), bands, max_stderr=error, seed=100 + seed,
             jacobian=[SOOT, "algae_cells_ml.snow_algae"],
         )  # fmt: skip
-        others = splits.spectra(media, bands, max_stderr=error, seed=200 + seed)
+        others = splits.spectrophotometer(media, bands, max_stderr=error, seed=200 + seed)
         one = [
             away(found, others, quantity, number, *ends)
             for quantity in ("reflectance", "transmittance")
@@ -134,7 +138,7 @@ def test_derivatives_where_what_would_hold_the_impurity_does_not_absorb(pack, am
     )
     asked = {"max_stderr": 0.01, "seed": 5}
     found = splits.spectrophotometer(clean, [400.0, 500.0], jacobian=[SOOT], **asked)
-    both = splits.spectra({"clean": clean, "dirty": dirty}, [400.0, 500.0], **asked)
+    both = splits.spectrophotometer({"clean": clean, "dirty": dirty}, [400.0, 500.0], **asked)
     for quantity in ("reflectance", "transmittance"):
         slope = found[f"{quantity}_jacobian"][0].values
         change = (both[quantity][1] - both[quantity][0]).values / amount
@@ -172,7 +176,9 @@ def test_a_layer_of_a_stack_has_derivatives_of_its_own():
         splits.Stack([snow(s, depth_m=0.02), snow(s, depth_m=0.1)], ground=0.2)
         for s in (40.0, 60.0)
     ]
-    more = splits.spectra(dict(zip("ab", both, strict=True)), [450.0, 600.0], max_stderr=0.005)
+    more = splits.spectrophotometer(
+        dict(zip("ab", both, strict=True)), [450.0, 600.0], max_stderr=0.005
+    )
     difference = (more.reflectance[1] - more.reflectance[0]).values / 20.0
     off = (more.reflectance_batches[:, 1] - more.reflectance_batches[:, 0]).values / 20.0
     noise = np.sqrt((off**2).sum(axis=0) + error[0] ** 2 + error[1] ** 2)
@@ -182,7 +188,7 @@ def test_a_layer_of_a_stack_has_derivatives_of_its_own():
 def test_grounds_of_several_albedos_share_paths():
     """A ground absorbs at a bounce, as soot does along a leg."""
     media = {f"{a}": snow(0.0, depth_m=0.01, ground=a) for a in (0.2, 0.8)}
-    found = splits.spectra(media, [500.0, 900.0], max_stderr=0.05)
+    found = splits.spectrophotometer(media, [500.0, 900.0], max_stderr=0.05)
     assert (found.reflectance[1] > found.reflectance[0]).all()
     assert found.snow_black_carbon_ng_g == 0.0
 
@@ -191,22 +197,22 @@ BASE = snow(0.0, depth_m=0.05)
 WRONG = {
     "other grains": (
         {"a": BASE, "b": splits.Snow(depth_m=0.05)},
-        r"media\['b'\] = 'snow': must be",
+        r"medium\['b'\] = 'snow': must be",
     ),
-    "other depth": ({"a": BASE, "b": snow(0.0, depth_m=0.1)}, r"media\['b'\]"),
-    "a ground": ({"a": BASE, "b": snow(0.0, depth_m=0.05, ground=0.5)}, r"media\['b'\]"),
-    "another kind": ({"a": BASE, "b": splits.Sand(depth_m=0.05)}, r"media\['b'\] = 'sand'"),
-    "a layer": ({"a": splits.ParticleLayer(optical_thickness=1)}, "medium of grains"),
+    "other depth": ({"a": BASE, "b": snow(0.0, depth_m=0.1)}, r"medium\['b'\]"),
+    "a ground": ({"a": BASE, "b": snow(0.0, depth_m=0.05, ground=0.5)}, r"medium\['b'\]"),
+    "another kind": ({"a": BASE, "b": splits.Sand(depth_m=0.05)}, r"medium\['b'\] = 'sand'"),
+    "a layer": ({"a": splits.ParticleLayer(optical_thickness=1)}, "granular medium"),
     "none": ({}, "at least one"),
-    "a list": ([BASE], "a mapping of names"),
+    "a list": ([BASE], r"must be splits.Snow"),
 }
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_media_that_do_not_share_paths_are_refused(name):
+def test_media_that_do_not_share_paths_are_invalid(name):
     media, message = WRONG[name]
     with pytest.raises(InvalidValue, match=message):
-        splits.spectra(media, [500.0], max_stderr=0.1)
+        splits.spectrophotometer(media, [500.0], max_stderr=0.1)
 
 
 STACK = splits.Stack([BASE, BASE])

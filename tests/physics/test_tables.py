@@ -294,7 +294,7 @@ def test_points_that_cannot_be_are_named():
         plan_of(pack, {"optical_radius_um": [100.0, 1e5]})
     with pytest.raises(InvalidValue, match=r"^grid = 'size = 1.0': must be a medium .*size"):
         plan_of(pack, {"size": [1.0]})
-    with pytest.raises(InvalidValue, match=r"must be a medium of grains"):
+    with pytest.raises(InvalidValue, match=r"must be a granular medium"):
         plan_of(lambda optical_thickness: splits.ParticleLayer(optical_thickness=optical_thickness),
                 {"optical_thickness": [1.0]})  # fmt: skip
     assert math.isinf(pack().depth_m)

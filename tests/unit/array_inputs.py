@@ -172,8 +172,9 @@ CASES = {
     "spectrophotometer": ArrayCase(
         lambda a: splits.spectrophotometer(GREY_LAYER, a, **FEW_WAVELENGTHS), NM, one=True,
         runs=True),
-    "spectra": ArrayCase(lambda a: splits.spectra({"one": SNOW}, a, **FEW_WAVELENGTHS), NM,
-                         one=True, runs=True),
+    "spectrophotometer several": ArrayCase(
+        lambda a: splits.spectrophotometer({"one": SNOW}, a, **FEW_WAVELENGTHS), NM, one=True,
+        runs=True),
     "goniophotometer wavelength_nm": ArrayCase(
         lambda a: splits.goniophotometer(GREY_LAYER, a, relative_stderr=0.5, threads=1,
                                          polar_deg=UP,

@@ -18,7 +18,7 @@ EXAMPLES = {
     ),
     "deep": lambda: splits.deep_transmittance(SNOW, [500], relative_stderr=0.5),
     "single": lambda: splits.single_scattering(SNOW, [500, 900], 8, 2000),
-    "spectra": lambda: splits.spectra(
+    "several media": lambda: splits.spectrophotometer(
         {"clean": SNOW, "grey": GREY_GROUND}, [500, 900], max_stderr=0.2
     ),
     "albedo": lambda: splits.albedo(

@@ -69,7 +69,9 @@ RESULTS = {
     "spectrophotometer, derivatives": lambda: splits.spectrophotometer(
         layer(), PAIR, max_stderr=0.1, jacobian=["single_scattering_albedo"]
     ),
-    "spectra": lambda: splits.spectra(make_several_media(), PAIR, max_stderr=0.1),
+    "spectrophotometer, several": lambda: splits.spectrophotometer(
+        make_several_media(), PAIR, max_stderr=0.1
+    ),
     "goniophotometer": lambda: splits.goniophotometer(layer(), PAIR, 30.0, relative_stderr=0.5),
     "beam_spread": lambda: splits.beam_spread(layer(), PAIR, rays=1000, half_width_m=1.0),
     "irradiance_profile": lambda: splits.irradiance_profile(snow(), PAIR, [0.01], max_stderr=0.1),

@@ -9,13 +9,12 @@ import splits
 from splits import Snow
 from splits.media.medium import Interface
 from splits.simulation.diffusion import diffuse_reflectance
-from splits.simulation.spectral_nodes import (
+from splits.simulation.interpolation_bounds import (
     MAX_LOG_CURVATURE,
-    MAX_NODES,
-    choose_nodes,
     compute_contrasts,
     compute_entering_light,
 )
+from splits.simulation.spectral_nodes import MAX_NODES, choose_nodes
 
 SPECTRA = {
     "solar": np.arange(400.0, 2501.0, 10.0),

@@ -11,7 +11,7 @@ import splits
 from splits.core.progress import with_progress
 
 WITH_PROGRESS = (
-    "spectrophotometer", "spectra", "goniophotometer", "beam_spread", "deep_transmittance",
+    "spectrophotometer", "goniophotometer", "beam_spread", "deep_transmittance",
     "irradiance_profile", "albedo", "hdrf", "radiation_profile", "retrieve",
 )  # fmt: skip
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)

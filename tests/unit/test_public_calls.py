@@ -96,7 +96,6 @@ INVALID_CALLS = {
     "single_scattering": lambda: splits.single_scattering(SNOW, "x"),
     "sky": lambda: splits.sky("clear", zenith_deg=100),
     "sobol_indices": lambda: splits.sobol_indices(3, {}),
-    "spectra": lambda: splits.spectra({}, [500]),
     "spectrophotometer": lambda: splits.spectrophotometer(SNOW, [500], progress=3),
     "surface_map": lambda: splits.surface_map(LAYER, -1),
     "build_table": lambda: splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),

@@ -127,7 +127,7 @@ def test_what_is_inside_stays_as_it_is():
 def test_the_bottom_of_a_sample_is_the_bottom_on_either_side():
     """Or an interval would be as thick as a rounding error."""
     for thickness, depth in ((0.3, 0.1 + 0.2), (0.1 + 0.2, 0.3)):
-        with pytest.raises(InvalidValue, match="top and bottom are there in any case"):
+        with pytest.raises(InvalidValue, match="top and bottom are always included"):
             splits.irradiance_profile(splits.Snow(depth_m=thickness), [500.0], [depth])
 
 

@@ -15,7 +15,7 @@ from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import make_refractive_index
 from splits.media.grain_statistics import surface_to_volume_ratio
 from splits.media.interpretations import INTERPRETATION_CHOICES
-from splits.simulation.spectral_nodes import select_grain_interfaces
+from splits.simulation.interpolation_bounds import select_grain_interfaces
 
 MEDIA = Path(__file__).parents[2] / "config" / "media"
 ORDER = "min <= mean <= max <= 1"

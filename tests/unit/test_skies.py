@@ -13,7 +13,7 @@ from chi2 import NEEDS_JIT
 import splits
 from splits.core.validation import InvalidValue
 from splits.illumination.bands import SpectralBand
-from splits.illumination.sky import ATMOSPHERE_PARAMETERS, list_sky_names
+from splits.illumination.sky_spectra import ATMOSPHERE_PARAMETERS, list_sky_names
 from splits.instruments.sky_mixing import mix_direct_and_diffuse
 
 W = np.array([400.0, 500.0, 700.0, 1000.0])
@@ -120,7 +120,7 @@ def test_clear_skies_and_the_standard():
         ("clear", {"zenith_deg": 50.0, "turbidity": 0.1}, "turbidity_500nm"),
         ("midlatitude_winter", {"zenith": 50.0}, "did you mean zenith_deg"),
         ("clear", {"zenith_deg": 50.0, "ground_albedo": 2.0}, "ground_albedo"),
-        ("high_mountain", {"ozone_atm_cm": 0.3}, "for the sky clear only"),
+        ("high_mountain", {"ozone_atm_cm": 0.3}, "applies to the sky clear only"),
         ("astm_g173", {"zenith_deg": 30.0}, "left out"),
         ("no.csv", {}, "an existing CSV file"),
         ({"direct": [1, 2]}, {}, "a mapping of wavelength_nm"),

@@ -15,7 +15,7 @@ from splits.core.validation import check_range, invalid, key_prefix
 from splits.experiments.config.grid import make_even_spacing
 from splits.experiments.config.sections import ConfigSection
 from splits.instruments.angular_bins import DEFAULT_N_BINS
-from splits.instruments.beam_spread import N_MAP_PIXELS, SIDES
+from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.lens import (
     DEFAULT_RAYS,

@@ -83,9 +83,10 @@ def summarize_by_angle(table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        A row for each model, point of the grid, wavelength and polar angle, and for `ALL_DIRECTIONS` one,
-        with ``rmse``, the mean difference ``bias``, ``directions``, and ``spread``: the root
-        mean square of what was measured less 1, which a model without directions would miss.
+        A row for each model, point of the grid, wavelength and polar angle, and for
+        `ALL_DIRECTIONS` one, with ``rmse``, the mean difference ``bias``, ``directions``, and
+        ``spread``: the root mean square of what was measured less 1, which a model without
+        directions would miss.
     """
     keys = [c for c in table if c not in ("azimuth_deg", FACTOR_COLUMN, "modelled", "stderr")]
     whole = table.assign(polar_deg=ALL_DIRECTIONS)
@@ -108,7 +109,7 @@ def summarize_by_angle(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _check_columns(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
-    """Refuse a table without the columns it must have, with others, empty or with gaps."""
+    """Reject a table without the columns it must have, with others, empty or with gaps."""
     for name in MEASURED_COLUMNS:
         if name not in measured:
             raise invalid("directions", list(measured.columns), f"a table with column {name}")
@@ -128,7 +129,7 @@ def _check_columns(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
 
 
 def _check_directions(dataset: xr.Dataset, measured: pd.DataFrame) -> None:
-    """Refuse directions beyond those of a dataset, and one that does not look from above."""
+    """Reject directions beyond those of a dataset, and one that does not look from above."""
     polar, azimuth = dataset.polar.values, dataset.azimuth.values
     if polar[0] != 0.0 or azimuth[0] != 0.0:
         raise invalid("polar_deg", [float(polar[0]), float(azimuth[0])], "from 0 on, azimuths too")

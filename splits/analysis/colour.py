@@ -125,8 +125,8 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row per point: the grid's labels, X, Y, Z; L, a, b with ``_stderr``, the scatter between
-        runs with other seeds, and ``_interpolation_bound``, a bound on what interpolation adds; red, green,
-        blue and ``to_srgb`` as hexadecimal code.
+        runs with other seeds, and ``_interpolation_bound``, a bound on what interpolation adds;
+        red, green, blue and ``to_srgb`` as hexadecimal code.
     """
     dims = [str(d) for d in dataset.reflectance.dims if d != "wavelength"]
     rows = []

@@ -27,10 +27,10 @@ class SensitivityIndex:
         MSI over all wavelengths; where both values are below the noise the ratio is undefined
         and counts as 0, as two zeros of a coin-tossing run would.
     stderr : float
-        Its standard error, of `compute_spectral_sensitivity`; of `compute_mean_sensitivity_index` an upper bound:
-        those of all wavelengths are added linearly, as if all went together.  A wavelength near
-        the noise counts in one run and not in another: its ratio, or the most it could have at the
-        limit, times the chance of that belongs to them.
+        Its standard error, of `compute_spectral_sensitivity`; of `compute_mean_sensitivity_index`
+        an upper bound: those of all wavelengths are added linearly, as if all went together.  A
+        wavelength near the noise counts in one run and not in another: its ratio, or the most it
+        could have at the limit, times the chance of that belongs to them.
     index_resolved : float
         MSI over the wavelengths above the noise only.
     resolved_fraction : float

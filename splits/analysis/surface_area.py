@@ -171,8 +171,8 @@ def make_field_table(dataset: xr.Dataset) -> pd.DataFrame:
     Parameters
     ----------
     dataset : xarray.Dataset
-        ``reflectance`` over ``medium`` and surface area, holding `FIELD_WAVELENGTH_NM`, under a beam from
-        above.
+        ``reflectance`` over ``medium`` and surface area, holding `FIELD_WAVELENGTH_NM`, under a
+        beam from above.
 
     Returns
     -------

@@ -51,9 +51,14 @@ def draw_anisotropy(
     shades = dict(zip(models, pick_colours(len(models), "medium"), strict=True))
     with use_style():
         figure, panels = make_subplots(
-            2, len(samples), width=TWO_COLUMNS_INCHES, height=_HEIGHT_INCHES, sharey="row", squeeze=False,
+            2,
+            len(samples),
+            width=TWO_COLUMNS_INCHES,
+            height=_HEIGHT_INCHES,
+            sharey="row",
+            squeeze=False,
             gridspec_kw={"height_ratios": [1.0, 1.1]},
-        )  # fmt: skip
+        )
         for column, value in enumerate(samples):
             top, bottom = panels[:, column]
             own = table[table[sample] == value]

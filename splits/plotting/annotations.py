@@ -50,11 +50,21 @@ _GRAIN_FORMATTERS = {
     "saturation": _format_saturation,
 }
 FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
-    "snow": {"grain_size_um": _make_formatter("grains", "µm"), **_GRAIN_FORMATTERS, **_COMMON_FORMATTERS},
-    "natural_snow": {
-        "specific_surface_area_m2_kg": _make_formatter("surface area", "m²/kg"), **_GRAIN_FORMATTERS, **_COMMON_FORMATTERS,
+    "snow": {
+        "grain_size_um": _make_formatter("grains", "µm"),
+        **_GRAIN_FORMATTERS,
+        **_COMMON_FORMATTERS,
     },
-    "sand": {"porosity": _make_formatter("porosity"), "saturation": _format_saturation, **_COMMON_FORMATTERS},
+    "natural_snow": {
+        "specific_surface_area_m2_kg": _make_formatter("surface area", "m²/kg"),
+        **_GRAIN_FORMATTERS,
+        **_COMMON_FORMATTERS,
+    },
+    "sand": {
+        "porosity": _make_formatter("porosity"),
+        "saturation": _format_saturation,
+        **_COMMON_FORMATTERS,
+    },
     "particle_layer": {
         "refractive_index": _make_formatter("index"),
         "optical_thickness": _make_formatter("optical thickness"),
@@ -63,11 +73,13 @@ FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
             "" if str(value) in ("none", "None") else _make_formatter("bottom albedo")(value)
         ),
         "surface_rms_slope": lambda value: (
-            "slopes without finite rms" if str(value) == "inf" else _make_formatter("rms slope")(value)
+            "slopes without finite rms"
+            if str(value) == "inf"
+            else _make_formatter("rms slope")(value)
         ),
     },
     "stack": {**_COMMON_FORMATTERS},
-}  # fmt: skip
+}
 """What figures say of a medium, by its kind, and how."""
 _INTERIOR_KEYS = ("optical_thickness", "single_scattering_albedo", "bottom_albedo")
 """What counts for nothing where nothing comes back from below a layer's surface."""

@@ -67,9 +67,13 @@ def draw_facets(
     nodes = find_coarse_nodes(dataset)
     with use_style():
         figure, panels = make_subplots(
-            rows, columns, width=TWO_COLUMNS_INCHES, height=0.5 + _PANEL_HEIGHT_INCHES * rows, sharex=True,
+            rows,
+            columns,
+            width=TWO_COLUMNS_INCHES,
+            height=0.5 + _PANEL_HEIGHT_INCHES * rows,
+            sharex=True,
             squeeze=False,
-        )  # fmt: skip
+        )
         for number, name in enumerate(quantity):
             part = panels[number * block : (number + 1) * block]
             top = ylim or (0.0, _compute_axis_top(dataset, name))

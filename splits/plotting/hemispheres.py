@@ -61,7 +61,8 @@ def draw_hemispheres(
     dataset : xarray.Dataset
         Of `splits.goniophotometer`, or of an experiment with it, with azimuths all around.
     quantity : sequence of str
-        Of `splits.plotting.direction_axes.QUANTITY_LABELS`, a block of maps each with a scale of its own.
+        Of `splits.plotting.direction_axes.QUANTITY_LABELS`, a block of maps each with a scale of
+        its own.
     at : mapping, optional
         Grid labels to hold fixed.
     legend : str, optional

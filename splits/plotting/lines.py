@@ -163,8 +163,9 @@ class PlotLines:
             if self.has_colour_bar:
                 return []
             return [
-                Line2D([], [], label=one.label or "model", **one.to_plot_style()) for one in self.lines
-            ]  # fmt: skip
+                Line2D([], [], label=one.label or "model", **one.to_plot_style())
+                for one in self.lines
+            ]
         handles: list[Artist] = []
         if not self.has_colour_bar:
             handles.append(_make_heading(title or format_parameter(self.colour_dim)))

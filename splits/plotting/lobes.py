@@ -76,8 +76,13 @@ def draw_lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
                 radius * np.sin(tilt) * np.cos(azimuth),
                 radius * np.sin(tilt) * np.sin(azimuth),
                 radius * np.cos(tilt) * np.ones_like(azimuth),
-                color=_lighten(one.colour), rcount=40, ccount=80, lw=0, ec="none", antialiased=False,
-            )  # fmt: skip
+                color=_lighten(one.colour),
+                rcount=40,
+                ccount=80,
+                lw=0,
+                ec="none",
+                antialiased=False,
+            )
             axes.set(xlim=(-top, top), ylim=(-top, top), zlim=(0.0, top))
             axes.set_box_aspect((2, 2, 1), zoom=1.5)
             axes.set_axis_off()

@@ -39,7 +39,7 @@ def make_limit_error(what: str, count: int, limit: int, selection: object) -> Va
 
 
 def check_count(what: str, count: int, limit: int, selection: Mapping[str, object]) -> None:
-    """Refuse a figure of more than so many things.
+    """Reject a figure of more than so many things.
 
     Raises
     ------

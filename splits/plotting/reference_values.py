@@ -79,5 +79,10 @@ def select_referenced_samples(
 def get_model_colours(dataset: xr.Dataset) -> list[tuple[str, Any]]:
     """Return the names of the models, with their colours."""
     names = list(map(str, dataset.model.values))
-    return list(zip(names, pick_colours(len(names), "medium") if len(names) > 1 else pick_colours(1),
-                    strict=True))  # fmt: skip
+    return list(
+        zip(
+            names,
+            pick_colours(len(names), "medium") if len(names) > 1 else pick_colours(1),
+            strict=True,
+        )
+    )

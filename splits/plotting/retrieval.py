@@ -158,8 +158,9 @@ def _draw_spectrum(figure: Figure, place: SubplotSpec, part: xr.Dataset, title: 
         top.plot(x, fitted, color=colour, lw=1.0, ls="--", label=label)
         off = fitted - measured
         bottom.plot(x, off, color=colour, lw=0.8)
-        bottom.fill_between(x, off - BAND_SIGMA * error, off + BAND_SIGMA * error, color=colour, alpha=0.25,
-                            lw=0)  # fmt: skip
+        bottom.fill_between(
+            x, off - BAND_SIGMA * error, off + BAND_SIGMA * error, color=colour, alpha=0.25, lw=0
+        )
         highest = max(highest, float(np.nanmax([measured, fitted])))
     bottom.axhline(0.0, color="black", lw=0.6)
     expected = float(part.chi2_expected.isel(model=0))

@@ -87,9 +87,13 @@ def draw_band_selection(selections: Mapping[str, xr.Dataset], conditions: str = 
     """
     with use_style():
         figure, panels = make_subplots(
-            2, len(selections), width=TWO_COLUMNS_INCHES if len(selections) > 1 else ONE_COLUMN_INCHES, height=_BANDS_HEIGHT_INCHES,
-            sharex="col", squeeze=False,
-        )  # fmt: skip
+            2,
+            len(selections),
+            width=TWO_COLUMNS_INCHES if len(selections) > 1 else ONE_COLUMN_INCHES,
+            height=_BANDS_HEIGHT_INCHES,
+            sharex="col",
+            squeeze=False,
+        )
         for column, (title, dataset) in enumerate(selections.items()):
             top, bottom = panels[:, column]
             x, bits = dataset.step.values, dataset.information_bits.values
@@ -133,9 +137,14 @@ def draw_sobol_indices(indices: Mapping[str, xr.Dataset]) -> Figure:
     """
     with use_style():
         figure, panels = make_subplots(
-            2, len(indices), width=TWO_COLUMNS_INCHES if len(indices) > 1 else ONE_COLUMN_INCHES, height=_SOBOL_HEIGHT_INCHES,
-            sharex="col", squeeze=False, gridspec_kw={"height_ratios": [2.4, 1.0]},
-        )  # fmt: skip
+            2,
+            len(indices),
+            width=TWO_COLUMNS_INCHES if len(indices) > 1 else ONE_COLUMN_INCHES,
+            height=_SOBOL_HEIGHT_INCHES,
+            sharex="col",
+            squeeze=False,
+            gridspec_kw={"height_ratios": [2.4, 1.0]},
+        )
         for column, (title, dataset) in enumerate(indices.items()):
             top, bottom = panels[:, column]
             x = dataset.wavelength.values

@@ -204,7 +204,7 @@ def make_subplots(
     width: float = ONE_COLUMN_INCHES,
     **settings: Any,
 ) -> tuple[Figure, Any]:
-    """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, but see `OffscreenFigure`.
+    """Return an `OffscreenFigure` and its axes, as `matplotlib.pyplot.subplots` does.
 
     Parameters
     ----------

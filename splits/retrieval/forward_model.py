@@ -156,9 +156,9 @@ class TableForwardModel:
         """Return the covariance of what the table is off by, shape (n, n).
 
         Errors of cells are alike at wavelengths that share rays: as the table says, where it keeps
-        that, else over `ERROR_CORRELATION_NM`.  What interpolation along an axis misses has a spectrum of its
-        own, which may look like that of a parameter, so it is taken for one error at all
-        wavelengths.
+        that, else over `ERROR_CORRELATION_NM`.  What interpolation along an axis misses has a
+        spectrum of its own, which may look like that of a parameter, so it is taken for one error
+        at all wavelengths.
         """
         natural = self.state_vector.to_physical(state)
         where = {name: float(natural[self.state_vector.names.index(name)]) for name in self.axes}

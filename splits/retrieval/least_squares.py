@@ -1,8 +1,8 @@
 """Retrieval where noise is not known: least squares, whose misfit says how far they may be off.
 
-The place of the least misfit, with the covariance that `splits.retrieval.residual_covariance` finds, is then
-taken for a measurement of the coordinates themselves.  Ranges, priors, and what is told follow as
-they do where noise is known.
+The place of the least misfit, with the covariance that `splits.retrieval.residual_covariance`
+finds, is then taken for a measurement of the coordinates themselves.  Ranges, priors, and what is
+told follow as they do where noise is known.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def retrieve_by_simulation(
 
 
 def check_enough_values(n_parameters: int, measurement: Measurement) -> None:
-    """Refuse a measurement of unknown noise with too few values for so many free parameters."""
+    """Reject a measurement of unknown noise with too few values for so many free parameters."""
     least, count = n_parameters + MIN_RESIDUAL_DOF, measurement.values.size
     if not measurement.noise_known and count < least:
         hint = f"{count} values are too few to find it from the misfit, {least} are needed"

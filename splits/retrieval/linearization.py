@@ -43,7 +43,7 @@ class Linearization(NamedTuple):
 
 
 class LinearizedModel:
-    """A measurement as a straight line through one place has it; see `splits.retrieval.forward_model`."""
+    """Forward model linearized about one state; see `splits.retrieval.forward_model`."""
 
     def __init__(self, state_vector: StateVector, linearization: Linearization) -> None:
         self.state_vector, self.linearization = state_vector, linearization
@@ -128,7 +128,7 @@ def remove_jacobian_noise(
 
 
 def is_jacobian_noisy(jacobians: Sequence[np.ndarray], error_covariance: np.ndarray) -> bool:
-    """Tell whether noise of the Jacobians may decide what counts as told."""
+    """Return whether noise of the Jacobians may decide what counts as told."""
     values, _, feigned = _decompose_information(jacobians, error_covariance)
     return bool(
         (

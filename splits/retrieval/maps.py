@@ -27,9 +27,14 @@ MAX_COMPONENTS = 24
 MIN_COMPONENT_VARIANCE = 0.01
 """Part of the noise variance of a component below which what it tells is left out."""
 FLAGS = {
-    "gap": 1, "out_of_range": 2, "poor_fit": 4, "at_lower_bound": 8, "at_upper_bound": 16, "unconstrained": 32,
+    "gap": 1,
+    "out_of_range": 2,
+    "poor_fit": 4,
+    "at_lower_bound": 8,
+    "at_upper_bound": 16,
+    "unconstrained": 32,
     "not_converged": 64,
-}  # fmt: skip
+}
 N_STATES = 32
 """Places in the ranges over which the mean of the table's error is taken."""
 RESULT_DIM = "what"
@@ -141,10 +146,14 @@ def retrieve_map(
         stacked = stacked.chunk({"wavelength": -1})
     many = 2 * len(which.names) + 2
     found = xr.apply_ufunc(
-        work.retrieve_block, stacked, input_core_dims=[["wavelength"]], output_core_dims=[[RESULT_DIM]],
-        dask="parallelized", output_dtypes=[float],
+        work.retrieve_block,
+        stacked,
+        input_core_dims=[["wavelength"]],
+        output_core_dims=[[RESULT_DIM]],
+        dask="parallelized",
+        output_dtypes=[float],
         dask_gufunc_kwargs={"output_sizes": {RESULT_DIM: many}},
-    )  # fmt: skip
+    )
     return _make_dataset(found, which, work)
 
 
@@ -163,7 +172,7 @@ def _check_image(image: Any) -> xr.DataArray:
 
 
 def _check_image_names(image: xr.DataArray, names: Sequence[str]) -> None:
-    """Refuse dimensions and coordinates of an image that are named like results."""
+    """Reject dimensions and coordinates of an image that are named like results."""
     results = {*names, *(f"{name}_stderr" for name in names), "chi2", "flags", RESULT_DIM}
     for name in map(str, {*image.dims, *image.coords} & results):
         hint = f"image.rename({{{name!r}: 'true_{name}'}}), or leave it out by drop_vars"
@@ -240,8 +249,14 @@ def _make_dataset(
     dims = tuple(str(d) for d in found.dims[:-1])
     for i, name in enumerate(state_vector.names):
         long_name, units = describe_parameter(name)
-        pair = make_variable(name, dims, found[..., i].data, found[..., len(state_vector.names) + i].data,
-                        long_name, units)  # fmt: skip
+        pair = make_variable(
+            name,
+            dims,
+            found[..., i].data,
+            found[..., len(state_vector.names) + i].data,
+            long_name,
+            units,
+        )
         variables |= pair
     variables |= make_variable(
         "chi2", dims, found[..., -2].data, None, "sum of squares of the misfit"

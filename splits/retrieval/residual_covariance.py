@@ -78,7 +78,7 @@ def _apply_inverse_correlation(series: np.ndarray, correlation: float) -> np.nda
 
 
 def make_autoregressive_covariance(variances: np.ndarray, n_wavelengths: int) -> np.ndarray:
-    """Return the covariance of so many wavelengths whose misfit has these `estimate_misfit_variances`."""
+    """Return the covariance matrix of residuals from `estimate_misfit_variances`."""
     apart = np.arange(n_wavelengths)
     of_lag = (variances[:, np.newaxis] * NEIGHBOUR_CORRELATIONS[:, np.newaxis] ** apart).sum(axis=0)
     found: np.ndarray = of_lag[np.abs(apart[:, np.newaxis] - apart)]

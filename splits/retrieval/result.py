@@ -149,19 +149,40 @@ def make_result(
         related = np.nan_to_num(np.atleast_2d(np.corrcoef(draws.states, rowvar=False)))
     labels = [f"{name}: {describe_parameter(name)[0]}" for name in names]
     variables = {
-        **make_variable("value", over, state_vector.to_physical(best.state), natural.std(axis=0), "most probable value"),
+        **make_variable(
+            "value",
+            over,
+            state_vector.to_physical(best.state),
+            natural.std(axis=0),
+            "most probable value",
+        ),
         **make_variable("mean", over, natural.mean(axis=0), None, "mean"),
-        **make_variable("constrained", over, determined.astype(np.int8), None,
-                   "1 where the measurement halves what was not known before"),
-        **make_variable("quantiles", ("quantile", "parameter"),
-                   np.quantile(natural, QUANTILES, axis=0), None, "quantiles"),
-        **make_variable("averaging_kernel", pair, told.averaging_kernel * before / before[:, np.newaxis],
-                   None, "averaging kernel, in units of what was not known before"),
+        **make_variable(
+            "constrained",
+            over,
+            determined.astype(np.int8),
+            None,
+            "1 where the measurement halves what was not known before",
+        ),
+        **make_variable(
+            "quantiles",
+            ("quantile", "parameter"),
+            np.quantile(natural, QUANTILES, axis=0),
+            None,
+            "quantiles",
+        ),
+        **make_variable(
+            "averaging_kernel",
+            pair,
+            told.averaging_kernel * before / before[:, np.newaxis],
+            None,
+            "averaging kernel, in units of what was not known before",
+        ),
         **make_variable("correlation", pair, related, None, "correlation of coordinates"),
         **make_variable("draws", ("draw", "parameter"), natural, None, "draws from the posterior"),
         **make_variable("measured", "wavelength", measurement.values, noise, "measured"),
         **make_variable("fitted", "wavelength", best.modelled, off, "of the most probable value"),
-    }  # fmt: skip
+    }
     facts: dict[str, Any] = {
         "title": "Retrieval",
         "rmse": float(np.sqrt(np.mean((best.modelled - measurement.values) ** 2))),

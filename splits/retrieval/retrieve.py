@@ -68,8 +68,8 @@ def retrieve(
         Reflectances over ``wavelength`` (nm), or (wavelengths, reflectances); a row of them where
         there are `bands`.
     model : MethodTable or medium
-        A table of the light to be expected, see `splits.build_table` and `splits.open_table`; or a snow,
-        a sand, a layer or a stack, of which as many runs are made as it takes, some minutes.
+        A table of the light to be expected, see `splits.build_table` and `splits.open_table`; or a
+        snow, a sand, a layer or a stack, of which as many runs are made as it takes, some minutes.
     free : sequence of str or mapping
         Axes of the table to be found, or their (low, high) by name.  Of a medium the latter, of
         parameters named as for derivatives (``layers.0.depth_m``).  ``scale`` is a factor of

@@ -1,9 +1,9 @@
 """Which sand has a measured spectrum: a retrieval of what SPLITS Table 2 leaves open.
 
-Every place of the unit cube is a sand (`splits.retrieval.sand_parameters.UnitCube`).  Noise is not told:
-`splits.retrieval.gauss_newton` finds the least misfit, `splits.retrieval.least_squares` what that leaves
-open.  A spectrum seldom fixes all parameters: the error of each says how far it may move before
-the misfit tells.
+Every place of the unit cube is a sand (`splits.retrieval.sand_parameters.UnitCube`).  Noise is not
+told: `splits.retrieval.gauss_newton` finds the least misfit, `splits.retrieval.least_squares` what
+that leaves open.  A spectrum seldom fixes all parameters: the error of each says how far it may
+move before the misfit tells.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Effort:
 
 
 class SandForwardModel:
-    """Reflectance of sands as runs of fixed numbers of rays have it, see `splits.retrieval.gauss_newton`.
+    """Forward model of sands with a fixed number of rays, see `splits.retrieval.gauss_newton`.
 
     Parameters
     ----------

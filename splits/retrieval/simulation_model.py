@@ -1,9 +1,9 @@
 """Retrieval by runs of its own: descents with derivatives from the same paths, and no table.
 
 Where a medium is looked at once, a table of it would cost more than it tells.  Spectra with their
-derivatives (`splits.simulation.derivatives`, `splits.simulation.finite_differences`) lead to the most
-probable medium (`splits.retrieval.gauss_newton`).  Around the end light is taken as linear in the
-coordinates.
+derivatives (`splits.simulation.derivatives`, `splits.simulation.finite_differences`) lead to the
+most probable medium (`splits.retrieval.gauss_newton`).  Around the end light is taken as linear in
+the coordinates.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """What a retrieval is free to vary: ranges, priors, and coordinates from 0 to 1.
 
 A coordinate goes evenly where light changes evenly, by the laws of
-`splits.tables.interpolation.transform_axis`: the logarithm of a size, the root of an amount from 0 on.
+`splits.tables.interpolation.transform_axis`: the logarithm of a size, the root of an amount from 0
+on.
 """
 
 from __future__ import annotations
@@ -151,7 +152,7 @@ class StateVector(NamedTuple):
 
 
 def _invert_axis_transform(transform: str, transformed: np.ndarray) -> np.ndarray:
-    """Return the values that a law has made these of, see `splits.tables.interpolation.apply_axis_transform`."""
+    """Return the inverse of `splits.tables.interpolation.apply_axis_transform`."""
     if transform == "cosine":
         return np.degrees(np.arccos(np.clip(-transformed, -1.0, 1.0)))
     if transform == "logarithm":

@@ -17,8 +17,9 @@ from splits.analysis.measured import (
     compute_measured_rmse,
     compute_rmse,
     read_measured,
+    read_published,
 )
-from splits.experiments.papers.agreement import _compare_with_published, read_published
+from splits.experiments.papers.agreement import _compare_with_published
 from splits.experiments.papers.paper_tables import write_table
 
 CONFIG = Path(__file__).parents[2] / "config"

@@ -52,7 +52,7 @@ FILES = {
     'grid: {saturation: {"\\e[31m": 0}}': "grid.saturation (label) = '\\x1b[31m': must be text",
     'instrument: {"a\\nb": 1}': "unknown key",
     'title: "a\\x85b"': "title = 'a\\x85b': must be text without control",
-    "figure: {legend: '$x^$'}": "figure.legend = '$x^$': must be text that matplotlib can set",
+    "figure: {legend: '$x^$'}": "figure.legend = '$x^$': must be text that matplotlib can typeset",
     f"title: {1000 * 't'}": "title = 'tttt",
     "figure: {ylim: [1, 1]}": "figure.ylim = [1.0, 1.0]: must be low < high",
     "figure: {ylim: [0, .nan]}": "figure.ylim[1] = nan: must be a finite number",

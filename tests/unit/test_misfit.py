@@ -13,7 +13,7 @@ from splits.experiments.papers.interpretation_ranking import (
     PAPER_SETS,
     STAGE_QUOTAS,
     InterpretationSet,
-    expand_boundaries,
+    expand_overlaps,
     find_choice,
 )
 from splits.experiments.papers.interpretation_runs import (
@@ -174,17 +174,15 @@ def test_sectors_are_means_of_three_angles_with_errors_that_go_together():
     np.testing.assert_allclose(found.brdf_stderr, 0.3)
 
 
-def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
-    found = expand_boundaries({"entry_point": "uniform", "overlaps": "skip"})
+def test_overlaps_sets_both_overlap_fields():
+    found = expand_overlaps({"entry_point": "uniform", "overlaps": "skip"})
     assert found == {
         "entry_point": "uniform", "overlap_with_previous_segment": "skip", "overlap_with_boundary": "skip",
     }  # fmt: skip
-    assert expand_boundaries({"entry_point": "uniform"}) == {"entry_point": "uniform"}
-    for fate in OVERLAP_CHOICES:
-        assert (
-            find_choice(Interpretation(**expand_boundaries({"overlaps": fate})), "boundaries")
-            == fate
-        )
+    assert expand_overlaps({"entry_point": "uniform"}) == {"entry_point": "uniform"}
+    for choice in OVERLAP_CHOICES:
+        interpretation = Interpretation(**expand_overlaps({"overlaps": choice}))
+        assert find_choice(interpretation, "overlaps") == choice
 
 
 def test_every_stage_states_something():

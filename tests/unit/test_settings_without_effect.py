@@ -93,7 +93,7 @@ def test_settings_that_count_are_taken(tmp_path, text):
 @pytest.mark.parametrize(
     ("sample", "instrument", "rest", "told"),
     [
-        ("a@50", "", "", r"retrieve\.samples = 'a@50': must be of light from 0\.0"),
+        ("a@50", "", "", r"retrieve\.samples = 'a@50': must be of incidence 0\.0"),
         ("a@50", ", incidence_deg: 50", "", None),
         ("a@noon", "", "", None),
         (
@@ -161,5 +161,5 @@ def test_the_command_reads_measured_spectra(tmp_path):
 
 @pytest.mark.parametrize("name", ["data", "Figures", "../there", "a/b", "", "{x}"])
 def test_accuracies_name_folders_of_their_own(name):
-    with pytest.raises(ConfigError, match=r"accuracies = .*: must be called by letters"):
+    with pytest.raises(ConfigError, match=r"accuracies = .*: must be letters"):
         load_settings({"accuracies": {name: {"max_stderr": 0.1}}, "accuracy": name})

@@ -75,7 +75,7 @@ def test_no_name_of_an_experiment_decides_in_the_code(shipped):
 )  # fmt: skip
 def test_names_that_studies_and_fits_have_are_refused(shipped, name):
     taken = ExperimentConfig.model_validate({"name": name})
-    with pytest.raises(ConfigError, match=f"^experiment {name}: name = '{name}': must be one that"):
+    with pytest.raises(ConfigError, match=f"^experiment {name}: name = '{name}': must be unique"):
         load_settings(SETTINGS_CONTENT).select_experiments({**shipped, name: taken})
 
 
@@ -98,7 +98,7 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "outputs": {"table": "nul"}},
          r"own\.outputs\.table = 'nul': must be lower-case letters"),
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "n_bands": 2},
-         r"own\.n_bands = 2: must be left out but for kind = 'bands'"),
+         r"own\.n_bands = 2: must be left out unless kind = 'bands'"),
         ({"kind": "anisotropy", "inputs": {"directions": "sand_fig11_brdf"},
           "files": {"directions": "wet_sand_directions.csv"}},
          r"'sand_fig11_brdf': must be .*over interpretation and saturation"),
@@ -127,9 +127,9 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
             "parameter": "saturation", "experiment": "fig13_saturation", "low": 0, "high": 0.3}}},
          r"pairs\.a\.experiment = 'fig13_saturation': must be .*saturation and depth_m"),
         ({"kind": "sand_compositions", "outputs": {"table": "table2"}},
-         r"studies\.own: name = 'table2': must be one that nothing else has \(the study sens"),
+         r"studies\.own: name = 'table2': must be unique \(the study sens"),
         ({"kind": "sand_compositions", "outputs": {"table": "fig08_grain_size"}},
-         "experiment fig08_grain_size: name = 'fig08_grain_size': must be one that nothing else"),
+         "experiment fig08_grain_size: name = 'fig08_grain_size': must be unique"),
     ],
 )  # fmt: skip
 def test_studies_that_cannot_be_made_are_refused_in_one_line(shipped, study, message):
@@ -175,7 +175,7 @@ def test_a_study_of_some_roles_has_their_rows():
 def test_a_table_of_a_retrieval_has_its_name_alone(shipped):
     study = {"kind": "sobol", "inputs": {"a": "explorer_snow"}}
     studies = {**SETTINGS_CONTENT["studies"], "retrieved_dozier_retrieved": study}
-    with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be one that nothing"):
+    with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be unique"):
         load_settings({**SETTINGS_CONTENT, "studies": studies}).select_experiments(shipped)
 
 

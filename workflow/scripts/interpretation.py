@@ -6,8 +6,8 @@ from splits.core.interrupts import exit_on_signals
 
 exit_on_signals("interpretation")
 
+from splits.analysis.measured import read_published
 from splits.core.progress import open_progress_log
-from splits.experiments.papers.agreement import read_published
 from splits.experiments.papers.interpretation_ranking import rank_interpretations
 from splits.experiments.papers.interpretation_tables import (
     find_differing_keys,

@@ -1,9 +1,9 @@
 """What theories need beside the model's own optics, and one of them: asymptotic transfer.
 
-Discrete ordinates stand in `splits.analysis.theory.discrete_ordinates`.  Both take grains for points that scatter.
-The sets of the papers do not: a ray leaves a grain where it comes out of it, and a grain that cuts
-the last leg or a boundary is drawn again.  In all of them wet pores reflect at the boundaries.
-docs/theory/radiative-transfer.md says how far that matters.
+Discrete ordinates stand in `splits.analysis.theory.discrete_ordinates`.  Both take grains for
+points that scatter. The sets of the papers do not: a ray leaves a grain where it comes out of it,
+and a grain that cuts the last leg or a boundary is drawn again.  In all of them wet pores reflect
+at the boundaries. docs/theory/radiative-transfer.md says how far that matters.
 """
 
 from __future__ import annotations

@@ -51,8 +51,8 @@ def solve_discrete_ordinates(
     streams : int
         Directions of the solution, both hemispheres together: even, at least 4.
     ground : number, str, mapping or path, optional
-        Lambertian ground below, see `splits.media.ground.Ground.from_input`; its part of the light counts
-        as transmitted.
+        Lambertian ground below, see `splits.media.ground.Ground.from_input`; its part of the light
+        counts as transmitted.
 
     Returns
     -------
@@ -60,9 +60,9 @@ def solve_discrete_ordinates(
         ``reflectance`` and ``transmittance`` (hemispherical; the latter with the direct beam) and
         ``absorptance`` over ``wavelength``; the ``…_truncation`` of each: its difference from the
         result with half the streams, an upper estimate of what the number of streams misses; and
-        standard errors ``…_stderr``: that, and what errors of the optics make of it (`propagate_errors`),
-        those of different layers being independent.  Albedos above `MAX_ALBEDO` are taken for
-        that.
+        standard errors ``…_stderr``: that, and what errors of the optics make of it
+        (`propagate_errors`), those of different layers being independent.  Albedos above
+        `MAX_ALBEDO` are taken for that.
 
     Raises
     ------

@@ -28,8 +28,8 @@ def propagate_errors(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray:
     theory : callable
         From a dataset like `optics` to float[…, wavelengths].
     optics : xarray.Dataset
-        From `splits.instruments.single_scattering`; without ``…_jackknife`` and ``…_interpolation_bound``, it is
-        taken for exact.
+        From `splits.instruments.single_scattering`; without ``…_jackknife`` and
+        ``…_interpolation_bound``, it is taken for exact.
 
     References
     ----------

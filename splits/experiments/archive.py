@@ -268,7 +268,7 @@ def _get_member_name(root: Path, path: Path) -> str:
 
 
 def _get_table_member_name(table: str) -> str:
-    """Return the member name of a user's table, which keeps its file name, the label in datasets."""
+    """Return the member name of a user's table, which keeps its file name."""
     path = PurePosixPath(table)
     if path.parts[0] == "config" and ".." not in path.parts:
         return str(path)

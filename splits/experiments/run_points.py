@@ -191,7 +191,8 @@ def _log_result(
         if key in attributes
     ]
     log(
-        f"{prefix}: done, {attributes['rays']} rays{''.join(reached)}, {attributes['wall_time_s']:.1f} s"
+        f"{prefix}: done, {attributes['rays']} rays{''.join(reached)}, "
+        f"{attributes['wall_time_s']:.1f} s"
     )
     has_fixed_rays = instrument.rays or instrument.estimator == "bins"
     if attributes.get("stop_reason") == "max_rays" and not has_fixed_rays:

@@ -173,7 +173,8 @@ def _simulate_blocks(
     for number, block in enumerate(iterate_blocks(request, groups, folder, show), start=1):
         reached = float(block.attrs["max_stderr_reached"])
         log(
-            f"{prefix}: {number} of {n_groups} done, {block.attrs['rays']} rays, error {reached:.4f}"
+            f"{prefix}: {number} of {n_groups} done, {block.attrs['rays']} rays, "
+            f"error {reached:.4f}"
         )
         yield block
 

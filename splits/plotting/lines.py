@@ -119,9 +119,13 @@ class PlotLines:
         return " · ".join(map(format_parameter, self.dims))
 
     def add_legend(
-        self, figure: Figure, axes: Sequence[Axes], title: str | None = None, max_inset_entries: int = MAX_INSET_ENTRIES,
+        self,
+        figure: Figure,
+        axes: Sequence[Axes],
+        title: str | None = None,
+        max_inset_entries: int = MAX_INSET_ENTRIES,
         extra_handles: Sequence[Artist] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Say which line is which: on the first axes where it covers nothing, above, or beside all.
 
         Parameters

@@ -40,7 +40,7 @@ from splits.experiments import run_points
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 signal.signal(signal.SIGINT, signal.default_int_handler)
-measure = run_points.measure
+measure = run_points.simulate_point
 
 def slowly(*given):
     if getattr(slowly, "again", False):
@@ -49,7 +49,7 @@ def slowly(*given):
     slowly.again = True
     return measure(*given)
 
-run_points.measure = slowly
+run_points.simulate_point = slowly
 command.main()
 """
 

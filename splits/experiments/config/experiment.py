@@ -172,7 +172,8 @@ class ExperimentConfig(SimulationConfig):
                 f"instrument.{key}",
                 given,
                 f"at least {MIN_POLAR_ANGLES} polar angles and {MIN_AZIMUTHS} azimuths at most "
-                f"{MAX_AZIMUTH_GAP_DEG:g} degrees apart, all around, for figure.kind = 'hemisphere'",
+                f"{MAX_AZIMUTH_GAP_DEG:g} degrees apart, all around, "
+                "for figure.kind = 'hemisphere'",
             )
 
     def _check_single_point(self) -> None:

@@ -237,7 +237,8 @@ def _make_facetness_rows(plane: xr.Dataset) -> list[dict[str, object]]:
     value, error = compute_relative_range(plane, 75.0)
     return [
         make_significance_row(
-            f"low facetness varies most with the angle, {_format_incidence(plane)}, {_format_wavelength(plane)}",
+            "low facetness varies most with the angle, "
+            f"{_format_incidence(plane)}, {_format_wavelength(plane)}",
             "Fig 22",
             value[0] - value[1:],
             np.hypot(error[0], error[1:]),
@@ -254,7 +255,8 @@ def _make_sand_rows(plane: xr.Dataset) -> list[dict[str, object]]:
         side = part.sel(angle=angle)
         rows.append(
             make_significance_row(
-                f"sand, {statement} at 60° incidence, {_format_wavelength(plane)}: {angle:g}° above the nadir",
+                f"sand, {statement} at 60° incidence, {_format_wavelength(plane)}: "
+                f"{angle:g}° above the nadir",
                 "SPLITS Fig 11",
                 np.atleast_1d(float(side.brdf - nadir.brdf)),
                 np.atleast_1d(float(np.hypot(side.brdf_stderr, nadir.brdf_stderr))),

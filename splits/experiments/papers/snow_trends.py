@@ -146,7 +146,8 @@ def make_ranking_rows(sensitivities: xr.Dataset) -> list[dict[str, object]]:
         a, b = (reflectance.sel(parameter=p) for p in (stronger, weaker))
         rows.append(
             make_significance_row(
-                f"MSI of reflectance: {stronger.replace('_', ' ')} above {weaker.replace('_', ' ')}",
+                f"MSI of reflectance: {stronger.replace('_', ' ')} above "
+                f"{weaker.replace('_', ' ')}",
                 "Table 2",
                 np.atleast_1d(float(a.msi - b.msi)),
                 np.atleast_1d(float(np.hypot(a.msi_stderr, b.msi_stderr))),

@@ -283,7 +283,7 @@ def _list_warnings(
         warnings.append(f"an alternative solution fits nearly as well: {', '.join(values)}")
     if solution.nonlinearity > MAX_NONLINEARITY:
         warnings.append(
-            "errors assume that reflectance is linear in the coordinates, but one standard deviation "
+            "errors assume that reflectance is linear in the coordinates, but a standard deviation "
             f"away it deviates by {solution.nonlinearity:.1f} times the noise: they are approximate"
         )
     if draws.n_effective < MIN_EFFECTIVE_DRAWS:

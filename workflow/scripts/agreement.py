@@ -1,4 +1,4 @@
-"""Hold results against published and measured numbers (map snakemake to `splits.analysis`)."""
+"""Compare results with published and measured numbers (snakemake script)."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Hold combinations of readings against a paper (map snakemake to `splits.experiments`)."""
+"""Rank the interpretations of a paper (snakemake script)."""
 
 from pathlib import Path
 
@@ -18,11 +18,11 @@ from splits.experiments.papers.interpretation_tables import (
 from splits.experiments.papers.paper_tables import write_table
 from splits.plotting import draw_interpretation_shifts, save_figure
 
-with open_progress_log(snakemake.log[0]) as say:
+with open_progress_log(snakemake.log[0]) as log:
     choices, text = snakemake.params.interpretation, snakemake.params.stated
     combinations, stated = rank_interpretations(
         read_published(snakemake.input.published), choices, text, snakemake.params.seed,
-        snakemake.threads, snakemake.params.stderr_scale, say,
+        snakemake.threads, snakemake.params.stderr_scale, log,
     )  # fmt: skip
 names = find_differing_keys(combinations)
 table = make_statement_table(combinations, stated, names)

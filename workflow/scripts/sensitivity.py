@@ -1,4 +1,4 @@
-"""Take mean sensitivity indices (map snakemake to `splits.analysis`)."""
+"""Compute mean sensitivity indices (snakemake script)."""
 
 import json
 from pathlib import Path

@@ -58,9 +58,9 @@ def solve_discrete_ordinates(
     -------
     xarray.Dataset
         ``reflectance`` and ``transmittance`` (hemispherical, including the direct beam) and
-        ``absorptance`` over ``wavelength``; ``…_truncation`` of each, the difference from the result
-        with half the streams and an upper estimate of the truncation error; and standard errors
-        ``…_stderr``, which combine it with the propagated errors of the optics
+        ``absorptance`` over ``wavelength``; ``…_truncation`` of each, the difference from the
+        result with half the streams and an upper estimate of the truncation error; and standard
+        errors ``…_stderr``, which combine it with the propagated errors of the optics
         (`propagate_errors`), independent between layers.  Albedos are limited to `MAX_ALBEDO`.
 
     Raises

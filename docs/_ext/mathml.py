@@ -31,10 +31,10 @@ def mathml(node: nodes.Element, display: str) -> str:
     return upright(output)
 
 
-def upright(made: str) -> str:
+def upright(output: str) -> str:
     """Return MathML with words as text, since browsers set single letters in italics."""
-    made = ONE_UPRIGHT.sub(lambda found: f"<mtext>{chr(int(found[1], 16))}</mtext>", made)
-    return UPRIGHT.sub(lambda match: f"<mtext>{re.sub('<[^>]*>', '', match[0])}</mtext>", made)
+    output = ONE_UPRIGHT.sub(lambda letter: f"<mtext>{chr(int(letter[1], 16))}</mtext>", output)
+    return UPRIGHT.sub(lambda match: f"<mtext>{re.sub('<[^>]*>', '', match[0])}</mtext>", output)
 
 
 def inline(self: HTML5Translator, node: nodes.math) -> None:

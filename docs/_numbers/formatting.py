@@ -78,10 +78,10 @@ def select_cell(
     """Return a selector of a number in the only matching row, with its error."""
 
     def select(table: pd.DataFrame) -> QuotedValue:
-        found = filter_rows(table, **where)
-        if len(found) != 1:
-            raise invalid("rows", len(found), f"1 of {where}")
-        row = found.iloc[0]
+        rows = filter_rows(table, **where)
+        if len(rows) != 1:
+            raise invalid("rows", len(rows), f"1 of {where}")
+        row = rows.iloc[0]
         return scale * row[column], scale * row[error] if error else None, ""
 
     return select
@@ -93,8 +93,8 @@ def select_extreme(
     """Return a selector of the largest or smallest number of matching rows, with its name."""
 
     def select(table: pd.DataFrame) -> QuotedValue:
-        found = filter_rows(table, **where).reset_index()
-        row = found.loc[found[column].idxmax() if largest else found[column].idxmin()]
+        rows = filter_rows(table, **where).reset_index()
+        row = rows.loc[rows[column].idxmax() if largest else rows[column].idxmin()]
         return row[column], row[error] if error else None, row[name] if name else ""
 
     return select

@@ -61,7 +61,7 @@ def replace_marked_numbers(document: str, texts: Mapping[str, str]) -> str:
     for key, _ in find_marks(document):
         if key not in texts:
             raise invalid("mark", key, "a key of docs/_numbers/values.py with a text of a run")
-    return MARK_PATTERN.sub(lambda found: f"{texts[found[2]]}<!--{found[2]}-->", document)
+    return MARK_PATTERN.sub(lambda match: f"{texts[match[2]]}<!--{match[2]}-->", document)
 
 
 def update_documents(

@@ -59,8 +59,8 @@ def compute_spectral_sensitivity(
         Value below which both spectra count as 0.
     """
     values = [
-        np.asarray(one[name].values, dtype=float)
-        for one in (y, z)
+        np.asarray(spectrum[name].values, dtype=float)
+        for spectrum in (y, z)
         for name in (quantity, f"{quantity}_stderr")
     ]
     is_dark = np.maximum(values[0], values[2]) < floor
@@ -72,12 +72,12 @@ def compute_spectral_sensitivity(
     slope_larger, slope_smaller = smaller / divisor**2, -1.0 / divisor
     y_is_larger = values[0] >= values[2]
     variance = 0.0
-    for one, is_larger in ((y, y_is_larger), (z, ~y_is_larger)):
+    for spectrum, is_larger in ((y, y_is_larger), (z, ~y_is_larger)):
         slope = (
             np.where(is_above_noise, np.where(is_larger, slope_larger, slope_smaller), 0.0)
             / larger.size
         )
-        error = compute_weighted_error(one, quantity, xr.DataArray(slope, dims="wavelength"))
+        error = compute_weighted_error(spectrum, quantity, xr.DataArray(slope, dims="wavelength"))
         variance += float(error) ** 2
     return replace(
         index, stderr=float(np.hypot(variance**0.5, _estimate_threshold_error(*values).mean()))

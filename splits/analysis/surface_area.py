@@ -211,8 +211,8 @@ def _match_spectrum(
     angles = dataset.incidence_deg.values
     matches = [i for i, angle in enumerate(angles) if column.endswith(f"@{angle:g}")]
     if not matches:
-        known = " or ".join(f"@{angle:g}" for angle in angles)
-        raise invalid("column", column, f"a name that ends with {known}, an incidence")
+        suffixes = " or ".join(f"@{angle:g}" for angle in angles)
+        raise invalid("column", column, f"a name that ends with {suffixes}, an incidence")
     snow = dataset.isel(incidence_deg=matches[0])
     spectrum = measured.dropna(subset=[column])
     return snow, np.interp(snow.wavelength.values, spectrum.wavelength_nm, spectrum[column])

@@ -47,13 +47,13 @@ Packed on {date} from commit {commit}. Licence of the results: {licence}. Author
 
 | file or folder | what |
 |---|---|
-| `data/` | datasets, netCDF with CF attributes; all inputs stand in their attributes |
+| `data/` | datasets, netCDF with CF attributes, which contain all inputs |
 | `figures/` | figures of these datasets, PNG, SVG and PDF |
 | `tables/` | tables, CSV |
-| `config/` | what made them: settings in force (those of the command line, too), experiments, \
-media, measured and published tables, refractive indices of one's own |
-| `ro-crate-metadata.json` | the list of all files with sizes, types and SHA-256; what made them, \
-authors and licences (RO-Crate {crate}) |
+| `config/` | configuration of the run: settings (with those of the command line), experiments, \
+media, measured and published tables, users' own refractive indices |
+| `ro-crate-metadata.json` | list of all files with sizes, types and SHA-256, software, authors \
+and licences (RO-Crate {crate}) |
 | `versions.json` | versions of all Python packages in use |
 | `requirements.txt` | the lock: packages with hashes that the repository pins (if it had one) |
 | `LICENSE`, `CITATION.cff` | licence of the software, and how to cite it |
@@ -158,13 +158,13 @@ def get_packing_time() -> datetime:
     ValueError
         For a value that is no time of a zip file.
     """
-    given = os.environ.get(DATE_VARIABLE)
-    if given is None:
+    text = os.environ.get(DATE_VARIABLE)
+    if text is None:
         return datetime.now(UTC)
     allowed = "seconds from 1980 to 2107, the range of zip files"
-    if not (given.isascii() and given.isdigit() and 315532800 <= int(given[:20]) < 4354819200):
-        raise invalid(DATE_VARIABLE, given, allowed)
-    return datetime.fromtimestamp(int(given), UTC)
+    if not (text.isascii() and text.isdigit() and 315532800 <= int(text[:20]) < 4354819200):
+        raise invalid(DATE_VARIABLE, text, allowed)
+    return datetime.fromtimestamp(int(text), UTC)
 
 
 def _format_readme(info: ArchiveInfo, archive: str) -> str:

@@ -132,7 +132,7 @@ class _RetrievalTask(NamedTuple):
 
     def _compute_reference_chi2(self, name: str, prior: Mapping[str, Any]) -> float:
         """Return χ² with the known parameters fixed at their reference values."""
-        known = {
+        references = {
             parameter: values[name]
             for parameter, values in self.section.reference_values.items()
             if name in values
@@ -140,11 +140,11 @@ class _RetrievalTask(NamedTuple):
         free_names = [
             parameter
             for parameter in self.section.free
-            if parameter not in known and parameter != SCALE
+            if parameter not in references and parameter != SCALE
         ]
-        if not known or not free_names or SCALE in known or self.section.noise is None:
+        if not references or not free_names or SCALE in references or self.section.noise is None:
             return np.nan
-        return float(self._retrieve(name, prior, known).dataset.attrs["chi2"])
+        return float(self._retrieve(name, prior, references).dataset.attrs["chi2"])
 
     def _make_prior(
         self, prior_results: Mapping[str, RetrievalResult], name: str

@@ -52,7 +52,7 @@ def draw_lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
     """
     dataset = select_point(dataset, at)
     dataset = dataset.isel(polar=dataset.polar.values <= MAX_POLAR_DEG)
-    whole = dataset.pad(azimuth=(0, 1), mode="wrap")
+    periodic = dataset.pad(azimuth=(0, 1), mode="wrap")
     azimuth = np.radians(np.append(dataset.azimuth.values, dataset.azimuth.values[0] + 360.0))
     plane = extract_plane(dataset)
     lines = make_lines(plane, "brdf").lines
@@ -69,7 +69,7 @@ def draw_lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
             row, column = divmod(number, columns)
             position = 2 * row * columns + column + 1
             axes = figure.add_subplot(2 * rows, columns, position, projection="3d")
-            lobe = select_line(whole, grid_line.labels)
+            lobe = select_line(periodic, grid_line.labels)
             polar = np.radians(lobe.polar.values)[:, np.newaxis]
             radius = lobe.brdf.transpose("polar", "azimuth").values
             axes.plot_surface(

@@ -24,12 +24,12 @@ MAX_COLUMNS = 16
 """Largest number of columns of colour patches."""
 MIN_AZIMUTHS, MIN_POLAR_ANGLES, MAX_AZIMUTH_GAP_DEG = 8, 3, 60.0
 """Smallest numbers of directions of a hemisphere map, and the largest gap in azimuth."""
-REDUCTION_HINT = "the dataset holds all; figure: none draws nothing"
+REDUCTION_HINT = "the dataset holds all; or use figure: none"
 
 
-def make_limit_error(what: str, count: int, limit: int, selection: object) -> ValueError:
+def make_limit_error(items: str, count: int, limit: int, selection: object) -> ValueError:
     """Return the error for a figure that exceeds a limit, with the remedy."""
-    allowed = f"with values of enough parameters to leave at most {limit} {what} of {count}"
+    allowed = f"with values of enough parameters to leave at most {limit} {items} of {count}"
     return invalid(
         "figure.select",
         dict(selection) if isinstance(selection, Mapping) else selection,
@@ -38,7 +38,7 @@ def make_limit_error(what: str, count: int, limit: int, selection: object) -> Va
     )
 
 
-def check_count(what: str, count: int, limit: int, selection: Mapping[str, object]) -> None:
+def check_count(items: str, count: int, limit: int, selection: Mapping[str, object]) -> None:
     """Reject a figure with more items than a limit.
 
     Raises
@@ -47,7 +47,7 @@ def check_count(what: str, count: int, limit: int, selection: Mapping[str, objec
         The message names the remedy.
     """
     if count > limit:
-        raise make_limit_error(what, count, limit, selection)
+        raise make_limit_error(items, count, limit, selection)
 
 
 def choose_panel_parameters(
@@ -80,11 +80,11 @@ def choose_panel_parameters(
     first, *others = (name for name, size in sizes.items() if size > 1)
     panels = n_quantities * (count // sizes[first])
     if sizes[first] > MAX_LINES or len(others) > 2 or panels > MAX_PANELS:
-        what = (
+        items = (
             f"lines, or {MAX_PANELS} panels of two more parameters with at most {MAX_LINES} "
             "lines of the first,"
         )
-        raise make_limit_error(what, count, MAX_LINES, selection or {})
+        raise make_limit_error(items, count, MAX_LINES, selection or {})
     return others
 
 
@@ -98,5 +98,5 @@ def can_map_hemisphere(polar_deg: np.ndarray, azimuth_deg: np.ndarray) -> bool:
     """
     if np.size(azimuth_deg) < MIN_AZIMUTHS or np.size(polar_deg) < MIN_POLAR_ANGLES:
         return False
-    around = np.sort(azimuth_deg)
-    return bool(np.diff(around, append=around[0] + 360.0).max() <= MAX_AZIMUTH_GAP_DEG)
+    azimuth = np.sort(azimuth_deg)
+    return bool(np.diff(azimuth, append=azimuth[0] + 360.0).max() <= MAX_AZIMUTH_GAP_DEG)

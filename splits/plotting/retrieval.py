@@ -140,9 +140,9 @@ def _insert_gaps(x: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
     return [np.insert(row.astype(float), gaps, np.nan) for row in (x, *rows)]
 
 
-def _draw_spectrum(figure: Figure, place: SubplotSpec, part: xr.Dataset, title: str) -> Axes:
+def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: str) -> Axes:
     """Draw measured and fitted reflectance and their difference; return the upper panel."""
-    inner = place.subgridspec(2, 1, height_ratios=[2.0, 1.0])
+    inner = cell.subgridspec(2, 1, height_ratios=[2.0, 1.0])
     top = figure.add_subplot(inner[0])
     bottom = figure.add_subplot(inner[1], sharex=top)
     highest = 0.0
@@ -193,10 +193,10 @@ def _draw_spectrum(figure: Figure, place: SubplotSpec, part: xr.Dataset, title: 
     return top
 
 
-def _draw_corner(figure: Figure, place: SubplotSpec, part: xr.Dataset) -> None:
+def _draw_corner(figure: Figure, cell: SubplotSpec, part: xr.Dataset) -> None:
     """Draw the posterior draws: histograms, and all pairs of parameters."""
     names = list(map(str, part.parameter.values))
-    inner = place.subgridspec(len(names), len(names), wspace=0.04, hspace=0.04)
+    inner = cell.subgridspec(len(names), len(names), wspace=0.04, hspace=0.04)
     draws = part.draws.transpose("model", "draw", "parameter").values
     shown_draws = draws[:, :: max(1, len(draws) * draws.shape[1] // MAX_DRAWS_SHOWN)]
     probabilities = [0.16, 0.5, 0.84]
@@ -234,9 +234,9 @@ def _draw_corner(figure: Figure, place: SubplotSpec, part: xr.Dataset) -> None:
             _label_corner_axes(axes, names, (i, j))
 
 
-def _label_corner_axes(axes: Axes, names: list[str], place: tuple[int, int]) -> None:
+def _label_corner_axes(axes: Axes, names: list[str], indices: tuple[int, int]) -> None:
     """Label a panel of the corner plot at its outer edges only."""
-    i, j = place
+    i, j = indices
     axes.locator_params(nbins=3, axis="x")
     if i != j:
         axes.locator_params(nbins=3, axis="y")

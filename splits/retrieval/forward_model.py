@@ -119,16 +119,16 @@ class TableForwardModel:
         self.node_values = np.ascontiguousarray(
             values.reshape(-1, values.shape[-1]) @ self.operator.matrix.T
         )
-        most = max(len(row) for row in nodes)
-        of_axes = [
+        max_nodes = max(len(row) for row in nodes)
+        coordinates = [
             state_vector.to_coordinate(i, row)
             for i, row in zip(self._axis_indices, nodes, strict=True)
         ]
-        self._axis_nodes = np.array([np.pad(row, (0, most - len(row))) for row in of_axes])
+        self._axis_nodes = np.array([np.pad(row, (0, max_nodes - len(row))) for row in coordinates])
         self._n_nodes = np.array([len(row) for row in nodes], dtype=np.int64)
 
     def make_grid(self, node_values: np.ndarray) -> TableGrid:
-        """Return the table over coordinates, with other columns."""
+        """Return the table over coordinates with other columns."""
         return TableGrid(np.ascontiguousarray(node_values), self._axis_nodes, self._n_nodes)
 
     def _compute_scale(self, states: np.ndarray) -> np.ndarray:
@@ -248,10 +248,10 @@ def get_grid_ranges(grid: ParameterGrid) -> dict[str, ParameterRange]:
 
 
 def _check_fixed_axes(
-    table: Table, state_vector: StateVector, at: Mapping[str, Any] | None
+    table: Table, state_vector: StateVector, fixed: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return the values of the axes that are not free; reject invalid ones."""
-    values = check_axis_values(at, table.axes[:-1], "fixed.", free_axes=state_vector.names)
+    values = check_axis_values(fixed, table.axes[:-1], "fixed.", free_axes=state_vector.names)
     for name in table.axes[:-1]:
         if name not in state_vector.names and name not in values and table.dataset[name].size > 1:
             raise invalid(f"fixed.{name}", None, "given", "an axis of the table that is not free")

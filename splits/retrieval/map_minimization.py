@@ -48,49 +48,49 @@ def project_spectra(spectra, mean_spectrum, projection, whitening, components, r
     components : float64[measurements, components]
     residual_chi2 : float64[measurements]
     """
-    many = len(mean_spectrum)
-    off = np.empty(many)
+    n_wavelengths = len(mean_spectrum)
+    deviation = np.empty(n_wavelengths)
     for row in range(len(spectra)):
-        square = 0.0
-        for i in range(many):
-            off[i] = spectra[row, i] - mean_spectrum[i]
-            one = 0.0
+        residual = 0.0
+        for i in range(n_wavelengths):
+            deviation[i] = spectra[row, i] - mean_spectrum[i]
+            total = 0.0
             for j in range(i + 1):
-                one += whitening[i, j] * off[j]
-            square += one * one
+                total += whitening[i, j] * deviation[j]
+            residual += total * total
         for component in range(len(projection)):
-            one = 0.0
-            for i in range(many):
-                one += projection[component, i] * off[i]
-            components[row, component] = one
-            square -= one * one
-        residual_chi2[row] = max(square, 0.0)
+            total = 0.0
+            for i in range(n_wavelengths):
+                total += projection[component, i] * deviation[i]
+            components[row, component] = total
+            residual -= total * total
+        residual_chi2[row] = max(residual, 0.0)
 
 
 @entry_point
 def find_nearest_node(
     node_values, axis_nodes, n_nodes, measurement, prior_mean, prior_precision, state
 ):
-    """Set a place to the cell in the ranges that comes nearest to a measurement."""
+    """Set the state to the node in the ranges with the smallest cost."""
     axes = len(n_nodes)
-    least = np.inf
-    at = np.empty(axes)
-    for cell in range(len(node_values)):
-        rest, inside, cost = cell, True, 0.0
+    min_cost = np.inf
+    coordinates = np.empty(axes)
+    for node in range(len(node_values)):
+        rest, inside, cost = node, True, 0.0
         for a in range(axes - 1, -1, -1):
-            at[a] = axis_nodes[a, rest % n_nodes[a]]
+            coordinates[a] = axis_nodes[a, rest % n_nodes[a]]
             rest //= n_nodes[a]
-            inside = inside and -1e-9 <= at[a] <= 1.0 + 1e-9
-            cost += prior_precision[a] * (at[a] - prior_mean[a]) ** 2
+            inside = inside and -1e-9 <= coordinates[a] <= 1.0 + 1e-9
+            cost += prior_precision[a] * (coordinates[a] - prior_mean[a]) ** 2
         if not inside:
             continue
         for column in range(len(measurement)):
-            cost += (node_values[cell, column] - measurement[column]) ** 2
-        if cost < least:
-            least = cost
+            cost += (node_values[node, column] - measurement[column]) ** 2
+        if cost < min_cost:
+            min_cost = cost
             for a in range(axes):
-                state[a] = min(max(at[a], 0.0), 1.0)
-    if least == np.inf:
+                state[a] = min(max(coordinates[a], 0.0), 1.0)
+    if min_cost == np.inf:
         state[:] = 0.5
 
 

@@ -25,7 +25,7 @@ from splits.tables.table import Table
 MAX_COMPONENTS = 24
 """Largest number of principal components of spectra."""
 MIN_COMPONENT_VARIANCE = 0.01
-"""Part of the noise variance of a component below which what it tells is left out."""
+"""Smallest variance of a component over the table, relative to the noise."""
 FLAGS = {
     "gap": 1,
     "out_of_range": 2,
@@ -119,7 +119,8 @@ def retrieve_map(
     xarray.Dataset
         Every parameter and its ``…_stderr`` over the image's dimensions; ``chi2``, and what to
         expect of it as its attribute ``expected``; ``flags``, sums of those that the attribute
-        ``flag_meanings`` names.  Pixels with gaps, or beyond any reflectance, have NaN and a flag.
+        ``flag_meanings`` names.  Pixels with gaps, or with invalid reflectances, have NaN and a
+        flag.
 
     Raises
     ------
@@ -264,24 +265,24 @@ class _MapRetrieval(NamedTuple):
 
 
 def _make_dataset(
-    found: xr.DataArray, state_vector: StateVector, retrieval: _MapRetrieval
+    results: xr.DataArray, state_vector: StateVector, retrieval: _MapRetrieval
 ) -> xr.Dataset:
     """Return the dataset of parameters, errors, misfit and flags."""
     variables: dict[str, Any] = {}
-    dims = tuple(str(d) for d in found.dims[:-1])
+    dims = tuple(str(d) for d in results.dims[:-1])
     for i, name in enumerate(state_vector.names):
         long_name, units = describe_parameter(name)
         pair = make_variable(
             name,
             dims,
-            found[..., i].data,
-            found[..., len(state_vector.names) + i].data,
+            results[..., i].data,
+            results[..., len(state_vector.names) + i].data,
             long_name,
             units,
         )
         variables |= pair
     variables |= make_variable(
-        "chi2", dims, found[..., -2].data, None, "sum of squares of the misfit"
+        "chi2", dims, results[..., -2].data, None, "sum of squares of the misfit"
     )
     variables["chi2"][2]["expected"] = retrieval.compute_expected_chi2()
     for _, _, variable_attributes in variables.values():
@@ -289,12 +290,12 @@ def _make_dataset(
         variable_attributes[ANCILLARY_ATTRIBUTE] = (
             f"{variable_attributes.get(ANCILLARY_ATTRIBUTE, '')} flags".strip()
         )
-    flags = found[..., -1].astype(np.int16)
+    flags = results[..., -1].astype(np.int16)
     flag_attributes = {
         "long_name": "flags", "units": "1", "flag_masks": np.array(list(FLAGS.values()), np.int16),
         "flag_meanings": " ".join(FLAGS),
     }  # fmt: skip
     variables["flags"] = (dims, flags.data, flag_attributes)
     attributes = {"title": "Map of a retrieval", **make_provenance("map of a retrieval")}
-    coordinates = {k: v for k, v in found.coords.items() if k != RESULT_DIM}
+    coordinates = {k: v for k, v in results.coords.items() if k != RESULT_DIM}
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))

@@ -94,12 +94,12 @@ class RetrievalResult:
                 suffix += ", not constrained by the measurement"
             lines.append(f"{name} {middle:.4g} ({low:.4g} to {high:.4g}){suffix}")
         attributes = self.dataset.attrs
-        known = f"chi2 {attributes['chi2']:.4g} of {attributes['chi2_expected']:.4g}"
-        unknown = (
+        known_noise = f"chi2 {attributes['chi2']:.4g} of {attributes['chi2_expected']:.4g}"
+        unknown_noise = (
             f"rms {attributes['rmse']:.4g}, from which errors are estimated, as noise is not given"
         )
         lines.append(
-            f"misfit: {known if attributes['noise'] == NOISE_GIVEN else unknown}; "
+            f"misfit: {known_noise if attributes['noise'] == NOISE_GIVEN else unknown_noise}; "
             f"{attributes['degrees_of_freedom']:.2f} degrees of freedom of signal, "
             f"{attributes['information_bits']:.1f} bits"
         )
@@ -249,7 +249,9 @@ def _list_warnings(
             f"{np.sqrt(variance_inflation):.3g}, and may still be too small"
         )
     unconstrained = [
-        name for name, known in zip(state_vector.names, constrained, strict=True) if not known
+        name
+        for name, is_constrained in zip(state_vector.names, constrained, strict=True)
+        if not is_constrained
     ]
     if unconstrained:
         warnings.append(f"not constrained by the measurement: {', '.join(unconstrained)}")

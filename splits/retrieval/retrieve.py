@@ -135,7 +135,7 @@ def retrieve(
     seed = check_integer("seed", seed, 0)
     if isinstance(model, Table):
         if max_stderr is not None:
-            raise invalid("max_stderr", max_stderr, "left out", "a table has errors of its own")
+            raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
         check_choice("quantity", quantity, model.quantities)
         measurement = Measurement.from_input(measured, noise, bands)
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
@@ -148,9 +148,9 @@ def retrieve(
             solution = _solve(forward_model, measurement, seed)
         return make_result(state_vector, measurement, solution)
     if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
-        given = type(model).__name__
+        type_name = type(model).__name__
         hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
-        raise invalid("model", given, "a Table, or a medium", hint)
+        raise invalid("model", type_name, "a Table, or a medium", hint)
     check_choice("quantity", quantity, ["reflectance"])
     measurement = Measurement.from_input(measured, noise, bands)
     incidence = check_measurement_incidence(fixed, free)

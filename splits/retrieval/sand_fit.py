@@ -311,12 +311,12 @@ def estimate_parameter_errors(
     which do not depend on the scale of the parameter.
     """
     uniform = np.random.default_rng(1).random(draws.shape)
-    drawn, prior_samples = (
+    posterior_samples, prior_samples = (
         [cube.to_parameters(state) for state in states] for states in (draws, uniform)
     )
     parameters = {}
     for name, value in cube.to_parameters(best).items():
-        values = np.array([sample[name] for sample in drawn])
+        values = np.array([sample[name] for sample in posterior_samples])
         ordered = np.sort([sample[name] for sample in prior_samples])
         rank, ranks = np.searchsorted(ordered, value), np.searchsorted(ordered, values)
         prior_spread = _compute_rms(np.arange(len(ordered)) - rank)

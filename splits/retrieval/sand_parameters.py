@@ -30,9 +30,9 @@ DEFAULT_RANGES: dict[str, tuple[float, float]] = {
     "clay": (1e-4, 0.1),
 }
 """Default ranges, SPLITS Table 2: ``pure`` is the mass fraction of pure particles,
-``coated_fraction`` the coated part of the others, ``fines`` silt + 1.5 clay, and ``clay`` the mass
-fraction of clay, which besides cannot exceed fines/1.5.  Clay of less than Sand's ``size_tail``
-is as good as none."""
+``coated_fraction`` the coated fraction of the others, ``fines`` silt + 1.5 clay, and ``clay`` the
+mass fraction of clay, limited to fines/1.5.  Clay below the ``size_tail`` of `splits.Sand` is
+negligible."""
 
 RANGE_LIMITS: dict[str, tuple[float, float]] = {
     **dict.fromkeys(DEFAULT_RANGES, (0.0, 1.0)),

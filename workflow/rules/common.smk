@@ -80,7 +80,7 @@ REPORTS = {
 
 
 def pattern(names):
-    """Return a regular expression for names of experiments, which matches nothing if there are none."""
+    """Return a regular expression for names of experiments; without any it has no match."""
     return "|".join(names) or "(?!)"
 
 

@@ -58,28 +58,29 @@ def make_law_table(
             law,
             f"with {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid",
         )
-    kept = [
+    law_axes = [
         axis
         for axis in axes
         if axis in (size, INCIDENCE)
         or (parse_impurity_parameter(axis) or ("",))[0] == IMPURITY_KEYWORD
     ]
-    for name in [axis for axis in axes if axis not in (*kept, model_axis)]:
+    for name in [axis for axis in axes if axis not in (*law_axes, model_axis)]:
         if dataset[name].dtype.kind != "f" or float(dataset[name].values.min()) != 0.0:
             raise invalid(
                 "retrieve.compare_with", law, f"left out where {name} is on the grid without 0"
             )
     wavelength = dataset.wavelength.values
     ice, absorbed = snowoptics.refice(1e-9 * wavelength, "p2016")
-    shape = [dataset.sizes[axis] for axis in kept]
+    shape = [dataset.sizes[axis] for axis in law_axes]
     values = np.empty((*shape, wavelength.size))
     for index in np.ndindex(*shape):
         values_at = {
-            axis: dataset[axis].values[position] for axis, position in zip(kept, index, strict=True)
+            axis: dataset[axis].values[position]
+            for axis, position in zip(law_axes, index, strict=True)
         }
         amounts = {
             str(parsed[1]): float(values_at[axis])
-            for axis in kept
+            for axis in law_axes
             if (parsed := parse_impurity_parameter(axis))
         }
         per_ice = sum(
@@ -102,7 +103,7 @@ def make_law_table(
         values[index] = _compute_albedo(
             1e-9 * wavelength, incidence, float(area), (ice, absorbed + added_k)
         )
-    dims = (*kept, "wavelength")
+    dims = (*law_axes, "wavelength")
     coordinates = {axis: dataset[axis] for axis in dims}
     attributes = dataset.reflectance.attrs
     stderr = np.full(values.shape, FORMULA_STDERR)

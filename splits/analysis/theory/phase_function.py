@@ -303,30 +303,32 @@ def to_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
 
 
 def write_libradtran(optics: xr.Dataset, path: str | Path) -> None:
-    """Write the optical properties of a layer as libRadtran's ``wc_files`` and ``ic_files`` name.
+    """Write the optical properties of a layer for libRadtran's ``wc_files`` and ``ic_files``.
 
-    A line for each wavelength: nm, extinction (1/km), single-scattering albedo, moments from 0 on.
+    Each line has wavelength (nm), extinction (1/km), single-scattering albedo, moments from 0 on.
 
     Parameters
     ----------
     optics : xarray.Dataset
         As for `phase_function`.
     path : path
-        The file appears whole or not at all.
+        The file is written atomically.
     """
     optics = _check_moments(optics)
     columns = [optics.wavelength.values, 1e3 * optics.extinction.values, optics[ALBEDO].values]
     table = np.column_stack([*columns, optics[MOMENT].values])
-    with atomic_write(path) as aside:
-        np.savetxt(aside, table, fmt="%.8g", header="nm, 1/km, albedo, Legendre moments from 0 on")
+    with atomic_write(path) as temporary_path:
+        np.savetxt(
+            temporary_path, table, fmt="%.8g", header="nm, 1/km, albedo, Legendre moments from 0 on"
+        )
 
 
 def _check_moments(optics: xr.Dataset) -> xr.Dataset:
-    """Return what `splits.single_scattering` returned, moments ascending and last, or refuse it."""
+    """Return optics with ascending moments along the last axis; reject other datasets."""
     attrs = optics.attrs if isinstance(optics, xr.Dataset) else {"title": type(optics).__name__}
     if "diffraction" not in attrs or f"{MOMENT}_jackknife" not in optics:
-        given = attrs.get("title", "a dataset")
-        raise invalid("optics", given, "what splits.single_scattering returns")
+        title = attrs.get("title", "a dataset")
+        raise invalid("optics", title, "the output of splits.single_scattering")
     check_no_gaps("optics", optics)
     optics = optics.sortby("order").transpose(..., "wavelength", "order")
     if not np.array_equal(optics.order, np.arange(optics.sizes["order"])):

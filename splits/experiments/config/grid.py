@@ -209,8 +209,8 @@ def find_label(parameter: str, values: Mapping[str, Any], given: float | str) ->
     if text in values and not _is_number(values[text]):
         return text
     names = ", ".join(format_key(label) for label in list(values)[:12])
-    more = f", … ({len(values)} in all)" if len(values) > 12 else ""
-    raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{more}")
+    suffix = f", … ({len(values)} in all)" if len(values) > 12 else ""
+    raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{suffix}")
 
 
 def _is_same_value(value: Any, given: float | str) -> bool:

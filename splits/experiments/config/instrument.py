@@ -59,7 +59,7 @@ UNUSED_SETTINGS = {
     "refractive_index": ("incidence_deg", "stderr_scale", "seed"),
 }
 """Settings that these instruments do not have, unlike all others."""
-USE_GRID_HINT = "several values go under grid"
+USE_GRID_HINT = "several values belong under grid"
 SURFACE_INSTRUMENTS = ("surface_map", "lens")
 """Instruments that measure a rough surface only."""
 REQUIRED_SETTINGS = {"surface_map": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
@@ -177,7 +177,7 @@ class InstrumentSection(ConfigSection):
                 hint = "range of the search for the crest; or centre_on: origin"
                 raise invalid("half_width_m", None, "given for lens", hint)
             if self.half_width_m is not None and self.centre_on == "origin":
-                hint = "nothing is searched for"
+                hint = "there is no search for a crest"
                 raise invalid("half_width_m", self.half_width_m, "left out over the origin", hint)
             depths = check_screen_depths("screen_depth_m", self.screen_depth_m)
             check_ring_radius(self.radius_m)

@@ -148,12 +148,12 @@ def _check_figure_table(experiment: ExperimentConfig, measured: pd.DataFrame) ->
             )
 
 
-def _resolve_samples(given: Any, folder: Path) -> dict[str, Any]:
+def _resolve_samples(samples: Any, folder: Path) -> dict[str, Any]:
     """Return the media of a grid by label; names of files are replaced by their content."""
-    if isinstance(given, list) and not all(isinstance(name, str) for name in given):
+    if isinstance(samples, list) and not all(isinstance(name, str) for name in samples):
         allowed = "names of files, or a mapping from labels to media"
-        raise invalid(f"grid.{SAMPLE_KEY}", given, allowed)
-    named = {name: name for name in given} if isinstance(given, list) else given
+        raise invalid(f"grid.{SAMPLE_KEY}", samples, allowed)
+    named = {name: name for name in samples} if isinstance(samples, list) else samples
     return {
         label: _apply_all_bases(
             {"base": value} if isinstance(value, str) else value,
@@ -181,7 +181,7 @@ def _apply_base(medium: Any, key: str, folder: Path) -> Any:
 def _apply_all_bases(medium: Any, key: str, folder: Path) -> Any:
     """Return the settings of a medium, or of a stack and its layers, with their bases applied."""
     medium = _apply_base(medium, key, folder)
-    return apply_bases(key, medium, lambda layer, place: _apply_base(layer, place, folder))
+    return apply_bases(key, medium, lambda layer, layer_key: _apply_base(layer, layer_key, folder))
 
 
 def load_experiments(

@@ -59,10 +59,10 @@ def iter_layers(key: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]
     if not isinstance(layers, (list, tuple)) or not layers:
         raise invalid(f"{key}.{LAYERS_KEY}", layers, "a list of layers, top first")
     for number, layer in enumerate(layers):
-        place = f"{key}.{LAYERS_KEY}.{number}"
+        layer_key = f"{key}.{LAYERS_KEY}.{number}"
         if not isinstance(layer, Mapping):
-            raise invalid(place, layer, "a mapping of a medium's keywords")
-        yield place, layer
+            raise invalid(layer_key, layer, "a mapping of a medium's keywords")
+        yield layer_key, layer
 
 
 def check_layers(prefix: str, layers: Any) -> None:
@@ -157,7 +157,9 @@ def apply_bases(key: str, medium: Any, apply_base: Callable[[Any, str], Any]) ->
     """
     if not isinstance(medium, Mapping) or LAYERS_KEY not in medium:
         return medium
-    layers = [apply_base(layer, place) for place, layer in iter_layers(key, medium[LAYERS_KEY])]
+    layers = [
+        apply_base(layer, layer_key) for layer_key, layer in iter_layers(key, medium[LAYERS_KEY])
+    ]
     return {**medium, LAYERS_KEY: layers}
 
 

@@ -42,10 +42,10 @@ def check_retrieve_section(
     instrument, grid = experiment.instrument, experiment.grid
     if instrument.kind != "table":
         raise invalid("instrument.kind", instrument.kind, "table with a section retrieve")
-    given = sorted(figure_keys)
-    if given:
+    figure_settings = sorted(figure_keys)
+    if figure_settings:
         hint = "the figure shows the retrieved parameters"
-        raise invalid("figure", given, "left out with a section retrieve", hint)
+        raise invalid("figure", figure_settings, "left out with a section retrieve", hint)
     if "reflectance" not in (instrument.quantities or ("reflectance",)):
         raise invalid("instrument.quantities", instrument.quantities, "with reflectance")
     rows = dict(zip(*experiment.make_axes(), strict=True))
@@ -101,8 +101,8 @@ def check_measured_spectra(
         fixed = section.get_fixed_values(name, list(rows))
         for axis, value in fixed.items():
             check_within_axis(f"retrieve ({name}): {axis}", value, rows.get(axis))
-        given = {*fixed, *section.free, *fixed_of_first.get(name, {})}
-        if len(rows.get(INCIDENCE, ())) > 1 and INCIDENCE not in given:
+        assigned = {*fixed, *section.free, *fixed_of_first.get(name, {})}
+        if len(rows.get(INCIDENCE, ())) > 1 and INCIDENCE not in assigned:
             hint = f"its angle in the name, {name}@50, or retrieve.fixed.{INCIDENCE}"
             raise invalid(f"retrieve ({name}): {INCIDENCE}", None, "given", hint)
 
@@ -124,13 +124,13 @@ def _check_models(section: RetrieveSection, axes: AxisNodes) -> None:
     if axis not in text_axes:
         allowed = f"one of {', '.join(text_axes)}" if text_axes else "left out: no axis is of texts"
         raise invalid("retrieve.model_axis", axis, allowed, "an axis of the grid")
-    given = [
+    assigned = [
         ("fixed", section.fixed),
         ("free", section.free),
         ("reference_values", section.reference_values),
     ]
-    given += [("prior_from.fixed", first.fixed) for first in section.prior_from]
-    for key, mapping in given:
+    assigned += [("prior_from.fixed", first.fixed) for first in section.prior_from]
+    for key, mapping in assigned:
         if axis in mapping:
             raise invalid(f"retrieve.{key}.{axis}", "given", "left out", "it is model_axis")
 
@@ -156,7 +156,7 @@ def check_within_axis(key: str, value: Any, nodes: tuple[Any, ...] | None) -> No
     if nodes is None:
         return
     if isinstance(nodes[0], str) or isinstance(value, str):
-        check_choice(key, value, [str(one) for one in nodes])
+        check_choice(key, value, [str(node) for node in nodes])
     elif not nodes[0] <= snap_to_limits(value, nodes[0], nodes[-1]) <= nodes[-1]:
         raise invalid(key, value, f"{nodes[0]:g} to {nodes[-1]:g}, the range of the grid")
 

@@ -192,8 +192,8 @@ class Settings(ConfigSection):
         for label, name in self.explorer_directions.items():
             key = f"explorer_directions.{label} = {name!r}"
             if label not in self.explorer:
-                known = ", ".join(self.explorer) or "none"
-                raise ConfigError(f"{key}: must have the name of a table in explorer ({known})")
+                labels = ", ".join(self.explorer) or "none"
+                raise ConfigError(f"{key}: must have the name of a table in explorer ({labels})")
             if name not in available:
                 continue
             experiment = available[name]

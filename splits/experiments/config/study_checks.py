@@ -158,8 +158,8 @@ def _check_study_names(study: str, definition: Study, studies: Mapping[str, Stud
         raise invalid("name", study, f"{NAME_RULE}, none of the workflow's rules")
     if definition.sensitivity is not None:
         kinds = {name: other.kind for name, other in studies.items()}
-        known = [name for name, kind in kinds.items() if kind == "sensitivity"]
-        check_choice("sensitivity", definition.sensitivity, known)
+        sensitivity_studies = [name for name, kind in kinds.items() if kind == "sensitivity"]
+        check_choice("sensitivity", definition.sensitivity, sensitivity_studies)
 
 
 def _check_files(definition: Study, tables: Mapping[str, Path]) -> None:

@@ -55,9 +55,9 @@ def collect_keywords(content: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
     samples = grid.get(SAMPLE_KEY)
     sections = {"medium": content.get("medium"), "grid": grid}
     if isinstance(samples, Mapping):
-        sections |= {f"grid.{SAMPLE_KEY}.{label}": given for label, given in samples.items()}
-    for prefix, given in sections.items():
-        for key, value in given.items() if isinstance(given, Mapping) else ():
+        sections |= {f"grid.{SAMPLE_KEY}.{label}": settings for label, settings in samples.items()}
+    for prefix, settings in sections.items():
+        for key, value in settings.items() if isinstance(settings, Mapping) else ():
             keywords[key] = f"{prefix}.{key}", value
     return keywords
 
@@ -82,8 +82,8 @@ def check_replaced_settings(content: Mapping[str, Any]) -> None:
         }
     if isinstance(instrument, Mapping) and INCIDENCE in instrument:
         sections["instrument"] = {INCIDENCE: instrument[INCIDENCE]}
-    for prefix, given in sections.items():
-        for key, value in given.items() if isinstance(given, Mapping) else ():
+    for prefix, section in sections.items():
+        for key, value in section.items() if isinstance(section, Mapping) else ():
             parameter = replacements.get(REPLACED_FIELDS.get(str(key), str(key)))
             # Layers are given completely while a grid varies some settings; mappings are merged.
             if parameter is not None and key not in (*MERGED_KEYWORDS, LAYERS_KEY, SAMPLE_KEY):

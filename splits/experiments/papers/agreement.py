@@ -154,7 +154,8 @@ def _compute_density_effect(dataset: xr.Dataset) -> dict[str, ValueAndStderr]:
     def compute_stderr(weights: np.ndarray) -> float:
         weight = xr.DataArray(weights, dims="wavelength")
         errors = [
-            float(compute_weighted_error(one, "reflectance", weight)) for one in (loose, dense)
+            float(compute_weighted_error(spectrum, "reflectance", weight))
+            for spectrum in (loose, dense)
         ]
         return math.hypot(*errors)
 

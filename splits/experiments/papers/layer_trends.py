@@ -64,12 +64,12 @@ def _make_lens_row(dataset: xr.Dataset) -> dict[str, object]:
 
 def _make_volume_row(plane: xr.Dataset) -> dict[str, object]:
     """Return the comparison of a surface above a volume with the surface only."""
-    both, alone = (plane.sel(medium=name) for name in ("surface and volume", "surface only"))
+    both, surface = (plane.sel(medium=name) for name in ("surface and volume", "surface only"))
     return make_significance_row(
         "very rough glass: BRDF (1/sr) that the volume adds, where least significant",
         "Fig 3",
-        (both.brdf - alone.brdf).values,
-        np.hypot(both.brdf_stderr, alone.brdf_stderr).values,
+        (both.brdf - surface.brdf).values,
+        np.hypot(both.brdf_stderr, surface.brdf_stderr).values,
     )
 
 

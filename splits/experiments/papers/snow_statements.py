@@ -66,7 +66,7 @@ def _compute_table3(run: InterpretationRun) -> StatementValues:
         list(TABLE3_WAVELENGTHS_NM.values()), run.errors.bands, 62.3, depth_m=0.25
     )
     arrays = [
-        np.array([one[name].values for one in spectra])
+        np.array([spectrum[name].values for spectrum in spectra])
         for name in ("reflectance", "reflectance_stderr")
     ]
     return {
@@ -77,9 +77,12 @@ def _compute_table3(run: InterpretationRun) -> StatementValues:
 def _compute_max_transmittance(run: InterpretationRun) -> StatementValues:
     """Return the largest transmittance, at the wavelengths where snow absorbs least (Fig 7)."""
     spectra = run.simulate_spectra(np.arange(400.0, 501.0, 20.0), run.errors.transmittance)
-    best = [one.isel(wavelength=int(one.transmittance.values.argmax())) for one in spectra]
+    best = [
+        spectrum.isel(wavelength=int(spectrum.transmittance.values.argmax()))
+        for spectrum in spectra
+    ]
     value, error = (
-        np.array([float(one[name]) for one in best])
+        np.array([float(spectrum[name]) for spectrum in best])
         for name in ("transmittance", "transmittance_stderr")
     )
     return {"transmittance_max": (value, error)}

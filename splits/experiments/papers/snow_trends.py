@@ -230,13 +230,13 @@ def _make_facetness_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
 def _make_band_comparison_row(dataset: xr.Dataset) -> dict[str, object]:
     """Return the comparison of the decrease with grain size in 700-1300 nm and in 400-700 nm."""
     ends = dataset.isel(grain_size_um=[0, -1])
-    near, near_error = compute_steps(ends, "reflectance", "grain_size_um", 700, 1300)
+    infrared, infrared_error = compute_steps(ends, "reflectance", "grain_size_um", 700, 1300)
     visible, visible_error = compute_steps(ends, "reflectance", "grain_size_um", 400, 700)
     return make_significance_row(
         "reflectance falls more with grain size in 700-1300 nm than in 400-700 nm",
         "Fig 8",
-        visible - near,
-        np.hypot(near_error, visible_error),
+        visible - infrared,
+        np.hypot(infrared_error, visible_error),
     )
 
 

@@ -155,7 +155,7 @@ def test_a_browser_shows_where_light_goes(written, tmp_path, size, beam):
         optical_radius_um=np.log(min(size, 960.0)), incidence_deg=-np.cos(np.radians(min(beam, 60)))
     )
     np.testing.assert_allclose(found, np.exp(expected.values), rtol=0.0, atol=2e-5)
-    assert "2 % of it typically, 4 % at most" in text
+    assert "2 % typically, 4 % at most" in text
     assert ("nearest of 60 to 960" in text) == (size > 960.0)
 
 

@@ -70,7 +70,7 @@ def test_tables_and_directions_are_taken(available):
         ({"explorer": {"snow": "texts"}}, ".*its axis ground must have at least two numbers"),
         (
             {"explorer": {"snow": "deep"}, "explorer_directions": {"sand": "where"}},
-            r"explorer_directions.sand = 'where': no table is called so",
+            r"explorer_directions.sand = 'where': must have the name of a table",
         ),
         (
             {"explorer": {"snow": "deep"}, "explorer_directions": {"snow": "elsewhere"}},

@@ -48,7 +48,7 @@ def test_a_panel_for_all_or_panels_for_the_others():
     assert choose_panel_parameters({"one": 1, "a": 40, "b": 4, "c": 5}) == ["b", "c"]
     for sizes in ({"a": 70}, {"a": 20, "b": 80}, {"a": 9, "b": 3, "c": 2, "d": 2}):
         with pytest.raises(
-            ValueError, match=r"^figure\.select = {}: must be with values of so many"
+            ValueError, match=r"^figure\.select = {}: must be with values of enough"
         ):
             choose_panel_parameters(sizes)
 
@@ -69,7 +69,7 @@ def test_a_panel_for_all_or_panels_for_the_others():
 )  # fmt: skip
 def test_what_no_figure_shows_is_refused_before_anything_runs(tmp_path, text, count):
     with pytest.raises(
-        ConfigError, match=rf"figure\.select = {{}}: must be .* left of {count}"
+        ConfigError, match=rf"figure\.select = {{}}: must be .* of {count}"
     ) as told:
         load_text(tmp_path, text)
     assert "\n" not in str(told.value) and "figure: none" in str(told.value)

@@ -156,7 +156,7 @@ def test_a_known_sand_is_met():
     assert result.rmse < 0.006
     shown = repr(result).splitlines()
     assert shown[0].startswith("misfit 0.00") and len(shown) == 1 + len(result.parameters)
-    assert shown[1].startswith("iron_oxide") and shown[1].endswith("told by the spectrum")
+    assert shown[1].startswith("iron_oxide") and shown[1].endswith("  constrained")
     assert result.rmse_stderr <= 0.002
     misfit = np.sqrt(np.mean((result.modelled - wanted.values) ** 2))
     assert result.rmse == pytest.approx(misfit)

@@ -102,7 +102,7 @@ def test_a_gross_misfit_is_said_of_as_few_values_as_parameters(table, wavelength
     free = [SIZE, SOOT][: w.size]
     at = FIXED if w.size > 1 else {**FIXED, SOOT: 50.0}
     found = splits.retrieve((w, np.full(w.size, 1.5)), table, free, 0.01, fixed=at)
-    assert any("does not follow" in line for line in found.warnings)
+    assert any("does not fit" in line for line in found.warnings)
 
 
 def test_a_prior_of_what_is_hardly_told_contradicts_nothing():

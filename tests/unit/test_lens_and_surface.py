@@ -113,7 +113,7 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
          "expansion or bins"),
         ({"medium": LAYER, "instrument": {"radius_m": 1}}, "left out for spectrophotometer"),
         ({"medium": {"kind": "particle_layer", "density_kg_m3": 3}}, "density_kg_m3"),
-        ({"medium": {"kind": "particle_layer"}}, "layers have no colour"),
+        ({"medium": {"kind": "particle_layer"}}, "properties of layers"),
         ({"medium": {"kind": "particle_layer", "optical_thickness": "inf"}}, ".inf in YAML"),
         ({"medium": LAYER, "instrument": {"kind": "surface_map", "half_width_m": 1},
           "grid": {"refractive_index": [1.3, 1.5]}}, "figure.select"),

@@ -94,7 +94,7 @@ def test_whole_numbers_may_be_written_with_an_exponent(tmp_path, rays):
     ],
 )
 def test_lists_of_values_belong_under_grid(tmp_path, content):
-    assert read_message(tmp_path, content).endswith("(several values go under grid)")
+    assert read_message(tmp_path, content).endswith("(several values belong under grid)")
 
 
 KEY_LOCATIONS = [

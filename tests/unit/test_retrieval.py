@@ -138,8 +138,8 @@ def test_what_is_not_told_is_said(table):
     found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"], 0.01,
                             fixed={SOOT: 50.0})  # fmt: skip
     assert found.constrained == {SIZE: True, "incidence_deg": False}
-    assert any("not told by the measurement: incidence_deg" in line for line in found.warnings)
-    assert "not told by the measurement" in repr(found)
+    assert any("not constrained by the measurement: incidence_deg" in line for line in found.warnings)
+    assert "not constrained by the measurement" in repr(found)
     assert found.dataset.attrs["degrees_of_freedom"] == pytest.approx(1.0, abs=0.02)
 
 
@@ -155,7 +155,7 @@ def test_a_misfit_enlarges_the_errors(table):
         (W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.005, fixed={**FIXED, SOOT: 50.0}
     )
     found = splits.retrieve((W, bumpy), table, [SIZE], 0.005, fixed={**FIXED, SOOT: 50.0})
-    assert any("does not follow" in line for line in found.warnings)
+    assert any("does not fit" in line for line in found.warnings)
     assert found.stderr[SIZE] > 3.0 * plain.stderr[SIZE]
 
 
@@ -175,7 +175,7 @@ def test_unknown_noise_is_found_from_the_misfit(table):
         stated.append(own.std())
     # 100 fits know an rms to 7 %: three of these; from few values errors are rather too large.
     assert 0.6 < np.sqrt(np.mean((np.array(off) / np.array(stated)) ** 2)) < 1.21
-    assert "as no noise was told" in repr(found)
+    assert "as noise is not given" in repr(found)
     least = np.sqrt(np.mean((found.dataset.fitted - found.dataset.measured) ** 2))
     assert found.dataset.attrs["rmse"] == pytest.approx(float(least))
 

@@ -297,7 +297,7 @@ def test_too_few_wavelengths_to_estimate_the_noise_are_rejected_when_the_file_is
     section = {key: value for key, value in SECTION.items() if key != "noise"}
     experiment = ExperimentConfig.model_validate(TABLE | {"retrieve": section})
     few = pd.DataFrame({"wavelength_nm": [500, 700, 900], "a": [0.9, 0.8, 0.5]})
-    line = r"^retrieve \(a\)\.noise = None: must be given \(3 values are too few to find it"
+    line = r"^retrieve \(a\)\.noise = None: must be given \(3 values are too few to estimate it"
     with pytest.raises(ValueError, match=line):
         check_measured_spectra(experiment, experiment.retrieve, few)
 

@@ -194,6 +194,7 @@ def _make_fit_dataset(
         stack([getattr(r, name) for r in results])
         for name in ("rmse", "rmse_stderr", "evaluations")
     )
+    correlation_label = "correlation of the fit's coordinates"
     constrained_label = "1 where the spectrum narrows the parameter to below half of its range"
     variables: dict[str, Variable] = {
         **make_variable("reflectance", spectrum_dims, modelled, error, "modelled reflectance"),
@@ -201,13 +202,7 @@ def _make_fit_dataset(
         **make_variable("measured", spectrum_dims, measured, None, "measured reflectance"),
         **make_variable("value", parameter_dims, value, value_error, "fitted parameter"),
         **make_variable("constrained", parameter_dims, constrained, None, constrained_label),
-        **make_variable(
-            "correlation",
-            coordinate_dims,
-            correlation,
-            None,
-            "correlation of the fit's coordinates",
-        ),
+        **make_variable("correlation", coordinate_dims, correlation, None, correlation_label),
         **make_variable("rmse", dims, rmse, rmse_error, "root mean square misfit"),
         **make_variable("evaluations", dims, evaluations, None, "number of sands simulated"),
     }

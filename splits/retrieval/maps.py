@@ -272,15 +272,8 @@ def _make_dataset(
     dims = tuple(str(d) for d in results.dims[:-1])
     for i, name in enumerate(state_vector.names):
         long_name, units = describe_parameter(name)
-        pair = make_variable(
-            name,
-            dims,
-            results[..., i].data,
-            results[..., len(state_vector.names) + i].data,
-            long_name,
-            units,
-        )
-        variables |= pair
+        value, stderr = (results[..., j].data for j in (i, len(state_vector.names) + i))
+        variables |= make_variable(name, dims, value, stderr, long_name, units)
     variables |= make_variable(
         "chi2", dims, results[..., -2].data, None, "sum of squares of the misfit"
     )

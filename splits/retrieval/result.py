@@ -143,22 +143,18 @@ def make_result(
     """Return the result of a retrieval as a dataset."""
     (best, *_), summary, draws, variance_inflation, _, model_error, *_ = solution
     names = list(state_vector.names)
-    physical = state_vector.to_physical(draws.states)
+    value, physical = state_vector.to_physical(best.state), state_vector.to_physical(draws.states)
     spread = draws.states.std(axis=0)
     prior_sd = np.sqrt(state_vector.prior_variance)
     constrained = spread < UNDETERMINED_FRACTION * prior_sd
     noise = np.sqrt(np.diag(measurement.covariance))
     parameter_dims, pair_dims = ("parameter",), ("parameter", "other_parameter")
+    quantiles = np.quantile(physical, QUANTILES, axis=0)
     with np.errstate(invalid="ignore"):
         correlation = np.nan_to_num(np.atleast_2d(np.corrcoef(draws.states, rowvar=False)))
-    labels = [f"{name}: {describe_parameter(name)[0]}" for name in names]
     variables = {
         **make_variable(
-            "value",
-            parameter_dims,
-            state_vector.to_physical(best.state),
-            physical.std(axis=0),
-            "most probable value",
+            "value", parameter_dims, value, physical.std(axis=0), "most probable value"
         ),
         **make_variable("mean", parameter_dims, physical.mean(axis=0), None, "mean"),
         **make_variable(
@@ -168,13 +164,7 @@ def make_result(
             None,
             "1 where the measurement halves the prior standard deviation",
         ),
-        **make_variable(
-            "quantiles",
-            ("quantile", "parameter"),
-            np.quantile(physical, QUANTILES, axis=0),
-            None,
-            "quantiles",
-        ),
+        **make_variable("quantiles", ("quantile", "parameter"), quantiles, None, "quantiles"),
         **make_variable(
             "averaging_kernel",
             pair_dims,
@@ -202,17 +192,23 @@ def make_result(
         "warnings": "; ".join(_list_warnings(state_vector, solution, constrained)) or "none",
         **make_provenance("retrieval"),
     }
+    coordinates = _make_coordinates(names, measurement.wavelength_nm)
+    return RetrievalResult(xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes)))
+
+
+def _make_coordinates(names: list[str], wavelength_nm: np.ndarray) -> dict[str, Any]:
+    """Return the coordinates of the dataset of a result."""
+    labels = [f"{name}: {describe_parameter(name)[0]}" for name in names]
     units = [describe_parameter(name)[1] if name != SCALE else "1" for name in names]
-    axes = {
+    return {
         "parameter": ("parameter", names, {"long_name": "parameter"}),
         "other_parameter": ("other_parameter", names, {"long_name": "parameter"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),
         "parameter_label": ("parameter", labels, {"long_name": "parameter in words"}),
         "quantile": ("quantile", np.array(QUANTILES), {"long_name": "probability", "units": "1"}),
         "draw": ("draw", np.arange(N_DRAWS), {"long_name": "draw"}),
-        "wavelength": make_wavelength_coordinate(measurement.wavelength_nm),
+        "wavelength": make_wavelength_coordinate(wavelength_nm),
     }
-    return RetrievalResult(xr.Dataset(variables, axes, to_netcdf_attributes(attributes)))
 
 
 def compute_prior_tension(

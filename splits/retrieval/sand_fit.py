@@ -196,21 +196,16 @@ def fit(
     cube = UnitCube(base_settings, ranges)
     min_wavelengths = len(cube.names) + MIN_RESIDUAL_DOF
     if len(wavelengths) < min_wavelengths:
-        raise invalid(
-            "wavelength_nm", wavelengths.tolist(), f"{min_wavelengths} wavelengths at least"
-        )
+        allowed = f"{min_wavelengths} wavelengths at least"
+        raise invalid("wavelength_nm", wavelengths.tolist(), allowed)
     incidence, seed = check_incidence(incidence_deg), check_integer("seed", seed, 0)
     model = SandForwardModel(cube, wavelengths, incidence, effort, seed, threads)
     stage_minima = _run_descents(model, target, effort, log)
     best = stage_minima[-1][0].state
     spectrum = spectrophotometer(
-        cube.to_sand(best),
-        wavelengths,
-        incidence,
-        effort.max_stderr,
-        model.seeds[-1],
+        cube.to_sand(best), wavelengths, incidence, effort.max_stderr, model.seeds[-1],
         threads=threads,
-    )
+    )  # fmt: skip
     modelled, stderr = spectrum.reflectance.values, spectrum.reflectance_stderr.values
     residual = modelled - target
     jacobians = model.compute_jacobians(best)

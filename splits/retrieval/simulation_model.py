@@ -277,11 +277,8 @@ class ProgressTracker:
         """Return the callback for the progress of several simulations with an error."""
         if not callable(self.report):
             return None
-        cost, previous_cost, report = (
-            n_runs * _estimate_cost(max_stderr),
-            self.spent_cost,
-            self.report,
-        )
+        cost, report = n_runs * _estimate_cost(max_stderr), self.report
+        previous_cost = self.spent_cost
         self.spent_cost += cost
 
         def show(progress: Progress) -> None:

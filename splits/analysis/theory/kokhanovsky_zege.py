@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import snowoptics
 import xarray as xr
@@ -53,11 +55,8 @@ def make_law_table(
     axes = [axis for axis in table.axes if axis != "wavelength"]
     size = next((axis for axis in axes if axis in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)), None)
     if size is None:
-        raise invalid(
-            "retrieve.compare_with",
-            law,
-            f"with {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid",
-        )
+        allowed = f"with {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid"
+        raise invalid("retrieve.compare_with", law, allowed)
     law_axes = [
         axis
         for axis in axes
@@ -74,32 +73,11 @@ def make_law_table(
     shape = [dataset.sizes[axis] for axis in law_axes]
     values = np.empty((*shape, wavelength.size))
     for index in np.ndindex(*shape):
-        values_at = {
-            axis: dataset[axis].values[position]
-            for axis, position in zip(law_axes, index, strict=True)
-        }
-        amounts = {
-            str(parsed[1]): float(values_at[axis])
-            for axis in law_axes
-            if (parsed := parse_impurity_parameter(axis))
-        }
-        per_ice = sum(
-            (
-                impurity.compute_absorption_per_kg_ice(wavelength)
-                for impurity in make_impurities(amounts, {})
-            ),
-            np.zeros(wavelength.size),
-        )
-        # Absorption per metre of ice, as the imaginary part of its refractive index.
-        added_k = (
-            per_ice * ICE_DENSITY_KG_M3 / snowoptics.default_B * (1e-9 * wavelength) / (4.0 * np.pi)
-        )
-        area = (
-            values_at[size]
-            if size == SURFACE_AREA_KEY
-            else 3e6 / (ICE_DENSITY_KG_M3 * values_at[size])
-        )
-        incidence = values_at.get(INCIDENCE, dataset.attrs.get(INCIDENCE, 0.0))
+        point = {a: dataset[a].values[i] for a, i in zip(law_axes, index, strict=True)}
+        added_k = _compute_impurity_k(point, wavelength)
+        by_area = size == SURFACE_AREA_KEY
+        area = point[size] if by_area else 3e6 / (ICE_DENSITY_KG_M3 * point[size])
+        incidence = point.get(INCIDENCE, dataset.attrs.get(INCIDENCE, 0.0))
         values[index] = _compute_albedo(
             1e-9 * wavelength, incidence, float(area), (ice, absorbed + added_k)
         )
@@ -117,6 +95,24 @@ def make_law_table(
             {"title": law, "path_sharing_axes": "none"},
         )
     )
+
+
+def _compute_impurity_k(point: dict[str, Any], wavelength_nm: np.ndarray) -> np.ndarray:
+    """Return the absorption of impurities as an imaginary part of the refractive index of ice."""
+    amounts = {
+        str(parsed[1]): float(value)
+        for axis, value in point.items()
+        if (parsed := parse_impurity_parameter(axis))
+    }
+    impurities = make_impurities(amounts, {})
+    per_ice = sum(
+        (impurity.compute_absorption_per_kg_ice(wavelength_nm) for impurity in impurities),
+        np.zeros(wavelength_nm.size),
+    )
+    k: np.ndarray = (
+        per_ice * ICE_DENSITY_KG_M3 / snowoptics.default_B * (1e-9 * wavelength_nm) / (4.0 * np.pi)
+    )
+    return k
 
 
 def _compute_albedo(

@@ -246,14 +246,9 @@ def rank_interpretations(
             active.sort(key=lambda item: item.min_misfit)
             if stage in STAGE_QUOTAS:
                 n_all, n_consistent = STAGE_QUOTAS[stage]
-                consistent = [item for item in active if item.is_consistent_with(stated_choices)][
-                    :n_consistent
-                ]
-                selected = [
-                    *active[:n_all],
-                    *consistent,
-                    *(item for item in active if item.find_set_name()),
-                ]
+                consistent = [item for item in active if item.is_consistent_with(stated_choices)]
+                named = [item for item in active if item.find_set_name()]
+                selected = [*active[:n_all], *consistent[:n_consistent], *named]
                 active = [item for item in active if item in selected]
             if number:
                 # Combinations with a large misfit are dropped, except for the best two.

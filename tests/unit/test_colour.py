@@ -56,7 +56,7 @@ def test_a_spectrum_that_leaves_out_visible_light_has_no_colour():
             compute_tristimulus(np.array(x), np.full(len(x), 0.5))
 
 
-def test_swatches_show_every_point_and_refuse_three_parameters():
+def test_swatches_show_every_point_and_reject_three_parameters():
     figure = colour(dataset([0.3, 0.1]))
     texts = [t.get_text() for t in figure.axes[0].texts]
     assert len(texts) == 2 and all("L*" in t for t in texts)

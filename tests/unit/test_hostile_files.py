@@ -1,4 +1,4 @@
-"""Files that nobody means to write: one line each, in bounded time and memory."""
+"""Hostile files: one-line errors in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def read_message(path, text):
 
 
 @pytest.mark.parametrize("text", FILES, ids=range(len(FILES)))
-def test_it_ends_in_one_line_and_soon(tmp_path, text):
+def test_errors_are_one_line_and_prompt(tmp_path, text):
     # Time of this process alone: other work on the machine does not count.
     begun = time.process_time()
     assert FILES[text] in read_message(tmp_path / "wrong.yaml", text)

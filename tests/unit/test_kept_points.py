@@ -1,4 +1,4 @@
-"""Experiments that are interrupted go on where they stopped, and give the same bits."""
+"""Interrupted experiments resume from their cache and give the same bits."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def list_cached_files(folder):
 
 
 @pytest.mark.parametrize(("content", "points"), [(INDEPENDENT_POINTS, 2), (PATH_SHARING_POINTS, 2)])
-def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch, content, points):
+def test_a_run_resumes_where_it_stopped(tmp_path, monkeypatch, content, points):
     write_dataset(content, tmp_path / "whole")
     with monkeypatch.context() as patch, pytest.raises(InterruptedRun):
         interrupt_after(patch, 2 if content is INDEPENDENT_POINTS else 1)
@@ -134,7 +134,7 @@ def test_points_of_other_runs_stay_and_do_not_count(tmp_path, monkeypatch):
     assert sum("kept" in line for line in said) == 2 and list_cached_files(tmp_path) == []
 
 
-def test_a_damaged_point_is_measured_again(tmp_path, monkeypatch):
+def test_a_damaged_point_is_simulated_again(tmp_path, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(InterruptedRun):
         interrupt_after(patch, 2)
         write_dataset(INDEPENDENT_POINTS, tmp_path)
@@ -144,7 +144,7 @@ def test_a_damaged_point_is_measured_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_the_last_line_says_what_to_type(tmp_path):
+def test_the_last_line_explains_how_to_resume(tmp_path):
     text = (
         "medium: {kind: snow, depth_m: 0.005}\ngrid: {saturation: [0, 1]}\nfigure: none\n"
         "instrument: {kind: goniophotometer, wavelength_nm: [800], estimator: bins, rays: 500}\n"

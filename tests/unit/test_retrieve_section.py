@@ -1,4 +1,4 @@
-"""The section `retrieve`: what it refuses, what it makes of samples, and the figure."""
+"""The section `retrieve`: validation, retrieval of samples, and the figure."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_samples_are_retrieved_where_the_table_reaches():
         assert abs(found[name].values[SIZE] - size) < 4.0 * found[name].stderr[SIZE]
 
 
-def test_what_is_left_out_does_not_count():
+def test_excluded_wavelengths_do_not_count():
     section = RetrieveSection.model_validate({**SECTION, "exclude_nm": [[650, 850]]})
     found = index_by_sample(run_retrieve(section, make_snowlike_table(), measured()))[
         "dirty@60"
@@ -66,7 +66,7 @@ def test_what_is_left_out_does_not_count():
     assert found.wavelength.values.tolist() == [500, 600, 900, 1000, 1100, 1200, 1300, 1400, 1500]
 
 
-def test_the_first_sample_tells_what_is_known_of_others():
+def test_the_first_sample_gives_the_prior_of_others():
     table = {k: measured()[k] for k in ("wavelength_nm", "clean@30")}
     table["wetter@30"] = [0.5, *evaluate_spectrum(150.0, 400.0)]
     given = {**SECTION, "prior_from": {"sample": "clean@30", "fixed": {SOOT: 1.0}}}
@@ -138,7 +138,7 @@ INVALID_SECTIONS = {
 
 
 @pytest.mark.parametrize("name", INVALID_SECTIONS)
-def test_sections_that_make_no_sense_are_refused(name):
+def test_invalid_sections_are_rejected(name):
     other, message = INVALID_SECTIONS[name]
     with pytest.raises((ValidationError, InvalidValue), match=message):
         RetrieveSection.model_validate(SECTION | other)
@@ -212,7 +212,7 @@ EXPERIMENT_ERRORS = {
 
 
 @pytest.mark.parametrize("name", EXPERIMENT_ERRORS)
-def test_experiments_that_cannot_retrieve_are_refused(name):
+def test_invalid_experiments_are_rejected(name):
     other, message = EXPERIMENT_ERRORS[name]
     with pytest.raises((ValidationError, InvalidValue), match=message):
         ExperimentConfig.model_validate(TABLE | other)
@@ -232,14 +232,14 @@ SAMPLE_ERRORS = {
 
 
 @pytest.mark.parametrize("name", SAMPLE_ERRORS)
-def test_first_samples_that_serve_none_are_refused(name):
+def test_unused_first_samples_are_rejected(name):
     first, message = SAMPLE_ERRORS[name]
     section = RetrieveSection.model_validate({**SECTION, "prior_from": first})
     with pytest.raises(InvalidValue, match=message):
         run_retrieve(section, make_snowlike_table(), measured())
 
 
-def test_samples_that_are_not_there_are_refused():
+def test_missing_samples_are_rejected():
     section = RetrieveSection.model_validate({**SECTION, "samples": ["snow"]})
     with pytest.raises(InvalidValue, match=r"retrieve\.samples"):
         section.select_spectra(measured(), W)
@@ -312,6 +312,6 @@ def test_too_few_wavelengths_to_estimate_the_noise_are_rejected_when_the_file_is
         ),
     ],
 )
-def test_what_retrievals_refuse_is_refused_when_the_file_is_read(section, line):
+def test_errors_of_retrievals_are_raised_when_the_file_is_read(section, line):
     with pytest.raises(ValueError, match=line):
         ExperimentConfig.model_validate(TABLE | {"retrieve": SECTION | section})

@@ -1,4 +1,4 @@
-"""Studies: which can be made, what is refused, and names that nothing else may have."""
+"""Studies: validation, and unique names of products."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_no_name_of_an_experiment_decides_in_the_code(shipped):
     ["fig23_sensitivity", "letcher2022_measured", "sensitivity", "table2", "agreement",
      "sand_fit_parameters", "angular_trends", "sand_colours"],
 )  # fmt: skip
-def test_names_that_studies_and_fits_have_are_refused(shipped, name):
+def test_names_of_studies_and_fits_are_rejected(shipped, name):
     taken = ExperimentConfig.model_validate({"name": name})
     with pytest.raises(ConfigError, match=f"^experiment {name}: name = '{name}': must be unique"):
         load_settings(SETTINGS_CONTENT).select_experiments({**shipped, name: taken})
@@ -132,13 +132,13 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
          "experiment fig08_grain_size: name = 'fig08_grain_size': must be unique"),
     ],
 )  # fmt: skip
-def test_studies_that_cannot_be_made_are_refused_in_one_line(shipped, study, message):
+def test_invalid_studies_are_rejected_in_one_line(shipped, study, message):
     with pytest.raises(ConfigError, match=message) as caught:
         make_settings({"own": study}).select_experiments(shipped)
     assert "\n" not in str(caught.value)
 
 
-def test_what_a_study_lacks_is_said(shipped):
+def test_missing_experiments_of_a_study_are_reported(shipped):
     own = {"kind": "angular_trends", "inputs": {"facetness": "fig22_facetnes"}}
     lacking = find_incomplete_studies(make_settings({"own": own}).studies, {}, shipped)
     assert lacking["own"] == (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -32,6 +33,9 @@ from splits.plotting.style import (
 )
 
 MAX_LOBE_COLUMNS = 3
+_SURFACE_STYLE: dict[str, Any] = {
+    "rcount": 40, "ccount": 80, "lw": 0, "ec": "none", "antialiased": False,
+}  # fmt: skip
 
 
 def _lighten(colour: Colour) -> Colour:
@@ -76,13 +80,8 @@ def draw_lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
                 radius * np.sin(polar) * np.cos(azimuth),
                 radius * np.sin(polar) * np.sin(azimuth),
                 radius * np.cos(polar) * np.ones_like(azimuth),
-                color=_lighten(grid_line.colour),
-                rcount=40,
-                ccount=80,
-                lw=0,
-                ec="none",
-                antialiased=False,
-            )
+                color=_lighten(grid_line.colour), **_SURFACE_STYLE,
+            )  # fmt: skip
             axes.set(xlim=(-top, top), ylim=(-top, top), zlim=(0.0, top))
             axes.set_box_aspect((2, 2, 1), zoom=1.5)
             axes.set_axis_off()

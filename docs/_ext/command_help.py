@@ -1,4 +1,4 @@
-"""What the commands of the package say of themselves, asked when the site is built."""
+"""Sphinx directive for the help of the package's commands, run when the site is built."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ CODE = f"import sys; from {ENTRY} import main; sys.argv[0] = 'splits'; sys.exit(
 
 
 class CommandHelp(SphinxDirective):
-    """``{command-help} SUBCOMMAND``: the answer to ``splits SUBCOMMAND --help``."""
+    """``{command-help} SUBCOMMAND``: output of ``splits SUBCOMMAND --help``."""
 
     optional_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """Return the command and its answer."""
+        """Return the command and its output."""
         if find_spec(ENTRY) is None:
             return []
         command = [*self.arguments, "--help"]
-        plain = {"COLUMNS": "80", "NO_COLOR": "1", "TERM": "dumb"}
-        answer = subprocess.run(
+        environment = {"COLUMNS": "80", "NO_COLOR": "1", "TERM": "dumb"}
+        result = subprocess.run(
             [sys.executable, "-c", CODE, *command],
-            capture_output=True, text=True, env=os.environ | plain, check=False,
+            capture_output=True, text=True, env=os.environ | environment, check=False,
         )  # fmt: skip
-        if answer.returncode:
-            LOG.warning("%s: %s", command, answer.stderr, location=self.get_location())
-        text = f"$ splits {' '.join(command)}\n{answer.stdout}"
+        if result.returncode:
+            LOG.warning("%s: %s", command, result.stderr, location=self.get_location())
+        text = f"$ splits {' '.join(command)}\n{result.stdout}"
         return [nodes.literal_block(text, text, language="console")]
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Offer the directive."""
+    """Register the directive."""
     app.add_directive("command-help", CommandHelp)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

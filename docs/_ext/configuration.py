@@ -1,7 +1,7 @@
-"""Tables of the keys of configuration files, from the models that read them.
+"""Sphinx directives for tables of configuration keys, generated from their models.
 
-A page gives each key its meaning; what is allowed and the default come from the model, unless the
-page says them in other words.  A key without a meaning, or a meaning without a key, is a warning.
+A page gives the meaning of each key; the allowed values and the default come from the model unless
+the page overrides them.  A key without a meaning, or a meaning without a key, causes a warning.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def code(value: Any) -> str:
-    """Return a value as YAML has it, in backticks."""
+    """Return a value as YAML in backticks."""
     if isinstance(value, BaseModel):
         value = value.model_dump(exclude_defaults=True)
     if isinstance(value, tuple):
@@ -48,17 +48,19 @@ def code(value: Any) -> str:
 
 
 def words(kind: Any) -> str:
-    """Return in words what a type of a field allows."""
-    origin, inside = get_origin(kind), get_args(kind)
+    """Return a description of the values of a type."""
+    origin, arguments = get_origin(kind), get_args(kind)
     if origin is Literal:
-        return ", ".join(code(value) for value in inside)
+        return ", ".join(code(value) for value in arguments)
     if origin in (Union, types.UnionType):
-        return " or ".join(words(one) for one in inside if one is not type(None))
-    if origin is tuple and inside[-1] is Ellipsis:
-        one = words(inside[0])
-        return f"several of {one}" if get_origin(inside[0]) is Literal else f"a list: {one} each"
+        return " or ".join(words(item) for item in arguments if item is not type(None))
+    if origin is tuple and arguments[-1] is Ellipsis:
+        item = words(arguments[0])
+        return (
+            f"several of {item}" if get_origin(arguments[0]) is Literal else f"a list: {item} each"
+        )
     if origin is tuple:
-        return f"{len(inside)} numbers"
+        return f"{len(arguments)} numbers"
     if origin is dict or kind is dict:
         return "a mapping"
     if isinstance(kind, type) and issubclass(kind, BaseModel):
@@ -67,20 +69,20 @@ def words(kind: Any) -> str:
 
 
 def allowed(field: FieldInfo) -> str:
-    """Return what a field allows: its type, and its limits."""
+    """Return the allowed values of a field: its type and limits."""
     limits = [
-        f"{sign} {getattr(one, key):g}"
-        for one in field.metadata
+        f"{sign} {getattr(constraint, key):g}"
+        for constraint in field.metadata
         for key, sign in SIGNS.items()
-        if getattr(one, key, None) is not None
+        if getattr(constraint, key, None) is not None
     ]
     return ", ".join([words(field.annotation), *limits])
 
 
 def default(field: FieldInfo) -> str:
-    """Return a field's default."""
+    """Return the default of a field."""
     if field.is_required():
-        return "needed"
+        return "required"
     value = field.get_default(call_default_factory=True)
     if value is None or value in ("", (), {}) or isinstance(value, BaseModel):
         return "none"
@@ -100,65 +102,67 @@ class Keys(SphinxDirective):
         """Return the table."""
         module, name = self.arguments[0].rsplit(".", 1)
         fields = getattr(import_module(module), name).model_fields
-        given = yaml.safe_load("\n".join(self.content))
-        for key in sorted(set(fields) ^ set(given)):
-            what = "has no meaning" if key in fields else "is none"
-            LOG.warning("%s: key %s %s", self.arguments[0], key, what, location=self.get_location())
+        meanings = yaml.safe_load("\n".join(self.content))
+        for key in sorted(set(fields) ^ set(meanings)):
+            problem = "has no meaning" if key in fields else "does not exist"
+            LOG.warning(
+                "%s: key %s %s", self.arguments[0], key, problem, location=self.get_location()
+            )
         rows = []
-        for key in (key for key in given if key in fields):
-            said = given[key] if isinstance(given[key], dict) else {"meaning": given[key]}
+        for key in (key for key in meanings if key in fields):
+            entry = meanings[key] if isinstance(meanings[key], dict) else {"meaning": meanings[key]}
             rows.append(
                 [
                     f"`{key}`",
-                    said["meaning"],
-                    said.get("allowed", allowed(fields[key])),
-                    str(said.get("default", default(fields[key]))),
+                    entry["meaning"],
+                    entry.get("allowed", allowed(fields[key])),
+                    str(entry.get("default", default(fields[key]))),
                 ]
             )
         return self.parse_text_to_nodes(table(["key", "meaning", "allowed", "default"], rows))
 
 
 class Instruments(SphinxDirective):
-    """``{instrument-kinds}``: what each kind of instrument knows."""
+    """``{instrument-kinds}``: settings and figures of each kind of instrument."""
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
         rows = []
         for kind, figures in FIGURE_KINDS.items():
-            own = [key for key, kinds in INSTRUMENTS_OF_SETTING.items() if kind in kinds]
-            needed = REQUIRED_SETTINGS.get(kind, ())
+            settings = [key for key, kinds in INSTRUMENTS_OF_SETTING.items() if kind in kinds]
+            required = REQUIRED_SETTINGS.get(kind, ())
             columns = [
                 [f"`{name}`" for name in ESTIMATORS.get(kind, ())],
-                [f"`{key}`" + (" (needed)" if key in needed else "") for key in own],
+                [f"`{key}`" + (" (required)" if key in required else "") for key in settings],
                 [f"`{name}`" for name in figures],
                 [f"`{name}`" for name in FIGURE_QUANTITIES.get(kind, ())],
             ]
             rows.append([f"`{kind}`", *(", ".join(column) or "—" for column in columns)])
-        head = ["`instrument.kind`", "`estimator`", "keys of its own", "`figure.kind`"]
+        head = ["`instrument.kind`", "`estimator`", "specific keys", "`figure.kind`"]
         return self.parse_text_to_nodes(table([*head, "`figure.quantity`"], rows))
 
 
 class Studies(SphinxDirective):
-    """``{study-kinds}``: what each kind of study needs and makes; the body says what it is."""
+    """``{study-kinds}``: inputs and outputs of each kind of study; the body describes them."""
 
     has_content = True
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
-        given = yaml.safe_load("\n".join(self.content))
-        for kind in sorted(set(STUDY_PRODUCTS) ^ set(given)):
+        descriptions = yaml.safe_load("\n".join(self.content))
+        for kind in sorted(set(STUDY_PRODUCTS) ^ set(descriptions)):
             LOG.warning("study-kinds: %s", kind, location=self.get_location())
         rows = []
-        for kind, meaning in given.items():
+        for kind, description in descriptions.items():
             columns = STUDY_INPUTS.get(kind, ()), STUDY_FILES.get(kind, ()), STUDY_PRODUCTS[kind]
             cells = [", ".join(f"`{key}`" for key in column) or "—" for column in columns]
-            rows.append([f"`{kind}`", meaning, *cells])
-        head = ["kind", "what it is", "roles under `inputs`", "`files`", "makes (`outputs`)"]
+            rows.append([f"`{kind}`", description, *cells])
+        head = ["kind", "description", "`inputs`", "`files`", "`outputs`"]
         return self.parse_text_to_nodes(table(head, rows))
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Offer the directives."""
+    """Register the directives."""
     for name, directive in (
         ("config-keys", Keys), ("instrument-kinds", Instruments), ("study-kinds", Studies),
     ):  # fmt: skip

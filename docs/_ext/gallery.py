@@ -1,4 +1,4 @@
-"""Pages of the gallery: one per experiment and per figure of a study, and tiles that lead there.
+"""Pages of the gallery, one per experiment and per figure of a study, and their tiles.
 
 The pages are written below docs/gallery/ before Sphinx reads the folder, from config/ and from
 docs/gallery/images/, which `snakemake update_docs` fills from a run.
@@ -34,10 +34,10 @@ CAPTIONS = {
 TITLES = {
     "sensitivity": "Mean sensitivity indices",
     "letcher": "Measured albedo and three kinds of grains",
-    "interpretation_ranking": "All combinations of readings",
-    "anisotropy": "Where wet sand sends light, and measured directions",
-    "bands": "Bands that tell most",
-    "sobol": "Which wavelength tells what",
+    "interpretation_ranking": "All combinations of interpretations",
+    "anisotropy": "Modelled and measured anisotropy of wet sand",
+    "bands": "Most informative bands",
+    "sobol": "Sobol indices by wavelength",
     "surface_area": "Surface area of measured snow",
     "surface_area_law": "Reflectance at 1310 nm and surface area",
 }
@@ -45,27 +45,27 @@ TITLES = {
 
 @dataclass(frozen=True)
 class Page:
-    """What one page of the gallery shows."""
+    """A page of the gallery."""
 
     folder: str
     name: str
     title: str
     caption: str
     target: str
-    """What snakemake is asked for."""
+    """Target of snakemake."""
     files: dict[str, str] = field(default_factory=dict)
-    """YAML to show, by what it is called."""
+    """YAML content by title."""
 
     @property
     def image(self) -> Path:
-        """Where its image is, if there is one."""
+        """Path of the image, which may not exist."""
         return GALLERY / "images" / f"{self.name}.webp"
 
     def text(self) -> str:
         """Return the page in MyST Markdown."""
         parts = [f"# {self.title}"]
         if self.image.exists():
-            # With a width Sphinx makes it a link to the image alone, as large as it is.
+            # With a width, Sphinx links the image to its full size.
             parts.append(
                 f"```{{image}} ../images/{self.image.name}\n:alt: {self.title}\n:width: 100%\n```"
             )
@@ -77,7 +77,7 @@ class Page:
 
 @functools.cache
 def pages() -> list[Page]:
-    """Return all pages: of the experiments of config/, and of the figures of its studies."""
+    """Return the pages of all experiments of config/, and of the figures of its studies."""
     return [_experiment(path) for path in sorted(EXPERIMENTS.rglob("*.yaml"))] + _studies()
 
 
@@ -87,17 +87,17 @@ def _experiment(path: Path) -> Page:
     files = {f"`{path.relative_to(ROOT).as_posix()}`": path.read_text(encoding="utf-8")}
     base = content.get("medium", {}).get("base")
     if base:
-        start = ROOT / "config" / "media" / f"{base}.yaml"
-        label = f"It starts from `{start.relative_to(ROOT).as_posix()}`"
-        files[label] = start.read_text(encoding="utf-8")
+        base_file = ROOT / "config" / "media" / f"{base}.yaml"
+        label = f"Base medium `{base_file.relative_to(ROOT).as_posix()}`"
+        files[label] = base_file.read_text(encoding="utf-8")
     title, caption = (str(content.get(key, "")).strip() for key in ("title", "caption"))
     if content.get("figure") == "none" or content.get("figure", {}).get("kind") == "none":
-        caption += "\n\nIt has no figure of its own."
+        caption += "\n\nThis experiment has no figure."
     return Page(path.parent.name, name, title or name, caption, name, files)
 
 
 def _studies() -> list[Page]:
-    found = []
+    study_pages = []
     settings = load_settings(read_yaml(ROOT / "config" / "config.yaml"))
     for name, study in settings.studies.items():
         paths = study.list_product_paths(name)
@@ -106,18 +106,18 @@ def _studies() -> list[Page]:
             caption = (ROOT / "workflow" / "report" / f"{report}.rst").read_text(encoding="utf-8")
             files = {"In `config/config.yaml`": section}
             stem = Path(paths[product][0]).stem
-            found.append(Page(STUDIES, stem, TITLES[report], caption.strip(), name, files))
-    return found
+            study_pages.append(Page(STUDIES, stem, TITLES[report], caption.strip(), name, files))
+    return study_pages
 
 
 def write_pages(app: Sphinx) -> None:
-    """Write all pages that have changed, and delete those of experiments that are gone."""
+    """Write all changed pages, and delete those of removed experiments."""
     pages.cache_clear()
-    wanted = {GALLERY / page.folder / f"{page.name}.md": page for page in pages()}
+    page_of = {GALLERY / page.folder / f"{page.name}.md": page for page in pages()}
     for path in GALLERY.glob("*/*.md"):
-        if path not in wanted:
+        if path not in page_of:
             path.unlink()
-    for path, page in wanted.items():
+    for path, page in page_of.items():
         path.parent.mkdir(exist_ok=True)
         if not path.exists() or path.read_text(encoding="utf-8") != page.text():
             path.write_text(page.text(), encoding="utf-8")
@@ -131,19 +131,19 @@ class Tiles(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return the tiles and a table of contents for the sidebar."""
         folder = self.arguments[0]
-        shown = [page for page in pages() if page.folder == folder]
+        folder_pages = [page for page in pages() if page.folder == folder]
         lines = ["````{container} gallery"]
-        for page in shown:
+        for page in folder_pages:
             picture = f"![](images/{page.image.name})" if page.image.exists() else ""
             lines.append(f"- [{picture} {page.title}]({folder}/{page.name}.md)")
             self.env.note_dependency(str(page.image))
         lines += ["````", "", "```{toctree}", ":hidden:", ""]
-        lines += [f"{page.title} <{folder}/{page.name}>" for page in shown] + ["```"]
+        lines += [f"{page.title} <{folder}/{page.name}>" for page in folder_pages] + ["```"]
         return self.parse_text_to_nodes("\n".join(lines))
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Have the pages written before Sphinx looks for documents."""
+    """Register the directive, and the writing of pages before Sphinx reads documents."""
     app.connect("builder-inited", write_pages)
     app.add_directive("gallery-tiles", Tiles)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

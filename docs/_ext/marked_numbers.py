@@ -1,4 +1,4 @@
-"""Marks of numbers (`_numbers.marks`) do not reach the site."""
+"""Removal of the marks of numbers (`_numbers.marks`) from the pages of the site."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from sphinx.application import Sphinx
 
 
 def without_marks(app: Sphinx, name: str, source: list[str]) -> None:
-    """Leave the numbers of a page and drop their marks."""
+    """Remove the marks of the numbers of a page."""
     source[0] = MARK_PATTERN.sub(r"\1", source[0])
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Have every page read without marks."""
+    """Register the removal of marks from every page."""
     app.connect("source-read", without_marks)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

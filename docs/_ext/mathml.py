@@ -1,4 +1,4 @@
-"""Formulas of the documentation as MathML, which browsers show without a script."""
+"""Rendering of formulas as MathML, which browsers display without scripts."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from sphinx.writers.html5 import HTML5Translator
 
 LOG = logging.getLogger(__name__)
 LEFT_OVER = re.compile(r"\\[A-Za-z]+")
-"""A command that the converter does not know stands in its answer as it was written."""
+"""LaTeX commands that the converter does not support and copies to its output."""
 UPRIGHT = re.compile(r'(?:<mi mathvariant="normal">[A-Za-z]</mi>)+')
 ONE_UPRIGHT = re.compile(r"<mi>&#x000([0-9A-F]{2});</mi>")
-"""Upright letters as the converter writes several of them, and one alone."""
+"""Output of the converter for several upright letters, and for a single one."""
 
 
 def mathml(node: nodes.Element, display: str) -> str:
-    """Return a formula as MathML; one that is not understood is a warning."""
+    """Return a formula as MathML; unsupported formulas cause a warning."""
     text = node.astext()
     try:
-        made = convert(text, display=display)
-    except Exception as error:  # of many kinds, none of them the converter's own
+        output = convert(text, display=display)
+    except Exception as error:  # the converter raises errors of many types
         LOG.warning("formula %r: %s: %s", text, type(error).__name__, error, location=node)
         return ""
-    if unknown := LEFT_OVER.search(made):
+    if unknown := LEFT_OVER.search(output):
         LOG.warning("formula %r: %s is not known", text, unknown[0], location=node)
-    return upright(made)
+    return upright(output)
 
 
-def upright(made: str) -> str:
-    """Return MathML with words as words: browsers slant every letter that stands for itself."""
-    made = ONE_UPRIGHT.sub(lambda found: f"<mtext>{chr(int(found[1], 16))}</mtext>", made)
-    return UPRIGHT.sub(lambda f: f"<mtext>{re.sub('<[^>]*>', '', f[0])}</mtext>", made)
+def upright(output: str) -> str:
+    """Return MathML with words as text, since browsers set single letters in italics."""
+    output = ONE_UPRIGHT.sub(lambda letter: f"<mtext>{chr(int(letter[1], 16))}</mtext>", output)
+    return UPRIGHT.sub(lambda match: f"<mtext>{re.sub('<[^>]*>', '', match[0])}</mtext>", output)
 
 
 def inline(self: HTML5Translator, node: nodes.math) -> None:
-    """Write a formula in a line of text."""
+    """Write an inline formula."""
     self.body.append(mathml(node, "inline"))
     raise nodes.SkipNode
 
 
 def block(self: HTML5Translator, node: nodes.math_block) -> None:
-    """Write a formula on lines of its own, with its number beside it where it has a label."""
+    """Write a display formula, with its number if it has a label."""
     self.body.append(self.starttag(node, "div", CLASS="math"))
     self.body.append(f'<div class="formula">{mathml(node, "block")}</div>')
     if node["number"]:
@@ -56,6 +56,6 @@ def block(self: HTML5Translator, node: nodes.math_block) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Offer the renderer to Sphinx."""
+    """Register the renderer."""
     app.add_html_math_renderer("mathml", (inline, None), (block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,1 +1,1 @@
-"""Numbers and images that README and docs take from a run."""
+"""Numbers and images of README and docs, generated from a run."""

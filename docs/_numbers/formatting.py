@@ -1,4 +1,4 @@
-"""How a number of a run is found in a table or a dataset, and how documents show it."""
+"""Selection of numbers from tables and datasets of a run, and their format in documents."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ import xarray as xr
 from splits.core.validation import invalid
 
 QuotedValue = tuple[float, float | None, str]
-"""A number, its standard error if it has one, and a name or nothing."""
+"""A number, its standard error or None, and a name or an empty string."""
 RowFilter = dict[str, Any]
-"""Values of columns or coordinates."""
+"""Values by column or coordinate."""
 
 
 @dataclass(frozen=True)
 class QuotedNumber:
-    """A number that is quoted.
+    """A number quoted in documents.
 
     Attributes
     ----------
     source : str
-        Table or dataset below the folder of results; nothing for constants of the code.
+        Table or dataset below the results folder; empty for constants of the code.
     select : callable
-        Takes the source, returns a `QuotedValue`.
+        From the source to a `QuotedValue`.
     format_spec : str
-        Format of the number; its error has the same, or one digit where that would show 0.
+        Format of the number and its error; an error that would be 0 has one digit.
     """
 
     source: str
@@ -37,7 +37,7 @@ class QuotedNumber:
     format_spec: str = ".3f"
 
     def format_text(self, source: Any) -> str:
-        """Return the number as documents show it."""
+        """Return the text of the number in documents."""
         value, stderr, name = self.select(source)
         text = _format_number(value, self.format_spec)
         if stderr is not None:
@@ -50,7 +50,7 @@ SUPERSCRIPT_DIGITS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def _format_number(value: float, format_spec: str) -> str:
-    """Return a number with a true minus sign; 0 is exact, 0.000 is rounded and has no sign."""
+    """Return a number with a minus sign; 0 is exact, 0.000 is rounded and has no sign."""
     if value == 0.0:
         return "0"
     if format_spec == "power":
@@ -63,7 +63,7 @@ def _format_number(value: float, format_spec: str) -> str:
 
 
 def filter_rows(table: pd.DataFrame, **where: Any) -> pd.DataFrame:
-    """Return the rows with these values; `quantity` is given by its beginning."""
+    """Return the rows with given values; `quantity` matches by prefix."""
     for column, value in where.items():
         if column == "quantity":
             table = table[table[column].str.startswith(value)]
@@ -75,13 +75,13 @@ def filter_rows(table: pd.DataFrame, **where: Any) -> pd.DataFrame:
 def select_cell(
     column: str, error: str = "", scale: float = 1.0, **where: Any
 ) -> Callable[[pd.DataFrame], QuotedValue]:
-    """Select a number of the one row with these values, and its error from another column."""
+    """Return a selector of a number in the only matching row, with its error."""
 
     def select(table: pd.DataFrame) -> QuotedValue:
-        found = filter_rows(table, **where)
-        if len(found) != 1:
-            raise invalid("rows", len(found), f"1 of {where}")
-        row = found.iloc[0]
+        rows = filter_rows(table, **where)
+        if len(rows) != 1:
+            raise invalid("rows", len(rows), f"1 of {where}")
+        row = rows.iloc[0]
         return scale * row[column], scale * row[error] if error else None, ""
 
     return select
@@ -90,30 +90,30 @@ def select_cell(
 def select_extreme(
     column: str, error: str = "", largest: bool = True, name: str = "", **where: Any
 ) -> Callable[[pd.DataFrame], QuotedValue]:
-    """Select the largest or smallest number of the rows with these values, named by a column."""
+    """Return a selector of the largest or smallest number of matching rows, with its name."""
 
     def select(table: pd.DataFrame) -> QuotedValue:
-        found = filter_rows(table, **where).reset_index()
-        row = found.loc[found[column].idxmax() if largest else found[column].idxmin()]
+        rows = filter_rows(table, **where).reset_index()
+        row = rows.loc[rows[column].idxmax() if largest else rows[column].idxmin()]
         return row[column], row[error] if error else None, row[name] if name else ""
 
     return select
 
 
 def select_max_magnitude(column: str, **where: Any) -> Callable[[pd.DataFrame], QuotedValue]:
-    """Select the largest of the sizes of numbers."""
+    """Return a selector of the largest absolute value of matching rows."""
     return lambda table: (filter_rows(table, **where)[column].abs().max(), None, "")
 
 
 def select_row_count(**where: Any) -> Callable[[pd.DataFrame], QuotedValue]:
-    """Select the number of rows with these values."""
+    """Return a selector of the number of matching rows."""
     return lambda table: (float(len(filter_rows(table, **where))), None, "")
 
 
 def select_point(
     variable: str, scale: float = 1.0, error: bool = True, attribute: bool = False, **at: Any
 ) -> Callable[[xr.Dataset], QuotedValue]:
-    """Select a value of a dataset at coordinates, and its error; or a number of its attributes."""
+    """Return a selector of a dataset's value at coordinates with its error, or of an attribute."""
 
     def select(dataset: xr.Dataset) -> QuotedValue:
         if attribute:

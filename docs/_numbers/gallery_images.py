@@ -1,4 +1,4 @@
-"""Images of figures for the documentation: small copies, and no others."""
+"""Small copies of figures for the documentation."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from splits.core.atomic import atomic_write
 from splits.core.validation import invalid
 
 MAX_WIDTH_PX = 900
-"""Widest image (pixels)."""
+"""Largest width of an image (pixels)."""
 MAX_IMAGE_BYTES = 100_000
-"""Largest file."""
+"""Largest size of a file."""
 WEBP_QUALITIES = (90, 80, 70, 60, 50, 40, 30)
 IMAGE_SUFFIX = ".webp"
 
@@ -23,7 +23,7 @@ IMAGE_SUFFIX = ".webp"
 def write_gallery(
     figures: str | Path, names: Iterable[str], folder: str | Path
 ) -> tuple[list[Path], list[Path]]:
-    """Write small copies of figures, and delete those of figures that there are no more.
+    """Write small copies of figures, and delete copies of removed figures.
 
     Parameters
     ----------
@@ -32,29 +32,30 @@ def write_gallery(
     names : iterable of str
         Names of the figures, without ``.png``.
     folder : path
-        Where the copies go, WebP files of at most `MAX_WIDTH_PX` pixels and `MAX_IMAGE_BYTES` bytes.
+        Folder of the copies, WebP files of at most `MAX_WIDTH_PX` pixels and `MAX_IMAGE_BYTES`
+        bytes.
 
     Returns
     -------
     written, deleted : list of Path
-        Copies that are as they were are not written.
+        Unchanged copies are not written.
 
     Raises
     ------
     ValueError
-        For a figure that is not there, before anything is written.
+        For a missing figure, before anything is written.
     """
     figures, folder = Path(figures), Path(folder)
     copies = {}
     for name in names:
         path = figures / f"{name}.png"
         if not path.exists():
-            raise invalid("figures", str(path), "there", "snakemake --cores 2 makes it")
+            raise invalid("figures", str(path), "an existing file", "run snakemake --cores 2")
         copies[folder / f"{name}{IMAGE_SUFFIX}"] = compress_figure(path)
     written = [p for p, copy in copies.items() if not p.exists() or p.read_bytes() != copy]
     for path in written:
-        with atomic_write(path) as aside:
-            aside.write_bytes(copies[path])
+        with atomic_write(path) as temporary_path:
+            temporary_path.write_bytes(copies[path])
     deleted = [path for path in sorted(folder.glob(f"*{IMAGE_SUFFIX}")) if path not in copies]
     for path in deleted:
         path.unlink()
@@ -62,22 +63,25 @@ def write_gallery(
 
 
 def compress_figure(path: str | Path) -> bytes:
-    """Return a figure as a WebP file, as sharp as its size allows.
+    """Return a figure as a WebP file of the best quality within the size limit.
 
     Raises
     ------
     ValueError
-        For a figure that no quality makes small enough.
+        For a figure that exceeds the size limit at all qualities.
     """
     with Image.open(path) as figure:
         image = figure.convert("RGB")
     if image.width > MAX_WIDTH_PX:
         height = round(image.height * MAX_WIDTH_PX / image.width)
         image = image.resize((MAX_WIDTH_PX, height), Image.Resampling.LANCZOS)
-    every: list[dict[str, Any]] = [{"lossless": True}, *({"quality": q} for q in WEBP_QUALITIES)]
-    for settings in every:
-        made = io.BytesIO()
-        image.save(made, "webp", method=6, **settings)
-        if made.tell() <= MAX_IMAGE_BYTES:
-            return made.getvalue()
+    candidates: list[dict[str, Any]] = [
+        {"lossless": True},
+        *({"quality": q} for q in WEBP_QUALITIES),
+    ]
+    for settings in candidates:
+        buffer = io.BytesIO()
+        image.save(buffer, "webp", method=6, **settings)
+        if buffer.tell() <= MAX_IMAGE_BYTES:
+            return buffer.getvalue()
     raise invalid("figures", str(path), f"an image that fits into {MAX_IMAGE_BYTES} bytes")

@@ -1,12 +1,12 @@
-"""Marked numbers in Markdown: finding them, and writing them anew from a run.
+"""Marked numbers in Markdown documents, and their update from a run.
 
-A number that a run makes stands before an invisible mark, a comment that holds its key::
+A number from a run precedes an invisible mark, a comment with its key::
 
     0.56 ± 0.01<!--msi.r.grain_size-->
 
-What the run writes is the number, its sign and its exponent, " ± " and its standard error where it
-has one, and a name in round brackets where it has one (``0.48 ± 0.01 (facets any)``).  Units and
-everything else around it are the author's.
+An update replaces the number with its sign and exponent, " ± " and its standard error if it has
+one, and a name in brackets if it has one (``0.48 ± 0.01 (facets any)``).  Units and all other text
+remain.
 """
 
 from __future__ import annotations
@@ -21,78 +21,79 @@ from splits.core.validation import invalid
 
 NUMBER_PATTERN = r"[+−]?\d+(?:\.\d+)?(?:e-?\d+|[⁰¹²³⁴⁵⁶⁷⁸⁹]+)?"
 MARK_PATTERN = re.compile(
-    rf"(?<![\d.])({NUMBER_PATTERN}(?: ± {NUMBER_PATTERN})?(?: \([a-z][a-z0-9 -]*\))?)<!--([a-z0-9_.]+)-->"
+    rf"(?<![\d.])({NUMBER_PATTERN}(?: ± {NUMBER_PATTERN})?(?: \([a-z][a-z0-9 -]*\))?)"
+    r"<!--([a-z0-9_.]+)-->"
 )
-"""A marked number, its text and its key."""
+"""Pattern of a marked number with the groups text and key."""
 COMMENT_START = "<!--"
 
 
 def list_documents(root: str | Path = ".") -> list[Path]:
-    """Return the documents of a clone that may hold marks: README and the pages of docs/."""
+    """Return the documents that may contain marks: README and the pages of docs/."""
     root = Path(root)
     pages = sorted((root / "docs").rglob("*.md"))
-    return [root / "README.md", *(p for p in pages if "_build" not in p.parts)]
+    return [root / "README.md", *(page for page in pages if "_build" not in page.parts)]
 
 
 def find_marks(document: str) -> list[tuple[str, str]]:
-    """Return key and text of every marked number of a document, in their order.
+    """Return the key and text of every marked number of a document, in order.
 
     Raises
     ------
     ValueError
-        For a comment that is no mark, or that no number stands before.
+        For a comment that is no mark, or that no number precedes.
     """
     for line in document.splitlines():
         if len(MARK_PATTERN.findall(line)) < line.count(COMMENT_START):
-            allowed = "a number before each comment, which holds its key (0.56 ± 0.01<!--key-->)"
+            allowed = "a number before each comment with its key (0.56 ± 0.01<!--key-->)"
             raise invalid("mark", line, allowed)
     return [(key, text) for text, key in MARK_PATTERN.findall(document)]
 
 
 def replace_marked_numbers(document: str, texts: Mapping[str, str]) -> str:
-    """Return a document with new texts before its marks.
+    """Return a document with the marked numbers replaced.
 
     Raises
     ------
     ValueError
-        For a key without a text, and as `find_marks`.
+        For a key without a text, and for errors of `find_marks`.
     """
     for key, _ in find_marks(document):
         if key not in texts:
             raise invalid("mark", key, "a key of docs/_numbers/values.py with a text of a run")
-    return MARK_PATTERN.sub(lambda found: f"{texts[found[2]]}<!--{found[2]}-->", document)
+    return MARK_PATTERN.sub(lambda match: f"{texts[match[2]]}<!--{match[2]}-->", document)
 
 
 def update_documents(
     texts: Mapping[str, str], documents: Iterable[str | Path], record: str | Path
 ) -> list[Path]:
-    """Write new texts into documents and into the record of all texts, or change nothing.
+    """Write new texts into documents and into the record of all texts; on errors, change nothing.
 
     Parameters
     ----------
     texts : mapping
-        Text of every key that the run has made; other marks keep what the record says.
+        Texts by key from the run; other marks keep the text of the record.
     documents : iterable of path
         Markdown files.
     record : path
-        JSON file from the keys of all marks to their texts; need not exist.
+        JSON file of the texts of all marks by key; it need not exist.
 
     Returns
     -------
     list of Path
-        The files that have changed; others are not touched.
+        The changed files; others are not written.
 
     Raises
     ------
     ValueError
-        As `replace_marked_numbers`, before anything is written.
+        For errors of `replace_marked_numbers`, before anything is written.
     OSError
         If a file cannot be read or written.
     """
     record = Path(record)
     old = {Path(path): Path(path).read_text(encoding="utf-8") for path in documents}
-    known = json.loads(record.read_text(encoding="utf-8")) if record.exists() else {}
-    texts = {**known, **texts}
+    recorded = json.loads(record.read_text(encoding="utf-8")) if record.exists() else {}
+    texts = {**recorded, **texts}
     new: dict[Path, str] = {}
     used: dict[str, str] = {}
     for path, document in old.items():
@@ -112,5 +113,5 @@ def update_documents(
 
 
 def _make_temporary_path(path: Path) -> Path:
-    """Return where a file is written before it takes its place."""
+    """Return the temporary path of a file."""
     return path.with_name(f".{path.name}.new")

@@ -1,4 +1,4 @@
-"""Times that docs quote from the benchmarks that are targets of the workflow."""
+"""Times in documents, from the benchmarks of the workflow."""
 
 from __future__ import annotations
 
@@ -20,87 +20,91 @@ SPEED_FILE, KERNELS_FILE = "benchmarks/speed_against_error.csv", "benchmarks/ker
 
 
 def _list_speed_numbers() -> dict[str, QuotedNumber]:
-    """Time against error of every way to a spectrum, one run of the benchmarks."""
+    """Return the numbers of time against error for all methods."""
     samples = {
         "representative": (0.004, 0.002, 0.001),
         "coarse wet": (0.004, 0.001),
         "thin layer": (0.004, 0.001),
         "smooth dry": (0.004, 0.001),
     }
-    forms = {VECTORIZED: ".2f", "scalar": "#.2g", "one_by_one": ".0f"}
+    formats = {VECTORIZED: ".2f", "scalar": "#.2g", "one_by_one": ".0f"}
     papers = (PAPER_UNIFORM, PAPER_ADAPTIVE)
-    found = {}
+    numbers = {}
     for sample, errors in samples.items():
         for error in errors:
             key = f"speed.{sample.replace(' ', '_')}.{error:g}"
-            for method in (*forms, *papers):
-                found[f"{key}.{method}"] = QuotedNumber(
-                    SPEED_FILE, _select_seconds(sample, method, error), forms.get(method, ".0f")
+            for method in (*formats, *papers):
+                numbers[f"{key}.{method}"] = QuotedNumber(
+                    SPEED_FILE, _select_seconds(sample, method, error), formats.get(method, ".0f")
                 )
             for method in papers:
-                found[f"{key}.{method}.ratio"] = QuotedNumber(
+                numbers[f"{key}.{method}.ratio"] = QuotedNumber(
                     SPEED_FILE, _select_seconds(sample, method, error, VECTORIZED), ".0f"
                 )
     for theory in THEORIES:
         for name, largest in (("least", False), ("most", True)):
-            for column, form in (("seconds", ".2g"), ("deviation_rms", ".3f")):
-                found[f"speed.{theory}.{column}.{name}"] = QuotedNumber(
-                    SPEED_FILE, select_extreme(column, largest=largest, method=theory), form
+            for column, number_format in (("seconds", ".2g"), ("deviation_rms", ".3f")):
+                numbers[f"speed.{theory}.{column}.{name}"] = QuotedNumber(
+                    SPEED_FILE,
+                    select_extreme(column, largest=largest, method=theory),
+                    number_format,
                 )
     for name, largest in (("least", False), ("most", True)):
-        found[f"speed.z.{name}"] = QuotedNumber(
+        numbers[f"speed.z.{name}"] = QuotedNumber(
             SPEED_FILE, select_extreme("deviation_z", largest=largest), ".1f"
         )
-    return found
+    return numbers
 
 
 def _select_seconds(
     sample: str, method: str, error: float, baseline_method: str = ""
 ) -> Callable[[pd.DataFrame], QuotedValue]:
-    """Select the time of a method, or its ratio to that of a rival."""
+    """Return a selector of the time of a method, or of its ratio to that of another."""
 
     def select(table: pd.DataFrame) -> QuotedValue:
-        one = find_best_row(table, sample, method, error)
-        other = find_best_row(table, sample, baseline_method, error) if baseline_method else None
-        if one is None or (baseline_method and other is None):
-            raise invalid("rows", f"{sample}, {method}, {error:g}", "there")
-        return one.seconds / (1.0 if other is None else other.seconds), None, ""
+        row = find_best_row(table, sample, method, error)
+        baseline = find_best_row(table, sample, baseline_method, error) if baseline_method else None
+        if row is None or (baseline_method and baseline is None):
+            raise invalid("rows", f"{sample}, {method}, {error:g}", "in the table")
+        return row.seconds / (1.0 if baseline is None else baseline.seconds), None, ""
 
     return select
 
 
 def _list_kernel_numbers() -> dict[str, QuotedNumber]:
-    """Lanes against the scalar kernel, what features cost, two cores against one."""
+    """Return the numbers of lanes against the scalar kernel, features, and two cores."""
     media = {
         "snow, representative": (500, 1300), "snow, coarse wet": (500, 1300),
         "snow, thin layer": (500, 1300), "snow, smooth dry": (500, 1300),
         "sand, Fig 8 base": (500, 900), "sand, eight types, wet": (500, 900),
     }  # fmt: skip
-    found: dict[str, QuotedNumber] = {}
+    numbers: dict[str, QuotedNumber] = {}
     for medium, wavelengths in media.items():
         for nm in wavelengths:
-            one: RowFilter = {
+            filters: RowFilter = {
                 "part": "vectorized_against_scalar",
                 "case": medium,
                 "wavelength_nm": float(nm),
             }
             words = medium.lower().replace(",", "").split()
             key = f"kernels.{'_'.join(words)}.{nm}"
-            found |= {
+            numbers |= {
                 f"{key}.events": QuotedNumber(
-                    KERNELS_FILE, select_cell("events_per_ray", **one), ".0f"
+                    KERNELS_FILE, select_cell("events_per_ray", **filters), ".0f"
                 ),
                 f"{key}.scalar": QuotedNumber(
-                    KERNELS_FILE, _select_time_per_event("compared_seconds", one), ".0f"
+                    KERNELS_FILE, _select_time_per_event("compared_seconds", filters), ".0f"
                 ),
                 f"{key}.vectorized": QuotedNumber(
-                    KERNELS_FILE, _select_time_per_event("seconds", one), ".0f"
+                    KERNELS_FILE, _select_time_per_event("seconds", filters), ".0f"
                 ),
-                f"{key}.speedup": QuotedNumber(KERNELS_FILE, select_cell("speedup", **one), ".1f"),
+                f"{key}.speedup": QuotedNumber(
+                    KERNELS_FILE, select_cell("speedup", **filters), ".1f"
+                ),
             }
     for error in ("0.001", "0.0005"):
         case = f"snow, representative, error {error}"
-        found[f"kernels.cores.{error}"] = QuotedNumber(
+        numbers[f"kernels.cores.{error}"] = QuotedNumber(
             KERNELS_FILE, select_cell("speedup", part="two_cores", case=case), ".2f"
         )
     unused = (
@@ -117,15 +121,15 @@ def _list_kernel_numbers() -> dict[str, QuotedNumber]:
         "used.base": "sand, Fig 8 base",
     }
     for name, case in cases.items():
-        found[f"kernels.feature.{name}"] = QuotedNumber(
+        numbers[f"kernels.feature.{name}"] = QuotedNumber(
             KERNELS_FILE, select_cell("relative_time", part="features", case=case), ".1f"
         )
     smooth = select_cell("seconds", scale=1e9, part="features", case="smooth")
-    return found | {"kernels.feature.one": QuotedNumber(KERNELS_FILE, smooth, ".0f")}
+    return numbers | {"kernels.feature.one": QuotedNumber(KERNELS_FILE, smooth, ".0f")}
 
 
 def _select_time_per_event(column: str, where: RowFilter) -> Callable[[pd.DataFrame], QuotedValue]:
-    """Select the time per event (ns) of the one row with these values."""
+    """Return a selector of the time per event (ns) in the only matching row."""
 
     def select(table: pd.DataFrame) -> QuotedValue:
         seconds, events = (

@@ -1,6 +1,6 @@
-"""Numbers that README and docs quote from a run, each under the key of its marks.
+"""Numbers of README and docs from a run, by the key of their marks.
 
-`_numbers.marks` says how documents hold them.
+`_numbers.marks` describes the marks.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from splits.io.netcdf import load
 from splits.kernels.grains.scene import MAX_REJECTIONS
 
 CODE_SOURCE = ""
-"""In place of a source: the number is a constant of the code."""
+"""Source of constants of the code."""
 OPTIONAL_FOLDER = "benchmarks/"
-"""Folder of sources that a run need not have made."""
+"""Folder of optional sources."""
 LABEL_DTYPES: Any = {"low": str, "high": str, "value": str}
-"""Columns that hold labels of grids, some of them numbers."""
+"""Columns with labels of grids, which may be numbers."""
 
 AGREEMENT_FILE, TABLE3_FILE = "tables/agreement.csv", "tables/table3.csv"
 SENSITIVITY_FILE, SAND_SHIFTS_FILE = "tables/sensitivity.csv", "tables/sand_weights.csv"
@@ -47,17 +47,17 @@ MSI_COLUMNS = ("msi", "msi_stderr")
 
 
 def collect_quoted_numbers(results: str | Path) -> dict[str, str]:
-    """Return the texts of all numbers of `QUOTED_NUMBERS` that a run has made.
+    """Return the texts of all numbers of `QUOTED_NUMBERS` from a run.
 
     Parameters
     ----------
     results : path
-        Folder of a run's results; its benchmarks may be missing.
+        Results folder of the run; its benchmarks may be missing.
 
     Raises
     ------
     ValueError
-        If another source is missing, or does not hold a number once.
+        If another source is missing, or does not contain a number exactly once.
     """
     results = Path(results)
     sources: dict[str, Any] = {CODE_SOURCE: None}
@@ -68,7 +68,7 @@ def collect_quoted_numbers(results: str | Path) -> dict[str, str]:
             if number.source.startswith(OPTIONAL_FOLDER) and not path.exists():
                 continue
             if not path.exists():
-                raise invalid("results", str(path), "there", "snakemake --cores 2 makes it")
+                raise invalid("results", str(path), "an existing file", "run snakemake --cores 2")
             is_table = path.suffix == ".csv"
             sources[number.source] = (
                 pd.read_csv(path, dtype=LABEL_DTYPES) if is_table else load(path)
@@ -81,10 +81,10 @@ def collect_quoted_numbers(results: str | Path) -> dict[str, str]:
 
 
 def _list_snow_numbers() -> dict[str, QuotedNumber]:
-    """Agreement with published numbers and measured spectra."""
+    """Return the numbers of agreement with published values and measured spectra."""
     letcher = "RMSE to measured reflectance: Letcher et al. (2022), "
     rise = "reflectance rises from least to most facetness"
-    found: dict[str, QuotedNumber] = {
+    numbers: dict[str, QuotedNumber] = {
         "distance": QuotedNumber(AGREEMENT_FILE, select_cell("ours", id="grain_distance"), ".2e"),
         "transmittance": QuotedNumber(
             AGREEMENT_FILE, select_cell(*OURS_COLUMNS, scale=100.0, id="transmittance_max"), ".1f"
@@ -98,12 +98,12 @@ def _list_snow_numbers() -> dict[str, QuotedNumber]:
     }  # fmt: skip
     for depth, (name, snow) in itertools.product((45, 340), snows.items()):
         select = select_cell(*OURS_COLUMNS, quantity=f"{letcher}{depth} mm, {snow}")
-        found[f"letcher.{depth}.{name}"] = QuotedNumber(AGREEMENT_FILE, select)
-    return found | _list_ranking_numbers() | _list_surface_area_numbers()
+        numbers[f"letcher.{depth}.{name}"] = QuotedNumber(AGREEMENT_FILE, select)
+    return numbers | _list_ranking_numbers() | _list_surface_area_numbers()
 
 
 def _list_ranking_numbers() -> dict[str, QuotedNumber]:
-    """Return misfits of the first combination of readings, and of the sets with a name."""
+    """Return the misfits of the best interpretation, and of named sets."""
     table = "tables/interpretation_ranking.csv"
     water = "hale_querry_1973"
     rows: dict[str, RowFilter] = {
@@ -120,42 +120,44 @@ def _list_ranking_numbers() -> dict[str, QuotedNumber]:
 
 
 def _list_surface_area_numbers() -> dict[str, QuotedNumber]:
-    """Return surface areas of measured snow, and what 1310 nm tells of one."""
+    """Return the surface areas of measured snow, and reflectance at 1310 nm."""
     table, law = "tables/surface_area.csv", "tables/surface_area_law.csv"
     windows = {"all": "all", "below": "below 1300 nm", "above": "above 1500 nm"}
-    found = {
+    numbers = {
         f"law.{name}": QuotedNumber(law, select_cell("reflectance", "stderr", snow=snow, area=20.0))
         for name, snow in {"natural": "natural snow", "spheres": "smooth spheres"}.items()
     }
     for name, snow in {"law.sixty": "natural snow", "law.spheres.sixty": "smooth spheres"}.items():
-        found[name] = QuotedNumber(law, select_cell("reflectance", "stderr", snow=snow, area=60.0))
+        numbers[name] = QuotedNumber(
+            law, select_cell("reflectance", "stderr", snow=snow, area=60.0)
+        )
     for spectrum in ("ID2081@47.66", "ID462@66.04", "ID1746@58.98"):
         name = spectrum.partition("@")[0].lower()
-        for short, window in windows.items():
+        for label, window in windows.items():
             select = select_cell("area", "area_stderr", spectrum=spectrum, window=window)
-            found[f"area.{name}.{short}"] = QuotedNumber(table, select, ".1f")
-        whole: RowFilter = {"spectrum": spectrum, "window": "all"}
-        found[f"area.{name}.level"] = QuotedNumber(
-            table, select_cell("level", "level_stderr", **whole)
+            numbers[f"area.{name}.{label}"] = QuotedNumber(table, select, ".1f")
+        filters: RowFilter = {"spectrum": spectrum, "window": "all"}
+        numbers[f"area.{name}.level"] = QuotedNumber(
+            table, select_cell("level", "level_stderr", **filters)
         )
-        found[f"area.{name}.rmse"] = QuotedNumber(table, select_cell("rmse", **whole))
-    return found
+        numbers[f"area.{name}.rmse"] = QuotedNumber(table, select_cell("rmse", **filters))
+    return numbers
 
 
 def _list_table3_numbers() -> dict[str, QuotedNumber]:
-    """Reflectance in the AVIRIS-NG bands under every reading."""
+    """Return the reflectance in the AVIRIS-NG bands for every interpretation."""
     bands = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
-    interpretation = (
+    interpretations = (
         "default", "splits_2007", "geometric", "size_semi_axis", "size_sampling_uniform",
         "entry_projected", "facets_projected", "facets_unweighted", "wrong_side_lobe",
         "no_boundary_fresnel", "keep_overlap_with_segment",
         "skip_overlap_with_segment", "keep_overlap_with_boundary", "skip_overlap_with_boundary",
         "mean_free_path_with_grain",
     )  # fmt: skip
-    found = {"table3.error": QuotedNumber(TABLE3_FILE, select_max_magnitude("stderr"), ".1g")}
+    numbers = {"table3.error": QuotedNumber(TABLE3_FILE, select_max_magnitude("stderr"), ".1g")}
     for band, nm in bands.items():
         default: RowFilter = {"interpretation": "default", "wavelength_nm": nm}
-        found |= {
+        numbers |= {
             f"table3.published.{band}": QuotedNumber(
                 TABLE3_FILE, select_cell("published_model", **default)
             ),
@@ -166,30 +168,30 @@ def _list_table3_numbers() -> dict[str, QuotedNumber]:
                 TABLE3_FILE, select_cell("relative_difference_percent", **default), "+.1f"
             ),
         }
-        for reading in interpretation:
-            found[f"table3.{reading}.{band}"] = QuotedNumber(
-                TABLE3_FILE, select_cell("model", interpretation=reading, wavelength_nm=nm)
+        for interpretation in interpretations:
+            numbers[f"table3.{interpretation}.{band}"] = QuotedNumber(
+                TABLE3_FILE, select_cell("model", interpretation=interpretation, wavelength_nm=nm)
             )
     middle: RowFilter = {"wavelength_nm": bands["1074"]}
     for name, largest in (("least", False), ("most", True)):
-        found[f"table3.{name}"] = QuotedNumber(
+        numbers[f"table3.{name}"] = QuotedNumber(
             TABLE3_FILE, select_extreme("model", largest=largest, **middle), ".2f"
         )
-    for reading in ("default", "splits_2007", "size_sampling_uniform"):
-        one: RowFilter = {"interpretation": reading}
-        found |= {
-            f"table3.{reading}.off": QuotedNumber(
-                TABLE3_FILE, select_max_magnitude("difference_to_published", **one)
+    for interpretation in ("default", "splits_2007", "size_sampling_uniform"):
+        filters: RowFilter = {"interpretation": interpretation}
+        numbers |= {
+            f"table3.{interpretation}.off": QuotedNumber(
+                TABLE3_FILE, select_max_magnitude("difference_to_published", **filters)
             ),
-            f"table3.{reading}.percent": QuotedNumber(
-                TABLE3_FILE, select_max_magnitude("relative_difference_percent", **one), ".1f"
+            f"table3.{interpretation}.percent": QuotedNumber(
+                TABLE3_FILE, select_max_magnitude("relative_difference_percent", **filters), ".1f"
             ),
         }
-    return found
+    return numbers
 
 
 def _list_sensitivity_numbers() -> dict[str, QuotedNumber]:
-    """Mean sensitivity indices of the pairs chosen, over all readings, and of other pairs."""
+    """Return the mean sensitivity indices of chosen and other pairs, over all interpretations."""
     chosen = {
         "grain_size": ("100-200", "900-1000"),
         "saturation": ("0.0", "1.0"),
@@ -198,33 +200,37 @@ def _list_sensitivity_numbers() -> dict[str, QuotedNumber]:
     }
     others = [("saturation", "0.0", high) for high in ("0.05", "0.1", "0.3", "0.5")]
     others.append(("density", "200.0", "400.0"))
-    asked = select_point("max_stderr", attribute=True)
-    found = {"msi.error": QuotedNumber("data/sensitivity_grain_size.nc", asked)}
+    max_stderr = select_point("max_stderr", attribute=True)
+    numbers = {"msi.error": QuotedNumber("data/sensitivity_grain_size.nc", max_stderr)}
     for quantity in ("reflectance", "transmittance"):
-        q = f"msi.{quantity[0]}"
+        prefix = f"msi.{quantity[0]}"
         for parameter, (low, high) in chosen.items():
-            one: RowFilter = {
+            filters: RowFilter = {
                 "quantity": quantity,
                 "parameter": parameter,
                 "low": low,
                 "high": high,
             }
-            default = select_cell(*MSI_COLUMNS, interpretation="default", **one)
-            found[f"{q}.{parameter}"] = QuotedNumber(SENSITIVITY_FILE, default, ".2f")
+            default = select_cell(*MSI_COLUMNS, interpretation="default", **filters)
+            numbers[f"{prefix}.{parameter}"] = QuotedNumber(SENSITIVITY_FILE, default, ".2f")
             for name, largest in (("least", False), ("most", True)):
-                select = select_extreme(*MSI_COLUMNS, largest=largest, name="interpretation", **one)
-                found[f"{q}.{parameter}.{name}"] = QuotedNumber(SENSITIVITY_FILE, select, ".2f")
+                select = select_extreme(
+                    *MSI_COLUMNS, largest=largest, name="interpretation", **filters
+                )
+                numbers[f"{prefix}.{parameter}.{name}"] = QuotedNumber(
+                    SENSITIVITY_FILE, select, ".2f"
+                )
         for parameter, low, high in others:
-            one = {"quantity": quantity, "parameter": parameter, "low": low, "high": high}
-            select = select_cell(*MSI_COLUMNS, interpretation="default", **one)
-            found[f"{q}.{parameter}.{high.removesuffix('.0')}"] = QuotedNumber(
+            filters = {"quantity": quantity, "parameter": parameter, "low": low, "high": high}
+            select = select_cell(*MSI_COLUMNS, interpretation="default", **filters)
+            numbers[f"{prefix}.{parameter}.{high.removesuffix('.0')}"] = QuotedNumber(
                 SENSITIVITY_FILE, select, ".2f"
             )
-    return found
+    return numbers
 
 
 def _list_sand_numbers() -> dict[str, QuotedNumber]:
-    """Weight of data and readings, the fine fraction, and misfits to measured spectra."""
+    """Return the effects of data and interpretation, the fine fraction, and misfits of fits."""
     varied = {
         "refractive_index": {
             "goethite.half": "goethite k / 2",
@@ -244,19 +250,19 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
         },
     }  # fmt: skip
     samples = ("Fig 8 base", "TEC 10019201", "TEC 10039240", "TEC 13j9823", "TEC 19au9815")
-    found = {
+    numbers = {
         "sand.error": QuotedNumber(SAND_SHIFTS_FILE, select_max_magnitude("mean_shift_stderr"))
     }
     for sample in samples:
         for dimension, values in varied.items():
             for name, value in values.items():
                 shift = select_cell("mean_shift", medium=sample, varied=dimension, value=value)
-                found[f"sand.{name}.{sample.split()[-1]}"] = QuotedNumber(
+                numbers[f"sand.{name}.{sample.split()[-1]}"] = QuotedNumber(
                     SAND_SHIFTS_FILE, shift, "+.3f"
                 )
     for name, texture in (("none", "no clay"), ("tenth", "0.1 % clay"), ("one", "1 % clay")):
         fines = select_point("reflectance", texture=texture, wavelength=400.0)
-        found[f"fines.{name}"] = QuotedNumber("data/sand_fine_fraction.nc", fines, ".2f")
+        numbers[f"fines.{name}"] = QuotedNumber("data/sand_fine_fraction.nc", fines, ".2f")
     goethites = {"modelled": "as modelled", "half": "goethite k / 2", "twice": "goethite k x 2"}
     soils = ("quartzipsamment_87P706", "torripsamment_90P0142", "camborthid_89P1772")
     for name, goethite in goethites.items():
@@ -264,10 +270,10 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
             misfit = select_cell(
                 "rmse", refractive_index=goethite, sample=soil, parameter="iron_oxide"
             )
-            found[f"misfit.{name}.{soil.split('_')[0]}"] = QuotedNumber(SAND_FIT_FILE, misfit)
+            numbers[f"misfit.{name}.{soil.split('_')[0]}"] = QuotedNumber(SAND_FIT_FILE, misfit)
     modelled: RowFilter = {"refractive_index": "as modelled"}
     constrained: RowFilter = {"verdict": "constrained"}
-    return found | {
+    return numbers | {
         "misfit.least": QuotedNumber(
             SAND_FIT_FILE, select_extreme("rmse", largest=False, **modelled)
         ),
@@ -285,52 +291,54 @@ def _list_sand_numbers() -> dict[str, QuotedNumber]:
 
 
 def _list_angular_and_layer_numbers() -> dict[str, QuotedNumber]:
-    """Spread of a beam, rough surfaces, and what polarization changes."""
-    found = {
+    """Return the numbers of beam spread, rough surfaces and polarization."""
+    numbers = {
         "lambertian": QuotedNumber(CODE_SOURCE, lambda _: (MAX_LAMBERTIAN_RANGE, None, ""), ".1f")
     }
     spread = "data/snow_beam_spread.nc"
     for nm in (600, 1300):
-        for name, share in (("half", 0.5), ("most", 0.9)):
-            at: RowFilter = {"side": "reflected", "wavelength": float(nm), "quantile": share}
-            found[f"beam.{nm}.{name}"] = QuotedNumber(
-                spread, select_point("quantile_radius", 1e3, **at), ".1f"
+        for name, quantile in (("half", 0.5), ("most", 0.9)):
+            point: RowFilter = {"side": "reflected", "wavelength": float(nm), "quantile": quantile}
+            numbers[f"beam.{nm}.{name}"] = QuotedNumber(
+                spread, select_point("quantile_radius", 1e3, **point), ".1f"
             )
-    found["beam.incidence"] = QuotedNumber(
+    numbers["beam.incidence"] = QuotedNumber(
         spread, select_point("incidence_deg", attribute=True), "g"
     )
     limits = "data/layer_band_limit.nc"
     for limit in ("5", "15", "50", "150", "500"):
         reflectance = select_point("reflectance", error=False, surface=limit)
-        found[f"band.{limit}"] = QuotedNumber(limits, reflectance, ".4f")
-    found["band.error"] = QuotedNumber(
+        numbers[f"band.{limit}"] = QuotedNumber(limits, reflectance, ".4f")
+    numbers["band.error"] = QuotedNumber(
         limits, lambda dataset: (float(dataset.reflectance_stderr.max()), None, ""), ".1g"
     )
     for depth in (15, 35):
         lens = select_point("concentration", screen_depth=float(depth))
-        found[f"lens.{depth}"] = QuotedNumber(LENS_FILE, lens, ".2f")
-    found["lens.surfaces"] = QuotedNumber(
+        numbers[f"lens.{depth}"] = QuotedNumber(LENS_FILE, lens, ".2f")
+    numbers["lens.surfaces"] = QuotedNumber(
         LENS_FILE, select_point("realisations", attribute=True), "g"
     )
-    found["volume.surface"] = QuotedNumber(GLASS_FILE, lambda glass: _compute_glass_nadir(glass)[0])
-    found["volume.nadir"] = QuotedNumber(GLASS_FILE, lambda glass: _compute_glass_nadir(glass)[1])
+    numbers["volume.surface"] = QuotedNumber(
+        GLASS_FILE, lambda glass: _compute_glass_nadir(glass)[0]
+    )
+    numbers["volume.nadir"] = QuotedNumber(GLASS_FILE, lambda glass: _compute_glass_nadir(glass)[1])
     for name, statement in (
         ("slopes", "same slopes correlated over 3 m"),
         ("polarization.smooth", "Rayleigh layer under smooth glass"),
         ("polarization.rough", "multiple reflections in rough glass"),
     ):
-        found[name] = QuotedNumber(
+        numbers[name] = QuotedNumber(
             LAYER_TRENDS_FILE, select_cell(*OURS_COLUMNS, scale=100.0, quantity=statement), ".0f"
         )
-    return found
+    return numbers
 
 
 def _compute_glass_nadir(dataset: xr.Dataset) -> tuple[QuotedValue, QuotedValue]:
-    """Return the BRDF of very rough glass at the nadir, and what a volume adds to it."""
+    """Return the nadir BRDF of very rough glass, and the contribution of a volume."""
     nadir = select_principal_plane(dataset).sel(angle=0.0).squeeze()
-    surface, both = (nadir.sel(medium=m) for m in ("surface only", "surface and volume"))
-    added = np.hypot(both.brdf_stderr, surface.brdf_stderr)
-    return (float(surface.brdf), None, ""), (float(both.brdf - surface.brdf), float(added), "")
+    surface, both = (nadir.sel(medium=name) for name in ("surface only", "surface and volume"))
+    stderr = np.hypot(both.brdf_stderr, surface.brdf_stderr)
+    return (float(surface.brdf), None, ""), (float(both.brdf - surface.brdf), float(stderr), "")
 
 
 QUOTED_NUMBERS = {
@@ -343,4 +351,4 @@ QUOTED_NUMBERS = {
     **RETRIEVAL_NUMBERS,
     "draws": QuotedNumber(CODE_SOURCE, lambda _: (MAX_REJECTIONS, None, ""), "power"),
 }
-"""All numbers that documents may quote, by key."""
+"""All numbers of documents, by key."""

@@ -1,1 +1,1 @@
-"""What datasets say: sensitivity, agreement with measurements and published numbers."""
+"""Analysis of datasets: sensitivity, colour, anisotropy and comparison with measurements."""

@@ -18,10 +18,10 @@ from splits.core.validation import ROUNDING_TOLERANCE, snap_to_limits
 STANDARD_OBSERVER = "CIE 1931 2 Degree Standard Observer"
 STANDARD_ILLUMINANT = "D65"
 MAX_STEP_NM = 10.0
-"""Widest step of wavelengths that tell a colour."""
+"""Largest step of wavelengths for a colour (nm)."""
 VISIBLE_RANGE_NM = (400.0, 780.0)
-"""Range a spectrum must cover; beyond it, 360 to 830 nm, its end values are taken, which weigh less
-than 1e-3 of Y."""
+"""Range that a spectrum must cover.  Outside it, from 360 to 830 nm, its end values are used, which
+contribute less than 1e-3 of Y."""
 
 
 def _import_colour() -> ModuleType:
@@ -29,15 +29,15 @@ def _import_colour() -> ModuleType:
 
 
 def covers_visible(wavelength_nm: np.ndarray) -> bool:
-    """Return whether rising wavelengths (nm) are enough to tell a colour."""
+    """Return whether increasing wavelengths (nm) suffice for a colour."""
     first, last = wavelength_nm[[0, -1]]
     low, high = snap_to_limits(VISIBLE_RANGE_NM, first, last)
-    fine = np.diff(wavelength_nm).max(initial=0.0) <= MAX_STEP_NM * (1.0 + ROUNDING_TOLERANCE)
-    return bool(first <= low and high <= last and fine)
+    is_fine = np.diff(wavelength_nm).max(initial=0.0) <= MAX_STEP_NM * (1.0 + ROUNDING_TOLERANCE)
+    return bool(first <= low and high <= last and is_fine)
 
 
 def compute_tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
-    """Return X, Y, Z of a reflecting surface, Y = 1 for a perfect white one.
+    """Return X, Y, Z of a reflecting surface, with Y = 1 for a perfect white one.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def compute_tristimulus(wavelength_nm: np.ndarray, reflectance: np.ndarray) -> n
 
     Notes
     -----
-    Integration as of CIE 15 in steps of 1 nm by colour-science, under D65 for the 2° observer.
+    The integration follows CIE 15 in steps of 1 nm (colour-science), for D65 and the 2° observer.
     """
     colour = _import_colour()
 
-    given = {"wavelength_nm": wavelength_nm, "reflectance": reflectance}
-    wavelength, reflectance = read_columns("spectrum", given)
+    columns = {"wavelength_nm": wavelength_nm, "reflectance": reflectance}
+    wavelength, reflectance = read_columns("spectrum", columns)
     low, high = VISIBLE_RANGE_NM
     if not covers_visible(wavelength):
         raise ValueError(
@@ -84,7 +84,7 @@ def to_cielab(xyz: np.ndarray) -> np.ndarray:
 
 
 def to_srgb(xyz: np.ndarray) -> np.ndarray:
-    """Return sRGB in [0, 1]; a colour outside its gamut is moved to the nearest side of it."""
+    """Return sRGB in [0, 1]; colours outside its gamut are clipped."""
     colour = _import_colour()
 
     return np.clip(np.asarray(colour.XYZ_to_sRGB(xyz)), 0.0, 1.0)
@@ -92,7 +92,7 @@ def to_srgb(xyz: np.ndarray) -> np.ndarray:
 
 def compute_cielab_gradient(xyz: np.ndarray) -> np.ndarray:
     """Return the derivatives of L*, a*, b* (rows) by X, Y, Z (columns)."""
-    # CIELAB bends in proportion to its argument: a fixed step loses digits in dark colours.
+    # The curvature of CIELAB scales with its argument: a fixed step loses digits in dark colours.
     steps = np.diag(1e-4 * np.maximum(xyz, 1e-4))
     return (
         (to_cielab(xyz + steps) - to_cielab(xyz - steps)) / (2.0 * np.diag(steps)[:, np.newaxis])
@@ -101,7 +101,7 @@ def compute_cielab_gradient(xyz: np.ndarray) -> np.ndarray:
 
 @cache
 def _compute_tristimulus_weights(wavelength_nm: tuple[float, ...]) -> np.ndarray:
-    """Return what X, Y, Z take from each wavelength, shape (3, wavelengths): they are linear."""
+    """Return the weights of wavelengths in X, Y, Z, shape (3, wavelengths)."""
     wavelength = np.array(wavelength_nm)
     return np.stack(
         [compute_tristimulus(wavelength, unit) for unit in np.eye(len(wavelength))], axis=1
@@ -111,10 +111,10 @@ def _compute_tristimulus_weights(wavelength_nm: tuple[float, ...]) -> np.ndarray
 def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
     """Return the colour of every point of a grid.
 
-    Errors of L*, a*, b* are their linear parts in that of the spectrum, with the correlations
-    that `splits.core.uncertainty` speaks of.  What interpolation between refractive indices may add
-    is not random and stands by itself: a* and b* are differences along the spectrum, which may
-    miss more than they scatter.
+    Errors of L*, a*, b* are propagated linearly from the spectrum, with the correlations of
+    `splits.core.uncertainty`.  The bound on the error of interpolation between refractive indices
+    is not random and is stated separately: a* and b* are differences along the spectrum, for which
+    it may exceed the scatter.
 
     Parameters
     ----------
@@ -125,12 +125,12 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row per point: the grid's labels, X, Y, Z; L, a, b with ``_stderr``, the scatter between
-        runs with other seeds, and ``_interpolation_bound``, a bound on what interpolation adds; red, green,
-        blue and ``to_srgb`` as hexadecimal code.
+        runs with other seeds, and ``_interpolation_bound``, a bound on what interpolation adds;
+        red, green, blue and ``srgb`` as hexadecimal code.
     """
-    dims = [str(d) for d in dataset.reflectance.dims if d != "wavelength"]
+    dims = [str(dim) for dim in dataset.reflectance.dims if dim != "wavelength"]
     rows = []
-    for labels in itertools.product(*(dataset[d].values for d in dims)):
+    for labels in itertools.product(*(dataset[dim].values for dim in dims)):
         point = dataset.sel(dict(zip(dims, labels, strict=True)))
         x, r = (point[v].values for v in ("wavelength", "reflectance"))
         xyz = compute_tristimulus(x, r)
@@ -139,7 +139,7 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
             {"wavelength": x},
             ("coordinate", "wavelength"),
         )
-        scatter, missed = compute_error_parts(point, "reflectance", weights)
+        scatter, interpolation_bound = compute_error_parts(point, "reflectance", weights)
         code = to_srgb(xyz)
         row = dict(zip(dims, labels, strict=True))
         row |= dict(zip("XYZ", xyz, strict=True))
@@ -147,7 +147,7 @@ def make_colour_table(dataset: xr.Dataset) -> pd.DataFrame:
             row[name] = value
             row[f"{name}_stderr"], row[f"{name}_interpolation_bound"] = (
                 float(scatter[i]),
-                float(missed[i]),
+                float(interpolation_bound[i]),
             )
         row |= dict(zip(("red", "green", "blue"), code, strict=True))
         row["srgb"] = "#" + "".join(f"{round(255 * c):02x}" for c in code)

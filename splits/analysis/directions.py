@@ -1,4 +1,4 @@
-"""Cuts through BRDFs."""
+"""Principal planes of BRDFs, and merging of angular bins."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from splits.core.validation import invalid
 
 
 def select_principal_plane(dataset: xr.Dataset) -> xr.Dataset:
-    """Return the plane that holds the beam and the normal of the surface.
+    """Return the principal plane, which contains the beam and the normal of the surface.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.goniophotometer` returns it, with azimuths 0 and 180 degrees.
+        Output of `splits.goniophotometer` with azimuths 0 and 180 degrees.
 
     Returns
     -------
     xarray.Dataset
-        Its variables over ``angle`` (degrees from the normal, positive in the direction in which
-        the beam travels) instead of ``polar`` and ``azimuth``.
+        Variables over ``angle`` (degrees from the normal, positive in the forward direction)
+        instead of ``polar`` and ``azimuth``.
 
     Raises
     ------
@@ -29,54 +29,54 @@ def select_principal_plane(dataset: xr.Dataset) -> xr.Dataset:
     """
     sides = []
     for azimuth, sign in ((180.0, -1.0), (0.0, 1.0)):
-        hit = np.flatnonzero(np.isclose(dataset.azimuth.values, azimuth))
-        if hit.size == 0:
+        matches = np.flatnonzero(np.isclose(dataset.azimuth.values, azimuth))
+        if matches.size == 0:
             raise invalid("azimuth_deg", dataset.azimuth.values.tolist(), "with 0 and 180 degrees")
-        part = dataset.isel(azimuth=hit[0], drop=True)
+        part = dataset.isel(azimuth=matches[0], drop=True)
         part = part.assign_coords(polar=sign * part.polar.values).rename(polar="angle")
         sides.append(part.isel(angle=slice(None, None, -1)) if sign < 0.0 else part)
     back, forward = sides
-    # The zenith belongs to both halves; the forward one keeps it.
+    # The zenith is in both halves; the forward one keeps it.
     back = back.isel(angle=back.angle.values < 0.0)
     plane = xr.concat([back, forward], "angle", data_vars="minimal", coords="minimal")
-    about = {"units": "degree", "long_name": "angle from the normal, forward counts as positive"}
-    return plane.assign_coords(angle=("angle", plane.angle.values, about))
+    attributes = {"units": "degree", "long_name": "angle from the normal, positive forward"}
+    return plane.assign_coords(angle=("angle", plane.angle.values, attributes))
 
 
 def merge_angular_bins(dataset: xr.Dataset, factor: int) -> xr.Dataset:
-    """Return what larger collectors would have seen, `factor` cells along both angles in one.
+    """Return the BRDF of larger angular bins, merged from `factor` bins along both angles.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.goniophotometer` with cells of equal solid angle.
+        Output of `splits.goniophotometer` with bins of equal projected solid angle.
     factor : int
-        Odd, a divisor of both numbers of cells: the first azimuth stays the middle of a cell.
+        Odd divisor of both numbers of bins, so that the first azimuth stays the centre of a bin.
 
     Returns
     -------
     xarray.Dataset
-        ``brdf`` and ``brdf_stderr`` over the larger cells.
+        ``brdf`` and ``brdf_stderr`` over the larger bins.
 
     Raises
     ------
     ValueError
-        For a factor that does not fit.
+        For an invalid factor.
     """
     polar, azimuth = dataset.sizes["polar"], dataset.sizes["azimuth"]
     if factor < 1 or factor % 2 == 0 or polar % factor or azimuth % factor:
         raise invalid("factor", factor, f"odd and a divisor of {polar} and {azimuth}")
-    # The middles of cells are equally spaced in the cosine, so that it is their projected area.
+    # Centres of bins are equally spaced in the cosine, which is proportional to the projected area.
     weight = np.cos(np.radians(dataset.polar))
-    turned = dataset[["brdf", "brdf_stderr"]].roll(azimuth=factor // 2, roll_coords=False)
+    rolled = dataset[["brdf", "brdf_stderr"]].roll(azimuth=factor // 2, roll_coords=False)
     blocks = {"polar": factor, "azimuth": factor}
 
     def total(values: xr.DataArray) -> xr.DataArray:
         return values.coarsen(blocks).sum()
 
-    area = total(weight.broadcast_like(turned.brdf))
-    brdf = total(weight * turned.brdf) / area
-    stderr = np.sqrt(total((weight * turned.brdf_stderr) ** 2)) / area
+    area = total(weight.broadcast_like(rolled.brdf))
+    brdf = total(weight * rolled.brdf) / area
+    stderr = np.sqrt(total((weight * rolled.brdf_stderr) ** 2)) / area
     cosine = np.cos(np.radians(dataset.polar.values)).reshape(-1, factor).mean(axis=1)
     return xr.Dataset({"brdf": brdf, "brdf_stderr": stderr}).assign_coords(
         polar=np.degrees(np.arccos(cosine)), azimuth=dataset.azimuth.values[::factor]

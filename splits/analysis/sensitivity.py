@@ -14,7 +14,7 @@ import xarray as xr
 from splits.core.uncertainty import compute_weighted_error
 
 NOISE_THRESHOLD_SIGMA = 2.0
-"""A wavelength counts where the larger value exceeds this many of its standard errors."""
+"""Threshold of the larger value, in its standard errors, for a wavelength to count."""
 
 
 @dataclass(frozen=True)
@@ -24,17 +24,16 @@ class SensitivityIndex:
     Attributes
     ----------
     index : float
-        MSI over all wavelengths; where both values are below the noise the ratio is undefined
-        and counts as 0, as two zeros of a coin-tossing run would.
+        MSI over all wavelengths.  Where both values are below the noise, the ratio is undefined and
+        counts as 0, as for two zeros of an analog run.
     stderr : float
-        Its standard error, of `compute_spectral_sensitivity`; of `compute_mean_sensitivity_index` an upper bound:
-        those of all wavelengths are added linearly, as if all went together.  A wavelength near
-        the noise counts in one run and not in another: its ratio, or the most it could have at the
-        limit, times the chance of that belongs to them.
+        Standard error; from `compute_mean_sensitivity_index` an upper bound that assumes fully
+        correlated errors of all wavelengths.  It includes the effect of wavelengths near the noise
+        threshold, which are counted in some runs only.
     index_resolved : float
         MSI over the wavelengths above the noise only.
     resolved_fraction : float
-        Share of wavelengths above the noise.
+        Fraction of wavelengths above the noise.
     """
 
     index: float
@@ -46,65 +45,70 @@ class SensitivityIndex:
 def compute_spectral_sensitivity(
     y: xr.Dataset, z: xr.Dataset, quantity: str, floor: float = 0.0
 ) -> SensitivityIndex:
-    """Return the mean sensitivity index of two measured spectra.
+    """Return the mean sensitivity index of two simulated spectra.
 
-    Its error knows how errors go together along each spectrum, see `splits.core.uncertainty`.
+    Its error includes the correlation of errors along each spectrum, see `splits.core.uncertainty`.
 
     Parameters
     ----------
     y, z : xarray.Dataset
-        Over ``wavelength`` alone, as `splits.spectrophotometer` returns them; independent.
+        Independent outputs of `splits.spectrophotometer` over ``wavelength``.
     quantity : str
-        Such as ``reflectance``.
+        Name of the quantity, such as ``reflectance``.
     floor : float
-        Wavelengths where both are below this count as if there were no light.
+        Value below which both spectra count as 0.
     """
     values = [
-        np.asarray(one[name].values, dtype=float)
-        for one in (y, z)
+        np.asarray(spectrum[name].values, dtype=float)
+        for spectrum in (y, z)
         for name in (quantity, f"{quantity}_stderr")
     ]
-    dark = np.maximum(values[0], values[2]) < floor
-    values = [np.where(dark, 0.0, value) for value in values]
-    found = compute_mean_sensitivity_index(*values)
-    larger, _, safe, seen = _compare_with_noise(*values)
+    is_dark = np.maximum(values[0], values[2]) < floor
+    values = [np.where(is_dark, 0.0, value) for value in values]
+    index = compute_mean_sensitivity_index(*values)
+    larger, _, divisor, is_above_noise = _compare_with_noise(*values)
     smaller = np.minimum(values[0], values[2])
-    # |y - z| / max: the larger value moves it by smaller/larger², the smaller one by -1/larger.
-    up, down = smaller / safe**2, -1.0 / safe
-    first = values[0] >= values[2]
+    # Derivatives of |y - z| / max: smaller/larger² by the larger value, -1/larger by the smaller.
+    slope_larger, slope_smaller = smaller / divisor**2, -1.0 / divisor
+    y_is_larger = values[0] >= values[2]
     variance = 0.0
-    for one, leads in ((y, first), (z, ~first)):
-        slope = np.where(seen, np.where(leads, up, down), 0.0) / larger.size
-        error = compute_weighted_error(one, quantity, xr.DataArray(slope, dims="wavelength"))
+    for spectrum, is_larger in ((y, y_is_larger), (z, ~y_is_larger)):
+        slope = (
+            np.where(is_above_noise, np.where(is_larger, slope_larger, slope_smaller), 0.0)
+            / larger.size
+        )
+        error = compute_weighted_error(spectrum, quantity, xr.DataArray(slope, dims="wavelength"))
         variance += float(error) ** 2
     return replace(
-        found, stderr=float(np.hypot(variance**0.5, _estimate_threshold_error(*values).mean()))
+        index, stderr=float(np.hypot(variance**0.5, _estimate_threshold_error(*values).mean()))
     )
 
 
 def _compare_with_noise(
     y: np.ndarray, y_stderr: np.ndarray, z: np.ndarray, z_stderr: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the larger values, their errors, safe divisors, and which exceed the noise."""
+    """Return the larger values, their errors, nonzero divisors, and which exceed the noise."""
     larger = np.maximum(y, z)
     error = np.where(y >= z, y_stderr, z_stderr)
-    seen = larger > NOISE_THRESHOLD_SIGMA * error
-    return larger, error, np.where(seen, larger, 1.0), seen
+    is_above_noise = larger > NOISE_THRESHOLD_SIGMA * error
+    return larger, error, np.where(is_above_noise, larger, 1.0), is_above_noise
 
 
 def _estimate_threshold_error(
     y: np.ndarray, y_stderr: np.ndarray, z: np.ndarray, z_stderr: np.ndarray
 ) -> np.ndarray:
-    """Return the error of a wavelength that counts in one run and not in another.
+    """Return the error due to wavelengths near the noise threshold.
 
-    With p the chance to be seen, √(p (1 − p)) is at most exp(−d²/4)/2 at d errors from the limit.
+    With the probability p to count, √(p (1 − p)) ≤ exp(−d²/4)/2 at a distance d from the threshold.
     """
     larger, error, _, _ = _compare_with_noise(y, y_stderr, z, z_stderr)
     limit = NOISE_THRESHOLD_SIGMA * error
     tiny = np.finfo(float).tiny
-    away = np.abs(larger - limit) / np.maximum(error, tiny)
-    most = 1.0 - np.minimum(y, z) / np.maximum(np.maximum(larger, limit), tiny)
-    return np.where(limit > 0.0, 0.5 * most * np.exp(-0.25 * np.minimum(away, 50.0) ** 2), 0.0)
+    distance = np.abs(larger - limit) / np.maximum(error, tiny)
+    max_ratio = 1.0 - np.minimum(y, z) / np.maximum(np.maximum(larger, limit), tiny)
+    return np.where(
+        limit > 0.0, 0.5 * max_ratio * np.exp(-0.25 * np.minimum(distance, 50.0) ** 2), 0.0
+    )
 
 
 def compute_mean_sensitivity_index(
@@ -119,13 +123,21 @@ def compute_mean_sensitivity_index(
     y_stderr, z_stderr : array_like
         Their standard errors.
     """
-    y, y_stderr, z, z_stderr = (np.asarray(a, dtype=float) for a in (y, y_stderr, z, z_stderr))
-    larger, error_of_larger, safe, seen = _compare_with_noise(y, y_stderr, z, z_stderr)
+    y, y_stderr, z, z_stderr = (
+        np.asarray(array, dtype=float) for array in (y, y_stderr, z, z_stderr)
+    )
+    larger, error_of_larger, divisor, is_above_noise = _compare_with_noise(y, y_stderr, z, z_stderr)
     smaller = np.minimum(y, z)
-    ratio = np.where(seen, (larger - smaller) / safe, 0.0)
+    ratio = np.where(is_above_noise, (larger - smaller) / divisor, 0.0)
     # d ratio = (smaller/larger) · (relative errors in quadrature).
     error_of_smaller = np.where(y >= z, z_stderr, y_stderr)
-    error = np.where(seen, np.hypot(error_of_smaller, smaller * error_of_larger / safe) / safe, 0.0)
+    error = np.where(
+        is_above_noise,
+        np.hypot(error_of_smaller, smaller * error_of_larger / divisor) / divisor,
+        0.0,
+    )
     error = np.hypot(error, _estimate_threshold_error(y, y_stderr, z, z_stderr))
-    resolved = float(ratio[seen].mean()) if seen.any() else 0.0
-    return SensitivityIndex(float(ratio.mean()), float(error.mean()), resolved, float(seen.mean()))
+    resolved = float(ratio[is_above_noise].mean()) if is_above_noise.any() else 0.0
+    return SensitivityIndex(
+        float(ratio.mean()), float(error.mean()), resolved, float(is_above_noise.mean())
+    )

@@ -1,9 +1,8 @@
-"""Specific surface area of snow from measured spectra, and from one wavelength.
+"""Specific surface area of snow from measured spectra, and from reflectance at 1310 nm.
 
-Where snow is clean and deep, its near-infrared reflectance depends on the surface area above all.
-Reflectance that an experiment has over surface areas is interpolated between them, and the area is
-sought at which a measured spectrum comes nearest.  Its level is fitted besides: slopes, roughness
-and the calibration of a sensor scale a spectrum.
+The near-infrared reflectance of clean, deep snow depends mainly on the surface area.  Simulated
+reflectance is interpolated between surface areas and fitted to a measured spectrum together with a
+scale factor, which accounts for slopes, roughness and the calibration of the sensor.
 """
 
 from __future__ import annotations
@@ -28,25 +27,25 @@ FIT_WINDOWS_NM = {
     "below 1300 nm": SHORT_WINDOWS_NM,
     "above 1500 nm": LONG_WINDOWS_NM,
 }
-"""Wavelengths (nm) that are fitted: impurities count below, water vapour of the air in the gaps."""
+"""Fitted wavelengths (nm), without the range of impurities and the bands of water vapour."""
 FIELD_WAVELENGTH_NM = 1310.0
-"""Where field instruments take the surface area from one reflectance (Gallet et al. 2009)."""
+"""Wavelength of field instruments for the surface area (Gallet et al. 2009)."""
 PUBLISHED_ALBEDO_LAWS: dict[str, Callable[..., np.ndarray]] = {
     "Kokhanovsky & Zege (2004)": snowoptics.albedo_direct_KZ04,
     "Malinka et al. (2016)": snowoptics.albedo_direct_M16,
 }
-"""Published laws for a beam, with the shape factors that snowoptics takes where they have any."""
+"""Published laws for a beam, with the default shape factors of snowoptics."""
 
 
 class SurfaceAreaFit(NamedTuple):
-    """The surface area at which modelled snow comes nearest to a spectrum.
+    """Fit of the surface area of modelled snow to a spectrum.
 
     Attributes
     ----------
     area, scale : float
-        Surface area (m²/kg), and measured over modelled reflectance.
+        Surface area (m²/kg), and ratio of measured to modelled reflectance.
     rmse : float
-        Root-mean-square difference between the measured spectrum and level times the model.
+        Root-mean-square difference between the measured and the scaled modelled spectrum.
     """
 
     area: float
@@ -57,7 +56,7 @@ class SurfaceAreaFit(NamedTuple):
 def fit_surface_area(
     areas: np.ndarray, modelled: np.ndarray, measured: np.ndarray, scale: float | None = None
 ) -> SurfaceAreaFit:
-    """Return the surface area and the level that bring modelled nearest to measured reflectance.
+    """Return the least-squares surface area and scale of modelled to measured reflectance.
 
     Parameters
     ----------
@@ -66,66 +65,67 @@ def fit_surface_area(
     modelled : float, shape (areas, wavelengths)
     measured : float, shape (wavelengths,)
     scale : float, optional
-        Fitted unless it is given.
+        Fixed scale; by default it is fitted.
     """
     model = CubicSpline(np.log(areas), modelled)
 
-    def at(log_area: float) -> tuple[float, float]:
-        """Return the level and the root-mean-square difference."""
+    def evaluate(log_area: float) -> tuple[float, float]:
+        """Return the scale and the root-mean-square difference."""
         shape = model(log_area)
         best = float(measured @ shape / (shape @ shape)) if scale is None else scale
         return best, float(np.sqrt(np.mean((measured - best * shape) ** 2)))
 
-    ends = np.log(areas[[0, -1]])
-    # The nearest node first: differences need not fall all the way to their least.
-    best = int(np.argmin([at(node)[1] for node in np.log(areas)]))
-    near = np.log(areas[[max(best - 1, 0), min(best + 1, len(areas) - 1)]])
-    found = minimize_scalar(lambda x: at(x)[1], bounds=near, method="bounded",
+    bounds = np.log(areas[[0, -1]])
+    # Start from the nearest node, since the difference may have several minima.
+    best = int(np.argmin([evaluate(node)[1] for node in np.log(areas)]))
+    bracket = np.log(areas[[max(best - 1, 0), min(best + 1, len(areas) - 1)]])
+    optimum = minimize_scalar(lambda x: evaluate(x)[1], bounds=bracket, method="bounded",
                             options={"xatol": 1e-7})  # fmt: skip
-    log_area = min((float(found.x), *ends), key=lambda x: at(x)[1])
-    return SurfaceAreaFit(float(np.exp(log_area)), *at(log_area))
+    log_area = min((float(optimum.x), *bounds), key=lambda x: evaluate(x)[1])
+    return SurfaceAreaFit(float(np.exp(log_area)), *evaluate(log_area))
 
 
 def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.DataFrame:
-    """Return the surface area of snow from measured spectra.
+    """Return the surface areas of snow from measured spectra.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        ``reflectance`` with its error and groups over surface area, ``incidence_deg`` and
+        ``reflectance`` with its error and batches over surface area, ``incidence_deg`` and
         ``wavelength``.
     measured : pandas.DataFrame
-        ``wavelength_nm`` and a column of reflectance for each spectrum, named by it and by the
-        angle of illumination, which the dataset holds: ``ID2081@47.66``.
+        ``wavelength_nm`` and a column of reflectance for each spectrum.  Its name contains the
+        incidence, a value of the dataset: ``ID2081@47.66``.
 
     Returns
     -------
     pandas.DataFrame
-        Per spectrum and window: ``area`` (m²/kg) and ``level`` with the error that the model's rays
-        give them, ``rmse``, and ``at_the_end``, whether it stopped at the end of the grid.  The
-        level is that of all windows together: dark wavelengths alone do not tell it from the area.
+        Per spectrum and window: ``area`` (m²/kg) and ``level`` (the scale) with their errors from
+        the noise of the model, ``rmse``, and ``at_the_end``, whether the area is at the end of the
+        grid.  The scale is that of all windows, since strongly absorbed wavelengths alone do not
+        separate it from the area.
     """
     rows = []
     for column in measured.columns[1:]:
         snow, values = _match_spectrum(dataset, measured, column)
         areas = snow[AREA].values.astype(float)
-        groups = snow.reflectance_batches.transpose("batch", AREA, "wavelength").values
+        batches = snow.reflectance_batches.transpose("batch", AREA, "wavelength").values
         modelled = snow.reflectance.transpose(AREA, "wavelength").values
-        nodes = [modelled, *(modelled + group for group in groups)]
-        levels: list[float | None] = [None] * len(nodes)
+        nodes = [modelled, *(modelled + batch for batch in batches)]
+        scales: list[float | None] = [None] * len(nodes)
         for name, window in FIT_WINDOWS_NM.items():
-            use = is_in_windows(snow.wavelength.values, window)
+            is_fitted = is_in_windows(snow.wavelength.values, window)
             fits = [
-                fit_surface_area(areas, node[:, use], values[use], level)
-                for node, level in zip(nodes, levels, strict=True)
+                fit_surface_area(areas, node[:, is_fitted], values[is_fitted], scale)
+                for node, scale in zip(nodes, scales, strict=True)
             ]
-            levels = [fit.scale for fit in fits]
-            # What each group of rays takes off; the squares of these add up to the variance.
-            off = np.subtract([fit[:2] for fit in fits[1:]], fits[0][:2])
-            area_error, level_error = np.sqrt((off**2).sum(axis=0))
-            area, level, rmse = fits[0]
-            ends = bool(np.isclose(area, areas[[0, -1]], rtol=1e-6).any())
-            rows.append((column, name, area, area_error, level, level_error, rmse, ends))
+            scales = [fit.scale for fit in fits]
+            # Batch deviations, whose squares add up to the variance.
+            deviations = np.subtract([fit[:2] for fit in fits[1:]], fits[0][:2])
+            area_error, scale_error = np.sqrt((deviations**2).sum(axis=0))
+            area, scale, rmse = fits[0]
+            is_at_end = bool(np.isclose(area, areas[[0, -1]], rtol=1e-6).any())
+            rows.append((column, name, area, area_error, scale, scale_error, rmse, is_at_end))
     names = ["spectrum", "window", "area", "area_stderr", "level", "level_stderr", "rmse",
                "at_the_end"]  # fmt: skip
     return pd.DataFrame(rows, columns=names)
@@ -134,20 +134,20 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
 def make_overlay_table(
     dataset: xr.Dataset, measured: pd.DataFrame, areas: pd.DataFrame
 ) -> pd.DataFrame:
-    """Return measured and modelled spectra at the surface area and level found from all windows.
+    """Return measured and modelled spectra at the surface area and scale from all windows.
 
     Parameters
     ----------
     dataset, measured
         As for `retrieve_surface_areas`.
     areas : pandas.DataFrame
-        What it returns.
+        Output of `retrieve_surface_areas`.
 
     Returns
     -------
     pandas.DataFrame
         ``spectrum``, ``area``, ``wavelength_nm``, ``measured``, ``model`` with ``stderr`` (of the
-        modelled reflectance nearest in area), ``difference`` and ``fitted``, whether it was used.
+        modelled reflectance at the nearest node), ``difference`` and ``fitted``.
     """
     tables = []
     for row in areas[areas.window == "all"].itertuples():
@@ -166,13 +166,13 @@ def make_overlay_table(
 
 
 def make_field_table(dataset: xr.Dataset) -> pd.DataFrame:
-    """Return reflectance at 1310 nm against surface area, ours and by published laws.
+    """Return reflectance at 1310 nm against surface area, simulated and by published laws.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        ``reflectance`` over ``medium`` and surface area, holding `FIELD_WAVELENGTH_NM`, under a beam from
-        above.
+        ``reflectance`` over ``medium`` and surface area at `FIELD_WAVELENGTH_NM`, for normal
+        incidence.
 
     Returns
     -------
@@ -183,8 +183,8 @@ def make_field_table(dataset: xr.Dataset) -> pd.DataFrame:
     part = dataset.sel(wavelength=FIELD_WAVELENGTH_NM, method="nearest")
     tables = []
     for medium in dataset.medium.values:
-        one = part.sel(medium=medium)
-        tables.append((str(medium), one.reflectance.values, one.reflectance_stderr.values))
+        snow = part.sel(medium=medium)
+        tables.append((str(medium), snow.reflectance.values, snow.reflectance_stderr.values))
     for name, law in PUBLISHED_ALBEDO_LAWS.items():
         values = [
             float(law(np.array([1e-9 * FIELD_WAVELENGTH_NM]), 0.0, area)[0]) for area in areas
@@ -198,19 +198,21 @@ def make_field_table(dataset: xr.Dataset) -> pd.DataFrame:
 
 
 def is_in_windows(wavelength_nm: np.ndarray, windows: Sequence[tuple[float, float]]) -> np.ndarray:
-    """Tell which wavelengths lie in any of several windows (nm)."""
-    return np.any([(wavelength_nm >= a) & (wavelength_nm <= b) for a, b in windows], axis=0)
+    """Return which wavelengths are in any of several windows (nm)."""
+    return np.any(
+        [(wavelength_nm >= low) & (wavelength_nm <= high) for low, high in windows], axis=0
+    )
 
 
 def _match_spectrum(
     dataset: xr.Dataset, measured: pd.DataFrame, column: str
 ) -> tuple[xr.Dataset, np.ndarray]:
-    """Return the part of a dataset for a spectrum's angle, and the spectrum at its wavelengths."""
+    """Return the dataset at the incidence of a spectrum, and the spectrum at its wavelengths."""
     angles = dataset.incidence_deg.values
-    at = [i for i, angle in enumerate(angles) if column.endswith(f"@{angle:g}")]
-    if not at:
-        known = " or ".join(f"@{angle:g}" for angle in angles)
-        raise invalid("column", column, f"a name that ends with {known}, an angle of illumination")
-    snow = dataset.isel(incidence_deg=at[0])
-    given = measured.dropna(subset=[column])
-    return snow, np.interp(snow.wavelength.values, given.wavelength_nm, given[column])
+    matches = [i for i, angle in enumerate(angles) if column.endswith(f"@{angle:g}")]
+    if not matches:
+        suffixes = " or ".join(f"@{angle:g}" for angle in angles)
+        raise invalid("column", column, f"a name that ends with {suffixes}, an incidence")
+    snow = dataset.isel(incidence_deg=matches[0])
+    spectrum = measured.dropna(subset=[column])
+    return snow, np.interp(snow.wavelength.values, spectrum.wavelength_nm, spectrum[column])

@@ -1,4 +1,4 @@
-"""Experiments as configuration: validation, grids, names, runs."""
+"""Experiments described by configuration files: validation, simulation and output."""
 
 from splits.core.optional import import_optional
 

@@ -1,4 +1,4 @@
-"""Packing results for deposit: an RO-Crate of data, figures and the configuration in force."""
+"""Archives of results for deposit: RO-Crates of data, figures and the configuration in force."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ from splits.io.unarchive import (
 
 LOCK_FILE = "requirements.txt"
 DATE_VARIABLE = "SOURCE_DATE_EPOCH"
-"""Environment variable: seconds since 1970 that count as now, so that archives can be the same."""
+"""Environment variable that replaces the current time (seconds since 1970)."""
 README_TEMPLATE = """# Results of splits {version}
 
 Packed on {date} from commit {commit}. Licence of the results: {licence}. Authors: {authors}.
 
 | file or folder | what |
 |---|---|
-| `data/` | datasets, netCDF with CF attributes; all inputs stand in their attributes |
+| `data/` | datasets, netCDF with CF attributes, which contain all inputs |
 | `figures/` | figures of these datasets, PNG, SVG and PDF |
 | `tables/` | tables, CSV |
-| `config/` | what made them: settings in force (those of the command line, too), experiments, \
-media, measured and published tables, refractive indices of one's own |
-| `ro-crate-metadata.json` | the list of all files with sizes, types and SHA-256; what made them, \
-authors and licences (RO-Crate {crate}) |
+| `config/` | configuration of the run: settings (with those of the command line), experiments, \
+media, measured and published tables, users' own refractive indices |
+| `ro-crate-metadata.json` | list of all files with sizes, types and SHA-256, software, authors \
+and licences (RO-Crate {crate}) |
 | `versions.json` | versions of all Python packages in use |
 | `requirements.txt` | the lock: packages with hashes that the repository pins (if it had one) |
 | `LICENSE`, `CITATION.cff` | licence of the software, and how to cite it |
@@ -66,7 +66,7 @@ splits unpack {archive} again
 snakemake --snakefile REPOSITORY/Snakefile --directory again --cores 2
 ```
 
-The first command verifies every file and unpacks into the new folder `again`, or refuses. The
+The first command verifies every file and unpacks into the new folder `again`, or stops. The
 second writes into `again/results/`. The same seed gives the same numbers bit for bit on the same
 versions.
 """
@@ -80,55 +80,55 @@ def pack_archive(
     licence: str = DEFAULT_LICENCE,
     authors: Iterable[Author] = (),
 ) -> None:
-    """Write a zip file of results, an RO-Crate that appears whole or not at all.
+    """Write a zip file of results, a RO-Crate, atomically.
 
-    The same arguments give the same bytes at the same time, for which `DATE_VARIABLE` can stand.
+    The same arguments at the same time give the same bytes; `DATE_VARIABLE` sets that time.
 
     Parameters
     ----------
     results : iterable of path
-        Files below the folder that holds the target's; they keep their place relative to it.
+        Files below the parent of the target's folder; their paths relative to it are kept.
     configuration : mapping
-        Contents of further members by name, see `make_configuration_members`.
+        Contents of additional members by name, see `make_configuration_members`.
     target : path
         The zip file, RESULTS/FOLDER/NAME.zip.
     repository : path, optional
-        Folder with LICENSE, CITATION.cff and the lock, a file that pins the versions of packages.
-        The first two are made from the installed package if they are not there.
+        Folder with LICENSE, CITATION.cff and the lock file that pins the versions of packages.
+        The first two are generated from the installed package if they are missing.
     licence : str
-        Of the results: an SPDX identifier or a URL.
+        Licence of the results: an SPDX identifier or a URL.
     authors : iterable of Author
-        Of the results; those of the software if there are none.
+        Authors of the results; by default those of the software.
 
     Raises
     ------
     ValueError
-        For a member that `splits.io.unarchive` would refuse, or a `DATE_VARIABLE` that is none.
+        For a member that `splits.io.unarchive` would reject, or an invalid `DATE_VARIABLE`.
     OSError
-        If a result cannot be read, or the archive does not hold what was packed.
+        If a result cannot be read, or the verification of the archive fails.
     """
     target = expand_path(target, "target")
-    place = expand_path(repository, "repository") if repository else None
+    repository_folder = expand_path(repository, "repository") if repository else None
     root = target.parent.parent
     members = {_get_member_name(root, Path(f)): Path(f).read_bytes() for f in results} | dict(
         configuration
     )
-    members |= read_software_files(place)
-    if place and (place / LOCK_FILE).is_file():
-        members[LOCK_FILE] = (place / LOCK_FILE).read_bytes()
+    members |= read_software_files(repository_folder)
+    if repository_folder and (repository_folder / LOCK_FILE).is_file():
+        members[LOCK_FILE] = (repository_folder / LOCK_FILE).read_bytes()
     versions = {d.metadata["Name"]: d.version for d in distributions()}
     members["versions.json"] = json.dumps(versions, indent=2, sort_keys=True).encode()
 
-    now, program = get_packing_time(), make_software_info(place)
-    about = ArchiveInfo(now.date().isoformat(), licence, tuple(authors) or program.authors, program)
-    members["README.md"] = _format_readme(about, target.name).encode()
+    now, program = get_packing_time(), make_software_info(repository_folder)
+    info = ArchiveInfo(now.date().isoformat(), licence, tuple(authors) or program.authors, program)
+    members["README.md"] = _format_readme(info, target.name).encode()
     _check_member_names(members)
-    sums = [f"{hashlib.sha256(c).hexdigest()}  {n}" for n, c in sorted(members.items())]
-    members["SHA256SUMS"] = ("\n".join(sums) + "\n").encode()
-    members[METADATA_FILE] = make_metadata(members, about)
+    checksums = [f"{hashlib.sha256(c).hexdigest()}  {n}" for n, c in sorted(members.items())]
+    members["SHA256SUMS"] = ("\n".join(checksums) + "\n").encode()
+    members[METADATA_FILE] = make_metadata(members, info)
 
-    with atomic_write(target) as aside:
-        with zipfile.ZipFile(aside, "w") as file:
+    with atomic_write(target) as temporary_path:
+        with zipfile.ZipFile(temporary_path, "w") as file:
             for name, content in sorted(members.items()):
                 member = zipfile.ZipInfo(name, now.timetuple()[:6])
                 member.compress_type = _choose_compression(content)
@@ -136,13 +136,13 @@ def pack_archive(
                 member.external_attr = (stat.S_IFREG | 0o644) << 16
                 file.writestr(member, content)
         try:
-            verify_archive(aside)
+            verify_archive(temporary_path)
         except ArchiveError as error:
             raise OSError(f"{target} could not be unpacked ({error})") from None
 
 
 def _choose_compression(content: bytes) -> int:
-    """Return how a member is packed: as it is, where packed it would be refused as a bomb."""
+    """Return the compression of a member: none where its ratio would exceed the limit."""
     if len(content) <= MIN_RATIO_CHECK_BYTES or len(content) <= MAX_COMPRESSION_RATIO / 2 * len(
         zlib.compress(content, 1)
     ):
@@ -151,24 +151,24 @@ def _choose_compression(content: bytes) -> int:
 
 
 def get_packing_time() -> datetime:
-    """Return the time that counts as now, see `DATE_VARIABLE`.
+    """Return the current time, or the time that `DATE_VARIABLE` sets.
 
     Raises
     ------
     ValueError
-        If it is none.
+        For a value that is no time of a zip file.
     """
-    given = os.environ.get(DATE_VARIABLE)
-    if given is None:
+    text = os.environ.get(DATE_VARIABLE)
+    if text is None:
         return datetime.now(UTC)
-    allowed = "seconds from 1980 to 2107, as zip files have them"
-    if not (given.isascii() and given.isdigit() and 315532800 <= int(given[:20]) < 4354819200):
-        raise invalid(DATE_VARIABLE, given, allowed)
-    return datetime.fromtimestamp(int(given), UTC)
+    allowed = "seconds from 1980 to 2107, the range of zip files"
+    if not (text.isascii() and text.isdigit() and 315532800 <= int(text[:20]) < 4354819200):
+        raise invalid(DATE_VARIABLE, text, allowed)
+    return datetime.fromtimestamp(int(text), UTC)
 
 
 def _format_readme(info: ArchiveInfo, archive: str) -> str:
-    """Return README.md."""
+    """Return the content of README.md."""
     return README_TEMPLATE.format(
         version=info.software.version, commit=info.software.commit, date=info.date,
         licence=f"<{info.licence}>" if "://" in info.licence else info.licence,
@@ -178,56 +178,56 @@ def _format_readme(info: ArchiveInfo, archive: str) -> str:
 
 
 def _check_member_names(members: Iterable[str]) -> None:
-    """Refuse names of members that would not be unpacked."""
+    """Reject names of members that cannot be unpacked everywhere."""
     for name in members:
-        wrong = find_name_problem(name)
-        if wrong:
+        problem = find_name_problem(name)
+        if problem:
             allowed = "of members that can be unpacked everywhere"
-            raise invalid("archive", name, allowed, f"this is {wrong}")
-    twice = find_name_collision(members)
-    if twice:
+            raise invalid("archive", name, allowed, f"this is {problem}")
+    collision = find_name_collision(members)
+    if collision:
         hint = "another one differs in case only"
-        raise invalid("archive", twice, "of members that differ on all systems", hint)
+        raise invalid("archive", collision, "of members that differ on all systems", hint)
 
 
 def list_configuration_files(settings: Settings) -> dict[str, Path]:
-    """Return the files that a run with these settings reads, by their place in an archive.
+    """Return the files that a run with these settings reads, by their name in an archive.
 
-    The experiments in force, all media, measured and published tables, but no hidden files;
-    wherever their folders are, they get the usual places below ``config/``.
+    These are the selected experiments and all media, measured and published tables, without
+    hidden files.  Their names start with ``config/`` wherever their folders are.
 
     Raises
     ------
     ValueError
-        For a file that `splits.io.unarchive` would refuse.
+        For a file that `splits.io.unarchive` would reject.
     """
-    found = {}
+    files = {}
     experiments = Path(settings.experiments_folder)
     for path in sorted(experiments.rglob("*.y*ml")):
         name = read_yaml(path).get("name", path.stem)
         if settings.experiments == "all" or name in settings.experiments:
-            found[f"config/experiments/{path.relative_to(experiments).as_posix()}"] = path
+            files[f"config/experiments/{path.relative_to(experiments).as_posix()}"] = path
     for path in sorted(Path(settings.media_folder).glob("*.yaml")):
-        found[f"config/media/{path.name}"] = path
+        files[f"config/media/{path.name}"] = path
     for name, folder in settings.table_folders.items():
         for path in sorted(folder.rglob("*")):
-            place = path.relative_to(folder)
-            if path.is_file() and not any(part.startswith(".") for part in place.parts):
-                found[f"config/{name}/{place.as_posix()}"] = path
-    _check_member_names(found)
-    return found
+            relative_path = path.relative_to(folder)
+            if path.is_file() and not any(part.startswith(".") for part in relative_path.parts):
+                files[f"config/{name}/{relative_path.as_posix()}"] = path
+    _check_member_names(files)
+    return files
 
 
 def make_configuration_members(settings: Settings) -> dict[str, bytes]:
-    """Return the members of an archive from which what it holds can be made again.
+    """Return the configuration files that reproduce the content of an archive.
 
-    Users' own tables are packed, too: in their place if that is below ``config/``, otherwise under
-    ``config/tables/``, and the files that name them are written anew with the new paths.
+    Users' own tables are included: under their own path if that is below ``config/``, otherwise
+    under ``config/tables/``, with the paths in the files that name them replaced.
 
     Parameters
     ----------
     settings : Settings
-        In force: those of the configuration file and of the command line.
+        Settings in force, from the configuration file and the command line.
 
     Returns
     -------
@@ -239,34 +239,36 @@ def make_configuration_members(settings: Settings) -> dict[str, bytes]:
     for name, path in list_configuration_files(settings).items():
         is_yaml = path.suffix in (".yaml", ".yml")
         members |= _make_members_with_tables(name, path) if is_yaml else {name: path.read_bytes()}
-    moved = {key: Settings.model_fields[key].default for key in FOLDER_KEYS}
-    members["config/config.yaml"] = dump_yaml(settings.model_dump(mode="json") | moved).encode()
+    folders = {key: Settings.model_fields[key].default for key in FOLDER_KEYS}
+    members["config/config.yaml"] = dump_yaml(settings.model_dump(mode="json") | folders).encode()
     return members
 
 
 def _make_members_with_tables(name: str, path: Path) -> dict[str, bytes]:
-    """Return an experiment's or medium's file as a member, and the users' tables it names."""
+    """Return the members for an experiment or medium file and the users' tables it names."""
     content = read_yaml(path)
     files = {table: expand_path(table) for table in list_table_paths(content)}
-    places = {
+    member_names = {
         table: _get_table_member_name(table) for table, file in files.items() if file.is_file()
     }
-    members = {place: files[table].read_bytes() for table, place in places.items()}
-    if all(place == table for table, place in places.items()):
+    members = {
+        member_name: files[table].read_bytes() for table, member_name in member_names.items()
+    }
+    if all(member_name == table for table, member_name in member_names.items()):
         return members | {name: path.read_bytes()}
-    moved = replace_table_paths(content, lambda table: places.get(table, table))
-    return members | {name: dump_yaml(moved).encode()}
+    replaced = replace_table_paths(content, lambda table: member_names.get(table, table))
+    return members | {name: dump_yaml(replaced).encode()}
 
 
 def _get_member_name(root: Path, path: Path) -> str:
-    """Return a result's place in the archive."""
+    """Return the name of a result in the archive."""
     if not path.is_relative_to(root):
         raise invalid("archive", str(path), f"of results below {root}")
     return path.relative_to(root).as_posix()
 
 
 def _get_table_member_name(table: str) -> str:
-    """Return where a user's table goes: its name stays, datasets are labelled with it."""
+    """Return the member name of a user's table, which keeps its file name."""
     path = PurePosixPath(table)
     if path.parts[0] == "config" and ".." not in path.parts:
         return str(path)

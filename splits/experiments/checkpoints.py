@@ -1,4 +1,4 @@
-"""Points of an experiment's grid that are kept while others are still to be measured."""
+"""Cache of the simulated points of an experiment's grid, from which an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from splits.io.netcdf import load, save
 
 
 class PointCache:
-    """A folder of points that were measured, each in a file named after what decides its numbers.
+    """Folder of simulated points, each in a file named by the digest of all inputs of its values.
 
-    So points at another accuracy, of another seed or of another medium have other files, and none
-    takes the place of another.
+    Points of another accuracy, seed or medium have other names, so they never collide.
 
     Parameters
     ----------
@@ -34,7 +33,7 @@ class PointCache:
     Attributes
     ----------
     files : list of Path
-        Files of the points asked for so far.
+        Files of the points requested so far.
     """
 
     def __init__(
@@ -50,22 +49,22 @@ class PointCache:
         ]
 
     def load(self, indices: Sequence[int]) -> list[xr.Dataset] | None:
-        """Return the points that share paths, or None if not all of them are there and sound."""
-        found = []
+        """Return points that share paths, or None if the file of any is missing or damaged."""
+        datasets = []
         for file in self._get_files(indices):
             if not file.exists():
                 return None
             try:
-                found.append(load(file))
+                datasets.append(load(file))
             except ValueError:
-                # Damaged: it is measured again, and written over.
+                # A damaged file is simulated again and overwritten.
                 return None
-        return found
+        return datasets
 
     def save(self, indices: Sequence[int], points: Iterable[xr.Dataset]) -> list[xr.Dataset]:
         """Write points that share paths, and return them as `load` would.
 
-        Attributes of one number differ in a file: points of a resumed run must not from others.
+        Reading the files gives attributes the same types as in a resumed run.
         """
         files = self._get_files(indices)
         for file, point in zip(files, points, strict=True):
@@ -73,7 +72,7 @@ class PointCache:
         return [load(file) for file in files]
 
     def delete(self) -> None:
-        """Delete the files of the points asked for, and the folder if it holds no others."""
+        """Delete the files of the requested points, and the folder if it is then empty."""
         for file in self.files:
             file.unlink(missing_ok=True)
         for folder in (self.folder, self.folder.parent):
@@ -81,9 +80,9 @@ class PointCache:
                 folder.rmdir()
 
     def _get_files(self, indices: Sequence[int]) -> list[Path]:
-        """Return where points are kept, whose numbers depend on all that share their paths."""
-        together = [self._point_keys[place] for place in indices]
-        text = json.dumps([*self._common_key, together], sort_keys=True, default=repr)
+        """Return the files of points that share paths; each name depends on all of these points."""
+        shared_keys = [self._point_keys[index] for index in indices]
+        text = json.dumps([*self._common_key, shared_keys], sort_keys=True, default=repr)
         digest = hashlib.sha256(text.encode()).hexdigest()[:32]
         files = [self.folder / f"point_{digest}_{number}.nc" for number in range(len(indices))]
         self.files += [file for file in files if file not in self.files]

@@ -1,7 +1,4 @@
-"""Running an experiment: every point of its grid, one labelled dataset.
-
-Compositions of all sands that experiments use, for the report.
-"""
+"""Execution of an experiment: all points of its grid as one labelled dataset."""
 
 from __future__ import annotations
 
@@ -59,10 +56,10 @@ def run(
     ----------
     experiment : SimulationConfig
     accuracy : Accuracy
-        Errors and limits; an instrument's ``stderr_scale`` multiplies the error.
+        Target errors and limit of rays; ``stderr_scale`` of the instrument multiplies the error.
     seed : int
-        Used unless the experiment's instrument gives its own; every point of a grid uses the
-        same, so that differences along the grid are smooth.
+        Default if the instrument section gives none.  All points of a grid use the same seed, so
+        that differences along the grid are smooth.
     threads : int, optional
     log : callable
         Receives lines of progress.
@@ -73,7 +70,7 @@ def run(
         The instrument's variables over the grid's parameters and wavelength.
     """
     if experiment.fit:
-        hint = "splits.experiments.run_fit.run_fit fits sands"
+        hint = "use splits.experiments.run_fit.run_fit"
         raise invalid("fit", experiment.fit.measured, "left out", hint)
     if experiment.instrument.kind == "refractive_index":
         return compute_refractive_indices(experiment)
@@ -91,16 +88,16 @@ def write_run(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> None:
-    """Write what `run` returns; a run that is interrupted goes on where it stopped.
+    """Write the result of `run`; an interrupted run resumes from its cache.
 
     Parameters
     ----------
-    experiment, accuracy, seed, threads, say
+    experiment, accuracy, seed, threads, log
         As for `run`.
     folder : path
-        Keeps what was measured: points until the file is written, blocks of a table for good.
+        Cache of results: points until the file is written, blocks of a table permanently.
     path : path
-        The file appears whole or not at all.
+        The file is written atomically.
     """
     check_writable(path)
     if experiment.instrument.kind == "table":
@@ -108,9 +105,9 @@ def write_run(
     elif experiment.instrument.kind == "refractive_index":
         save(compute_refractive_indices(experiment), path)
     else:
-        kept = PointCache(folder, experiment, accuracy, seed)
-        save(_run_points(experiment, accuracy, seed, threads, log, kept), path)
-        kept.delete()
+        cache = PointCache(folder, experiment, accuracy, seed)
+        save(_run_points(experiment, accuracy, seed, threads, log, cache), path)
+        cache.delete()
 
 
 def _run_points(
@@ -121,16 +118,16 @@ def _run_points(
     log: LogCallback,
     cache: PointCache | None = None,
 ) -> xr.Dataset:
-    """Return the points of a grid, those not kept measured."""
-    begun = time.perf_counter()
+    """Return the dataset of a grid; points that the cache lacks are simulated."""
+    start_time = time.perf_counter()
     results = simulate_points(experiment, accuracy, seed, threads, log, cache)
-    return _stack_points(experiment, results, time.perf_counter() - begun)
+    return _stack_points(experiment, results, time.perf_counter() - start_time)
 
 
 def _stack_points(
     experiment: SimulationConfig, points: SimulatedPoints, seconds: float
 ) -> xr.Dataset:
-    """Return the points of a grid as one dataset."""
+    """Return the dataset of a grid from its points."""
     results = points.datasets
     shape = tuple(len(values) for values in experiment.grid.values())
     dims = tuple(experiment.grid)
@@ -159,7 +156,7 @@ def _stack_points(
         if key not in varying
         and all(key in r.attrs and np.array_equal(r.attrs[key], value) for r in results)
     }
-    facts = {
+    attributes = {
         **constant,
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
@@ -175,10 +172,10 @@ def _stack_points(
     }
     if "stop_reason" in first.attrs:
         reasons = {r.attrs["stop_reason"] for r in results}
-        facts["stop_reason"] = next(
+        attributes["stop_reason"] = next(
             r for r in ("max_degree", "max_rays", "unresolved_lobe", "converged") if r in reasons
         )
-    return xr.Dataset(variables, coordinates, to_netcdf_attributes(facts))
+    return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
 
 
 def compute_refractive_indices(experiment: SimulationConfig) -> xr.Dataset:
@@ -196,7 +193,7 @@ def compute_refractive_indices(experiment: SimulationConfig) -> xr.Dataset:
         "wavelength": make_wavelength_coordinate(wavelength),
         "material": ("material", list(medium.list_materials()), {"long_name": "material"}),
     }
-    facts = {
+    attributes = {
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "configuration": experiment.dump_configuration(),
@@ -204,16 +201,16 @@ def compute_refractive_indices(experiment: SimulationConfig) -> xr.Dataset:
         "physics_sources_sha256": hash_physics_sources(),
         **make_provenance(f"experiment {experiment.name}"),
     }
-    return xr.Dataset(variables, coordinates, to_netcdf_attributes(facts))
+    return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
 
 
 def make_composition_table(experiments: Mapping[str, SimulationConfig]) -> pd.DataFrame:
-    """Return every intermediate of SPLITS section 4.2.5, a row per particle type and sand.
+    """Return the intermediate quantities of SPLITS section 4.2.5, a row per particle type and sand.
 
     Parameters
     ----------
     experiments : mapping
-        By name.  Points of a grid that share a composition appear once per experiment.
+        By name.  Points of a grid with equal compositions appear once per experiment.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Fits as experiments: every sample of a measured table, at every point of the grid."""
+"""Execution of fits: every sample of a measured table at every point of the grid."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def run_fit(
     experiment : SimulationConfig
         With a ``fit`` section.
     accuracy : Accuracy
-        ``max_stderr`` is that of the last spectrum; a fit's effort shrinks when it is coarse.
+        ``max_stderr`` is that of the final spectrum; a coarse one reduces the effort of the fit.
     measured : pandas.DataFrame
         Column ``wavelength_nm`` and one of reflectances per sample.
-    seed, threads, say
+    seed, threads, log
         As for `splits.experiments.run.run`.
 
     Returns
@@ -57,9 +57,9 @@ def run_fit(
     Raises
     ------
     ValueError
-        For a sample that the table does not have.
+        For a sample that is not in the table.
     """
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     samples = check_fit(experiment, measured)
     ranges = experiment.fit.ranges if experiment.fit else {}
     wavelength = measured.wavelength_nm.to_numpy(dtype=float)
@@ -67,10 +67,10 @@ def run_fit(
     cases = list(itertools.product(experiment.iter_settings(), samples))
     workers = threads or count_cpus()
 
-    def one(number: int) -> FitResult:
+    def fit_case(number: int) -> FitResult:
         (labels, settings, incidence), sample = cases[number]
-        where = " ".join([*(f"{p}={label}" for p, label in labels.items()), sample])
-        head = f"{experiment.name} {number + 1}/{len(cases)} {where}"
+        point = " ".join([*(f"{p}={label}" for p, label in labels.items()), sample])
+        prefix = f"{experiment.name} {number + 1}/{len(cases)} {point}"
         return fit(
             settings,
             wavelength,
@@ -79,54 +79,55 @@ def run_fit(
             ranges,
             seed if experiment.instrument.seed is None else experiment.instrument.seed,
             max(1, workers // len(cases)),
-            lambda line: log(f"{head}: {line}"),
+            lambda line: log(f"{prefix}: {line}"),
             effort=choose_effort(max_stderr),
         )
 
-    # Simulations of a fit are short: whole fits side by side keep more threads busy than theirs.
+    # Simulations of a fit are short, so parallel fits use threads better than parallel rays.
     with DaemonThreadPool(min(workers, len(cases))) as pool:
-        results = list(pool.map(one, range(len(cases))))
-    return _make_fit_dataset(experiment, results, samples, wavelength, max_stderr, begun)
+        results = list(pool.map(fit_case, range(len(cases))))
+    return _make_fit_dataset(experiment, results, samples, wavelength, max_stderr, start_time)
 
 
 def check_fit(experiment: SimulationConfig, measured: pd.DataFrame) -> list[str]:
-    """Return the samples to fit, or refuse what cannot be fitted.
+    """Return the samples to fit; reject data that cannot be fitted.
 
     Raises
     ------
     ValueError
-        For a table without wavelengths or with too few, a sample that it does not have,
-        reflectances outside [0, 1], wavelengths without refractive indices, or keywords that the
-        fit varies itself.
+        For a table without wavelengths or with too few, an unknown sample, reflectances outside
+        [0, 1], wavelengths without refractive indices, or keywords that the fit varies.
     """
     section = experiment.fit
     if section is None:
         raise invalid("fit", None, "a section that names a measured table")
     if "wavelength_nm" not in measured:
         raise invalid(
-            "fit.measured", list(measured.columns), "a table, by commas, with column wavelength_nm"
+            "fit.measured", list(measured.columns), "a CSV table with column wavelength_nm"
         )
-    known = [str(c) for c in measured.columns if c != "wavelength_nm"]
-    samples = [check_choice("fit.samples", s, known) for s in section.samples] or known
+    available = [str(c) for c in measured.columns if c != "wavelength_nm"]
+    samples = [check_choice("fit.samples", s, available) for s in section.samples] or available
     with key_prefix("fit.measured"):
         wavelength = check_wavelengths(measured.wavelength_nm.tolist())
     for sample in samples:
         for x, value in zip(wavelength, measured[sample], strict=True):
             key = f"fit.measured ({sample} at {x:g} nm)"
-            check_range(key, value, 0.0, 1.0, hint="a share, not per cent, without gaps")
+            check_range(key, value, 0.0, 1.0, hint="a fraction, not per cent, without gaps")
     for labels, settings, _ in experiment.iter_settings():
         with experiment.locate_errors(labels):
             cube = UnitCube(settings, section.ranges)
         with key_prefix("fit.measured"):
             cube.to_sand(np.full(len(cube.names), 0.5)).compute_refractive_indices(wavelength)
-        least = len(cube.names) + MIN_RESIDUAL_DOF
-        if wavelength.size < least:
-            raise invalid("fit.measured", f"{wavelength.size} wavelengths", f"{least} at least")
+        min_wavelengths = len(cube.names) + MIN_RESIDUAL_DOF
+        if wavelength.size < min_wavelengths:
+            raise invalid(
+                "fit.measured", f"{wavelength.size} wavelengths", f"{min_wavelengths} at least"
+            )
     return samples
 
 
 def choose_effort(max_stderr: float) -> Effort:
-    """Return the effort that suits an accuracy: a coarse one asks for a quick look only."""
+    """Return the effort of a fit for a target error; it is reduced for coarse ones."""
     if max_stderr <= 0.005:
         return Effort(max_stderr=max_stderr)
     return Effort(
@@ -137,16 +138,16 @@ def choose_effort(max_stderr: float) -> Effort:
 def _make_batch_variables(
     dims: tuple[str, ...], deviations: list[xr.DataArray], shape: tuple[int, ...]
 ) -> dict[str, Variable]:
-    """Return how errors of modelled reflectance go together, see `splits.core.uncertainty`."""
-    values = np.stack([one.values for one in deviations]).reshape(*shape, *deviations[0].shape)
-    tail = (str(d) for d in deviations[0].dims)
-    return {"reflectance_batches": ((*dims, *tail), values, dict(deviations[0].attrs))}
+    """Return the batch deviations of modelled reflectance, see `splits.core.uncertainty`."""
+    values = np.stack([array.values for array in deviations]).reshape(*shape, *deviations[0].shape)
+    inner_dims = (str(d) for d in deviations[0].dims)
+    return {"reflectance_batches": ((*dims, *inner_dims), values, dict(deviations[0].attrs))}
 
 
 def _make_fit_coordinates(
     experiment: SimulationConfig, result: FitResult, samples: list[str], wavelength: np.ndarray
 ) -> dict[str, Any]:
-    """Return the coordinates of a dataset of fits like this one."""
+    """Return the coordinates of a dataset of fits."""
     names = list(result.names)
     return {
         "wavelength": make_wavelength_coordinate(wavelength),
@@ -168,46 +169,45 @@ def _make_fit_dataset(
     max_stderr: float,
     start_time: float,
 ) -> xr.Dataset:
-    """Return all fits as one dataset."""
+    """Return the dataset of all fits."""
     shape = (*(len(values) for values in experiment.grid.values()), len(samples))
     dims = (*experiment.grid, "sample")
     first = results[0]
     parameters = list(first.parameters)
 
-    def stacked(values: list[Any], *tail: int) -> np.ndarray:
+    def stack(values: list[Any], *tail: int) -> np.ndarray:
         return np.array(values, dtype=float).reshape(*shape, *tail)
 
-    def per_parameter(what: str) -> np.ndarray:
-        values = [[float(getattr(r.parameters[p], what)) for p in parameters] for r in results]
-        return stacked(values, len(parameters))
+    def stack_parameter(attribute: str) -> np.ndarray:
+        values = [[float(getattr(r.parameters[p], attribute)) for p in parameters] for r in results]
+        return stack(values, len(parameters))
 
-    spectrum, count = (*dims, "wavelength"), len(wavelength)
-    over = (*dims, "parameter")
-    square = (*dims, "coordinate", "other_coordinate")
-    modelled = stacked([r.modelled for r in results], count)
-    error = stacked([r.modelled_stderr for r in results], count)
-    measured = stacked([r.measured for r in results], count)
-    value, value_error, told = map(per_parameter, ("value", "stderr", "constrained"))
-    related = stacked([r.correlation for r in results], len(first.names), len(first.names))
-    rmse, rmse_error, tried = (
-        stacked([getattr(r, name) for r in results])
+    spectrum_dims, count = (*dims, "wavelength"), len(wavelength)
+    parameter_dims = (*dims, "parameter")
+    coordinate_dims = (*dims, "coordinate", "other_coordinate")
+    modelled = stack([r.modelled for r in results], count)
+    error = stack([r.modelled_stderr for r in results], count)
+    measured = stack([r.measured for r in results], count)
+    value, value_error, constrained = map(stack_parameter, ("value", "stderr", "constrained"))
+    correlation = stack([r.correlation for r in results], len(first.names), len(first.names))
+    rmse, rmse_error, evaluations = (
+        stack([getattr(r, name) for r in results])
         for name in ("rmse", "rmse_stderr", "evaluations")
     )
-    narrowed = "1 where the spectrum narrows the parameter to below half of its range"
+    correlation_label = "correlation of the fit's coordinates"
+    constrained_label = "1 where the spectrum narrows the parameter to below half of its range"
     variables: dict[str, Variable] = {
-        **make_variable("reflectance", spectrum, modelled, error, "modelled reflectance"),
+        **make_variable("reflectance", spectrum_dims, modelled, error, "modelled reflectance"),
         **_make_batch_variables(dims, [r.spectrum.reflectance_batches for r in results], shape),
-        **make_variable("measured", spectrum, measured, None, "measured reflectance"),
-        **make_variable("value", over, value, value_error, "fitted parameter"),
-        **make_variable("constrained", over, told, None, narrowed),
-        **make_variable(
-            "correlation", square, related, None, "correlation of the fit's coordinates"
-        ),
+        **make_variable("measured", spectrum_dims, measured, None, "measured reflectance"),
+        **make_variable("value", parameter_dims, value, value_error, "fitted parameter"),
+        **make_variable("constrained", parameter_dims, constrained, None, constrained_label),
+        **make_variable("correlation", coordinate_dims, correlation, None, correlation_label),
         **make_variable("rmse", dims, rmse, rmse_error, "root mean square misfit"),
-        **make_variable("evaluations", dims, tried, None, "number of sands simulated"),
+        **make_variable("evaluations", dims, evaluations, None, "number of sands simulated"),
     }
     coordinates = _make_fit_coordinates(experiment, first, samples, wavelength)
-    facts = {
+    attributes = {
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,
         "medium": "sand",
@@ -217,4 +217,4 @@ def _make_fit_dataset(
         "physics_sources_sha256": hash_physics_sources(fit=True),
         **make_provenance(f"experiment {experiment.name}"),
     }
-    return xr.Dataset(variables, coordinates, to_netcdf_attributes(facts))
+    return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))

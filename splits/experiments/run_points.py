@@ -1,4 +1,4 @@
-"""The points of an experiment's grid, measured: those that share paths together."""
+"""Simulation of the points of an experiment's grid, with path reuse between points."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 
 STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
 N_BEAM_RAYS = 200_000
-"""Rays of a beam whose spread is measured, for a relative error of 0.02 elsewhere."""
+"""Number of rays of a beam spread at a relative standard error of 0.02."""
 MAX_RAYS = 20_000_000
 
 LogCallback = Callable[[str], None]
@@ -36,14 +36,14 @@ GridPoint = tuple[dict[str, str], Medium, float | str]
 
 
 class SimulatedPoints(NamedTuple):
-    """What was measured.
+    """Results of all points of a grid.
 
     Attributes
     ----------
     datasets : list of xarray.Dataset
-        Of the points, in their order.
+        Results in the order of the points.
     rays : int
-        Traced for all of them; points may share some.
+        Number of rays traced; points may share rays.
     """
 
     datasets: list[xr.Dataset]
@@ -58,56 +58,68 @@ def simulate_points(
     log: LogCallback,
     cache: PointCache | None = None,
 ) -> SimulatedPoints:
-    """Measure all points of an experiment but those kept, see `splits.experiments.run.run`.
+    """Simulate all points of an experiment that the cache lacks, see `splits.experiments.run.run`.
 
-    Points whose spectra need the same paths share them: those that differ in what absorbs, in the
-    albedo of a ground, or in the size of everything.
+    Paths are reused between points that differ only in absorption, in the albedo of a ground, or in
+    a common scale of all lengths.
     """
     instrument, points = experiment.instrument, list(experiment.iter_points())
     seed = seed if instrument.seed is None else instrument.seed
-    found: dict[int, xr.Dataset] = {}
+    results: dict[int, xr.Dataset] = {}
     groups = _group_by_shared_paths(instrument, points)
     if len(groups) < len(points):
-        log(f"{experiment.name}: {len(groups)} ensembles of paths serve {len(points)} points")
+        log(f"{experiment.name}: {len(groups)} sets of paths for {len(points)} points")
     rays = 0
-    for places, members in groups:
-        head = _format_prefix(experiment.name, points, places)
-        before = cache.load(places) if cache else None
-        if before:
-            log(f"{head}: kept from an earlier run")
-            found |= dict(zip(places, before, strict=True))
-            rays += int(before[0].attrs["rays"])
+    for indices, members in groups:
+        prefix = _format_prefix(experiment.name, points, indices)
+        cached = cache.load(indices) if cache else None
+        if cached:
+            log(f"{prefix}: kept from an earlier run")
+            results |= dict(zip(indices, cached, strict=True))
+            rays += int(cached[0].attrs["rays"])
             continue
-        show = _make_progress_callback(head, log)
-        some = [points[place] for place in places]
+        show = _make_progress_callback(prefix, log)
+        group_points = [points[index] for index in indices]
         if members is None:
-            _, medium, incidence = some[0]
+            _, medium, incidence = group_points[0]
             datasets = [
                 simulate_point(instrument, medium, incidence, accuracy, seed, threads, show)
             ]
         else:
-            datasets = _simulate_group(some, members, instrument, accuracy, seed, threads, show)
-        datasets = cache.save(places, datasets) if cache else datasets
-        found |= dict(zip(places, datasets, strict=True))
+            datasets = _simulate_group(
+                group_points, members, instrument, accuracy, seed, threads, show
+            )
+        datasets = cache.save(indices, datasets) if cache else datasets
+        results |= dict(zip(indices, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
-        _log_result(head, datasets, instrument, log)
-    return SimulatedPoints([found[place] for place in range(len(points))], rays)
+        _log_result(prefix, datasets, instrument, log)
+    return SimulatedPoints([results[index] for index in range(len(points))], rays)
 
 
 def _group_by_shared_paths(
     instrument: InstrumentSection, points: Sequence[GridPoint]
 ) -> list[tuple[list[int], MediaGroup | None]]:
-    """Return the places of points that share paths, with their family; of others none."""
-    grains = all(isinstance(medium, GranularMedium | LayeredMedium) for _, medium, _ in points)
-    if instrument.kind != "spectrophotometer" or instrument.estimator == "analog" or not grains:
-        return [([place], None) for place in range(len(points))]
+    """Return the indices of points that share paths, with their group (None for single points)."""
+    are_granular = all(
+        isinstance(medium, GranularMedium | LayeredMedium) for _, medium, _ in points
+    )
+    if (
+        instrument.kind != "spectrophotometer"
+        or instrument.estimator == "analog"
+        or not are_granular
+    ):
+        return [([index], None) for index in range(len(points))]
     wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
     groups: list[tuple[list[int], MediaGroup | None]] = []
-    for beam in dict.fromkeys(incidence for *_, incidence in points):
-        under = [place for place, (*_, incidence) in enumerate(points) if incidence == beam]
-        for members in group_by_shared_paths([points[place][1] for place in under], wavelengths):
-            places = [under[place] for place in members.positions]
-            groups.append((places, members if len(places) > 1 else None))
+    for beam_incidence in dict.fromkeys(incidence for *_, incidence in points):
+        same_beam = [
+            index for index, (*_, incidence) in enumerate(points) if incidence == beam_incidence
+        ]
+        for members in group_by_shared_paths(
+            [points[index][1] for index in same_beam], wavelengths
+        ):
+            indices = [same_beam[index] for index in members.positions]
+            groups.append((indices, members if len(indices) > 1 else None))
     return sorted(groups, key=lambda group: min(group[0]))
 
 
@@ -120,39 +132,41 @@ def _simulate_group(
     threads: int | None,
     progress: Callable[[Progress], None],
 ) -> list[xr.Dataset]:
-    """Measure points that share paths, in the order of their family's members."""
-    most = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
+    """Simulate points that share paths, in the order of the group's media."""
+    max_rays = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
     error = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
     _, _, beam = points[0]
     run = SpectralRequest.from_arguments(
-        instrument.get_wavelengths(), beam, error, seed, most, threads, "auto"
+        instrument.get_wavelengths(), beam, error, seed, max_rays, threads, "auto"
     )
     spectra = simulate_spectra(group.path_sharing, run, progress)
     return [
-        _relabel_spectrum(spectra[which], medium)
-        for which, (_, medium, _) in zip(group.media_indices, points, strict=True)
+        _relabel_spectrum(spectra[index], medium)
+        for index, (_, medium, _) in zip(group.media_indices, points, strict=True)
     ]
 
 
 def _relabel_spectrum(spectrum: xr.Dataset, medium: Medium) -> xr.Dataset:
-    """Return the spectrum of a medium from that of one that is the same to light."""
-    start = f"{medium.kind}_"
-    told = {f"{start}{key}": value for key, value in medium.describe().items()}
-    others = {key: value for key, value in spectrum.attrs.items() if not key.startswith(start)}
-    return xr.Dataset(spectrum.data_vars, spectrum.coords, to_netcdf_attributes(others | told))
+    """Return a spectrum with the attributes of an optically equivalent medium."""
+    prefix = f"{medium.kind}_"
+    attributes = {f"{prefix}{key}": value for key, value in medium.describe().items()}
+    others = {key: value for key, value in spectrum.attrs.items() if not key.startswith(prefix)}
+    return xr.Dataset(
+        spectrum.data_vars, spectrum.coords, to_netcdf_attributes(others | attributes)
+    )
 
 
 def _format_prefix(name: str, points: Sequence[GridPoint], indices: Sequence[int]) -> str:
-    """Return how lines about some points begin."""
+    """Return the prefix of log lines on some points."""
     if len(indices) > 1:
         return f"{name} {len(indices)} of {len(points)} together, from {min(indices) + 1}"
-    (place,) = indices
-    where = " ".join(f"{p}={label}" for p, label in points[place][0].items())
-    return f"{name} {place + 1}/{len(points)} {where}".rstrip()
+    (index,) = indices
+    point_labels = " ".join(f"{p}={label}" for p, label in points[index][0].items())
+    return f"{name} {index + 1}/{len(points)} {point_labels}".rstrip()
 
 
 def _make_progress_callback(prefix: str, log: LogCallback) -> Callable[[Progress], None]:
-    """Return what tells of progress in lines."""
+    """Return a callback that logs progress."""
 
     def show(progress: Progress) -> None:
         if progress.stderr >= 1.0:
@@ -160,7 +174,7 @@ def _make_progress_callback(prefix: str, log: LogCallback) -> Callable[[Progress
             return
         log(
             f"{prefix}: {progress.rays} rays this round, error {progress.stderr:.4f} so far "
-            f"(wanted {progress.target:g}), about {progress.seconds_left:.0f} s left here"
+            f"(target {progress.target:g}), about {progress.seconds_left:.0f} s left here"
         )
 
     return show
@@ -169,22 +183,27 @@ def _make_progress_callback(prefix: str, log: LogCallback) -> Callable[[Progress
 def _log_result(
     prefix: str, datasets: Sequence[xr.Dataset], instrument: InstrumentSection, log: LogCallback
 ) -> None:
-    """Say how it went."""
-    facts = datasets[0].attrs
+    """Log the result of some points."""
+    attributes = datasets[0].attrs
     reached = [
-        f", error {max(one.attrs[key] for one in datasets):.4f}"
+        f", error {max(dataset.attrs[key] for dataset in datasets):.4f}"
         for key in STDERR_ATTRIBUTES
-        if key in facts
+        if key in attributes
     ]
-    log(f"{prefix}: done, {facts['rays']} rays{''.join(reached)}, {facts['wall_time_s']:.1f} s")
-    asked = instrument.rays or instrument.estimator == "bins"
-    if facts.get("stop_reason") == "max_rays" and not asked:
-        log(f"{prefix}: stopped by max_rays = {facts['max_rays']} before the error was reached")
-    if facts.get("stop_reason") == "max_degree":
+    log(
+        f"{prefix}: done, {attributes['rays']} rays{''.join(reached)}, "
+        f"{attributes['wall_time_s']:.1f} s"
+    )
+    has_fixed_rays = instrument.rays or instrument.estimator == "bins"
+    if attributes.get("stop_reason") == "max_rays" and not has_fixed_rays:
         log(
-            f"{prefix}: stopped before the error was reached: in some directions light changes "
-            "faster than the expansion can follow, which no rays mend; stated errors allow "
-            "for it; `estimator: bins` shows such light"
+            f"{prefix}: stopped by max_rays = {attributes['max_rays']} before the error was reached"
+        )
+    if attributes.get("stop_reason") == "max_degree":
+        log(
+            f"{prefix}: stopped before the error was reached: in some directions the BRDF changes "
+            "faster than the expansion resolves, which more rays do not improve; the stated errors "
+            "include this; `estimator: bins` resolves such peaks"
         )
 
 
@@ -197,19 +216,19 @@ def simulate_point(
     threads: int | None,
     progress: Callable[[Progress], None],
 ) -> xr.Dataset:
-    """Put a medium under an instrument; see `run`."""
+    """Simulate one point of a grid, see `splits.experiments.run.run`."""
     scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence_deg)
     common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
     keys = (
         "estimator", "target", "polar_deg", "azimuth_deg", "n_bins", "rays", "half_width_m",
         "radius_m", "screen_depth_m", "centre_on", "realisations",
     )  # fmt: skip
-    given = {key: getattr(instrument, key) for key in keys}
-    given = {key: value for key, value in given.items() if value is not None}
+    arguments = {key: getattr(instrument, key) for key in keys}
+    arguments = {key: value for key, value in arguments.items() if value is not None}
     if instrument.kind in SURFACE_INSTRUMENTS:
-        look: Callable[..., xr.Dataset] = lens if instrument.kind == "lens" else surface_map
-        return look(medium, seed=seed, **given)
-    common |= given
+        measure: Callable[..., xr.Dataset] = lens if instrument.kind == "lens" else surface_map
+        return measure(medium, seed=seed, **arguments)
+    common |= arguments
     if instrument.kind == "beam_spread":
         effort = (0.02 / (instrument.stderr_scale * accuracy.relative_stderr)) ** 2
         common.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))

@@ -1,4 +1,4 @@
-"""Retrievals as experiments: every sample of a measured table, read in the experiment's table."""
+"""Execution of retrievals: every sample of a measured table, with the experiment's table."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from splits.tables.table import Table
 
 LogCallback = Callable[[str], None]
 SINGLE_MODEL, OWN_MODEL = "", "splits"
-"""Names of the model where there is but one, and beside a law."""
+"""Names of our model: where it is the only one, and in a comparison with a law."""
 
 
 class SampleRetrieval(NamedTuple):
-    """What a sample tells, read with one model.
+    """Retrieval of one sample with one model.
 
     Attributes
     ----------
     model, sample : str
     result : RetrievalResult
     reference_chi2 : float
-        χ² that is left where what is known of the sample otherwise is so, NaN where nothing is.
-        Compared between models it says which knows better how light changes with that.
+        χ² with the known parameters fixed at their reference values, NaN without any.  Its
+        difference between models shows which describes their effect better.
     is_prior_sample : bool
-        It was retrieved first, with some of the others' parameters known.
+        Whether the sample was retrieved first, with some parameters fixed.
     """
 
     model: str
@@ -51,36 +51,36 @@ def run_retrieve(
     seed: int = 1,
     log: LogCallback = lambda line: None,
 ) -> list[SampleRetrieval]:
-    """Return what every sample tells, with every model.
+    """Return the retrievals of all samples with all models.
 
     Raises
     ------
     ValueError
-        Names the section's key.
+        The message names the key of the section.
     """
     with key_prefix("retrieve"):
         spectra = section.select_spectra(measured, table.dataset.wavelength.values)
-    used, every = len(next(iter(spectra.values()))), len(measured)
-    if used < every:
-        log(f"{every - used} of {every} wavelengths are left out, or lie outside of the table")
+    n_used, n_all = len(next(iter(spectra.values()))), len(measured)
+    if n_used < n_all:
+        log(f"{n_all - n_used} of {n_all} wavelengths are excluded or outside the table")
     axis, law = section.model_axis, section.compare_with
-    alone = OWN_MODEL if law else SINGLE_MODEL
-    names = [str(v) for v in table.dataset[axis].values] if axis else [alone]
-    found = []
+    single_model = OWN_MODEL if law else SINGLE_MODEL
+    names = [str(v) for v in table.dataset[axis].values] if axis else [single_model]
+    retrievals = []
     for model in names:
-        at = {axis: model} if axis else {}
-        found += _RetrievalTask(section, table, spectra, model, at, seed).retrieve_all(log)
+        fixed = {axis: model} if axis else {}
+        retrievals += _RetrievalTask(section, table, spectra, model, fixed, seed).retrieve_all(log)
     if law:
-        # A package that nothing else of retrievals needs.
+        # Imports snowoptics, which no other part of a retrieval needs.
         from splits.analysis.theory.kokhanovsky_zege import make_law_table
 
-        theirs = make_law_table(table, law, axis)
-        found += _RetrievalTask(section, theirs, spectra, law, {}, seed).retrieve_all(log)
-    return found
+        law_table = make_law_table(table, law, axis)
+        retrievals += _RetrievalTask(section, law_table, spectra, law, {}, seed).retrieve_all(log)
+    return retrievals
 
 
 class _RetrievalTask(NamedTuple):
-    """Spectra to be read in a table with one model, at the nodes that say so."""
+    """Retrieval of spectra with one model: a table at fixed nodes."""
 
     section: RetrieveSection
     table: Table
@@ -90,88 +90,106 @@ class _RetrievalTask(NamedTuple):
     seed: int
 
     def retrieve_all(self, log: LogCallback) -> list[SampleRetrieval]:
-        """Return what all samples tell, and say it."""
-        firsts = {one.sample: one for one in self.section.prior_from}
-        early = {n: self._retrieve(n, self.section.prior, one.fixed) for n, one in firsts.items()}
-        found = []
+        """Return and log the retrievals of all samples."""
+        sources = {source.sample: source for source in self.section.prior_from}
+        prior_results = {
+            sample: self._retrieve(sample, self.section.prior, source.fixed)
+            for sample, source in sources.items()
+        }
+        retrievals = []
         for name in self.spectra:
-            prior = self._make_prior(early, name)
-            told = early[name] if name in early else self._retrieve(name, prior, {})
-            misfit = np.nan if name in early else self._compute_reference_chi2(name, prior)
-            found.append(SampleRetrieval(self.model, name, told, misfit, name in early))
-            mark = f"{name} ({self.model})" if self.model else name
-            for line in repr(told).splitlines():
-                log(f"{mark}: {line}")
-        return found
+            prior = self._make_prior(prior_results, name)
+            result = (
+                prior_results[name] if name in prior_results else self._retrieve(name, prior, {})
+            )
+            reference_chi2 = (
+                np.nan if name in prior_results else self._compute_reference_chi2(name, prior)
+            )
+            retrievals.append(
+                SampleRetrieval(self.model, name, result, reference_chi2, name in prior_results)
+            )
+            label = f"{name} ({self.model})" if self.model else name
+            for line in repr(result).splitlines():
+                log(f"{label}: {line}")
+        return retrievals
 
     def _retrieve(
         self, name: str, prior: Mapping[str, Any], fixed: Mapping[str, Any]
     ) -> RetrievalResult:
-        """Return what one sample tells, of which some of what is free elsewhere may be known."""
+        """Return the retrieval of one sample with some parameters fixed."""
         axes = self.table.axes
         names = [n for n in self.section.free if n not in fixed and n in (*axes, SCALE)]
-        given: Any = self.section.free
-        free = {n: given[n] for n in names} if isinstance(given, Mapping) else names
+        free_section: Any = self.section.free
+        free = {n: free_section[n] for n in names} if isinstance(free_section, Mapping) else names
         spectrum = self.spectra[name]
-        at = {**self.section.get_fixed_values(name, axes), **self.fixed, **fixed}
+        fixed_values = {**self.section.get_fixed_values(name, axes), **self.fixed, **fixed}
         with key_prefix(f"retrieve ({name})"):
             return retrieve(
                 spectrum, self.table, free, self.section.compute_noise(spectrum.to_numpy()),
-                fixed={n: value for n, value in at.items() if n in (*axes, SCALE)},
+                fixed={n: value for n, value in fixed_values.items() if n in (*axes, SCALE)},
                 prior={n: pair for n, pair in prior.items() if n in free} or None, seed=self.seed,
             )  # fmt: skip
 
     def _compute_reference_chi2(self, name: str, prior: Mapping[str, Any]) -> float:
-        """Return the misfit left where what is known of a sample is so."""
-        known = {
-            n: values[name] for n, values in self.section.reference_values.items() if name in values
+        """Return χ² with the known parameters fixed at their reference values."""
+        references = {
+            parameter: values[name]
+            for parameter, values in self.section.reference_values.items()
+            if name in values
         }
-        others = [n for n in self.section.free if n not in known and n != SCALE]
-        if not known or not others or SCALE in known or self.section.noise is None:
+        free_names = [
+            parameter
+            for parameter in self.section.free
+            if parameter not in references and parameter != SCALE
+        ]
+        if not references or not free_names or SCALE in references or self.section.noise is None:
             return np.nan
-        return float(self._retrieve(name, prior, known).dataset.attrs["chi2"])
+        return float(self._retrieve(name, prior, references).dataset.attrs["chi2"])
 
     def _make_prior(
         self, prior_results: Mapping[str, RetrievalResult], name: str
     ) -> dict[str, Any]:
-        """Return what is known of a sample before, from those retrieved first, too."""
+        """Return the prior of a sample, including posteriors of samples retrieved first."""
         prior: dict[str, Any] = dict(self.section.prior)
-        for first in self.section.prior_from:
-            if name.startswith(first.applies_to):
-                told = prior_results[first.sample]
-                prior |= {n: (value, told.stderr[n]) for n, value in told.values.items()}
+        for source in self.section.prior_from:
+            if name.startswith(source.applies_to):
+                result = prior_results[source.sample]
+                prior |= {
+                    parameter: (value, result.stderr[parameter])
+                    for parameter, value in result.values.items()
+                }
         return prior
 
 
 def make_retrieval_table(
     retrievals: list[SampleRetrieval], reference: Mapping[str, Mapping[str, float]]
 ) -> pd.DataFrame:
-    """Return a line for every parameter of every sample; `reference` has values found otherwise."""
+    """Return a row for every parameter of every sample; `reference` has independent values."""
     rows = []
-    for one in retrievals:
-        ds = one.result.dataset
+    for retrieval in retrievals:
+        ds = retrieval.result.dataset
         for name in map(str, ds.parameter.values):
-            own = ds.sel(parameter=name)
+            part = ds.sel(parameter=name)
             long_name, _ = describe_parameter(name)
-            low, below, middle, above, high = own.quantiles.values
+            low, below, middle, above, high = part.quantiles.values
             rows.append(
-                ({"model": one.model} if one.model else {})
+                ({"model": retrieval.model} if retrieval.model else {})
                 | {
-                    "sample": one.sample,
+                    "sample": retrieval.sample,
                     "parameter": name,
                     "description": long_name,
-                    "unit": str(own.parameter_unit.item()),
+                    "unit": str(part.parameter_unit.item()),
                     "median": middle,
-                    "standard deviation": float(own.value_stderr),
-                    "reference value": reference.get(name, {}).get(one.sample, np.nan),
+                    "standard deviation": float(part.value_stderr),
+                    "reference value": reference.get(name, {}).get(retrieval.sample, np.nan),
                     "16 %": below,
                     "84 %": above,
                     "2.5 %": low,
                     "97.5 %": high,
-                    "constrained": "yes" if own.constrained else "no",
-                    "averaging kernel": float(own.averaging_kernel.sel(other_parameter=name)),
+                    "constrained": "yes" if part.constrained else "no",
+                    "averaging kernel": float(part.averaging_kernel.sel(other_parameter=name)),
                     "chi2": ds.attrs["chi2"],
-                    "chi2 at reference": one.reference_chi2,
+                    "chi2 at reference": retrieval.reference_chi2,
                     "chi2 expected": ds.attrs["chi2_expected"],
                     "error inflation": ds.attrs["error_inflation"],
                     "warnings": ds.attrs["warnings"],
@@ -181,35 +199,45 @@ def make_retrieval_table(
 
 
 def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Dataset:
-    """Return all samples as one dataset, which `splits.plotting.retrieval` draws.
+    """Return the dataset of all samples, for `splits.plotting.retrieval`.
 
-    Over models and samples.  Of samples that were measured at other wavelengths, those that all
-    have; without those that were retrieved first.
+    It is over models and samples, at the wavelengths common to all samples, without the samples
+    that were retrieved first.
     """
-    full = [one for one in retrievals if not one.is_prior_sample]
-    models = list(dict.fromkeys(one.model for one in full))
+    final = [retrieval for retrieval in retrievals if not retrieval.is_prior_sample]
+    models = list(dict.fromkeys(retrieval.model for retrieval in final))
     joined = xr.concat(
-        [_combine_model([one for one in full if one.model == model]) for model in models],
-        xr.IndexVariable("model", models), join="outer", combine_attrs="drop",
-    )  # fmt: skip
-    # In the order of the first model, which knows of all parameters.
-    order = full[0].result.dataset.parameter.values
+        [
+            _combine_model([retrieval for retrieval in final if retrieval.model == model])
+            for model in models
+        ],
+        xr.IndexVariable("model", models),
+        join="outer",
+        combine_attrs="drop",
+    )
+    # Use the order of the first model, which has all parameters.
+    order = final[0].result.dataset.parameter.values
     joined = joined.sel(parameter=order, other_parameter=order)
-    facts = {
+    attributes = {
         "title": f"Retrievals of {experiment}",
         "experiment": experiment,
         **make_provenance(f"retrievals of {experiment}"),
     }
-    return joined.assign_attrs(to_netcdf_attributes(facts))
+    return joined.assign_attrs(to_netcdf_attributes(attributes))
 
 
 def _combine_model(retrievals: list[SampleRetrieval]) -> xr.Dataset:
-    """Return the samples of one model as one dataset."""
-    sets, names = [one.result.dataset for one in retrievals], [one.sample for one in retrievals]
-    joined = xr.concat(sets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop")
+    """Return the dataset of all samples of one model."""
+    datasets, names = (
+        [retrieval.result.dataset for retrieval in retrievals],
+        [retrieval.sample for retrieval in retrievals],
+    )
+    joined = xr.concat(
+        datasets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop"
+    )
     for key in ("chi2", "chi2_expected", "error_inflation", "degrees_of_freedom"):
-        row = np.array([one.attrs[key] for one in sets])
+        row = np.array([retrieval.attrs[key] for retrieval in datasets])
         joined[key] = ("sample", row, {"long_name": key.replace("_", " "), "units": "1"})
-    misfits = np.array([one.reference_chi2 for one in retrievals])
-    about = {"long_name": "chi2 where what is known is so", "units": "1"}
-    return joined.assign(chi2_at_reference=("sample", misfits, about))
+    misfits = np.array([retrieval.reference_chi2 for retrieval in retrievals])
+    attributes = {"long_name": "chi2 at reference values", "units": "1"}
+    return joined.assign(chi2_at_reference=("sample", misfits, attributes))

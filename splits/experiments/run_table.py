@@ -1,4 +1,4 @@
-"""Tables as experiments: a part of the ensembles of one, and all of them put together."""
+"""Execution of tables: simulation of some of their path groups, and assembly of all."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from splits.tables.plan import PathGroup, TablePlan
 from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
 
 DEFAULT_N_BLOCKS = 8
-"""Parts of a table that are jobs of their own, unless the experiment says how many."""
+"""Default number of parts of a table that run as separate jobs."""
 MAX_RAYS = 20_000_000
 LogCallback = Callable[[str], None]
 
 
 def count_parts(experiment: SimulationConfig) -> int:
-    """Return how many parts a table has."""
+    """Return the number of parts of a table."""
     return experiment.instrument.blocks or DEFAULT_N_BLOCKS
 
 
 def make_plan(experiment: SimulationConfig) -> TablePlan:
-    """Return what is to be traced for a table; refuses points of it that cannot be."""
+    """Return the plan of a table; reject points that cannot be simulated."""
     instrument = experiment.instrument
     axes, wavelengths = experiment.make_axes(), instrument.get_wavelengths()
     return TablePlan.from_grid(experiment.make_medium, axes, wavelengths, instrument.incidence_deg)
@@ -43,13 +43,13 @@ def make_plan(experiment: SimulationConfig) -> TablePlan:
 def make_request(
     experiment: SimulationConfig, accuracy: Accuracy, seed: int, threads: int | None = None
 ) -> TableRequest:
-    """Return how a table is to be measured."""
+    """Return the settings of a table's simulation."""
     instrument = experiment.instrument
-    own = seed if instrument.seed is None else instrument.seed
+    own_seed = seed if instrument.seed is None else instrument.seed
     error = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
     rays = accuracy.max_rays or MAX_RAYS
     run = SpectralRequest.from_arguments(
-        instrument.get_wavelengths(), 0.0, error, own, rays, threads, "auto"
+        instrument.get_wavelengths(), 0.0, error, own_seed, rays, threads, "auto"
     )
     quantities = instrument.quantities or ("reflectance",)
     return TableRequest(run, quantities, instrument.covariance == "keep")
@@ -64,32 +64,35 @@ def run_part(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> list[Path]:
-    """Measure every so many-th ensemble of a table, from that one on, and keep its block.
+    """Simulate the path groups of one part of a table and write their blocks.
 
-    What a folder has of them already is left as it is.
+    Existing blocks in the folder are kept.
 
     Parameters
     ----------
     experiment : SimulationConfig
-        Of instrument "table".
-    accuracy, seed, threads, say
+        With the instrument "table".
+    accuracy, seed, threads, log
         As for `splits.experiments.run.run`.
     folder : path
-        Keeps the blocks.
+        Folder of the blocks.
     part : int
-        From 0 to `count_parts` less 1.
+        From 0 to `count_parts` − 1.
 
     Returns
     -------
     list of Path
-        Of the blocks.
+        Files of the blocks.
     """
-    plan, order = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
-    mine = plan.path_groups[part :: count_parts(experiment)]
+    plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
+    groups = plan.path_groups[part :: count_parts(experiment)]
     log(f"{experiment.name}: {plan}")
-    for _ in _simulate_blocks(experiment, order, mine, folder, log):
+    for _ in _simulate_blocks(experiment, request, groups, folder, log):
         pass
-    return [make_block_path(folder, one.number, compute_block_digest(one, order)) for one in mine]
+    return [
+        make_block_path(folder, group.number, compute_block_digest(group, request))
+        for group in groups
+    ]
 
 
 def run_table(
@@ -100,16 +103,17 @@ def run_table(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> xr.Dataset:
-    """Return a table: blocks that a folder keeps, and what is missing measured."""
-    begun = time.perf_counter()
-    plan, order = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
+    """Return a table from the blocks in a folder; missing blocks are simulated."""
+    start_time = time.perf_counter()
+    plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
     log(f"{experiment.name}: {plan}")
-    found, facts = allocate_arrays(plan, order), []
-    for block in _simulate_blocks(experiment, order, plan.path_groups, folder, log):
-        insert_block(found, block)
-        facts.append(block.attrs)
+    arrays, block_attributes = allocate_arrays(plan, request), []
+    for block in _simulate_blocks(experiment, request, plan.path_groups, folder, log):
+        insert_block(arrays, block)
+        block_attributes.append(block.attrs)
     return _add_experiment_attributes(
-        experiment, assemble_dataset(found, plan, order, facts, time.perf_counter() - begun)
+        experiment,
+        assemble_dataset(arrays, plan, request, block_attributes, time.perf_counter() - start_time),
     )
 
 
@@ -122,29 +126,29 @@ def write_table(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> None:
-    """Write the table that `run_table` returns, one that does not fit into memory block by block.
+    """Write the table of `run_table`; one that exceeds the memory limit is written block by block.
 
     Parameters
     ----------
     path : path
-        The file appears whole or not at all.
+        The file is written atomically.
     """
-    plan, order = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
-    if compute_table_bytes(plan, order) <= MAX_BYTES_IN_MEMORY:
+    plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
+    if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
         save(run_table(experiment, accuracy, seed, folder, threads, log), path)
         return
     log(f"{experiment.name}: {plan}")
     write_table_blockwise(
         path,
         plan,
-        order,
-        lambda: _simulate_blocks(experiment, order, plan.path_groups, folder, log),
+        request,
+        lambda: _simulate_blocks(experiment, request, plan.path_groups, folder, log),
         lambda table: _add_experiment_attributes(experiment, table),
     )
 
 
 def _add_experiment_attributes(experiment: SimulationConfig, table: xr.Dataset) -> xr.Dataset:
-    """Return a table that says of which experiment it is."""
+    """Return a table with the attributes of its experiment."""
     return table.assign_attrs(
         title=f"Experiment {experiment.name}",
         experiment=experiment.name,
@@ -160,28 +164,33 @@ def _simulate_blocks(
     folder: Path | None,
     log: LogCallback,
 ) -> Iterator[xr.Dataset]:
-    """Yield blocks, and say how far they are."""
-    head, count = f"{experiment.name}: {len(groups)} ensembles", len(groups)
+    """Yield blocks and log the progress."""
+    prefix, n_groups = f"{experiment.name}: {len(groups)} path groups", len(groups)
 
     def show(progress: Progress) -> None:
-        log(f"{head}, {progress}")
+        log(f"{prefix}, {progress}")
 
     for number, block in enumerate(iterate_blocks(request, groups, folder, show), start=1):
         reached = float(block.attrs["max_stderr_reached"])
-        log(f"{head}: {number} of {count} done, {block.attrs['rays']} rays, error {reached:.4f}")
+        log(
+            f"{prefix}: {number} of {n_groups} done, {block.attrs['rays']} rays, "
+            f"error {reached:.4f}"
+        )
         yield block
 
 
 def write_part_manifest(files: Sequence[Path], path: Path) -> None:
-    """Write down which blocks a part has made, with their checksums."""
-    made = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
-    with atomic_write(path) as aside:
-        aside.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+    """Write the names and checksums of the blocks of a part."""
+    checksums = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    with atomic_write(path) as temporary_path:
+        temporary_path.write_text(json.dumps(checksums, indent=1) + "\n", encoding="utf-8")
 
 
 def delete_unused_blocks(manifests: Sequence[Path]) -> None:
-    """Delete the blocks beside the notes of a table's parts that none of these names."""
-    made = {name for note in manifests for name in json.loads(note.read_text(encoding="utf-8"))}
+    """Delete the blocks that no manifest of a table's parts names."""
+    names = {
+        name for manifest in manifests for name in json.loads(manifest.read_text(encoding="utf-8"))
+    }
     for file in manifests[0].parent.glob("block_*.nc"):
-        if file.name not in made:
+        if file.name not in names:
             file.unlink(missing_ok=True)

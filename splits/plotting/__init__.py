@@ -1,4 +1,4 @@
-"""Figures: a dataset in, a matplotlib figure out."""
+"""Matplotlib figures of datasets."""
 
 from __future__ import annotations
 
@@ -55,28 +55,32 @@ __all__ = [
 
 
 SINGLE_POINT_FUNCTIONS = {
-    "lobes": draw_lobes, "bins": draw_bin_sizes, "spread": draw_beam_spread, "surface": draw_surface, "lens": draw_lens,
-}  # fmt: skip
-"""Kinds of figures that only need to know which point of a grid to show."""
+    "lobes": draw_lobes,
+    "bins": draw_bin_sizes,
+    "spread": draw_beam_spread,
+    "surface": draw_surface,
+    "lens": draw_lens,
+}
+"""Functions that draw the kinds of figures of a single point of a grid."""
 
 
 def draw(
     dataset: xr.Dataset, section: Mapping[str, Any], measured: pd.DataFrame | None = None
 ) -> Figure:
-    """Draw a dataset as an experiment's figure section says.
+    """Draw a dataset according to the figure section of an experiment.
 
     Parameters
     ----------
     dataset : xarray.Dataset
     section : mapping
-        See `splits.experiments.config.experiment.FigureSection`.
+        See `splits.experiments.config.sections.FigureSection`.
     measured : pandas.DataFrame, optional
-        Measured values to show with spectra.
+        Measured values to show together with spectra.
 
     Raises
     ------
     ValueError
-        For a section that draws nothing, or more than can be shown.
+        For a section that draws nothing, or more than a figure can show.
     """
     if section["kind"] == "none":
         raise invalid("figure.kind", "none", "a kind of figure")

@@ -1,4 +1,4 @@
-"""Anisotropy factors: the principal plane, and every measured direction beside the model."""
+"""Figure of modelled and measured anisotropy factors."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from splits.plotting.style import (
 )
 
 MODEL_AXIS, SAMPLE_AXIS = "interpretation", "saturation"
-"""Axes of the dataset: of models, and of samples."""
+"""Axes of the dataset for models and for samples."""
 MAX_PLANE_ANGLE_DEG = 65.0
-"""Up to which the principal plane is drawn."""
+"""Largest viewing angle of the principal plane (degrees)."""
 ANGLE_MARKERS = "os^Dv<>ph*"
 _HEIGHT_INCHES = 5.2
 
@@ -35,38 +35,48 @@ _HEIGHT_INCHES = 5.2
 def draw_anisotropy(
     dataset: xr.Dataset, table: pd.DataFrame, misfits: pd.DataFrame, wavelength_nm: float
 ) -> Figure:
-    """Draw a column for every measured sample: the principal plane, and all directions below.
+    """Draw the principal plane and all directions for every measured sample, a column each.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        BRDF, see `splits.analysis.anisotropy.beside_measured`.
+        BRDF, see `splits.analysis.anisotropy.compare_with_measured`.
     table, misfits : pandas.DataFrame
-        As `beside_measured` and `by_angle` return them.
+        Outputs of `compare_with_measured` and `summarize_by_angle`.
     wavelength_nm : float
-        Of the principal plane.
+        Wavelength of the principal plane.
     """
     axis, sample = MODEL_AXIS, SAMPLE_AXIS
     samples, models = list(dict.fromkeys(table[sample])), list(map(str, dataset[axis].values))
-    shades = dict(zip(models, pick_colours(len(models), "medium"), strict=True))
+    colours = dict(zip(models, pick_colours(len(models), "medium"), strict=True))
     with use_style():
         figure, panels = make_subplots(
-            2, len(samples), width=TWO_COLUMNS_INCHES, height=_HEIGHT_INCHES, sharey="row", squeeze=False,
+            2,
+            len(samples),
+            width=TWO_COLUMNS_INCHES,
+            height=_HEIGHT_INCHES,
+            sharey="row",
+            squeeze=False,
             gridspec_kw={"height_ratios": [1.0, 1.1]},
-        )  # fmt: skip
+        )
         for column, value in enumerate(samples):
             top, bottom = panels[:, column]
-            own = table[table[sample] == value]
+            rows = table[table[sample] == value]
             label = next(x for x in dataset[sample].values if float(x) == float(value))
-            _draw_plane(top, dataset.sel({sample: label}), own[own.wavelength_nm == wavelength_nm],
-                   axis, shades)  # fmt: skip
+            _draw_plane(
+                top,
+                dataset.sel({sample: label}),
+                rows[rows.wavelength_nm == wavelength_nm],
+                axis,
+                colours,
+            )
             top.set_title(f"{format_parameter(sample)} {value:g}, {wavelength_nm:g} nm")
-            _draw_all_directions(bottom, own, misfits[misfits[sample] == value], axis, shades)
+            _draw_all_directions(bottom, rows, misfits[misfits[sample] == value], axis, colours)
         panels[0, 0].set_ylabel("anisotropy factor")
         panels[1, 0].set_ylabel("anisotropy factor, modelled")
         note = (
             "Above: principal plane, forward to the right; bands are two standard errors of the "
-            "model. Below: every direction and wavelength; marks tell the angle of view."
+            "model. Below: every direction and wavelength; markers show the viewing angle."
         )
         return annotate_figure(figure, panels[0], note)
 
@@ -74,14 +84,14 @@ def draw_anisotropy(
 def _draw_plane(
     axes: Axes, dataset: xr.Dataset, rows: pd.DataFrame, model_axis: str, colour_of: dict[str, Any]
 ) -> None:
-    """Draw the principal plane of every model, and what was measured in it."""
+    """Draw the principal plane of every model and of the measurement."""
     for model, colour in colour_of.items():
         part = dataset.sel({model_axis: model}).sel(wavelength=float(rows.wavelength_nm.iloc[0]))
         plane = select_principal_plane(part[["brdf", "brdf_stderr"]])
         plane = plane.isel(angle=np.abs(plane.angle.values) <= MAX_PLANE_ANGLE_DEG)
-        above = float(plane.brdf.sel(angle=0.0, method="nearest"))
-        x, y = plane.angle.values, plane.brdf.values / above
-        error = BAND_SIGMA * plane.brdf_stderr.values / above
+        nadir = float(plane.brdf.sel(angle=0.0, method="nearest"))
+        x, y = plane.angle.values, plane.brdf.values / nadir
+        error = BAND_SIGMA * plane.brdf_stderr.values / nadir
         axes.plot(x, y, color=colour, lw=1.2, label=format_value(model, model_axis))
         axes.fill_between(x, y - error, y + error, color=colour, alpha=0.25, lw=0)
     first = rows[rows[model_axis] == next(iter(colour_of))]
@@ -103,22 +113,22 @@ def _draw_all_directions(
     """Draw every direction and wavelength of a sample, modelled over measured."""
     angles = sorted(rows.polar_deg.unique())
     for model, colour in colour_of.items():
-        every = misfits[(misfits[model_axis] == model) & (misfits.polar_deg == ALL_DIRECTIONS)]
-        rmse = float(np.sqrt(np.average(every.rmse**2, weights=every.directions)))
-        for mark, angle in zip(ANGLE_MARKERS, angles, strict=False):
+        summary = misfits[(misfits[model_axis] == model) & (misfits.polar_deg == ALL_DIRECTIONS)]
+        rmse = float(np.sqrt(np.average(summary.rmse**2, weights=summary.directions)))
+        for marker, angle in zip(ANGLE_MARKERS, angles, strict=False):
             part = rows[(rows[model_axis] == model) & (rows.polar_deg == angle)]
             label = (
                 f"{format_value(model, model_axis)}: RMSE {rmse:.3f}"
-                if mark == ANGLE_MARKERS[0]
+                if marker == ANGLE_MARKERS[0]
                 else None
             )
-            axes.plot(part[FACTOR_COLUMN], part.modelled, mark, color=colour, ms=2.2, alpha=0.6,
+            axes.plot(part[FACTOR_COLUMN], part.modelled, marker, color=colour, ms=2.2, alpha=0.6,
                       label=label)  # fmt: skip
     low, high = min(rows[FACTOR_COLUMN].min(), rows.modelled.min()), max(rows[FACTOR_COLUMN].max(),
                                                                 rows.modelled.max())  # fmt: skip
     axes.plot([low, high], [low, high], color="black", lw=0.6)
-    for mark, angle in zip(ANGLE_MARKERS, angles, strict=False):
-        axes.plot([], [], mark, color="0.4", ms=2.5, label=f"seen from {angle:g}°")
+    for marker, angle in zip(ANGLE_MARKERS, angles, strict=False):
+        axes.plot([], [], marker, color="0.4", ms=2.5, label=f"seen from {angle:g}°")
     axes.set_xlabel("anisotropy factor, measured")
     axes.legend(frameon=False, fontsize=SMALL_FONT_PT, loc="upper left")
     axes.spines[["top", "right"]].set_visible(False)

@@ -1,7 +1,4 @@
-"""The line of a figure that says under which conditions its values hold.
-
-What stands around the panels of a figure: their letters, and notes at the foot.
-"""
+"""Annotations of figures: conditions of the simulation, panel letters and notes at the foot."""
 
 from __future__ import annotations
 
@@ -20,9 +17,9 @@ Attributes = Mapping[str, Any]
 
 
 def _make_formatter(label: str, unit: str = "") -> Callable[[Any], str]:
-    """Return how a value is said: the words before it and the unit behind."""
+    """Return a function that formats a value with a label and a unit."""
 
-    def said(value: Any) -> str:
+    def format_quantity(value: Any) -> str:
         values = np.atleast_1d(value)
         if values.dtype.kind in "if":
             text = "–".join(format_value(float(f"{x:.4g}")) for x in values)
@@ -30,7 +27,7 @@ def _make_formatter(label: str, unit: str = "") -> Callable[[Any], str]:
             text = format_value(str(value))
         return f"{label} {text} {'' if text == '∞' else unit}".strip()
 
-    return said
+    return format_quantity
 
 
 def _format_saturation(value: Any) -> str:
@@ -50,11 +47,21 @@ _GRAIN_FORMATTERS = {
     "saturation": _format_saturation,
 }
 FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
-    "snow": {"grain_size_um": _make_formatter("grains", "µm"), **_GRAIN_FORMATTERS, **_COMMON_FORMATTERS},
-    "natural_snow": {
-        "specific_surface_area_m2_kg": _make_formatter("surface area", "m²/kg"), **_GRAIN_FORMATTERS, **_COMMON_FORMATTERS,
+    "snow": {
+        "grain_size_um": _make_formatter("grains", "µm"),
+        **_GRAIN_FORMATTERS,
+        **_COMMON_FORMATTERS,
     },
-    "sand": {"porosity": _make_formatter("porosity"), "saturation": _format_saturation, **_COMMON_FORMATTERS},
+    "natural_snow": {
+        "specific_surface_area_m2_kg": _make_formatter("surface area", "m²/kg"),
+        **_GRAIN_FORMATTERS,
+        **_COMMON_FORMATTERS,
+    },
+    "sand": {
+        "porosity": _make_formatter("porosity"),
+        "saturation": _format_saturation,
+        **_COMMON_FORMATTERS,
+    },
     "particle_layer": {
         "refractive_index": _make_formatter("index"),
         "optical_thickness": _make_formatter("optical thickness"),
@@ -63,36 +70,38 @@ FORMATTERS: dict[str, dict[str, Callable[[Any], str]]] = {
             "" if str(value) in ("none", "None") else _make_formatter("bottom albedo")(value)
         ),
         "surface_rms_slope": lambda value: (
-            "slopes without finite rms" if str(value) == "inf" else _make_formatter("rms slope")(value)
+            "slopes without finite rms"
+            if str(value) == "inf"
+            else _make_formatter("rms slope")(value)
         ),
     },
     "stack": {**_COMMON_FORMATTERS},
-}  # fmt: skip
-"""What figures say of a medium, by its kind, and how."""
+}
+"""Formatters of the keywords that figures show, by kind of medium."""
 _INTERIOR_KEYS = ("optical_thickness", "single_scattering_albedo", "bottom_albedo")
-"""What counts for nothing where nothing comes back from below a layer's surface."""
+"""Keywords of a layer without effect below an opaque surface."""
 _SURFACE_INSTRUMENTS = ("surface_map", "lens")
-"""Instruments that look at a rough surface alone."""
+"""Instruments that measure a rough surface only."""
 
 
 def describe_conditions(
     dataset: xr.Dataset, at: Mapping[str, float | str] | None = None, band: str = "bands"
 ) -> str:
-    """Return what is held fixed and matters, and the error reached, in one line.
+    """Return the fixed conditions of a dataset and the error reached, as one line.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        What is shown, with the attributes of an instrument or an experiment.
+        Dataset shown, with the attributes of an instrument or an experiment.
     at : mapping, optional
-        Labels of the grid at which the dataset was cut.
+        Labels of the grid at which the dataset was selected.
     band : str
-        What shows the errors; "" for nothing.
+        Name of the graphical element for errors; "" for none.
 
     Returns
     -------
     str
-        Items stay together where the line is broken.  Empty for a dataset without attributes.
+        Items contain no line breaks.  Empty for a dataset without attributes.
     """
     items = [
         *_describe_medium(dataset.attrs, dict(at or {})),
@@ -101,52 +110,52 @@ def describe_conditions(
     if dataset.sizes.get("wavelength") == 1:
         items.append(f"{float(dataset.wavelength.values[0]):g} nm")
     items.append(_describe_error(dataset, band))
-    told = ", ".join(item.replace(" ", "\u00a0").replace(";\u00a0", "; ") for item in items if item)
-    told = told if dataset.attrs.get("medium") else ""
-    return told[:1].upper() + told[1:]
+    text = ", ".join(item.replace(" ", "\u00a0").replace(";\u00a0", "; ") for item in items if item)
+    text = text if dataset.attrs.get("medium") else ""
+    return text[:1].upper() + text[1:]
 
 
 def _describe_medium(attributes: Attributes, at: dict[str, Any]) -> list[str]:
-    """Return what is said of the medium, and of the labels held fixed."""
+    """Return the descriptions of the medium and of the fixed labels."""
     kind = str(attributes.get("medium", ""))
     if kind not in FORMATTERS:
         return []
-    own = {
+    values = {
         key: attributes[f"{kind}_{key}"]
         for key in FORMATTERS[kind]
         if f"{kind}_{key}" in attributes
     } | at
     opaque = attributes.get(f"{kind}_opaque") == "true"
-    alone = opaque or attributes.get("instrument") in _SURFACE_INSTRUMENTS
+    has_no_interior = opaque or attributes.get("instrument") in _SURFACE_INSTRUMENTS
     items = [kind.replace("_", " ")]
-    for key, said in FORMATTERS[kind].items():
-        if key in own and not (alone and key in _INTERIOR_KEYS):
-            items.append(said(own.pop(key)))
+    for key, formatter in FORMATTERS[kind].items():
+        if key in values and not (has_no_interior and key in _INTERIOR_KEYS):
+            items.append(formatter(values.pop(key)))
     if opaque:
         items.append("nothing below the surface")
-    own = {key: value for key, value in own.items() if key in at and key != "incidence_deg"}
-    items += [f"{format_parameter(key)}: {format_value(v, key)}" for key, v in own.items()]
+    values = {key: value for key, value in values.items() if key in at and key != "incidence_deg"}
+    items += [f"{format_parameter(key)}: {format_value(v, key)}" for key, v in values.items()]
     return items
 
 
 def _describe_light(dataset: xr.Dataset, at: Mapping[str, Any]) -> str:
-    given = at.get("incidence_deg", dataset.attrs.get("incidence_deg"))
-    if given is None:
+    incidence = at.get("incidence_deg", dataset.attrs.get("incidence_deg"))
+    if incidence is None:
         return ""
-    if str(given) == "diffuse":
+    if str(incidence) == "diffuse":
         return "diffuse light"
-    return f"incidence {format_value(given)}" + ("" if isinstance(given, str) else "°")
+    return f"incidence {format_value(incidence)}" + ("" if isinstance(incidence, str) else "°")
 
 
 def _describe_error(dataset: xr.Dataset, band: str) -> str:
-    """Return what the bands are, and how large an error is reached."""
-    for key, words in (
+    """Return the meaning of the bands, and the error reached."""
+    for key, description in (
         ("max_stderr_reached", "standard error"),
         ("relative_stderr_reached", "relative standard error"),
     ):
         reached = dataset[key].max() if key in dataset else dataset.attrs.get(key)
         if reached is not None:
-            text = f"{words} ≤ {float(f'{float(reached):.1g}'):g}"
+            text = f"{description} ≤ {float(f'{float(reached):.1g}'):g}"
             return f"{band}: {BAND_SIGMA:g} standard errors; {text}" if band else text
     return f"{band}: {BAND_SIGMA:g} standard errors" if band else ""
 
@@ -155,25 +164,25 @@ _MARGIN_INCHES = 0.05
 _LINE_SPACING = 1.25
 """Line spacing of notes."""
 NOTES_GID = "foot"
-"""What the notes' text is called in a figure."""
+"""Identifier of the text of notes in a figure."""
 
 
 def annotate_figure(figure: Figure, panels: Iterable[Axes], *notes: str) -> Figure:
-    """Letter the panels of a figure that has several, and write notes at its foot.
+    """Label the panels of a figure with letters, and write notes at its foot.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-        With constrained layout; it grows by the height of the notes.
-    panels : iterable of matplotlib.axes.ParameterGrid
-        In reading order; the letter stands before a panel's title.
+        With constrained layout.  Its height increases by that of the notes.
+    panels : iterable of matplotlib.axes.Axes
+        In reading order.  The letter precedes the title of a panel.
     *notes : str
-        A paragraph each, broken at spaces; empty ones are left out.
+        Paragraphs, wrapped at spaces; empty ones are skipped.
 
     Returns
     -------
     matplotlib.figure.Figure
-        The figure given.
+        The same figure.
     """
     shown = [axes for axes in panels if axes.get_visible()]
     for number, axes in enumerate(shown if len(shown) > 1 else ()):
@@ -191,42 +200,42 @@ def format_panel_letter(number: int) -> str:
 
 
 def add_notes(figure: Figure, *notes: str) -> None:
-    """Write notes below all else and below earlier ones; the figure grows by their height."""
+    """Write notes below the panels and earlier notes; the figure height increases accordingly."""
     inches, dpi = figure.get_figwidth(), figure.dpi
     if not any(notes):
         return
-    text = next((one for one in figure.texts if one.get_gid() == NOTES_GID), None)
-    height, earlier = figure.get_figheight(), ""
+    text = next((item for item in figure.texts if item.get_gid() == NOTES_GID), None)
+    height, previous = figure.get_figheight(), ""
     if text is None:
         text = figure.text(
             _MARGIN_INCHES / inches, 0.0, "", va="bottom", ha="left", fontsize=SMALL_FONT_PT,
             color="0.3", linespacing=_LINE_SPACING, gid=NOTES_GID,
         )  # fmt: skip
-        # The layout would make room for it inside of the axes.
+        # The layout would otherwise reserve room inside the axes.
         text.set_in_layout(False)
     else:
-        earlier = text.get_text() + "\n"
+        previous = text.get_text() + "\n"
         height -= text.get_window_extent().height / dpi + 2.0 * _MARGIN_INCHES
-    widest = (inches - 2.0 * _MARGIN_INCHES) * dpi
-    lines = [line for note in notes if note for line in _wrap_note(text, note, widest)]
-    text.set_text(earlier + "\n".join(lines))
-    grown = text.get_window_extent().height / dpi + 2.0 * _MARGIN_INCHES
-    figure.set_figheight(height + grown)
-    share = grown / (height + grown)
-    text.set_y(_MARGIN_INCHES / (height + grown))
+    max_width_px = (inches - 2.0 * _MARGIN_INCHES) * dpi
+    lines = [line for note in notes if note for line in _wrap_note(text, note, max_width_px)]
+    text.set_text(previous + "\n".join(lines))
+    notes_height = text.get_window_extent().height / dpi + 2.0 * _MARGIN_INCHES
+    figure.set_figheight(height + notes_height)
+    fraction = notes_height / (height + notes_height)
+    text.set_y(_MARGIN_INCHES / (height + notes_height))
     engine = figure.get_layout_engine()
     assert engine is not None
-    engine.set(rect=(0.0, share, 1.0, 1.0 - share))  # type: ignore[call-arg]
+    engine.set(rect=(0.0, fraction, 1.0, 1.0 - fraction))  # type: ignore[call-arg]
 
 
 def _wrap_note(text: Text, note: str, max_width_px: float) -> list[str]:
-    """Return the lines of a note that are no wider than so many pixels."""
+    """Return a note wrapped to a width in pixels."""
     lines = [""]
     for word in note.split(" "):
-        longer = f"{lines[-1]} {word}".strip(" ")
-        text.set_text(longer)
+        candidate = f"{lines[-1]} {word}".strip(" ")
+        text.set_text(candidate)
         if lines[-1] and text.get_window_extent().width > max_width_px:
             lines.append(word)
         else:
-            lines[-1] = longer
+            lines[-1] = candidate
     return lines

@@ -1,4 +1,4 @@
-"""Where light leaves: profiles and maps of a thin beam."""
+"""Figure of the spread of a thin beam: radial profiles and a map."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ from splits.plotting.style import (
 )
 
 MAX_RELATIVE_ERROR = 0.25
-"""Relative error beyond which a value is not drawn."""
+"""Relative error above which a value is not drawn."""
 
 
 def draw_beam_spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
-    """Draw the light that leaves over the distance from the entry, and a map of it.
+    """Draw the exiting light against the distance from the entry, and its map.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.beam_spread`, without a grid or at one point of it.
+        Output of `splits.beam_spread`, without a grid or with one to select from.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     """
     dataset = select_points(dataset, at or {})
     with use_style():
         figure, (left, right) = make_subplots(
             1, 2, width=TWO_COLUMNS_INCHES, height=2.8, width_ratios=(1.15, 1.0)
         )
-        shades = pick_colours(dataset.sizes["wavelength"])
-        for colour, wavelength in zip(shades, dataset.wavelength.values, strict=True):
+        colours = pick_colours(dataset.sizes["wavelength"])
+        for colour, wavelength in zip(colours, dataset.wavelength.values, strict=True):
             for side, dash in (("reflected", "-"), ("transmitted", "--")):
                 part = dataset.sel(wavelength=wavelength, side=side)
                 value, error = part.profile.values, part.profile_stderr.values
-                clear = (value > 0.0) & (error < MAX_RELATIVE_ERROR * value)
-                if clear.sum() < 2:
+                is_significant = (value > 0.0) & (error < MAX_RELATIVE_ERROR * value)
+                if is_significant.sum() < 2:
                     continue
-                x = 1e3 * part.radius.values[clear]
-                value, error = value[clear], BAND_SIGMA * error[clear]
+                x = 1e3 * part.radius.values[is_significant]
+                value, error = value[is_significant], BAND_SIGMA * error[is_significant]
                 label = f"{wavelength:g} nm, {side}"
                 left.plot(x, value, color=colour, ls=dash, label=label)
                 left.fill_between(
@@ -65,8 +65,8 @@ def draw_beam_spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None =
             left.legend(frameon=False)
         first = dataset.isel(wavelength=0).sel(side="reflected")
         values = first.profile_map.transpose("y", "x").values
-        lit = values[values > 0.0]
-        norm = LogNorm(np.quantile(lit, 0.02), lit.max()) if lit.size else None
+        positive = values[values > 0.0]
+        norm = LogNorm(np.quantile(positive, 0.02), positive.max()) if positive.size else None
         image = right.pcolormesh(
             1e3 * first.x, 1e3 * first.y, np.where(values > 0.0, values, np.nan), norm=norm,
             cmap="viridis", rasterized=True,

@@ -1,4 +1,4 @@
-"""Colour swatches: what a spectrum looks like under daylight."""
+"""Figure of colour swatches of spectra under daylight."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from splits.plotting.style import (
 )
 
 _MAX_NARROW_COLUMNS = 3
-"""More patches of colour than these side by side take the width of two columns."""
+"""Largest number of columns of patches in a figure of one page column."""
 _MAX_LABELLED_COLUMNS = 9
-"""More than these side by side have no numbers on them."""
+"""Largest number of columns of patches with numbers."""
 
 
 def draw_swatches(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
@@ -35,12 +35,12 @@ def draw_swatches(dataset: xr.Dataset, at: Mapping[str, float | str] | None = No
     dataset : xarray.Dataset
         ``reflectance`` over one grid parameter (columns), at most one more (rows), wavelength.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
 
     Raises
     ------
     ValueError
-        For a grid of more parameters.
+        For a grid with more parameters.
     """
     dataset = select_points(dataset, at or {})
     dims = [str(d) for d in dataset.reflectance.dims if d != "wavelength"]
@@ -61,9 +61,16 @@ def draw_swatches(dataset: xr.Dataset, at: Mapping[str, float | str] | None = No
         for i in range(columns):
             for j in range(rows if columns <= _MAX_LABELLED_COLUMNS else 0):
                 code = table["srgb"].iloc[i * rows + j]
-                ink = "black" if light[i, j] > 50.0 else "white"
-                axes.text(i, j, f"{code}\nL* {light[i, j]:.1f}", color=ink, fontsize=SMALL_FONT_PT,
-                          ha="center", va="center")  # fmt: skip
+                text_colour = "black" if light[i, j] > 50.0 else "white"
+                axes.text(
+                    i,
+                    j,
+                    f"{code}\nL* {light[i, j]:.1f}",
+                    color=text_colour,
+                    fontsize=SMALL_FONT_PT,
+                    ha="center",
+                    va="center",
+                )
         names = [format_value(v, dims[0]) for v in dataset[dims[0]].values]
         axes.set_xticks(
             range(columns), names, rotation=90 if columns > _MAX_LABELLED_COLUMNS else 0

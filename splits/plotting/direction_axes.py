@@ -1,4 +1,4 @@
-"""Principal planes of datasets over directions, and how half circles show them."""
+"""Selection of principal planes, and axes of figures over directions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from splits.plotting.lines import PlotLines
 from splits.plotting.style import SMALL_FONT_PT, format_parameter, format_value
 
 MAX_POLAR_DEG = 82.5
-"""Angle from the normal up to which directions are drawn; errors are held up to there."""
+"""Largest angle from the normal at which directions are drawn and errors are controlled."""
 
 QUANTITY_LABELS = {
     "brdf": "BRDF (sr⁻¹)",
@@ -25,36 +25,36 @@ QUANTITY_LABELS = {
 }
 VIEWING_ANGLE_LABEL = "viewing angle, forward positive (°)"
 SHORT_ANGLE_LABEL = "viewing angle (°)"
-"""Label of the axis of angles where there is room, and where there is not."""
+"""Labels of the axis of angles, for large and small panels."""
 _MAX_TITLE_CHARS = 24
-"""Letters that fit above a small panel."""
+"""Number of characters that fit above a small panel."""
 MAX_INSET_LINES = 4
-"""Up to so many lines have their legend on the axes."""
+"""Largest number of lines with a legend inside the axes."""
 
 
 def select_point(dataset: xr.Dataset, at: Mapping[str, float | str] | None) -> xr.Dataset:
-    """Return the dataset at labels of its grid; its attributes keep the angle of incidence."""
+    """Return the dataset at labels of its grid, with the incidence kept as an attribute."""
     at = at or {}
-    known = {key: float(at[key]) for key in ("incidence_deg",) if key in at}
-    return select_points(dataset, at).assign_attrs(known)
+    attributes = {key: float(at[key]) for key in ("incidence_deg",) if key in at}
+    return select_points(dataset, at).assign_attrs(attributes)
 
 
 def extract_plane(dataset: xr.Dataset) -> xr.Dataset:
-    """Return the principal plane up to `MAX_POLAR_DEG`, with a gap where no cell looks."""
+    """Return the principal plane up to `MAX_POLAR_DEG`, with a gap where bins have no value."""
     plane = select_principal_plane(dataset)
     plane = plane.isel(angle=np.abs(plane.angle.values) <= MAX_POLAR_DEG)
     return insert_zenith_gap(plane) if dataset.attrs.get("estimator") == "bins" else plane
 
 
 def insert_zenith_gap(plane: xr.Dataset) -> xr.Dataset:
-    """Return a plane without values at the zenith, so that no line joins its halves."""
+    """Return a plane with a missing value at the zenith, so that its halves are not joined."""
     if 0.0 in plane.angle.values:
         return plane
     return plane.reindex(angle=np.sort(np.append(plane.angle.values, 0.0)))
 
 
 def make_lines(dataset: xr.Dataset, quantity: str) -> PlotLines:
-    """Return the lines of a quantity over directions; one wavelength needs no words."""
+    """Return the lines of a quantity over directions; a single wavelength has no label."""
     directions = ("angle", "polar", "azimuth")
     dims = [str(d) for d in dataset[quantity].dims if d not in directions]
     dims = [d for d in dims if d != "wavelength" or dataset.sizes[d] > 1]
@@ -62,43 +62,43 @@ def make_lines(dataset: xr.Dataset, quantity: str) -> PlotLines:
 
 
 def select_line(dataset: xr.Dataset, labels: Mapping[str, float | str]) -> xr.Dataset:
-    """Return what one line shows."""
+    """Return the data of one line."""
     dataset = dataset.sel(labels)
     return dataset.isel(wavelength=0) if "wavelength" in dataset.dims else dataset
 
 
 def make_panel_title(labels: Mapping[str, float | str], legend: str | None = None) -> str:
-    """Return what a small panel says of its point, a line per parameter, two where it is long.
+    """Return the title of a small panel: a line per parameter, two for long ones.
 
     Parameters
     ----------
     labels : mapping
-        Of the grid.
+        Labels of the grid.
     legend : str, optional
-        What varies, where it is one parameter; the parameter's name by default.
+        Name of a single varying parameter; that of the parameter by default.
     """
-    said = []
-    for parameter, given in labels.items():
+    lines = []
+    for parameter, label in labels.items():
         name = legend if legend and len(labels) == 1 else format_parameter(parameter)
-        value = format_value(given, parameter)
-        said.append(f"{name}:{chr(10) if len(name + value) > _MAX_TITLE_CHARS else ' '}{value}")
-    return "\n".join(said)
+        value = format_value(label, parameter)
+        lines.append(f"{name}:{chr(10) if len(name + value) > _MAX_TITLE_CHARS else ' '}{value}")
+    return "\n".join(lines)
 
 
 def to_plot_angle(angle_deg: np.ndarray, downward: bool = False) -> np.ndarray:
-    """Return the polar plot's angles (radians) of viewing angles, for light going up or down."""
+    """Return the angles of a polar plot (radians) for viewing angles, upward or downward."""
     angle = np.radians(angle_deg)
     return np.pi - angle if downward else angle
 
 
 def get_incidence_deg(line: xr.Dataset) -> float:
     """Return the angle of incidence (degrees) of a line."""
-    place = line.coords.get("incidence_deg")
-    return float(line.attrs["incidence_deg"] if place is None else place)
+    coordinate = line.coords.get("incidence_deg")
+    return float(line.attrs["incidence_deg"] if coordinate is None else coordinate)
 
 
 def format_half_circle(axes: Axes, top: float | None, downward: bool = False) -> None:
-    """Make polar axes a half circle of viewing angles, above the surface or below."""
+    """Format polar axes as a half circle of viewing angles, above or below the surface."""
     ticks = np.arange(-90, 91, 30)
     axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
     axes.set_theta_direction(-1)  # type: ignore[attr-defined]

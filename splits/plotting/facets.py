@@ -1,4 +1,4 @@
-"""Small multiples: spectra of a grid of several parameters, a panel for every value of some."""
+"""Small multiples: spectra of a grid, with one panel per value of some parameters."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from splits.plotting.style import (
 )
 
 DEFAULT_COLUMNS = 4
-"""Panels side by side, unless a parameter of up to `MAX_ROW_VALUES` values has a row to itself."""
+"""Default number of columns; a parameter of up to `MAX_ROW_VALUES` values fills a row."""
 MAX_ROW_VALUES = 6
 _PANEL_HEIGHT_INCHES = 1.35
 _RASTERIZED_ZORDER = -10.0
-"""Lines and bands lie below all else, so that SVG files hold them as one image per panel."""
+"""Drawing order of lines and bands, which SVG files contain as one image per panel."""
 
 
 def draw_facets(
@@ -44,64 +44,74 @@ def draw_facets(
     Parameters
     ----------
     dataset : xarray.Dataset
-        As written by an experiment, over wavelength, one parameter whose values are lines, and
-        those of `panel_dims`.
+        Output of an experiment over wavelength, one parameter whose values are lines, and
+        `panel_dims`.
     quantity : sequence of str
-        A block of panels each, one below the other.
+        Quantities, each with a block of panels.
     panel_dims : sequence of str
         One or two parameters, see `splits.plotting.panels.choose_panel_parameters`.
     legend : str, optional
-        Title of the legend or the colour bar; the first parameter by default.
+        Title of the legend or the colour bar; by default the first parameter.
     ylim : (low, high), optional
     note : str
-        For the foot.
+        Note for the foot of the figure.
     """
     dims = [str(d) for d in dataset[quantity[0]].dims if d not in ("wavelength", *panel_dims)]
     lines = PlotLines(dataset, dims)
     last = dataset.sizes[panel_dims[-1]]
     columns = last if len(panel_dims) == 2 and last <= MAX_ROW_VALUES else DEFAULT_COLUMNS
-    places = list(itertools.product(*(dataset[d].values for d in panel_dims)))
-    columns = min(columns, len(places))
-    block = -(-len(places) // columns)
-    rows = block * len(quantity)
+    panel_points = list(itertools.product(*(dataset[d].values for d in panel_dims)))
+    columns = min(columns, len(panel_points))
+    rows_per_quantity = -(-len(panel_points) // columns)
+    rows = rows_per_quantity * len(quantity)
     nodes = find_coarse_nodes(dataset)
     with use_style():
         figure, panels = make_subplots(
-            rows, columns, width=TWO_COLUMNS_INCHES, height=0.5 + _PANEL_HEIGHT_INCHES * rows, sharex=True,
+            rows,
+            columns,
+            width=TWO_COLUMNS_INCHES,
+            height=0.5 + _PANEL_HEIGHT_INCHES * rows,
+            sharex=True,
             squeeze=False,
-        )  # fmt: skip
+        )
         for number, name in enumerate(quantity):
-            part = panels[number * block : (number + 1) * block]
+            panels_of_quantity = panels[
+                number * rows_per_quantity : (number + 1) * rows_per_quantity
+            ]
             top = ylim or (0.0, _compute_axis_top(dataset, name))
-            for axes, place in zip(part.flat, places, strict=False):
-                at = dict(zip(panel_dims, place, strict=True))
-                _draw_panel(axes, dataset.sel(at), name, lines)
+            for axes, panel_point in zip(panels_of_quantity.flat, panel_points, strict=False):
+                labels = dict(zip(panel_dims, panel_point, strict=True))
+                _draw_panel(axes, dataset.sel(labels), name, lines)
                 draw_node_ticks(axes, nodes)
-                axes.set_title(" · ".join(format_value(v, d) for d, v in at.items()))
+                axes.set_title(" · ".join(format_value(label, d) for d, label in labels.items()))
                 axes.set_ylim(top)
                 axes.label_outer()
-            for axes in part.flat[len(places) :]:
+            for axes in panels_of_quantity.flat[len(panel_points) :]:
                 axes.set_visible(False)
-            for axes in part[:, 0]:
+            for axes in panels_of_quantity[:, 0]:
                 axes.set_ylabel(name)
-        # The lowest panel of a column may be a hidden one.
+        # The lowest panel of a column may be hidden.
         for column in panels.T:
             shown = [axes for axes in column if axes.get_visible()]
             shown[-1].tick_params(labelbottom=True)
             shown[-1].set_xlabel("wavelength (nm)")
-        panels_are = "panels: " + " · ".join(map(format_parameter, panel_dims))
-        # A legend of few lines stands above the panels.
-        above = not lines.has_colour_bar and len(lines.lines) <= MAX_INSET_ENTRIES
-        if not above:
-            figure.suptitle(panels_are)
+        description = "panels: " + " · ".join(map(format_parameter, panel_dims))
+        # A legend of few lines is placed above the panels.
+        has_legend_above = not lines.has_colour_bar and len(lines.lines) <= MAX_INSET_ENTRIES
+        if not has_legend_above:
+            figure.suptitle(description)
         lines.add_legend(figure, list(panels.flat), legend, max_inset_entries=0)
         return annotate_figure(
-            figure, panels.flat, panels_are if above else "", note, make_nodes_note(nodes)
+            figure,
+            panels.flat,
+            description if has_legend_above else "",
+            note,
+            make_nodes_note(nodes),
         )
 
 
 def _compute_axis_top(dataset: xr.Dataset, name: str) -> float:
-    """Return where the axis of all panels ends."""
+    """Return the upper limit of the axis of all panels."""
     value = float((dataset[name] + BAND_SIGMA * dataset[f"{name}_stderr"]).max())
     return 1.05 * value if value > 0.0 else 1.0
 
@@ -112,11 +122,11 @@ def _draw_panel(axes: Axes, part: xr.Dataset, name: str, lines: PlotLines) -> No
     rows = part.transpose(*lines.dims, "wavelength")
     values = rows[name].values.reshape(-1, x.size)
     errors = BAND_SIGMA * rows[f"{name}_stderr"].values.reshape(-1, x.size)
-    for one, y, error in zip(lines.lines, values, errors, strict=True):
-        look = one.to_plot_style() | {"lw": 0.7, "zorder": _RASTERIZED_ZORDER + one.zorder}
-        axes.plot(x, y, **look)
+    for line, y, error in zip(lines.lines, values, errors, strict=True):
+        style = line.to_plot_style() | {"lw": 0.7, "zorder": _RASTERIZED_ZORDER + line.zorder}
+        axes.plot(x, y, **style)
         axes.fill_between(
-            x, np.maximum(y - error, 0.0), y + error, color=one.colour, alpha=0.25, lw=0,
+            x, np.maximum(y - error, 0.0), y + error, color=line.colour, alpha=0.25, lw=0,
             zorder=_RASTERIZED_ZORDER,
         )  # fmt: skip
     axes.margins(x=0.01)

@@ -1,4 +1,4 @@
-"""Maps of the hemisphere: what goes into every direction, seen along the normal."""
+"""Hemisphere maps of directional quantities."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from splits.plotting.style import (
 MAX_MAP_COLUMNS = 4
 RING_ANGLES_DEG = (30.0, 60.0)
 _LOG_SCALE_RATIO = 10.0
-"""Values that span a larger factor have a logarithmic scale."""
+"""Ratio of values above which the colour scale is logarithmic."""
 _MIN_RELATIVE_VALUE = 0.01
-"""What is fainter than this part of the brightest has the darkest colour."""
+"""Lower end of a logarithmic colour scale, relative to the largest value."""
 _MAP_HEIGHT_INCHES = 1.75
 _MIN_AZIMUTH_STEPS = 180
-"""Cells around from which on their borders look round."""
+"""Smallest number of azimuth steps for round borders of bins."""
 _MARKER_STYLE: dict[str, Any] = {
     "ls": "none",
     "mfc": "white",
@@ -54,18 +54,19 @@ def draw_hemispheres(
     at: Mapping[str, float | str] | None = None,
     legend: str | None = None,
 ) -> Figure:
-    """Draw a map of the hemisphere for every point of a grid.
+    """Draw a hemisphere map for every point of a grid.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.goniophotometer`, or of an experiment with it, with azimuths all around.
+        Output of `splits.goniophotometer` or of an experiment with it, over all azimuths.
     quantity : sequence of str
-        Of `splits.plotting.direction_axes.QUANTITY_LABELS`, a block of maps each with a scale of its own.
+        Keys of `splits.plotting.direction_axes.QUANTITY_LABELS`; each has a block of maps with its
+        own scale.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     legend : str, optional
-        What varies, where it is one parameter; the parameter's name by default.
+        Name of a single varying parameter; that of the parameter by default.
     """
     dataset = select_point(dataset, at)
     count = len(make_lines(dataset, quantity[0]).lines)
@@ -73,25 +74,28 @@ def draw_hemispheres(
     rows = -(-count // columns)
     with use_style():
         width = ONE_COLUMN_INCHES if count == 1 else TWO_COLUMNS_INCHES
-        high = 2.6 if count == 1 else 0.25 + _MAP_HEIGHT_INCHES * rows
-        figure = OffscreenFigure(width, high * len(quantity))
+        block_height = 2.6 if count == 1 else 0.25 + _MAP_HEIGHT_INCHES * rows
+        figure = OffscreenFigure(width, block_height * len(quantity))
         grid = figure.add_gridspec(rows * len(quantity), columns)
         panels = []
         for number, name in enumerate(quantity):
-            places = [grid[number * rows + i // columns, i % columns] for i in range(count)]
-            panels += draw_maps(figure, places, dataset, name, legend)
+            grid_cells = [grid[number * rows + i // columns, i % columns] for i in range(count)]
+            panels += draw_maps(figure, grid_cells, dataset, name, legend)
         return annotate_figure(
             figure, panels, describe_conditions(dataset, at, ""), make_maps_note(quantity)
         )
 
 
 def make_maps_note(quantity: Sequence[str]) -> str:
-    """Return what a reader of maps has to know."""
-    below = "diamond: straight on" if "btdf" in quantity else ""
-    above = ["circle: towards the source", "diamond: mirror direction"]
-    circles = " and ".join(f"{c:g}°" for c in RING_ANGLES_DEG)
-    marks = [below] if tuple(quantity) == ("btdf",) else above + ([f"of BTDF {below}"] if below
-                                                                 else [])  # fmt: skip
+    """Return the note that explains the maps."""
+    transmitted = "diamond: straight on" if "btdf" in quantity else ""
+    reflected = ["circle: towards the source", "diamond: mirror direction"]
+    circles = " and ".join(f"{angle:g}°" for angle in RING_ANGLES_DEG)
+    marks = (
+        [transmitted]
+        if tuple(quantity) == ("btdf",)
+        else reflected + ([f"of BTDF {transmitted}"] if transmitted else [])
+    )
     return (
         f"Maps: rings at {circles} from the normal, up to {MAX_POLAR_DEG:g}°; {'; '.join(marks)}."
     )
@@ -104,7 +108,7 @@ def draw_maps(
     name: str,
     legend: str | None = None,
 ) -> list[Axes]:
-    """Draw the maps of a quantity for every point of a grid, with one scale.
+    """Draw the maps of a quantity for every point of a grid, with a common scale.
 
     Parameters
     ----------
@@ -114,19 +118,19 @@ def draw_maps(
     dataset : xarray.Dataset
         See `splits.plotting.direction_axes.select_point`.
     name : str
-        The quantity.
+        Name of the quantity.
     legend : str, optional
-        What varies, where it is one parameter; the parameter's name by default.
+        Name of a single varying parameter; that of the parameter by default.
 
     Returns
     -------
     list of matplotlib.axes.Axes
-        Those of the maps, in the order of the points.
+        Axes of the maps, in the order of the points.
     """
     shown = dataset.isel(polar=dataset.polar.values <= MAX_POLAR_DEG)
     points = make_lines(dataset, name).lines
-    parts = [select_line(shown, one.labels) for one in points]
-    titles = [make_panel_title(one.labels, legend) for one in points]
+    parts = [select_line(shown, point.labels) for point in points]
+    titles = [make_panel_title(point.labels, legend) for point in points]
     return draw_dataset_maps(figure, grid_cells, parts, titles, name)
 
 
@@ -137,64 +141,72 @@ def draw_dataset_maps(
     titles: Sequence[str],
     name: str,
 ) -> list[Axes]:
-    """Draw maps of datasets over ``polar`` and ``azimuth`` alone, see `draw_maps`."""
+    """Draw maps of datasets over ``polar`` and ``azimuth`` only, see `draw_maps`."""
     norm = _make_colour_scale(np.concatenate([part[name].values.ravel() for part in parts]))
     panels = []
-    for place, part, title in zip(grid_cells, parts, titles, strict=True):
-        axes = figure.add_subplot(place, projection="polar")
+    for cell, part, title in zip(grid_cells, parts, titles, strict=True):
+        axes = figure.add_subplot(cell, projection="polar")
         image = _draw_map(axes, part, name, norm)
         axes.set_title(title)
         panels.append(axes)
     label = QUANTITY_LABELS[name]
-    bar = figure.colorbar(image, ax=panels, label=label, pad=0.02, aspect=15, fraction=0.05)
+    colour_bar = figure.colorbar(image, ax=panels, label=label, pad=0.02, aspect=15, fraction=0.05)
     if isinstance(norm, LogNorm):
-        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        bar.ax.yaxis.set_major_formatter("{x:g}")
-        bar.minorticks_off()
+        colour_bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        colour_bar.ax.yaxis.set_major_formatter("{x:g}")
+        colour_bar.minorticks_off()
     return panels
 
 
 def _make_colour_scale(values: np.ndarray) -> Normalize:
-    """Return a scale of colours for values, logarithmic where they span a large factor."""
-    lit = values[values > 0.0]
-    if lit.size == 0:
+    """Return a colour scale for values, logarithmic where they span a large factor."""
+    positive = values[values > 0.0]
+    if positive.size == 0:
         return Normalize(0.0, 1.0)
-    low, high = float(np.quantile(lit, 0.01)), float(lit.max())
+    low, high = float(np.quantile(positive, 0.01)), float(positive.max())
     if high > _LOG_SCALE_RATIO * low:
         return LogNorm(max(low, _MIN_RELATIVE_VALUE * high), high)
     return Normalize(low, high)
 
 
 def _make_mesh(part: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the borders of cells around (radians) and down (degrees), and their values.
+    """Return the borders of bins in azimuth (radians) and polar angle (degrees), and their values.
 
-    Wide cells are cut so that their borders are round.
+    Wide bins are subdivided so that their borders are round.
     """
     part = part.sortby("azimuth").sortby("polar")
     azimuth, polar = part.azimuth.values, part.polar.values
-    cuts = -(-_MIN_AZIMUTH_STEPS // azimuth.size)
-    gap = np.diff(azimuth, append=azimuth[0] + 360.0)
-    first = azimuth[0] - 0.5 * gap[-1]
-    ends = np.append(first, azimuth + 0.5 * gap)
-    around = np.interp(np.arange(cuts * gap.size + 1) / cuts, np.arange(ends.size), ends)
+    n_cuts = -(-_MIN_AZIMUTH_STEPS // azimuth.size)
+    steps = np.diff(azimuth, append=azimuth[0] + 360.0)
+    first = azimuth[0] - 0.5 * steps[-1]
+    borders = np.append(first, azimuth + 0.5 * steps)
+    azimuth_borders = np.interp(
+        np.arange(n_cuts * steps.size + 1) / n_cuts, np.arange(borders.size), borders
+    )
     middle = 0.5 * (polar[1:] + polar[:-1])
     step = polar[-1] - polar[-2] if polar.size > 1 else 90.0
     last = min(90.0, polar[-1] + 0.5 * step)
     values = part[name].transpose("polar", "azimuth").values
-    down = np.concatenate([[0.0], middle, [last]])
-    return np.radians(around), down, np.repeat(values, cuts, axis=1)
+    polar_borders = np.concatenate([[0.0], middle, [last]])
+    return np.radians(azimuth_borders), polar_borders, np.repeat(values, n_cuts, axis=1)
 
 
 def _draw_map(axes: Axes, part: xr.Dataset, name: str, norm: Normalize) -> Any:
-    """Draw one map, forward to the right, and the directions that belong to the beam."""
-    around, down, values = _make_mesh(part, name)
+    """Draw one map, forward to the right, and the directions of the beam."""
+    azimuth_borders, polar_borders, values = _make_mesh(part, name)
     axes.grid(False)
     image = axes.pcolormesh(
-        around, down, np.clip(values, norm.vmin, norm.vmax), norm=norm, cmap="cividis",
+        azimuth_borders,
+        polar_borders,
+        np.clip(values, norm.vmin, norm.vmax),
+        norm=norm,
+        cmap="cividis",
         rasterized=True,
-    )  # fmt: skip
-    for circle in RING_ANGLES_DEG:
-        axes.plot(around, np.full(around.size, circle), color="white", lw=0.5, alpha=0.7)
+    )
+    for ring in RING_ANGLES_DEG:
+        axes.plot(
+            azimuth_borders, np.full(azimuth_borders.size, ring), color="white", lw=0.5, alpha=0.7
+        )
     incidence = get_incidence_deg(part)
     axes.plot([0.0], [incidence], "D", ms=3, **_MARKER_STYLE)
     if name != "btdf":

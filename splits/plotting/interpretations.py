@@ -1,4 +1,4 @@
-"""How far combinations of readings lie from what a paper states, and from the default."""
+"""Figure of the differences of interpretations from published statements and from the default."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ from splits.plotting.style import (
 )
 
 MAX_DISTANCE_BARS = 6.0
-"""Bars up to which differences are drawn; what lies farther stands at the end as a triangle."""
+"""Largest difference drawn, in tolerances; larger ones are triangles at the end."""
 MAX_COMPARED = 12
-"""Combinations beside the default in one row of panels."""
+"""Largest number of combinations compared with the default."""
 
 
 def draw_interpretation_shifts(statements: pd.DataFrame, default: str = "splitsnow_2021") -> Figure:
-    """Draw where the default lies from all statements, and how far the others lie from it.
+    """Draw the differences of the default from all statements, and the shifts of others from it.
 
     Parameters
     ----------
     statements : pandas.DataFrame
         See `splits.experiments.papers.interpretation_tables.make_statement_table`.
     default : str
-        Name of the set of readings that the others are read against; without it among the
-        combinations, the nearest one.
+        Name of the reference set; if it is not among the combinations, the nearest one is used.
     """
     table = statements[statements.nearest_water]
     parts = dict(iter(table.groupby("combination", sort=False)))
@@ -48,7 +47,7 @@ def draw_interpretation_shifts(statements: pd.DataFrame, default: str = "splitsn
         )  # fmt: skip
         _draw_strip(panels[0, 0], base.distance.to_numpy(), base.stderr / base.bar, "black")
         panels[0, 0].set_title("default" if len(named) else "nearest")
-        panels[0, 0].set_xlabel("ours − stated (bars)")
+        panels[0, 0].set_xlabel("ours − stated (tolerances)")
         for axes, (number, part) in zip(panels[0, 1:], shown.items(), strict=True):
             part = part.set_index("statement").loc[base.index]
             shift = (part.ours - base.ours) / base.bar
@@ -57,19 +56,19 @@ def draw_interpretation_shifts(statements: pd.DataFrame, default: str = "splitsn
             )
             axes.set_title(str(number))
         if shown:
-            panels[0, (1 + len(shown)) // 2].set_xlabel("shift from the default (bars)")
+            panels[0, (1 + len(shown)) // 2].set_xlabel("shift from the default (tolerances)")
         labels = [f"{name.replace('_', ' ')} · {row.place}: {row.ours:.3g}"
                   for name, row in base.iterrows()]  # fmt: skip
         panels[0, 0].set_yticks(rows, labels, fontsize=SMALL_FONT_PT)
         panels[0, 0].set_ylim(rows.size - 0.5, -0.5)
         notes = _make_notes(base, shown, default if len(named) else "nearest")
-        left_out = len(parts) - len(shown)
-        rest = f"{left_out} more stand in the table of statements." if left_out else ""
-        return annotate_figure(figure, panels[0], *notes, rest)
+        n_omitted = len(parts) - len(shown)
+        omitted_note = f"{n_omitted} more are in the table of statements." if n_omitted else ""
+        return annotate_figure(figure, panels[0], *notes, omitted_note)
 
 
 def _draw_strip(axes: Axes, value: np.ndarray, error: pd.Series | np.ndarray, colour: str) -> None:
-    """Draw one combination's differences."""
+    """Draw the differences of one combination."""
     rows = np.arange(value.size)
     axes.axvline(0.0, color="black", lw=0.6, zorder=1.0)
     inside = np.abs(value) <= MAX_DISTANCE_BARS
@@ -79,8 +78,10 @@ def _draw_strip(axes: Axes, value: np.ndarray, error: pd.Series | np.ndarray, co
         elinewidth=0.7, capsize=0,
     )  # fmt: skip
     for side, marker in ((-1.0, "<"), (1.0, ">")):
-        far = rows[side * value > MAX_DISTANCE_BARS]
-        axes.plot(np.full(far.size, side * MAX_DISTANCE_BARS), far, marker, ms=3, color=colour)
+        outside = rows[side * value > MAX_DISTANCE_BARS]
+        axes.plot(
+            np.full(outside.size, side * MAX_DISTANCE_BARS), outside, marker, ms=3, color=colour
+        )
     axes.set_xlim(-1.15 * MAX_DISTANCE_BARS, 1.15 * MAX_DISTANCE_BARS)
     axes.set_xticks(
         [-0.5 * MAX_DISTANCE_BARS, 0.0, 0.5 * MAX_DISTANCE_BARS],
@@ -93,17 +94,17 @@ def _draw_strip(axes: Axes, value: np.ndarray, error: pd.Series | np.ndarray, co
 
 
 def _make_notes(base: pd.DataFrame, compared: dict[int, pd.DataFrame], set_name: str) -> list[str]:
-    """Return what the columns are, and what their errors."""
-    own = dict(part.split(": ") for part in base.interpretation.iloc[0].split(", "))
+    """Return the notes on the columns and their errors."""
+    reference = dict(part.split(": ") for part in base.interpretation.iloc[0].split(", "))
     lines = []
     for number, part in compared.items():
-        other = dict(one.split(": ") for one in part.interpretation.iloc[0].split(", "))
+        other = dict(item.split(": ") for item in part.interpretation.iloc[0].split(", "))
         changed = [f"{key} {value}".replace("_", " ") for key, value in other.items()
-                   if value != own[key]]  # fmt: skip
+                   if value != reference[key]]  # fmt: skip
         lines.append(f"{number}: {', '.join(changed) or 'the same'}")
-    bars = f"bars of errors: {BAND_SIGMA:g} standard errors; {INDEPENDENCE_NOTE}"
-    said = "; ".join(f"{key} {value}".replace("_", " ") for key, value in own.items())
+    bars = f"error bars: {BAND_SIGMA:g} standard errors; {INDEPENDENCE_NOTE}"
+    description = "; ".join(f"{key} {value}".replace("_", " ") for key, value in reference.items())
     return [
-        f"Numbers behind the statements: values of the default ({set_name}: {said}); {bars}.",
-        "Others, nearest first, by what they change. " + "; ".join(lines) + ".",
+        f"Numbers after the statements: values of the default ({set_name}: {description}); {bars}.",
+        "Others, nearest first, with their changes. " + "; ".join(lines) + ".",
     ]

@@ -1,4 +1,4 @@
-"""How the lines of a figure are told apart, and the legend that says so."""
+"""Colours, dashes and legend of the lines of a figure."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from splits.plotting.style import (
 
 DASHES: tuple[Dash, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (8, 3)))
 MAX_INSET_ENTRIES = 6
-"""Up to so many lines have an entry each and may have their legend on the axes."""
+"""Largest number of lines with individual entries and a legend inside the axes."""
 MAX_COLOUR_ENTRIES = 10
-"""More values of an ordered parameter than these are told by a colour bar."""
+"""Largest number of values of an ordered parameter without a colour bar."""
 _LEGEND_ENTRY_INCHES = 0.145
 _MAX_LEGEND_FRACTION = 0.4
-"""Part of the figure's width that a legend beside it may take, if more height can spare it that."""
+"""Largest width of a legend beside the axes, relative to the figure; taller ones are narrower."""
 
 
 class PlotLine(NamedTuple):
-    """One line of a figure: its point of the grid and its look."""
+    """One line of a figure: its point of the grid and its style."""
 
     labels: dict[str, Any]
     label: str
@@ -49,7 +49,7 @@ class PlotLine(NamedTuple):
     zorder: float
 
     def to_plot_style(self) -> dict[str, Any]:
-        """Return the look as keywords of `matplotlib.axes.Axes.plot`."""
+        """Return the style as keywords of `matplotlib.axes.Axes.plot`."""
         return {
             "color": self.colour, "ls": self.dash, "lw": 1.4 if self.is_default else 1.0,
             "zorder": self.zorder,
@@ -59,57 +59,61 @@ class PlotLine(NamedTuple):
 class PlotLines:
     """The lines of a figure over some dimensions of a dataset.
 
-    Colour tells the first dimension that varies and the dash all others; with more others than
-    dashes, colour tells the longest.
+    The first varying dimension has colours and all others dashes.  If dashes do not suffice, the
+    longest dimension has colours.
 
     Parameters
     ----------
     dataset : xarray.Dataset
     dims : sequence of str
     use_dashes : bool
-        Whether dashes, too, tell few lines over one dimension, which may lie on each other.
+        Whether few lines over a single dimension, which may overlap, also have dashes.
     """
 
     def __init__(self, dataset: xr.Dataset, dims: Sequence[str], use_dashes: bool = False) -> None:
         self.dims = list(dims)
         self._values = {d: dataset[d].values for d in dims}
         sizes = {d: dataset.sizes[d] for d in dims}
-        count = math.prod(sizes.values())
-        several = [d for d in dims if sizes[d] > 1]
-        # What the others are read against is told by colour.
-        marked = [d for d in several if DEFAULT_LABEL in map(str, self._values[d])]
-        self.colour_dim = next(iter([*marked, *several]), "")
-        if self.colour_dim and count // sizes[self.colour_dim] > len(DASHES):
+        n_lines = math.prod(sizes.values())
+        varying = [d for d in dims if sizes[d] > 1]
+        # A dimension with a default has colours.
+        with_default = [d for d in varying if DEFAULT_LABEL in map(str, self._values[d])]
+        self.colour_dim = next(iter([*with_default, *varying]), "")
+        if self.colour_dim and n_lines // sizes[self.colour_dim] > len(DASHES):
             self.colour_dim = max(sizes, key=lambda d: sizes[d])
-        others = count // sizes.get(self.colour_dim, 1)
-        named = self._is_nominal(self.colour_dim)
-        # Colours of names repeat after a while, and dashes cannot tell both.
-        repeats = named and others > 1 and sizes[self.colour_dim] > MAX_COLOUR_ENTRIES
-        crowded = others > len(DASHES) or repeats
-        if crowded:
-            # Every line has a colour and an entry of its own.
-            self.colour_dim, named = "", False
-        self.dash_dims = [d for d in dims if d != self.colour_dim and sizes[d] > 1 and not crowded]
-        values = self._values.get(self.colour_dim, np.zeros(count if crowded else 1))
-        self.colours = _assign_colours(values, self.colour_dim if named else None)
-        self.has_colour_bar = len(values) > MAX_COLOUR_ENTRIES and not named and not crowded
-        looks = list(np.ndindex(*(sizes[d] for d in self.dash_dims)))
+        n_dashed = n_lines // sizes.get(self.colour_dim, 1)
+        is_nominal = self._is_nominal(self.colour_dim)
+        # Colours of nominal values repeat, which dashes of other dimensions cannot resolve.
+        repeats = is_nominal and n_dashed > 1 and sizes[self.colour_dim] > MAX_COLOUR_ENTRIES
+        is_crowded = n_dashed > len(DASHES) or repeats
+        if is_crowded:
+            # Every line has its own colour and entry.
+            self.colour_dim, is_nominal = "", False
+        self.dash_dims = [
+            d for d in dims if d != self.colour_dim and sizes[d] > 1 and not is_crowded
+        ]
+        values = self._values.get(self.colour_dim, np.zeros(n_lines if is_crowded else 1))
+        self.colours = _assign_colours(values, self.colour_dim if is_nominal else None)
+        self.has_colour_bar = len(values) > MAX_COLOUR_ENTRIES and not is_nominal and not is_crowded
+        dash_points = list(np.ndindex(*(sizes[d] for d in self.dash_dims)))
         self.lines: list[PlotLine] = []
-        for place in np.ndindex(*sizes.values()):
-            at = dict(zip(dims, place, strict=True))
-            row = len(self.lines) if crowded else at.get(self.colour_dim, 0)
-            turn = row if crowded else looks.index(tuple(at[d] for d in self.dash_dims))
+        for index in np.ndindex(*sizes.values()):
+            indices = dict(zip(dims, index, strict=True))
+            row = len(self.lines) if is_crowded else indices.get(self.colour_dim, 0)
+            dash_index = (
+                row if is_crowded else dash_points.index(tuple(indices[d] for d in self.dash_dims))
+            )
             if use_dashes and not self.dash_dims and len(values) <= 4:
-                turn = row
-            elif named and not self.dash_dims:
-                turn += row // MAX_COLOUR_ENTRIES
-            labels = {d: self._values[d][i] for d, i in at.items()}
-            default = str(labels.get(self.colour_dim)) == DEFAULT_LABEL
-            # The first is what the others are compared with: it lies on top of them.
-            zorder = 4.0 if default else 2.0 + 1.0 / (1 + len(self.lines))
-            text = " · ".join(format_value(v, d) for d, v in labels.items())
-            dash = DASHES[turn % len(DASHES)]
-            self.lines.append(PlotLine(labels, text, self.colours[row], dash, default, zorder))
+                dash_index = row
+            elif is_nominal and not self.dash_dims:
+                dash_index += row // MAX_COLOUR_ENTRIES
+            labels = {d: self._values[d][position] for d, position in indices.items()}
+            is_default = str(labels.get(self.colour_dim)) == DEFAULT_LABEL
+            # The first line is the reference and is drawn on top.
+            zorder = 4.0 if is_default else 2.0 + 1.0 / (1 + len(self.lines))
+            text = " · ".join(format_value(value, d) for d, value in labels.items())
+            dash = DASHES[dash_index % len(DASHES)]
+            self.lines.append(PlotLine(labels, text, self.colours[row], dash, is_default, zorder))
 
     def _is_nominal(self, dim: str) -> bool:
         return dim in NOMINAL_PARAMETERS and not np.issubdtype(self._values[dim].dtype, np.number)
@@ -119,88 +123,93 @@ class PlotLines:
         return " · ".join(map(format_parameter, self.dims))
 
     def add_legend(
-        self, figure: Figure, axes: Sequence[Axes], title: str | None = None, max_inset_entries: int = MAX_INSET_ENTRIES,
+        self,
+        figure: Figure,
+        axes: Sequence[Axes],
+        title: str | None = None,
+        max_inset_entries: int = MAX_INSET_ENTRIES,
         extra_handles: Sequence[Artist] = (),
-    ) -> None:  # fmt: skip
-        """Say which line is which: on the first axes where it covers nothing, above, or beside all.
+    ) -> None:
+        """Add a legend: on the first axes where it covers no line, above, or beside all axes.
 
         Parameters
         ----------
         figure : matplotlib.figure.Figure
-            With constrained layout, to make room.
-        axes : sequence of matplotlib.axes.ParameterGrid
-            Those that show the lines.
-        make_title : str, optional
-            The dimensions' names by default.
+            With constrained layout.
+        axes : sequence of matplotlib.axes.Axes
+            Axes of the lines.
+        title : str, optional
+            By default the names of the dimensions.
         max_inset_entries : int
-            Largest number of entries on the axes.
+            Largest number of entries of a legend inside the axes.
         extra_handles : sequence of artists
-            With labels of their own, beside the lines'.
+            Additional entries.
         """
         if not self.dims and not extra_handles:
             return
         if self.has_colour_bar:
             self._add_colour_bar(figure, axes, title)
         handles = [*self._make_handles(title), *extra_handles]
-        split = len(self.lines) > MAX_INSET_ENTRIES and bool(self.dash_dims)
-        head = None if split or self.has_colour_bar else title or self.make_title() or None
+        is_split = len(self.lines) > MAX_INSET_ENTRIES and bool(self.dash_dims)
+        heading = None if is_split or self.has_colour_bar else title or self.make_title() or None
         if not handles:
             return
         if len(handles) <= max_inset_entries and not self.has_colour_bar:
             for panel in axes:
-                legend = panel.legend(handles=handles, title=head, frameon=False)
+                legend = panel.legend(handles=handles, title=heading, frameon=False)
                 if not is_covering_line(legend, panel):
                     return
                 legend.remove()
         if len(handles) <= MAX_INSET_ENTRIES and not self.has_colour_bar:
-            place_legend_above(figure, handles, head)
+            place_legend_above(figure, handles, heading)
         else:
-            place_legend_beside(figure, handles, head)
+            place_legend_beside(figure, handles, heading)
 
     def _make_handles(self, title: str | None) -> list[Artist]:
-        """Return an entry per line, or of many lines per value of each parameter."""
+        """Return an entry per line, or for many lines an entry per value of each parameter."""
         if len(self.lines) <= MAX_INSET_ENTRIES or not self.dash_dims:
             if self.has_colour_bar:
                 return []
             return [
-                Line2D([], [], label=one.label or "model", **one.to_plot_style()) for one in self.lines
-            ]  # fmt: skip
+                Line2D([], [], label=item.label or "model", **item.to_plot_style())
+                for item in self.lines
+            ]
         handles: list[Artist] = []
         if not self.has_colour_bar:
             handles.append(_make_heading(title or format_parameter(self.colour_dim)))
-            for value, shade in zip(self._values[self.colour_dim], self.colours, strict=True):
+            for value, colour in zip(self._values[self.colour_dim], self.colours, strict=True):
                 text = format_value(value, self.colour_dim)
-                handles.append(Line2D([], [], color=shade, lw=1.4, label=text))
+                handles.append(Line2D([], [], color=colour, lw=1.4, label=text))
         handles.append(_make_heading(" · ".join(map(format_parameter, self.dash_dims))))
-        for number, one in enumerate(
+        for number, item in enumerate(
             itertools.product(*(self._values[d] for d in self.dash_dims))
         ):  # fmt: skip
-            text = " · ".join(format_value(v, d) for d, v in zip(self.dash_dims, one, strict=True))
+            text = " · ".join(format_value(v, d) for d, v in zip(self.dash_dims, item, strict=True))
             dash = DASHES[number % len(DASHES)]
             handles.append(Line2D([], [], color="0.15", lw=1.0, ls=dash, label=text))
         return handles
 
     def _add_colour_bar(self, figure: Figure, axes: Sequence[Axes], title: str | None) -> None:
-        count = len(self.colours)
-        norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
-        ticks = np.arange(0, count, -(-count // MAX_COLOUR_ENTRIES))
-        places = [panel.get_subplotspec() for panel in axes]
-        rows = len({place.rowspan.start for place in places if place is not None})
-        bar = figure.colorbar(
+        n_colours = len(self.colours)
+        norm = BoundaryNorm(np.arange(n_colours + 1) - 0.5, n_colours)
+        ticks = np.arange(0, n_colours, -(-n_colours // MAX_COLOUR_ENTRIES))
+        specs = [panel.get_subplotspec() for panel in axes]
+        rows = len({spec.rowspan.start for spec in specs if spec is not None})
+        colour_bar = figure.colorbar(
             ScalarMappable(norm, ListedColormap(self.colours)), ax=list(axes), ticks=ticks,
             aspect=20 * rows, label=title or format_parameter(self.colour_dim), pad=0.02,
         )  # fmt: skip
-        bar.ax.set_yticklabels(
+        colour_bar.ax.set_yticklabels(
             [format_value(self._values[self.colour_dim][i], self.colour_dim) for i in ticks]
         )
-        bar.ax.minorticks_off()
+        colour_bar.ax.minorticks_off()
 
 
 def _assign_colours(values: np.ndarray, parameter: str | None) -> list[Colour]:
-    """Return a colour per value: black for the default."""
+    """Return a colour per value, black for the default."""
     coloured = [v for v in values if str(v) != DEFAULT_LABEL]
-    shades = iter(pick_colours(len(coloured), parameter))
-    return ["black" if str(v) == DEFAULT_LABEL else next(shades) for v in values]
+    colours = iter(pick_colours(len(coloured), parameter))
+    return ["black" if str(v) == DEFAULT_LABEL else next(colours) for v in values]
 
 
 def _make_heading(text: str) -> Line2D:
@@ -208,7 +217,7 @@ def _make_heading(text: str) -> Line2D:
 
 
 def is_covering_line(legend: Legend, axes: Axes) -> bool:
-    """Return whether a legend lies on a line of its axes."""
+    """Return whether a legend covers a line of its axes."""
     figure = axes.get_figure()
     assert figure is not None
     figure.draw_without_rendering()  # type: ignore[union-attr]
@@ -221,7 +230,7 @@ def is_covering_line(legend: Legend, axes: Axes) -> bool:
 
 
 def place_legend_above(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
-    """Put a legend of few entries above all axes; the figure grows by its height.
+    """Place a legend of few entries above all axes; the figure height increases accordingly.
 
     Parameters
     ----------
@@ -245,12 +254,12 @@ def place_legend_above(figure: Figure, handles: Sequence[Artist], title: str | N
 
 
 def place_legend_beside(figure: Figure, handles: Sequence[Artist], title: str | None) -> None:
-    """Put a legend to the right of all axes; the figure is two columns wide from now on.
+    """Place a legend to the right of all axes, and set the figure to the width of two columns.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-        With constrained layout; it grows in height for a legend that would take too much width.
+        With constrained layout.  Its height increases if the legend would be too wide.
     handles : sequence of artists
     title : str or None
     """

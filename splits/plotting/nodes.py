@@ -1,4 +1,4 @@
-"""Rows of coarse tables of refractive indices, at whose wavelengths spectra may kink."""
+"""Nodes of coarse tables of refractive indices, at which spectra may have kinks."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from matplotlib.axes import Axes
 from splits.materials import TabulatedIndex, list_datasets, make_refractive_index
 
 COARSE_STEP_RATIO = 2.0
-"""A table is coarse where its rows are farther apart than so many steps of the wavelengths."""
+"""Spacing of rows, in steps of the wavelengths, above which a table is coarse."""
 _INDEX_ATTRIBUTE = re.compile(r"(?P<medium>\w+?)_refractive_index_(?P<material>[a-z]+)")
 _FRACTION_PARAMETERS = {"water": ("saturation",), "hematite": ("iron_oxide", "hematite_ratio"),
            "magnetite": ("magnetite",)}  # fmt: skip
-"""Parameters of which none may be 0 where a material is in use."""
+"""Parameters that must all be above 0 for a material to be present."""
 
 
 _TICK_COLOURS = {
     "water": ("#c8553d", "red"), "ice": ("#1f6fb4", "blue"), "hematite": ("#7b3294", "purple"),
 }  # fmt: skip
 _TICK_LENGTHS_PT = (8.0, 5.0, 3.0, 2.0)
-"""Lengths (points) of the ticks of one table after the other: half of it is above the axis."""
+"""Lengths (points) of the ticks of successive tables, half of which is above the axis."""
 
 
 def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
@@ -31,61 +31,60 @@ def find_coarse_nodes(dataset: xr.Dataset) -> dict[str, np.ndarray]:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Over wavelength; its attributes name the tables in use.  Tables of users are not known by
-        their name.
+        Over wavelength.  Its attributes name the tables in use; users' own tables are ignored.
 
     Returns
     -------
     dict
-        Wavelengths (nm) by material and table, such as ``"water (Hale & Querry 1973)"``; those of
-        the largest gaps first.
+        Wavelengths (nm) by material and table, such as ``"water (Hale & Querry 1973)"``, in order
+        of decreasing gaps.
     """
     x = dataset.wavelength.values
     if x.size < 3:
         return {}
     step = float(np.median(np.diff(x)))
-    found: dict[str, tuple[float, np.ndarray]] = {}
+    nodes: dict[str, tuple[float, np.ndarray]] = {}
     for key, name in dataset.attrs.items():
-        named = _INDEX_ATTRIBUTE.fullmatch(str(key))
-        if named is None or not _is_in_use(dataset, named["medium"], named["material"]):
+        match = _INDEX_ATTRIBUTE.fullmatch(str(key))
+        if match is None or not _is_in_use(dataset, match["medium"], match["material"]):
             continue
-        table = _find_table(named["material"], str(name))
+        table = _find_table(match["material"], str(name))
         if table is None:
             continue
         rows = table.wavelength_nm
-        wide = np.diff(rows) > COARSE_STEP_RATIO * step
-        widest = np.diff(rows)[(rows[1:] > x[0]) & (rows[:-1] < x[-1])].max(initial=0.0)
-        beside = np.concatenate([[False], wide]) | np.concatenate([wide, [False]])
-        rows = rows[beside & (rows >= x[0]) & (rows <= x[-1])]
+        is_wide = np.diff(rows) > COARSE_STEP_RATIO * step
+        largest_gap = np.diff(rows)[(rows[1:] > x[0]) & (rows[:-1] < x[-1])].max(initial=0.0)
+        is_at_gap = np.concatenate([[False], is_wide]) | np.concatenate([is_wide, [False]])
+        rows = rows[is_at_gap & (rows >= x[0]) & (rows <= x[-1])]
         if rows.size:
-            words = f"{named['material']} ({_format_table_name(str(name))})"
-            found[words] = (float(widest), rows)
-    order = sorted(found, key=lambda words: -found[words][0])
-    return {words: found[words][1] for words in order}
+            label = f"{match['material']} ({_format_table_name(str(name))})"
+            nodes[label] = (float(largest_gap), rows)
+    order = sorted(nodes, key=lambda label: -nodes[label][0])
+    return {label: nodes[label][1] for label in order}
 
 
 def _format_table_name(name: str) -> str:
-    """Return the name of a table as a reader knows it: Hale & Querry 1973."""
+    """Return the printed name of a table, such as Hale & Querry 1973."""
     authors = re.sub(r"^([a-z]+)_([a-z]+)_(\d{4})", r"\1 & \2 \3", name.partition(",")[0])
     return authors.replace("_", " ").title()
 
 
 def _is_in_use(dataset: xr.Dataset, medium: str, material: str) -> bool:
-    """Return whether a medium has some of a material, as far as its attributes say."""
-    shares = [
+    """Return whether a medium contains a material according to its attributes."""
+    fractions = [
         dataset.attrs.get(f"{medium}_{key}") for key in _FRACTION_PARAMETERS.get(material, ())
     ]
-    return all(share is None or float(share) > 0.0 for share in shares)
+    return all(fraction is None or float(fraction) > 0.0 for fraction in fractions)
 
 
 def _find_table(material: str, name: str) -> TabulatedIndex | None:
-    """Return a table of the datasets by its name, whatever its k is multiplied with."""
-    plain = name.partition(", k x")[0]
+    """Return a table of the datasets by its name, without its factor of k."""
+    base_name = name.partition(", k x")[0]
     try:
-        known = list_datasets(material)
+        available = list_datasets(material)
     except ValueError:
         return None
-    index = make_refractive_index(material, plain) if plain in known else None
+    index = make_refractive_index(material, base_name) if base_name in available else None
     return index if isinstance(index, TabulatedIndex) else None
 
 
@@ -99,16 +98,16 @@ def draw_node_ticks(axes: Axes, nodes: dict[str, np.ndarray]) -> None:
 
 
 def make_nodes_note(nodes: dict[str, np.ndarray]) -> str:
-    """Return what the ticks are."""
+    """Return the note that explains the ticks."""
     if not nodes:
         return ""
     tables = ", ".join(
         name.replace(")", f", {_get_tick_colour(name)[1]})") if len(nodes) > 1 else name
         for name in nodes
     )
-    return f"Ticks above the axis: rows of coarse tables, where spectra may kink: {tables}."
+    return f"Ticks above the axis: rows of coarse tables, at which spectra may kink: {tables}."
 
 
 def _get_tick_colour(name: str) -> tuple[str, str]:
-    """Return the colour of a material's ticks, and the colour's name."""
+    """Return the colour of a material's ticks, and the name of the colour."""
     return _TICK_COLOURS.get(name.partition(" ")[0], ("#666666", "grey"))

@@ -1,7 +1,4 @@
-"""Values at a few points of a grid, with error bars.
-
-A table at a glance: spectra at a few nodes of each of its axes, never all of them.
-"""
+"""Figures of values at points of a grid with error bars, and summaries of tables."""
 
 from __future__ import annotations
 
@@ -40,9 +37,9 @@ from splits.plotting.style import (
 )
 
 _SERIES_SPREAD = 0.6
-"""Part of a row over which the series are spread."""
+"""Fraction of a row over which the series are spread."""
 _MAX_STATED_VALUES = 4
-"""Of more series than these, the default's values are stated as a range."""
+"""Largest number of series for which all values of the default are stated."""
 
 
 def draw_points(
@@ -51,20 +48,20 @@ def draw_points(
     at: Mapping[str, float | str] | None = None,
     legend: str | None = None,
 ) -> Figure:
-    """Draw quantities over the points of a grid, a panel each and one series per wavelength.
+    """Draw quantities at the points of a grid, a panel each with one series per wavelength.
 
-    Where one value of the grid's only parameter is labelled ``default``, the others are shown as
-    shifts from it.
+    If a value of the only parameter is labelled ``default``, the others are shown as shifts from
+    it.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        As written by an experiment.
+        Output of an experiment.
     quantity : sequence of str
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     legend : str, optional
-        What the grid is over; its parameters by default.
+        Label of the points; by default the parameters of the grid.
     """
     dataset = select_points(dataset, at or {})
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
@@ -101,14 +98,16 @@ def draw_points(
             series.add_legend(figure, list(panels[0]))
         elif len(handles) > 1:
             place_legend_beside(figure, handles, series.make_title())
-        timed = any("wavelength" in dataset[name].dims for name in quantity)
-        told = f"Shifts: {INDEPENDENCE_NOTE}." if dim and timed else ""
-        band = "bars" if timed else ""
-        return annotate_figure(figure, panels[0], describe_conditions(dataset, at, band), told)
+        has_spectra = any("wavelength" in dataset[name].dims for name in quantity)
+        shift_note = f"Shifts: {INDEPENDENCE_NOTE}." if dim and has_spectra else ""
+        band = "bars" if has_spectra else ""
+        return annotate_figure(
+            figure, panels[0], describe_conditions(dataset, at, band), shift_note
+        )
 
 
 def _make_axis_label(dataset: xr.Dataset, name: str, long_name: str, dim: str | None) -> str:
-    """Return the label of an axis: of shifts it states what the default's values are."""
+    """Return the label of an axis; for shifts with the values of the default."""
     if dim is None:
         return long_name
     values = dataset[name].sel({dim: DEFAULT_LABEL}).values.ravel()
@@ -130,20 +129,20 @@ def _draw_series(
         others = value[dim] != DEFAULT_LABEL
         value, error = value.where(others, 0.0), error.where(others, 0.0)
         axes.axvline(0.0, color="black", lw=0.6, zorder=1.0)
-    count = len(series.lines)
-    for number, one in enumerate(series.lines):
-        x = value.sel(one.labels).values.ravel()
+    n_series = len(series.lines)
+    for number, line in enumerate(series.lines):
+        x = value.sel(line.labels).values.ravel()
         y = np.arange(x.size) + (
-            _SERIES_SPREAD * ((number + 0.5) / count - 0.5) if count > 1 else 0.0
+            _SERIES_SPREAD * ((number + 0.5) / n_series - 0.5) if n_series > 1 else 0.0
         )
         axes.errorbar(
-            x, y, xerr=BAND_SIGMA * error.sel(one.labels).values.ravel(),
-            fmt="o", ms=2.5, color=one.colour, elinewidth=0.8, label=one.label,
+            x, y, xerr=BAND_SIGMA * error.sel(line.labels).values.ravel(),
+            fmt="o", ms=2.5, color=line.colour, elinewidth=0.8, label=line.label,
         )  # fmt: skip
 
 
 def _draw_lengths(axes: Axes, value: np.ndarray) -> None:
-    """Draw lengths, which have no error, with their numbers."""
+    """Draw lengths, which have no errors, with their values."""
     rows = range(value.size)
     axes.plot(value, rows, "o", color=pick_colours(1)[0])
     for x, y in zip(value, rows, strict=True):
@@ -155,9 +154,9 @@ def _draw_lengths(axes: Axes, value: np.ndarray) -> None:
 
 
 MAX_SUMMARY_LINES = 6
-"""Values of the axis whose spectra are lines."""
+"""Largest number of values of the axis whose spectra are lines."""
 MAX_SUMMARY_PANELS = (3, 4)
-"""Values of the axes whose values have panels: below each other, and side by side."""
+"""Largest numbers of rows and columns of panels."""
 
 
 def draw_summary(
@@ -166,47 +165,51 @@ def draw_summary(
     at: Mapping[str, Any],
     legend: str | None = None,
 ) -> Figure:
-    """Draw a table: lines along its longest axis, panels along the next two, the rest fixed.
+    """Draw spectra of a table: lines along its longest axis, panels along the next two.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.build_table` returns it.
+        Output of `splits.build_table`.
     quantity : sequence of str
     at : mapping
-        From axes to the node that they are shown at; of those that have neither lines nor panels
-        nor a place here, the middle one.
+        Nodes at which axes are fixed.  Remaining axes are fixed at their middle node.
     legend : str, optional
         Title of the legend.
     """
     axes = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
-    # Deviations by batch of rays are not shown.
+    # Batch deviations are not shown.
     part = dataset.drop_dims("batch", errors="ignore").sel(dict(at))
     free = sorted((n for n in axes if n not in at), key=lambda n: -dataset.sizes[n])
     free = [name for name in free if dataset.sizes[name] > 1]
-    lines, apart, rest = free[:1], free[1:3], free[3:]
+    lines, panel_dims, rest = free[:1], free[1:3], free[3:]
     single = [n for n in axes if n not in at and dataset.sizes[n] == 1]
     part = part.isel({n: (dataset.sizes[n] - 1) // 2 for n in (*rest, *single)})
     part = part.isel({n: _select_evenly(dataset.sizes[n], MAX_SUMMARY_LINES) for n in lines})
-    most = (
-        MAX_SUMMARY_PANELS if len(apart) == 2 else (MAX_SUMMARY_PANELS[0] * MAX_SUMMARY_PANELS[1],)
+    max_panels = (
+        MAX_SUMMARY_PANELS
+        if len(panel_dims) == 2
+        else (MAX_SUMMARY_PANELS[0] * MAX_SUMMARY_PANELS[1],)
     )
-    # The shorter axis of the two is the one whose panels lie below each other.
-    apart = apart[::-1]
+    # The shorter of the two axes is vertical.
+    panel_dims = panel_dims[::-1]
     part = part.isel(
-        {n: _select_evenly(dataset.sizes[n], m) for n, m in zip(apart, most, strict=False)}
+        {
+            n: _select_evenly(dataset.sizes[n], limit)
+            for n, limit in zip(panel_dims, max_panels, strict=False)
+        }
     )
     fixed = {n: part[n].values.item() for n in (*at, *rest) if n in part.coords}
     note = "at " + " · ".join(
-        f"{format_parameter(n)} {format_value(v, n)}" for n, v in fixed.items()
+        f"{format_parameter(n)} {format_value(value, n)}" for n, value in fixed.items()
     )  # fmt: skip
     shown = part.drop_vars([n for n in (*at, *rest, *single) if n in part.coords])
     note = note if fixed else ""
-    if apart:
-        return draw_facets(shown, quantity, apart, legend, note=note)
+    if panel_dims:
+        return draw_facets(shown, quantity, panel_dims, legend, note=note)
     return draw_spectra(shown, quantity, None, {}, None, legend, None)
 
 
 def _select_evenly(size: int, max_count: int) -> np.ndarray:
-    """Return places evenly over an axis, both ends among them."""
+    """Return evenly spaced indices of an axis, including both ends."""
     return np.unique(np.linspace(0, size - 1, min(size, max_count)).round().astype(int))

@@ -1,4 +1,4 @@
-"""How light that layers send back is polarized."""
+"""Figure of the polarization of light reflected by layers."""
 
 from __future__ import annotations
 
@@ -32,33 +32,38 @@ def draw_polarization(
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.goniophotometer` with Stokes parameters, or of an experiment with it.
+        Output of `splits.goniophotometer` with Stokes parameters, or of an experiment with it.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     legend : str, optional
-        Title of the legend; the grid's parameters by default.
+        Title of the legend; by default the parameters of the grid.
     """
     dataset = select_points(dataset, at or {})
     plane = extract_plane(dataset)
     lines = make_lines(plane, "brdf")
     with use_style():
         figure, (left, right) = make_subplots(1, 2, width=TWO_COLUMNS_INCHES, height=2.6)
-        for one in lines.lines:
-            line = select_line(plane, one.labels)
+        for grid_line in lines.lines:
+            line = select_line(plane, grid_line.labels)
             angle = line.angle.values
             value, error = line.brdf.values, line.brdf_stderr.values
             q, q_error = line.brdf_q.values, line.brdf_q_stderr.values
-            # Where no light is, or no cell, there is no degree.
-            lit = value > 0.0
-            nothing = np.full_like(q, np.nan)
-            degree = np.divide(-q, value, out=nothing.copy(), where=lit)
-            # Q and I are taken as independent: where light is polarized, they vary together.
-            spread = np.hypot(q_error, degree * error)
-            spread = np.divide(spread, value, out=nothing, where=lit)
-            for axes, y, e in ((left, value, error), (right, degree, spread)):
-                axes.plot(angle, y, label=one.label, **one.to_plot_style())
+            # The degree of polarization is undefined without light.
+            is_positive = value > 0.0
+            missing = np.full_like(q, np.nan)
+            degree = np.divide(-q, value, out=missing.copy(), where=is_positive)
+            # Errors of Q and I are assumed independent, though they are correlated.
+            degree_error = np.hypot(q_error, degree * error)
+            degree_error = np.divide(degree_error, value, out=missing, where=is_positive)
+            for axes, y, stderr in ((left, value, error), (right, degree, degree_error)):
+                axes.plot(angle, y, label=grid_line.label, **grid_line.to_plot_style())
                 axes.fill_between(
-                    angle, y - BAND_SIGMA * e, y + BAND_SIGMA * e, color=one.colour, alpha=0.3, lw=0
+                    angle,
+                    y - BAND_SIGMA * stderr,
+                    y + BAND_SIGMA * stderr,
+                    color=grid_line.colour,
+                    alpha=0.3,
+                    lw=0,
                 )
         left.set(ylabel=QUANTITY_LABELS["brdf"], ylim=(0.0, None))
         right.set_ylabel("degree of polarization across the plane")

@@ -1,4 +1,4 @@
-"""Where light goes in the plane of the beam: principal planes, collectors."""
+"""Figures of principal planes, and of angular bins of several sizes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from splits.plotting.style import (
 )
 
 MAX_MAPS = 4
-"""Up to so many points of a grid have maps of the hemisphere beside their principal planes."""
+"""Largest number of points of a grid with additional hemisphere maps."""
 
 
 def draw_principal_planes(
@@ -55,23 +55,23 @@ def draw_principal_planes(
 ) -> Figure:
     """Draw the principal plane as a polar plot and over the viewing angle, with error bands.
 
-    Maps of the hemisphere stand beside those of few points whose directions lie all around.  Light
-    that is transmitted goes down in the polar plot.  Where one value of the grid's only parameter
-    is labelled ``default``, panels show how far the others lie from it.
+    Hemisphere maps are added for few points with directions over all azimuths.  Transmitted light
+    points down in the polar plot.  If a value of the only parameter is labelled ``default``, panels
+    show the shifts of the others from it.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.goniophotometer`, or of an experiment with it.
+        Output of `splits.goniophotometer`, or of an experiment with it.
     quantity : sequence of str
-        Of `splits.plotting.direction_axes.QUANTITY_LABELS`, a row of panels each.
+        Keys of `splits.plotting.direction_axes.QUANTITY_LABELS`, each with a row of panels.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     legend : str, optional
-        Title of the legend; the grid's parameters by default.
+        Title of the legend; by default the parameters of the grid.
     ylim : (low, high), optional
-        Of the second panel, and the outer radius of the first; of the default's panel where others
-        are read against it.
+        Limits of the second panel and outer radius of the first; for shifts, limits of the panel
+        of the default.
     """
     dataset = select_point(dataset, at)
     plane = extract_plane(dataset)
@@ -81,32 +81,32 @@ def draw_principal_planes(
         labels = [QUANTITY_LABELS[name] for name in quantity]
         note += "; viewing angles are positive forward"
         return draw_shifts(plane, quantity, dim, "angle", (SHORT_ANGLE_LABEL, labels), note, ylim)
-    around = can_map_hemisphere(dataset.polar.values, dataset.azimuth.values)
-    maps = len(lines.lines) if around and len(lines.lines) <= MAX_MAPS else 0
+    has_all_azimuths = can_map_hemisphere(dataset.polar.values, dataset.azimuth.values)
+    n_maps = len(lines.lines) if has_all_azimuths and len(lines.lines) <= MAX_MAPS else 0
     with use_style():
         figure = OffscreenFigure(
-            TWO_COLUMNS_INCHES, (2.2 + (1.8 if maps > 1 else 0.0)) * len(quantity)
+            TWO_COLUMNS_INCHES, (2.2 + (1.8 if n_maps > 1 else 0.0)) * len(quantity)
         )
-        per = 2 if maps > 1 else 1
-        grid = figure.add_gridspec(len(quantity) * per, 1)
+        rows_per_quantity = 2 if n_maps > 1 else 1
+        grid = figure.add_gridspec(len(quantity) * rows_per_quantity, 1)
         planes = []
         for row, name in enumerate(quantity):
-            places = grid[per * row].subgridspec(1, 3 if maps == 1 else 2)
-            polar = figure.add_subplot(places[0], projection="polar")
-            planes.append((name, polar, figure.add_subplot(places[1]), places))
+            plane_cells = grid[rows_per_quantity * row].subgridspec(1, 3 if n_maps == 1 else 2)
+            polar = figure.add_subplot(plane_cells[0], projection="polar")
+            planes.append((name, polar, figure.add_subplot(plane_cells[1]), plane_cells))
         for name, polar, flat, _ in planes:
             _draw_plane(plane, name, polar, flat, lines, ylim)
-        shown = []
-        for row, (name, polar, flat, places) in enumerate(planes):
-            shown += [polar, flat]
-            if maps == 1:
-                shown += draw_maps(figure, [places[2]], dataset, name, legend)
-            elif maps:
-                below = grid[per * row + 1].subgridspec(1, maps)
-                cells = [below[i] for i in range(maps)]
-                shown += draw_maps(figure, cells, dataset, name, legend)
+        axes_list = []
+        for row, (name, polar, flat, plane_cells) in enumerate(planes):
+            axes_list += [polar, flat]
+            if n_maps == 1:
+                axes_list += draw_maps(figure, [plane_cells[2]], dataset, name, legend)
+            elif n_maps:
+                map_row = grid[rows_per_quantity * row + 1].subgridspec(1, n_maps)
+                map_cells = [map_row[i] for i in range(n_maps)]
+                axes_list += draw_maps(figure, map_cells, dataset, name, legend)
         lines.add_legend(figure, [flat for _, _, flat, _ in planes], legend, MAX_INSET_LINES)
-        return annotate_figure(figure, shown, note, make_maps_note(quantity) if maps else "")
+        return annotate_figure(figure, axes_list, note, make_maps_note(quantity) if n_maps else "")
 
 
 def _draw_plane(
@@ -117,36 +117,42 @@ def _draw_plane(
     lines: PlotLines,
     ylim: tuple[float, float] | None,
 ) -> None:
-    """Draw one quantity."""
-    down = name == "btdf"
-    dark = not (plane[name] > 0.0).any()
-    for one in () if dark else lines.lines:
-        line = select_line(plane, one.labels)
+    """Draw the principal plane of one quantity."""
+    is_downward = name == "btdf"
+    has_no_light = not (plane[name] > 0.0).any()
+    for grid_line in () if has_no_light else lines.lines:
+        line = select_line(plane, grid_line.labels)
         angle = line.angle.values
         value, error = line[name].values, BAND_SIGMA * line[f"{name}_stderr"].values
         low = np.maximum(value - error, 0.0)
-        turned = to_plot_angle(angle, down)
-        polar.plot(turned, np.maximum(value, 0.0), label=one.label, **one.to_plot_style())
-        polar.fill_between(turned, low, value + error, color=one.colour, alpha=0.3, lw=0)
-        flat.plot(angle, value, label=one.label, **one.to_plot_style())
-        flat.fill_between(angle, low, value + error, color=one.colour, alpha=0.3, lw=0)
-    format_half_circle(polar, ylim[1] if ylim else None, down)
-    if dark:
+        plot_angle = to_plot_angle(angle, is_downward)
+        polar.plot(
+            plot_angle, np.maximum(value, 0.0), label=grid_line.label, **grid_line.to_plot_style()
+        )
+        polar.fill_between(plot_angle, low, value + error, color=grid_line.colour, alpha=0.3, lw=0)
+        flat.plot(angle, value, label=grid_line.label, **grid_line.to_plot_style())
+        flat.fill_between(angle, low, value + error, color=grid_line.colour, alpha=0.3, lw=0)
+    format_half_circle(polar, ylim[1] if ylim else None, is_downward)
+    if has_no_light:
         _annotate_no_light(plane, name, polar, flat)
     else:
-        _draw_beams(polar, plane, lines, down)
-    # Outside the half circle, where the radii have their numbers.
+        _draw_beams(polar, plane, lines, is_downward)
+    # Outside the half circle, at the labels of the radii.
     polar.text(
-        0.5, 0.86 if down else 0.14, QUANTITY_LABELS[name], transform=polar.transAxes, ha="center",
-        va="bottom" if down else "top",
-    )  # fmt: skip
+        0.5,
+        0.86 if is_downward else 0.14,
+        QUANTITY_LABELS[name],
+        transform=polar.transAxes,
+        ha="center",
+        va="bottom" if is_downward else "top",
+    )
     flat.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS[name], ylim=ylim or (0.0, None))
     flat.set_xticks(np.arange(-90, 91, 30))
     flat.spines[["top", "right"]].set_visible(False)
 
 
 def _annotate_no_light(plane: xr.Dataset, name: str, *panels: Axes) -> None:
-    """Write into panels that no light went their way, and within what error."""
+    """Write into panels that there is no light, with the error bound."""
     text = "nothing transmitted" if name == "btdf" else "nothing reflected"
     bound = BAND_SIGMA * float(plane[f"{name}_stderr"].max())
     if bound > 0.0:
@@ -158,68 +164,82 @@ def _annotate_no_light(plane: xr.Dataset, name: str, *panels: Axes) -> None:
 
 
 def draw_bin_sizes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
-    """Draw the principal plane as cells of several sizes see it.
+    """Draw the principal plane for angular bins of several sizes.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of a goniophotometer with cells, without a grid or at one point of it; one wavelength.
+        Output of a goniophotometer with bins at one wavelength.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     """
     dataset = select_point(dataset, at)
     note = describe_conditions(dataset, at)
     dataset = dataset.isel(wavelength=0)
-    counts = dataset.sizes["polar"], dataset.sizes["azimuth"]
-    factors = [f for f in (9, 5, 3, 1) if not (counts[0] % f or counts[1] % (2 * f))]
+    n_bins = dataset.sizes["polar"], dataset.sizes["azimuth"]
+    factors = [
+        divisor
+        for divisor in (9, 5, 3, 1)
+        if not (n_bins[0] % divisor or n_bins[1] % (2 * divisor))
+    ]
     merged = [merge_angular_bins(dataset, factor).assign_attrs(dataset.attrs) for factor in factors]
-    labels = [f"{counts[0] // factor} × {counts[1] // factor}" for factor in factors]
+    labels = [f"{n_bins[0] // factor} × {n_bins[1] // factor}" for factor in factors]
     with use_style():
         figure = OffscreenFigure(TWO_COLUMNS_INCHES, 4.2)
         grid = figure.add_gridspec(2, len(factors), height_ratios=(1.2, 1.0))
         axes = figure.add_subplot(grid[0, :])
-        shades = pick_colours(len(factors))
-        for factor, part, label, colour in zip(factors, merged, labels, shades, strict=True):
+        colours = pick_colours(len(factors))
+        for factor, part, label, colour in zip(factors, merged, labels, colours, strict=True):
             plane = insert_zenith_gap(select_principal_plane(part))
             angle, value = plane.angle.values, plane.brdf.values
             error = BAND_SIGMA * plane.brdf_stderr.values
-            # The larger the cells, the less noise: they lie on top.
-            above = 2.0 + 0.1 * factor
+            # Larger bins have less noise and are drawn on top.
+            zorder = 2.0 + 0.1 * factor
             axes.fill_between(
                 angle, np.maximum(value - error, 0.0), value + error, color=colour, alpha=0.25,
-                lw=0, zorder=above - 0.05,
+                lw=0, zorder=zorder - 0.05,
             )  # fmt: skip
             axes.plot(
                 angle, value, "o-", color=colour, ms=1.2 + 0.25 * factor, lw=0.4 + 0.12 * factor,
-                label=label, zorder=above,
+                label=label, zorder=zorder,
             )  # fmt: skip
         axes.set(xlabel=VIEWING_ANGLE_LABEL, ylabel=QUANTITY_LABELS["brdf"], ylim=(0.0, None))
         axes.set_xticks(np.arange(-90, 91, 30))
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(title="cells, polar × around", frameon=False)
-        places = [grid[1, i] for i in range(len(factors))]
-        maps = draw_dataset_maps(figure, places, merged, labels, "brdf")
+        axes.legend(title="bins, polar × azimuth", frameon=False)
+        grid_cells = [grid[1, i] for i in range(len(factors))]
+        maps = draw_dataset_maps(figure, grid_cells, merged, labels, "brdf")
         return annotate_figure(figure, [axes, *maps], note, make_maps_note(("brdf",)))
 
 
 def _draw_beams(axes: Axes, plane: xr.Dataset, lines: PlotLines, downward: bool) -> None:
-    """Draw where the light comes from, or where it would go straight on."""
+    """Draw the direction of the source, or that of direct transmission."""
     top = axes.get_ylim()[1]
-    shades: dict[float, list[Colour]] = {}
-    for one in lines.lines:
-        shades.setdefault(get_incidence_deg(select_line(plane, one.labels)), []).append(one.colour)
-    for incidence, used in shades.items():
+    colours_by_incidence: dict[float, list[Colour]] = {}
+    for grid_line in lines.lines:
+        colours_by_incidence.setdefault(
+            get_incidence_deg(select_line(plane, grid_line.labels)), []
+        ).append(grid_line.colour)
+    for incidence, used in colours_by_incidence.items():
         # Several beams have the colours of their lines.
-        own = len(shades) > 1 and used.count(used[0]) == len(used)
-        turned = to_plot_angle(np.full(2, incidence if downward else -incidence), downward)
+        use_own_colour = len(colours_by_incidence) > 1 and used.count(used[0]) == len(used)
+        plot_angle = to_plot_angle(np.full(2, incidence if downward else -incidence), downward)
         axes.plot(
-            turned, [0.0, top], color=used[0] if own else "black", **_get_beam_style(downward)
+            plot_angle,
+            [0.0, top],
+            color=used[0] if use_own_colour else "black",
+            **_get_beam_style(downward),
         )
     axes.set_ylim(0.0, top)
-    told = Line2D([], [], color="black" if len(shades) == 1 else "0.5", **_get_beam_style(downward))
-    told.set_label("straight on" if downward else "towards the source")
+    legend_line = Line2D(
+        [],
+        [],
+        color="black" if len(colours_by_incidence) == 1 else "0.5",
+        **_get_beam_style(downward),
+    )
+    legend_line.set_label("straight on" if downward else "towards the source")
     axes.legend(
-        handles=[told], frameon=False, fontsize=SMALL_FONT_PT,
+        handles=[legend_line], frameon=False, fontsize=SMALL_FONT_PT,
         loc="lower center" if downward else "upper center",
         bbox_to_anchor=(0.5, 0.92) if downward else (0.5, 0.08),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What measured spectra tell, against what is known otherwise: a panel of a figure."""
+"""Panel of retrieved parameters against reference values."""
 
 from __future__ import annotations
 
@@ -15,46 +15,46 @@ from splits.core.escaping import escape_mathtext
 from splits.plotting.style import SMALL_FONT_PT, format_parameter, format_value, pick_colours
 
 MIN_SLOPE_SAMPLES = 3
-"""Samples from which on a slope is told."""
+"""Smallest number of samples for a fitted slope."""
 MODEL_MARKERS = "os^D"
-"""Of models, against what is known."""
+"""Markers of models."""
 MODEL_OFFSET = 0.012
-"""How far models' points stand beside each other there, as a part of the axis."""
+"""Horizontal offset between the points of models, relative to the axis."""
 
 
 def draw_against_reference(
     axes: Axes, dataset: xr.Dataset, name: str, reference: Mapping[str, float], prefix: str
 ) -> Axes:
-    """Draw what was found of a parameter against what is known of it, models side by side."""
+    """Draw retrieved values of a parameter against reference values, for all models."""
     samples = select_referenced_samples(dataset, reference, prefix)
     x = np.array([reference[s] for s in samples])
     top = highest = float(x.max())
     models = get_model_colours(dataset)
     for number, (model, colour) in enumerate(models):
-        own = dataset.sel(model=model, sample=samples)
-        aside = x + (number - 0.5 * (len(models) - 1)) * MODEL_OFFSET * top
-        part = own.quantiles.sel(parameter=name).transpose("quantile", "sample")
-        widest, low, y, high, most = part.values
+        part_of_model = dataset.sel(model=model, sample=samples)
+        shifted = x + (number - 0.5 * (len(models) - 1)) * MODEL_OFFSET * top
+        quantiles = part_of_model.quantiles.sel(parameter=name).transpose("quantile", "sample")
+        lowest_value, low, y, high, highest_value = quantiles.values
         if not np.isfinite(y).all():
             continue
-        for ends, width in (((widest, most), 0.6), ((low, high), 2.0)):
-            axes.vlines(aside, *ends, color=colour, lw=width)
-        told = [format_value(model, "model")] if model else []
+        for limits, width in (((lowest_value, highest_value), 0.6), ((low, high), 2.0)):
+            axes.vlines(shifted, *limits, color=colour, lw=width)
+        labels = [format_value(model, "model")] if model else []
         if len(samples) >= MIN_SLOPE_SAMPLES:
             line = fit_proportional(x, y)
-            told.append(f"slope {line.slope:.2f} ± {line.stderr:.2f}")
-            told.append(f"scatter {line.scatter:.2g}")
-            misfit = own.chi2_at_reference.values
+            labels.append(f"slope {line.slope:.2f} ± {line.stderr:.2f}")
+            labels.append(f"scatter {line.scatter:.2g}")
+            misfit = part_of_model.chi2_at_reference.values
             if model and np.isfinite(misfit).all():
-                expected = float(own.chi2_expected.sum())
-                told.append(f"χ² {misfit.sum():.0f} of {expected:.0f}")
+                expected = float(part_of_model.chi2_expected.sum())
+                labels.append(f"χ² {misfit.sum():.0f} of {expected:.0f}")
         marker = MODEL_MARKERS[number % len(MODEL_MARKERS)]
-        axes.plot(aside, y, marker, color=colour, ms=3, label="\n".join(told) or None)
-        highest = max(highest, float(most.max()))
+        axes.plot(shifted, y, marker, color=colour, ms=3, label="\n".join(labels) or None)
+        highest = max(highest, float(highest_value.max()))
     top = 1.08 * highest
     axes.plot([0.0, top], [0.0, top], color="black", lw=0.6)
-    axes.set_title(escape_mathtext(prefix.strip()) or "against what is known")
-    axes.set_xlabel(f"{format_parameter(name)}, known")
+    axes.set_title(escape_mathtext(prefix.strip()) or "against reference values")
+    axes.set_xlabel(f"{format_parameter(name)}, reference")
     axes.set_ylabel(f"{format_parameter(name)}, retrieved")
     axes.set_xlim(0.0, top)
     axes.set_ylim(0.0, top)
@@ -72,12 +72,17 @@ def draw_against_reference(
 def select_referenced_samples(
     dataset: xr.Dataset, reference: Mapping[str, float], prefix: str
 ) -> list[str]:
-    """Return the samples of a group of which something is known."""
+    """Return the samples with a prefix that have reference values."""
     return [s for s in reference if s in dataset.sample.values and s.startswith(prefix)]
 
 
 def get_model_colours(dataset: xr.Dataset) -> list[tuple[str, Any]]:
     """Return the names of the models, with their colours."""
     names = list(map(str, dataset.model.values))
-    return list(zip(names, pick_colours(len(names), "medium") if len(names) > 1 else pick_colours(1),
-                    strict=True))  # fmt: skip
+    return list(
+        zip(
+            names,
+            pick_colours(len(names), "medium") if len(names) > 1 else pick_colours(1),
+            strict=True,
+        )
+    )

@@ -1,4 +1,4 @@
-"""What measured spectra tell: the fit, the distribution of what is free, the averaging kernel."""
+"""Figure of retrievals: fitted spectrum, posterior distribution and averaging kernel."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from splits.plotting.style import (
 )
 
 GAP_STEP_RATIO = 2.0
-"""Gaps in the wavelengths so many times the usual step are left open."""
+"""Ratio of a gap in the wavelengths to the median step above which lines are interrupted."""
 N_HISTOGRAM_BINS = 30
 MAX_DRAWS_SHOWN = 400
-"""Draws shown as dots, of all models together."""
+"""Largest number of draws shown as dots, for all models together."""
 SHORT_LABELS = {
     "optical_radius_um": "radius (µm)",
     "specific_surface_area_m2_kg": "area (m²/kg)",
@@ -42,15 +42,15 @@ SHORT_LABELS = {
     "hematite_ratio": "hematite",
     "magnetite": "magnetite",
 }
-"""What corners and kernels, which have little room, call parameters."""
+"""Short labels of parameters for corner plots and kernels."""
 ENGINEERING_TICKS_FROM = 1e4
-"""Numbers from which on ticks of corners say k for a thousand."""
+"""Values from which ticks of corner plots use k for a thousand."""
 MAX_ROWS = 3
-"""Rows at most: samples, evenly among all, and what is known of them."""
+"""Largest number of rows: evenly selected samples, and reference values."""
 MAX_KERNEL_PARAMETERS = 4
-"""Parameters of an averaging kernel whose numbers fit at the usual size."""
+"""Largest number of parameters of an averaging kernel with text of normal size."""
 _SAMPLE_HEIGHT_INCHES, _REFERENCE_HEIGHT_INCHES = 3.3, 2.4
-"""Of a sample, and of what is known."""
+"""Heights of the rows of samples and of reference values."""
 
 
 def draw_retrievals(
@@ -58,26 +58,26 @@ def draw_retrievals(
     reference: Mapping[str, Mapping[str, float]] | None = None,
     prefixes: Sequence[str] = ("",),
 ) -> Figure:
-    """Draw a row for some samples, and what was found of all against what is known.
+    """Draw a row for some samples, and retrieved against reference values of all.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.experiments.run_retrieve.together` returns it.
+        Output of `splits.experiments.run_retrieve.combine_samples`.
     reference : mapping, optional
-        Values by parameter and sample that were found otherwise.
+        Independent values by parameter and sample.
     prefixes : sequence of str
-        How names of samples begin that have a panel of what is known together.
+        Prefixes of the names of samples that have a common panel of reference values.
     """
-    every = dataset.sample.values
+    all_samples = dataset.sample.values
     reference = {
         name: values
         for name, values in (reference or {}).items()
         if select_referenced_samples(dataset, values, "")
     }
-    most = min(len(every), MAX_ROWS - bool(reference))
-    some = np.unique(np.linspace(0, len(every) - 1, most).round().astype(int))
-    samples = every[some]
+    max_samples = min(len(all_samples), MAX_ROWS - bool(reference))
+    indices = np.unique(np.linspace(0, len(all_samples) - 1, max_samples).round().astype(int))
+    samples = all_samples[indices]
     rows = len(samples) + bool(reference)
     with use_style():
         heights = [_SAMPLE_HEIGHT_INCHES] * len(samples) + [_REFERENCE_HEIGHT_INCHES] * bool(
@@ -87,35 +87,40 @@ def draw_retrievals(
         grid = figure.add_gridspec(
             rows, 3, width_ratios=[1.3, 1.6, 0.6], height_ratios=heights
         )  # fmt: skip
-        tops = []
+        title_axes = []
         for row, sample in enumerate(samples):
             part = dataset.sel(sample=sample)
-            tops.append(_draw_spectrum(figure, grid[row, 0], part, format_value(sample, "sample")))
+            title_axes.append(
+                _draw_spectrum(figure, grid[row, 0], part, format_value(sample, "sample"))
+            )
             _draw_corner(figure, grid[row, 1], part)
             _draw_averaging_kernel(figure.add_subplot(grid[row, 2]), part)
-        several = False
+        has_slopes = False
         if reference:
             panels = [
                 (name, group) for name, values in reference.items() for group in prefixes
                 if select_referenced_samples(dataset, values, group)
             ]  # fmt: skip
-            below = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
-            several = any(
-                len(select_referenced_samples(dataset, reference[name], g)) >= MIN_SLOPE_SAMPLES
-                for name, g in panels
+            reference_cells = grid[rows - 1, :].subgridspec(1, max(2, len(panels)))
+            has_slopes = any(
+                len(select_referenced_samples(dataset, reference[name], prefix))
+                >= MIN_SLOPE_SAMPLES
+                for name, prefix in panels
             )
             for column, (name, group) in enumerate(panels):
-                axes = figure.add_subplot(below[column])
-                tops.append(draw_against_reference(axes, dataset, name, reference[name], group))
-        note = _make_note(dataset, len(samples), several)
-        return annotate_figure(figure, tops, note)
+                axes = figure.add_subplot(reference_cells[column])
+                title_axes.append(
+                    draw_against_reference(axes, dataset, name, reference[name], group)
+                )
+        note = _make_note(dataset, len(samples), has_slopes)
+        return annotate_figure(figure, title_axes, note)
 
 
 def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
-    """Return what the foot of the figure says."""
+    """Return the note at the foot of the figure."""
     note = (
         "Bands: two standard errors, of the measurement (grey) and of the table (in colour). "
-        "Dots: draws from what the spectrum allows"
+        "Dots: draws from the posterior"
     )
     if rows < dataset.sizes["sample"]:
         note = f"{rows} of {dataset.sizes['sample']} samples, evenly among all. " + note
@@ -123,49 +128,59 @@ def _make_note(dataset: xr.Dataset, rows: int, several: bool) -> str:
         return note + "; lines: 16, 50 and 84 %."
     note += f". Averaging kernels: {format_value(str(dataset.model.values[0]), 'model')}."
     if several and np.isfinite(dataset.chi2_at_reference).any():
-        note += " Beside what is known: χ² with that held, of what is expected."
+        note += " Against reference values: χ² with these fixed, and its expectation."
     return note
 
 
 def _insert_gaps(x: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
-    """Return rows with a gap wherever wavelengths were left out."""
+    """Return rows with NaN inserted at gaps of the wavelengths."""
     steps = np.diff(x)
-    usual = np.median(steps) if steps.size else 0.0
-    gaps = np.flatnonzero(steps > GAP_STEP_RATIO * usual) + 1
+    median_step = np.median(steps) if steps.size else 0.0
+    gaps = np.flatnonzero(steps > GAP_STEP_RATIO * median_step) + 1
     return [np.insert(row.astype(float), gaps, np.nan) for row in (x, *rows)]
 
 
-def _draw_spectrum(figure: Figure, place: SubplotSpec, part: xr.Dataset, title: str) -> Axes:
-    """Draw measured and fitted reflectance, and their difference below; return the upper panel."""
-    inner = place.subgridspec(2, 1, height_ratios=[2.0, 1.0])
+def _draw_spectrum(figure: Figure, cell: SubplotSpec, part: xr.Dataset, title: str) -> Axes:
+    """Draw measured and fitted reflectance and their difference; return the upper panel."""
+    inner = cell.subgridspec(2, 1, height_ratios=[2.0, 1.0])
     top = figure.add_subplot(inner[0])
     bottom = figure.add_subplot(inner[1], sharex=top)
     highest = 0.0
     for number, (model, colour) in enumerate(get_model_colours(part)):
-        own = part.sel(model=model)
+        part_of_model = part.sel(model=model)
         x, measured, noise, fitted, error = _insert_gaps(
-            own.wavelength.values, own.measured.values, own.measured_stderr.values,
-            own.fitted.values, own.fitted_stderr.values,
-        )  # fmt: skip
+            part_of_model.wavelength.values,
+            part_of_model.measured.values,
+            part_of_model.measured_stderr.values,
+            part_of_model.fitted.values,
+            part_of_model.fitted_stderr.values,
+        )
         if number == 0:
             top.plot(x, measured, color="black", lw=1.0, label="measured")
             for axes, middle in ((top, measured), (bottom, np.zeros_like(measured))):
                 low, high = middle - BAND_SIGMA * noise, middle + BAND_SIGMA * noise
                 axes.fill_between(x, low, high, color="0.8", lw=0)
-        label = f"{format_value(model, 'model') if model else 'table'}, χ² {float(own.chi2):.0f}"
+        chi2 = float(part_of_model.chi2)
+        label = f"{format_value(model, 'model') if model else 'table'}, χ² {chi2:.0f}"
         if part.sizes["model"] == 1:
-            label += f" of {float(own.chi2_expected):.0f}"
+            label += f" of {float(part_of_model.chi2_expected):.0f}"
         top.plot(x, fitted, color=colour, lw=1.0, ls="--", label=label)
-        off = fitted - measured
-        bottom.plot(x, off, color=colour, lw=0.8)
-        bottom.fill_between(x, off - BAND_SIGMA * error, off + BAND_SIGMA * error, color=colour, alpha=0.25,
-                            lw=0)  # fmt: skip
+        difference = fitted - measured
+        bottom.plot(x, difference, color=colour, lw=0.8)
+        bottom.fill_between(
+            x,
+            difference - BAND_SIGMA * error,
+            difference + BAND_SIGMA * error,
+            color=colour,
+            alpha=0.25,
+            lw=0,
+        )
         highest = max(highest, float(np.nanmax([measured, fitted])))
     bottom.axhline(0.0, color="black", lw=0.6)
     expected = float(part.chi2_expected.isel(model=0))
     top.set_title(title if part.sizes["model"] == 1 else f"{title} (χ² expected: {expected:.0f})")
     top.set_ylabel("reflectance")
-    # Room above for a legend of several lines.
+    # Room for a legend of several lines.
     several = part.sizes["model"] > 1
     top.set_ylim(0.0, (1.35 + 0.13 * part.sizes["model"] if several else 1.1) * highest)
     top.tick_params(labelbottom=False)
@@ -178,29 +193,40 @@ def _draw_spectrum(figure: Figure, place: SubplotSpec, part: xr.Dataset, title: 
     return top
 
 
-def _draw_corner(figure: Figure, place: SubplotSpec, part: xr.Dataset) -> None:
-    """Draw the draws: each parameter, and every two of them."""
+def _draw_corner(figure: Figure, cell: SubplotSpec, part: xr.Dataset) -> None:
+    """Draw the posterior draws: histograms, and all pairs of parameters."""
     names = list(map(str, part.parameter.values))
-    inner = place.subgridspec(len(names), len(names), wspace=0.04, hspace=0.04)
+    inner = cell.subgridspec(len(names), len(names), wspace=0.04, hspace=0.04)
     draws = part.draws.transpose("model", "draw", "parameter").values
-    some = draws[:, :: max(1, len(draws) * draws.shape[1] // MAX_DRAWS_SHOWN)]
-    shares = [0.16, 0.5, 0.84]
-    marks = part.quantiles.sel(quantile=shares).transpose("model", "quantile", "parameter").values
-    shades = [colour for _, colour in get_model_colours(part)]
-    # A law that does not know of a parameter has no draws of it.
+    shown_draws = draws[:, :: max(1, len(draws) * draws.shape[1] // MAX_DRAWS_SHOWN)]
+    probabilities = [0.16, 0.5, 0.84]
+    quantiles = (
+        part.quantiles.sel(quantile=probabilities)
+        .transpose("model", "quantile", "parameter")
+        .values
+    )
+    colours = [colour for _, colour in get_model_colours(part)]
+    # A law has no draws of parameters that it does not contain.
     low, high = np.nanquantile(draws, [0.002, 0.998], axis=(0, 1))
     for i in range(len(names)):
         for j in range(i + 1):
             axes = figure.add_subplot(inner[i, j])
-            for number, colour in enumerate(shades):
+            for number, colour in enumerate(colours):
                 if i == j:
-                    own = draws[number, np.isfinite(draws[number, :, i]), i]
-                    axes.hist(own, bins=N_HISTOGRAM_BINS, color=colour, alpha=0.6)
-                    for mark in marks[number, :, i] if len(shades) == 1 else ():
-                        axes.axvline(mark, color="black", lw=0.6)
+                    finite_draws = draws[number, np.isfinite(draws[number, :, i]), i]
+                    axes.hist(finite_draws, bins=N_HISTOGRAM_BINS, color=colour, alpha=0.6)
+                    for quantile in quantiles[number, :, i] if len(colours) == 1 else ():
+                        axes.axvline(quantile, color="black", lw=0.6)
                 else:
-                    axes.plot(some[number, :, j], some[number, :, i], ".", ms=1.0, color=colour,
-                              alpha=0.4, rasterized=True)  # fmt: skip
+                    axes.plot(
+                        shown_draws[number, :, j],
+                        shown_draws[number, :, i],
+                        ".",
+                        ms=1.0,
+                        color=colour,
+                        alpha=0.4,
+                        rasterized=True,
+                    )
             if i == j:
                 axes.set_yticks([])
                 axes.spines[["top", "right", "left"]].set_visible(False)
@@ -208,9 +234,9 @@ def _draw_corner(figure: Figure, place: SubplotSpec, part: xr.Dataset) -> None:
             _label_corner_axes(axes, names, (i, j))
 
 
-def _label_corner_axes(axes: Axes, names: list[str], place: tuple[int, int]) -> None:
-    """Label a panel of the corner at its outer edges only."""
-    i, j = place
+def _label_corner_axes(axes: Axes, names: list[str], indices: tuple[int, int]) -> None:
+    """Label a panel of the corner plot at its outer edges only."""
+    i, j = indices
     axes.locator_params(nbins=3, axis="x")
     if i != j:
         axes.locator_params(nbins=3, axis="y")
@@ -231,24 +257,26 @@ def _label_corner_axes(axes: Axes, names: list[str], place: tuple[int, int]) -> 
 
 
 def _get_short_label(name: str) -> str:
-    """Return a short label of a parameter, on two lines where it has a unit."""
+    """Return a short label of a parameter, on two lines if it has a unit."""
     return SHORT_LABELS.get(name, format_parameter(name)).replace(" (", "\n(")
 
 
 def _draw_averaging_kernel(axes: Axes, part: xr.Dataset) -> None:
-    """Draw the averaging kernel as numbers on shades."""
+    """Draw the averaging kernel as a coloured table of numbers."""
     part = part.isel(model=0)
     names = [_get_short_label(str(n)).partition("\n")[0] for n in part.parameter.values]
     kernel = part.averaging_kernel.values
     axes.imshow(kernel, cmap="RdBu", vmin=-1.5, vmax=1.5)
     for i, j in np.ndindex(kernel.shape):
-        told = f"{kernel[i, j]:.2f}".replace("-0.00", "0.00").replace("-", "−")
+        text = f"{kernel[i, j]:.2f}".replace("-0.00", "0.00").replace("-", "−")
         colour = "white" if abs(kernel[i, j]) > 1.05 else "black"
         size = SMALL_FONT_PT * min(1.0, MAX_KERNEL_PARAMETERS / len(names))
-        axes.text(j, i, told, ha="center", va="center", fontsize=size, color=colour)
+        axes.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
     axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=SMALL_FONT_PT)
     axes.set_yticks(range(len(names)), names, fontsize=SMALL_FONT_PT)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    freedom = float(part.degrees_of_freedom)
-    axes.set_title(f"averaging kernel\n{freedom:.2f} degrees of freedom", fontsize=SMALL_FONT_PT)
+    degrees_of_freedom = float(part.degrees_of_freedom)
+    axes.set_title(
+        f"averaging kernel\n{degrees_of_freedom:.2f} degrees of freedom", fontsize=SMALL_FONT_PT
+    )

@@ -1,4 +1,4 @@
-"""Rough surfaces: a picture of one, and of what it does to a ring of parallel rays."""
+"""Figures of rough surfaces: height maps, and the refraction of a ring of parallel rays."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
@@ -24,7 +25,7 @@ from splits.plotting.style import (
 )
 
 _REFERENCE_LINE_STYLE: dict[str, Any] = {"color": "0.6", "lw": 0.6, "ls": "--"}
-"""The look of lines to compare with."""
+"""Style of reference lines."""
 _LOWER_UPPER = np.array([-1.0, 1.0])
 
 
@@ -33,7 +34,7 @@ def _find_range(values: np.ndarray) -> tuple[float, float]:
 
 
 def _make_panels(count: int, map_panel: int, **settings: Any) -> tuple[Figure, np.ndarray]:
-    """Return a figure and its panels, side by side; one of them shows x and y from above."""
+    """Return a figure with panels side by side, one of which is a map."""
     figure, panels = make_subplots(1, count, width=TWO_COLUMNS_INCHES, height=2.8, **settings)
     panels[map_panel].set(xlabel="x (m)", ylabel="y (m)")
     for axes in panels:
@@ -42,87 +43,99 @@ def _make_panels(count: int, map_panel: int, **settings: Any) -> tuple[Figure, n
 
 
 def draw_surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
-    """Draw the heights of a surface in relief, and how rough realisations are.
+    """Draw the heights of a surface in relief, and the distribution of rms slopes.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.surface_map`, without a grid or at one point of it.
+        Output of `splits.surface_map`, without a grid or with one to select from.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     """
     dataset = select_points(dataset, at or {})
     height = dataset.height.transpose("y", "x").values
     x, y = dataset.x.values, dataset.y.values
     with use_style():
         figure, (left, right) = _make_panels(2, map_panel=0, width_ratios=(1.35, 1.0))
-        reach = float(np.abs(height).max())
+        max_height = float(np.abs(height).max())
         light = LightSource(azdeg=315, altdeg=35)
         shaded = light.shade(
-            height, colormaps["Blues_r"], blend_mode="soft", vmin=-reach, vmax=reach,
+            height, colormaps["Blues_r"], blend_mode="soft", vmin=-max_height, vmax=max_height,
             dx=x[1] - x[0], dy=y[1] - y[0],
         )  # fmt: skip
         extent = (x[0], x[-1], y[0], y[-1])
         left.imshow(shaded, origin="lower", extent=extent, interpolation="bilinear")
         left.spines[:].set_visible(True)
-        scale = ScalarMappable(Normalize(-reach, reach), "Blues_r")
+        scale = ScalarMappable(Normalize(-max_height, max_height), "Blues_r")
         figure.colorbar(scale, ax=left, label="height (m)", location="top", shrink=0.7, aspect=30)
         slopes = np.sort(dataset.rms_slope.values)
-        share = (np.arange(slopes.size) + 0.5) / slopes.size
-        right.step(slopes, share, where="mid", color="black")
+        fraction = (np.arange(slopes.size) + 0.5) / slopes.size
+        right.step(slopes, fraction, where="mid", color="black")
         median = float(np.median(slopes))
         right.axvline(median, **_REFERENCE_LINE_STYLE)
         right.annotate(
             f"median {median:.3g}", (median, 0.02), (4, 0), textcoords="offset points",
             fontsize=SMALL_FONT_PT,
         )  # fmt: skip
-        wide = slopes[-1] > 10.0 * slopes[0]
+        is_wide = slopes[-1] > 10.0 * slopes[0]
         right.set(xlabel="rms slope of a realisation", ylim=(0.0, 1.0))
-        right.set_xscale("log" if wide else "linear")
-        right.set_ylabel("share of realisations below")
+        right.set_xscale("log" if is_wide else "linear")
+        right.set_ylabel("cumulative fraction of realisations")
         return annotate_figure(figure, [left, right], describe_conditions(dataset, at, ""))
 
 
+def _draw_rays(axes: Axes, dataset: xr.Dataset, max_depth: float) -> None:
+    """Draw some of the rays of a ring from above the surface to the screens."""
+    depth, start = dataset.screen_depth.values, dataset.surface_position.values
+    for ray in range(0, dataset.sizes["ray"], max(1, dataset.sizes["ray"] // 24)):
+        is_detected = dataset.detected.values[:, ray] > 0
+        is_detected &= depth <= 1.4 * max_depth
+        x = np.append(start[ray, 0], dataset.screen_position.values[is_detected, ray, 0])
+        z = np.append(start[ray, 2], -depth[is_detected])
+        axes.plot(x, z, color="0.35", lw=0.4)
+        axes.plot([x[0], x[0]], [z[0], 0.3 * max_depth], color="0.35", lw=0.4)
+
+
 def draw_lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
-    """Draw rays below a surface, the ring on screens, and how much denser light gets.
+    """Draw rays below a surface, the ring on screens, and the concentration of light.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.draw_lens`, without a grid or at one point of it.
+        Output of `splits.lens`, without a grid or with one to select from.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     """
     dataset = select_points(dataset, at or {})
     depth = dataset.screen_depth.values
     spot = dataset.screen_position.where(dataset.detected > 0)
     size = (spot - spot.mean("ray")).pipe(np.square).sum("axis").mean("ray").values
     best = int(size.argmin())
-    far = int(np.argmin(np.abs(depth - 2.0 * depth[best])))
-    shown = sorted({0, best, far})
+    double_depth = int(np.argmin(np.abs(depth - 2.0 * depth[best])))
+    shown = sorted({0, best, double_depth})
     with use_style():
-        figure, (rays, screen, dense) = _make_panels(3, map_panel=1)
+        figure, (rays, screen, concentration) = _make_panels(3, map_panel=1)
         start = dataset.surface_position.values
-        for ray in range(0, dataset.sizes["ray"], max(1, dataset.sizes["ray"] // 24)):
-            seen = (dataset.detected.values[:, ray] > 0) & (depth <= 1.4 * depth[far])
-            x = np.append(start[ray, 0], dataset.screen_position.values[seen, ray, 0])
-            z = np.append(start[ray, 2], -depth[seen])
-            rays.plot(x, z, color="0.35", lw=0.4)
-            rays.plot([x[0], x[0]], [z[0], 0.3 * depth[far]], color="0.35", lw=0.4)
-        shades = pick_colours(len(shown))
+        _draw_rays(rays, dataset, depth[double_depth])
+        colours = pick_colours(len(shown))
         order = np.argsort(start[:, 0])
         rays.plot(start[order, 0], start[order, 2], ".", color="black", ms=1)
-        for place, colour in zip(shown, shades, strict=True):
-            rays.axhline(-depth[place], color=colour)
-            seen = dataset.detected.values[place] > 0
-            spot = dataset.screen_position.values[place][seen]
-            screen.plot(*spot.T, ".", color=colour, ms=1.5, label=f"{depth[place]:g} m")
+        for index, colour in zip(shown, colours, strict=True):
+            rays.axhline(-depth[index], color=colour)
+            is_detected = dataset.detected.values[index] > 0
+            spot = dataset.screen_position.values[index][is_detected]
+            screen.plot(*spot.T, ".", color=colour, ms=1.5, label=f"{depth[index]:g} m")
         rays.set(xlabel="x (m)", ylabel="height above the ring's centre (m)")
-        seen = dataset.detected.values[shown] > 0
+        is_detected = dataset.detected.values[shown] > 0
         middle = np.array(
-            [np.mean(_find_range(dataset.screen_position.values[shown][seen, i])) for i in (0, 1)]
+            [
+                np.mean(_find_range(dataset.screen_position.values[shown][is_detected, i]))
+                for i in (0, 1)
+            ]
         )
-        half = 0.58 * max(np.ptp(dataset.screen_position.values[shown][seen, i]) for i in (0, 1))
+        half = 0.58 * max(
+            np.ptp(dataset.screen_position.values[shown][is_detected, i]) for i in (0, 1)
+        )
         screen.set(xlim=middle[0] + half * _LOWER_UPPER, ylim=middle[1] + half * _LOWER_UPPER)
         screen.set_aspect("equal")
         figure.legend(
@@ -130,19 +143,21 @@ def draw_lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) 
             loc="outside upper center", ncols=3, markerscale=6.0,
         )  # fmt: skip
         value = dataset.concentration.values
-        dense.plot(depth, value, color="black")
+        concentration.plot(depth, value, color="black")
         if "concentration_stderr" in dataset:
             error = BAND_SIGMA * dataset.concentration_stderr.values
             low = np.maximum(value - error, 0.0)
-            dense.fill_between(depth, low, value + error, color="black", alpha=0.25, lw=0)
-        dense.axhline(1.0, **_REFERENCE_LINE_STYLE)
-        dense.annotate(
+            concentration.fill_between(depth, low, value + error, color="black", alpha=0.25, lw=0)
+        concentration.axhline(1.0, **_REFERENCE_LINE_STYLE)
+        concentration.annotate(
             "without waves", (depth[-1], 1.0), (0, 3), textcoords="offset points", ha="right",
             fontsize=SMALL_FONT_PT,
         )  # fmt: skip
-        dense.set(xlabel="depth of the screen (m)", ylabel="concentration: 1 / mean square size")
-        dense.set_yscale("log" if value.max() > 10.0 * value.min() else "linear")
+        concentration.set(
+            xlabel="depth of the screen (m)", ylabel="concentration: 1 / mean square size"
+        )
+        concentration.set_yscale("log" if value.max() > 10.0 * value.min() else "linear")
         band = "band" if "concentration_stderr" in dataset else ""
         return annotate_figure(
-            figure, [rays, screen, dense], describe_conditions(dataset, at, band)
+            figure, [rays, screen, concentration], describe_conditions(dataset, at, band)
         )

@@ -1,4 +1,4 @@
-"""Fitted against measured spectra."""
+"""Figure of fitted and measured spectra of sand."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from splits.plotting.style import (
 )
 
 MAX_SAMPLE_COLUMNS = 3
-"""Samples side by side."""
+"""Largest number of columns of samples."""
 
 
 def draw_fits(
@@ -34,11 +34,11 @@ def draw_fits(
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.experiments.run_fit.run_fit` returns it.
+        Output of `splits.experiments.run_fit.run_fit`.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     legend : str, optional
-        Title of the legend; the grid's parameters by default.
+        Title of the legend; by default the parameters of the grid.
     """
     dataset = select_points(dataset, at or {})
     dims = [str(d) for d in dataset.rmse.dims if d != "sample"]
@@ -67,15 +67,15 @@ def draw_fits(
 
 
 def _share_axes(dataset: xr.Dataset, tops: np.ndarray, bottoms: np.ndarray) -> None:
-    """Give all samples the same axes."""
+    """Set common axis limits for all samples."""
     error = BAND_SIGMA * dataset.reflectance_stderr
-    off = dataset.reflectance - dataset.measured
+    difference = dataset.reflectance - dataset.measured
     highest = max(float(dataset.measured.max()), float((dataset.reflectance + error).max()))
-    low, high = float((off - error).min()), float((off + error).max())
-    room = 0.05 * (high - low)
+    low, high = float((difference - error).min()), float((difference + error).max())
+    margin = 0.05 * (high - low)
     for top, bottom in zip(tops, bottoms, strict=True):
         top.set_ylim(0.0, 1.12 * highest)
-        bottom.set_ylim(low - room, high + room)
+        bottom.set_ylim(low - margin, high + margin)
         bottom.tick_params(labelbottom=True)
         for axes in (top, bottom):
             axes.spines[["top", "right"]].set_visible(False)
@@ -83,19 +83,19 @@ def _share_axes(dataset: xr.Dataset, tops: np.ndarray, bottoms: np.ndarray) -> N
 
 
 def _draw_sample(top: Axes, bottom: Axes, part: xr.Dataset, lines: PlotLines, title: str) -> None:
-    """Draw one sample's spectra and differences."""
+    """Draw the spectra and differences of one sample."""
     x = part.wavelength.values
     measured = part.measured.isel(dict.fromkeys(lines.dims, 0)).values
     top.plot(x, measured, "ks", ms=2, label="measured", zorder=1.9)
     for line in lines.lines:
-        one = part.sel(line.labels)
-        y, error = one.reflectance.values, BAND_SIGMA * one.reflectance_stderr.values
+        fit = part.sel(line.labels)
+        y, error = fit.reflectance.values, BAND_SIGMA * fit.reflectance_stderr.values
         top.plot(
-            x, y, label=f"{line.label or 'model'}: {float(one.rmse):.4f}", **line.to_plot_style()
+            x, y, label=f"{line.label or 'model'}: {float(fit.rmse):.4f}", **line.to_plot_style()
         )
-        off = y - one.measured.values
-        bottom.plot(x, off, **line.to_plot_style())
-        for axes, middle in ((top, y), (bottom, off)):
+        difference = y - fit.measured.values
+        bottom.plot(x, difference, **line.to_plot_style())
+        for axes, middle in ((top, y), (bottom, difference)):
             low, high = middle - error, middle + error
             axes.fill_between(x, low, high, color=line.colour, alpha=0.25, lw=0)
     bottom.axhline(0.0, color="black", lw=0.6)

@@ -1,9 +1,4 @@
-"""Bars of the mean sensitivity index.
-
-Which bands to measure: what each tells more, and what is left unknown.
-
-Which wavelength tells what: Sobol indices along the spectrum.
-"""
+"""Figures of sensitivity: mean sensitivity indices, band selection and Sobol indices."""
 
 from __future__ import annotations
 
@@ -28,7 +23,7 @@ from splits.plotting.style import (
 
 
 def draw_sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
-    """Draw the mean sensitivity index of each parameter, ours and, where there are, published ones.
+    """Draw the mean sensitivity index of each parameter, with published values if available.
 
     Parameters
     ----------
@@ -36,7 +31,7 @@ def draw_sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
         Variables ``msi``, ``msi_stderr`` and optionally ``published`` over ``quantity`` and
         ``parameter``.
     note : str
-        For the foot, such as `splits.experiments.papers.sensitivity_table.describe_ranges`.
+        Note for the foot, such as `splits.experiments.papers.sensitivity_table.describe_ranges`.
     """
     with use_style():
         figure, axes = make_subplots(height=2.5)
@@ -44,11 +39,11 @@ def draw_sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
         width = 0.36
         for i, quantity in enumerate(dataset.quantity.values):
             part = dataset.sel(quantity=quantity)
-            at = x + (i - 0.5) * width
+            positions = x + (i - 0.5) * width
             colour = pick_colours(2, "sample")[i]
-            axes.bar(at, part.msi, width, color=colour, alpha=0.85, label=str(quantity))
+            axes.bar(positions, part.msi, width, color=colour, alpha=0.85, label=str(quantity))
             axes.errorbar(
-                at,
+                positions,
                 part.msi,
                 BAND_SIGMA * part.msi_stderr,
                 fmt="none",
@@ -57,9 +52,16 @@ def draw_sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
             )
             if "published" in part:
                 axes.plot(
-                    at, part.published, "D", color="white", mec="black", mew=0.7, ms=4, ls="none",
+                    positions,
+                    part.published,
+                    "D",
+                    color="white",
+                    mec="black",
+                    mew=0.7,
+                    ms=4,
+                    ls="none",
                     label="published" if i == 0 else None,
-                )  # fmt: skip
+                )
         names = [str(p).replace("_", " ") for p in dataset.parameter.values]
         axes.set_xticks(x, list(map(escape_mathtext, names)))
         axes.set_ylabel("mean sensitivity index")
@@ -68,7 +70,7 @@ def draw_sensitivity_bars(dataset: xr.Dataset, note: str = "") -> Figure:
         figure.legend(
             *axes.get_legend_handles_labels(), frameon=False, ncols=3, loc="outside upper center"
         )
-        errors = f"Bars of errors: {BAND_SIGMA:g} standard errors."
+        errors = f"Error bars: {BAND_SIGMA:g} standard errors."
         return annotate_figure(figure, [axes], " ".join([escape_mathtext(note), errors]).strip())
 
 
@@ -76,32 +78,50 @@ _BANDS_HEIGHT_INCHES = 4.2
 
 
 def draw_band_selection(selections: Mapping[str, xr.Dataset], conditions: str = "") -> Figure:
-    """Draw a column for every table: information by the number of bands, and what is left.
+    """Draw information and relative spread by the number of bands, a column per table.
 
     Parameters
     ----------
     selections : mapping
-        From what columns are called to what `splits.select_bands` returns.
+        Outputs of `splits.select_bands` by the title of their column.
     conditions : str
-        Of noise, and of what is known, for the foot.
+        Noise and fixed values, for the foot.
     """
     with use_style():
         figure, panels = make_subplots(
-            2, len(selections), width=TWO_COLUMNS_INCHES if len(selections) > 1 else ONE_COLUMN_INCHES, height=_BANDS_HEIGHT_INCHES,
-            sharex="col", squeeze=False,
-        )  # fmt: skip
+            2,
+            len(selections),
+            width=TWO_COLUMNS_INCHES if len(selections) > 1 else ONE_COLUMN_INCHES,
+            height=_BANDS_HEIGHT_INCHES,
+            sharex="col",
+            squeeze=False,
+        )
         for column, (title, dataset) in enumerate(selections.items()):
             top, bottom = panels[:, column]
-            x, bits = dataset.step.values, dataset.information_bits.values
+            x, information = dataset.step.values, dataset.information_bits.values
             (blue,) = pick_colours(1)
-            top.bar(x, bits, color=blue, alpha=0.5)
-            top.errorbar(x, bits, BAND_SIGMA * dataset.information_bits_stderr.values, fmt="none",
-                         color="black", lw=0.8)  # fmt: skip
+            top.bar(x, information, color=blue, alpha=0.5)
+            top.errorbar(
+                x,
+                information,
+                BAND_SIGMA * dataset.information_bits_stderr.values,
+                fmt="none",
+                color="black",
+                lw=0.8,
+            )
             top.set_title(escape_mathtext(title))
             names = list(map(str, dataset.parameter.values))
             for name, colour in zip(names, pick_colours(len(names), "medium"), strict=True):
-                left = dataset.spread.sel(parameter=name).values
-                bottom.plot(x, left, "o-", color=colour, ms=3, lw=1.0, label=format_parameter(name))
+                relative_spread = dataset.spread.sel(parameter=name).values
+                bottom.plot(
+                    x,
+                    relative_spread,
+                    "o-",
+                    color=colour,
+                    ms=3,
+                    lw=1.0,
+                    label=format_parameter(name),
+                )
             bottom.set_ylim(0.0, 1.05)
             bands = [f"+ {escape_mathtext(str(band))}" for band in dataset.band.values]
             bottom.set_xticks(x, bands, rotation=45)
@@ -111,9 +131,9 @@ def draw_band_selection(selections: Mapping[str, xr.Dataset], conditions: str = 
             for axes in (top, bottom):
                 axes.spines[["top", "right"]].set_visible(False)
         panels[0, 0].set_ylabel("information (bits)")
-        panels[1, 0].set_ylabel("spread left,\nas a part of that before")
+        panels[1, 0].set_ylabel("posterior / prior\nstandard deviation")
         note = (
-            "Bands from left to right, each the one that adds most to those before it, in the mean "
+            "Bands from left to right, each adding most information to those before it, as a mean "
             "over the ranges of the table. Error bars: two standard errors of that mean."
         )
         note += f" {escape_mathtext(conditions.replace('_', ' '))}." if conditions else ""
@@ -124,26 +144,31 @@ _SOBOL_HEIGHT_INCHES = 3.4
 
 
 def draw_sobol_indices(indices: Mapping[str, xr.Dataset]) -> Figure:
-    """Draw a panel for every table: first-order indices, total ones, and how much light varies.
+    """Draw first-order and total Sobol indices and the standard deviation, a column per table.
 
     Parameters
     ----------
     indices : mapping
-        From what panels are called to what `splits.sobol_indices` returns.
+        Outputs of `splits.sobol_indices` by the title of their column.
     """
     with use_style():
         figure, panels = make_subplots(
-            2, len(indices), width=TWO_COLUMNS_INCHES if len(indices) > 1 else ONE_COLUMN_INCHES, height=_SOBOL_HEIGHT_INCHES,
-            sharex="col", squeeze=False, gridspec_kw={"height_ratios": [2.4, 1.0]},
-        )  # fmt: skip
+            2,
+            len(indices),
+            width=TWO_COLUMNS_INCHES if len(indices) > 1 else ONE_COLUMN_INCHES,
+            height=_SOBOL_HEIGHT_INCHES,
+            sharex="col",
+            squeeze=False,
+            gridspec_kw={"height_ratios": [2.4, 1.0]},
+        )
         for column, (title, dataset) in enumerate(indices.items()):
             top, bottom = panels[:, column]
             x = dataset.wavelength.values
             names = list(map(str, dataset.parameter.values))
             for name, colour in zip(names, pick_colours(len(names), "medium"), strict=True):
-                own = dataset.sel(parameter=name)
+                part = dataset.sel(parameter=name)
                 for key, dash in (("first_order", "-"), ("total", "--")):
-                    value, error = own[key].values, BAND_SIGMA * own[f"{key}_stderr"].values
+                    value, error = part[key].values, BAND_SIGMA * part[f"{key}_stderr"].values
                     label = format_parameter(name) if dash == "-" else None
                     top.plot(x, value, color=colour, ls=dash, lw=1.1, label=label)
                     low, high = value - error, value + error
@@ -157,10 +182,10 @@ def draw_sobol_indices(indices: Mapping[str, xr.Dataset]) -> Figure:
             bottom.set_xlabel("wavelength (nm)")
             for axes in (top, bottom):
                 axes.spines[["top", "right"]].set_visible(False)
-        panels[0, 0].set_ylabel("share of the variance")
+        panels[0, 0].set_ylabel("fraction of the variance")
         panels[1, 0].set_ylabel("standard deviation\nof reflectance")
         note = (
-            "Solid: what a parameter makes by itself (first-order Sobol index). Dashed: with all "
-            "that it makes together with others (total). Bands: two standard errors of sampling."
+            "Solid: a parameter alone (first-order Sobol index). Dashed: with its interactions "
+            "with others (total index). Bands: two standard errors of sampling."
         )
         return annotate_figure(figure, panels[0], note)

@@ -1,7 +1,4 @@
-"""Spectra: a quantity over wavelength, one line per point of the grid.
-
-Measured against modelled spectra.
-"""
+"""Figures of spectra, of refractive indices, and of measured and modelled albedo."""
 
 from __future__ import annotations
 
@@ -40,9 +37,9 @@ MATERIAL_COLOURS = {
     "magnetite": "#111111",
     "kaolinite": "#7fb069",
 }
-"""Materials that figures of refractive indices show; mixtures follow from them."""
+"""Colours of the materials in figures of refractive indices; mixtures are not shown."""
 _MAX_LABEL_CHARS = 30
-"""Letters that fit along an axis."""
+"""Number of characters that fit along an axis."""
 
 
 def draw_spectra(
@@ -54,25 +51,25 @@ def draw_spectra(
     legend: str | None = None,
     ylim: tuple[float, float] | None = None,
 ) -> Figure:
-    """Draw spectra with bands of two standard errors, of many points in several panels.
+    """Draw spectra with bands of two standard errors, in several panels for many points.
 
-    Where one value of the grid's only parameter is labelled ``default``, panels show how far the
-    others lie from it; then `ylim` is that of the default's panel, and there is no legend.
+    If a value of the only parameter is labelled ``default``, panels show the shifts of the others
+    from it; `ylim` then applies to the panel of the default, and there is no legend.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        As written by an experiment.
+        Output of an experiment.
     quantity : sequence of str
-        One panel each.
+        Quantities, one panel each.
     wavelength_nm : (low, high), optional
         Part of the spectrum to show.
     at : mapping, optional
-        Grid labels to hold fixed.
+        Grid labels to select.
     measured : pandas.DataFrame, optional
         Columns ``wavelength_nm``, ``reflectance`` and optionally its ``_min`` and ``_max``.
     legend : str, optional
-        Title of the legend; the grid's parameters by default.
+        Title of the legend; by default the parameters of the grid.
     ylim : (low, high), optional
 
     Returns
@@ -82,15 +79,17 @@ def draw_spectra(
     Raises
     ------
     ValueError
-        For more lines than can be shown, see `splits.plotting.panels.choose_panel_parameters`.
+        For too many lines, see `splits.plotting.panels.choose_panel_parameters`.
     """
     dataset = select_points(dataset, at or {})
     if wavelength_nm:
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
     note = describe_conditions(dataset, at)
-    if apart := choose_panel_parameters({d: dataset.sizes[d] for d in dims}, len(quantity), at):
-        return draw_facets(dataset, quantity, apart, legend, ylim, note)
+    if panel_dims := choose_panel_parameters(
+        {d: dataset.sizes[d] for d in dims}, len(quantity), at
+    ):
+        return draw_facets(dataset, quantity, panel_dims, legend, ylim, note)
     dim = None if measured is not None else find_default_dim(dataset, dims)
     if dim:
         labels = ("wavelength (nm)", quantity)
@@ -101,18 +100,18 @@ def draw_spectra(
         figure, panels = make_subplots(
             len(quantity), 1, height=2.2 * len(quantity), squeeze=False, sharex=True
         )
-        shown = []
+        measured_handles = []
         for axes, name in zip(panels[:, 0], quantity, strict=True):
             _draw_lines(axes, dataset, name, lines)
             if measured is not None and name in measured:
-                shown = [_draw_measured(axes, measured, name)]
+                measured_handles = [_draw_measured(axes, measured, name)]
             axes.set_ylabel(_make_axis_label(dataset[name]))
             axes.set_ylim(ylim or (0.0, None))
             axes.margins(x=0.01)
             draw_node_ticks(axes, nodes)
             axes.spines[["top", "right"]].set_visible(False)
         panels[-1, 0].set_xlabel("wavelength (nm)")
-        lines.add_legend(figure, list(panels[:, 0]), legend, extra_handles=shown)
+        lines.add_legend(figure, list(panels[:, 0]), legend, extra_handles=measured_handles)
         return annotate_figure(figure, panels.flat, note, make_nodes_note(nodes))
 
 
@@ -129,25 +128,25 @@ def _draw_lines(axes: Axes, dataset: xr.Dataset, name: str, lines: PlotLines) ->
 
 def _draw_measured(axes: Axes, table: pd.DataFrame, name: str) -> Artist:
     y = table[name]
-    span = None
+    error_range = None
     if f"{name}_min" in table:
-        span = np.stack([y - table[f"{name}_min"], table[f"{name}_max"] - y])
+        error_range = np.stack([y - table[f"{name}_min"], table[f"{name}_max"] - y])
     return axes.errorbar(  # type: ignore[return-value]
-        table["wavelength_nm"], y, span, fmt="s", color="black", ms=2.5, label="measured"
+        table["wavelength_nm"], y, error_range, fmt="s", color="black", ms=2.5, label="measured"
     )
 
 
 def _make_axis_label(variable: xr.DataArray) -> str:
-    """Return what an axis shows, on two lines if it is long."""
-    words = escape_mathtext(str(variable.attrs.get("long_name", variable.name)))
-    first, _, last = words.rpartition(" ")
-    return f"{first}\n{last}" if first and len(words) > _MAX_LABEL_CHARS else words
+    """Return the label of an axis, on two lines if it is long."""
+    label = escape_mathtext(str(variable.attrs.get("long_name", variable.name)))
+    first, _, last = label.rpartition(" ")
+    return f"{first}\n{last}" if first and len(label) > _MAX_LABEL_CHARS else label
 
 
 def draw_refractive_indices(dataset: xr.Dataset) -> Figure:
     """Draw n (left axis) and k (right axis, logarithmic) of the materials of `MATERIAL_COLOURS`.
 
-    Of a stack, a material that has the same index in several layers is shown once.
+    A material with the same index in several layers of a stack is shown once.
 
     Parameters
     ----------
@@ -171,30 +170,30 @@ def draw_refractive_indices(dataset: xr.Dataset) -> Figure:
         left.margins(x=0.01)
         place_legend_above(figure, left.get_lines(), None)
         names = ", ".join(nodes)
-        told = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
-        return annotate_figure(figure, [left], told if nodes else "")
+        note = f"Dots: rows of coarse tables, between which k is interpolated: {names}."
+        return annotate_figure(figure, [left], note if nodes else "")
 
 
 def _list_materials(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
-    """Return name, label and colour of the materials to show; those of layers begin with these."""
-    found: dict[str, list[str]] = {}
+    """Return the name, label and colour of the materials to show."""
+    names_by_material: dict[str, list[str]] = {}
     for name in map(str, dataset.material.values):
-        found.setdefault(name.rpartition(".")[2], []).append(name)
-    shown = []
+        names_by_material.setdefault(name.rpartition(".")[2], []).append(name)
+    materials = []
     for material, colour in MATERIAL_COLOURS.items():
-        names = found.get(material, [])
+        names = names_by_material.get(material, [])
         parts = [dataset.sel(material=name, drop=True) for name in names]
-        same = all(part.equals(parts[0]) for part in parts)
-        for name in names[:1] if same else names:
-            label = material if same else name.removeprefix("layers.").replace(".", ": ")
-            shown.append((name, label if same else f"layer {label}", colour))
-    return shown
+        is_same = all(part.equals(parts[0]) for part in parts)
+        for name in names[:1] if is_same else names:
+            label = material if is_same else name.removeprefix("layers.").replace(".", ": ")
+            materials.append((name, label if is_same else f"layer {label}", colour))
+    return materials
 
 
 def _draw_table_rows(
     axes: Axes, part: xr.Dataset, nodes: dict[str, np.ndarray], colour: str
 ) -> None:
-    """Draw a dot where a coarse table has a row."""
+    """Draw a dot at every row of a coarse table."""
     for name, rows in nodes.items():
         if name.startswith(str(part.material.values)):
             k = np.exp(np.interp(rows, part.wavelength, np.log(part.k)))
@@ -202,14 +201,14 @@ def _draw_table_rows(
 
 
 def draw_measured_albedo(table: pd.DataFrame, note: str = "") -> Figure:
-    """Draw measured and modelled albedo, one panel per depth, and their difference below.
+    """Draw measured and modelled albedo and their difference, a column per depth.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        See `splits.analysis.measured.letcher_bands`.
+        See `splits.analysis.measured.compare_with_letcher`.
     note : str
-        For the foot, see `splits.plotting.annotations.describe_conditions`.
+        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
     """
     depths = sorted(table.depth_m.unique(), reverse=True)
     with use_style():

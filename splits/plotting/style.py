@@ -1,4 +1,4 @@
-"""One look for all figures, and writing them whole or not at all."""
+"""Common style of figures, labels of parameters and values, and atomic writing of figures."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Colour = tuple[float, float, float] | str
 Dash = str | tuple[int, tuple[int, ...]]
 
 BAND_SIGMA = 2.0
-"""Error bands and bars reach this many standard errors to either side."""
+"""Half-width of error bands and bars in standard errors."""
 ONE_COLUMN_INCHES = 3.5
 TWO_COLUMNS_INCHES = 7.2
-"""Widths (inches) of all figures: a column of a printed page (89 mm), or the page (183 mm)."""
+"""Widths of figures (inches): a column of a printed page (89 mm), or the page (183 mm)."""
 SMALL_FONT_PT = 6.5
-"""Size (points) of the smallest text; `paper.mplstyle` has the others."""
+"""Size (points) of the smallest text; others are in `paper.mplstyle`."""
 DPI = 300
 
 PARAMETER_LABELS = {
@@ -58,7 +58,7 @@ PARAMETER_LABELS = {
     "size_tail": "tail by mass",
     "interpretation": "interpretation",
 }
-"""How figures name parameters whose own names would not do."""
+"""Labels of parameters in figures."""
 
 VALUE_LABELS = {
     "bottom_albedo": {"None": "no bottom"},
@@ -69,10 +69,10 @@ VALUE_LABELS = {
     "opaque": {"0": "no", "1": "yes"},
     "phase_function": {"henyey_greenstein": "Henyey–Greenstein", "rayleigh": "Rayleigh"},
 }
-"""Values of parameters that are not numbers to a reader."""
+"""Labels of values of parameters in figures."""
 COMMON_VALUE_LABELS = {"None": "none", "True": "yes", "False": "no", "inf": "∞"}
 VALUE_SEPARATORS = {"texture": " / ", "partition": " / ", "roundness": ", "}
-"""What stands between the numbers of a value, where they are not the ends of a range."""
+"""Separators of the numbers of a value that is no range."""
 NOMINAL_PARAMETERS = (
     "medium",
     "refractive_index",
@@ -87,57 +87,57 @@ NOMINAL_PARAMETERS = (
     "ground",
     "layers",
 )
-"""Parameters whose values have no order."""
+"""Parameters with unordered values."""
 _NUMBER_PATTERN = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def format_parameter(parameter: str) -> str:
-    """Return how a figure names a parameter of the grid, or one of a layer by its path."""
+    """Return the label of a parameter, or of a parameter of a layer by its path."""
     stack, _, rest = parameter.partition(".")
     number, _, key = rest.partition(".")
     if stack == "layers" and key:
         return f"layer {number}: {format_parameter(key)}"
-    amount = parse_impurity_parameter(parameter)
-    if amount:
-        unit = "ng/g" if amount[0] == "impurities_ng_g" else "cells/ml"
-        return escape_mathtext(f"{amount[1].replace('_', ' ')} ({unit})")
+    impurity = parse_impurity_parameter(parameter)
+    if impurity:
+        unit = "ng/g" if impurity[0] == "impurities_ng_g" else "cells/ml"
+        return escape_mathtext(f"{impurity[1].replace('_', ' ')} ({unit})")
     return PARAMETER_LABELS.get(parameter, escape_mathtext(parameter.replace("_", " ")))
 
 
 def format_value(value: object, parameter: str | None = None) -> str:
-    """Return how a figure names a value of the grid.
+    """Return the label of a value of the grid.
 
     Parameters
     ----------
     value : number or str
-        Ranges and other tuples as labels of a grid have them: "300-750".
+        Ranges and other tuples are labels of a grid, such as "300-750".
     parameter : str, optional
-        Whose value it is.
+        Name of the parameter.
 
     Returns
     -------
     str
-        A word or a number as print has it: 10⁻⁵ and not 1e-05.
+        A word or a number in print, such as 10⁻⁵ instead of 1e-05.
     """
-    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-    text = f"{value:g}" if number else str(value)
+    is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    text = f"{value:g}" if is_number else str(value)
     parameter = (parameter or "").rpartition(".")[2]
     word = VALUE_LABELS.get(parameter, {}).get(text) or COMMON_VALUE_LABELS.get(text)
     if word:
         return word
     if re.fullmatch(f"-?{_NUMBER_PATTERN}(-{_NUMBER_PATTERN})*", text):
-        between = VALUE_SEPARATORS.get(parameter, "–")
+        separator = VALUE_SEPARATORS.get(parameter, "–")
         sign = "−" if text.startswith("-") else ""
-        return sign + between.join(map(_format_number, re.findall(_NUMBER_PATTERN, text)))
-    if whole := re.fullmatch(f"({_NUMBER_PATTERN})([+-])({_NUMBER_PATTERN})j", text):
-        real, sign, imaginary = whole.groups()
+        return sign + separator.join(map(_format_number, re.findall(_NUMBER_PATTERN, text)))
+    if match := re.fullmatch(f"({_NUMBER_PATTERN})([+-])({_NUMBER_PATTERN})j", text):
+        real, sign, imaginary = match.groups()
         return f"{_format_number(real)} {sign.replace('-', '−')} {_format_number(imaginary)}i"
     return escape_mathtext(text.replace("_", " "))
 
 
 def _format_number(number: str) -> str:
-    """Return a number without an e for its power of ten."""
+    """Return a number with its power of ten in print."""
     if 0.0 < float(number) < 1e-3 and "e" not in number:
         number = f"{float(number):e}"
     mantissa, _, power = number.partition("e")
@@ -151,20 +151,20 @@ FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 FIGURE_METADATA: dict[str, dict[str, Any]] = {
     ".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None},
 }  # fmt: skip
-"""What would name the occasion, or the program's version, is left out."""
+"""Metadata of figure files, without dates and program versions, for reproducible files."""
 FALLBACK_FONTS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Micro Hei",
     "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "PingFang SC", "Hiragino Sans",
     "Arial Unicode MS", "Noto Sans Devanagari", "Noto Sans Thai",
 )  # fmt: skip
-"""Fonts for what DejaVu has no letters for; matplotlib warns where none of them has one."""
+"""Fonts for characters that DejaVu lacks."""
 
 
 @contextmanager
 def use_style() -> Iterator[None]:
-    """Draw in the project's style, labels of other scripts in fonts that are there."""
-    found = {font.name for font in fontManager.ttflist}
-    fonts = ["sans-serif", *(name for name in FALLBACK_FONTS if name in found)]
+    """Use the style of the project, with installed fonts for other scripts."""
+    installed = {font.name for font in fontManager.ttflist}
+    fonts = ["sans-serif", *(name for name in FALLBACK_FONTS if name in installed)]
     with matplotlib.style.context(
         [Path(__file__).with_name("paper.mplstyle"), {"font.family": fonts}]
     ):
@@ -172,9 +172,9 @@ def use_style() -> Iterator[None]:
 
 
 class OffscreenFigure(Figure):
-    """A figure beside pyplot: it needs no display, and no backend is chosen for the process.
+    """Figure without pyplot, which needs no display and selects no backend for the process.
 
-    A notebook shows it where it is the value of a cell.
+    A notebook displays it as the value of a cell.
 
     Parameters
     ----------
@@ -186,14 +186,14 @@ class OffscreenFigure(Figure):
 
     def __init__(self, width: float, height: float) -> None:
         super().__init__(figsize=(width, height), layout="constrained")
-        # It measures its text before it is written.
+        # The canvas measures text before the figure is written.
         FigureCanvasAgg(self)
 
     def _repr_png_(self) -> bytes:
-        held = BytesIO()
+        buffer = BytesIO()
         with use_style():
-            self.savefig(held, format="png", dpi=DPI // 2)
-        return held.getvalue()
+            self.savefig(buffer, format="png", dpi=DPI // 2)
+        return buffer.getvalue()
 
 
 def make_subplots(
@@ -204,13 +204,13 @@ def make_subplots(
     width: float = ONE_COLUMN_INCHES,
     **settings: Any,
 ) -> tuple[Figure, Any]:
-    """Return a figure and its axes, as `matplotlib.pyplot.subplots` does, but see `OffscreenFigure`.
+    """Return an `OffscreenFigure` and its axes, as `matplotlib.pyplot.subplots` does.
 
     Parameters
     ----------
     rows, columns : int
     height : float
-        Inches; notes and legends may add to it.
+        Height (inches), to which notes and legends may add.
     width : float
         `ONE_COLUMN_INCHES` or `TWO_COLUMNS_INCHES`.
     """
@@ -219,24 +219,24 @@ def make_subplots(
 
 
 def pick_colours(count: int, parameter: str | None = None) -> list[Colour]:
-    """Return colours that can be told apart: a scale of them for values that have an order."""
+    """Return distinct colours: a scale for ordered values, a palette for nominal ones."""
     if parameter not in NOMINAL_PARAMETERS:
-        places = np.linspace(0.05, 0.74, count) if count > 1 else np.array([0.3])
-        shades = matplotlib.colormaps["viridis"](places)
-        return [(r, g, b) for r, g, b, _ in shades.tolist()]
-    import seaborn  # takes as long to import as all the rest
+        positions = np.linspace(0.05, 0.74, count) if count > 1 else np.array([0.3])
+        colours = matplotlib.colormaps["viridis"](positions)
+        return [(r, g, b) for r, g, b, _ in colours.tolist()]
+    import seaborn  # imported here, as its import is slow
 
     return list(seaborn.color_palette("colorblind", count))
 
 
 def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
-    """Write ``stem.png``, ``stem.svg`` and ``stem.pdf``: the same bytes for the same figure.
+    """Write ``stem.png``, ``stem.svg`` and ``stem.pdf``, with reproducible bytes.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
     stem : path
-        Without suffix.
+        Path without suffix.
 
     Returns
     -------
@@ -248,10 +248,12 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     try:
         for suffix in FIGURE_SUFFIXES:
             path = stem.with_name(stem.name + suffix)
-            with use_style(), atomic_write(path) as aside:
-                figure.savefig(aside, format=suffix[1:], dpi=DPI, metadata=FIGURE_METADATA[suffix])
+            with use_style(), atomic_write(path) as temporary_path:
+                figure.savefig(
+                    temporary_path, format=suffix[1:], dpi=DPI, metadata=FIGURE_METADATA[suffix]
+                )
             paths.append(path)
-            # Everything now has its place, and finding it takes as long as drawing.
+            # The layout is fixed now; computing it again takes as long as drawing.
             figure.set_layout_engine("none")
     finally:
         figure.set_layout_engine(layout)

@@ -1,4 +1,4 @@
-"""Surface area of snow: measured spectra with the snow found for them, and one wavelength's law."""
+"""Figures of the surface area of snow: fitted spectra, and reflectance at 1310 nm."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ GALLET_2009_RANGE = (0.15, 0.50)
 
 
 def draw_fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
-    """Draw measured spectra and those of the snow found, their differences below.
+    """Draw measured and fitted spectra of snow, and their differences.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        See `splits.analysis.surface_area.overlay`.
+        See `splits.analysis.surface_area.make_overlay_table`.
     note : str
-        For the foot, see `splits.plotting.annotations.describe_conditions`.
+        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
     """
     groups = list(table.groupby("spectrum", sort=False))
     with use_style():
@@ -58,20 +58,20 @@ def draw_fitted_spectra(table: pd.DataFrame, note: str = "") -> Figure:
 
 
 def _format_spectrum_name(column: str, area: float) -> str:
-    """Return how the legend calls a spectrum, such as ``ID2081@47.66``."""
+    """Return the legend entry of a spectrum, such as ``ID2081@47.66``."""
     name, _, angle = column.partition("@")
     return f"{escape_mathtext(f'{name}, {angle}')}°: {area:.1f} m²/kg"
 
 
 def draw_area_law(table: pd.DataFrame, note: str = "") -> Figure:
-    """Draw reflectance at 1310 nm against surface area, ours and published.
+    """Draw modelled and published reflectance at 1310 nm against surface area.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        See `splits.analysis.surface_area.field_law`.
+        See `splits.analysis.surface_area.make_field_table`.
     note : str
-        For the foot, see `splits.plotting.annotations.describe_conditions`.
+        Note for the foot, see `splits.plotting.annotations.describe_conditions`.
     """
     ours = table[table.stderr.notna()]
     groups = list(ours.groupby("snow", sort=False))

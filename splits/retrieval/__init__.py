@@ -1,1 +1,1 @@
-"""From spectra back to what made them: optimal estimation with errors."""
+"""Retrieval of medium parameters from measured spectra by optimal estimation and least squares."""

@@ -1,8 +1,8 @@
-"""The place that comes nearest to a measurement, by runs: a survey, then descents by stages.
+"""Gauss-Newton minimization with simulations as the forward model: a survey, then staged descents.
 
-All runs of a stage share their random numbers, so that what they say is a smooth function of the
-place, bent a little towards the noise of that stage.  Later stages take more rays, and where the
-runs say so other numbers.
+All simulations of a stage use the same random numbers, so the modelled spectrum is a smooth
+function of the state, with the bias of that stage's noise.  Later stages use more rays and may use
+other random numbers.
 """
 
 from __future__ import annotations
@@ -19,46 +19,46 @@ INITIAL_RADIUS = 0.3
 """Half the edge of the first trust region."""
 MIN_RADIUS = 0.02
 MIN_RELATIVE_GAIN = 0.003
-"""A descent ends once its trust region, or the relative gain foretold, falls below these."""
+"""A descent ends once its trust region or the predicted relative gain is below these limits."""
 MIN_GAIN_PER_VALUE = 0.1
-"""Nor may the gain be more than this part of the mean square: a third of a standard error."""
+"""Limit of the predicted gain relative to the mean square, a third of a standard error."""
 MIN_START_SEPARATION = 0.2
-"""Distance of coordinates from which starts are different."""
+"""Smallest distance between the coordinates of two starts."""
 
 
 class StagedForwardModel(Protocol):
-    """Runs of a medium at places of the unit cube.
+    """Protocol of a forward model by simulation, with stages of increasing accuracy.
 
     Attributes
     ----------
     state_vector : StateVector
     bound_margin : float
-        Places stay so far away from the ends.
+        Smallest distance of coordinates from the bounds.
     """
 
     state_vector: StateVector
     bound_margin: float
 
     def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return what would be measured, shape (n,), with the random numbers of a stage."""
+        """Return the modelled measurement, shape (n,), with the random numbers of a stage."""
         ...
 
     def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return its derivatives to the coordinates, shape (n, parameters)."""
+        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
         ...
 
 
 class DescentStage(NamedTuple):
-    """A stage of descents.
+    """Settings of a stage of descents.
 
     Attributes
     ----------
     n_starts : int
-        Descents at most, from the best places of the stage before.
+        Largest number of descents, from the best states of the previous stage.
     max_evaluations : int
-        Runs that each may take, about; derivatives count as one for each coordinate.
+        Approximate limit of simulations per descent; a Jacobian counts as one per coordinate.
     max_cost_increase : float
-        By how much more than the best a sum of squares may be for a place to be one of these.
+        Largest excess of the cost of a start over that of the best one.
     """
 
     n_starts: int
@@ -67,15 +67,15 @@ class DescentStage(NamedTuple):
 
 
 class Objective(NamedTuple):
-    """What runs are held against.
+    """Cost function of a fit: measurement, error covariance and priors.
 
     Attributes
     ----------
     measured : float, shape (n,)
     cholesky : float, shape (n, n)
-        Lower triangle of the covariance of errors.
+        Lower Cholesky factor of the error covariance.
     state_vector : StateVector
-        With the priors that count.
+        State vector with its priors.
     """
 
     measured: np.ndarray
@@ -84,24 +84,26 @@ class Objective(NamedTuple):
 
     @classmethod
     def least_squares(cls, measured: np.ndarray, state_vector: StateVector) -> Objective:
-        """Return the aim of a misfit as small as can be, where nothing is known of noise."""
+        """Return the objective of unweighted least squares, for unknown noise."""
         return cls(measured, np.eye(len(measured)), state_vector)
 
     def compute_residuals(self, modelled: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """Return how far values and the place are off, in standard deviations."""
-        free = self.state_vector
-        known = np.isfinite(free.prior_sd)
-        prior = (state - free.prior_mean)[known] / free.prior_sd[known]
+        """Return the residuals of measurement and priors in standard deviations."""
+        state_vector = self.state_vector
+        has_prior = np.isfinite(state_vector.prior_sd)
+        prior = (state - state_vector.prior_mean)[has_prior] / state_vector.prior_sd[has_prior]
         return np.concatenate([np.linalg.solve(self.cholesky, modelled - self.measured), prior])
 
     def compute_residual_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
-        """Return the derivatives of `compute_residuals` to the coordinates."""
-        pull = np.diag(1.0 / self.state_vector.prior_sd)[np.isfinite(self.state_vector.prior_sd)]
-        return np.vstack([np.linalg.solve(self.cholesky, jacobian), pull])
+        """Return the Jacobian of `compute_residuals` with respect to the coordinates."""
+        prior_jacobian = np.diag(1.0 / self.state_vector.prior_sd)[
+            np.isfinite(self.state_vector.prior_sd)
+        ]
+        return np.vstack([np.linalg.solve(self.cholesky, jacobian), prior_jacobian])
 
 
 class LocalMinimum(NamedTuple):
-    """Where a descent ended, and the sum of squares there."""
+    """Final state of a descent and its sum of squares."""
 
     cost: float
     state: np.ndarray
@@ -114,54 +116,58 @@ def search_minima(
     stages: Sequence[DescentStage],
     log: Callable[[int, float], None] = lambda stage, cost: None,
 ) -> list[list[LocalMinimum]]:
-    """Return where the descents of every stage ended, best first.
+    """Return the minima found by the descents of every stage, best first.
 
     Parameters
     ----------
     model : StagedForwardModel
     make_objective : callable
-        What counts near a place, at a stage.
-    survey_states : float, shape (many, parameters)
-        Of the survey, which is stage 0.
+        From a state and a stage to the objective near that state.
+    survey_states : float, shape (states, parameters)
+        States of the survey, which is stage 0.
     stages : sequence of DescentStage
     log : callable
-        Receives the number of every stage that begins, from 1 on, and the least sum of squares.
+        Receives the number of every stage, from 1 on, and the smallest sum of squares.
     """
     survey_states = np.clip(survey_states, model.bound_margin, 1.0 - model.bound_margin)
-    first = make_objective(survey_states[0], 0)
-    found = [
-        LocalMinimum(_sum_squares(first.compute_residuals(model.evaluate(x, 0), x)), x)
-        for x in survey_states
+    survey_objective = make_objective(survey_states[0], 0)
+    minima = [
+        LocalMinimum(
+            _sum_squares(survey_objective.compute_residuals(model.evaluate(state, 0), state)), state
+        )
+        for state in survey_states
     ]
-    ends: list[list[LocalMinimum]] = []
+    stage_minima: list[list[LocalMinimum]] = []
     for number, stage in enumerate(stages, 1):
-        found = _select_distinct(found, stage, MIN_START_SEPARATION if number == 1 else 0.0)
-        log(number, found[0].cost)
-        # A later stage begins near its goal: it may trust its linear model less far.
+        minima = _select_distinct(minima, stage, MIN_START_SEPARATION if number == 1 else 0.0)
+        log(number, minima[0].cost)
+        # Later stages start near the minimum, so their trust region is smaller.
         radius = INITIAL_RADIUS / 2 ** (number - 1)
-        near = make_objective(found[0].state, number)
-        found = [
-            minimize_gauss_newton(model, number, end.state, near, stage.max_evaluations, radius)
-            for end in found
+        objective = make_objective(minima[0].state, number)
+        minima = [
+            minimize_gauss_newton(
+                model, number, minimum.state, objective, stage.max_evaluations, radius
+            )
+            for minimum in minima
         ]
-        found.sort(key=lambda end: end.cost)
-        ends.append(found)
-    return ends
+        minima.sort(key=lambda minimum: minimum.cost)
+        stage_minima.append(minima)
+    return stage_minima
 
 
 def _select_distinct(
     minima: Sequence[LocalMinimum], stage: DescentStage, min_separation: float
 ) -> list[LocalMinimum]:
-    """Return the best of so many ends that are apart."""
-    kept: list[LocalMinimum] = []
-    for end in sorted(minima, key=lambda end: end.cost):
-        if len(kept) == stage.n_starts or (
-            kept and end.cost > kept[0].cost + stage.max_cost_increase
+    """Return the best minima that are separated from each other."""
+    selected: list[LocalMinimum] = []
+    for minimum in sorted(minima, key=lambda minimum: minimum.cost):
+        if len(selected) == stage.n_starts or (
+            selected and minimum.cost > selected[0].cost + stage.max_cost_increase
         ):
             break
-        if all(np.abs(end.state - one.state).max() > min_separation for one in kept):
-            kept.append(end)
-    return kept
+        if all(np.abs(minimum.state - other.state).max() > min_separation for other in selected):
+            selected.append(minimum)
+    return selected
 
 
 def minimize_gauss_newton(
@@ -172,57 +178,62 @@ def minimize_gauss_newton(
     max_evaluations: int,
     radius: float,
 ) -> LocalMinimum:
-    """Return the nearest place found, by Gauss-Newton steps in a box.
+    """Minimize an objective by Gauss-Newton steps in a trust region.
 
-    Every step minimises the linear model within the unit cube and a trust region around the best
-    place so far.  Derivatives are updated after Broyden (1965) as long as they foretell the
-    misfit, because runs cost the same as what they save.
+    Every step minimizes the linear model within the unit cube and a trust region around the best
+    state so far.  The Jacobian is updated after Broyden (1965) as long as it predicts the misfit,
+    which saves simulations.
 
     Parameters
     ----------
     model : StagedForwardModel
     stage : int
     start : float, shape (parameters,)
-    objective : Aim
+    objective : Objective
     max_evaluations : int
     radius : float
         Half the edge of the first trust region, 0 to 1.
     """
     lsq_linear = import_optional("scipy.optimize", "retrieval", "retrievals need").lsq_linear
 
-    least, most = model.bound_margin, 1.0 - model.bound_margin
-    x = np.clip(start, least, most)
-    off = objective.compute_residuals(model.evaluate(x, stage), x)
-    best = _sum_squares(off)
-    used, stale = 1, True
-    slopes = np.empty((len(off), len(x)))
-    while used < max_evaluations and radius >= MIN_RADIUS:
-        fresh = stale
-        if stale:
-            slopes = objective.compute_residual_jacobian(model.compute_jacobian(x, stage))
-            used += len(x)
-            stale = False
-        low, high = np.maximum(least - x, -radius), np.minimum(most - x, radius)
-        step = lsq_linear(slopes, -off, (low - 1e-9, high + 1e-9)).x
-        step = np.clip(x + step, least, most) - x
-        foretold = best - _sum_squares(off + slopes @ step)
-        if foretold < best * min(MIN_RELATIVE_GAIN, MIN_GAIN_PER_VALUE / len(off)):
-            if fresh:
+    lower_bound, upper_bound = model.bound_margin, 1.0 - model.bound_margin
+    state = np.clip(start, lower_bound, upper_bound)
+    residuals = objective.compute_residuals(model.evaluate(state, stage), state)
+    cost = _sum_squares(residuals)
+    n_evaluations, is_stale = 1, True
+    jacobian = np.empty((len(residuals), len(state)))
+    while n_evaluations < max_evaluations and radius >= MIN_RADIUS:
+        is_fresh = is_stale
+        if is_stale:
+            jacobian = objective.compute_residual_jacobian(model.compute_jacobian(state, stage))
+            n_evaluations += len(state)
+            is_stale = False
+        low, high = (
+            np.maximum(lower_bound - state, -radius),
+            np.minimum(upper_bound - state, radius),
+        )
+        step = lsq_linear(jacobian, -residuals, (low - 1e-9, high + 1e-9)).x
+        step = np.clip(state + step, lower_bound, upper_bound) - state
+        predicted_gain = cost - _sum_squares(residuals + jacobian @ step)
+        if predicted_gain < cost * min(MIN_RELATIVE_GAIN, MIN_GAIN_PER_VALUE / len(residuals)):
+            if is_fresh:
                 break
-            stale = True
+            is_stale = True
             continue
-        there = objective.compute_residuals(model.evaluate(x + step, stage), x + step)
-        used += 1
-        gained = best - _sum_squares(there)
-        slopes += np.outer(there - off - slopes @ step, step) / (step @ step)
-        if gained < 0.25 * foretold:
+        new_residuals = objective.compute_residuals(
+            model.evaluate(state + step, stage), state + step
+        )
+        n_evaluations += 1
+        gain = cost - _sum_squares(new_residuals)
+        jacobian += np.outer(new_residuals - residuals - jacobian @ step, step) / (step @ step)
+        if gain < 0.25 * predicted_gain:
             radius *= 0.5
-        elif gained > 0.75 * foretold:
+        elif gain > 0.75 * predicted_gain:
             radius = min(2.0 * radius, 0.5)
-        stale = gained < 0.5 * foretold and not (fresh and gained <= 0.0)
-        if gained > 0.0:
-            x, off, best = x + step, there, best - gained
-    return LocalMinimum(best, x)
+        is_stale = gain < 0.5 * predicted_gain and not (is_fresh and gain <= 0.0)
+        if gain > 0.0:
+            state, residuals, cost = state + step, new_residuals, cost - gain
+    return LocalMinimum(cost, state)
 
 
 def _sum_squares(residuals: np.ndarray) -> float:

@@ -1,8 +1,8 @@
-"""Retrieval where noise is not known: least squares, whose misfit says how far they may be off.
+"""Retrieval with unknown measurement noise: least squares with errors estimated from the misfit.
 
-The place of the least misfit, with the covariance that `splits.retrieval.residual_covariance` finds, is then
-taken for a measurement of the coordinates themselves.  Ranges, priors, and what is told follow as
-they do where noise is known.
+The state of smallest misfit, with the covariance from `splits.retrieval.residual_covariance`, is
+used as a measurement of the coordinates.  Ranges, priors and the posterior then follow as for known
+noise.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from splits.retrieval.state_vector import StateVector
 
 
 class PosteriorEstimate(NamedTuple):
-    """What an estimate tells, within ranges and with priors.
+    """Posterior of a least-squares estimate within its ranges and priors.
 
     Attributes
     ----------
     state : float, shape (parameters,)
-        The most probable one.
-    posterior : Told
+        Most probable state.
+    posterior : PosteriorSummary
     draws : PosteriorDraws
     prior_tension : float, shape (parameters,)
-        See `splits.retrieval.result.Found`.
+        See `splits.retrieval.result.Solution`.
     """
 
     state: np.ndarray
@@ -57,7 +57,7 @@ class PosteriorEstimate(NamedTuple):
 def apply_priors(
     state_vector: StateVector, state: np.ndarray, covariance: np.ndarray, seed: int
 ) -> PosteriorEstimate:
-    """Return what an estimate of the coordinates tells.
+    """Return the posterior of an estimate of the coordinates.
 
     Parameters
     ----------
@@ -66,69 +66,95 @@ def apply_priors(
     covariance : float, shape (parameters, parameters)
         See `splits.retrieval.residual_covariance.estimate_fit_covariance`.
     seed : int
-        Of the draws.
+        Seed of the draws.
     """
-    many = len(state)
-    measurement = Measurement(state, np.arange(many, dtype=float), covariance, {})
-    itself = LinearizedModel(
-        state_vector, Linearization(state, state, np.eye(many), np.zeros((many, many)))
+    n_parameters = len(state)
+    measurement = Measurement(state, np.arange(n_parameters, dtype=float), covariance, {})
+    linear_model = LinearizedModel(
+        state_vector,
+        Linearization(state, state, np.eye(n_parameters), np.zeros((n_parameters, n_parameters))),
     )
-    ends = find_distinct_map_estimates(itself, measurement, *itself.evaluate_first_guesses())
-    draws = draw_posterior(itself, measurement, ends, seed)
-    tension = compute_prior_tension(state_vector, state, np.diag(covariance))
+    estimates = find_distinct_map_estimates(
+        linear_model, measurement, *linear_model.evaluate_first_guesses()
+    )
+    draws = draw_posterior(linear_model, measurement, estimates, seed)
+    prior_tension = compute_prior_tension(state_vector, state, np.diag(covariance))
     return PosteriorEstimate(
-        ends[0].state, summarize_posterior(ends[0], state_vector), draws, tension
+        estimates[0].state, summarize_posterior(estimates[0], state_vector), draws, prior_tension
     )
 
 
 def retrieve_from_table(
     model: TableForwardModel, measurement: Measurement, seed: int
 ) -> tuple[Solution, Measurement]:
-    """Return what a measurement of unknown noise tells in a table, and the noise found."""
+    """Return the solution from a table for unknown noise, and the measurement with its noise."""
     check_enough_values(len(model.state_vector.names), measurement)
-    free = model.state_vector
-    model.state_vector = free.drop_priors()
-    best, *others = sorted(
+    state_vector = model.state_vector
+    model.state_vector = state_vector.drop_priors()
+    best, *other_minima = sorted(
         find_distinct_map_estimates(model, measurement, *model.evaluate_first_guesses()),
-        key=lambda end: end.cost,
+        key=lambda minimum: minimum.cost,
     )
-    own = model.compute_error_covariance(best.state)
-    model.state_vector = free
-    left = estimate_fit_covariance(
-        [best.jacobian] * 2, best.modelled - measurement.values, own, best.active_bounds
+    model_covariance = model.compute_error_covariance(best.state)
+    model.state_vector = state_vector
+    fit_covariance = estimate_fit_covariance(
+        [best.jacobian] * 2,
+        best.modelled - measurement.values,
+        model_covariance,
+        best.active_bounds,
     )
-    around = LinearizedModel(free, Linearization(best.state, best.modelled, best.jacobian, own))
-    within = ALTERNATIVE_CHI2 * float(left.residual[0, 0])
-    rivals = tuple(end.state for end in others if end.cost < best.cost + within)
+    linear_model = LinearizedModel(
+        state_vector, Linearization(best.state, best.modelled, best.jacobian, model_covariance)
+    )
+    max_increase = ALTERNATIVE_CHI2 * float(fit_covariance.residual[0, 0])
+    alternatives = tuple(
+        minimum.state for minimum in other_minima if minimum.cost < best.cost + max_increase
+    )
     return _make_solution(
-        lambda x: model.evaluate_with_jacobian(x)[0], around, measurement, left, rivals, seed
+        lambda state: model.evaluate_with_jacobian(state)[0],
+        linear_model,
+        measurement,
+        fit_covariance,
+        alternatives,
+        seed,
     )
 
 
 def retrieve_by_simulation(
     model: SimulationForwardModel, measurement: Measurement, seed: int
 ) -> tuple[Solution, Measurement]:
-    """Return what a measurement of unknown noise tells by runs, and the noise found."""
+    """Return the solution by simulation for unknown noise, and the measurement with its noise."""
     check_enough_values(len(model.state_vector.names), measurement)
-    free = model.state_vector
-    model.state_vector = free.drop_priors()
-    settled = model.find_minima()
-    model.state_vector = free
-    best = settled.linearize(measurement.covariance)
-    off = best.modelled - measurement.values
-    held = find_active_bounds(best.state, best.jacobian.T @ off)
-    left = estimate_fit_covariance(settled.jacobians, off, best.error_covariance, held)
-    rivals = settled.find_alternatives(ALTERNATIVE_CHI2 * float(left.residual[0, 0]))
+    state_vector = model.state_vector
+    model.state_vector = state_vector.drop_priors()
+    converged = model.find_minima()
+    model.state_vector = state_vector
+    best = converged.linearize(measurement.covariance)
+    residual = best.modelled - measurement.values
+    active_bounds = find_active_bounds(best.state, best.jacobian.T @ residual)
+    fit_covariance = estimate_fit_covariance(
+        converged.jacobians, residual, best.error_covariance, active_bounds
+    )
+    alternatives = converged.find_alternatives(
+        ALTERNATIVE_CHI2 * float(fit_covariance.residual[0, 0])
+    )
     return _make_solution(
-        model.evaluate_last_stage, LinearizedModel(free, best), measurement, left, rivals, seed
+        model.evaluate_last_stage,
+        LinearizedModel(state_vector, best),
+        measurement,
+        fit_covariance,
+        alternatives,
+        seed,
     )
 
 
 def check_enough_values(n_parameters: int, measurement: Measurement) -> None:
-    """Refuse a measurement of unknown noise with too few values for so many free parameters."""
-    least, count = n_parameters + MIN_RESIDUAL_DOF, measurement.values.size
-    if not measurement.noise_known and count < least:
-        hint = f"{count} values are too few to find it from the misfit, {least} are needed"
+    """Reject a measurement of unknown noise with too few values for its free parameters."""
+    min_values, n_values = n_parameters + MIN_RESIDUAL_DOF, measurement.values.size
+    if not measurement.noise_known and n_values < min_values:
+        hint = (
+            f"{n_values} values are too few to estimate it from the misfit, {min_values} are needed"
+        )
         raise invalid("noise", None, "given", hint)
 
 
@@ -140,20 +166,31 @@ def _make_solution(
     alternatives: tuple[np.ndarray, ...],
     seed: int,
 ) -> tuple[Solution, Measurement]:
-    """Return what was found as where noise is known, and the measurement with the noise found."""
+    """Return the solution, and the measurement with the estimated noise."""
     best = linear_model.linearization
-    found = apply_priors(linear_model.state_vector, best.state, fit_covariance.state, seed)
-    there = evaluate(found.state)
-    whole = fit_covariance.residual + best.error_covariance
-    off = there - measurement.values
-    chi2 = float(off @ np.linalg.solve(whole, off))
-    held = find_active_bounds(found.state, best.jacobian.T @ np.linalg.solve(whole, off))
-    end = MAPEstimate(found.state, there, best.jacobian, whole, chi2, chi2, held)
-    own = np.sqrt(np.diag(best.error_covariance))
-    curved = estimate_nonlinearity(
-        evaluate, linear_model, found.state, found.posterior.covariance, whole
+    posterior = apply_priors(linear_model.state_vector, best.state, fit_covariance.state, seed)
+    modelled = evaluate(posterior.state)
+    total_covariance = fit_covariance.residual + best.error_covariance
+    residual = modelled - measurement.values
+    chi2 = float(residual @ np.linalg.solve(total_covariance, residual))
+    active_bounds = find_active_bounds(
+        posterior.state, best.jacobian.T @ np.linalg.solve(total_covariance, residual)
     )
-    plain = Solution(
-        [end], found.posterior, found.draws, 1.0, found.prior_tension, own, alternatives, curved
+    estimate = MAPEstimate(
+        posterior.state, modelled, best.jacobian, total_covariance, chi2, chi2, active_bounds
     )
-    return plain, measurement._replace(covariance=fit_covariance.residual)
+    model_stderr = np.sqrt(np.diag(best.error_covariance))
+    nonlinearity = estimate_nonlinearity(
+        evaluate, linear_model, posterior.state, posterior.posterior.covariance, total_covariance
+    )
+    solution = Solution(
+        [estimate],
+        posterior.posterior,
+        posterior.draws,
+        1.0,
+        posterior.prior_tension,
+        model_stderr,
+        alternatives,
+        nonlinearity,
+    )
+    return solution, measurement._replace(covariance=fit_covariance.residual)

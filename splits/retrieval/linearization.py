@@ -1,4 +1,4 @@
-"""A measurement as a straight line through one place has it: its slopes, how far light is off."""
+"""Linearized forward model: noise of its Jacobians, and its nonlinearity."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from splits.retrieval.residual_covariance import average_cross_products
 from splits.retrieval.state_vector import StateVector
 
 RANGE_INFORMATION = 12.0
-"""Information that says as much as the range does."""
+"""Fisher information of a coordinate equal to that of its range."""
 MIN_SIGNAL_TO_NOISE, CERTAIN_SIGNAL_TO_NOISE = 6.0, 10.0
-"""How many times what noise feigns it must be to count, and to need no more Jacobians.
+"""Ratios of information to that of noise: to be significant, and to need no further Jacobians.
 
-One more than this is the ratio of an F test: of six Jacobians with noise in three parts of the
-spectrum, one in 300 that tell nothing exceeds 7.
+The ratio plus one is that of an F test: for six Jacobians with noise in three independent parts of
+the spectrum, it exceeds 7 by chance in one case of 300.
 """
 BOUND_MARGIN = 1e-3
-"""At the very ends of ranges slopes may be infinite."""
+"""Distance of coordinates from the bounds, where derivatives may be infinite."""
 
 
 class Linearization(NamedTuple):
-    """A medium that was looked at.
+    """Value and Jacobian of a forward model at one state.
 
     Attributes
     ----------
     state : float, shape (parameters,)
         Coordinates.
     modelled : float, shape (n,)
-        What would be measured.
+        Modelled measurement.
     jacobian : float, shape (n, parameters)
     error_covariance : float, shape (n, n)
-        Of what the model itself is off by.
+        Covariance of the forward-model error.
     """
 
     state: np.ndarray
@@ -43,29 +43,29 @@ class Linearization(NamedTuple):
 
 
 class LinearizedModel:
-    """A measurement as a straight line through one place has it; see `splits.retrieval.forward_model`."""
+    """Forward model linearized about one state; see `splits.retrieval.forward_model`."""
 
     def __init__(self, state_vector: StateVector, linearization: Linearization) -> None:
         self.state_vector, self.linearization = state_vector, linearization
 
     def evaluate(self, states: np.ndarray) -> np.ndarray:
-        """Return what would be measured, shape (places, n)."""
-        found: np.ndarray = (
+        """Return modelled measurements, shape (states, n)."""
+        modelled: np.ndarray = (
             self.linearization.modelled
             + (states - self.linearization.state) @ self.linearization.jacobian.T
         )
-        return found
+        return modelled
 
     def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what would be measured, shape (n,), and slopes, shape (n, parameters)."""
+        """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
         return self.evaluate(state[np.newaxis])[0], self.linearization.jacobian
 
     def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
-        """Return the covariance of what the model is off by, shape (n, n)."""
+        """Return the covariance of the forward-model error, shape (n, n)."""
         return self.linearization.error_covariance
 
     def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return where descents begin, and what would be measured there."""
+        """Return the state of the linearization, and its modelled measurement."""
         return self.linearization.state[np.newaxis], self.linearization.modelled[np.newaxis]
 
 
@@ -76,73 +76,73 @@ def estimate_nonlinearity(
     covariance: np.ndarray,
     error_covariance: np.ndarray,
 ) -> float:
-    """Return how far light is off a straight line, a standard deviation away, in its noise.
+    """Return the largest deviation from linearity one standard deviation away, in units of noise.
 
     Parameters
     ----------
     evaluate : callable
-        What would be measured at a place, shape (n,).
+        From a state to the modelled measurement, shape (n,).
     linear_model : LinearizedModel
     state : float, shape (parameters,)
-        The most probable one.
+        Most probable state.
     covariance : float, shape (parameters, parameters)
-        Of coordinates, after; all of its axes are looked along.
+        Posterior covariance of the coordinates, along whose principal axes steps are taken.
     error_covariance : float, shape (n, n)
         Covariance of measurement and model.
     """
-    sizes, ways = np.linalg.eigh(covariance)
-    lower = np.linalg.cholesky(error_covariance)
-    most = 0.0
-    for step in np.concatenate([np.sqrt(sizes) * ways, -np.sqrt(sizes) * ways], axis=1).T:
-        there = np.clip(state + step, BOUND_MARGIN, 1.0 - BOUND_MARGIN)
-        off = evaluate(there) - linear_model.evaluate(there[np.newaxis])[0]
-        most = max(most, float(np.linalg.norm(np.linalg.solve(lower, off))))
-    return most
+    variances, axes = np.linalg.eigh(covariance)
+    cholesky = np.linalg.cholesky(error_covariance)
+    largest = 0.0
+    for step in np.concatenate([np.sqrt(variances) * axes, -np.sqrt(variances) * axes], axis=1).T:
+        shifted = np.clip(state + step, BOUND_MARGIN, 1.0 - BOUND_MARGIN)
+        deviation = evaluate(shifted) - linear_model.evaluate(shifted[np.newaxis])[0]
+        largest = max(largest, float(np.linalg.norm(np.linalg.solve(cholesky, deviation))))
+    return largest
 
 
 def remove_jacobian_noise(
     jacobians: Sequence[np.ndarray], error_covariance: np.ndarray
 ) -> np.ndarray:
-    """Return slopes that tell as much as independent Jacobians do, less what their noise feigns.
+    """Return a Jacobian without the spurious information of noise in independent Jacobians.
 
-    The mean of the Jacobians is K, with the information M = Kᵀ S⁻¹ K in it.  Products of different
-    ones give F, which noise does not enlarge on average.  K M^(-1/2) F^(1/2) has this information.
+    The mean K of the Jacobians has the information M = Kᵀ S⁻¹ K, which noise increases.  Products
+    of different Jacobians give an unbiased estimate F.  K M^(-1/2) F^(1/2) has the information F.
 
     Parameters
     ----------
     jacobians : sequence of float, shape (n, parameters)
-        Two at least.
+        At least two.
     error_covariance : float, shape (n, n)
         Covariance S of measurement and model.
     """
-    values, vectors, feigned = _decompose_information(jacobians, error_covariance)
+    values, vectors, noise = _decompose_information(jacobians, error_covariance)
     mean: np.ndarray = np.mean(jacobians, axis=0)
     root = (
-        vectors * np.sqrt(np.where(values > MIN_SIGNAL_TO_NOISE * feigned, values, 0.0))
+        vectors * np.sqrt(np.where(values > MIN_SIGNAL_TO_NOISE * noise, values, 0.0))
     ) @ vectors.T
-    sizes, axes = np.linalg.eigh(mean.T @ np.linalg.solve(error_covariance, mean))
-    some = sizes > 1e-12 * max(sizes[-1], 1e-300)
-    inverse = (axes[:, some] / np.sqrt(sizes[some])) @ axes[:, some].T
-    found: np.ndarray = mean @ inverse @ root
-    return found
+    eigenvalues, axes = np.linalg.eigh(mean.T @ np.linalg.solve(error_covariance, mean))
+    is_positive = eigenvalues > 1e-12 * max(eigenvalues[-1], 1e-300)
+    inverse = (axes[:, is_positive] / np.sqrt(eigenvalues[is_positive])) @ axes[:, is_positive].T
+    jacobian: np.ndarray = mean @ inverse @ root
+    return jacobian
 
 
 def is_jacobian_noisy(jacobians: Sequence[np.ndarray], error_covariance: np.ndarray) -> bool:
-    """Tell whether noise of the Jacobians may decide what counts as told."""
-    values, _, feigned = _decompose_information(jacobians, error_covariance)
+    """Return whether noise of the Jacobians may decide which parameters are constrained."""
+    values, _, noise = _decompose_information(jacobians, error_covariance)
     return bool(
-        (
-            (values + feigned > RANGE_INFORMATION) & (values < CERTAIN_SIGNAL_TO_NOISE * feigned)
-        ).any()
+        ((values + noise > RANGE_INFORMATION) & (values < CERTAIN_SIGNAL_TO_NOISE * noise)).any()
     )
 
 
 def _decompose_information(
     jacobians: Sequence[np.ndarray], error_covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return information along its axes, these axes, and what noise feigns along them in a mean."""
-    lower = np.linalg.cholesky(error_covariance)
-    white = [np.linalg.solve(lower, one) for one in jacobians]
-    values, vectors = np.linalg.eigh(average_cross_products(white, white))
-    both = np.mean([((one @ vectors) ** 2).sum(axis=0) for one in white], axis=0)
-    return values, vectors, np.maximum(both - values, 0.0) / len(jacobians)
+    """Return the eigenvalues and eigenvectors of the information, and the noise along them."""
+    cholesky = np.linalg.cholesky(error_covariance)
+    whitened = [np.linalg.solve(cholesky, jacobian) for jacobian in jacobians]
+    values, vectors = np.linalg.eigh(average_cross_products(whitened, whitened))
+    mean_square = np.mean(
+        [((jacobian @ vectors) ** 2).sum(axis=0) for jacobian in whitened], axis=0
+    )
+    return values, vectors, np.maximum(mean_square - values, 0.0) / len(jacobians)

@@ -1,4 +1,4 @@
-"""Most probable places of many measurements at once, in a table."""
+"""Compiled maximum-a-posteriori estimates of many measurements, by interpolation of a table."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from splits.kernels.compiler.jit import entry_point
 from splits.retrieval.cubic_interpolation import interpolate
 
 MAX_ITERATIONS = 60
-"""Steps of a descent at most."""
+"""Largest number of steps of a descent."""
 SECOND_START_MARGIN = 0.1
-"""Distance from the ends of ranges at which a second descent begins."""
+"""Distance from the bounds at which the second descent starts."""
 STEP_TOLERANCE = 1e-4
-"""Step of the coordinates at which one ends."""
+"""Step of the coordinates below which a descent has converged."""
 
 
 class TableGrid(NamedTuple):
-    """A table over coordinates from 0 to 1.
+    """Table over coordinates from 0 to 1.
 
     Attributes
     ----------
-    node_values : float64[cells, columns]
-        The last axis runs fastest; noise of every column has variance 1.
-    axis_nodes : float64[axes, most]
+    node_values : float64[nodes, columns]
+        The last axis runs fastest.  The noise of every column has variance 1.
+    axis_nodes : float64[axes, max_nodes]
         Coordinates.
     n_nodes : int64[axes]
     """
@@ -36,7 +36,7 @@ class TableGrid(NamedTuple):
 
 @entry_point
 def project_spectra(spectra, mean_spectrum, projection, whitening, components, residual_chi2):
-    """Set components of spectra, and the squares of what they leave, in units of noise.
+    """Set the components of spectra, and the residual sums of squares, in units of noise.
 
     Parameters
     ----------
@@ -44,59 +44,59 @@ def project_spectra(spectra, mean_spectrum, projection, whitening, components, r
     mean_spectrum : float64[wavelengths]
     projection : float64[components, wavelengths]
     whitening : float64[wavelengths, wavelengths]
-        Lower triangle that gives all of noise the variance 1.
+        Lower triangular matrix that whitens the noise.
     components : float64[measurements, components]
     residual_chi2 : float64[measurements]
     """
-    many = len(mean_spectrum)
-    off = np.empty(many)
+    n_wavelengths = len(mean_spectrum)
+    deviation = np.empty(n_wavelengths)
     for row in range(len(spectra)):
-        square = 0.0
-        for i in range(many):
-            off[i] = spectra[row, i] - mean_spectrum[i]
-            one = 0.0
+        residual = 0.0
+        for i in range(n_wavelengths):
+            deviation[i] = spectra[row, i] - mean_spectrum[i]
+            total = 0.0
             for j in range(i + 1):
-                one += whitening[i, j] * off[j]
-            square += one * one
+                total += whitening[i, j] * deviation[j]
+            residual += total * total
         for component in range(len(projection)):
-            one = 0.0
-            for i in range(many):
-                one += projection[component, i] * off[i]
-            components[row, component] = one
-            square -= one * one
-        residual_chi2[row] = max(square, 0.0)
+            total = 0.0
+            for i in range(n_wavelengths):
+                total += projection[component, i] * deviation[i]
+            components[row, component] = total
+            residual -= total * total
+        residual_chi2[row] = max(residual, 0.0)
 
 
 @entry_point
 def find_nearest_node(
     node_values, axis_nodes, n_nodes, measurement, prior_mean, prior_precision, state
 ):
-    """Set a place to the cell in the ranges that comes nearest to a measurement."""
+    """Set the state to the node in the ranges with the smallest cost."""
     axes = len(n_nodes)
-    least = np.inf
-    at = np.empty(axes)
-    for cell in range(len(node_values)):
-        rest, inside, cost = cell, True, 0.0
+    min_cost = np.inf
+    coordinates = np.empty(axes)
+    for node in range(len(node_values)):
+        rest, inside, cost = node, True, 0.0
         for a in range(axes - 1, -1, -1):
-            at[a] = axis_nodes[a, rest % n_nodes[a]]
+            coordinates[a] = axis_nodes[a, rest % n_nodes[a]]
             rest //= n_nodes[a]
-            inside = inside and -1e-9 <= at[a] <= 1.0 + 1e-9
-            cost += prior_precision[a] * (at[a] - prior_mean[a]) ** 2
+            inside = inside and -1e-9 <= coordinates[a] <= 1.0 + 1e-9
+            cost += prior_precision[a] * (coordinates[a] - prior_mean[a]) ** 2
         if not inside:
             continue
         for column in range(len(measurement)):
-            cost += (node_values[cell, column] - measurement[column]) ** 2
-        if cost < least:
-            least = cost
+            cost += (node_values[node, column] - measurement[column]) ** 2
+        if cost < min_cost:
+            min_cost = cost
             for a in range(axes):
-                state[a] = min(max(at[a], 0.0), 1.0)
-    if least == np.inf:
+                state[a] = min(max(coordinates[a], 0.0), 1.0)
+    if min_cost == np.inf:
         state[:] = 0.5
 
 
 @entry_point
 def evaluate_cost(grid, measurement, prior, state, modelled, jacobian, gradient, hessian):
-    """Return the sum of squares at a place; set half its gradient and half its curvature."""
+    """Return the sum of squares at a state; set half its gradient and half its Hessian."""
     mean, precision = prior
     interpolate(grid.node_values, grid.axis_nodes, grid.n_nodes, state, modelled, jacobian)
     axes = len(state)
@@ -104,15 +104,15 @@ def evaluate_cost(grid, measurement, prior, state, modelled, jacobian, gradient,
     gradient[:] = 0.0
     hessian[:] = 0.0
     for a in range(axes):
-        off = state[a] - mean[a]
-        cost += precision[a] * off * off
-        gradient[a] = precision[a] * off
+        residual = state[a] - mean[a]
+        cost += precision[a] * residual * residual
+        gradient[a] = precision[a] * residual
         hessian[a, a] = precision[a]
     for column in range(len(measurement)):
-        off = modelled[column] - measurement[column]
-        cost += off * off
+        residual = modelled[column] - measurement[column]
+        cost += residual * residual
         for a in range(axes):
-            gradient[a] += jacobian[column, a] * off
+            gradient[a] += jacobian[column, a] * residual
             for b in range(a + 1):
                 hessian[a, b] += jacobian[column, a] * jacobian[column, b]
     for a in range(axes):
@@ -123,34 +123,34 @@ def evaluate_cost(grid, measurement, prior, state, modelled, jacobian, gradient,
 
 @entry_point
 def compute_damped_step(state, gradient, hessian, damping, new_state):
-    """Set the target of a damped step within the ranges; coordinates held at an end stay."""
+    """Set the new state of a damped step within the bounds; coordinates at active bounds stay."""
     axes = len(state)
-    held = np.zeros(axes, dtype=np.bool_)
-    # Of all together: where a root begins, light has no slope, and nothing of its own to be damped.
-    least = 0.0
+    is_fixed = np.zeros(axes, dtype=np.bool_)
+    # The damping is common to all: at 0 of a root transform the own slope would vanish.
+    mean_damping = 0.0
     for a in range(axes):
-        least += damping * hessian[a, a] / axes
+        mean_damping += damping * hessian[a, a] / axes
     for _ in range(axes):
         matrix = np.empty((axes, axes))
-        right = np.empty(axes)
+        rhs = np.empty(axes)
         for a in range(axes):
             at_low, at_high = state[a] <= 0.0, state[a] >= 1.0
-            out = (at_low and gradient[a] > 0.0) or (at_high and gradient[a] < 0.0)
-            held[a] = held[a] or out
-            right[a] = 0.0 if held[a] else -gradient[a]
+            points_out = (at_low and gradient[a] > 0.0) or (at_high and gradient[a] < 0.0)
+            is_fixed[a] = is_fixed[a] or points_out
+            rhs[a] = 0.0 if is_fixed[a] else -gradient[a]
         for a in range(axes):
             for b in range(axes):
-                matrix[a, b] = 0.0 if held[a] or held[b] else hessian[a, b]
-            matrix[a, a] = 1.0 if held[a] else hessian[a, a] + least + 1e-12
-        move = np.linalg.solve(matrix, right)
+                matrix[a, b] = 0.0 if is_fixed[a] or is_fixed[b] else hessian[a, b]
+            matrix[a, a] = 1.0 if is_fixed[a] else hessian[a, a] + mean_damping + 1e-12
+        step = np.linalg.solve(matrix, rhs)
         blocked = False
         for a in range(axes):
-            new_state[a] = state[a] + move[a]
-            over = (state[a] <= 0.0 and new_state[a] < 0.0) or (
+            new_state[a] = state[a] + step[a]
+            crosses = (state[a] <= 0.0 and new_state[a] < 0.0) or (
                 state[a] >= 1.0 and new_state[a] > 1.0
             )
-            if over and not held[a]:
-                held[a] = True
+            if crosses and not is_fixed[a]:
+                is_fixed[a] = True
                 blocked = True
         if not blocked:
             break
@@ -160,41 +160,41 @@ def compute_damped_step(state, gradient, hessian, damping, new_state):
 
 @entry_point
 def minimize_levenberg_marquardt(grid, measurement, prior_mean, prior_precision, state, hessian):
-    """Move a place to where the sum of squares is least near it; set the curvature there.
+    """Minimize the sum of squares from a state by Levenberg and Marquardt; set half the Hessian.
 
     Returns
     -------
     float, bool
-        The sum of squares, and whether the place has come to rest.
+        The sum of squares, and whether the descent has converged.
     """
     axes, columns = len(state), len(measurement)
-    values, slopes = np.empty(columns), np.empty((columns, axes))
+    values, jacobian = np.empty(columns), np.empty((columns, axes))
     gradient, target = np.empty(axes), np.empty(axes)
     cost = evaluate_cost(
-        grid, measurement, (prior_mean, prior_precision), state, values, slopes, gradient, hessian
+        grid, measurement, (prior_mean, prior_precision), state, values, jacobian, gradient, hessian
     )
     damping = 1e-3
-    other_gradient, other = np.empty(axes), np.empty((axes, axes))
+    new_gradient, new_hessian = np.empty(axes), np.empty((axes, axes))
     for _ in range(MAX_ITERATIONS):
         compute_damped_step(state, gradient, hessian, damping, target)
-        moved = np.abs(target - state).max()
-        if moved < STEP_TOLERANCE:
+        step_size = np.abs(target - state).max()
+        if step_size < STEP_TOLERANCE:
             return cost, True
-        found = evaluate_cost(
+        new_cost = evaluate_cost(
             grid,
             measurement,
             (prior_mean, prior_precision),
             target,
             values,
-            slopes,
-            other_gradient,
-            other,
+            jacobian,
+            new_gradient,
+            new_hessian,
         )
-        if found <= cost:
-            cost = found
+        if new_cost <= cost:
+            cost = new_cost
             state[:] = target
-            gradient[:] = other_gradient
-            hessian[:] = other
+            gradient[:] = new_gradient
+            hessian[:] = new_hessian
             damping = max(0.1 * damping, 1e-9)
         else:
             damping = min(10.0 * damping, 1e6)
@@ -205,25 +205,25 @@ def minimize_levenberg_marquardt(grid, measurement, prior_mean, prior_precision,
 def retrieve_spectra(
     grid, measurements, prior_mean, prior_precision, prior_variance, states, variances, misfits
 ):
-    """Descend for every measurement; set places, variances of coordinates, and misfits.
+    """Retrieve the state of every measurement; set states, variances of coordinates, and misfits.
 
     Parameters
     ----------
     grid : TableGrid
     measurements : float64[measurements, columns]
     prior_mean, prior_precision : float64[axes]
-        Of the priors, precision 0 without one.
+        Of the priors; precision 0 for parameters without a prior.
     prior_variance : float64[axes]
-        Of what was known before.
+        Variance of the prior or the range.
     states, variances : float64[measurements, axes]
     misfits : float64[measurements, 2]
-        And whether places have come to rest, 1 or 0.
+        Sum of squares, and 1 if the descent has converged, else 0.
     """
     axes = len(prior_mean)
-    curvature, other_curvature = np.empty((axes, axes)), np.empty((axes, axes))
-    other = np.empty(axes)
+    hessian, second_hessian = np.empty((axes, axes)), np.empty((axes, axes))
+    second_state = np.empty(axes)
     for row in range(len(measurements)):
-        place = states[row]
+        state = states[row]
         find_nearest_node(
             grid.node_values,
             grid.axis_nodes,
@@ -231,27 +231,27 @@ def retrieve_spectra(
             measurements[row],
             prior_mean,
             prior_precision,
-            place,
+            state,
         )
-        # Ends of ranges may be places of no slope: a second descent begins away from them.
+        # Derivatives may vanish at bounds, so a second descent starts away from them.
         for a in range(axes):
-            other[a] = min(max(place[a], SECOND_START_MARGIN), 1.0 - SECOND_START_MARGIN)
-        cost, rests = minimize_levenberg_marquardt(
-            grid, measurements[row], prior_mean, prior_precision, place, curvature
+            second_state[a] = min(max(state[a], SECOND_START_MARGIN), 1.0 - SECOND_START_MARGIN)
+        cost, converged = minimize_levenberg_marquardt(
+            grid, measurements[row], prior_mean, prior_precision, state, hessian
         )
-        second, other_rests = minimize_levenberg_marquardt(
-            grid, measurements[row], prior_mean, prior_precision, other, other_curvature
+        second_cost, second_converged = minimize_levenberg_marquardt(
+            grid, measurements[row], prior_mean, prior_precision, second_state, second_hessian
         )
-        if second < cost:
-            cost, rests = second, other_rests
-            place[:] = other
-            curvature[:] = other_curvature
+        if second_cost < cost:
+            cost, converged = second_cost, second_converged
+            state[:] = second_state
+            hessian[:] = second_hessian
         for a in range(axes):
-            cost -= prior_precision[a] * (place[a] - prior_mean[a]) ** 2
-            # The range counts as knowledge where there is no prior.
-            curvature[a, a] += 1.0 / prior_variance[a] - prior_precision[a]
-        inverse = np.linalg.inv(curvature)
+            cost -= prior_precision[a] * (state[a] - prior_mean[a]) ** 2
+            # Without a prior, the range provides the prior variance.
+            hessian[a, a] += 1.0 / prior_variance[a] - prior_precision[a]
+        inverse = np.linalg.inv(hessian)
         for a in range(axes):
             variances[row, a] = inverse[a, a]
         misfits[row, 0] = cost
-        misfits[row, 1] = 1.0 if rests else 0.0
+        misfits[row, 1] = 1.0 if converged else 0.0

@@ -1,4 +1,4 @@
-"""What was measured: reflectances over wavelengths or bands, and how far they may be off."""
+"""Measurements: reflectances over wavelengths or bands, and their noise covariance."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from splits.core.validation import ROUNDING_TOLERANCE, check_range, invalid
 from splits.illumination.bands import SpectralBand, as_bands
 
 MAX_REFLECTANCE = 2.0
-"""Reflectance factor above which the numbers are taken for per cent."""
+"""Reflectance factor above which values are assumed to be in per cent."""
 NOISE_KEYS = ("stderr", "correlation_nm", "independent")
 UNKNOWN_NOISE_STDERR = 1.0
-"""Errors of all wavelengths where none are known, so large that all weigh alike."""
+"""Standard error of all values for unknown noise: equal weights, and large enough to dominate."""
 MAX_NOISE_STDERR = 3.0
-"""Noise of a reflectance above which it says nothing."""
+"""Largest standard error of a reflectance; larger ones carry no information."""
 
 
 class Measurement(NamedTuple):
-    """A spectrum that was measured.
+    """A measured spectrum.
 
     Attributes
     ----------
     values : float, shape (n,)
     wavelength_nm : float, shape (n,)
-        Of bands, where their middle is.
+        Wavelengths; for bands, their mean wavelengths.
     covariance : float, shape (n, n)
-        Of its noise.
-    bands : dict of Band
+        Covariance of the noise.
+    bands : dict of SpectralBand
         By name; empty for a spectrum.
     noise_known : bool
-        Whether the noise is known; else its covariance means nothing but equal weights.
+        Whether the noise is known; otherwise the covariance only gives equal weights.
     """
 
     values: np.ndarray
@@ -46,50 +46,68 @@ class Measurement(NamedTuple):
 
     @classmethod
     def from_input(cls, measured: Any, noise: Any, bands: Any = None) -> Measurement:
-        """Return what a user has measured, or refuse it.
+        """Return a measurement from user input; reject invalid input.
 
         Parameters
         ----------
         measured : xarray.DataArray, pandas.Series or pair of array_like
-            Over ``wavelength`` (nm), or (wavelengths, reflectances); a row where there are bands.
+            Over ``wavelength`` (nm), or (wavelengths, reflectances); one value per band for bands.
         noise : float, array_like, mapping or None
-            None where it is not known.  Standard errors, one or as many as values, or their
-            covariance matrix; or a mapping of ``stderr`` and ``correlation_nm``, over which errors
-            are alike (what two wavelengths d apart have in common is e^(−d/correlation_nm)), and
-            perhaps ``independent`` standard errors besides.
+            None for unknown noise.  One standard error or one per value, or their covariance
+            matrix; or a mapping of ``stderr`` and ``correlation_nm`` (errors of wavelengths a
+            distance d apart have the correlation e^(−d/correlation_nm)), and optionally additional
+            ``independent`` standard errors.
         bands : mapping or str, optional
             As for `splits.albedo`, in the order of the values.
 
         Raises
         ------
         ValueError
-            For gaps, per cent, noise that is not above 0, or numbers that do not go together.
+            For gaps, values in per cent, noise that is not above 0, or inconsistent sizes.
         """
-        some = as_bands(bands)
-        w, values = _read_bands(measured, some) if some else _read_spectrum(measured)
+        spectral_bands = as_bands(bands)
+        wavelength, values = (
+            _read_bands(measured, spectral_bands) if spectral_bands else _read_spectrum(measured)
+        )
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
-            where = f"in band {[*some][gaps[0]]}" if some else f"at {w[gaps[0]]:g} nm"
+            location = (
+                f"in band {[*spectral_bands][gaps[0]]}"
+                if spectral_bands
+                else f"at {wavelength[gaps[0]]:g} nm"
+            )
             hint = "masked, NaN or missing: leave those out"
-            raise invalid("measured", f"{gaps.size} gaps, the first {where}", "numbers", hint)
+            raise invalid("measured", f"{gaps.size} gaps, the first {location}", "numbers", hint)
         if np.abs(values).max() > MAX_REFLECTANCE:
             largest = float(values[np.abs(values).argmax()])
             raise invalid(
-                "measured", largest, f"at most {MAX_REFLECTANCE:g}", "a share, not per cent"
+                "measured", largest, f"at most {MAX_REFLECTANCE:g}", "a fraction, not per cent"
             )
         if noise is None:
-            return cls(values, w, UNKNOWN_NOISE_STDERR**2 * np.eye(values.size), some, False)
-        return cls(values, w, _make_covariance("noise", noise, w, list(some)), some)
+            return cls(
+                values,
+                wavelength,
+                UNKNOWN_NOISE_STDERR**2 * np.eye(values.size),
+                spectral_bands,
+                False,
+            )
+        return cls(
+            values,
+            wavelength,
+            _make_covariance("noise", noise, wavelength, list(spectral_bands)),
+            spectral_bands,
+        )
 
     def check_noise_known(self) -> Measurement:
-        """Return it, or refuse noise that is not known."""
+        """Return the measurement; reject unknown noise."""
         if not self.noise_known:
-            raise invalid("noise", None, "given", "only splits.retrieve finds it from the misfit")
+            hint = "only splits.retrieve estimates it from the misfit"
+            raise invalid("noise", None, "given", hint)
         return self
 
 
 def _read_bands(measured: Any, bands: Mapping[str, SpectralBand]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the middles (nm) and the reflectances of bands, or refuse them."""
+    """Return the mean wavelengths (nm) and the reflectances of bands; reject invalid ones."""
     values = np.atleast_1d(align_to_labels("measured", measured, list(bands), allow_gaps=True))
     if values.shape != (len(bands),):
         raise invalid("measured", f"{values.size} values", f"{len(bands)}, one for each band")
@@ -97,7 +115,7 @@ def _read_bands(measured: Any, bands: Mapping[str, SpectralBand]) -> tuple[np.nd
 
 
 def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return wavelengths and reflectances, or refuse them."""
+    """Return wavelengths (nm) and reflectances; reject invalid ones."""
     allowed = "a DataArray over wavelength, a Series, or (wavelengths, reflectances)"
     if isinstance(measured, pd.DataFrame):
         if measured.shape[1] != 1:
@@ -110,55 +128,59 @@ def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
         pair: Any = (measured.wavelength.values, measured.values)
     elif isinstance(measured, pd.Series):
         if isinstance(measured.index, pd.RangeIndex) and measured.index.start == 0:
-            hint = "pandas.read_csv(file, index_col=0)['name'], where the first column has them"
-            raise invalid("measured", "a Series that is only counted",
+            hint = "pandas.read_csv(file, index_col=0)['name'], if the first column has them"
+            raise invalid("measured", "a Series with a default index",
                          "one over wavelengths (nm)", hint)  # fmt: skip
         pair = (measured.index.to_numpy(), measured.to_numpy())
     elif isinstance(measured, tuple | list) and len(measured) == 2:
         pair = measured
     else:
         raise invalid("measured", type(measured).__name__, allowed)
-    w = check_increasing("measured (wavelengths)", as_1d_array("measured (wavelengths)", pair[0]))
-    values = align_to_labels("measured", pair[1], w, find_labels(pair[0]), allow_gaps=True)
-    if values.shape != w.shape:
-        found = f"{w.size} wavelengths, {values.size} values"
-        raise invalid("measured", found, "as many of both")
-    return w, values
+    wavelength = check_increasing(
+        "measured (wavelengths)", as_1d_array("measured (wavelengths)", pair[0])
+    )
+    values = align_to_labels("measured", pair[1], wavelength, find_labels(pair[0]), allow_gaps=True)
+    if values.shape != wavelength.shape:
+        sizes = f"{wavelength.size} wavelengths, {values.size} values"
+        raise invalid("measured", sizes, "as many of both")
+    return wavelength, values
 
 
 def _make_covariance(
     key: str, noise: Any, wavelength_nm: np.ndarray, bands: Sequence[str]
 ) -> np.ndarray:
-    """Return the covariance of noise, in the order of wavelengths or bands, or refuse it."""
-    count = wavelength_nm.size
-    allowed = f"standard errors above 0, one or {count} of them, or their covariance"
+    """Return the covariance of noise, in the order of wavelengths or bands."""
+    n_values = wavelength_nm.size
+    allowed = f"standard errors above 0, one or {n_values} of them, or their covariance"
     if isinstance(noise, Mapping):
         return _make_correlated_covariance(noise, wavelength_nm, bands)
-    # Wavelengths that are only counted tell nothing; bands have an order.
+    # A default index is no wavelength, but bands may be given in their order.
     labels = [bands] if bands else [wavelength_nm]
-    given = align_to_labels(key, noise, *labels, allowed=allowed, ignore_default_labels=bool(bands))
-    if given.shape == (count, count):
-        if not np.allclose(given, given.T, rtol=ROUNDING_TOLERANCE, atol=0.0):
+    values = align_to_labels(
+        key, noise, *labels, allowed=allowed, ignore_default_labels=bool(bands)
+    )
+    if values.shape == (n_values, n_values):
+        if not np.allclose(values, values.T, rtol=ROUNDING_TOLERANCE, atol=0.0):
             raise invalid(key, "a matrix that is not symmetric", allowed)
-        if not np.linalg.eigvalsh(given)[0] > 0.0:
+        if not np.linalg.eigvalsh(values)[0] > 0.0:
             raise invalid(key, "a matrix that is not positive definite", allowed)
-        if np.diag(given).max() >= MAX_NOISE_STDERR**2:
-            largest = float(np.diag(given).max())
+        if np.diag(values).max() >= MAX_NOISE_STDERR**2:
+            largest = float(np.diag(values).max())
             raise invalid(key, f"a variance of {largest:g}", f"below {MAX_NOISE_STDERR**2:g}")
-        return given
-    if given.shape not in ((), (count,)):
-        raise invalid(key, f"of shape {given.shape}", allowed)
-    wrong = ~((given > 0.0) & (given < MAX_NOISE_STDERR))
-    if wrong.any():
+        return values
+    if values.shape not in ((), (n_values,)):
+        raise invalid(key, f"of shape {values.shape}", allowed)
+    is_invalid = ~((values > 0.0) & (values < MAX_NOISE_STDERR))
+    if is_invalid.any():
         hint = "no measurement is without noise"
-        raise invalid(key, float(given[wrong].flat[0]), allowed, hint)
-    return np.diag(np.broadcast_to(given, (count,)) ** 2)
+        raise invalid(key, float(values[is_invalid].flat[0]), allowed, hint)
+    return np.diag(np.broadcast_to(values, (n_values,)) ** 2)
 
 
 def _make_correlated_covariance(
     noise: Mapping[str, Any], wavelength_nm: np.ndarray, bands: Sequence[str]
 ) -> np.ndarray:
-    """Return the covariance of noise that is alike at near wavelengths, or refuse it."""
+    """Return the covariance of noise that is correlated between nearby wavelengths."""
     if not {"stderr", "correlation_nm"} <= set(noise) <= {*NOISE_KEYS}:
         raise invalid("noise", sorted(map(str, noise)), " and ".join(NOISE_KEYS[:2]))
     length = check_range("noise.correlation_nm", noise["correlation_nm"], 0.0, 1e5, open_low=True)
@@ -166,18 +188,20 @@ def _make_correlated_covariance(
         raise invalid(
             "noise.stderr", "a matrix", f"one standard error or {wavelength_nm.size} of them"
         )
-    own: Any = 0.0
+    independent: Any = 0.0
     stderr = _make_covariance("noise.stderr", noise["stderr"], wavelength_nm, bands)
     if "independent" in noise:
-        own = _make_covariance("noise.independent", noise["independent"], wavelength_nm, bands)
-    apart = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
+        independent = _make_covariance(
+            "noise.independent", noise["independent"], wavelength_nm, bands
+        )
+    distance = np.abs(wavelength_nm[:, np.newaxis] - wavelength_nm)
     error = np.sqrt(np.diag(stderr))
-    together: np.ndarray = np.exp(-apart / length) * error[:, np.newaxis] * error + own
-    return together
+    covariance: np.ndarray = np.exp(-distance / length) * error[:, np.newaxis] * error + independent
+    return covariance
 
 
 def _compute_mean_wavelength(band: SpectralBand) -> float:
     """Return the mean wavelength (nm) of a band."""
-    w = np.linspace(*band.limits_nm, 501)
-    response = np.interp(w, band.wavelength_nm, band.response)
-    return float((w * response).sum() / response.sum())
+    wavelength = np.linspace(*band.limits_nm, 501)
+    response = np.interp(wavelength, band.wavelength_nm, band.response)
+    return float((wavelength * response).sum() / response.sum())

@@ -1,4 +1,4 @@
-"""What a user leaves free of a medium that is retrieved by runs, and what is refused of that."""
+"""Validation of the free parameters of a medium that is retrieved by simulation."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from splits.tables.interpolation import transform_axis
 def make_medium_state_vector(
     medium: Any, ranges: Any, prior: Any, incidence: float | str
 ) -> StateVector:
-    """Return what a user leaves free of a medium, or refuse it.
+    """Return the state vector of a medium's free parameters.
 
     Parameters
     ----------
     medium : Medium
     ranges : mapping
-        (low, high) by name: numbers of the medium as for derivatives, ``incidence_deg``, ``scale``.
+        (low, high) by name, for parameters of derivatives, ``incidence_deg`` and ``scale``.
     prior : mapping or None
     incidence : float or "diffuse"
 
     Raises
     ------
     ValueError
-        For a parameter that the medium does not have, or ends of a range that no medium has.
+        For an unknown parameter, or a range outside the limits of the medium.
     """
     check_medium(medium, allow_semi_infinite=True)
     if not isinstance(ranges, Mapping):
-        hint = 'such as {"optical_radius_um": (50, 1500)}: without a table nothing else tells'
+        hint = 'such as {"optical_radius_um": (50, 1500)}; only a table has default ranges'
         raise invalid("free", ranges, "(low, high) by name", hint)
     with key_prefix("free"):
         check_no_equivalents({str(name): pair for name, pair in ranges.items()})
-    known: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "itself")}
+    allowed_ranges: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "itself")}
     for name, pair in ranges.items():
         if name == SCALE:
             continue
@@ -54,29 +54,29 @@ def make_medium_state_vector(
             get_parameter(medium, name)
         elif incidence == "diffuse":
             raise unknown_key(f"free.{name}", ["scale"])
-        ends = np.array(check_named_numbers(f"free.{name}", pair, ("low", "high")))
-        if not ends[0] < ends[1]:
+        limits = np.array(check_named_numbers(f"free.{name}", pair, ("low", "high")))
+        if not limits[0] < limits[1]:
             raise invalid(f"free.{name}", pair, "low < high")
-        for value in ends if name != INCIDENCE_KEY else ():
+        for value in limits if name != INCIDENCE_KEY else ():
             try:
                 replace_parameter(medium, name, float(value))
             except ValueError as error:
-                raise invalid(f"free.{name}", float(value), "what a medium can have",
+                raise invalid(f"free.{name}", float(value), "a valid value of the medium",
                              str(error)) from None  # fmt: skip
-        for value in ends if name == INCIDENCE_KEY else ():
+        for value in limits if name == INCIDENCE_KEY else ():
             check_incidence(float(value))
-        middle = np.array([ends[0], 0.5 * ends.sum(), ends[1]])
-        known[name] = ParameterRange(
-            float(ends[0]), float(ends[1]), transform_axis(name, middle)[0]
+        middle = np.array([limits[0], 0.5 * limits.sum(), limits[1]])
+        allowed_ranges[name] = ParameterRange(
+            float(limits[0]), float(limits[1]), transform_axis(name, middle)[0]
         )
-    return StateVector.from_ranges(dict(ranges), prior, known)
+    return StateVector.from_ranges(dict(ranges), prior, allowed_ranges)
 
 
-def check_measurement_incidence(at: Mapping[str, Any] | None, ranges: Any) -> float | str:
-    """Return the incidence that a measurement of a medium was made under, or refuse it."""
+def check_measurement_incidence(fixed: Mapping[str, Any] | None, ranges: Any) -> float | str:
+    """Return the incidence of a measurement of a medium; reject an invalid one."""
     free = ranges if isinstance(ranges, Mapping) else ()
     return check_incidence(
-        check_axis_values(at, [INCIDENCE_KEY], "fixed.", free_axes=free).get(INCIDENCE_KEY, 0.0)
+        check_axis_values(fixed, [INCIDENCE_KEY], "fixed.", free_axes=free).get(INCIDENCE_KEY, 0.0)
     )
 
 
@@ -89,7 +89,7 @@ def make_simulation_model(
     seed: int,
     progress: ProgressCallback = None,
 ) -> SimulationForwardModel:
-    """Return a measurement as runs have it, or refuse an error of theirs."""
+    """Return the forward model by simulation; reject an invalid error."""
     if max_stderr is not None:
         max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     return SimulationForwardModel(

@@ -1,4 +1,4 @@
-"""The most probable place, and what the measurement tells about it (Rodgers 2000).
+"""Maximum-a-posteriori estimates, and the information content of a measurement (Rodgers 2000).
 
 Rodgers, C. D. (2000), Inverse Methods for Atmospheric Sounding, World Scientific; chapters 2 to 5.
 """
@@ -15,34 +15,34 @@ from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
 
 N_STARTS = 4
-"""Descents, from the places that come nearest among those looked at first."""
+"""Number of descents, from the first guesses with the smallest misfit."""
 MAX_COVARIANCE_UPDATES = 3
-"""Descents with the model's error as it is where the last one ended."""
+"""Largest number of descents with an updated covariance of the forward-model error."""
 MIN_SEPARATION = 0.05
-"""Distance of coordinates from which two ends are different."""
+"""Smallest distance between the coordinates of distinct estimates."""
 ALTERNATIVE_CHI2 = 9.0
-"""How much larger a sum of squares may be for its place to count as another answer."""
+"""Largest excess of the sum of squares of an alternative solution."""
 BOUND_TOLERANCE = 2e-3
-"""Distance of coordinates from an end of a range at which it may hold them."""
+"""Distance of coordinates from a bound within which it may be active."""
 
 
 class MAPEstimate(NamedTuple):
-    """A most probable place.
+    """Maximum-a-posteriori estimate.
 
     Attributes
     ----------
     state : float, shape (parameters,)
     modelled : float, shape (n,)
-        What would be measured there.
+        Modelled measurement at the state.
     jacobian : float, shape (n, parameters)
     error_covariance : float, shape (n, n)
-        Of measurement and model.
+        Covariance of measurement and model errors.
     cost : float
-        Sum of squares: of the measurement, and of the priors.
+        Sum of squares of measurement and priors.
     chi2 : float
-        That of the measurement alone.
+        Sum of squares of the measurement only.
     active_bounds : bool, shape (parameters,)
-        Coordinates that go no further because their range ends.
+        Coordinates held at a bound of their range.
     """
 
     state: np.ndarray
@@ -55,23 +55,23 @@ class MAPEstimate(NamedTuple):
 
     @property
     def minus_two_log_posterior(self) -> float:
-        """Twice the negative logarithm of its probability, but for a constant.
+        """Twice the negative logarithm of the posterior density, up to a constant.
 
-        Where a model knows less, the sum of squares is smaller for no merit of the place.
+        It includes the determinant of the covariance, which depends on the state.
         """
         return self.cost + float(np.linalg.slogdet(self.error_covariance)[1])
 
 
 class PosteriorSummary(NamedTuple):
-    """What a measurement tells in the neighbourhood of an optimum.
+    """Information content of a measurement near an optimum.
 
     Attributes
     ----------
     covariance : float, shape (parameters, parameters)
-        Of the coordinates, after.
+        Posterior covariance of the coordinates.
     averaging_kernel : float, shape (parameters, parameters)
     degrees_of_freedom : float
-        Of signal, the trace of the averaging kernel.
+        Degrees of freedom for signal, the trace of the averaging kernel.
     information_bits : float
     """
 
@@ -87,62 +87,78 @@ def find_map_estimate(
     start: np.ndarray,
     variance_inflation: float = 1.0,
 ) -> MAPEstimate:
-    """Return the most probable place that a descent from a start ends at.
+    """Return the maximum-a-posteriori estimate found by a descent from a start.
 
     Parameters
     ----------
-    model : Model
+    model : ForwardModel
     measurement : Measurement
     start : float, shape (parameters,)
         Coordinates.
     variance_inflation : float
-        By so much all variances are enlarged.
+        Factor of all variances.
     """
     least_squares = import_optional("scipy.optimize", "retrieval", "retrievals need").least_squares
 
-    free = model.state_vector
-    known = np.isfinite(free.prior_sd)
-    pull = np.diag(1.0 / free.prior_sd)[known]
-    place = np.clip(start, 1e-6, 1.0 - 1e-6)
+    state_vector = model.state_vector
+    has_prior = np.isfinite(state_vector.prior_sd)
+    prior_jacobian = np.diag(1.0 / state_vector.prior_sd)[has_prior]
+    state = np.clip(start, 1e-6, 1.0 - 1e-6)
     for _ in range(MAX_COVARIANCE_UPDATES):
         covariance = variance_inflation * (
-            measurement.covariance + model.compute_error_covariance(place)
+            measurement.covariance + model.compute_error_covariance(state)
         )
-        lower = np.linalg.cholesky(covariance)
+        cholesky = np.linalg.cholesky(covariance)
 
-        def residuals(x: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
-            values, _ = model.evaluate_with_jacobian(x)
-            off = np.linalg.solve(lower, values - measurement.values)
-            prior = (x - free.prior_mean)[known] / free.prior_sd[known]
-            return np.concatenate([off, prior])
+        def residuals(coordinates: np.ndarray, cholesky: np.ndarray = cholesky) -> np.ndarray:
+            values, _ = model.evaluate_with_jacobian(coordinates)
+            residual = np.linalg.solve(cholesky, values - measurement.values)
+            prior = (coordinates - state_vector.prior_mean)[has_prior] / state_vector.prior_sd[
+                has_prior
+            ]
+            return np.concatenate([residual, prior])
 
-        def slopes(x: np.ndarray, lower: np.ndarray = lower) -> np.ndarray:
-            _, along = model.evaluate_with_jacobian(x)
-            return np.vstack([np.linalg.solve(lower, along), pull])
+        def compute_jacobian(
+            coordinates: np.ndarray, cholesky: np.ndarray = cholesky
+        ) -> np.ndarray:
+            _, jacobian = model.evaluate_with_jacobian(coordinates)
+            return np.vstack([np.linalg.solve(cholesky, jacobian), prior_jacobian])
 
-        found = least_squares(residuals, place, slopes, bounds=(0.0, 1.0), xtol=1e-9, ftol=1e-9)
-        moved = float(np.abs(found.x - place).max())
-        place = np.clip(found.x, 1e-9, 1.0 - 1e-9)
-        if moved < 1e-3:
+        optimum = least_squares(
+            residuals, state, compute_jacobian, bounds=(0.0, 1.0), xtol=1e-9, ftol=1e-9
+        )
+        step = float(np.abs(optimum.x - state).max())
+        state = np.clip(optimum.x, 1e-9, 1.0 - 1e-9)
+        if step < 1e-3:
             break
     covariance = variance_inflation * (
-        measurement.covariance + model.compute_error_covariance(place)
+        measurement.covariance + model.compute_error_covariance(state)
     )
-    values, along = model.evaluate_with_jacobian(place)
-    off = values - measurement.values
-    sharp = np.linalg.solve(covariance, off)
-    chi2 = float(off @ sharp)
-    pulls = (place - free.prior_mean) / free.prior_sd
-    held = find_active_bounds(place, along.T @ sharp + pulls / free.prior_sd)
-    return MAPEstimate(place, values, along, covariance, chi2 + float(pulls @ pulls), chi2, held)
+    values, jacobian = model.evaluate_with_jacobian(state)
+    residual = values - measurement.values
+    weighted_residual = np.linalg.solve(covariance, residual)
+    chi2 = float(residual @ weighted_residual)
+    prior_residual = (state - state_vector.prior_mean) / state_vector.prior_sd
+    active_bounds = find_active_bounds(
+        state, jacobian.T @ weighted_residual + prior_residual / state_vector.prior_sd
+    )
+    return MAPEstimate(
+        state,
+        values,
+        jacobian,
+        covariance,
+        chi2 + float(prior_residual @ prior_residual),
+        chi2,
+        active_bounds,
+    )
 
 
 def find_active_bounds(state: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Return which coordinates an end of their range holds, as a sum of squares falls beyond it."""
-    found: np.ndarray = ((state < BOUND_TOLERANCE) & (gradient > 0.0)) | (
+    """Return which coordinates are at a bound outside which the sum of squares decreases."""
+    is_active: np.ndarray = ((state < BOUND_TOLERANCE) & (gradient > 0.0)) | (
         (state > 1.0 - BOUND_TOLERANCE) & (gradient < 0.0)
     )
-    return found
+    return is_active
 
 
 def find_distinct_map_estimates(
@@ -152,16 +168,16 @@ def find_distinct_map_estimates(
     modelled: np.ndarray,
     variance_inflation: float = 1.0,
 ) -> list[MAPEstimate]:
-    """Return the different ends of several descents that explain a measurement, best first.
+    """Return the distinct estimates of several descents, best first.
 
     Parameters
     ----------
-    first_guesses : float, shape (many, parameters)
-        Where descents may start, far and wide.
-    modelled : float, shape (many, n)
-        What would be measured there.
+    first_guesses : float, shape (guesses, parameters)
+        Candidate starts, from the whole range.
+    modelled : float, shape (guesses, n)
+        Their modelled measurements.
     variance_inflation : float
-        By so much all variances are enlarged.
+        Factor of all variances.
     """
     spread = np.sqrt(np.diag(measurement.covariance))
     misfit = (((modelled - measurement.values) / spread) ** 2).sum(axis=1)
@@ -174,34 +190,39 @@ def find_distinct_map_estimates(
             starts.append(first_guesses[row])
         if len(starts) == N_STARTS:
             break
-    ends = [find_map_estimate(model, measurement, start, variance_inflation) for start in starts]
-    ends.sort(key=lambda end: end.minus_two_log_posterior)
-    found = ends[:1]
-    for end in ends[1:]:
-        different = all(np.abs(end.state - one.state).max() > MIN_SEPARATION for one in found)
+    estimates = [
+        find_map_estimate(model, measurement, start, variance_inflation) for start in starts
+    ]
+    estimates.sort(key=lambda estimate: estimate.minus_two_log_posterior)
+    distinct = estimates[:1]
+    for estimate in estimates[1:]:
+        is_separated = all(
+            np.abs(estimate.state - accepted.state).max() > MIN_SEPARATION for accepted in distinct
+        )
         if (
-            different
-            and end.minus_two_log_posterior < found[0].minus_two_log_posterior + ALTERNATIVE_CHI2
+            is_separated
+            and estimate.minus_two_log_posterior
+            < distinct[0].minus_two_log_posterior + ALTERNATIVE_CHI2
         ):
-            found.append(end)
-    return found
+            distinct.append(estimate)
+    return distinct
 
 
 def summarize_posterior(estimate: MAPEstimate, state_vector: StateVector) -> PosteriorSummary:
-    """Return what a measurement tells around an optimum (Rodgers 2000, Eqs 2.27, 2.78, 2.80)."""
+    """Return the information content near an optimum (Rodgers 2000, Eqs 2.27, 2.78, 2.80)."""
     fisher = estimate.jacobian.T @ np.linalg.solve(estimate.error_covariance, estimate.jacobian)
-    before = np.diag(1.0 / state_vector.prior_variance)
-    after = np.linalg.inv(fisher + before)
-    kernel = after @ fisher
+    prior_precision = np.diag(1.0 / state_vector.prior_variance)
+    posterior_covariance = np.linalg.inv(fisher + prior_precision)
+    kernel = posterior_covariance @ fisher
     scaled = np.eye(len(fisher)) + fisher * state_vector.prior_variance[:, np.newaxis]
-    bits = 0.5 * float(np.linalg.slogdet(scaled)[1]) / float(np.log(2.0))
-    return PosteriorSummary(after, kernel, float(np.trace(kernel)), bits)
+    information_bits = 0.5 * float(np.linalg.slogdet(scaled)[1]) / float(np.log(2.0))
+    return PosteriorSummary(posterior_covariance, kernel, float(np.trace(kernel)), information_bits)
 
 
 def compute_fit_degrees_of_freedom(estimate: MAPEstimate, state_vector: StateVector) -> float:
-    """Return how many values a fit has used up: the trace over coordinates that are not held."""
-    loose = ~estimate.active_bounds
-    slopes = estimate.jacobian[:, loose]
-    fisher = slopes.T @ np.linalg.solve(estimate.error_covariance, slopes)
-    before = np.diag(1.0 / state_vector.prior_variance[loose])
-    return float(np.trace(np.linalg.solve(fisher + before, fisher)))
+    """Return the degrees of freedom used by a fit: the trace over coordinates not at a bound."""
+    is_free = ~estimate.active_bounds
+    jacobian = estimate.jacobian[:, is_free]
+    fisher = jacobian.T @ np.linalg.solve(estimate.error_covariance, jacobian)
+    prior_precision = np.diag(1.0 / state_vector.prior_variance[is_free])
+    return float(np.trace(np.linalg.solve(fisher + prior_precision, fisher)))

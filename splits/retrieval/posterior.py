@@ -1,8 +1,8 @@
-"""The distribution of what is free, given a measurement: draws, whatever shape it has.
+"""Draws from the posterior distribution by adaptive importance sampling.
 
-Importance sampling: places drawn around the optima by a wide distribution count by how probable
-they are in truth, and the distribution is drawn anew from what was found, until enough of them
-count (adaptive importance sampling; Bugallo et al. 2017, IEEE Signal Processing Magazine 34, 60).
+States are drawn around the optima from a heavy-tailed mixture and weighted by their posterior
+density.  The mixture is adapted to the weighted draws until the effective sample size suffices
+(Bugallo et al. 2017, IEEE Signal Processing Magazine 34, 60).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from splits.retrieval.optimal_estimation import MAPEstimate, summarize_posterior
 
 N_DRAWS = 4000
 STUDENT_T_DOF = 5.0
-"""Degrees of freedom of Student's t: tails heavier than any that is to be found."""
+"""Degrees of freedom of Student's t, with tails heavier than those of the posterior."""
 MIN_EFFECTIVE_DRAWS = 400.0
-"""Effective number of draws."""
+"""Effective sample size at which the adaptation stops."""
 MAX_ITERATIONS = 6
 DEFENSIVE_FRACTION = 0.1
-"""Share of draws from the whole range, so that no part of it is overlooked for good."""
+"""Fraction of draws from the whole range, so that every part of it is sampled."""
 
 
 class PosteriorDraws(NamedTuple):
@@ -31,10 +31,10 @@ class PosteriorDraws(NamedTuple):
 
     Attributes
     ----------
-    states : float, shape (DRAWS, parameters)
-        Coordinates, equally probable.
+    states : float, shape (N_DRAWS, parameters)
+        Coordinates, with equal weights.
     n_effective : float
-        Number of independent draws that they are worth.
+        Effective sample size.
     """
 
     states: np.ndarray
@@ -42,7 +42,7 @@ class PosteriorDraws(NamedTuple):
 
 
 class _MixtureComponent(NamedTuple):
-    """A part of the distribution that is drawn from."""
+    """Component of the proposal distribution: a multivariate Student's t."""
 
     centre: np.ndarray
     cholesky: np.ndarray
@@ -54,19 +54,19 @@ class _MixtureComponent(NamedTuple):
 
     def draw(self, random: np.random.Generator, n_draws: int) -> np.ndarray:
         normal = random.standard_normal((n_draws, len(self.centre)))
-        wide = np.sqrt(STUDENT_T_DOF / random.chisquare(STUDENT_T_DOF, n_draws))[:, np.newaxis]
-        places: np.ndarray = self.centre + wide * (normal @ self.cholesky.T)
-        return places
+        scale = np.sqrt(STUDENT_T_DOF / random.chisquare(STUDENT_T_DOF, n_draws))[:, np.newaxis]
+        states: np.ndarray = self.centre + scale * (normal @ self.cholesky.T)
+        return states
 
     def compute_log_density(self, states: np.ndarray) -> np.ndarray:
-        """Return the logarithm of the density, but for a constant that all parts share."""
-        off = np.linalg.solve(self.cholesky, (states - self.centre).T)
-        many = len(self.centre)
-        scale = np.log(np.diag(self.cholesky)).sum()
-        found: np.ndarray = -scale - 0.5 * (STUDENT_T_DOF + many) * np.log1p(
-            (off**2).sum(axis=0) / STUDENT_T_DOF
+        """Return the logarithm of the density, up to a constant common to all components."""
+        standardized = np.linalg.solve(self.cholesky, (states - self.centre).T)
+        n_dimensions = len(self.centre)
+        log_scale = np.log(np.diag(self.cholesky)).sum()
+        log_density: np.ndarray = -log_scale - 0.5 * (STUDENT_T_DOF + n_dimensions) * np.log1p(
+            (standardized**2).sum(axis=0) / STUDENT_T_DOF
         )
-        return found
+        return log_density
 
 
 def draw_posterior(
@@ -76,55 +76,57 @@ def draw_posterior(
 
     Parameters
     ----------
-    model : Model
+    model : ForwardModel
     measurement : Measurement
     estimates : sequence of MAPEstimate
-        Best first; the covariance of errors at a place is that at the nearest of them.
+        Best first.  States use the error covariance of the nearest estimate.
     seed : int
     """
     random = np.random.default_rng([seed, 20])
-    parts = [
+    components = [
         _MixtureComponent.from_covariance(
-            end.state, 1.5 * summarize_posterior(end, model.state_vector).covariance
+            estimate.state, 1.5 * summarize_posterior(estimate, model.state_vector).covariance
         )
-        for end in estimates
+        for estimate in estimates
     ]
     constant = _compute_log_normalization(len(estimates[0].state))
-    best = (0.0, np.zeros(0), np.zeros(0), parts)
+    best = (0.0, np.zeros(0), np.zeros(0), components)
     for _ in range(MAX_ITERATIONS):
-        places = _draw_mixture(parts, random)
-        inside = ((places >= 0.0) & (places <= 1.0)).all(axis=1)
-        places = places[inside]
-        height = np.logaddexp.reduce([part.compute_log_density(places) for part in parts], axis=0)
-        height += constant - np.log(len(parts)) + np.log1p(-DEFENSIVE_FRACTION)
-        log = _compute_log_posterior(model, measurement, places, estimates) - np.logaddexp(
-            height, np.log(DEFENSIVE_FRACTION)
+        states = _draw_mixture(components, random)
+        is_inside = ((states >= 0.0) & (states <= 1.0)).all(axis=1)
+        states = states[is_inside]
+        log_proposal = np.logaddexp.reduce(
+            [component.compute_log_density(states) for component in components], axis=0
         )
-        weight = np.exp(log - log.max())
-        weight /= weight.sum()
-        effective = float(1.0 / (weight**2).sum())
-        if effective > best[0]:
-            best = (effective, places, weight, parts)
-        if effective >= MIN_EFFECTIVE_DRAWS:
+        log_proposal += constant - np.log(len(components)) + np.log1p(-DEFENSIVE_FRACTION)
+        log_weight = _compute_log_posterior(model, measurement, states, estimates) - np.logaddexp(
+            log_proposal, np.log(DEFENSIVE_FRACTION)
+        )
+        weights = np.exp(log_weight - log_weight.max())
+        weights /= weights.sum()
+        n_effective = float(1.0 / (weights**2).sum())
+        if n_effective > best[0]:
+            best = (n_effective, states, weights, components)
+        if n_effective >= MIN_EFFECTIVE_DRAWS:
             break
-        # A round that was worse than one before tells less where to draw.
-        _, known, weights, drawn = best
-        parts = _update_components(known, weights, drawn)
-    effective, places, weight, _ = best
-    return PosteriorDraws(places[_resample_systematically(weight, random)], effective)
+        # Adapt to the best iteration so far.
+        _, best_states, best_weights, best_components = best
+        components = _update_components(best_states, best_weights, best_components)
+    n_effective, states, weights, _ = best
+    return PosteriorDraws(states[_resample_systematically(weights, random)], n_effective)
 
 
 def _draw_mixture(
     components: Sequence[_MixtureComponent], random: np.random.Generator
 ) -> np.ndarray:
-    """Return draws from all parts, and some from everywhere."""
-    everywhere = random.random((int(DEFENSIVE_FRACTION * N_DRAWS), len(components[0].centre)))
-    share = (N_DRAWS - len(everywhere)) // len(components)
-    return np.concatenate([everywhere, *(part.draw(random, share) for part in components)])
+    """Return draws from all components, and some from the whole range."""
+    uniform = random.random((int(DEFENSIVE_FRACTION * N_DRAWS), len(components[0].centre)))
+    n_draws = (N_DRAWS - len(uniform)) // len(components)
+    return np.concatenate([uniform, *(component.draw(random, n_draws) for component in components)])
 
 
 def _compute_log_normalization(n_dimensions: int) -> float:
-    """Return the logarithm of the constant of Student's t in so many dimensions."""
+    """Return the logarithm of the normalization of Student's t."""
     from math import lgamma, log, pi
 
     return (
@@ -140,48 +142,50 @@ def _compute_log_posterior(
     states: np.ndarray,
     estimates: Sequence[MAPEstimate],
 ) -> np.ndarray:
-    """Return the logarithm of the posterior, but for a constant."""
-    off = model.evaluate(states) - measurement.values
-    nearest = np.argmin([np.abs(states - end.state).max(axis=1) for end in estimates], axis=0)
+    """Return the logarithm of the posterior density, up to a constant."""
+    residual = model.evaluate(states) - measurement.values
+    nearest = np.argmin(
+        [np.abs(states - estimate.state).max(axis=1) for estimate in estimates], axis=0
+    )
     misfit = np.empty(len(states))
-    for number, end in enumerate(estimates):
+    for number, estimate in enumerate(estimates):
         rows = nearest == number
-        lower = np.linalg.cholesky(end.error_covariance)
-        squares = (np.linalg.solve(lower, off[rows].T) ** 2).sum(axis=0)
-        misfit[rows] = squares + 2.0 * np.log(np.diag(lower)).sum()
+        cholesky = np.linalg.cholesky(estimate.error_covariance)
+        squares = (np.linalg.solve(cholesky, residual[rows].T) ** 2).sum(axis=0)
+        misfit[rows] = squares + 2.0 * np.log(np.diag(cholesky)).sum()
     prior = ((states - model.state_vector.prior_mean) / model.state_vector.prior_sd) ** 2
-    found: np.ndarray = -0.5 * (misfit + prior.sum(axis=1))
-    return found
+    log_posterior: np.ndarray = -0.5 * (misfit + prior.sum(axis=1))
+    return log_posterior
 
 
 def _update_components(
     states: np.ndarray, weights: np.ndarray, components: Sequence[_MixtureComponent]
 ) -> list[_MixtureComponent]:
-    """Return parts around what was found, each place with the part that it is nearest to."""
-    nearest = np.argmax([part.compute_log_density(states) for part in components], axis=0)
-    found = []
-    for number, part in enumerate(components):
-        own = weights * (nearest == number)
-        if own.sum() < 1e-6:
+    """Return components adapted to weighted states, each assigned to its nearest component."""
+    nearest = np.argmax([component.compute_log_density(states) for component in components], axis=0)
+    updated = []
+    for number, component in enumerate(components):
+        own_weights = weights * (nearest == number)
+        if own_weights.sum() < 1e-6:
             continue
-        own /= own.sum()
-        centre = own @ states
-        off = states - centre
-        spread = (own[:, np.newaxis] * off).T @ off
-        few = 1.0 / (own**2).sum()
-        # A handful of places does not tell a covariance.
-        keep = 1.0 / (1.0 + few / (4.0 * len(centre)))
-        before = part.cholesky @ part.cholesky.T
-        found.append(
+        own_weights /= own_weights.sum()
+        centre = own_weights @ states
+        deviation = states - centre
+        spread = (own_weights[:, np.newaxis] * deviation).T @ deviation
+        n_effective = 1.0 / (own_weights**2).sum()
+        # Few effective states do not determine a covariance, so the previous one is mixed in.
+        kept_fraction = 1.0 / (1.0 + n_effective / (4.0 * len(centre)))
+        previous = component.cholesky @ component.cholesky.T
+        updated.append(
             _MixtureComponent.from_covariance(
-                centre, (1.0 - keep) * 1.5 * spread + keep * 0.5 * before
+                centre, (1.0 - kept_fraction) * 1.5 * spread + kept_fraction * 0.5 * previous
             )
         )
-    return found or list(components)
+    return updated or list(components)
 
 
 def _resample_systematically(weights: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Return rows as often as they weigh, with as little chance as can be."""
-    at = (np.arange(N_DRAWS) + random.random()) / N_DRAWS
-    rows: np.ndarray = np.searchsorted(np.cumsum(weights), at * weights.sum())
+    """Return the rows drawn by systematic resampling."""
+    positions = (np.arange(N_DRAWS) + random.random()) / N_DRAWS
+    rows: np.ndarray = np.searchsorted(np.cumsum(weights), positions * weights.sum())
     return np.minimum(rows, len(weights) - 1)

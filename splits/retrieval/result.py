@@ -1,4 +1,4 @@
-"""What a retrieval has found, in numbers and in words."""
+"""Result of a retrieval: dataset, summary and warnings."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from splits.simulation.attributes import make_wavelength_coordinate
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
 UNDETERMINED_FRACTION = 0.5
-"""Part of the spread of what was known before from which on a parameter counts as not told."""
+"""Ratio of posterior to prior standard deviation from which a parameter is unconstrained."""
 MIN_MISFIT_PROBABILITY = 0.01
-"""Probability of so large a misfit below which the model does not follow the measurement."""
+"""Probability of the misfit below which the model does not fit the measurement."""
 BOUND_DISTANCE = 0.01
-"""Distance (coordinate) from the end of a range within which a value lies at it."""
+"""Distance of a coordinate from a bound below which a value lies at it."""
 MAX_NONLINEARITY = 1.0
-"""Bend of light, in its noise, from which on errors by a straight line are rough."""
+"""Deviation from linearity, in units of noise, above which linear errors are approximate."""
 MAX_PRIOR_TENSION = 3.0
-"""Standard deviations between prior and result from which they disagree."""
+"""Standard deviations between prior and result above which they disagree."""
 
 
 NOISE_GIVEN = "as given"
 
 
 class RetrievalResult:
-    """What a measurement tells.
+    """Result of a retrieval.
 
     Parameters
     ----------
@@ -58,69 +58,73 @@ class RetrievalResult:
     @property
     def values(self) -> dict[str, float]:
         """Medians by parameter."""
-        found = self.dataset.quantiles.sel(quantile=0.5)
-        return {str(p): float(found.sel(parameter=p)) for p in found.parameter.values}
+        medians = self.dataset.quantiles.sel(quantile=0.5)
+        return {str(name): float(medians.sel(parameter=name)) for name in medians.parameter.values}
 
     @property
     def stderr(self) -> dict[str, float]:
         """Standard deviations by parameter."""
-        found = self.dataset.value_stderr
-        return {str(p): float(found.sel(parameter=p)) for p in found.parameter.values}
+        deviations = self.dataset.value_stderr
+        return {
+            str(name): float(deviations.sel(parameter=name)) for name in deviations.parameter.values
+        }
 
     @property
     def constrained(self) -> dict[str, bool]:
-        """Which parameters the measurement tells."""
-        found = self.dataset.constrained
-        return {str(p): bool(found.sel(parameter=p)) for p in found.parameter.values}
+        """Whether the measurement constrains each parameter."""
+        flags = self.dataset.constrained
+        return {str(name): bool(flags.sel(parameter=name)) for name in flags.parameter.values}
 
     @property
     def warnings(self) -> list[str]:
-        """What is to be known before these numbers are used."""
-        told = str(self.dataset.attrs["warnings"])
-        return [] if told == "none" else told.split("; ")
+        """Warnings about the result."""
+        text = str(self.dataset.attrs["warnings"])
+        return [] if text == "none" else text.split("; ")
 
     def __repr__(self) -> str:
-        """Return every parameter with its error in a line, and what is to be known of them."""
+        """Return a line per parameter with its error, the misfit, and the warnings."""
         quantiles = self.dataset.quantiles
         lines = []
         for name in map(str, quantiles.parameter.values):
             low, middle, high = quantiles.sel(parameter=name, quantile=[0.16, 0.5, 0.84]).values
             unit = str(self.dataset.parameter_unit.sel(parameter=name).item())
             unit = {"1e-9": "ng/g", "um": "µm", "degree": "°", "m2 kg-1": "m²/kg"}.get(unit, unit)
-            tail = f" {unit}" if unit != "1" else ""
+            suffix = f" {unit}" if unit != "1" else ""
             if not self.constrained[name]:
-                tail += ", not told by the measurement"
-            lines.append(f"{name} {middle:.4g} ({low:.4g} to {high:.4g}){tail}")
-        about = self.dataset.attrs
-        known = f"chi2 {about['chi2']:.4g} of {about['chi2_expected']:.4g}"
-        unknown = f"rms {about['rmse']:.4g}, by which errors go, as no noise was told"
+                suffix += ", not constrained by the measurement"
+            lines.append(f"{name} {middle:.4g} ({low:.4g} to {high:.4g}){suffix}")
+        attributes = self.dataset.attrs
+        known_noise = f"chi2 {attributes['chi2']:.4g} of {attributes['chi2_expected']:.4g}"
+        unknown_noise = (
+            f"rms {attributes['rmse']:.4g}, from which errors are estimated, as noise is not given"
+        )
         lines.append(
-            f"misfit: {known if about['noise'] == NOISE_GIVEN else unknown}; "
-            f"{about['degrees_of_freedom']:.2f} degrees of freedom of signal, "
-            f"{about['information_bits']:.1f} bits"
+            f"misfit: {known_noise if attributes['noise'] == NOISE_GIVEN else unknown_noise}; "
+            f"{attributes['degrees_of_freedom']:.2f} degrees of freedom of signal, "
+            f"{attributes['information_bits']:.1f} bits"
         )
         return "\n".join([*lines, *(f"! {line}" for line in self.warnings)])
 
 
 class Solution(NamedTuple):
-    """What a retrieval has found.
+    """Solution of a retrieval.
 
     Attributes
     ----------
     estimates : sequence of MAPEstimate
         Best first.
-    posterior : Told
+    posterior : PosteriorSummary
     draws : PosteriorDraws
     variance_inflation : float
-        By so much variances were enlarged, as the misfit asks for.
+        Factor of all variances that makes the misfit plausible.
     prior_tension : float, shape (parameters,)
-        How far priors are from what the measurement says without them, in standard errors.
+        Distance of the priors from the result without them, in standard errors.
     forward_model_error : float, shape (n,)
-        Standard errors of the table, or of runs, at the best end.
+        Standard errors of the table, or of simulations, at the best estimate.
     alternatives : tuple of float, shape (parameters,)
-        Coordinates of other answers.
+        Coordinates of alternative solutions.
     nonlinearity : float
-        How far light is off a straight line a standard deviation away, in units of its noise.
+        Deviation from linearity one standard deviation away, in units of noise.
     """
 
     estimates: Sequence[MAPEstimate]
@@ -136,121 +140,150 @@ class Solution(NamedTuple):
 def make_result(
     state_vector: StateVector, measurement: Measurement, solution: Solution
 ) -> RetrievalResult:
-    """Return what was found as a dataset."""
-    (best, *_), told, draws, excess, _, off, *_ = solution
+    """Return the result of a retrieval as a dataset."""
+    (best, *_), summary, draws, variance_inflation, _, model_error, *_ = solution
     names = list(state_vector.names)
-    natural = state_vector.to_physical(draws.states)
+    value, physical = state_vector.to_physical(best.state), state_vector.to_physical(draws.states)
     spread = draws.states.std(axis=0)
-    before = np.sqrt(state_vector.prior_variance)
-    determined = spread < UNDETERMINED_FRACTION * before
+    prior_sd = np.sqrt(state_vector.prior_variance)
+    constrained = spread < UNDETERMINED_FRACTION * prior_sd
     noise = np.sqrt(np.diag(measurement.covariance))
-    over, pair = ("parameter",), ("parameter", "other_parameter")
+    parameter_dims, pair_dims = ("parameter",), ("parameter", "other_parameter")
+    quantiles = np.quantile(physical, QUANTILES, axis=0)
     with np.errstate(invalid="ignore"):
-        related = np.nan_to_num(np.atleast_2d(np.corrcoef(draws.states, rowvar=False)))
-    labels = [f"{name}: {describe_parameter(name)[0]}" for name in names]
+        correlation = np.nan_to_num(np.atleast_2d(np.corrcoef(draws.states, rowvar=False)))
     variables = {
-        **make_variable("value", over, state_vector.to_physical(best.state), natural.std(axis=0), "most probable value"),
-        **make_variable("mean", over, natural.mean(axis=0), None, "mean"),
-        **make_variable("constrained", over, determined.astype(np.int8), None,
-                   "1 where the measurement halves what was not known before"),
-        **make_variable("quantiles", ("quantile", "parameter"),
-                   np.quantile(natural, QUANTILES, axis=0), None, "quantiles"),
-        **make_variable("averaging_kernel", pair, told.averaging_kernel * before / before[:, np.newaxis],
-                   None, "averaging kernel, in units of what was not known before"),
-        **make_variable("correlation", pair, related, None, "correlation of coordinates"),
-        **make_variable("draws", ("draw", "parameter"), natural, None, "draws from the posterior"),
+        **make_variable(
+            "value", parameter_dims, value, physical.std(axis=0), "most probable value"
+        ),
+        **make_variable("mean", parameter_dims, physical.mean(axis=0), None, "mean"),
+        **make_variable(
+            "constrained",
+            parameter_dims,
+            constrained.astype(np.int8),
+            None,
+            "1 where the measurement halves the prior standard deviation",
+        ),
+        **make_variable("quantiles", ("quantile", "parameter"), quantiles, None, "quantiles"),
+        **make_variable(
+            "averaging_kernel",
+            pair_dims,
+            summary.averaging_kernel * prior_sd / prior_sd[:, np.newaxis],
+            None,
+            "averaging kernel, in units of the prior standard deviation",
+        ),
+        **make_variable("correlation", pair_dims, correlation, None, "correlation of coordinates"),
+        **make_variable("draws", ("draw", "parameter"), physical, None, "draws from the posterior"),
         **make_variable("measured", "wavelength", measurement.values, noise, "measured"),
-        **make_variable("fitted", "wavelength", best.modelled, off, "of the most probable value"),
-    }  # fmt: skip
-    facts: dict[str, Any] = {
+        **make_variable(
+            "fitted", "wavelength", best.modelled, model_error, "of the most probable value"
+        ),
+    }
+    attributes: dict[str, Any] = {
         "title": "Retrieval",
         "rmse": float(np.sqrt(np.mean((best.modelled - measurement.values) ** 2))),
         "noise": NOISE_GIVEN if measurement.noise_known else "found from the misfit",
-        "chi2": excess * best.chi2,
+        "chi2": variance_inflation * best.chi2,
         "chi2_expected": len(best.modelled) - compute_fit_degrees_of_freedom(best, state_vector),
-        "error_inflation": float(np.sqrt(excess)),
-        "degrees_of_freedom": told.degrees_of_freedom,
-        "information_bits": told.information_bits,
+        "error_inflation": float(np.sqrt(variance_inflation)),
+        "degrees_of_freedom": summary.degrees_of_freedom,
+        "information_bits": summary.information_bits,
         "effective_sample_size": draws.n_effective,
-        "warnings": "; ".join(_list_warnings(state_vector, solution, determined)) or "none",
+        "warnings": "; ".join(_list_warnings(state_vector, solution, constrained)) or "none",
         **make_provenance("retrieval"),
     }
+    coordinates = _make_coordinates(names, measurement.wavelength_nm)
+    return RetrievalResult(xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes)))
+
+
+def _make_coordinates(names: list[str], wavelength_nm: np.ndarray) -> dict[str, Any]:
+    """Return the coordinates of the dataset of a result."""
+    labels = [f"{name}: {describe_parameter(name)[0]}" for name in names]
     units = [describe_parameter(name)[1] if name != SCALE else "1" for name in names]
-    axes = {
+    return {
         "parameter": ("parameter", names, {"long_name": "parameter"}),
         "other_parameter": ("other_parameter", names, {"long_name": "parameter"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),
         "parameter_label": ("parameter", labels, {"long_name": "parameter in words"}),
         "quantile": ("quantile", np.array(QUANTILES), {"long_name": "probability", "units": "1"}),
         "draw": ("draw", np.arange(N_DRAWS), {"long_name": "draw"}),
-        "wavelength": make_wavelength_coordinate(measurement.wavelength_nm),
+        "wavelength": make_wavelength_coordinate(wavelength_nm),
     }
-    return RetrievalResult(xr.Dataset(variables, axes, to_netcdf_attributes(facts)))
 
 
 def compute_prior_tension(
     state_vector: StateVector, state: np.ndarray, variance: np.ndarray
 ) -> np.ndarray:
-    """Return how far priors are from a place that is told without them, in standard errors."""
-    found: np.ndarray = np.abs(state - state_vector.prior_mean) / np.sqrt(
+    """Return the distance of the priors from a result without them, in standard errors."""
+    tension: np.ndarray = np.abs(state - state_vector.prior_mean) / np.sqrt(
         state_vector.prior_sd**2 + variance
     )
-    return found
+    return tension
 
 
 def compute_variance_inflation(estimate: MAPEstimate, state_vector: StateVector) -> float:
-    """Return by how much variances are to be enlarged so that the misfit is no surprise."""
+    """Return the factor of all variances that makes the misfit plausible."""
     chi2 = import_optional("scipy.stats", "retrieval", "retrievals need").chi2
 
-    left = max(len(estimate.modelled) - compute_fit_degrees_of_freedom(estimate, state_vector), 1.0)
-    if chi2.sf(estimate.chi2, left) > MIN_MISFIT_PROBABILITY:
+    n_dof = max(
+        len(estimate.modelled) - compute_fit_degrees_of_freedom(estimate, state_vector), 1.0
+    )
+    if chi2.sf(estimate.chi2, n_dof) > MIN_MISFIT_PROBABILITY:
         return 1.0
-    return estimate.chi2 / left
+    return estimate.chi2 / n_dof
 
 
 def _list_warnings(
-    state_vector: StateVector, solution: Solution, determined: np.ndarray
+    state_vector: StateVector, solution: Solution, constrained: np.ndarray
 ) -> list[str]:
-    """Return what is to be known of the numbers."""
-    ends, told, draws, excess, tension, *_ = solution
-    best, found = ends[0], []
-    if excess > 1.0:
-        found.append(
-            f"the model does not follow the measurement within its noise: errors are enlarged by "
-            f"{np.sqrt(excess):.3g}, and may still be too small"
+    """Return the warnings about a result."""
+    estimates, summary, draws, variance_inflation, tension, *_ = solution
+    best, warnings = estimates[0], []
+    if variance_inflation > 1.0:
+        warnings.append(
+            f"the model does not fit the measurement within its noise: errors are multiplied by "
+            f"{np.sqrt(variance_inflation):.3g}, and may still be too small"
         )
-    untold = [name for name, known in zip(state_vector.names, determined, strict=True) if not known]
-    if untold:
-        found.append(f"not told by the measurement: {', '.join(untold)}")
-    for name, off in zip(state_vector.names, tension, strict=True):
-        if off > MAX_PRIOR_TENSION:
-            found.append(f"{name}: prior and measurement are {off:.1f} standard deviations apart")
+    unconstrained = [
+        name
+        for name, is_constrained in zip(state_vector.names, constrained, strict=True)
+        if not is_constrained
+    ]
+    if unconstrained:
+        warnings.append(f"not constrained by the measurement: {', '.join(unconstrained)}")
+    for name, tension_sigma in zip(state_vector.names, tension, strict=True):
+        if tension_sigma > MAX_PRIOR_TENSION:
+            warnings.append(
+                f"{name}: prior and measurement are {tension_sigma:.1f} standard deviations apart"
+            )
     for i, name in enumerate(state_vector.names):
         low, high = (
             float(state_vector.to_physical(np.full(len(state_vector.names), x))[i])
             for x in (0.0, 1.0)
         )
-        if not (determined[i] or best.active_bounds[i]):
+        if not (constrained[i] or best.active_bounds[i]):
             continue
         if best.state[i] < BOUND_DISTANCE and low != 0.0:
-            found.append(f"{name} lies at the low end of its range, {low:g}")
+            warnings.append(f"{name} lies at the low end of its range, {low:g}")
         if best.state[i] > 1.0 - BOUND_DISTANCE:
-            found.append(f"{name} lies at the high end of its range, {high:g}")
-    for other in [*(end.state for end in ends[1:2]), *solution.alternatives]:
-        off = other - best.state
-        if off @ np.linalg.solve(told.covariance, off) < ALTERNATIVE_CHI2:
-            # Within the errors: no other answer.
+            warnings.append(f"{name} lies at the high end of its range, {high:g}")
+    for alternative in [*(estimate.state for estimate in estimates[1:2]), *solution.alternatives]:
+        tension_sigma = alternative - best.state
+        if tension_sigma @ np.linalg.solve(summary.covariance, tension_sigma) < ALTERNATIVE_CHI2:
+            # Within the errors of the best estimate.
             continue
-        words = [
-            f"{n} {v:.3g}"
-            for n, v in zip(state_vector.names, state_vector.to_physical(other), strict=True)
+        values = [
+            f"{parameter} {value:.3g}"
+            for parameter, value in zip(
+                state_vector.names, state_vector.to_physical(alternative), strict=True
+            )
         ]
-        found.append(f"another answer is nearly as good: {', '.join(words)}")
+        warnings.append(f"an alternative solution fits nearly as well: {', '.join(values)}")
     if solution.nonlinearity > MAX_NONLINEARITY:
-        found.append(
-            f"errors take reflectance to be linear in the coordinates, but a standard deviation "
-            f"away it is off by {solution.nonlinearity:.1f} times the noise: take them as rough"
+        warnings.append(
+            "errors assume that reflectance is linear in the coordinates, but a standard deviation "
+            f"away it deviates by {solution.nonlinearity:.1f} times the noise: they are approximate"
         )
     if draws.n_effective < MIN_EFFECTIVE_DRAWS:
-        found.append(f"quantiles are rough, of {draws.n_effective:.0f} draws in effect")
-    return found
+        warnings.append(f"quantiles are imprecise: {draws.n_effective:.0f} effective draws")
+    return warnings

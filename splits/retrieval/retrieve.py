@@ -1,4 +1,4 @@
-"""Which snow, sand or layer has a measured spectrum, and how sure that is."""
+"""Retrieval of medium parameters from a measured spectrum, with posterior uncertainty."""
 
 from __future__ import annotations
 
@@ -58,51 +58,51 @@ def retrieve(
 ) -> RetrievalResult:
     """Retrieve parameters from a measured spectrum, with their errors.
 
-    The most probable values, and draws from the distribution of all that the measurement allows
-    (optimal estimation; Rodgers 2000).  In the errors is the noise of the measurement, that of the
-    table and what interpolation in it misses.
+    The result has the most probable values and draws from the posterior distribution (optimal
+    estimation; Rodgers 2000).  Its errors include the noise of the measurement, the errors of the
+    table and those of interpolation in it.
 
     Parameters
     ----------
     measured : xarray.DataArray, pandas.Series or pair of array_like
-        Reflectances over ``wavelength`` (nm), or (wavelengths, reflectances); a row of them where
-        there are `bands`.
-    model : MethodTable or medium
-        A table of the light to be expected, see `splits.build_table` and `splits.open_table`; or a snow,
-        a sand, a layer or a stack, of which as many runs are made as it takes, some minutes.
+        Reflectances over ``wavelength`` (nm), or (wavelengths, reflectances); one value per band
+        with `bands`.
+    model : Table or medium
+        A table, see `splits.build_table` and `splits.open_table`; or a snow, sand, layer or stack,
+        which is simulated as often as necessary (some minutes).
     free : sequence of str or mapping
-        Axes of the table to be found, or their (low, high) by name.  Of a medium the latter, of
-        parameters named as for derivatives (``layers.0.depth_m``).  ``scale`` is a factor of
-        the model: what was measured is `scale` times its light, for a panel whose reflectance is
-        not known.
+        Free axes of the table, or their (low, high) by name.  For a medium, (low, high) of
+        parameters named as for derivatives (``layers.0.depth_m``).  ``scale`` is a factor of the
+        modelled reflectance, for a reference panel of unknown reflectance.
     noise : float, array_like or mapping, optional
-        Standard errors of the measurement, one or as many as values, their covariance matrix, or
-        ``{"stderr": …, "correlation_nm": …, "independent": …}``: errors that are alike over so
-        many nm, and others besides.  Without it the misfit tells how far the values may be off:
-        least squares, with errors that are alike at neighbouring values as far as the misfit is.
+        Noise of the measurement: one standard error or one per value, their covariance matrix, or
+        ``{"stderr": …, "correlation_nm": …, "independent": …}``, errors with a correlation length
+        and optional independent ones.  Without it, the fit is one of least squares, and the
+        covariance of errors is estimated from the misfit, including its correlation between
+        neighbouring values.
     fixed : mapping
-        Values of the other axes, such as ``incidence_deg``; of a medium that alone.
+        Values of the other axes, such as ``incidence_deg``, the only one for a medium.
     prior : mapping
-        (mean, standard deviation) of what was known before, by name: normal in the coordinate of
-        the parameter, between the two values a standard deviation off.  Without one all of a range
-        is as probable, in the coordinate in which light changes evenly: the logarithm of a size,
-        the root of an amount.
+        (mean, standard deviation) of prior knowledge, by name.  The prior is normal in the
+        coordinate of the parameter, in which reflectance is closest to linear: the logarithm of a
+        size, the square root of an amount.  Without it, the prior is uniform in this coordinate
+        over the range.
     bands : mapping or str
-        Bands of a sensor in which it was measured, as for `splits.albedo`.
+        Bands of the sensor, as for `splits.albedo`.
     quantity : str
-        Of the table.
+        Quantity of the table.
     seed : int
-        Of the draws, and of runs.
+        Seed of the draws and of simulations.
     max_stderr : float, optional
-        Of the last runs of a medium; by default half of the least noise, but 0.001 to 0.01, and
-        0.002 where noise is not known.
+        Standard error of the final simulations of a medium; by default half of the smallest noise,
+        within 0.001 to 0.01, and 0.002 for unknown noise.
     progress : callable or bool, optional
-        See `splits.Progress`; True for a bar.  A table takes no time.
+        See `splits.Progress`; True for a bar.  Retrievals from a table do not report.
 
     Returns
     -------
-    Retrieved
-        Prints what was found.  Its ``dataset`` has, over ``parameter``: ``value`` (most probable)
+    RetrievalResult
+        Its text is a summary.  Its ``dataset`` has, over ``parameter``: ``value`` (most probable)
         and ``value_stderr``, ``mean``, ``constrained``, ``quantiles`` over ``quantile``; the
         ``averaging_kernel`` and the ``correlation``; ``draws``; ``measured`` and ``fitted`` over
         ``wavelength``, with errors.  Attributes: ``rmse``, ``chi2`` and what to expect of it,
@@ -111,7 +111,7 @@ def retrieve(
     Raises
     ------
     ValueError
-        For gaps, per cent, noise of 0, wavelengths outside of the table, or ranges that cannot be.
+        For gaps, values in per cent, noise of 0, wavelengths outside the table, or invalid ranges.
 
     References
     ----------
@@ -135,84 +135,102 @@ def retrieve(
     seed = check_integer("seed", seed, 0)
     if isinstance(model, Table):
         if max_stderr is not None:
-            raise invalid("max_stderr", max_stderr, "left out", "a table has errors of its own")
+            raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
         check_choice("quantity", quantity, model.quantities)
         measurement = Measurement.from_input(measured, noise, bands)
-        which = StateVector.from_ranges(free, prior, get_table_ranges(model))
-        known = TableForwardModel(model, measurement, which, fixed, quantity)
+        state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
+        forward_model = TableForwardModel(model, measurement, state_vector, fixed, quantity)
         if not measurement.noise_known:
-            found, measurement = least_squares.retrieve_from_table(known, measurement, seed)
+            solution, measurement = least_squares.retrieve_from_table(
+                forward_model, measurement, seed
+            )
         else:
-            found = _solve(known, measurement, seed)
-        return make_result(which, measurement, found)
+            solution = _solve(forward_model, measurement, seed)
+        return make_result(state_vector, measurement, solution)
     if isinstance(model, str | Mapping) or not hasattr(model, "kind"):
-        given = type(model).__name__
+        type_name = type(model).__name__
         hint = "splits.Table(splits.build_table(…)), open_table, or a snow, sand, layer or stack"
-        raise invalid("model", given, "a Table, or a medium", hint)
+        raise invalid("model", type_name, "a Table, or a medium", hint)
     check_choice("quantity", quantity, ["reflectance"])
     measurement = Measurement.from_input(measured, noise, bands)
-    beam = check_measurement_incidence(fixed, free)
-    which = make_medium_state_vector(model, free, prior, beam)
-    runs = make_simulation_model(model, measurement, which, beam, max_stderr, seed, progress)
+    incidence = check_measurement_incidence(fixed, free)
+    state_vector = make_medium_state_vector(model, free, prior, incidence)
+    simulation_model = make_simulation_model(
+        model, measurement, state_vector, incidence, max_stderr, seed, progress
+    )
     if not measurement.noise_known:
-        found, measurement = least_squares.retrieve_by_simulation(runs, measurement, seed)
+        solution, measurement = least_squares.retrieve_by_simulation(
+            simulation_model, measurement, seed
+        )
     else:
-        found = _solve_by_simulation(runs, measurement, seed)
-    return make_result(which, measurement, found)
+        solution = _solve_by_simulation(simulation_model, measurement, seed)
+    return make_result(state_vector, measurement, solution)
 
 
 def _solve_by_simulation(
     model: SimulationForwardModel, measurement: Measurement, seed: int
 ) -> Solution:
-    """Return what a measurement of known noise tells by runs."""
-    settled = model.find_minima()
-    around = LinearizedModel(model.state_vector, settled.linearize(measurement.covariance))
-    found = _solve(around, measurement, seed)
-    noise = found.variance_inflation * (measurement.covariance + settled.noise_covariance)
-    off = estimate_nonlinearity(
+    """Return the solution by simulation for known noise."""
+    converged = model.find_minima()
+    linear_model = LinearizedModel(model.state_vector, converged.linearize(measurement.covariance))
+    solution = _solve(linear_model, measurement, seed)
+    noise = solution.variance_inflation * (measurement.covariance + converged.noise_covariance)
+    nonlinearity = estimate_nonlinearity(
         model.evaluate_last_stage,
-        around,
-        found.estimates[0].state,
-        found.posterior.covariance,
+        linear_model,
+        solution.estimates[0].state,
+        solution.posterior.covariance,
         noise,
     )
-    return found._replace(
-        nonlinearity=off, alternatives=settled.find_alternatives(ALTERNATIVE_CHI2)
+    return solution._replace(
+        nonlinearity=nonlinearity, alternatives=converged.find_alternatives(ALTERNATIVE_CHI2)
     )
 
 
 def _solve(
     model: TableForwardModel | LinearizedModel, measurement: Measurement, seed: int
 ) -> Solution:
-    """Return the most probable places, and draws around them."""
-    free, nodes = model.state_vector, model.evaluate_first_guesses()
-    ends = find_distinct_map_estimates(model, measurement, *nodes)
-    # A prior that contradicts the measurement is no fault of the model.
-    alone = _solve_without_priors(model, measurement, ends[0])
-    fair = ends[0] if ends[0].chi2 <= alone.chi2 else alone
-    excess = compute_variance_inflation(fair, free)
-    if excess > 1.0:
-        ends = find_distinct_map_estimates(model, measurement, *nodes, excess)
+    """Return the solution: estimates, posterior and draws."""
+    state_vector, first_guesses = model.state_vector, model.evaluate_first_guesses()
+    estimates = find_distinct_map_estimates(model, measurement, *first_guesses)
+    # A prior that contradicts the measurement must not inflate the variances.
+    without_priors = _solve_without_priors(model, measurement, estimates[0])
+    reference = estimates[0] if estimates[0].chi2 <= without_priors.chi2 else without_priors
+    variance_inflation = compute_variance_inflation(reference, state_vector)
+    if variance_inflation > 1.0:
+        estimates = find_distinct_map_estimates(
+            model, measurement, *first_guesses, variance_inflation
+        )
     spread = summarize_posterior(
-        alone._replace(error_covariance=excess * alone.error_covariance), free.drop_priors()
+        without_priors._replace(
+            error_covariance=variance_inflation * without_priors.error_covariance
+        ),
+        state_vector.drop_priors(),
     ).covariance
-    tension = compute_prior_tension(free, alone.state, np.diag(spread))
-    if ends[0].chi2 - fair.chi2 / excess < MAX_PRIOR_TENSION**2:
-        # As well followed with the priors as without: they do not contradict it.
+    tension = compute_prior_tension(state_vector, without_priors.state, np.diag(spread))
+    if estimates[0].chi2 - reference.chi2 / variance_inflation < MAX_PRIOR_TENSION**2:
+        # The priors do not contradict the measurement if the misfit is as good without them.
         tension = np.zeros_like(tension)
-    draws = draw_posterior(model, measurement, ends, seed)
-    off = np.sqrt(np.diag(model.compute_error_covariance(ends[0].state)))
-    return Solution(ends, summarize_posterior(ends[0], free), draws, excess, tension, off)
+    draws = draw_posterior(model, measurement, estimates, seed)
+    model_error = np.sqrt(np.diag(model.compute_error_covariance(estimates[0].state)))
+    return Solution(
+        estimates,
+        summarize_posterior(estimates[0], state_vector),
+        draws,
+        variance_inflation,
+        tension,
+        model_error,
+    )
 
 
 def _solve_without_priors(
     model: TableForwardModel | LinearizedModel, measurement: Measurement, estimate: MAPEstimate
 ) -> MAPEstimate:
-    """Return the optimum that the measurement has by itself, near that with priors."""
-    free = model.state_vector
-    if not np.isfinite(free.prior_sd).any():
+    """Return the estimate without priors near that with priors."""
+    state_vector = model.state_vector
+    if not np.isfinite(state_vector.prior_sd).any():
         return estimate
-    model.state_vector = free.drop_priors()
-    alone = find_map_estimate(model, measurement, estimate.state)
-    model.state_vector = free
-    return alone
+    model.state_vector = state_vector.drop_priors()
+    result = find_map_estimate(model, measurement, estimate.state)
+    model.state_vector = state_vector
+    return result

@@ -1,9 +1,9 @@
-"""Which sand has a measured spectrum: a retrieval of what SPLITS Table 2 leaves open.
+"""Fit of a sand to a measured spectrum: retrieval of the parameters of SPLITS Table 2.
 
-Every place of the unit cube is a sand (`splits.retrieval.sand_parameters.UnitCube`).  Noise is not told:
-`splits.retrieval.gauss_newton` finds the least misfit, `splits.retrieval.least_squares` what that leaves
-open.  A spectrum seldom fixes all parameters: the error of each says how far it may move before
-the misfit tells.
+Every point of the unit cube is a sand (`splits.retrieval.sand_parameters.UnitCube`).  The noise is
+unknown: `splits.retrieval.gauss_newton` finds the smallest misfit, and
+`splits.retrieval.least_squares` estimates the errors from it.  A spectrum rarely constrains all
+parameters.
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ from splits.simulation.arguments import check_incidence, check_integer, check_wa
 from splits.simulation.fixed_budget import choose_node_rows, estimate_fixed_budget
 
 JACOBIAN_STEP = 0.05
-"""Difference of a coordinate for derivatives: large enough against what noise is not shared."""
+"""Step of a coordinate for derivatives, large enough compared with uncorrelated noise."""
 N_JACOBIANS = 4
-"""Independent Jacobians behind the errors."""
+"""Number of independent Jacobians for the errors."""
 _JACOBIAN_RAYS_DIVISOR = 8
-"""The last stage's rays over those of each: there are many, and noise in them does not bias."""
+"""Ratio of the rays of the last stage to those of a Jacobian, whose noise causes no bias."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much a fit may cost.
+    """Computational effort of a fit.
 
     Attributes
     ----------
     points : int
-        Sands of the first survey, a power of 2.
+        Number of sands in the survey, a power of 2.
     starts : tuple of int
-        How many of the best sands each stage of descent begins with, the survey's first.
+        Number of the best sands from which each stage of descents starts.
     evaluations : tuple of int
-        Simulations that each descent may take, by stage.
+        Largest number of simulations per descent, by stage.
     rays : tuple of int
         Rays per node of the survey and of every stage.
     max_stderr : float
-        Standard error of the last spectrum, 1e-6 to 0.5.
+        Standard error of the final spectrum, 1e-6 to 0.5.
     """
 
     points: int = 128
@@ -66,7 +66,7 @@ class Effort:
 
 
 class SandForwardModel:
-    """Reflectance of sands as runs of fixed numbers of rays have it, see `splits.retrieval.gauss_newton`.
+    """Forward model of sands with a fixed number of rays, see `splits.retrieval.gauss_newton`.
 
     Parameters
     ----------
@@ -74,14 +74,14 @@ class SandForwardModel:
     wavelengths_nm : float, shape (wavelengths,)
         In nm.
     incidence : float or "diffuse"
-    effort : PackingEffort
+    effort : Effort
     seed : int
     threads : int, optional
 
     Attributes
     ----------
     n_simulations : int
-        Sands simulated so far.
+        Number of sands simulated so far.
     """
 
     bound_margin = 0.0
@@ -99,45 +99,47 @@ class SandForwardModel:
         self.wavelengths_nm, self.incidence, self.threads = wavelengths, incidence, threads
         self.n_rays = effort.rays
         self.n_simulations = 0
-        count = len(effort.rays) + N_JACOBIANS + 1
-        drawn = np.random.SeedSequence(seed).generate_state(count)
-        self.seeds = [int(one) for one in drawn]
-        """Of the survey and every stage, of Jacobians, and of the last spectrum."""
+        n_seeds = len(effort.rays) + N_JACOBIANS + 1
+        states = np.random.SeedSequence(seed).generate_state(n_seeds)
+        self.seeds = [int(state) for state in states]
+        """Seeds of the survey and every stage, of the Jacobians, and of the final spectrum."""
         self._last_result: tuple[bytes, int, np.ndarray] = (b"", 0, np.empty(0))
 
     def _simulate(self, state: np.ndarray, rays: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return reflectance and how far groups of rays take it off."""
+        """Return reflectance and its batch deviations."""
         self.n_simulations += 1
-        mean, _, groups = estimate_fixed_budget(
+        mean, _, batches = estimate_fixed_budget(
             self.cube.to_sand(state), self.wavelengths_nm, self.incidence,
             choose_node_rows(len(self.wavelengths_nm)), rays, seed, self.threads,
         )  # fmt: skip
-        return mean[0], groups[:, 0]
+        return mean[0], batches[:, 0]
 
     def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return reflectance with the rays of a stage, shape (wavelengths,)."""
         if self._last_result[:2] != (state.tobytes(), stage):
-            found = self._simulate(state, self.n_rays[stage], self.seeds[stage])[0]
-            self._last_result = state.tobytes(), stage, found
+            reflectance = self._simulate(state, self.n_rays[stage], self.seeds[stage])[0]
+            self._last_result = state.tobytes(), stage, reflectance
         return self._last_result[2]
 
     def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return derivatives from one neighbour per coordinate, inside the cube."""
-        here, columns = self.evaluate(state, stage), []
-        for i, x in enumerate(state):
-            near = state.copy()
-            near[i] += JACOBIAN_STEP if x + JACOBIAN_STEP <= 1.0 else -JACOBIAN_STEP
-            columns.append((self.evaluate(near, stage) - here) / (near[i] - x))
+        """Return the Jacobian by one-sided differences inside the cube."""
+        reflectance, columns = self.evaluate(state, stage), []
+        for i, coordinate in enumerate(state):
+            shifted = state.copy()
+            shifted[i] += JACOBIAN_STEP if coordinate + JACOBIAN_STEP <= 1.0 else -JACOBIAN_STEP
+            columns.append(
+                (self.evaluate(shifted, stage) - reflectance) / (shifted[i] - coordinate)
+            )
         return np.column_stack(columns)
 
     def noise(self, state: np.ndarray) -> np.ndarray:
-        """Return the covariance of the last stage's noise, which all of its runs share."""
-        groups = self._simulate(state, self.n_rays[-1], self.seeds[len(self.n_rays) - 1])[1]
-        found: np.ndarray = groups.T @ groups
-        return found
+        """Return the covariance of the noise common to all simulations of the last stage."""
+        batches = self._simulate(state, self.n_rays[-1], self.seeds[len(self.n_rays) - 1])[1]
+        covariance: np.ndarray = batches.T @ batches
+        return covariance
 
     def compute_jacobians(self, state: np.ndarray) -> list[np.ndarray]:
-        """Return derivatives with random numbers of their own."""
+        """Return independent Jacobians, each with its own random numbers."""
         first = len(self.n_rays)
         rays = max(self.n_rays[-1] // _JACOBIAN_RAYS_DIVISOR, 1)
         return [
@@ -161,18 +163,18 @@ def fit(
     *,
     effort: Effort | None = None,
 ) -> FitResult:
-    """Find the sand whose reflectance comes nearest to a measured one.
+    """Find the sand whose reflectance is closest to a measured one.
 
     Parameters
     ----------
     base_settings : mapping
         Keywords of `splits.Sand` that stay fixed, for example ``refractive_index``.
     wavelength_nm : array_like
-        Strictly increasing vacuum wavelengths (nm), two more than coordinates at least.
+        Strictly increasing vacuum wavelengths (nm), at least two more than coordinates.
     measured : array_like
         Hemispherical reflectance there, 0 to 1.
     incidence_deg : float or "diffuse"
-        Polar angle of the beam it was measured under, 0 to 89.9999 degrees.
+        Polar angle of the beam in the measurement, 0 to 89.9999 degrees.
     ranges : mapping, optional
         (low, high) by name, instead of those of `splits.retrieval.sand_parameters.DEFAULT_RANGES`.
     seed : int
@@ -180,44 +182,46 @@ def fit(
     threads : int, optional
     log : callable
         Receives lines of progress.
-    effort : PackingEffort, optional
+    effort : Effort, optional
 
     Raises
     ------
     ValueError
         For a value outside its range.
     """
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     effort = effort or Effort()
     wavelengths = check_wavelengths(wavelength_nm)
-    wanted = check_measured_reflectance(measured, wavelengths, find_labels(wavelength_nm))
+    target = check_measured_reflectance(measured, wavelengths, find_labels(wavelength_nm))
     cube = UnitCube(base_settings, ranges)
-    least = len(cube.names) + MIN_RESIDUAL_DOF
-    if len(wavelengths) < least:
-        raise invalid("wavelength_nm", wavelengths.tolist(), f"{least} wavelengths at least")
-    beam, seed = check_incidence(incidence_deg), check_integer("seed", seed, 0)
-    runs = SandForwardModel(cube, wavelengths, beam, effort, seed, threads)
-    ends = _run_descents(runs, wanted, effort, log)
-    best = ends[-1][0].state
+    min_wavelengths = len(cube.names) + MIN_RESIDUAL_DOF
+    if len(wavelengths) < min_wavelengths:
+        allowed = f"{min_wavelengths} wavelengths at least"
+        raise invalid("wavelength_nm", wavelengths.tolist(), allowed)
+    incidence, seed = check_incidence(incidence_deg), check_integer("seed", seed, 0)
+    model = SandForwardModel(cube, wavelengths, incidence, effort, seed, threads)
+    stage_minima = _run_descents(model, target, effort, log)
+    best = stage_minima[-1][0].state
     spectrum = spectrophotometer(
-        cube.to_sand(best), wavelengths, beam, effort.max_stderr, runs.seeds[-1], threads=threads
-    )
+        cube.to_sand(best), wavelengths, incidence, effort.max_stderr, model.seeds[-1],
+        threads=threads,
+    )  # fmt: skip
     modelled, stderr = spectrum.reflectance.values, spectrum.reflectance_stderr.values
-    off = modelled - wanted
-    jacobians = runs.compute_jacobians(best)
-    held = find_active_bounds(best, np.mean(jacobians, axis=0).T @ off)
-    left = estimate_fit_covariance(jacobians, off, runs.noise(best), held)
-    draws = apply_priors(cube.state_vector, best, left.state, seed).draws.states
-    value, value_stderr = _compute_rms(off), _compute_rms(stderr)
-    seconds = time.perf_counter() - begun
-    log(f"{runs.n_simulations} sands, rmse {value:.4f} ± {value_stderr:.4f}, {seconds:.0f} s")
+    residual = modelled - target
+    jacobians = model.compute_jacobians(best)
+    active_bounds = find_active_bounds(best, np.mean(jacobians, axis=0).T @ residual)
+    fit_covariance = estimate_fit_covariance(jacobians, residual, model.noise(best), active_bounds)
+    draws = apply_priors(cube.state_vector, best, fit_covariance.state, seed).draws.states
+    value, value_stderr = _compute_rms(residual), _compute_rms(stderr)
+    seconds = time.perf_counter() - start_time
+    log(f"{model.n_simulations} sands, rmse {value:.4f} ± {value_stderr:.4f}, {seconds:.0f} s")
     return FitResult(
         parameters=estimate_parameter_errors(cube, best, draws),
         settings=cube.to_keywords(best),
         rmse=value,
         rmse_stderr=value_stderr,
         wavelength_nm=wavelengths,
-        measured=wanted,
+        measured=target,
         modelled=modelled,
         modelled_stderr=stderr,
         spectrum=spectrum,
@@ -226,9 +230,10 @@ def fit(
         coordinates_stderr=np.sqrt(np.mean((draws - best) ** 2, axis=0)),
         correlation=np.corrcoef(draws, rowvar=False),
         alternatives=[
-            (_compute_rms_misfit(end, wanted), cube.to_parameters(end.state)) for end in ends[0]
+            (_compute_rms_misfit(minimum, target), cube.to_parameters(minimum.state))
+            for minimum in stage_minima[0]
         ],
-        evaluations=runs.n_simulations,
+        evaluations=model.n_simulations,
         seconds=seconds,
     )
 
@@ -236,22 +241,23 @@ def fit(
 def _run_descents(
     model: SandForwardModel, measured: np.ndarray, effort: Effort, log: Callable[[str], None]
 ) -> list[list[LocalMinimum]]:
-    """Return where the descents of every stage ended, best first."""
-    # Imported here: it takes a second, which every start of the workflow would take.
+    """Return the minima found by the descents of every stage, best first."""
+    # Imported here, as it would slow the start of the workflow by a second.
     qmc = import_optional("scipy.stats", "retrieval", "fits need").qmc
 
-    places = qmc.Sobol(len(model.cube.names), seed=model.seeds[0]).random(effort.points)
+    survey_states = qmc.Sobol(len(model.cube.names), seed=model.seeds[0]).random(effort.points)
     stages = [DescentStage(*pair) for pair in zip(effort.starts, effort.evaluations, strict=True)]
-    aim = Objective.least_squares(measured, model.state_vector)
+    objective = Objective.least_squares(measured, model.state_vector)
 
-    def tell(_: int, cost: float) -> None:
+    def log_stage(_: int, cost: float) -> None:
         log(f"{model.n_simulations} sands, best misfit {np.sqrt(cost / len(measured)):.4f}")
 
-    ends = search_minima(model, lambda place, stage: aim, places, stages, tell)
-    log(
-        f"{model.n_simulations} sands, best misfit {_compute_rms_misfit(ends[-1][0], measured):.4f}; now its errors"
+    stage_minima = search_minima(
+        model, lambda state, stage: objective, survey_states, stages, log_stage
     )
-    return ends
+    misfit = _compute_rms_misfit(stage_minima[-1][0], measured)
+    log(f"{model.n_simulations} sands, best misfit {misfit:.4f}; errors follow")
+    return stage_minima
 
 
 def _compute_rms_misfit(minimum: LocalMinimum, measured: np.ndarray) -> float:
@@ -261,7 +267,7 @@ def _compute_rms_misfit(minimum: LocalMinimum, measured: np.ndarray) -> float:
 def check_measured_reflectance(
     measured: Any, wavelengths: np.ndarray, labels: Any = None
 ) -> np.ndarray:
-    """Return measured reflectances, each in [0, 1], in the order of wavelengths, or refuse them.
+    """Return measured reflectances in the order of wavelengths; reject values outside [0, 1].
 
     Parameters
     ----------
@@ -269,7 +275,7 @@ def check_measured_reflectance(
     wavelengths : float, shape (wavelengths,)
         In nm.
     labels : sequence, optional
-        Those that the wavelengths have, for values with the same.
+        Labels of the wavelengths, by which labelled values are ordered.
     """
     values = align_to_labels("measured", measured, wavelengths, labels, allowed="numbers in [0, 1]")
     if values.shape != wavelengths.shape:
@@ -281,36 +287,40 @@ def check_measured_reflectance(
 def compute_central_differences(
     model: Callable[[np.ndarray], np.ndarray], x: np.ndarray
 ) -> np.ndarray:
-    """Return derivatives between neighbours on both sides, as far as the cube reaches."""
+    """Return the Jacobian by central differences, clipped to the cube."""
     columns = []
     for i in range(len(x)):
-        up, down = x.copy(), x.copy()
-        up[i] = min(x[i] + 2.0 * JACOBIAN_STEP, 1.0)
-        down[i] = max(x[i] - 2.0 * JACOBIAN_STEP, 0.0)
-        columns.append((model(up) - model(down)) / (up[i] - down[i]))
+        upper, lower = x.copy(), x.copy()
+        upper[i] = min(x[i] + 2.0 * JACOBIAN_STEP, 1.0)
+        lower[i] = max(x[i] - 2.0 * JACOBIAN_STEP, 0.0)
+        columns.append((model(upper) - model(lower)) / (upper[i] - lower[i]))
     return np.column_stack(columns)
 
 
 def estimate_parameter_errors(
     cube: UnitCube, best: np.ndarray, draws: np.ndarray
 ) -> dict[str, FittedParameter]:
-    """Return the parameters with errors, from draws around the best fit.
+    """Return the parameters with errors, from draws of the posterior.
 
-    What a parameter may be off by is also counted in ranks among sands drawn from the whole cube,
-    which treat a logarithmic coordinate and a mass fraction alike.
+    Whether a parameter is constrained is decided by ranks among sands drawn from the whole cube,
+    which do not depend on the scale of the parameter.
     """
-    everywhere = np.random.default_rng(1).random(draws.shape)
-    around, anywhere = ([cube.to_parameters(x) for x in places] for places in (draws, everywhere))
-    found = {}
+    uniform = np.random.default_rng(1).random(draws.shape)
+    posterior_samples, prior_samples = (
+        [cube.to_parameters(state) for state in states] for states in (draws, uniform)
+    )
+    parameters = {}
     for name, value in cube.to_parameters(best).items():
-        near = np.array([a[name] for a in around])
-        order = np.sort([a[name] for a in anywhere])
-        rank, ranks = np.searchsorted(order, value), np.searchsorted(order, near)
-        unmeasured = _compute_rms(np.arange(len(order)) - rank)
-        found[name] = FittedParameter(
-            value, _compute_rms(near - value), bool(_compute_rms(ranks - rank) < 0.5 * unmeasured)
+        values = np.array([sample[name] for sample in posterior_samples])
+        ordered = np.sort([sample[name] for sample in prior_samples])
+        rank, ranks = np.searchsorted(ordered, value), np.searchsorted(ordered, values)
+        prior_spread = _compute_rms(np.arange(len(ordered)) - rank)
+        parameters[name] = FittedParameter(
+            value,
+            _compute_rms(values - value),
+            bool(_compute_rms(ranks - rank) < 0.5 * prior_spread),
         )
-    return found
+    return parameters
 
 
 def _compute_rms(values: np.ndarray) -> float:

@@ -1,8 +1,8 @@
-"""The parameters of a sand that a fit varies and reports: unit cube, keywords.
+"""Parameters of a sand in a fit, and their unit cube of coordinates.
 
-Every point of the cube is a sand that SPLITS Table 2 allows.  The simplex of partitions and the
-triangle of textures each take two coordinates; where light responds to the logarithm of a
-parameter rather than to the parameter, so does the coordinate.
+Every point of the cube is a sand within the ranges of SPLITS Table 2.  Partitions and textures have
+two coordinates each.  The coordinate is logarithmic where reflectance depends on the logarithm of
+the parameter.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ DEFAULT_RANGES: dict[str, tuple[float, float]] = {
     "clay": (1e-4, 0.1),
 }
 """Default ranges, SPLITS Table 2: ``pure`` is the mass fraction of pure particles,
-``coated_fraction`` the coated part of the others, ``fines`` silt + 1.5 clay, and ``clay`` the mass
-fraction of clay, which besides cannot exceed fines/1.5.  Clay of less than Sand's ``size_tail``
-is as good as none."""
+``coated_fraction`` the coated fraction of the others, ``fines`` silt + 1.5 clay, and ``clay`` the
+mass fraction of clay, limited to fines/1.5.  Clay below the ``size_tail`` of `splits.Sand` is
+negligible."""
 
 RANGE_LIMITS: dict[str, tuple[float, float]] = {
     **dict.fromkeys(DEFAULT_RANGES, (0.0, 1.0)),
     "fines": (0.0, 0.15),
     "clay": (0.0, 0.1),
 }
-"""What ranges must stay within."""
+"""Limits of the ranges."""
 
 LOGARITHMIC_PARAMETERS = ("iron_oxide", "magnetite", "clay")
-"""Parameters whose coordinate is logarithmic: a little of them does much."""
+"""Parameters with a logarithmic coordinate, since small amounts have a large effect."""
 _ZERO_START_SLOPE_RATIO = 100.0
-"""Ratio of the slopes at both ends of a geometric coordinate that begins at 0."""
+"""Ratio of the slopes at both ends of a geometric coordinate that starts at 0."""
 
 FITTED_KEYWORDS = ("iron_oxide", "hematite_ratio", "magnetite", "partition", "texture")
-"""Keywords of `splits.Sand` that a fit decides."""
+"""Keywords of `splits.Sand` that a fit varies."""
 
 
 class UnitCube:
@@ -63,15 +63,15 @@ class UnitCube:
     Attributes
     ----------
     names : tuple of str
-        Of the coordinates.
+        Names of the coordinates.
     state_vector : StateVector
-        The coordinates themselves.
+        State vector of the coordinates.
     ranges : dict
 
     Raises
     ------
     ValueError
-        For a range or keyword that cannot be taken.
+        For an invalid range or keyword.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class UnitCube:
         for key in self.fixed_keywords:
             if key in FITTED_KEYWORDS:
                 raise invalid(
-                    key, self.fixed_keywords[key], "left out", "the fit decides it; see ranges"
+                    key, self.fixed_keywords[key], "left out", "the fit varies it; see ranges"
                 )
         self.ranges = resolve_ranges(ranges or {})
         self.names = tuple(self.ranges)
@@ -93,40 +93,44 @@ class UnitCube:
             try:
                 self.to_sand(np.array(corner))
             except ValueError as error:
-                raise ValueError(f"ranges: a sand within them cannot be: {error}") from None
+                raise ValueError(f"ranges: must contain valid sands only: {error}") from None
 
     def to_keywords(self, coordinates: np.ndarray) -> dict[str, Any]:
-        """Return the keywords of the sand at a point of the cube, those that are fixed included.
+        """Return the keywords of the sand at a point of the cube, including the fixed ones.
 
         Parameters
         ----------
         coordinates : float, shape (coordinates,)
             Each 0 to 1, in the order of `names`.
         """
-        u = dict(zip(self.names, np.asarray(coordinates, dtype=float), strict=True))
+        coordinate_of = dict(zip(self.names, np.asarray(coordinates, dtype=float), strict=True))
 
-        def at(name: str, most: float = np.inf) -> float:
+        def interpolate(name: str, maximum: float = np.inf) -> float:
             low, high = self.ranges[name]
-            high = min(high, most)
-            bend = (
+            high = min(high, maximum)
+            slope_ratio = (
                 (high / low if low > 0.0 else _ZERO_START_SLOPE_RATIO)
                 if name in LOGARITHMIC_PARAMETERS
                 else 1.0
             )
-            part = u[name] if bend == 1.0 else (bend ** u[name] - 1.0) / (bend - 1.0)
-            return float(min(max(low + part * (high - low), low), high))
+            fraction = (
+                coordinate_of[name]
+                if slope_ratio == 1.0
+                else (slope_ratio ** coordinate_of[name] - 1.0) / (slope_ratio - 1.0)
+            )
+            return float(min(max(low + fraction * (high - low), low), high))
 
-        pure = at("pure")
-        coated = (1.0 - pure) * at("coated_fraction")
+        pure = interpolate("pure")
+        coated = (1.0 - pure) * interpolate("coated_fraction")
         mixed = max(1.0 - pure - coated, 0.0)
-        fines = at("fines")
-        clay = at("clay", fines / 1.5)
+        fines = interpolate("fines")
+        clay = interpolate("clay", fines / 1.5)
         silt = max(fines - 1.5 * clay, 0.0)
         return {
             **self.fixed_keywords,
-            "iron_oxide": at("iron_oxide"),
-            "hematite_ratio": at("hematite_ratio"),
-            "magnetite": at("magnetite"),
+            "iron_oxide": interpolate("iron_oxide"),
+            "hematite_ratio": interpolate("hematite_ratio"),
+            "magnetite": interpolate("magnetite"),
             "partition": (pure, mixed, coated),
             "texture": (clay, silt, 1.0 - clay - silt),
         }
@@ -136,18 +140,18 @@ class UnitCube:
         return Sand(**self.to_keywords(coordinates))
 
     def to_parameters(self, coordinates: np.ndarray) -> dict[str, float]:
-        """Return the parameters at a point of the cube, one number under each name."""
-        found = self.to_keywords(coordinates)
-        parts = zip(("pure", "mixed", "coated"), found["partition"], strict=True)
+        """Return the parameters at a point of the cube by name."""
+        keywords = self.to_keywords(coordinates)
+        partition = zip(("pure", "mixed", "coated"), keywords["partition"], strict=True)
         return {
-            **{name: found[name] for name in ("iron_oxide", "hematite_ratio", "magnetite")},
-            **{f"partition_{name}": value for name, value in parts},
-            **dict(zip(("clay", "silt", "sand"), found["texture"], strict=True)),
+            **{name: keywords[name] for name in ("iron_oxide", "hematite_ratio", "magnetite")},
+            **{f"partition_{name}": value for name, value in partition},
+            **dict(zip(("clay", "silt", "sand"), keywords["texture"], strict=True)),
         }
 
 
 def resolve_ranges(given: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Return `DEFAULT_RANGES` with those given instead, or refuse them."""
+    """Return `DEFAULT_RANGES` with given ones replaced; reject invalid ranges."""
     ranges = dict(DEFAULT_RANGES)
     for name, values in given.items():
         if name not in DEFAULT_RANGES:
@@ -156,8 +160,8 @@ def resolve_ranges(given: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
         low, high = check_named_numbers(
             f"ranges.{name}", values, ("low", "high"), RANGE_LIMITS[name]
         )
-        for end, value in (("low", low), ("high", high)):
-            check_range(f"ranges.{name} ({end})", value, *RANGE_LIMITS[name])
+        for bound, value in (("low", low), ("high", high)):
+            check_range(f"ranges.{name} ({bound})", value, *RANGE_LIMITS[name])
         if not low < high:
             raise invalid(f"ranges.{name}", values, "low < high")
         ranges[name] = (low, high)
@@ -173,17 +177,17 @@ def resolve_ranges(given: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """A parameter that was fitted.
+    """A fitted parameter and its error.
 
     Attributes
     ----------
     value : float
-        A mass fraction, or hematite's part of the iron oxide.
+        A mass fraction, or the fraction of hematite in the iron oxide.
     stderr : float
-        Its standard error, the root mean square of how far it may be off.
+        Standard error, the root-mean-square deviation of the posterior from the value.
     constrained : bool
-        Whether that, in ranks among all sands of the ranges, is below half of what not having
-        measured at all would leave.
+        Whether the error, in ranks among all sands of the ranges, is below half of that without a
+        measurement.
     """
 
     value: float
@@ -193,7 +197,7 @@ class FittedParameter:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
-    """The sand found.
+    """Result of a fit of a sand.
 
     Attributes
     ----------
@@ -201,25 +205,25 @@ class FitResult:
         iron_oxide, hematite_ratio, magnetite, partition_pure, partition_mixed,
         partition_coated, clay, silt, sand.
     settings : dict
-        Keywords of `splits.Sand` for that sand, the fixed ones included.
+        Keywords of `splits.Sand` for the fitted sand, including the fixed ones.
     rmse, rmse_stderr : float
-        Root mean square misfit of `spectrum`, and what simulation noise adds to or takes from it
-        at most (one standard error).
+        Root-mean-square misfit of `spectrum`, and an upper bound of its standard error from
+        simulation noise.
     wavelength_nm, measured, modelled, modelled_stderr : float, shape (wavelengths,)
     spectrum : xarray.Dataset
-        The last simulation, as `splits.spectrophotometer` returns it.
+        Final simulation, see `splits.spectrophotometer`.
     names : tuple of str
-        Of the coordinates, see `DEFAULT_RANGES`.
+        Names of the coordinates, see `DEFAULT_RANGES`.
     coordinates, coordinates_stderr : float, shape (coordinates,)
-        Place in the unit cube; one in the middle of its range that light does not depend on has
-        the error 1/√12.
+        Coordinates in the unit cube.  The error of an unconstrained one in the middle of its range
+        is 1/√12.
     correlation : float, shape (coordinates, coordinates)
     alternatives : list of (float, dict)
-        Misfit and parameters of the sands that each descent of the first stage ended at, best
-        first: values far apart at nearly the same misfit mean that there are several answers.
-        Their misfits are of few rays; `rmse` is not.
+        Misfit and parameters of the minima of the first stage, best first.  Different values at
+        nearly the same misfit indicate several solutions.  These misfits, unlike `rmse`, are from
+        few rays.
     evaluations : int
-        Sands simulated.
+        Number of sands simulated.
     seconds : float
         Wall time.
     """
@@ -242,9 +246,9 @@ class FitResult:
     seconds: float
 
     def __repr__(self) -> str:
-        """Return the misfit, and every parameter with its error in a line of its own."""
+        """Return the misfit, and one line per parameter with its error."""
         lines = [f"misfit {self.rmse:.4f} ± {self.rmse_stderr:.4f}"]
-        for name, one in self.parameters.items():
-            told = "told by the spectrum" if one.constrained else "not told"
-            lines.append(f"{name:16} {one.value:.4f} ± {one.stderr:.4f}  {told}")
+        for name, parameter in self.parameters.items():
+            note = "constrained" if parameter.constrained else "not constrained"
+            lines.append(f"{name:16} {parameter.value:.4f} ± {parameter.stderr:.4f}  {note}")
         return "\n".join(lines)

@@ -1,8 +1,8 @@
-"""Retrieval by runs of its own: descents with derivatives from the same paths, and no table.
+"""Retrieval by simulation: descents with derivatives from the same paths, without a table.
 
-Where a medium is looked at once, a table of it would cost more than it tells.  Spectra with their
-derivatives (`splits.simulation.derivatives`, `splits.simulation.finite_differences`) lead to the most
-probable medium (`splits.retrieval.gauss_newton`).  Around the end light is taken as linear in the
+For a single retrieval, a table of the medium would cost more.  Spectra with their derivatives
+(`splits.simulation.derivatives`, `splits.simulation.finite_differences`) lead to the most probable
+medium (`splits.retrieval.gauss_newton`).  Near the minimum, reflectance is assumed linear in the
 coordinates.
 """
 
@@ -31,39 +31,39 @@ from splits.retrieval.optimal_estimation import ALTERNATIVE_CHI2, MIN_SEPARATION
 from splits.retrieval.state_vector import SCALE, StateVector
 
 N_SURVEY = 16
-"""Media looked at first."""
+"""Number of states of the survey."""
 DESCENT_STAGES = (DescentStage(2, 60), DescentStage(2, 60, ALTERNATIVE_CHI2))
-"""Descents: from the nearest of these, and those of runs with the last error."""
+"""Stages of descents: from the best states of the survey, and with the final error."""
 LAST_STAGE = len(DESCENT_STAGES)
 SURVEY_STDERR = 0.01
-"""Error of the runs of the survey and of the first descents."""
+"""Standard error of simulations of the survey and of the first descents."""
 NOISE_FRACTION = 0.5
-"""Error of the last runs, as a part of the least noise of the measurement."""
+"""Ratio of the final standard error to the smallest noise of the measurement."""
 MIN_STDERR, MAX_STDERR = 1e-3, 0.01
-"""Errors of these, whatever the noise."""
+"""Limits of the final standard error."""
 UNKNOWN_NOISE_MAX_STDERR = 2e-3
-"""Error of these where noise is not known."""
+"""Final standard error for unknown noise."""
 MIN_JACOBIAN_STDERR = 0.004
-"""Least error of the runs that derivatives come from, of which there are several."""
+"""Smallest standard error of simulations for Jacobians, of which several are averaged."""
 N_JACOBIANS_RANGE = (2, 6)
-"""Independent ones behind errors: at least, and at most where their noise may decide."""
+"""Smallest and largest number of independent Jacobians for the errors."""
 BAND_STEP_NM = 10.0
-"""Between the wavelengths of a band."""
+"""Step of wavelengths within bands (nm)."""
 
 
 class ConvergedRuns(NamedTuple):
-    """Where descents have ended.
+    """Minima of a retrieval, and independent Jacobians at the best one.
 
     Attributes
     ----------
-    minima : list of End
-        Best first, all of them apart.
+    minima : list of LocalMinimum
+        Separated minima, best first.
     modelled : float, shape (n,)
-        What would be measured at the best.
+        Modelled measurement at the best minimum.
     noise_covariance : float, shape (n, n)
-        Covariance of the runs' noise.
+        Covariance of the noise of simulations.
     jacobians : list of float, shape (n, parameters)
-        Independent ones there.
+        Independent Jacobians at the best minimum.
     """
 
     minima: list[LocalMinimum]
@@ -72,30 +72,32 @@ class ConvergedRuns(NamedTuple):
     jacobians: list[np.ndarray]
 
     def linearize(self, measurement_covariance: np.ndarray) -> Linearization:
-        """Return the best end, with slopes for measurements of some noise."""
+        """Return the linearization at the best minimum, with noise removed from its Jacobian."""
         slopes = remove_jacobian_noise(
             self.jacobians, measurement_covariance + self.noise_covariance
         )
         return Linearization(self.minima[0].state, self.modelled, slopes, self.noise_covariance)
 
     def find_alternatives(self, max_increase: float) -> tuple[np.ndarray, ...]:
-        """Return the other ends whose sums of squares are not so much larger."""
-        best, *others = self.minima
-        return tuple(end.state for end in others if end.cost < best.cost + max_increase)
+        """Return the other minima whose cost exceeds the best by less than a limit."""
+        best, *other_minima = self.minima
+        return tuple(
+            minimum.state for minimum in other_minima if minimum.cost < best.cost + max_increase
+        )
 
 
 class SimulationForwardModel:
-    """A measurement as runs have it; see `splits.retrieval.gauss_newton.StagedForwardModel`.
+    """Forward model by simulation; see `splits.retrieval.gauss_newton.StagedForwardModel`.
 
     Parameters
     ----------
     medium : Medium
     measurement : Measurement
     state_vector : StateVector
-        See `splits.retrieval.media.free_of`.
+        See `splits.retrieval.media.make_medium_state_vector`.
     incidence : float or "diffuse"
     max_stderr : float, optional
-        Of the last runs; by default `NOISE_FRACTION` of the least noise.
+        Final standard error; by default `NOISE_FRACTION` of the smallest noise.
     seed : int
     progress : callable, optional
     """
@@ -114,13 +116,13 @@ class SimulationForwardModel:
     ) -> None:
         self.medium, self.measurement, self.state_vector = medium, measurement, state_vector
         self.incidence, self.seed = incidence, seed
-        least = float(np.sqrt(np.diag(measurement.covariance).min()))
-        usual = (
-            min(max(NOISE_FRACTION * least, MIN_STDERR), MAX_STDERR)
+        min_noise = float(np.sqrt(np.diag(measurement.covariance).min()))
+        default_stderr = (
+            min(max(NOISE_FRACTION * min_noise, MIN_STDERR), MAX_STDERR)
             if measurement.noise_known
             else UNKNOWN_NOISE_MAX_STDERR
         )
-        self.max_stderr = max_stderr or usual
+        self.max_stderr = max_stderr or default_stderr
         self.wavelengths = select_simulation_wavelengths(measurement)
         self.operator = MeasurementOperator.from_measurement(measurement, self.wavelengths).matrix
         self.axes = [name for name in state_vector.names if name != SCALE]
@@ -130,69 +132,71 @@ class SimulationForwardModel:
         self._progress = ProgressTracker(progress, self.max_stderr, len(state_vector.names))
 
     def get_stage_stderr(self, stage: int) -> float:
-        """Return the error of the runs of a stage, the last of which is exact."""
+        """Return the standard error of the simulations of a stage."""
         return self.max_stderr if stage == LAST_STAGE else max(SURVEY_STDERR, self.max_stderr)
 
     def simulate(
         self, state: np.ndarray, max_stderr: float, names: list[str], seed: int
     ) -> tuple[Any, float]:
-        """Return a run at a place, its derivatives to some parameters, and the level there."""
-        natural = self.state_vector.to_physical(state)
-        medium, beam = self.medium, self.incidence
+        """Return a simulation at a state with derivatives by some parameters, and the scale."""
+        physical = self.state_vector.to_physical(state)
+        medium, incidence = self.medium, self.incidence
         for row, name in zip(self._axis_indices, self.axes, strict=True):
             if name == INCIDENCE_KEY:
-                beam = float(natural[row])
+                incidence = float(physical[row])
             else:
-                medium = replace_parameter(medium, name, float(natural[row]))
-        found = spectrophotometer(
-            medium, self.wavelengths, beam, max_stderr, seed, jacobian=names,
+                medium = replace_parameter(medium, name, float(physical[row]))
+        spectrum = spectrophotometer(
+            medium, self.wavelengths, incidence, max_stderr, seed, jacobian=names,
             progress=self._progress.track_run(max_stderr, _count_runs(len(names))),
         )  # fmt: skip
-        return found, 1.0 if self._scale_index is None else float(natural[self._scale_index])
+        return spectrum, 1.0 if self._scale_index is None else float(physical[self._scale_index])
 
     def evaluate_with_covariance(
         self, state: np.ndarray, stage: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return what would be measured, shape (n,), and the covariance of the runs' noise."""
+        """Return the modelled measurement, shape (n,), and the covariance of simulation noise."""
         key = (state.tobytes(), stage)
         if key not in self._cache:
-            found, level = self.simulate(state, self.get_stage_stderr(stage), [], self.seed)
-            values = level * (self.operator @ found.reflectance.values)
-            groups = level * found.reflectance_batches.values @ self.operator.T
-            own = level * np.abs(self.operator) @ found.reflectance_stderr.values
-            covariance = groups.T @ groups
-            covariance += np.diag(np.maximum(own**2 - np.diag(covariance), 0.0))
+            spectrum, scale = self.simulate(state, self.get_stage_stderr(stage), [], self.seed)
+            values = scale * (self.operator @ spectrum.reflectance.values)
+            batches = scale * spectrum.reflectance_batches.values @ self.operator.T
+            stderr = scale * np.abs(self.operator) @ spectrum.reflectance_stderr.values
+            covariance = batches.T @ batches
+            covariance += np.diag(np.maximum(stderr**2 - np.diag(covariance), 0.0))
             self._cache[key] = values, covariance
         return self._cache[key]
 
     def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return what would be measured, shape (n,)."""
+        """Return the modelled measurement, shape (n,)."""
         return self.evaluate_with_covariance(state, stage)[0]
 
     def evaluate_last_stage(self, state: np.ndarray) -> np.ndarray:
-        """Return what would be measured, shape (n,), as exactly as runs say it."""
+        """Return the modelled measurement of the last stage, shape (n,)."""
         return self.evaluate(state, LAST_STAGE)
 
     def compute_jacobian(
         self, state: np.ndarray, stage: int, seed: int | None = None
     ) -> np.ndarray:
-        """Return its derivatives to the coordinates, shape (n, parameters)."""
+        """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
         error = max(self.get_stage_stderr(stage), MIN_JACOBIAN_STDERR)
-        found, level = self.simulate(state, error, self.axes, self.seed if seed is None else seed)
-        slopes = np.zeros((len(self.operator), len(self.state_vector.names)))
+        spectrum, scale = self.simulate(
+            state, error, self.axes, self.seed if seed is None else seed
+        )
+        jacobian = np.zeros((len(self.operator), len(self.state_vector.names)))
         per_unit = self._compute_coordinate_derivatives(state)
         for i, row in enumerate(self._axis_indices):
-            along = self.operator @ found.reflectance_jacobian.values[i]
-            slopes[:, row] = level * per_unit[row] * along
+            derivative = self.operator @ spectrum.reflectance_jacobian.values[i]
+            jacobian[:, row] = scale * per_unit[row] * derivative
         if self._scale_index is not None:
-            values = self.operator @ found.reflectance.values
-            slopes[:, self._scale_index] = (
+            values = self.operator @ spectrum.reflectance.values
+            jacobian[:, self._scale_index] = (
                 values * (self.state_vector.high - self.state_vector.low)[self._scale_index]
             )
-        return slopes
+        return jacobian
 
     def _compute_coordinate_derivatives(self, state: np.ndarray) -> np.ndarray:
-        """Return how fast parameters change with their coordinates."""
+        """Return the derivatives of parameters with respect to their coordinates."""
         step = 1e-6
         low, high = np.clip(state - step, 0.0, 1.0), np.clip(state + step, 0.0, 1.0)
         rate: np.ndarray = (
@@ -201,99 +205,117 @@ class SimulationForwardModel:
         return rate
 
     def _make_objective(self, state: np.ndarray, stage: int) -> Objective:
-        """Return what counts near a place: noise of the measurement, and of the runs."""
+        """Return the objective near a state, with noise of measurement and simulations."""
         if not self.measurement.noise_known:
             return Objective.least_squares(self.measurement.values, self.state_vector)
         covariance = self.measurement.covariance + self.evaluate_with_covariance(state, stage)[1]
         return Objective(self.measurement.values, np.linalg.cholesky(covariance), self.state_vector)
 
     def find_minima(self) -> ConvergedRuns:
-        """Return where the descents end, and Jacobians at the best."""
+        """Return the minima of the descents, and Jacobians at the best one."""
         qmc = import_optional("scipy.stats", "retrieval", "retrievals need").qmc
 
-        free = self.state_vector
-        places = qmc.Sobol(len(free.names), seed=self.seed).random(N_SURVEY)
-        known = np.isfinite(free.prior_sd)
-        places[:, known] = free.prior_mean[known] + (places[:, known] - 0.5) * free.prior_sd[known]
-        best, *others = search_minima(
-            self, self._make_objective, np.clip(places, 0.02, 0.98), DESCENT_STAGES
+        state_vector = self.state_vector
+        survey_states = qmc.Sobol(len(state_vector.names), seed=self.seed).random(N_SURVEY)
+        has_prior = np.isfinite(state_vector.prior_sd)
+        survey_states[:, has_prior] = (
+            state_vector.prior_mean[has_prior]
+            + (survey_states[:, has_prior] - 0.5) * state_vector.prior_sd[has_prior]
+        )
+        best, *other_minima = search_minima(
+            self, self._make_objective, np.clip(survey_states, 0.02, 0.98), DESCENT_STAGES
         )[-1]
-        ends = [best] + [
-            end for end in others if np.abs(end.state - best.state).max() > MIN_SEPARATION
+        minima = [best] + [
+            minimum
+            for minimum in other_minima
+            if np.abs(minimum.state - best.state).max() > MIN_SEPARATION
         ]
-        values, own = self.evaluate_with_covariance(best.state, LAST_STAGE)
-        least, most = N_JACOBIANS_RANGE
+        values, noise_covariance = self.evaluate_with_covariance(best.state, LAST_STAGE)
+        min_jacobians, max_jacobians = N_JACOBIANS_RANGE
         jacobians = [
-            self.compute_jacobian(best.state, LAST_STAGE, self.seed + 1 + n) for n in range(least)
+            self.compute_jacobian(best.state, LAST_STAGE, self.seed + 1 + number)
+            for number in range(min_jacobians)
         ]
-        while self.measurement.noise_known and len(jacobians) < most:
-            if not is_jacobian_noisy(jacobians, self.measurement.covariance + own):
+        while self.measurement.noise_known and len(jacobians) < max_jacobians:
+            if not is_jacobian_noisy(jacobians, self.measurement.covariance + noise_covariance):
                 break
             seed = self.seed + 1 + len(jacobians)
             jacobians.append(self.compute_jacobian(best.state, LAST_STAGE, seed))
-        return ConvergedRuns(ends, values, own, jacobians)
+        return ConvergedRuns(minima, values, noise_covariance, jacobians)
 
 
 class ProgressTracker:
-    """How far a retrieval has got, as far as the runs so far tell.
+    """Progress of a retrieval over all of its simulations.
 
     Parameters
     ----------
     report : callable, optional
     max_stderr : float
-        Of the last runs.
-    parameters : int
+        Final standard error.
+    n_parameters : int
     """
 
     def __init__(self, report: ProgressCallback, max_stderr: float, n_parameters: int) -> None:
         self.report, self.max_stderr = report, max_stderr
-        fine, slopes = (
+        final_cost, jacobian_cost = (
             _estimate_cost(max_stderr),
             _count_runs(n_parameters) * _estimate_cost(max(max_stderr, MIN_JACOBIAN_STDERR)),
         )
-        # Each descent takes slopes about twice, then a few steps; last ones mostly begin at the
-        # end.  Then come Jacobians, and runs that tell how far light is off a straight line.
-        rough = N_SURVEY + DESCENT_STAGES[0].n_starts * 2 * (2 + _count_runs(n_parameters))
-        last = DESCENT_STAGES[1].n_starts * (4 * fine + slopes)
+        # Each descent needs about two Jacobians and a few steps; descents of the last stage mostly
+        # start at the minimum.  Jacobians for errors and the test of linearity follow.
+        survey_cost = N_SURVEY + DESCENT_STAGES[0].n_starts * 2 * (2 + _count_runs(n_parameters))
+        last_stage_cost = DESCENT_STAGES[1].n_starts * (4 * final_cost + jacobian_cost)
         self.total_cost = (
-            rough + last + float(np.mean(N_JACOBIANS_RANGE)) * slopes + 2 * n_parameters * fine
+            survey_cost
+            + last_stage_cost
+            + float(np.mean(N_JACOBIANS_RANGE)) * jacobian_cost
+            + 2 * n_parameters * final_cost
         )
         self.spent_cost, self.start_time = 0.0, time.perf_counter()
 
     def track_run(self, max_stderr: float, n_runs: int) -> ProgressCallback:
-        """Return what receives the progress of so many runs of an error."""
+        """Return the callback for the progress of several simulations with an error."""
         if not callable(self.report):
             return None
-        cost, before, report = n_runs * _estimate_cost(max_stderr), self.spent_cost, self.report
+        cost, report = n_runs * _estimate_cost(max_stderr), self.report
+        previous_cost = self.spent_cost
         self.spent_cost += cost
 
-        def show(one: Progress) -> None:
-            spent = time.perf_counter() - self.start_time
-            done = before + one.fraction_done * cost
-            left = (
-                max(self.total_cost - done, 0.0) * spent / done if done > 0.0 else one.seconds_left
+        def show(progress: Progress) -> None:
+            elapsed = time.perf_counter() - self.start_time
+            done = previous_cost + progress.fraction_done * cost
+            seconds_left = (
+                max(self.total_cost - done, 0.0) * elapsed / done
+                if done > 0.0
+                else progress.seconds_left
             )
             report(
-                Progress(one.rays, one.stderr, self.max_stderr, spent, max(left, one.seconds_left))
+                Progress(
+                    progress.rays,
+                    progress.stderr,
+                    self.max_stderr,
+                    elapsed,
+                    max(seconds_left, progress.seconds_left),
+                )
             )
 
         return show
 
 
 def _count_runs(n_parameters: int) -> int:
-    """Return how many runs a spectrum and its derivatives take, at most as a rule."""
+    """Return the typical number of simulations for a spectrum and its derivatives."""
     return 1 + 5 * n_parameters
 
 
 def _estimate_cost(max_stderr: float) -> float:
-    """Return what a run of an error costs, in rough ones."""
+    """Return the cost of a simulation with an error, in units of those of the survey."""
     return (SURVEY_STDERR / max_stderr) ** 2
 
 
 def select_simulation_wavelengths(measurement: Measurement) -> np.ndarray:
-    """Return the wavelengths (nm) to run: those measured, or some across all bands."""
+    """Return the wavelengths (nm) to simulate: those measured, or a grid across all bands."""
     if not measurement.bands:
         return np.unique(measurement.wavelength_nm)
-    ends = np.array([band.limits_nm for band in measurement.bands.values()])
-    low, high = float(ends.min()), float(ends.max())
+    limits = np.array([band.limits_nm for band in measurement.bands.values()])
+    low, high = float(limits.min()), float(limits.max())
     return np.linspace(low, high, 1 + int(np.ceil((high - low) / BAND_STEP_NM)))

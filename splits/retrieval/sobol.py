@@ -1,7 +1,7 @@
-"""Which parameter a spectrum tells of at which wavelength: Sobol indices over a table.
+"""Sobol sensitivity indices of parameters at all wavelengths of a table.
 
-The first-order index is the share of the variance of reflectance that a parameter makes by itself,
-the total one the share that would be left if all others were known.
+The first-order index is the fraction of the variance of reflectance due to one parameter alone; the
+total index is the fraction that remains if all other parameters are known.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from splits.simulation.attributes import make_wavelength_coordinate
 from splits.tables.table import Table
 
 N_REPEATS = 16
-"""Independent estimates, from whose scatter the errors are."""
+"""Number of independent estimates, whose scatter gives the errors."""
 MIN_STANDARD_DEVIATION = 1e-6
-"""Standard deviation of a reflectance below which nothing makes it vary."""
+"""Standard deviation of reflectance below which it counts as constant."""
 
 
 @reject_unknown_arguments
@@ -41,20 +41,20 @@ def sobol_indices(
 ) -> xr.Dataset:
     """Return first-order and total Sobol indices of parameters at all wavelengths of a table.
 
-    Parameters are taken as independent and even in the coordinate in which light changes evenly:
-    the logarithm of a size, the root of an amount from 0 on, over their ranges.
+    Parameters are independent and uniform over their ranges, in the coordinate in which reflectance
+    is closest to linear: the logarithm of a size, the square root of an amount from 0 on.
 
     Parameters
     ----------
-    table : MethodTable
+    table : Table
     free : sequence of str or mapping
         Axes of the table that vary, at least two, or their (low, high) by name.
     fixed : mapping
         Values of the other axes.
     quantity : str
-        Of the table.
+        Quantity of the table.
     points : int
-        Of each of 16 independent estimates: a power of 2, 64 to 65 536.
+        Points of each of the 16 independent estimates: a power of 2, 64 to 65 536.
     seed : int
 
     Returns
@@ -80,44 +80,44 @@ def sobol_indices(
     points, seed = check_integer("points", points, 64, 65_536), check_integer("seed", seed, 0)
     if points & (points - 1):
         raise invalid("points", points, "a power of 2")
-    which = StateVector.from_ranges(free, None, get_table_ranges(table))
-    if len(which.names) < 2 or SCALE in which.names:
-        raise invalid("free", list(which.names), "two axes of the table or more")
-    w = table.dataset.wavelength.values
-    plain = Measurement.from_input((w, np.full(w.size, 0.5)), 0.01)
-    model = TableForwardModel(table, plain, which, fixed, quantity)
-    shares = _estimate_variance_fractions(model, points, seed)
+    state_vector = StateVector.from_ranges(free, None, get_table_ranges(table))
+    if len(state_vector.names) < 2 or SCALE in state_vector.names:
+        raise invalid("free", list(state_vector.names), "two axes of the table or more")
+    wavelength = table.dataset.wavelength.values
+    measurement = Measurement.from_input((wavelength, np.full(wavelength.size, 0.5)), 0.01)
+    model = TableForwardModel(table, measurement, state_vector, fixed, quantity)
+    fractions = _estimate_variance_fractions(model, points, seed)
     variables: dict[str, Any] = {}
     for name, label, rows in (
-        ("first_order", "first-order Sobol index", shares.first_order),
-        ("total", "total Sobol index", shares.total),
-        ("first_order_sum", "sum of first-order Sobol indices", shares.first_order.sum(axis=1)),
+        ("first_order", "first-order Sobol index", fractions.first_order),
+        ("total", "total Sobol index", fractions.total),
+        ("first_order_sum", "sum of first-order Sobol indices", fractions.first_order.sum(axis=1)),
     ):
         dims = ("parameter", "wavelength") if rows.ndim == 3 else ("wavelength",)
         error = rows.std(axis=0, ddof=1) / np.sqrt(N_REPEATS)
         variables |= with_error(name, dims, rows.mean(axis=0), error, label)
     long_name = f"standard deviation of {quantity}"
     variables |= with_error(
-        "standard_deviation", "wavelength", shares.standard_deviation, None, long_name
+        "standard_deviation", "wavelength", fractions.standard_deviation, None, long_name
     )
     axes = {
-        "parameter": ("parameter", list(which.names), {"long_name": "parameter"}),
-        "low": ("parameter", which.low, {"long_name": "low end of its range"}),
-        "high": ("parameter", which.high, {"long_name": "high end of its range"}),
-        "wavelength": make_wavelength_coordinate(w),
+        "parameter": ("parameter", list(state_vector.names), {"long_name": "parameter"}),
+        "low": ("parameter", state_vector.low, {"long_name": "low end of its range"}),
+        "high": ("parameter", state_vector.high, {"long_name": "high end of its range"}),
+        "wavelength": make_wavelength_coordinate(wavelength),
     }
-    facts = {"title": "Sobol indices", "points": points, "repeats": N_REPEATS, "seed": seed}
+    attributes = {"title": "Sobol indices", "points": points, "repeats": N_REPEATS, "seed": seed}
     return xr.Dataset(
-        variables, axes, to_netcdf_attributes({**facts, **make_provenance("Sobol indices")})
+        variables, axes, to_netcdf_attributes({**attributes, **make_provenance("Sobol indices")})
     )
 
 
 class _VarianceFractions(NamedTuple):
-    """Independent estimates of shares of the variance, and its root.
+    """Independent estimates of the fractions of variance, and the standard deviation.
 
     Attributes
     ----------
-    first_order, total : float, shape (REPEATS, parameters, wavelengths)
+    first_order, total : float, shape (N_REPEATS, parameters, wavelengths)
     standard_deviation : float, shape (wavelengths,)
     """
 
@@ -129,24 +129,26 @@ class _VarianceFractions(NamedTuple):
 def _estimate_variance_fractions(
     model: TableForwardModel, points: int, seed: int
 ) -> _VarianceFractions:
-    """Return the shares of the variance, 0 where nothing varies."""
+    """Return the fractions of variance, 0 where reflectance is constant."""
     stats = import_optional("scipy.stats", "retrieval", "Sobol indices need")
-    many, count = len(model.state_vector.names), model.node_values.shape[1]
-    varying = model.node_values.std(axis=0) > MIN_STANDARD_DEVIATION
-    first, total = np.zeros((2, N_REPEATS, many, count))
-    spread = np.zeros(count)
-    if not varying.any():
-        return _VarianceFractions(first, total, spread)
+    n_parameters, n_wavelengths = len(model.state_vector.names), model.node_values.shape[1]
+    is_varying = model.node_values.std(axis=0) > MIN_STANDARD_DEVIATION
+    first_order, total = np.zeros((2, N_REPEATS, n_parameters, n_wavelengths))
+    standard_deviation = np.zeros(n_wavelengths)
+    if not is_varying.any():
+        return _VarianceFractions(first_order, total, standard_deviation)
 
-    def look(places: np.ndarray) -> np.ndarray:
-        found: np.ndarray = model.evaluate(np.ascontiguousarray(places.T))[:, varying].T
-        return found
+    def evaluate(states: np.ndarray) -> np.ndarray:
+        modelled: np.ndarray = model.evaluate(np.ascontiguousarray(states.T))[:, is_varying].T
+        return modelled
 
     for number in range(N_REPEATS):
         random = np.random.default_rng([seed, number])
-        found = stats.sobol_indices(func=look, n=points, dists=[stats.uniform()] * many, rng=random)
-        first[number][:, varying] = np.reshape(found.first_order, (-1, many)).T
-        total[number][:, varying] = np.reshape(found.total_order, (-1, many)).T
-    places = np.random.default_rng(seed).random((many, 4 * points))
-    spread[varying] = look(places).std(axis=1)
-    return _VarianceFractions(first, total, spread)
+        modelled = stats.sobol_indices(
+            func=evaluate, n=points, dists=[stats.uniform()] * n_parameters, rng=random
+        )
+        first_order[number][:, is_varying] = np.reshape(modelled.first_order, (-1, n_parameters)).T
+        total[number][:, is_varying] = np.reshape(modelled.total_order, (-1, n_parameters)).T
+    states = np.random.default_rng(seed).random((n_parameters, 4 * points))
+    standard_deviation[is_varying] = evaluate(states).std(axis=1)
+    return _VarianceFractions(first_order, total, standard_deviation)

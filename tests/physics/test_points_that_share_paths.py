@@ -47,7 +47,7 @@ def together():
 
 def test_paths_are_traced_once_for_each_incidence(together):
     found, lines = together
-    assert lines[0] == "deep: 2 ensembles of paths serve 8 points"
+    assert lines[0] == "deep: 2 sets of paths for 8 points"
     served = found.rays.values
     assert (served == served[0, :, 0][np.newaxis, :, np.newaxis]).all()
     assert found.attrs["rays"] == served[0, :, 0].sum()

@@ -1,4 +1,4 @@
-"""Verdicts on published and measured numbers, from data made by hand."""
+"""Verdicts on published and measured numbers, for synthetic data."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from splits.analysis.measured import (
     compute_measured_rmse,
     compute_rmse,
     read_measured,
+    read_published,
 )
-from splits.experiments.papers.agreement import _compare_with_published, read_published
+from splits.experiments.papers.agreement import _compare_with_published
 from splits.experiments.papers.paper_tables import write_table
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -66,7 +67,7 @@ def test_a_number_whose_error_reaches_over_its_bar_has_no_verdict(published, nam
     assert row["verdict"] == "not resolved at this accuracy"
 
 
-def test_bars_are_told_as_they_are_applied(published):
+def test_tolerances_are_stated_as_they_are_applied(published):
     bars = {
         name: _compare_with_published(name, row, (1.0, 0.0))["bar"]
         for name, row in published.iterrows()
@@ -77,7 +78,7 @@ def test_bars_are_told_as_they_are_applied(published):
     assert bars["at_most"] == "at most 6"
 
 
-def test_a_number_without_a_counterpart_is_said_to_be_so(published):
+def test_a_number_without_a_counterpart_is_not_reproducible(published):
     row = _compare_with_published("absolute", published.loc["absolute"], None)
     assert row["verdict"].startswith("not reproducible")
     assert "ours" not in row
@@ -106,7 +107,7 @@ def test_rmse_of_independent_errors_scatters_as_stated():
     assert off / np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.05)
 
 
-def test_rmse_of_errors_that_go_together_is_bounded():
+def test_rmse_of_correlated_errors_is_bounded():
     stderr = np.array([0.01, 0.01])
     value, error = compute_rmse([0.03, -0.03], stderr, lambda weights: float(weights @ stderr))
     assert value == pytest.approx(0.03)
@@ -119,7 +120,7 @@ def test_rmse_of_errors_that_go_together_is_bounded():
     assert compute_rmse([0.01, 0.0], stderr, lambda _: 9.0)[1] == pytest.approx(0.01)
 
 
-def test_rmse_to_a_measured_spectrum_knows_what_goes_together():
+def test_rmse_to_a_measured_spectrum_includes_correlations():
     groups = np.array([[0.003, 0.003], [0.004, 0.004]])
     dataset = xr.Dataset(
         {
@@ -137,7 +138,7 @@ def test_rmse_to_a_measured_spectrum_knows_what_goes_together():
     assert apart < 0.001
 
 
-def test_bands_hold_model_against_measurement():
+def test_bands_compare_model_with_measurement():
     dataset = xr.Dataset(
         {
             "reflectance": ("wavelength", [0.9, 0.5]),
@@ -180,7 +181,7 @@ def test_letcher_mixes_beam_and_diffuse_light():
 
 
 @pytest.mark.parametrize("name", ["aviris_ng_varsa2021", "snow_albedo_letcher2022"])
-def test_shipped_measurements_are_shares_of_light_over_wavelength(name):
+def test_shipped_measurements_are_fractions_over_wavelength(name):
     path = CONFIG / "measured" / f"{name}.csv"
     table = read_measured(path)
     assert path.read_text(encoding="utf-8").startswith("#"), "the citation comes first"

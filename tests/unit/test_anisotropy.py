@@ -1,4 +1,4 @@
-"""Modelled beside measured directions."""
+"""Comparison of modelled and measured directions."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ INVALID_CALLS = {
 
 
 @pytest.mark.parametrize("name", INVALID_CALLS)
-def test_tables_that_do_not_go_with_the_model_are_refused(name):
+def test_tables_that_do_not_match_the_model_are_rejected(name):
     table, message = INVALID_CALLS[name]
     with pytest.raises(InvalidValue, match=message):
         compare_with_measured(dataset(), table)

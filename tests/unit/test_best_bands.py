@@ -1,4 +1,4 @@
-"""The choice of bands: information by the textbook's formula, and what is chosen."""
+"""Selection of bands: information by the textbook formula, and the selected bands."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_information_is_that_of_all_bands_together():
     assert set(found.band.values[:2]) == {"500 nm", "1500 nm"}
 
 
-def test_more_bands_tell_more_but_less_each():
+def test_more_bands_add_decreasing_information():
     found = splits.select_bands(
         make_snowlike_table(), W, [SIZE, SOOT], 0.01, n_bands=4, fixed=FIXED
     )
@@ -58,7 +58,7 @@ INVALID_CALLS = {
 
 
 @pytest.mark.parametrize("name", INVALID_CALLS)
-def test_bad_input_is_refused(name):
+def test_bad_input_is_rejected(name):
     other, message = INVALID_CALLS[name]
     given = {
         "table": make_snowlike_table(),

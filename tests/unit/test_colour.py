@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from splits.analysis.colour import compute_tristimulus, make_colour_table, to_cielab, to_srgb
-from splits.plotting import draw_swatches
+from splits.plotting import colour
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
 
@@ -56,10 +56,10 @@ def test_a_spectrum_that_leaves_out_visible_light_has_no_colour():
             compute_tristimulus(np.array(x), np.full(len(x), 0.5))
 
 
-def test_swatches_show_every_point_and_refuse_three_parameters():
+def test_swatches_show_every_point_and_reject_three_parameters():
     figure = draw_swatches(dataset([0.3, 0.1]))
     texts = [t.get_text() for t in figure.axes[0].texts]
     assert len(texts) == 2 and all("L*" in t for t in texts)
     deep = dataset([0.3, 0.1]).expand_dims(x=[1, 2], y=[1, 2])
     with pytest.raises(ValueError, match="one or two parameters"):
-        draw_swatches(deep)
+        colour(deep)

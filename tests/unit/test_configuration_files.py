@@ -1,4 +1,4 @@
-"""Configuration files: one message with file, key, value and what is allowed."""
+"""Configuration files: messages with file, key, value and allowed values."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def write_file(folder, name, text=""):
 
 
 @pytest.mark.parametrize(("text", "message"), INVALID_FILES)
-def test_bad_files_are_refused_with_file_key_and_value(tmp_path, text, message):
+def test_bad_files_are_rejected_with_file_key_and_value(tmp_path, text, message):
     path = write_file(tmp_path, "wrong", text)
     with pytest.raises(ConfigError, match=message) as caught:
         load_experiment(path, MEDIA)
@@ -54,7 +54,7 @@ def test_bad_files_are_refused_with_file_key_and_value(tmp_path, text, message):
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_not_text_is_refused(tmp_path):
+def test_files_that_are_not_text_are_rejected(tmp_path):
     path = tmp_path / "binary.yaml"
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="not YAML"):
@@ -63,7 +63,7 @@ def test_what_is_not_text_is_refused(tmp_path):
         read_yaml(tmp_path / "missing.yaml")
 
 
-def test_the_file_gives_the_name_unless_it_says_another(tmp_path):
+def test_the_name_defaults_to_that_of_the_file(tmp_path):
     assert load_experiment(write_file(tmp_path, "plain", "title: T")).name == "plain"
     assert load_experiment(write_file(tmp_path, "Any name!", "name: other")).name == "other"
 
@@ -81,7 +81,7 @@ def test_folders_are_searched_all_the_way_down(tmp_path):
     assert sorted(load_experiments(tmp_path)) == ["one", "two"]
 
 
-def test_a_name_used_twice_is_refused_with_both_files(tmp_path):
+def test_a_name_used_twice_is_rejected_with_both_files(tmp_path):
     first, second = write_file(tmp_path, "a", "name: same"), write_file(tmp_path, "b", "name: same")
     with pytest.raises(ConfigError, match="name = 'same': already taken") as caught:
         load_experiments(tmp_path)
@@ -89,7 +89,7 @@ def test_a_name_used_twice_is_refused_with_both_files(tmp_path):
     assert str(second) in str(caught.value)
 
 
-def test_an_empty_folder_is_refused(tmp_path):
+def test_an_empty_folder_is_rejected(tmp_path):
     with pytest.raises(ConfigError, match="no experiment file"):
         load_experiments(tmp_path)
 
@@ -106,7 +106,7 @@ def test_an_empty_folder_is_refused(tmp_path):
         ({"results": None}, "results = None"),
     ],
 )
-def test_bad_settings_are_refused(change, message):
+def test_bad_settings_are_rejected(change, message):
     with pytest.raises(ConfigError, match=f"^config/config.yaml: .*{message}"):
         load_settings({**SETTINGS, **change})
 
@@ -145,7 +145,7 @@ def test_a_grid_may_hold_whole_media(tmp_path):
         ("medium: {kind: sand, iron_oxide: 0.2}", r"iron_oxide = 0\.2.*at most 0\.05"),
     ],
 )
-def test_bad_media_of_a_grid_are_refused(tmp_path, text, message):
+def test_bad_media_of_a_grid_are_rejected(tmp_path, text, message):
     path = write_file(tmp_path, "wrong", f"{text}\ninstrument: {{wavelength_nm: [500]}}")
     with pytest.raises(ConfigError, match=message):
         load_experiment(path, MEDIA)
@@ -166,7 +166,7 @@ def test_bad_media_of_a_grid_are_refused(tmp_path, text, message):
          "brdf for a figure of lobes"),
     ],
 )  # fmt: skip
-def test_figures_that_cannot_be_drawn_are_refused(tmp_path, text, message):
+def test_figures_that_cannot_be_drawn_are_rejected(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message):
         load_experiment(write_file(tmp_path, "wrong", text), MEDIA)
 

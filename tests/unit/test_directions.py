@@ -1,4 +1,4 @@
-"""Polynomials over the hemisphere, sums over exits, and cuts through results."""
+"""Polynomials over the hemisphere, sums over exits, and principal planes."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_rays_are_summed_by_side_order_and_wavelength():
         assert not sums[j, 1 - side].any()
 
 
-def test_cells_are_of_equal_solid_angle_and_the_first_lies_ahead():
+def test_bins_have_equal_solid_angles_and_the_first_is_forward():
     rows = make_exit_rows(UP, SIDES, ORDERS, LENGTHS)
     sums, straight = tally_angular_bins(rows, ABSORPTION, 5, 8, -1)
     passed = np.array([1.0, np.exp(-1.0)])
@@ -146,7 +146,7 @@ def test_noise_is_not_taken_for_structure():
     assert max(kept) < 40
 
 
-def test_what_stands_out_is_kept_and_a_normal_beam_has_no_azimuth():
+def test_significant_terms_are_kept_and_a_normal_beam_has_no_azimuth():
     basis = make_basis(DEGREE)
     signal = np.zeros(basis.norms.size)
     rows = {(m, i): row for row, (m, i) in enumerate(list_pairs(basis))}
@@ -182,7 +182,7 @@ def test_the_principal_plane_runs_from_back_to_forward():
         select_principal_plane(dataset.isel(azimuth=[0, 1]))
 
 
-def test_merged_cells_hold_the_light_of_their_parts():
+def test_merged_bins_have_the_light_of_their_parts():
     polar, azimuth = compute_bin_centres((6, 12))
     dataset = evaluate_brdf(polar, azimuth)
     merged = merge_angular_bins(dataset, 3)

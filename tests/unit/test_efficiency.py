@@ -59,7 +59,7 @@ def make_spectrum(shift=0.0, stderr=0.001, wavelength=(500.0, 1000.0, 1500.0)):
     return xr.Dataset(variables, {"wavelength": list(wavelength)})
 
 
-def test_time_goes_with_the_square_of_the_error():
+def test_time_is_inversely_proportional_to_the_square_of_the_error():
     seconds, rays = np.array([1.0, 0.1]), np.array([1000.0, 4000.0])
     stderr = np.array([0.004, 0.002])
     # At 0.002 the first needs 4000 rays at 1 ms, the second 4000 at 25 µs.
@@ -147,7 +147,7 @@ def test_repeated_runs_count_by_their_largest_or_their_mean_square():
     assert performance.combine_runs([]) == {}
 
 
-def test_figure_has_a_panel_per_medium_and_opens_what_is_scaled(table):
+def test_figure_has_a_panel_per_medium_and_open_markers_for_scaled_times(table):
     both = pd.concat([table, table.assign(medium="sand")])
     figure = draw_speed_against_error(both)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) snow", "(b) sand"]

@@ -92,7 +92,7 @@ def test_labels_of_ones_own():
     assert [medium.grain_size_um for _, medium, _ in made] == [(50, 100), (500, 1000)]
 
 
-def test_readings_on_a_grid_add_to_those_of_the_medium():
+def test_interpretations_on_a_grid_are_merged_into_those_of_the_medium():
     ((_, medium, _),) = points(
         medium={"interpretation": {"entry_point": "projected"}},
         grid={"interpretation": {"any": {"facet_sampling": "any"}}},
@@ -129,7 +129,7 @@ def test_readings_on_a_grid_add_to_those_of_the_medium():
         ({"figure": {"quantity": "colour"}}, "colour"),
     ],
 )
-def test_what_cannot_be_run_is_refused(content, message):
+def test_invalid_simulations_are_rejected(content, message):
     with pytest.raises(ValueError, match=message):
         ExperimentConfig(name="made", **content)
 
@@ -161,7 +161,7 @@ def test_words_and_figures_do_not_decide_the_numbers():
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_what_a_workflow_hands_on_is_the_same_experiment(name):
+def test_dumped_simulations_are_the_same_experiment(name):
     experiment = SHIPPED[name]
     handed = ExperimentConfig.model_validate(experiment.dump_simulation())
     assert handed.dump_simulation() == experiment.dump_simulation()

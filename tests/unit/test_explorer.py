@@ -1,4 +1,4 @@
-"""The explorer: what it refuses, and that a browser reads the same from it as Python does."""
+"""The explorer: validation, and agreement of the browser with Python."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def written(tmp_path_factory):
     return path
 
 
-def test_the_page_is_one_file_that_asks_nobody(written):
+def test_the_page_is_one_file_without_network_access(written):
     text = written.read_text(encoding="utf-8")
     assert len(text) < page.MAX_PAGE_BYTES
     assert "{{" not in text
@@ -142,7 +142,7 @@ def test_a_browser_shows_words_as_they_are(tmp_path):
 
 @NEEDS_BROWSER
 @pytest.mark.parametrize(("size", "beam"), [(60.0, 0.0), (277.0, 25.0), (1830.0, 69.0)])
-def test_a_browser_shows_where_light_goes(written, tmp_path, size, beam):
+def test_a_browser_shows_directions(written, tmp_path, size, beam):
     text = render_page(written, tmp_path, 0, (size, beam, 0.0, 0.0))
     found = read_numbers(text, "factors").reshape(17, 19)
     # The wavelength that is read at first, 620 nm, is nearer to 450 than to 1030.
@@ -156,11 +156,11 @@ def test_a_browser_shows_where_light_goes(written, tmp_path, size, beam):
         optical_radius_um=np.log(min(size, 960.0)), incidence_deg=-np.cos(np.radians(min(beam, 60)))
     )
     np.testing.assert_allclose(found, np.exp(expected.values), rtol=0.0, atol=2e-5)
-    assert "2 % of it typically, 4 % at most" in text
+    assert "2 % typically, 4 % at most" in text
     assert ("nearest of 60 to 960" in text) == (size > 960.0)
 
 
-def test_directions_over_other_axes_are_refused(tmp_path):
+def test_directions_over_other_axes_are_rejected(tmp_path):
     few = table().dataset.isel(incidence_deg=[0, 1]).rename(incidence_deg="saturation_2")
     some = np.array([0.0, 10.0, 40.0, 80.0])
     for given, where, line in (
@@ -173,7 +173,7 @@ def test_directions_over_other_axes_are_refused(tmp_path):
             write_explorer({"a": ExplorerTable(given, "a.nc", "", where)}, tmp_path / "a.html")
 
 
-def test_what_reading_between_directions_misses_is_said():
+def test_the_interpolation_error_of_directions_is_stated():
     even = directions()
     even["reflectance_factor"] = np.exp(even.reflectance_factor)
     even["reflectance_factor_stderr"] = 0.02 * even.reflectance_factor
@@ -200,7 +200,7 @@ def test_colours_are_those_of_the_analysis():
     assert compute_colour_weights(w)[1].sum() == pytest.approx(1.0)
 
 
-def test_what_a_page_cannot_show_is_refused(tmp_path, monkeypatch):
+def test_invalid_tables_of_a_page_are_rejected(tmp_path, monkeypatch):
     texts = table().dataset.assign_coords(saturation=["dry", "wet"])
     with pytest.raises(
         InvalidValue, match=r"^explorer = 'saturation': must be an axis of at least two"

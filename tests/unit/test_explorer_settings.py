@@ -1,4 +1,4 @@
-"""What the main configuration says of the explorer: refused where the page could not show it."""
+"""Settings of the explorer in the main configuration: validation."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_tables_and_directions_are_taken(available):
         ({"explorer": {"snow": "texts"}}, ".*its axis ground must have at least two numbers"),
         (
             {"explorer": {"snow": "deep"}, "explorer_directions": {"sand": "where"}},
-            r"explorer_directions.sand = 'where': no table is called so",
+            r"explorer_directions.sand = 'where': must have the name of a table",
         ),
         (
             {"explorer": {"snow": "deep"}, "explorer_directions": {"snow": "elsewhere"}},
@@ -82,6 +82,6 @@ def test_tables_and_directions_are_taken(available):
         ),
     ],
 )
-def test_what_the_page_could_not_show_is_refused(available, given, line):
+def test_invalid_experiments_of_the_page_are_rejected(available, given, line):
     with pytest.raises(ConfigError, match=f"^{line}"):
         chosen(available, **given)

@@ -1,4 +1,4 @@
-"""Which point of a grid a figure shows: the one named, or none."""
+"""Selection of the point of a grid in a figure."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_text_is_a_label_and_a_number_a_value(values, given, label):
 
 
 @pytest.mark.parametrize("given", [0.5, 0.999999999, "1.0", "moist", 0.09999])
-def test_what_is_not_on_the_grid_is_refused(given):
+def test_values_outside_the_grid_are_rejected(given):
     with pytest.raises(
         ValueError, match=r"figure\.select\.saturation = .*: must be one of 0\.1, 1"
     ):
@@ -91,6 +91,6 @@ def test_start_stop_and_step_are_evenly_spaced_values():
     assert label_grid({"medium": media}) == {"medium": media}
 
 
-def test_two_labels_of_one_number_are_refused():
+def test_two_labels_of_one_number_are_rejected():
     with pytest.raises(ValueError, match=r"grid\.saturation = .*: must be different values"):
         label_grid({"saturation": {"a": 0.1, "b": 0.1}})

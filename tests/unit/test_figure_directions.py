@@ -1,4 +1,4 @@
-"""Figures of directions: halves, beams, gaps, nothing to see, surfaces."""
+"""Figures of directions: half circles, beams, gaps, no light, surfaces."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_several_beams_have_the_colours_of_their_lines():
     assert [b.get_color() for b in (one, two, three)] == [c.get_color() for c in flat.lines]
 
 
-def test_transmitted_light_goes_down():
+def test_transmitted_light_points_down():
     up, down = draw_principal_planes(make_dataset(**PLANE), ["brdf", "btdf"]).axes[::2]
     for polar, sign in ((up, 1.0), (down, -1.0)):
         angle, radius = polar.lines[0].get_data()
@@ -107,7 +107,7 @@ def test_where_nothing_is_transmitted_the_panels_say_so():
 CELLS = np.degrees(np.arccos((np.arange(18) + 0.5) / 18.0))[::-1]
 
 
-def test_lines_of_cells_do_not_cross_the_zenith():
+def test_lines_of_bins_do_not_cross_the_zenith():
     made = make_dataset(polar=CELLS, estimator="bins", **PLANE)
     for figure in (draw_principal_planes(made), draw_polarization(made)):
         for axes in figure.axes:
@@ -133,7 +133,7 @@ def test_collectors_do_not_cross_the_zenith_and_the_finest_lie_below():
     assert order == sorted(order, reverse=True), "large cells come first and lie on top"
 
 
-def test_a_cell_at_the_zenith_leaves_no_gap():
+def test_a_bin_at_the_zenith_leaves_no_gap():
     line = draw_principal_planes(make_dataset(estimator="bins")).axes[1].lines[0]
     assert np.isfinite(line.get_ydata()).all()
 
@@ -160,7 +160,7 @@ def test_titles_of_lobes_do_not_overlap():
     assert all(box.x0 >= 0.0 and box.x1 <= figure.bbox.x1 for box in boxes)
 
 
-def test_degrees_of_polarization_are_left_out_in_the_dark():
+def test_degrees_of_polarization_need_light():
     made = make_dataset()
     made["brdf"] = made.brdf.where(made.polar < 60.0, 0.0)
     right = draw_polarization(made).axes[1]
@@ -207,7 +207,7 @@ def test_maps_have_one_scale_and_the_directions_of_the_beam(count):
     assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
 
 
-def test_a_map_shows_what_goes_forward_on_the_right():
+def test_a_map_shows_forward_directions_on_the_right():
     mesh = list_map_axes(draw_hemispheres(make_dataset()))[0].collections[0]
     around = mesh.get_coordinates()[..., 0]
     middle = 0.5 * (around[1:, 1:] + around[1:, :-1])
@@ -215,7 +215,7 @@ def test_a_map_shows_what_goes_forward_on_the_right():
     assert values[np.cos(middle) > 0.5].mean() > values[np.cos(middle) < -0.5].mean()
 
 
-def test_light_of_a_reading_is_shown_as_shifts_from_the_default():
+def test_light_of_an_interpretation_is_shown_as_shifts_from_the_default():
     made = make_dataset({"interpretation": ["a", "default", "b"]})
     made["brdf"] = made.brdf + xr.DataArray([0.1, 0.0, -0.1], dims="interpretation")
     figure = draw_principal_planes(made)

@@ -1,4 +1,4 @@
-"""Figures as files and in notebooks: same data, same bytes; pyplot is left alone."""
+"""Figure files and notebooks: reproducible bytes, and independence of pyplot."""
 
 from __future__ import annotations
 

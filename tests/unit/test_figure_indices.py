@@ -22,7 +22,7 @@ def list_legend_labels(materials):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-def test_a_material_that_layers_share_is_shown_once():
+def test_a_material_common_to_layers_is_shown_once():
     stack = {
         "layers.0.air": 1.0,
         "layers.0.ice": 1.31,
@@ -32,7 +32,7 @@ def test_a_material_that_layers_share_is_shown_once():
     assert list_legend_labels(stack) == ["ice", "water"]
 
 
-def test_materials_that_differ_between_layers_are_told_apart():
+def test_materials_that_differ_between_layers_have_labels():
     assert list_legend_labels({"layers.0.ice": 1.3, "layers.1.ice": 1.4}) == [
         "layer 0: ice", "layer 1: ice",
     ]  # fmt: skip

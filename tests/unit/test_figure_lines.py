@@ -1,4 +1,4 @@
-"""Labels, colours and dashes of figures, and legends that cover nothing."""
+"""Labels, colours and dashes of figures, and the placement of legends."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_few_lines_have_their_legend_on_free_axes():
     assert axes.get_legend().get_title().get_text() == "bottom albedo"
 
 
-def test_a_legend_that_would_cover_lines_stands_beside():
+def test_a_legend_that_would_cover_lines_is_placed_beside():
     zigzag = make_dataset({"saturation": [0.0, 0.5, 1.0]})
     zigzag["reflectance"] = xr.where(np.arange(X.size) % 2 == 0, 1.0, 0.01) + 0.0 * (
         zigzag.reflectance
@@ -163,7 +163,7 @@ def test_very_many_values_have_a_colour_bar():
     assert is_legend_clear(figure)
 
 
-def test_forty_readings_fit_beside():
+def test_forty_interpretations_fit_beside():
     figure = draw_spectra(
         make_dataset({"interpretation": [f"reading number {i}" for i in range(40)]})
     )
@@ -196,7 +196,7 @@ def test_points_draw_every_quantity():
     assert is_legend_clear(figure)
 
 
-def test_points_show_what_is_asked_of_grains_at_one_wavelength():
+def test_points_show_quantities_of_grains_at_one_wavelength():
     made = make_dataset({"density_kg_m3": [100.0, 200.0]}, [600.0])
     long_name = {"long_name": "mean distance"}
     made["mean_grain_distance"] = ("density_kg_m3", np.array([2e-3, 1e-3]), long_name)

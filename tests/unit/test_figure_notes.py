@@ -1,4 +1,4 @@
-"""Every figure is one or two columns wide, has letters on its panels, and says its conditions."""
+"""Width, panel letters and conditions of all figures."""
 
 from __future__ import annotations
 
@@ -171,11 +171,11 @@ def test_a_figure_is_one_or_two_columns_wide_with_text_that_can_be_read(kind):
     assert letters or len(panels) == 1 or kind == "refractive_index"
 
 
-def test_letters_go_on_after_z():
+def test_letters_continue_after_z():
     assert [format_panel_letter(i) for i in (0, 25, 26, 27, 52)] == ["a", "z", "aa", "ab", "ba"]
 
 
-def test_conditions_say_what_is_held_fixed():
+def test_conditions_state_fixed_values():
     made = spectral({"saturation": [0.0, 1.0]}, [600.0]).assign_attrs(ATTRIBUTES)
     assert describe_conditions(made).replace("\u00a0", " ") == (
         "Snow, grains 300–750 µm, density 275 kg m⁻³, water saturation 0.05, depth 0.12 m, "
@@ -232,7 +232,7 @@ def test_rows_of_tables_that_change_nothing_are_not_marked():
     assert find_coarse_nodes(spectral({}, [500.0]).assign_attrs(ATTRIBUTES)) == {}
 
 
-def test_ranges_that_a_paper_does_not_state_are_said():
+def test_ranges_that_a_paper_does_not_state_are_noted():
     pairs = {
         "grain_size": {"low": "100-200", "high": "900-1000", "source": "paper"},
         "density": {"low": 100, "high": 500, "source": "ours"},
@@ -245,7 +245,7 @@ def test_ranges_that_a_paper_does_not_state_are_said():
     assert said in read_notes(draw_sensitivity_bars(make_indices(), said))
 
 
-def test_readings_are_shifts_from_the_default_set():
+def test_interpretations_are_shifts_from_the_default_set():
     default, other = draw_interpretation_shifts(make_statements()).axes
     assert default.get_title(loc="left") == "(a) default"
     np.testing.assert_allclose(default.containers[0].lines[0].get_xdata(), 1.0)

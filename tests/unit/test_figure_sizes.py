@@ -1,4 +1,4 @@
-"""Large grids: several panels as far as they can be read, a refusal beyond, no figure at all."""
+"""Large grids: several panels, limits, and no figure at all."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_panel_for_all_or_panels_for_the_others():
     assert choose_panel_parameters({"one": 1, "a": 40, "b": 4, "c": 5}) == ["b", "c"]
     for sizes in ({"a": 70}, {"a": 20, "b": 80}, {"a": 9, "b": 3, "c": 2, "d": 2}):
         with pytest.raises(
-            ValueError, match=r"^figure\.select = {}: must be with values of so many"
+            ValueError, match=r"^figure\.select = {}: must be with values of enough"
         ):
             choose_panel_parameters(sizes)
 
@@ -67,9 +67,9 @@ def test_a_panel_for_all_or_panels_for_the_others():
         ("instrument: {kind: goniophotometer, wavelength_nm: [500]}\n" + make_grid(100), "100"),
     ],
 )  # fmt: skip
-def test_what_no_figure_shows_is_refused_before_anything_runs(tmp_path, text, count):
+def test_figures_that_are_too_large_are_rejected_before_anything_runs(tmp_path, text, count):
     with pytest.raises(
-        ConfigError, match=rf"figure\.select = {{}}: must be .* left of {count}"
+        ConfigError, match=rf"figure\.select = {{}}: must be .* of {count}"
     ) as told:
         load_text(tmp_path, text)
     assert "\n" not in str(told.value) and "figure: none" in str(told.value)
@@ -89,7 +89,7 @@ def test_maps_of_several_points_need_no_figure(tmp_path):
     assert again.dump_simulation() == made.dump_simulation()
 
 
-def test_more_wavelengths_than_series_are_refused(tmp_path):
+def test_more_wavelengths_than_series_are_rejected(tmp_path):
     with pytest.raises(ConfigError, match=r"wavelength_nm = '211 wavelengths': must be at most 60"):
         load_text(tmp_path, "figure: {kind: points}\n" + make_grid(2))
 
@@ -102,7 +102,7 @@ def test_a_table_within_the_limits_is_taken(tmp_path):
     assert load_text(tmp_path, rows).resolve_figure()["kind"] == "points"
 
 
-def test_no_figure_is_said_in_one_way(tmp_path):
+def test_no_figure_is_configured_in_one_way(tmp_path):
     for text, message in (
         ("figure:", r"figure = None: must be a mapping"),
         ("figure: nothing", r"figure = 'nothing': must be a mapping"),

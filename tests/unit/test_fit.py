@@ -1,4 +1,4 @@
-"""Fits: every proposal is a sand, a known sand's spectrum is met, errors say what is known."""
+"""Fits: all proposals are valid sands, a known sand is found, and errors are realistic."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ def test_a_geometric_coordinate_has_its_middle_at_the_geometric_mean():
         ({"clay": (0.01, 0.1)}, r"ranges.clay \(low\) = 0.01.*at most 0.003"),
     ],
 )
-def test_bad_ranges_are_refused(ranges, message):
+def test_bad_ranges_are_rejected(ranges, message):
     with pytest.raises(ValueError, match=message):
         resolve_ranges(ranges)
 
 
-def test_what_sand_does_not_allow_is_refused():
+def test_invalid_keywords_of_sand_are_rejected():
     with pytest.raises(ValueError, match=r"ranges: .*iron_oxide.*coating"):
         UnitCube({"relative_coating_thickness": 0.001})
     with pytest.raises(ValueError, match=r"iron_oxide = 0.01: must be left out"):
@@ -89,7 +89,7 @@ def test_what_sand_does_not_allow_is_refused():
         UnitCube({"porosity": 1.5})
 
 
-def test_bad_measurements_are_refused():
+def test_bad_measurements_are_rejected():
     with pytest.raises(ValueError, match=r"measured.*13 numbers"):
         fit({}, WAVELENGTHS, np.full(12, 0.3), 10.0)
     with pytest.raises(ValueError, match=r"measured = 1.2: must be in \[0, 1\]"):
@@ -141,7 +141,7 @@ def test_a_descent_finds_the_least_misfit_also_on_the_border(truth):
 
 
 @NEEDS_JIT
-def test_a_known_sand_is_met():
+def test_a_known_sand_is_found():
     # A dark sand, for its light is cheap, within narrow ranges, because the search is short.
     truth = {"iron_oxide": 0.02, "hematite_ratio": 0.4, "magnetite": 0.03}
     sand = Sand(**truth, partition=(0.2, 0.5, 0.3), texture=(0.0005, 0.08, 0.9195))
@@ -157,7 +157,7 @@ def test_a_known_sand_is_met():
     assert result.rmse < 0.006
     shown = repr(result).splitlines()
     assert shown[0].startswith("misfit 0.00") and len(shown) == 1 + len(result.parameters)
-    assert shown[1].startswith("iron_oxide") and shown[1].endswith("told by the spectrum")
+    assert shown[1].startswith("iron_oxide") and shown[1].endswith("  constrained")
     assert result.rmse_stderr <= 0.002
     misfit = np.sqrt(np.mean((result.modelled - wanted.values) ** 2))
     assert result.rmse == pytest.approx(misfit)

@@ -1,4 +1,4 @@
-"""Folders that the main configuration names."""
+"""Folders of the main configuration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_a_folder_may_be_spelt_in_any_way(key, given):
 
 
 @pytest.mark.parametrize("given", ["", ".", "./", "a/..", "{name}", "out\n"])
-def test_what_is_no_folder_of_its_own_is_refused(given):
+def test_invalid_folders_are_rejected(given):
     with pytest.raises(
         ConfigError, match=r"^config/config.yaml: results = .*: must be (the|a) path"
     ):

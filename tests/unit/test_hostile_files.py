@@ -1,4 +1,4 @@
-"""Files that nobody means to write: one line each, in bounded time and memory."""
+"""Hostile files: one-line errors in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ FILES = {
     'grid: {saturation: {"\\e[31m": 0}}': "grid.saturation (label) = '\\x1b[31m': must be text",
     'instrument: {"a\\nb": 1}': "unknown key",
     'title: "a\\x85b"': "title = 'a\\x85b': must be text without control",
-    "figure: {legend: '$x^$'}": "figure.legend = '$x^$': must be text that matplotlib can set",
+    "figure: {legend: '$x^$'}": "figure.legend = '$x^$': must be text that matplotlib can typeset",
     f"title: {1000 * 't'}": "title = 'tttt",
     "figure: {ylim: [1, 1]}": "figure.ylim = [1.0, 1.0]: must be low < high",
     "figure: {ylim: [0, .nan]}": "figure.ylim[1] = nan: must be a finite number",
@@ -85,7 +85,7 @@ def read_message(path, text):
 
 
 @pytest.mark.parametrize("text", FILES, ids=range(len(FILES)))
-def test_it_ends_in_one_line_and_soon(tmp_path, text):
+def test_errors_are_one_line_and_prompt(tmp_path, text):
     # Time of this process alone: other work on the machine does not count.
     begun = time.process_time()
     assert FILES[text] in read_message(tmp_path / "wrong.yaml", text)

@@ -24,7 +24,7 @@ def blank(**axes):
     return make_table(lambda *point: np.full(W.size, 0.5), axes, w=W)
 
 
-def test_clean_snow_is_that_of_the_package():
+def test_clean_snow_equals_that_of_the_package():
     found = make_law_table(blank(**{AREA: [5.0, 20.0], "incidence_deg": [30.0, 60.0]}))
     assert found.axes == [AREA, "incidence_deg", "wavelength"]
     for i, area in enumerate((5.0, 20.0)):
@@ -52,7 +52,7 @@ def test_impurities_absorb_as_in_the_package():
     np.testing.assert_allclose((dirty / k) ** 2 - (clean / k) ** 2, more, rtol=1e-9)
 
 
-def test_what_the_law_does_not_know_is_left_out_at_zero():
+def test_axes_outside_the_law_are_left_out_at_zero():
     given = blank(**{AREA: [5.0, 20.0], "liquid_water_content": [0.0, 0.1]})
     assert make_law_table(given).axes == [AREA, "wavelength"]
     with pytest.raises(InvalidValue, match="liquid_water_content"):

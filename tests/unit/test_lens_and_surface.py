@@ -1,4 +1,4 @@
-"""Instruments that look at a rough surface alone, and experiments with them."""
+"""Instruments that measure a rough surface only, and experiments with them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_maps_show_the_surface_that_rays_meet():
         (([1.0], 1.0, {"half_width_m": 0.0}), "half_width_m"),
     ],
 )
-def test_bad_lenses_are_refused(arguments, told):
+def test_bad_lenses_are_rejected(arguments, told):
     depths, radius, *rest = arguments
     settings = {"half_width_m": 5.0, **(rest[0] if rest else {})}
     with pytest.raises(ValueError, match=told):
@@ -114,7 +114,7 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
          "expansion or bins"),
         ({"medium": LAYER, "instrument": {"radius_m": 1}}, "left out for spectrophotometer"),
         ({"medium": {"kind": "particle_layer", "density_kg_m3": 3}}, "density_kg_m3"),
-        ({"medium": {"kind": "particle_layer"}}, "layers have no colour"),
+        ({"medium": {"kind": "particle_layer"}}, "properties of layers"),
         ({"medium": {"kind": "particle_layer", "optical_thickness": "inf"}}, ".inf in YAML"),
         ({"medium": LAYER, "instrument": {"kind": "surface_map", "half_width_m": 1},
           "grid": {"refractive_index": [1.3, 1.5]}}, "figure.select"),
@@ -124,6 +124,6 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
          "band_limit_per_m"),
     ],
 )  # fmt: skip
-def test_experiments_that_cannot_be_run_are_refused(content, told):
+def test_experiments_that_cannot_be_run_are_rejected(content, told):
     with pytest.raises((ValueError, TypeError), match=told):
         ExperimentConfig(name="made", **content)

@@ -1,4 +1,4 @@
-"""Refusals of experiment files: the key with its full path, the value, what is allowed, a hint."""
+"""Errors of experiment files: key with its full path, value, allowed values, hint."""
 
 from __future__ import annotations
 
@@ -67,11 +67,11 @@ WRONG_TYPES = {
 
 
 @pytest.mark.parametrize("text", WRONG_TYPES)
-def test_wrong_types_are_told_in_words(tmp_path, text):
+def test_wrong_types_are_described(tmp_path, text):
     assert read_message(tmp_path, text) == WRONG_TYPES[text]
 
 
-def test_a_misspelt_figure_is_told(tmp_path):
+def test_a_misspelt_figure_is_reported(tmp_path):
     text = read_message(tmp_path, "figure: {kind: swatchs}")
     assert text.startswith("figure.kind = 'swatchs': must be one of spectra, points")
     assert text.endswith("(did you mean swatches?)")
@@ -96,7 +96,7 @@ def test_whole_numbers_may_be_written_with_an_exponent(tmp_path, rays):
     ],
 )
 def test_lists_of_values_belong_under_grid(tmp_path, content):
-    assert read_message(tmp_path, content).endswith("(several values go under grid)")
+    assert read_message(tmp_path, content).endswith("(several values belong under grid)")
 
 
 KEY_LOCATIONS = [
@@ -167,7 +167,7 @@ UNUSED_SETTINGS = [
 
 
 @pytest.mark.parametrize(("content", "key"), UNUSED_SETTINGS)
-def test_settings_that_change_nothing_are_refused(tmp_path, content, key):
+def test_settings_without_effect_are_rejected(tmp_path, content, key):
     text = read_message(tmp_path, content)
     assert re.match(rf"{re.escape(key)} = .*: must be (left out|of one value)", text), text
 
@@ -189,7 +189,7 @@ def test_settings_that_count_somewhere_are_taken(tmp_path, content):
     assert load_experiment(path, tmp_path).name == "made"
 
 
-def test_all_bad_files_are_told_at_once(tmp_path):
+def test_all_bad_files_are_reported_at_once(tmp_path):
     for name, text in (("a", "titel: x"), ("b", "title: x"), ("c", "name: b"), ("d", "[")):
         (tmp_path / f"{name}.yaml").write_text(text, "utf-8")
     with pytest.raises(ConfigError) as caught:
@@ -212,7 +212,7 @@ def test_all_bad_files_are_told_at_once(tmp_path):
          "accuracies.standard.max_stderr = 2: must be at most 0.5"),
     ],
 )  # fmt: skip
-def test_settings_of_wrong_types_are_told_in_words(change, message):
+def test_settings_of_wrong_types_are_described(change, message):
     settings = {**read_yaml(ROOT / "config" / "config.yaml"), **change}
     with pytest.raises(ConfigError, match=f"^config/config.yaml: {re.escape(message)}"):
         load_settings(settings)

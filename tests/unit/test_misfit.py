@@ -1,4 +1,4 @@
-"""Misfit to what a paper states: distances in bars, what noise adds, and free choices."""
+"""Misfit to the statements of a paper: differences in tolerances, effect of noise, and free choices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from splits.experiments.papers.interpretation_ranking import (
     PAPER_SETS,
     STAGE_QUOTAS,
     InterpretationSet,
-    expand_boundaries,
+    expand_overlaps,
     find_choice,
 )
 from splits.experiments.papers.interpretation_runs import (
@@ -65,7 +65,7 @@ def test_noise_adds_nothing_on_average():
     assert stated == pytest.approx(totals.std(), rel=0.2)
 
 
-def test_a_trend_that_holds_adds_nothing():
+def test_a_satisfied_trend_adds_nothing():
     one = compute_misfit([STATED_NUMBER, STATED_TREND], [0.93, 0.2], [0.0, 0.0])
     assert one.total == pytest.approx(1.0) and one.stderr == 0.0
     assert one.compute_rms(2)[0] == pytest.approx(np.sqrt(0.5))
@@ -118,7 +118,7 @@ def make_free_combination(**values):
     return one
 
 
-def test_what_is_free_is_chosen_for_both_quantities_together():
+def test_free_choices_are_common_to_both_quantities():
     stated = {
         name: PublishedStatement(name, "", 0.5, 0.1) for name in ("msi_r_density", "msi_t_density")
     }
@@ -140,7 +140,7 @@ def test_what_is_free_is_chosen_for_both_quantities_together():
     )
 
 
-def test_one_floor_holds_for_all_parameters():
+def test_one_floor_is_common_to_all_parameters():
     names = ("msi_t_density", "msi_t_saturation")
     stated = {name: PublishedStatement(name, "", 0.5, 0.1) for name in names}
     rows = {}
@@ -161,7 +161,7 @@ def test_pairs_are_named_by_their_ends():
     )
 
 
-def test_sectors_are_means_of_three_angles_with_errors_that_go_together():
+def test_sectors_are_means_of_three_angles_with_correlated_errors():
     angles = np.arange(-75.0, 76.0, 7.5)
     plane = xr.Dataset(
         {"brdf": (("wavelength", "angle"), [angles**2]),
@@ -174,17 +174,15 @@ def test_sectors_are_means_of_three_angles_with_errors_that_go_together():
     np.testing.assert_allclose(found.brdf_stderr, 0.3)
 
 
-def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
-    found = expand_boundaries({"entry_point": "uniform", "overlaps": "skip"})
+def test_overlaps_sets_both_overlap_fields():
+    found = expand_overlaps({"entry_point": "uniform", "overlaps": "skip"})
     assert found == {
-        "entry_point": "uniform", "overlap_with_previous_segment": "skip",
-        "overlap_with_boundary": "skip",
+        "entry_point": "uniform", "overlap_with_previous_segment": "skip", "overlap_with_boundary": "skip",
     }  # fmt: skip
-    assert expand_boundaries({"entry_point": "uniform"}) == {"entry_point": "uniform"}
-    for fate in OVERLAP_CHOICES:
-        assert (
-            find_choice(Interpretation(**expand_boundaries({"overlaps": fate})), "overlaps") == fate
-        )
+    assert expand_overlaps({"entry_point": "uniform"}) == {"entry_point": "uniform"}
+    for choice in OVERLAP_CHOICES:
+        interpretation = Interpretation(**expand_overlaps({"overlaps": choice}))
+        assert find_choice(interpretation, "overlaps") == choice
 
 
 def test_every_stage_states_something():

@@ -1,4 +1,4 @@
-"""Errors of fits: what is stated against how far fits of made-up spectra are off."""
+"""Errors of fits: stated errors against deviations of fits of synthetic spectra."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_variances_of_a_long_series_are_those_of_its_correlation():
     assert 0.0 < estimate_misfit_variances(alternating, np.zeros((20, 0))).sum() < 1.2
 
 
-def test_noise_counts_by_group_of_rays():
+def test_noise_counts_by_batch_of_rays():
     jacobian, misfit = (
         make_jacobian(12, 3),
         1e-3 * draw_autoregressive_series(np.random.default_rng(6), 12, 0.0, 1)[0],
@@ -118,7 +118,7 @@ def test_noise_of_derivatives_passes_neither_for_knowledge_nor_for_error():
 
 
 @pytest.mark.parametrize("edge", [0.0, 0.5, 1.0])
-def test_what_is_not_known_is_as_wide_as_the_cube(edge):
+def test_unconstrained_coordinates_are_as_wide_as_the_cube(edge):
     best = np.array([edge, 0.3])
     misfit = 0.01 * draw_autoregressive_series(np.random.default_rng(7), 25, 0.0, 1)[0]
     covariance = compute_covariance([np.outer(np.ones(25), [0.0, 1.0])] * 2, misfit, SILENT_MODEL)
@@ -142,7 +142,7 @@ def test_draws_are_those_of_a_normal_distribution_cut_off_by_the_cube(best):
 
 
 @pytest.mark.parametrize("sd", [0.1, 0.3, 1.0])
-def test_fits_that_end_at_a_face_state_what_they_are_off_by(sd):
+def test_fits_that_end_at_a_bound_state_their_error(sd):
     rng = np.random.default_rng(9)
     truth = rng.random(20_000)
     found = np.clip(rng.normal(truth, sd), 0.0, 1.0)
@@ -156,7 +156,7 @@ def test_fits_that_end_at_a_face_state_what_they_are_off_by(sd):
         assert 0.93 < ratio < 1.3
 
 
-def test_what_is_known_is_told_from_what_is_not():
+def test_constrained_parameters_are_distinguished_from_others():
     cube = UnitCube({})
     sd = np.where(np.array(cube.names) == "iron_oxide", 0.02, 10.0)
     best = np.full(7, 0.5)

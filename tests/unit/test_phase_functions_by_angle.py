@@ -70,7 +70,7 @@ def test_errors_are_those_of_parts_of_the_rays():
     assert float(loud.phase_function_stderr.min()) > 0.0
 
 
-def test_a_peak_is_as_wide_as_said():
+def test_a_peak_is_as_wide_as_stated():
     many = xr.Dataset(attrs=make_optics().attrs)
     order = np.arange(301)
     ones = np.ones((1, order.size))
@@ -98,7 +98,7 @@ def test_moments_of_diffraction_are_those_of_airys_pattern(order):
     assert found[0, 0] == pytest.approx(expected, abs=1.0 / x)
 
 
-def test_diffraction_doubles_what_grains_take_and_changes_nothing_else():
+def test_diffraction_doubles_extinction_and_changes_nothing_else():
     before, after = make_optics(), splits.with_diffraction(make_optics(), 160.0)
     np.testing.assert_allclose(after.extinction, 2.0 * before.extinction)
     np.testing.assert_allclose(after.optical_thickness, 40.0)
@@ -114,7 +114,7 @@ def test_diffraction_doubles_what_grains_take_and_changes_nothing_else():
     np.testing.assert_array_equal(again.legendre_moment, after.legendre_moment)
 
 
-def test_eradiate_finds_what_it_looks_for():
+def test_eradiate_finds_its_variables():
     made = to_eradiate(make_optics())
     assert made.sigma_t.dims == made.albedo.dims == ("w",)
     assert made.phase.dims == ("w", "mu", "i", "j")
@@ -150,7 +150,7 @@ def test_libradtran_finds_wavelength_extinction_albedo_and_moments(tmp_path):
 
 
 @NEEDS_JIT
-def test_what_grains_do_can_be_handed_on():
+def test_optics_can_be_exported():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.1)
     found = splits.single_scattering(snow, [900.0], moments=64, rays=20_000)
     function = splits.phase_function(splits.with_diffraction(found), [0.0, 20.0, 90.0])
@@ -172,6 +172,6 @@ def test_what_grains_do_can_be_handed_on():
         ),
     ],
 )
-def test_what_cannot_be_is_refused(call, line):
+def test_invalid_arguments_are_rejected(call, line):
     with pytest.raises(InvalidValue, match=f"^{line}"):
         call()

@@ -1,4 +1,4 @@
-"""What errors of single-scattering properties make of a theory: bounds that are bounds."""
+"""Propagation of errors of single-scattering properties: validity of the bounds."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def evaluate_product(part):
 
 
 @pytest.mark.parametrize("theory", [evaluate_backscatter, evaluate_product])
-def test_no_way_of_being_off_exceeds_what_may_be_missed(theory):
+def test_no_combination_of_errors_exceeds_the_bound(theory):
     exact = make_optics()
     worst = 0.0
     for signs in itertools.product((-1.0, 1.0), repeat=5):

@@ -1,4 +1,4 @@
-"""Numbers in README and docs: all come from the record of a run, and none is said twice."""
+"""Numbers in README and docs: all come from the record of a run, without repetition."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def test_numbers_are_found_and_written(results, monkeypatch):
         (QuotedNumber(DATA, select_point("reflectance", texture="clay")), r"made\.nc: key:"),
     ],
 )  # fmt: skip
-def test_what_is_not_there_is_said_in_one_line(results, monkeypatch, number, message):
+def test_missing_sources_are_reported_in_one_line(results, monkeypatch, number, message):
     monkeypatch.setattr(room, "QUOTED_NUMBERS", {"key": number})
     with pytest.raises(ValueError, match=message) as refused:
         collect_quoted_numbers(results)
@@ -213,7 +213,7 @@ def test_a_mark_takes_the_number_before_it_and_nothing_else():
 
 
 @pytest.mark.parametrize("line", ["about <!--a-->", "0.5 <!--a-->", "0.5<!--A-->", "0.5<!-- a -->"])
-def test_comments_that_mark_nothing_are_refused(line):
+def test_comments_that_mark_nothing_are_rejected(line):
     with pytest.raises(ValueError, match=r"mark = .*must be a number before each comment"):
         find_marks(line)
 

@@ -92,7 +92,7 @@ def test_a_layer_cut_in_three_is_the_same(incidence):
         np.testing.assert_allclose(pieces[name], whole[name], rtol=0.0, atol=1e-9)
 
 
-def test_light_goes_to_and_fro_between_layers_and_ground():
+def test_light_is_reflected_between_layers_and_ground():
     pytest.importorskip("PythonicDISORT")
     pack = [make_layer_optics([0.99], 1.0, 0.8), make_layer_optics([0.8], 0.5, 0.3)]
     beam, below = (
@@ -129,7 +129,7 @@ def test_missing_library_is_named(monkeypatch):
         ({"incidence_deg": "sky"}, "incidence_deg"),
     ],
 )
-def test_bad_settings_are_refused_by_name(settings, message):
+def test_bad_settings_are_rejected_by_name(settings, message):
     with pytest.raises(ValueError, match=message):
         solve_discrete_ordinates(make_layer_optics([0.9], 1.0), **settings)
 
@@ -178,7 +178,7 @@ def test_both_theories_agree_where_absorption_is_weak(incidence):
         assert np.abs(exact[name] - theory[name]).max() < 0.005
 
 
-def test_packing_thins_a_layer():
+def test_packing_reduces_optical_thickness():
     optics = make_layer_optics([0.9], 10.0, 0.5).assign(
         {
             name: ("wavelength", [value])

@@ -1,4 +1,4 @@
-"""Draws of a retrieval against those of another sampler, where the posterior is bent."""
+"""Draws of a retrieval against those of another sampler, for a curved posterior."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The section `retrieve`: what it refuses, what it makes of samples, and the figure."""
+"""The section `retrieve`: validation, retrieval of samples, and the figure."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_samples_are_retrieved_where_the_table_reaches():
         assert abs(found[name].values[SIZE] - size) < 4.0 * found[name].stderr[SIZE]
 
 
-def test_what_is_left_out_does_not_count():
+def test_excluded_wavelengths_do_not_count():
     section = RetrieveSection.model_validate({**SECTION, "exclude_nm": [[650, 850]]})
     found = index_by_sample(run_retrieve(section, make_snowlike_table(), measured()))[
         "dirty@60"
@@ -66,7 +66,7 @@ def test_what_is_left_out_does_not_count():
     assert found.wavelength.values.tolist() == [500, 600, 900, 1000, 1100, 1200, 1300, 1400, 1500]
 
 
-def test_the_first_sample_tells_what_is_known_of_others():
+def test_the_first_sample_gives_the_prior_of_others():
     table = {k: measured()[k] for k in ("wavelength_nm", "clean@30")}
     table["wetter@30"] = [0.5, *evaluate_spectrum(150.0, 400.0)]
     given = {**SECTION, "prior_from": {"sample": "clean@30", "fixed": {SOOT: 1.0}}}
@@ -138,7 +138,7 @@ INVALID_SECTIONS = {
 
 
 @pytest.mark.parametrize("name", INVALID_SECTIONS)
-def test_sections_that_make_no_sense_are_refused(name):
+def test_invalid_sections_are_rejected(name):
     other, message = INVALID_SECTIONS[name]
     with pytest.raises((ValidationError, InvalidValue), match=message):
         RetrieveSection.model_validate(SECTION | other)
@@ -176,7 +176,7 @@ EXPERIMENT_ERRORS = {
     ),
     "nothing left of the first": (
         {"retrieve": {**SECTION, "prior_from": {"sample": "a", "fixed": {SIZE: 60, SOOT: 0}}}},
-        "not all that is free",
+        "not all of retrieve.free",
     ),
     "law of sand": (
         {
@@ -184,7 +184,7 @@ EXPERIMENT_ERRORS = {
             "grid": {"saturation": [0, 1], "porosity": [0.3, 0.4]},
             "retrieve": {**SECTION, **LAW, "free": ["saturation", "porosity"]},
         },
-        "but for snow",
+        "left out for media other than snow",
     ),
     "law of shallow snow": (
         {"medium": {**TABLE["medium"], "depth_m": 0.1}, "retrieve": {**SECTION, **LAW}},
@@ -203,7 +203,7 @@ EXPERIMENT_ERRORS = {
         {"retrieve": {**SECTION, "prior": {"depth_m": [1, 1]}}},
         "retrieve.prior",
     ),
-    "a figure of its own": ({"figure": {"kind": "summary"}}, "of what was retrieved"),
+    "a figure of its own": ({"figure": {"kind": "summary"}}, "shows the retrieved parameters"),
     "transmittance only": (
         {"instrument": {**TABLE["instrument"], "quantities": ["transmittance"]}},
         "with reflectance",
@@ -212,7 +212,7 @@ EXPERIMENT_ERRORS = {
 
 
 @pytest.mark.parametrize("name", EXPERIMENT_ERRORS)
-def test_experiments_that_cannot_retrieve_are_refused(name):
+def test_invalid_experiments_are_rejected(name):
     other, message = EXPERIMENT_ERRORS[name]
     with pytest.raises((ValidationError, InvalidValue), match=message):
         ExperimentConfig.model_validate(TABLE | other)
@@ -224,19 +224,22 @@ SAMPLE_ERRORS = {
         r"prior_from\.applies_to",
     ),
     "twice": ([{"sample": "clean@30", "fixed": {SOOT: 1}}] * 2, "different samples"),
-    "all": ([{"sample": s, "fixed": {SOOT: 1}} for s in ("clean@30", "dirty@60")], "some besides"),
+    "all": (
+        [{"sample": s, "fixed": {SOOT: 1}} for s in ("clean@30", "dirty@60")],
+        "others than those of prior_from",
+    ),
 }
 
 
 @pytest.mark.parametrize("name", SAMPLE_ERRORS)
-def test_first_samples_that_serve_none_are_refused(name):
+def test_unused_first_samples_are_rejected(name):
     first, message = SAMPLE_ERRORS[name]
     section = RetrieveSection.model_validate({**SECTION, "prior_from": first})
     with pytest.raises(InvalidValue, match=message):
         run_retrieve(section, make_snowlike_table(), measured())
 
 
-def test_samples_that_are_not_there_are_refused():
+def test_missing_samples_are_rejected():
     section = RetrieveSection.model_validate({**SECTION, "samples": ["snow"]})
     with pytest.raises(InvalidValue, match=r"retrieve\.samples"):
         section.select_spectra(measured(), W)
@@ -244,7 +247,7 @@ def test_samples_that_are_not_there_are_refused():
         RetrieveSection.model_validate(SECTION).select_spectra(
             measured().drop(columns="wavelength_nm"), W
         )
-    with pytest.raises(InvalidValue, match="as the table has them"):
+    with pytest.raises(InvalidValue, match="the range of the table"):
         RetrieveSection.model_validate(SECTION).select_spectra(measured(), 1100.0 + W)
 
 
@@ -267,22 +270,22 @@ def test_spectra_are_checked_before_anything_runs(name):
     )
     table = pd.DataFrame({"wavelength_nm": [500.0, 900.0], sample: values})
     with pytest.raises(InvalidValue, match=message):
-        check_measured_spectra(experiment, table)
+        check_measured_spectra(experiment, experiment.retrieve, table)
 
 
-def test_without_noise_the_misfit_tells_the_errors():
+def test_without_noise_the_misfit_gives_the_errors():
     section = RetrieveSection.model_validate({**SECTION, "noise": None})
     for reading in run_retrieve(section, make_snowlike_table(), measured()):
         assert reading.result.dataset.attrs["noise"] == "found from the misfit"
         assert np.isnan(reading.reference_chi2)
 
 
-def test_an_angle_that_is_none_is_refused():
+def test_an_invalid_angle_is_rejected():
     with pytest.raises(InvalidValue, match="an angle after @"):
         RetrieveSection.model_validate(SECTION).get_fixed_values("snow@noon", ["incidence_deg"])
 
 
-def test_noise_is_added_in_quadrature_unless_it_goes_together():
+def test_noise_is_added_in_quadrature_unless_it_is_correlated():
     values = np.array([0.5, 0.1])
     plain = NoiseSection(absolute=0.003, relative=0.01).evaluate(values)
     np.testing.assert_allclose(plain, np.hypot(0.003, 0.01 * values))
@@ -290,14 +293,13 @@ def test_noise_is_added_in_quadrature_unless_it_goes_together():
     assert both["independent"] == 0.003
 
 
-def test_too_few_wavelengths_to_find_the_noise_are_refused_when_the_file_is_read():
+def test_too_few_wavelengths_to_estimate_the_noise_are_rejected_when_the_file_is_read():
     section = {key: value for key, value in SECTION.items() if key != "noise"}
     experiment = ExperimentConfig.model_validate(TABLE | {"retrieve": section})
     few = pd.DataFrame({"wavelength_nm": [500, 700, 900], "a": [0.9, 0.8, 0.5]})
-    line = r"^retrieve \(a\)\.noise = None: must be given \(3 values are too few to find it"
+    line = r"^retrieve \(a\)\.noise = None: must be given \(3 values are too few to estimate it"
     with pytest.raises(ValueError, match=line):
-        check_measured_spectra(experiment, few)
-    check_measured_spectra(ExperimentConfig.model_validate(TABLE), few)
+        check_measured_spectra(experiment, experiment.retrieve, few)
 
 
 @pytest.mark.parametrize(
@@ -310,6 +312,6 @@ def test_too_few_wavelengths_to_find_the_noise_are_refused_when_the_file_is_read
         ),
     ],
 )
-def test_what_retrievals_refuse_is_refused_when_the_file_is_read(section, line):
+def test_errors_of_retrievals_are_raised_when_the_file_is_read(section, line):
     with pytest.raises(ValueError, match=line):
         ExperimentConfig.model_validate(TABLE | {"retrieve": SECTION | section})

@@ -1,4 +1,4 @@
-"""Maps: every pixel as if it were retrieved alone, and flags where it cannot be."""
+"""Maps: every pixel as in a single retrieval, and flags of invalid ones."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_bad_pixels_are_flagged(table, image):
     np.testing.assert_array_equal(found[SIZE].values[fine], plain[SIZE].values[fine])
 
 
-def test_ends_of_ranges_and_what_is_not_told_are_flagged(table, image):
+def test_ends_of_ranges_and_unconstrained_parameters_are_flagged(table, image):
     low = splits.retrieve_map(
         image, table, {SIZE: (400.0, 900.0)}, 0.01, fixed={**FIXED, SOOT: 200.0}
     )
@@ -183,7 +183,7 @@ INVALID_CALLS = {
 
 
 @pytest.mark.parametrize("name", INVALID_CALLS)
-def test_bad_input_is_refused(table, image, name):
+def test_bad_input_is_rejected(table, image, name):
     other, message = INVALID_CALLS[name]
     given = {
         "image": image,

@@ -1,4 +1,4 @@
-"""Fits as experiments: the dataset, its table and its figure; what is refused."""
+"""Fits as experiments: the dataset, its table and its figure, and invalid input."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
         ("fit: {measured: mine.csv, ranges: {clay: [0.5, 0.1]}}", "clay"),
     ],
 )
-def test_fits_that_cannot_be_run_are_refused(experiment, tmp_path, line, message):
+def test_fits_that_cannot_be_run_are_rejected(experiment, tmp_path, line, message):
     path = tmp_path / "wrong.yaml"
     text = (
         EXPERIMENT_TEXT.replace("medium: {kind: sand}\n", "")
@@ -122,7 +122,7 @@ def test_only_sand_is_fitted(experiment, tmp_path):
         load_experiment(path, tmp_path / "media")
 
 
-def test_an_unknown_sample_is_refused(experiment):
+def test_an_unknown_sample_is_rejected(experiment):
     settings, table = experiment
     chosen = settings.fit.model_copy(update={"samples": ("brigt",)})
     wrong = settings.model_copy(update={"fit": chosen})
@@ -138,7 +138,7 @@ def test_an_unknown_sample_is_refused(experiment):
         (["x"] * 13, r"fit\.measured = '.*mine\.csv': must be .*line 2: dark is x"),
     ],
 )
-def test_measurements_that_are_no_shares_are_refused_before_anything_runs(
+def test_measurements_that_are_no_fractions_are_rejected_before_anything_runs(
     experiment, tmp_path, column, message
 ):
     table = experiment[1].assign(dark=column)
@@ -161,7 +161,7 @@ def test_measurements_that_are_no_shares_are_refused_before_anything_runs(
         ("wavelength_nm,a\n600,0.3\n", r": fit\.measured = '1 wavelengths': must be 9 at least"),
     ],
 )
-def test_tables_that_cannot_be_fitted_are_refused(experiment, tmp_path, text, message):
+def test_tables_that_cannot_be_fitted_are_rejected(experiment, tmp_path, text, message):
     (tmp_path / "measured" / "mine.csv").write_text(text, "utf-8")
     with pytest.raises(ConfigError, match=message) as caught:
         load_experiment(tmp_path / "found.yaml", tmp_path / "media")

@@ -1,4 +1,4 @@
-"""Trends of sand and shifts by data, on made-up spectra of known slope."""
+"""Trends of sand and shifts by data, for synthetic spectra of known slope."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def make_datasets(error=0.0005):
     return found
 
 
-def test_trends_that_hold_are_shown():
+def test_satisfied_trends_agree():
     table = make_sand_trend_table(make_datasets())
     assert (table.verdict == "agrees").all(), table.to_string()
     assert len(table) == 8
 
 
-def test_trends_that_do_not_hold_are_told_apart():
+def test_trends_that_fail_have_their_verdicts():
     given = make_datasets()
     given["iron_oxide"] = make_spectra("iron_oxide", [0.01, 0.05], 0.1, error=0.0005)
     given["magnetite"] = make_spectra("magnetite", [0.0, 0.3], -1e-4, error=0.005)

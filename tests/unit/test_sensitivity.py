@@ -1,4 +1,4 @@
-"""Mean sensitivity index: spectra made by hand."""
+"""Mean sensitivity index of synthetic spectra."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_spectrum_that_vanishes_is_fully_sensitive():
     assert s.index == 1.0
 
 
-def test_the_noise_limit_is_not_seen():
+def test_the_noise_limit_does_not_count():
     for factor, resolved in ((1.0, 0.0), (1.001, 1.0)):
         assert (
             compute_mean_sensitivity_index(
@@ -99,7 +99,7 @@ def test_the_error_covers_wavelengths_that_are_seen_in_some_runs_only(level, oth
     assert np.std([s.index for s in found]) < stated * (1.0 + compute_z_bound(18) / 4000**0.5)
 
 
-def test_what_is_clearly_seen_has_the_error_of_its_ratio_alone():
+def test_values_above_the_noise_have_the_error_of_their_ratio_only():
     y, e, z, f = 0.8, 0.1, 0.4, 0.05
     exact = np.hypot(f / y, z * e / y**2)
     assert compute_mean_sensitivity_index([y], [e], [z], [f]).stderr == pytest.approx(
@@ -119,7 +119,7 @@ def test_pairs_are_taken_at_the_published_depth_and_wavelengths():
     ).index == pytest.approx(0.5)
 
 
-def test_the_table_has_all_ranges_and_readings_and_one_chosen_row_per_quantity():
+def test_the_table_has_all_ranges_and_interpretations_and_one_chosen_row_per_quantity():
     ranges = make_spectra([0.8, 0.6, 0.4], "saturation", [0.0, 0.5, 1.0])
     interpretation = xr.concat(
         [make_spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 3,

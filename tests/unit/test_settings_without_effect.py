@@ -1,4 +1,4 @@
-"""Settings that would change nothing, and sections that a way to run would pass over."""
+"""Settings without effect, and sections that a command would ignore."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ UNUSED_SETTINGS = {
 
 
 @pytest.mark.parametrize("text", UNUSED_SETTINGS, ids=range(len(UNUSED_SETTINGS)))
-def test_settings_that_change_nothing_are_refused(tmp_path, text):
+def test_settings_without_effect_are_rejected(tmp_path, text):
     path = tmp_path / "idle.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
@@ -93,7 +93,7 @@ def test_settings_that_count_are_taken(tmp_path, text):
 @pytest.mark.parametrize(
     ("sample", "instrument", "rest", "told"),
     [
-        ("a@50", "", "", r"retrieve\.samples = 'a@50': must be of light from 0\.0"),
+        ("a@50", "", "", r"retrieve\.samples = 'a@50': must be of incidence 0\.0"),
         ("a@50", ", incidence_deg: 50", "", None),
         ("a@noon", "", "", None),
         (
@@ -105,7 +105,7 @@ def test_settings_that_count_are_taken(tmp_path, text):
         ("a@50", "", ", fixed: {incidence_deg: 50}", None),
     ],
 )
-def test_angles_in_names_of_samples_count_or_are_refused(
+def test_angles_in_names_of_samples_count_or_are_rejected(
     tmp_path, sample, instrument, rest, told
 ):  # fmt: skip
     (tmp_path / "measured").mkdir()
@@ -161,5 +161,5 @@ def test_the_command_reads_measured_spectra(tmp_path):
 
 @pytest.mark.parametrize("name", ["data", "Figures", "../there", "a/b", "", "{x}"])
 def test_accuracies_name_folders_of_their_own(name):
-    with pytest.raises(ConfigError, match=r"accuracies = .*: must be called by letters"):
+    with pytest.raises(ConfigError, match=r"accuracies = .*: must be letters"):
         load_settings({"accuracies": {name: {"max_stderr": 0.1}}, "accuracy": name})

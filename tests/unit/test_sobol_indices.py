@@ -58,7 +58,7 @@ def test_other_seeds_scatter_as_errors_say(product):
     judge_z(np.concatenate(z).ravel())
 
 
-def test_what_does_not_vary_has_none(product):
+def test_constant_reflectance_has_no_indices(product):
     still = make_table(lambda a, b: np.where(W < 800.0, 0.5, 0.5 + 0.1 * a),
                      {"a": [0.0, 1.0, 2.0], "b": [0.0, 1.0]})  # fmt: skip
     found = splits.sobol_indices(still, ["a", "b"], points=64)
@@ -78,7 +78,7 @@ INVALID_CALLS = {
 
 
 @pytest.mark.parametrize("name", INVALID_CALLS)
-def test_bad_input_is_refused(product, name):
+def test_bad_input_is_rejected(product, name):
     other, message = INVALID_CALLS[name]
     with pytest.raises(InvalidValue, match=message):
         splits.sobol_indices(**({"table": product, "free": ["a", "b"]} | other))

@@ -1,4 +1,4 @@
-"""Studies: which can be made, what is refused, and names that nothing else may have."""
+"""Studies: validation, and unique names of products."""
 
 from __future__ import annotations
 
@@ -73,9 +73,9 @@ def test_no_name_of_an_experiment_decides_in_the_code(shipped):
     ["fig23_sensitivity", "letcher2022_measured", "sensitivity", "table2", "agreement",
      "sand_fit_parameters", "angular_trends", "sand_colours"],
 )  # fmt: skip
-def test_names_that_studies_and_fits_have_are_refused(shipped, name):
+def test_names_of_studies_and_fits_are_rejected(shipped, name):
     taken = ExperimentConfig.model_validate({"name": name})
-    with pytest.raises(ConfigError, match=f"^experiment {name}: name = '{name}': must be one that"):
+    with pytest.raises(ConfigError, match=f"^experiment {name}: name = '{name}': must be unique"):
         load_settings(SETTINGS_CONTENT).select_experiments({**shipped, name: taken})
 
 
@@ -98,7 +98,7 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "outputs": {"table": "nul"}},
          r"own\.outputs\.table = 'nul': must be lower-case letters"),
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "n_bands": 2},
-         r"own\.n_bands = 2: must be left out but for kind = 'bands'"),
+         r"own\.n_bands = 2: must be left out unless kind = 'bands'"),
         ({"kind": "anisotropy", "inputs": {"directions": "sand_fig11_brdf"},
           "files": {"directions": "wet_sand_directions.csv"}},
          r"'sand_fig11_brdf': must be .*over interpretation and saturation"),
@@ -127,18 +127,18 @@ def test_names_that_studies_and_fits_have_are_refused(shipped, name):
             "parameter": "saturation", "experiment": "fig13_saturation", "low": 0, "high": 0.3}}},
          r"pairs\.a\.experiment = 'fig13_saturation': must be .*saturation and depth_m"),
         ({"kind": "sand_compositions", "outputs": {"table": "table2"}},
-         r"studies\.own: name = 'table2': must be one that nothing else has \(the study sens"),
+         r"studies\.own: name = 'table2': must be unique \(the study sens"),
         ({"kind": "sand_compositions", "outputs": {"table": "fig08_grain_size"}},
-         "experiment fig08_grain_size: name = 'fig08_grain_size': must be one that nothing else"),
+         "experiment fig08_grain_size: name = 'fig08_grain_size': must be unique"),
     ],
 )  # fmt: skip
-def test_studies_that_cannot_be_made_are_refused_in_one_line(shipped, study, message):
+def test_invalid_studies_are_rejected_in_one_line(shipped, study, message):
     with pytest.raises(ConfigError, match=message) as caught:
         make_settings({"own": study}).select_experiments(shipped)
     assert "\n" not in str(caught.value)
 
 
-def test_what_a_study_lacks_is_said(shipped):
+def test_missing_experiments_of_a_study_are_reported(shipped):
     own = {"kind": "angular_trends", "inputs": {"facetness": "fig22_facetnes"}}
     lacking = find_incomplete_studies(make_settings({"own": own}).studies, {}, shipped)
     assert lacking["own"] == (
@@ -175,7 +175,7 @@ def test_a_study_of_some_roles_has_their_rows():
 def test_a_table_of_a_retrieval_has_its_name_alone(shipped):
     study = {"kind": "sobol", "inputs": {"a": "explorer_snow"}}
     studies = {**SETTINGS_CONTENT["studies"], "retrieved_dozier_retrieved": study}
-    with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be one that nothing"):
+    with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be unique"):
         load_settings({**SETTINGS_CONTENT, "studies": studies}).select_experiments(shipped)
 
 

@@ -1,4 +1,4 @@
-"""Surface area of snow from spectra: what is put in comes out, with its error, or a flag."""
+"""Surface area of snow from spectra: known values are retrieved, with errors and flags."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ def measured(**areas):
 
 
 @pytest.mark.parametrize("area", [2.5, 5.0, 17.3, 60.0, 70.0])
-def test_what_is_put_in_comes_out(area):
+def test_known_surface_areas_are_retrieved(area):
     fit = fit_surface_area(AREAS, compute_reflectance(), 0.9 * compute_reflectance([area])[0])
     assert fit.area == pytest.approx(area, rel=2e-3)
     assert fit.scale == pytest.approx(0.9, rel=1e-3)
     assert fit.rmse < 1e-3
 
 
-def test_a_spectrum_beyond_the_grid_is_flagged():
+def test_a_spectrum_outside_the_grid_is_flagged():
     table = retrieve_surface_areas(make_dataset(), measured(inside=20.0, beyond=150.0))
     flags = table.set_index(["spectrum", "window"]).at_the_end
     assert not flags["inside@60"].any() and flags["beyond@60"]["all"]
@@ -86,7 +86,7 @@ def test_stated_errors_are_the_scatter_between_runs():
             assert 0.7 < values.std(ddof=1) / stated < 1.3, (window, name)
 
 
-def test_overlay_has_the_level_and_says_what_was_fitted():
+def test_overlay_has_the_scale_and_the_fitted_wavelengths():
     dataset, spectra = make_dataset(), measured(a=16.0)
     table = make_overlay_table(dataset, spectra, retrieve_surface_areas(dataset, spectra))
     assert list(table.wavelength_nm) == list(WAVELENGTHS)
@@ -99,7 +99,7 @@ def test_overlay_has_the_level_and_says_what_was_fitted():
     assert draw_fitted_spectra(table).axes
 
 
-def test_a_spectrum_under_an_angle_that_was_not_run_is_refused():
+def test_a_spectrum_at_a_missing_angle_is_rejected():
     with pytest.raises(ValueError, match=r"column = 'a@60': must be .* ends with @10 or @20"):
         retrieve_surface_areas(make_dataset([10.0, 20.0]), measured(a=16.0))
 

@@ -1,4 +1,4 @@
-"""Trends: steps of band means along a grid, and how surely they point the stated way."""
+"""Trends: steps of band means along a grid, and their significance."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_trend_is_shown_when_its_least_sure_step_is_significant():
     assert compute_verdict([0.3, 0.5, 0.8], +1)["verdict"] == "agrees"
 
 
-def test_the_row_holds_the_least_sure_step():
+def test_the_row_has_the_least_significant_step():
     row = compute_verdict([0.8, 0.5, 0.3], -1, stderr=[0.001, 0.001, 0.04])
     assert row["ours"] == pytest.approx(0.2)
     assert row["stderr"] == pytest.approx(np.hypot(0.001, 0.04))

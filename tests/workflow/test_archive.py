@@ -244,7 +244,7 @@ def test_authors_of_the_citation_are_those_of_the_results(made, tmp_path):
         ({"archive_license": "javascript:x"}, "archive_license = 'javascript:x': must be an SPDX"),
         ({"archive_license": "https://a.org/<b>"}, "archive_license = .*: must be an SPDX"),
         ({"archive_authors": [{"orcid": "x"}]}, "archive_authors"),
-        ({"archive_authors": [ADA | {"orcid": "0000-0002-1825-0098"}]}, "whose last digit follows"),
+        ({"archive_authors": [ADA | {"orcid": "0000-0002-1825-0098"}]}, "with a valid check digit"),
         ({"archive_authors": [ADA | {"orcid": "12"}]}, r"archive_authors\.orcid = '12': must be"),
         ({"archive_authors": [ADA | {"name": "A\nB"}]}, "without control characters"),
         ({"archive_authors": "Ada"}, "archive_authors = 'Ada': must be"),

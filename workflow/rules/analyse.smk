@@ -20,7 +20,7 @@ for NAME in of_kind("sensitivity"):
                 {key: pair.model_dump() for key, pair in STUDIES[NAME].pairs.items()}
             ),
         message:
-            "Taking mean sensitivity indices"
+            "Computing mean sensitivity indices"
         script:
             "../scripts/sensitivity.py"
 
@@ -46,7 +46,7 @@ for NAME in of_kind("agreement"):
         params:
             roles=list(STUDIES[NAME].inputs),
         message:
-            "Holding results against published and measured numbers"
+            "Comparing results with published and measured numbers"
         script:
             "../scripts/agreement.py"
 
@@ -70,7 +70,7 @@ for NAME in of_kind("sand_tables"):
         params:
             roles=list(STUDIES[NAME].inputs),
         message:
-            "Holding sand against the trends of SPLITS"
+            "Comparing sand with the trends stated in SPLITS"
         script:
             "../scripts/sand_tables.py"
 
@@ -94,7 +94,7 @@ for NAME in of_kind("angular_trends"):
         params:
             roles=list(STUDIES[NAME].inputs),
         message:
-            "Holding BRDFs against the trends of the papers"
+            "Comparing BRDFs with the trends stated in the papers"
         script:
             "../scripts/angular_trends.py"
 
@@ -118,7 +118,7 @@ for NAME in of_kind("layer_trends"):
         params:
             roles=list(STUDIES[NAME].inputs),
         message:
-            "Holding rough layers against what their paper says"
+            "Comparing rough layers with the statements of their paper"
         script:
             "../scripts/layer_trends.py"
 
@@ -146,7 +146,7 @@ for NAME in of_kind("interpretation"):
             seed=SETTINGS.seed,
             stderr_scale=SETTINGS.accuracies[SETTINGS.accuracy].max_stderr / 0.002,
         message:
-            "Holding combinations of readings against the paper"
+            "Ranking the interpretations of the paper"
         script:
             "../scripts/interpretation.py"
 
@@ -171,7 +171,7 @@ for NAME in of_kind("surface_area"):
         params:
             roles=list(STUDIES[NAME].inputs),
         message:
-            "Finding the surface area of measured snow"
+            "Retrieving the surface area of measured snow"
         script:
             "../scripts/surface_area.py"
 
@@ -194,7 +194,7 @@ for NAME in of_kind("anisotropy"):
             "../../environment.yml"
         threads: 1
         message:
-            "Holding directions against measured ones"
+            "Comparing modelled and measured directions"
         script:
             "../scripts/anisotropy.py"
 
@@ -220,7 +220,7 @@ for NAME in of_kind("sobol"):
             seed=SETTINGS.seed,
             program=files_digest(PACKAGE, RETRIEVING),
         message:
-            "Taking Sobol indices over tables"
+            "Computing Sobol indices of tables"
         script:
             "../scripts/sobol.py"
 
@@ -250,7 +250,7 @@ for NAME in of_kind("bands"):
             seed=SETTINGS.seed,
             program=files_digest(PACKAGE, RETRIEVING),
         message:
-            "Choosing bands that tell most"
+            "Selecting the most informative bands"
         script:
             "../scripts/bands.py"
 
@@ -302,6 +302,6 @@ rule fitted_parameters:
         "../../environment.yml"
     threads: 1
     message:
-        "Listing the sands found by {wildcards.experiment}"
+        "Listing the sands fitted by {wildcards.experiment}"
     script:
         "../scripts/fitted_parameters.py"

@@ -3,7 +3,7 @@ from splits.experiments.archive import list_configuration_files, get_packing_tim
 ARCHIVED = SETTINGS.select_archived()
 PACKED = EXPERIMENTS if ARCHIVED.experiments == "all" else ARCHIVED.experiments
 if "archive" in sys.argv[1:]:
-    # Refused before anything runs.
+    # Invalid values are rejected before anything runs.
     try:
         get_packing_time()
     except ValueError as error:

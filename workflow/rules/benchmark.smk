@@ -6,7 +6,7 @@ BENCHMARKED = [
     f"{RESULTS}/benchmarks/speed_against_error.pdf",
     f"{RESULTS}/benchmarks/kernels.csv",
 ]
-# They take many minutes, so `all` asks for them only when a report is written and they are there.
+# Benchmarks take many minutes, so `all` includes them only for a report, if they exist.
 REPORTED = (
     BENCHMARKED
     if "--report" in sys.argv and all(Path(path).exists() for path in BENCHMARKED)
@@ -19,7 +19,7 @@ rule benchmarks:
         BENCHMARKED,
 
 
-# Each takes all cores given, whatever it uses of them, so that nothing runs beside it.
+# A benchmark reserves all cores, so that no other job runs at the same time.
 rule speed_against_error:
     output:
         report(
@@ -44,7 +44,7 @@ rule speed_against_error:
             ["efficiency.py", "ordinates.py", "radiative_transfer.py"],
         ),
     message:
-        "Measuring time against error of every way to a spectrum"
+        "Measuring time against error of all methods"
     script:
         "../scripts/benchmark.py"
 
@@ -67,7 +67,7 @@ rule benchmark_kernels:
         source=lambda wildcards: program_digest("kernels.py"),
         physics=physics_digest(),
     message:
-        "Measuring the kernels against each other"
+        "Comparing the times of the kernels"
     script:
         "../scripts/benchmark.py"
 

@@ -5,14 +5,14 @@ from splits.experiments.config.study_kinds import FIGURE_SUFFIXES, STUDY_FILES
 from splits.core.provenance import PACKAGE_FOLDER, RETRIEVAL_SOURCES, hash_files, hash_physics_sources
 
 STUDIES = SETTINGS.studies
-# Studies that lack experiments, each with the line that says so.
+# Studies of which experiments are missing, with a message each.
 LEFT_OUT = find_incomplete_studies(STUDIES, EXPERIMENTS, AVAILABLE)
 for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
     raise WorkflowError(LEFT_OUT[NAME])
 
 TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
-# What the explorer lacks, which is made where all of its tables are selected; it shows where light
-# goes as far as that is selected.
+# Missing tables and directions of the explorer.  It requires all of its tables; directions are
+# optional.
 UNEXPLORED = describe_missing(SETTINGS.explorer.values(), EXPERIMENTS, AVAILABLE)
 UNSEEN = describe_missing(SETTINGS.explorer_directions.values(), EXPERIMENTS, AVAILABLE)
 EXPLORED = {} if UNEXPLORED else SETTINGS.explorer
@@ -24,7 +24,7 @@ WHERE = {
 if "explorer" in sys.argv[1:] and not EXPLORED:
     LACKING = "; ".join(UNEXPLORED) or "explorer names no tables"
     raise WorkflowError(f"the explorer is left out: {LACKING}")
-# Experiments whose tables are used to read measured spectra.
+# Experiments whose tables are used for retrievals.
 RETRIEVED = [name for name, e in EXPERIMENTS.items() if e.retrieve]
 DRAWN = [name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"]
 MADE = [name for name in STUDIES if name not in LEFT_OUT]
@@ -80,7 +80,7 @@ REPORTS = {
 
 
 def pattern(names):
-    """Return a regular expression for names of experiments, which nothing matches without any."""
+    """Return a regular expression for names of experiments; without any it has no match."""
     return "|".join(names) or "(?!)"
 
 
@@ -94,13 +94,13 @@ def data(names):
 
 
 def table_parts(name):
-    """Return what the parts of a table note of the blocks that they have made."""
+    """Return the manifests of the parts of a table."""
     number = count_parts(EXPERIMENTS[name])
     return [f"{RESULTS}/blocks/{name}/part_{part}.json" for part in range(number)]
 
 
 def products(name):
-    """Return everything that one experiment makes."""
+    """Return all products of an experiment."""
     suffixes = FIGURE if name in DRAWN else ()
     made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
     if EXPERIMENTS[name].fit:
@@ -111,7 +111,7 @@ def products(name):
 
 
 def study_products():
-    """Return what the studies make whose experiments are all selected."""
+    """Return the products of the studies whose experiments are all selected."""
     return [
         f"{RESULTS}/{path}"
         for name in MADE
@@ -132,34 +132,34 @@ def measured_files(name):
 
 
 def fitted_files(name):
-    """Return the measured table that an experiment fits sands to, if any."""
+    """Return the measured table to which an experiment fits sands, if any."""
     fit = EXPERIMENTS[name].fit
     return [f"{SETTINGS.measured_folder}/{fit.measured}"] if fit else []
 
 
 def retrieved_files(name):
-    """Return the measured table that an experiment's own table is used to read."""
+    """Return the measured table of an experiment's retrieval."""
     return [f"{SETTINGS.measured_folder}/{EXPERIMENTS[name].retrieve.measured}"]
 
 
 def escape_param(value):
-    """Return a parameter with users' text as JSON, in which Snakemake looks for no wildcards.
+    """Return a parameter with users' text as JSON, without wildcards for Snakemake.
 
-    The report puts parameters of what it shows into a script as they are.
+    The report inserts parameters into a script without escaping.
     """
     return lambda wildcards: escape_json(value)
 
 
 def all_cores():
-    """Return the cores given, 1 where none are: a report runs nothing."""
+    """Return the number of cores, 1 for a report, which runs nothing."""
     return workflow.resource_settings.cores or 1
 
 
 def threads_of(name):
     """Return the threads of a simulation.
 
-    Up to four run side by side, which hides their starts behind each other's work; a single one
-    that was asked for by its name, and a fit, which is long, have all cores.
+    Up to four simulations run in parallel, which hides their start-up times.  A single requested
+    experiment, and a fit, which is long, have all cores.
     """
     asked = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
     together = min(4, len(asked or EXPERIMENTS))
@@ -168,12 +168,12 @@ def threads_of(name):
 
 
 def of_kind(kind):
-    """Return the names of the studies of a kind that can be made."""
+    """Return the names of the complete studies of a kind."""
     return [name for name in MADE if STUDIES[name].kind == kind]
 
 
 def study_output(name):
-    """Return what a study makes, by key; the first file of each is for the report."""
+    """Return the products of a study by key; the first file of each is for the report."""
     made = {}
     for key, paths in STUDIES[name].list_product_paths(name).items():
         first, *others = (f"{RESULTS}/{path}" for path in paths)
@@ -200,5 +200,5 @@ def study_files(name):
 
 
 def program_digest(*names):
-    """Return what changes with the sources of a benchmark."""
+    """Return the digest of the sources of a benchmark."""
     return hash_files(Path(workflow.basedir) / "benchmarks", list(names))

@@ -9,10 +9,10 @@ DRY = any(re.fullmatch(r"-[a-zA-Z]*n[a-zA-Z]*|--dry-?run", word) for word in sys
 
 
 def check_files():
-    """Set aside datasets that are damaged or of other experiments, and sweep the folders.
+    """Rename datasets that are damaged or of other experiments, and remove stale files.
 
-    Plans are made from the files that are there: what is set aside before is made again.  A dry
-    run only names it.
+    Renamed datasets are simulated again, since the job graph is made from the existing files.  A dry
+    run only reports them.
     """
     studies = [path for path in study_products() if path.endswith(".nc")]
     for path in map(Path, data(EXPERIMENTS) + studies):

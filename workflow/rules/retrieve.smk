@@ -37,6 +37,6 @@ rule retrieve:
         seed=SETTINGS.seed,
         program=files_digest(PACKAGE, RETRIEVING),
     message:
-        "Retrieving what {wildcards.experiment} names"
+        "Retrieving parameters for {wildcards.experiment}"
     script:
         "../scripts/retrieve.py"

@@ -13,14 +13,14 @@ rule simulate:
     priority: 1
     conda:
         "../../environment.yml"
-    # The numbers do not depend on it.
+    # Results do not depend on the number of threads.
     threads: lambda wildcards: threads_of(wildcards.experiment)
     params:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
         kept=lambda wildcards: f"{RESULTS}/blocks/{wildcards.experiment}",
-        # Not inputs: these would be recorded with the place where the package lies.
+        # No inputs, since these would be recorded with the path of the package.
         physics=lambda wildcards: physics_digest(
             fit=bool(EXPERIMENTS[wildcards.experiment].fit)
         ),

@@ -13,7 +13,7 @@ rule table_part:
     priority: 1
     conda:
         "../../environment.yml"
-    # Parts run side by side, which takes less time than threads that wait for each other.
+    # Parallel parts are faster than threads, which wait for each other.
     threads: 1
     params:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
@@ -21,7 +21,7 @@ rule table_part:
         seed=SETTINGS.seed,
         physics=physics_digest(),
     message:
-        "Measuring part {wildcards.part} of {wildcards.experiment}"
+        "Simulating part {wildcards.part} of {wildcards.experiment}"
     script:
         "../scripts/table_part.py"
 
@@ -47,6 +47,6 @@ rule table:
         seed=SETTINGS.seed,
         physics=physics_digest(),
     message:
-        "Putting together {wildcards.experiment}"
+        "Assembling {wildcards.experiment}"
     script:
         "../scripts/table.py"

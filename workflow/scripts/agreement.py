@@ -1,10 +1,10 @@
-"""Hold results against published and measured numbers (map snakemake to `splits.analysis`)."""
+"""Compare results with published and measured numbers (snakemake script)."""
 
 from pathlib import Path
 
 from splits import load
-from splits.analysis.measured import compare_with_letcher, read_spectra
-from splits.experiments.papers.agreement import make_agreement_table, read_published
+from splits.analysis.measured import compare_with_letcher, read_published, read_spectra
+from splits.experiments.papers.agreement import make_agreement_table
 from splits.experiments.papers.paper_tables import make_table1, make_table3, write_table
 from splits.plotting import describe_conditions, draw_measured_albedo, save_figure
 

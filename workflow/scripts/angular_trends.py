@@ -1,4 +1,4 @@
-"""Table of goniometric trends (map snakemake to `splits.analysis`)."""
+"""Write the table of goniometric trends (snakemake script)."""
 
 import pandas as pd
 

@@ -1,4 +1,4 @@
-"""Hold directions against measured ones (map snakemake to `splits.analysis.anisotropy`)."""
+"""Compare modelled and measured anisotropy factors (snakemake script)."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ table = compare_with_measured(dataset, read_measured(snakemake.input.directions)
 misfits = summarize_by_angle(table)
 write_table(table, snakemake.output.table)
 write_table(misfits, snakemake.output.misfits)
-# One that every sample was measured at, for the principal plane.
+# The principal plane is shown at a wavelength common to all samples.
 shared = set.intersection(*(set(part.wavelength_nm) for _, part in table.groupby("saturation")))
 middle = sorted(shared or set(table.wavelength_nm))[len(shared) // 3]
 save_figure(

@@ -1,4 +1,4 @@
-"""Run a program of benchmarks/, its lines to the terminal and to the log."""
+"""Run a program of benchmarks/ with its output in the terminal and the log (snakemake script)."""
 
 import subprocess
 import sys
@@ -9,12 +9,12 @@ from splits.core.progress import open_progress_log
 program = Path(__file__).parents[2] / "benchmarks" / snakemake.params.program
 command = [sys.executable, str(program), snakemake.output[0], *snakemake.params.options]
 with (
-    open_progress_log(snakemake.log[0]) as say,
+    open_progress_log(snakemake.log[0]) as log,
     subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process,
 ):
     for line in process.stdout:
-        say(line.rstrip("\n"))
+        log(line.rstrip("\n"))
 if process.returncode:
     sys.exit(f"{program.name} failed, see {snakemake.log[0]}")

@@ -1,4 +1,4 @@
-"""Draw one experiment's figure (map snakemake to `splits.plotting`)."""
+"""Draw the figure of an experiment (snakemake script)."""
 
 import json
 from pathlib import Path

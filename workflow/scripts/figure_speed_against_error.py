@@ -1,4 +1,4 @@
-"""Draw error against time (map snakemake to `splits.plotting`)."""
+"""Draw error against time (snakemake script)."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""List what a fit found (map snakemake to `splits.analysis`)."""
+"""Write the table of fitted parameters (snakemake script)."""
 
 from splits import load
 from splits.experiments.papers.paper_tables import write_table

@@ -1,4 +1,4 @@
-"""Hold combinations of readings against a paper (map snakemake to `splits.experiments`)."""
+"""Rank the interpretations of a paper (snakemake script)."""
 
 from pathlib import Path
 
@@ -6,8 +6,8 @@ from splits.core.interrupts import exit_on_signals
 
 exit_on_signals("interpretation")
 
+from splits.analysis.measured import read_published
 from splits.core.progress import open_progress_log
-from splits.experiments.papers.agreement import read_published
 from splits.experiments.papers.interpretation_ranking import rank_interpretations
 from splits.experiments.papers.interpretation_tables import (
     find_differing_keys,
@@ -18,11 +18,11 @@ from splits.experiments.papers.interpretation_tables import (
 from splits.experiments.papers.paper_tables import write_table
 from splits.plotting import draw_interpretation_shifts, save_figure
 
-with open_progress_log(snakemake.log[0]) as say:
+with open_progress_log(snakemake.log[0]) as log:
     choices, text = snakemake.params.interpretation, snakemake.params.stated
     combinations, stated = rank_interpretations(
         read_published(snakemake.input.published), choices, text, snakemake.params.seed,
-        snakemake.threads, snakemake.params.stderr_scale, say,
+        snakemake.threads, snakemake.params.stderr_scale, log,
     )  # fmt: skip
 names = find_differing_keys(combinations)
 table = make_statement_table(combinations, stated, names)

@@ -1,4 +1,4 @@
-"""Table of what rough layers do (map snakemake to `splits.analysis`)."""
+"""Write the table of statements on rough layers (snakemake script)."""
 
 import pandas as pd
 

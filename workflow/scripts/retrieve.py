@@ -1,4 +1,4 @@
-"""Read measured spectra in a table (map snakemake to `splits.experiments.run_retrieve`)."""
+"""Retrieve parameters from measured spectra with a table (snakemake script)."""
 
 from pathlib import Path
 
@@ -11,16 +11,16 @@ from splits.experiments.run_retrieve import combine_samples, make_retrieval_tabl
 from splits.plotting.retrieval import draw_retrievals
 from splits.plotting.style import save_figure
 
-with open_progress_log(snakemake.log[0]) as say:
+with open_progress_log(snakemake.log[0]) as log:
     section = RetrieveSection.model_validate_json(snakemake.params.retrieve)
-    found = run_retrieve(
+    retrievals = run_retrieve(
         section,
         splits.open_table(snakemake.input.table),
         read_spectra(snakemake.input.measured[0]),
         snakemake.params.seed,
-        say,
+        log,
     )
-    write_table(make_retrieval_table(found, section.reference_values), snakemake.output.table)
-    joined = combine_samples(found, snakemake.wildcards.experiment)
+    write_table(make_retrieval_table(retrievals, section.reference_values), snakemake.output.table)
+    joined = combine_samples(retrievals, snakemake.wildcards.experiment)
     figure = draw_retrievals(joined, section.reference_values, section.list_sample_prefixes())
     save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))

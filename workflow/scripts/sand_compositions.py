@@ -1,4 +1,4 @@
-"""Compositions of all sands (map snakemake to `splits.experiments`)."""
+"""Write the compositions of all sands (snakemake script)."""
 
 import json
 

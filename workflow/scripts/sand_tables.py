@@ -1,4 +1,4 @@
-"""Tables of the sand experiments (map snakemake to `splits.analysis`)."""
+"""Write the tables of the sand experiments (snakemake script)."""
 
 import pandas as pd
 

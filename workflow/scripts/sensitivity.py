@@ -1,10 +1,10 @@
-"""Take mean sensitivity indices (map snakemake to `splits.analysis`)."""
+"""Compute mean sensitivity indices (snakemake script)."""
 
 import json
 from pathlib import Path
 
 from splits import load, save
-from splits.experiments.papers.agreement import read_published
+from splits.analysis.measured import read_published
 from splits.experiments.papers.paper_tables import write_table
 from splits.experiments.papers.sensitivity_table import (
     describe_ranges,

@@ -1,10 +1,10 @@
-"""Run one experiment (map snakemake to `splits.experiments.run`)."""
+"""Run an experiment (snakemake script)."""
 
 from splits.core.interrupts import exit_on_signals
 
 exit_on_signals(
     snakemake.wildcards.experiment,
-    "points that were measured are kept: the same command goes on from there",
+    "simulated points are kept, and the same command resumes from them",
 )
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Take Sobol indices over tables (map snakemake to `splits.sobol_indices`)."""
+"""Compute Sobol indices of tables (snakemake script)."""
 
 from pathlib import Path
 
@@ -10,11 +10,11 @@ from splits.plotting.sensitivity import draw_sobol_indices
 from splits.plotting.style import save_figure
 from splits.tables.axes import list_numeric_axes
 
-found = {}
+indices = {}
 for name, path in zip(snakemake.params.names, snakemake.input.data, strict=True):
     table = splits.open_table(path)
     free = list_numeric_axes(table.dataset, table.axes[:-1])
-    found[name.replace("_", " ")] = splits.sobol_indices(table, free, seed=snakemake.params.seed)
-lines = [one.to_dataframe().reset_index().assign(table=name) for name, one in found.items()]
-write_table(pd.concat(lines, ignore_index=True), snakemake.output.table)
-save_figure(draw_sobol_indices(found), Path(snakemake.output.figure[0]).with_suffix(""))
+    indices[name.replace("_", " ")] = splits.sobol_indices(table, free, seed=snakemake.params.seed)
+tables = [ds.to_dataframe().reset_index().assign(table=name) for name, ds in indices.items()]
+write_table(pd.concat(tables, ignore_index=True), snakemake.output.table)
+save_figure(draw_sobol_indices(indices), Path(snakemake.output.figure[0]).with_suffix(""))

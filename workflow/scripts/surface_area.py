@@ -1,4 +1,4 @@
-"""Find the surface area of measured snow (map snakemake to `splits.analysis`)."""
+"""Retrieve the surface area of measured snow (snakemake script)."""
 
 from pathlib import Path
 
@@ -15,10 +15,10 @@ from splits.plotting import describe_conditions, draw_area_law, draw_fitted_spec
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
 datasets = {role: load(path) for role, path in roles}
 spectra = read_spectra(snakemake.input.spectra)
-found = retrieve_surface_areas(datasets["spectra"], spectra)
-write_table(found, snakemake.output.table)
+areas = retrieve_surface_areas(datasets["spectra"], spectra)
+write_table(areas, snakemake.output.table)
 figure = draw_fitted_spectra(
-    make_overlay_table(datasets["spectra"], spectra, found),
+    make_overlay_table(datasets["spectra"], spectra, areas),
     describe_conditions(datasets["spectra"]),
 )
 save_figure(figure, Path(snakemake.output.figure[0]).with_suffix(""))

@@ -1,4 +1,4 @@
-"""Put a table together from its blocks (map snakemake to `splits.experiments.run_table`)."""
+"""Assemble a table from its blocks (snakemake script)."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_table import delete_unused_blocks, write_table
 
-with open_progress_log(snakemake.log[0]) as say:
+with open_progress_log(snakemake.log[0]) as log:
     write_table(
         SimulationConfig.model_validate(snakemake.params.experiment),
         Accuracy.model_validate(snakemake.params.accuracy),
@@ -19,6 +19,6 @@ with open_progress_log(snakemake.log[0]) as say:
         Path(snakemake.input[0]).parent,
         Path(snakemake.output[0]),
         snakemake.threads,
-        say,
+        log,
     )
-delete_unused_blocks([Path(note) for note in snakemake.input])
+delete_unused_blocks([Path(manifest) for manifest in snakemake.input])

@@ -1,4 +1,4 @@
-"""Measure a part of a table (map snakemake to `splits.experiments.run_table`)."""
+"""Simulate a part of a table (snakemake script)."""
 
 from pathlib import Path
 
@@ -11,17 +11,17 @@ from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_table import run_part, write_part_manifest
 
-made, part = Path(snakemake.output[0]), int(snakemake.wildcards.part)
-with open_progress_log(snakemake.log[0]) as say:
+manifest, part = Path(snakemake.output[0]), int(snakemake.wildcards.part)
+with open_progress_log(snakemake.log[0]) as log:
     experiment = SimulationConfig.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     blocks = run_part(
         experiment,
         accuracy,
         snakemake.params.seed,
-        made.parent,
+        manifest.parent,
         part,
         snakemake.threads,
-        say,
+        log,
     )
-    write_part_manifest(blocks, made)
+    write_part_manifest(blocks, manifest)

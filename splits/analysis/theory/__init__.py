@@ -1,1 +1,1 @@
-"""Radiative transfer theory beside the simulations."""
+"""Radiative transfer theories for comparison with simulations."""

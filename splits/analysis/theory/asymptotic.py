@@ -1,9 +1,9 @@
-"""What theories need beside the model's own optics, and one of them: asymptotic transfer.
+"""Asymptotic radiative transfer theory of snow, and corrections of optics for theories.
 
-Discrete ordinates stand in `splits.analysis.theory.discrete_ordinates`.  Both take grains for points that scatter.
-The sets of the papers do not: a ray leaves a grain where it comes out of it, and a grain that cuts
-the last leg or a boundary is drawn again.  In all of them wet pores reflect at the boundaries.
-docs/theory/radiative-transfer.md says how far that matters.
+Discrete ordinates are in `splits.analysis.theory.discrete_ordinates`.  Both theories assume point
+scatterers.  In the interpretations of the papers, a ray leaves a grain at its exit point, and a
+grain that overlaps the last segment or a boundary is sampled again.  In all interpretations, the
+boundaries of wet pores reflect light.  docs/theory/radiative-transfer.md quantifies the effects.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ EXTRAPOLATION_LENGTH = 1.072
 
 
 def correct_dense_packing(optics: xr.Dataset) -> xr.Dataset:
-    """Return optics whose optical thickness allows for the way of light through the grains.
+    """Return optics with an optical thickness corrected for path lengths inside grains.
 
-    Radiative transfer counts the way between grains.  The model's rays also advance by the grains
-    themselves: see `splits.simulation.diffusion.effective_mean_free_path`.
+    Radiative transfer has path lengths between grains only, while rays of the model also advance
+    inside grains: see `splits.simulation.diffusion.effective_mean_free_path`.
 
     Parameters
     ----------
@@ -44,28 +44,28 @@ def correct_dense_packing(optics: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        A copy with ``extinction`` and ``optical_thickness`` so changed, with their standard errors
-        ``…_stderr``; the latter remains proportional to depth.
+        A copy with corrected ``extinction`` and ``optical_thickness``, and their standard errors
+        ``…_stderr``.  The optical thickness remains proportional to depth.
     """
-    thinner = _compute_packing_ratio(optics)
-    apart, bound = (
+    ratio = _compute_packing_ratio(optics)
+    jackknife, bound = (
         compute_jackknife_results(_compute_packing_ratio, optics),
         compute_interpolation_bound(_compute_packing_ratio, optics),
     )
     error = propagate_errors(_compute_packing_ratio, optics)
     variables: dict[str, Any] = {}
     for name in ("extinction", "optical_thickness"):
-        value, label = optics[name].values, f"{name.replace('_', ' ')}, grains' own way counted"
+        value, label = optics[name].values, f"{name.replace('_', ' ')}, paths in grains included"
         units = optics[name].attrs.get("units", "1")
-        variables |= make_variable(name, "wavelength", value * thinner, value * error, label, units)
+        variables |= make_variable(name, "wavelength", value * ratio, value * error, label, units)
         variables[name + BOUND_SUFFIX] = ("wavelength", value * bound)
-        if apart is not None:
-            variables[name + JACKKNIFE_SUFFIX] = (("batch", "wavelength"), value * apart)
+        if jackknife is not None:
+            variables[name + JACKKNIFE_SUFFIX] = (("batch", "wavelength"), value * jackknife)
     return optics.assign(variables)
 
 
 def _compute_packing_ratio(optics: xr.Dataset) -> np.ndarray:
-    """Return the mean distance between grains over that of `correct_dense_packing`."""
+    """Return the ratio of the mean distance between grains to that of `correct_dense_packing`."""
     return 1.0 / optics.extinction.values / effective_mean_free_path(optics)
 
 
@@ -80,7 +80,7 @@ def kz04(
     density_kg_m3: float = 300.0,
     depth_m: float = np.inf,
 ) -> xr.Dataset:
-    """Return the analytical asymptotic theory of dry snow, as `snowoptics` has it.
+    """Return reflectance and transmittance of dry snow by asymptotic theory (`snowoptics`).
 
     Reflectance of a half-space by `snowoptics.albedo_KZ04`, R∞ = exp(−y u), with y² =
     16 (1 − ω)/(3 (1 − g)) and u = 3/7 (1 + 2 cosθ), 1 under diffuse light; a finite layer of
@@ -88,7 +88,7 @@ def kz04(
 
         T = u sinh(y) / sinh(x + 1.072 y),    R = R∞ − T exp(−x − y).
 
-    Meant for weak absorption (k d small, R above about 0.6) and, if finite, τ (1 − g) above 1.
+    It is valid for weak absorption (small k d, R above about 0.6) and, if finite, τ (1 − g) > 1.
 
     Parameters
     ----------
@@ -97,16 +97,16 @@ def kz04(
     ssa_m2_kg : float
         Specific surface area (m²/kg), see `splits.Snow.specific_surface_area_m2_kg`.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.99 degrees, or equal radiance from everywhere.
+        Polar angle of a beam, 0 to 89.99 degrees, or isotropic diffuse light.
     extinction_coefficient : array_like or str
         k of ice at the wavelengths, or the name of one of the package's datasets.
     absorption_enhancement, asymmetry : float or array_like
-        Shape factors B and g, diffraction counted; the defaults are those of snowoptics, fitted
-        to natural snow.  `compute_shape_factors` has those of a medium.
+        Shape factors B and g with diffraction; the defaults are those of snowoptics, fitted to
+        natural snow.  `compute_shape_factors` gives those of a medium.
     density_kg_m3 : float
-        Of the snow; matters for a finite depth only.
+        Density of the snow, for a finite depth.
     depth_m : float
-        Above 0, may be infinite.
+        Depth above 0 (m), which may be infinite.
 
     Returns
     -------
@@ -125,16 +125,16 @@ def kz04(
     if depth_m != np.inf:
         check_range("depth_m", depth_m, 0.0, np.inf, "m", open_low=True)
     wavelengths = as_1d_array("wavelength_nm", wavelength_nm, "numbers in nanometres")
-    metres = wavelengths * 1e-9
+    wavelength_m = wavelengths * 1e-9
     ni = extinction_coefficient
     if not isinstance(ni, str):
-        ni = np.broadcast_to(as_float_array("extinction_coefficient", ni), metres.shape)
+        ni = np.broadcast_to(as_float_array("extinction_coefficient", ni), wavelength_m.shape)
     shape = {"ni": ni, "B": absorption_enhancement, "g": asymmetry}
     half_space = snowoptics.albedo_KZ04(
-        metres, np.arccos(cosine or 1.0), ssa, r_difftot=float(cosine is None), **shape
+        wavelength_m, np.arccos(cosine or 1.0), ssa, r_difftot=float(cosine is None), **shape
     )
-    # y = 0 has a limit that the formula cannot give.
-    y = np.maximum(np.sqrt(snowoptics.compute_alpha(metres, ssa, **shape)), 1e-9)
+    # The formula is singular at y = 0, where its limit is finite.
+    y = np.maximum(np.sqrt(snowoptics.compute_alpha(wavelength_m, ssa, **shape)), 1e-9)
     # From snowoptics' own extinction, ρ SSA/2, and y: x/y = 3/4 (1 − g) τ.
     x = 0.0
     transmittance = np.zeros_like(y)
@@ -158,9 +158,9 @@ def kz04(
 def compute_shape_factors(
     optics: xr.Dataset, ssa_m2_kg: float, extinction_coefficient: Any
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the absorption enhancement B and the asymmetry g of a medium, diffraction counted.
+    """Return the absorption enhancement B and the asymmetry g of a medium with diffraction.
 
-    What `kz04` needs to have the medium's own (1 − ω)/(1 − g); B is constant for weak absorption.
+    With them, `kz04` has the (1 − ω)/(1 − g) of the medium.  B is constant for weak absorption.
     Smooth ice spheres have B = 1.25 and g = 0.89.
 
     Parameters
@@ -173,13 +173,15 @@ def compute_shape_factors(
         k of ice at the wavelengths, above 0.
     """
     gamma = 4.0 * np.pi * np.asarray(extinction_coefficient) / (optics.wavelength.values * 1e-9)
-    lost = 1.0 - optics.single_scattering_albedo.values
+    coalbedo = 1.0 - optics.single_scattering_albedo.values
     # snowoptics: 1 − ω' = 2 B γ/(SSA ρ) with ρ = 917 kg/m³, and diffraction halves 1 − ω.
-    return 0.25 * lost * ssa_m2_kg * 917.0 / gamma, 0.5 * (1.0 + optics.asymmetry_parameter.values)
+    return 0.25 * coalbedo * ssa_m2_kg * 917.0 / gamma, 0.5 * (
+        1.0 + optics.asymmetry_parameter.values
+    )
 
 
 def compute_incidence_cosine(incidence_deg: float | str) -> float | None:
-    """Return the cosine of incidence, None for diffuse light."""
+    """Return the cosine of incidence, or None for diffuse light."""
     if isinstance(incidence_deg, str):
         check_choice("incidence_deg", incidence_deg, ["diffuse"])
         return None

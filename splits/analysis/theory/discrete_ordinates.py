@@ -1,4 +1,4 @@
-"""Radiative transfer in layers over a ground, by discrete ordinates."""
+"""Radiative transfer in layers above a ground by discrete ordinates."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from splits.core.validation import invalid
 from splits.media.ground import Ground, describe_ground
 
 MAX_ALBEDO = 1.0 - 1e-9
-"""PythonicDISORT refuses an albedo of 1 and loses digits as it comes near: at 1 − 10⁻⁹ fluxes are
-good to 10⁻⁶, while an optical thickness of 1000 absorbs 10⁻⁵ more than it should at most."""
+"""PythonicDISORT rejects an albedo of 1 and loses digits close to it.  At 1 − 10⁻⁹ fluxes are
+accurate to 10⁻⁶, and an optical thickness of 1000 absorbs at most 10⁻⁵ too much."""
 
 OPTICS_INPUTS = ("optical_thickness", "single_scattering_albedo", "legendre_moment")
-"""What discrete ordinates take of the optics."""
+"""Variables of the optics that discrete ordinates use."""
 
 N_RESPONSE_STREAMS = 8
-"""Streams that tell how results respond to small changes of the optics: of R = 0.66 eight miss
-5·10⁻⁵, and of a response no more than a part in a hundred."""
+"""Streams for the response of results to errors of the optics.  With eight, the error at R = 0.66
+is 5·10⁻⁵, and that of a response below one per cent."""
 
 
 def solve_discrete_ordinates(
@@ -35,34 +35,33 @@ def solve_discrete_ordinates(
     streams: int = 32,
     ground: Any = None,
 ) -> xr.Dataset:
-    """Return what radiative transfer says about homogeneous layers, by discrete ordinates.
+    """Return reflectance and transmittance of homogeneous layers by discrete ordinates.
 
-    Boundaries reflect nothing.  The phase function is cut at as many Legendre moments as there are
-    streams, the rest of its forward peak is taken for unscattered (delta-M, Wiscombe 1977).
+    Boundaries do not reflect.  The phase function is truncated to as many Legendre moments as
+    streams, and the rest of its forward peak counts as unscattered (delta-M, Wiscombe 1977).
 
     Parameters
     ----------
     optics : xarray.Dataset, or sequence of them
-        Of one layer, or of several, top first: from `splits.instruments.single_scattering`, with at
-        least `streams` moments; or anything with its ``single_scattering_albedo``,
+        Optics of one layer, or of several, top first: from `splits.instruments.single_scattering`
+        with at least `streams` moments, or a dataset with ``single_scattering_albedo``,
         ``optical_thickness`` and ``legendre_moment``.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.99 degrees, or equal radiance from everywhere.
+        Polar angle of a beam, 0 to 89.99 degrees, or isotropic diffuse light.
     streams : int
-        Directions of the solution, both hemispheres together: even, at least 4.
+        Number of streams in both hemispheres: even, at least 4.
     ground : number, str, mapping or path, optional
-        Lambertian ground below, see `splits.media.ground.Ground.from_input`; its part of the light counts
-        as transmitted.
+        Lambertian ground below, see `splits.media.ground.Ground.from_input`.  Light that it absorbs
+        counts as transmitted.
 
     Returns
     -------
     xarray.Dataset
-        ``reflectance`` and ``transmittance`` (hemispherical; the latter with the direct beam) and
-        ``absorptance`` over ``wavelength``; the ``…_truncation`` of each: its difference from the
-        result with half the streams, an upper estimate of what the number of streams misses; and
-        standard errors ``…_stderr``: that, and what errors of the optics make of it (`propagate_errors`),
-        those of different layers being independent.  Albedos above `MAX_ALBEDO` are taken for
-        that.
+        ``reflectance`` and ``transmittance`` (hemispherical, including the direct beam) and
+        ``absorptance`` over ``wavelength``; ``…_truncation`` of each, the difference from the
+        result with half the streams and an upper estimate of the truncation error; and standard
+        errors ``…_stderr``, which combine it with the propagated errors of the optics
+        (`propagate_errors`), independent between layers.  Albedos are limited to `MAX_ALBEDO`.
 
     Raises
     ------
@@ -83,37 +82,53 @@ def solve_discrete_ordinates(
         raise invalid("optics", optics, "those of at least one layer")
     if isinstance(streams, bool) or streams % 2 or streams < 4:
         raise invalid("streams", streams, "an even number of at least 4")
-    fewest = min(one.sizes["order"] for one in layers)
-    if fewest <= streams:
-        raise invalid("streams", streams, f"below the number of moments, {fewest}")
-    below = Ground.from_input(ground)
+    min_moments = min(layer.sizes["order"] for layer in layers)
+    if min_moments <= streams:
+        raise invalid("streams", streams, f"below the number of moments, {min_moments}")
+    ground_model = Ground.from_input(ground)
     wavelengths = layers[0].wavelength.values
-    for number, one in enumerate(layers):
-        if not np.array_equal(one.wavelength.values, wavelengths):
+    for number, layer in enumerate(layers):
+        if not np.array_equal(layer.wavelength.values, wavelengths):
             raise invalid(
-                f"optics[{number}].wavelength", one.wavelength.values, "that of optics[0]"
+                f"optics[{number}].wavelength", layer.wavelength.values, "that of optics[0]"
             )
-    albedo = np.zeros(wavelengths.shape) if below is None else below.albedo(wavelengths)
+    albedo = (
+        np.zeros(wavelengths.shape) if ground_model is None else ground_model.albedo(wavelengths)
+    )
     fine, coarse = (_solve_stack(layers, cosine, n, albedo) for n in (streams, 2 * (streams // 4)))
     truncation = np.abs(fine - coarse)
-    few = min(streams, N_RESPONSE_STREAMS)
-    used = [_select_inputs(one).isel(order=slice(few + 1)) for one in layers]
+    n_response_streams = min(streams, N_RESPONSE_STREAMS)
+    inputs = [_select_inputs(layer).isel(order=slice(n_response_streams + 1)) for layer in layers]
     parts = []
-    for i, one in enumerate(used):
-        above, under = used[:i], used[i + 1 :]
+    for i, layer in enumerate(inputs):
+        layers_above, layers_below = inputs[:i], inputs[i + 1 :]
         parts.append(
-            propagate_errors(partial(_solve_with_layer, above, under, cosine, few, albedo), one)
+            propagate_errors(
+                partial(
+                    _solve_with_layer,
+                    layers_above,
+                    layers_below,
+                    cosine,
+                    n_response_streams,
+                    albedo,
+                ),
+                layer,
+            )
         )
     stderr = np.sqrt(truncation**2 + sum(part**2 for part in parts))
     variables: dict[str, Variable] = {}
     for row, name in enumerate(("reflectance", "transmittance", "absorptance")):
-        less = f"{name}_truncation"
-        label = f"what the number of streams misses of {name}"
+        truncation_name = f"{name}_truncation"
+        label = f"truncation error of {name} due to the number of streams"
         variables |= make_variable(name, "wavelength", fine[row], stderr[row], name)
-        variables |= make_variable(less, "wavelength", truncation[row], None, label)
-    facts = {"theory": "discrete ordinates", "incidence_deg": incidence_deg, "streams": streams}
-    facts |= describe_ground(below)
-    return xr.Dataset(variables, {"wavelength": wavelengths}, facts)
+        variables |= make_variable(truncation_name, "wavelength", truncation[row], None, label)
+    attributes = {
+        "theory": "discrete ordinates",
+        "incidence_deg": incidence_deg,
+        "streams": streams,
+    }
+    attributes |= describe_ground(ground_model)
+    return xr.Dataset(variables, {"wavelength": wavelengths}, attributes)
 
 
 def _solve_with_layer(
@@ -132,8 +147,8 @@ def _select_inputs(optics: xr.Dataset) -> xr.Dataset:
 
 
 def _import_solver() -> Callable[..., Any]:
-    found = import_optional("PythonicDISORT", "theory", "discrete ordinates need")
-    solver: Callable[..., Any] = found.pydisort
+    module = import_optional("PythonicDISORT", "theory", "discrete ordinates need")
+    solver: Callable[..., Any] = module.pydisort
     return solver
 
 
@@ -142,19 +157,19 @@ def _solve_stack(
 ) -> np.ndarray:
     """Return reflectance, transmittance and absorptance, shape (3, wavelengths)."""
     thickness, albedo = (
-        np.stack([one[name].values for one in layers], axis=-1)
+        np.stack([layer[name].values for layer in layers], axis=-1)
         for name in ("optical_thickness", "single_scattering_albedo")
     )
     moments = np.stack(
         [
-            one.legendre_moment.transpose("wavelength", "order").values[:, : streams + 1]
-            for one in layers
+            layer.legendre_moment.transpose("wavelength", "order").values[:, : streams + 1]
+            for layer in layers
         ],
         axis=1,
     )
     rows = zip(thickness, albedo, moments, ground, strict=True)
-    found = np.array([_solve_wavelength(*row, cosine, streams) for row in rows])
-    return np.concatenate([found.T, 1.0 - found.T.sum(axis=0, keepdims=True)])
+    fluxes = np.array([_solve_wavelength(*row, cosine, streams) for row in rows])
+    return np.concatenate([fluxes.T, 1.0 - fluxes.T.sum(axis=0, keepdims=True)])
 
 
 def _solve_wavelength(
@@ -165,14 +180,14 @@ def _solve_wavelength(
     cosine: float | None,
     streams: int,
 ) -> tuple[float, float]:
-    """Return hemispherical reflectance, and transmittance or what the ground keeps.
+    """Return hemispherical reflectance, and transmittance or absorption of the ground.
 
     Parameters
     ----------
     thickness, albedo : float, shape (layers,)
     moments : float, shape (layers, streams + 1)
     """
-    # The library wants moments below 1 and a peak that is not negative, as noise may be.
+    # The library requires moments below 1 and a nonnegative peak, despite noise.
     chi = np.clip(moments, -MAX_ALBEDO, MAX_ALBEDO)
     chi[:, 0] = 1.0
     beam = {"mu0": cosine, "I0": 1.0 / cosine} if cosine else {"mu0": 1.0, "I0": 0.0}

@@ -1,4 +1,4 @@
-"""What errors of single-scattering properties make of a theory's results."""
+"""Propagation of errors of single-scattering properties to the results of a theory."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import xarray as xr
 from splits.core.uncertainty import compute_jackknife_stderr
 
 JACKKNIFE_SUFFIX, BOUND_SUFFIX = "_jackknife", "_interpolation_bound"
-"""How names end of what `splits.instruments.single_scattering` tells of errors."""
+"""Suffixes of the variables of `splits.instruments.single_scattering` for errors."""
 
 TheoryFunction = Callable[[xr.Dataset], np.ndarray]
-"""From optics to numbers, the wavelengths along the last axis."""
+"""Function from optics to an array with wavelengths along the last axis."""
 
 
 def propagate_errors(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray:
-    """Return the standard error that a theory's results have from their optics.
+    """Return the standard error of a theory's results due to errors of its optics.
 
-    The theory is applied to the optics without one part of the rays after the other: the jackknife,
-    which knows how the errors of albedo, moments and displacements go together.  What interpolation
-    between refractive indices may miss of each of them is added as it comes through.
+    The theory is applied to the optics with each batch of rays left out in turn (jackknife), which
+    includes the correlations of albedo, moments and displacements.  The bound from interpolation
+    between refractive indices is added.
 
     Parameters
     ----------
     theory : callable
         From a dataset like `optics` to float[…, wavelengths].
     optics : xarray.Dataset
-        From `splits.instruments.single_scattering`; without ``…_jackknife`` and ``…_interpolation_bound``, it is
-        taken for exact.
+        From `splits.instruments.single_scattering`; without ``…_jackknife`` and
+        ``…_interpolation_bound`` it is assumed exact.
 
     References
     ----------
@@ -41,42 +41,44 @@ def propagate_errors(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray:
 
 
 def compute_jackknife_results(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray | None:
-    """Return a theory's results without one part of the rays each, None without such parts."""
-    values = [theory(one) for one in _iterate_jackknife_optics(optics)]
+    """Return a theory's results with each batch of rays left out, or None without batches."""
+    values = [theory(variant) for variant in _iterate_jackknife_optics(optics)]
     return np.stack(values) if values else None
 
 
 def compute_interpolation_bound(theory: TheoryFunction, optics: xr.Dataset) -> np.ndarray:
-    """Return the bound on what interpolation of the optics may miss of a theory's results.
+    """Return the bound on the error of a theory's results due to interpolation of the optics.
 
-    Every number of the optics may be off by itself, either way: what each does to the results is
-    added up in size, which is a bound as far as results respond in proportion.
+    The absolute effects of the errors of all optical quantities are added, which is a bound if the
+    results depend linearly on them.
     """
-    whole = theory(optics)
-    bound = np.zeros_like(whole)
+    result = theory(optics)
+    bound = np.zeros_like(result)
     for name in _list_names_with_suffix(optics, BOUND_SUFFIX):
         if name in optics:
-            for off in _iterate_components(optics[name + BOUND_SUFFIX]):
-                bound += np.abs(theory(optics.assign({name: optics[name] - off})) - whole)
+            for error in _iterate_components(optics[name + BOUND_SUFFIX]):
+                bound += np.abs(theory(optics.assign({name: optics[name] - error})) - result)
     return bound
 
 
 def _iterate_components(bound: xr.DataArray) -> Iterator[xr.DataArray]:
-    """Yield it with one order after the other, all others 0; results know one wavelength each."""
-    along = [dim for dim in bound.dims if dim != "wavelength"]
-    for place in np.ndindex(*(bound.sizes[dim] for dim in along)):
-        one = dict(zip(along, place, strict=True))
-        if bound[one].values.any():
-            off = xr.zeros_like(bound)
-            off[one] = bound[one]
-            yield off
+    """Yield a bound with a single order each, all others 0, since wavelengths are independent."""
+    order_dims = [dim for dim in bound.dims if dim != "wavelength"]
+    for index in np.ndindex(*(bound.sizes[dim] for dim in order_dims)):
+        selection = dict(zip(order_dims, index, strict=True))
+        if bound[selection].values.any():
+            component = xr.zeros_like(bound)
+            component[selection] = bound[selection]
+            yield component
 
 
 def _iterate_jackknife_optics(optics: xr.Dataset) -> Iterator[xr.Dataset]:
-    """Yield the optics as they are without one part of the rays after the other."""
+    """Yield the optics with each batch of rays left out in turn."""
     names = _list_names_with_suffix(optics, JACKKNIFE_SUFFIX)
-    for part in range(optics.sizes["batch"] if names else 0):
-        yield optics.assign({n: optics[n + JACKKNIFE_SUFFIX].isel(batch=part) for n in names})
+    for batch in range(optics.sizes["batch"] if names else 0):
+        yield optics.assign(
+            {name: optics[name + JACKKNIFE_SUFFIX].isel(batch=batch) for name in names}
+        )
 
 
 def _list_names_with_suffix(optics: xr.Dataset, suffix: str) -> list[str]:

@@ -1,13 +1,14 @@
-"""The optical shape of grains: how much they absorb and how far they turn light, for their surface.
+"""Optical shape factors of grains: absorption enhancement and asymmetry parameter.
 
-Where little is absorbed, a grain's shape counts by two numbers only.  The absorption enhancement B
-tells how much longer light stays in ice than along straight lines,
+For weak absorption, the shape of grains enters by two numbers only.  The absorption enhancement B
+is the ratio of path lengths in ice to those of straight lines,
 
     1 − ω = B γ/K,    γ = 4πk/λ,
 
-ω the single-scattering albedo, K the cross-section per volume of grains.  The asymmetry parameter
-g is that of geometric optics, without diffraction.  The albedo of a deep pack depends on B/(1 − g)
-(Libois et al. 2013, The Cryosphere 7, 1803; Robledano et al. 2023, Nature Communications 14, 3955).
+with the single-scattering albedo ω and the cross-section K per volume of grains.  The asymmetry
+parameter g is that of geometric optics, without diffraction.  The albedo of a semi-infinite
+snowpack depends on B/(1 − g) (Libois et al. 2013, The Cryosphere 7, 1803; Robledano et al. 2023,
+Nature Communications 14, 3955).
 """
 
 from __future__ import annotations
@@ -22,26 +23,26 @@ from splits.instruments import single_scattering
 from splits.media import Snow
 
 DEFAULT_WAVELENGTH_NM = 900.0
-"""Where Robledano et al. measured; a hundredth of the light that meets a grain is absorbed."""
+"""Wavelength of Robledano et al.; a grain absorbs about a hundredth of the incident light."""
 
 
 class EstimatedValue(NamedTuple):
-    """A number and its standard error."""
+    """A value and its standard error."""
 
     value: float
     stderr: float
 
 
 class OpticalShape(NamedTuple):
-    """What a shape does to light.
+    """Optical shape factors of grains.
 
     Attributes
     ----------
-    absorption_enhancement : Measured
+    absorption_enhancement : EstimatedValue
         B.
-    asymmetry_parameter : Measured
+    asymmetry_parameter : EstimatedValue
         g, without diffraction.
-    b_over_1_minus_g : Measured
+    b_over_1_minus_g : EstimatedValue
         B/(1 − g).
     """
 
@@ -54,44 +55,47 @@ def compute_optical_shape(
     snow: Snow, wavelength_nm: float = DEFAULT_WAVELENGTH_NM, rays: int = 65_536, seed: int = 1,
     threads: int | None = None,
 ) -> OpticalShape:  # fmt: skip
-    """Return the optical shape of the grains of dry snow.
+    """Return the optical shape factors of the grains of dry snow.
 
     Parameters
     ----------
     snow : Snow
-        Without water or other media in its pores, and without impurities.
+        Snow without water or other media in its pores, and without impurities.
     wavelength_nm : float
-        Where ice absorbs little of what meets a grain (nm).
+        Wavelength (nm) at which ice absorbs weakly.
     rays : int
-        As for `splits.single_scattering`, as the others are.
+        As for `splits.single_scattering`, like `seed` and `threads`.
     seed : int
     threads : int, optional
 
     Raises
     ------
     ValueError
-        For wet or dirty snow, or a wavelength at which ice does not absorb at all.
+        For wet snow, impurities, or a wavelength at which ice does not absorb.
     """
     if snow.saturation > 0.0 or snow.pores:
-        raise invalid("saturation", snow.saturation, "0: the shape is that of dry grains")
+        raise invalid("saturation", snow.saturation, "0, as shape factors are those of dry grains")
     if snow.impurities_ng_g or snow.algae_cells_ml:
         raise invalid("impurities_ng_g", dict(snow.impurities_ng_g), "empty")
     k = float(snow.refractive_index["ice"](np.array([wavelength_nm]))[0].imag)
     if k <= 0.0:
         raise invalid("wavelength_nm", wavelength_nm, "where ice absorbs")
-    found = single_scattering(
+    optics = single_scattering(
         snow, [wavelength_nm], moments=1, rays=rays, seed=seed, threads=threads
     )
     scale = snow.attenuation_per_m / (4.0 * np.pi * k / (wavelength_nm * 1e-9))
 
-    def shape(albedo: np.ndarray, asymmetry: np.ndarray) -> np.ndarray:
+    def compute_factors(albedo: np.ndarray, asymmetry: np.ndarray) -> np.ndarray:
         enhancement = (1.0 - albedo) * scale
         return np.array([enhancement, asymmetry, enhancement / (1.0 - asymmetry)])
 
     names = ("single_scattering_albedo", "asymmetry_parameter")
-    values = shape(*(found[name].values[0] for name in names))
-    left_out = shape(*(found[f"{name}_jackknife"].values[:, 0] for name in names))
-    errors = compute_jackknife_stderr(left_out.T)
+    values = compute_factors(*(optics[name].values[0] for name in names))
+    jackknife = compute_factors(*(optics[f"{name}_jackknife"].values[:, 0] for name in names))
+    errors = compute_jackknife_stderr(jackknife.T)
     return OpticalShape(
-        *(EstimatedValue(float(v), float(e)) for v, e in zip(values, errors, strict=True))
+        *(
+            EstimatedValue(float(value), float(stderr))
+            for value, stderr in zip(values, errors, strict=True)
+        )
     )

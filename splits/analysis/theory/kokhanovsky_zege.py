@@ -1,6 +1,8 @@
-"""Tables of a published law of snow's albedo, to be read beside those of this model."""
+"""Tables of a published law of snow albedo, for comparison with those of this model."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import snowoptics
@@ -16,29 +18,29 @@ from splits.tables.table import Table
 KOKHANOVSKY_ZEGE = "kokhanovsky_zege_2004"
 ALBEDO_LAWS = (KOKHANOVSKY_ZEGE,)
 ICE_DENSITY_KG_M3 = 917.0
-"""Of the law's own scattering."""
+"""Density of ice in the law (kg/m³)."""
 FORMULA_STDERR = 1e-6
-"""Standard error of a formula, as a table has to have one."""
+"""Nominal standard error of a formula, which a table requires."""
 IMPURITY_KEYWORD = "impurities_ng_g"
 
 
 def make_law_table(
     table: Table, law: str = KOKHANOVSKY_ZEGE, model_axis: str | None = None
 ) -> Table:
-    """Return what a law says of the snow of a table, over the axes that it knows.
+    """Return the table of a law for the snow of a table, over the axes of the law.
 
-    Kokhanovsky & Zege (2004, Appl. Opt. 43, 1589-1602, doi:10.1364/AO.43.001589) for deep snow, as
-    the package snowoptics has it with its shape of grains.  What impurities absorb is added to ice,
-    as that package does for soot: a share c of mass, of a mass absorption coefficient M, adds
-    2 c M/SSA to 1 − ω.
+    The law is that of Kokhanovsky & Zege (2004, Appl. Opt. 43, 1589-1602,
+    doi:10.1364/AO.43.001589) for deep snow, with the shape factors of the package snowoptics.
+    Absorption of impurities is added to that of ice as in this package: a mass fraction c with the
+    mass absorption coefficient M adds 2 c M/SSA to 1 − ω.
 
     Parameters
     ----------
-    table : MethodTable
-        Its other axes, of which the law knows nothing (liquid water), have to hold 0.
+    table : Table
+        Axes that the law does not have (liquid water) must contain 0.
     law : {"kokhanovsky_zege_2004"}
     model_axis : str, optional
-        An axis of models, beside which the law stands.
+        An axis of models, with which the law is compared.
 
     Returns
     -------
@@ -47,56 +49,70 @@ def make_law_table(
     Raises
     ------
     ValueError
-        For a table without sizes, or with an axis of which the law knows nothing and that has no 0.
+        For a table without sizes, or with another axis that does not contain 0.
     """
-    given = table.dataset
-    axes = [a for a in table.axes if a != "wavelength"]
-    size = next((a for a in axes if a in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)), None)
+    dataset = table.dataset
+    axes = [axis for axis in table.axes if axis != "wavelength"]
+    size = next((axis for axis in axes if axis in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)), None)
     if size is None:
-        raise invalid(
-            "retrieve.compare_with",
-            law,
-            f"with {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid",
-        )
-    kept = [
-        a
-        for a in axes
-        if a in (size, INCIDENCE) or (parse_impurity_parameter(a) or ("",))[0] == IMPURITY_KEYWORD
+        allowed = f"with {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid"
+        raise invalid("retrieve.compare_with", law, allowed)
+    law_axes = [
+        axis
+        for axis in axes
+        if axis in (size, INCIDENCE)
+        or (parse_impurity_parameter(axis) or ("",))[0] == IMPURITY_KEYWORD
     ]
-    for name in [a for a in axes if a not in (*kept, model_axis)]:
-        if given[name].dtype.kind != "f" or float(given[name].values.min()) != 0.0:
+    for name in [axis for axis in axes if axis not in (*law_axes, model_axis)]:
+        if dataset[name].dtype.kind != "f" or float(dataset[name].values.min()) != 0.0:
             raise invalid(
                 "retrieve.compare_with", law, f"left out where {name} is on the grid without 0"
             )
-    w = given.wavelength.values
-    ice, absorbed = snowoptics.refice(1e-9 * w, "p2016")
-    shape = [given.sizes[a] for a in kept]
-    values = np.empty((*shape, w.size))
-    for place in np.ndindex(*shape):
-        at = {a: given[a].values[i] for a, i in zip(kept, place, strict=True)}
-        amounts = {
-            str(parsed[1]): float(at[a]) for a in kept if (parsed := parse_impurity_parameter(a))
-        }
-        per_ice = sum(
-            (one.compute_absorption_per_kg_ice(w) for one in make_impurities(amounts, {})),
-            np.zeros(w.size),
+    wavelength = dataset.wavelength.values
+    ice, absorbed = snowoptics.refice(1e-9 * wavelength, "p2016")
+    shape = [dataset.sizes[axis] for axis in law_axes]
+    values = np.empty((*shape, wavelength.size))
+    for index in np.ndindex(*shape):
+        point = {a: dataset[a].values[i] for a, i in zip(law_axes, index, strict=True)}
+        added_k = _compute_impurity_k(point, wavelength)
+        by_area = size == SURFACE_AREA_KEY
+        area = point[size] if by_area else 3e6 / (ICE_DENSITY_KG_M3 * point[size])
+        incidence = point.get(INCIDENCE, dataset.attrs.get(INCIDENCE, 0.0))
+        values[index] = _compute_albedo(
+            1e-9 * wavelength, incidence, float(area), (ice, absorbed + added_k)
         )
-        # In 1/m of ice, and as the imaginary part of an index, which the law takes.
-        more = per_ice * ICE_DENSITY_KG_M3 / snowoptics.default_B * (1e-9 * w) / (4.0 * np.pi)
-        area = at[size] if size == SURFACE_AREA_KEY else 3e6 / (ICE_DENSITY_KG_M3 * at[size])
-        beam = at.get(INCIDENCE, given.attrs.get(INCIDENCE, 0.0))
-        values[place] = _compute_albedo(1e-9 * w, beam, float(area), (ice, absorbed + more))
-    dims = (*kept, "wavelength")
-    coordinates = {a: given[a] for a in dims}
-    about = given.reflectance.attrs
+    dims = (*law_axes, "wavelength")
+    coordinates = {axis: dataset[axis] for axis in dims}
+    attributes = dataset.reflectance.attrs
     stderr = np.full(values.shape, FORMULA_STDERR)
     return Table(
         xr.Dataset(
-            {"reflectance": (dims, values, about), "reflectance_stderr": (dims, stderr, about)},
+            {
+                "reflectance": (dims, values, attributes),
+                "reflectance_stderr": (dims, stderr, attributes),
+            },
             coordinates,
             {"title": law, "path_sharing_axes": "none"},
         )
     )
+
+
+def _compute_impurity_k(point: dict[str, Any], wavelength_nm: np.ndarray) -> np.ndarray:
+    """Return the absorption of impurities as an imaginary part of the refractive index of ice."""
+    amounts = {
+        str(parsed[1]): float(value)
+        for axis, value in point.items()
+        if (parsed := parse_impurity_parameter(axis))
+    }
+    impurities = make_impurities(amounts, {})
+    per_ice = sum(
+        (impurity.compute_absorption_per_kg_ice(wavelength_nm) for impurity in impurities),
+        np.zeros(wavelength_nm.size),
+    )
+    k: np.ndarray = (
+        per_ice * ICE_DENSITY_KG_M3 / snowoptics.default_B * (1e-9 * wavelength_nm) / (4.0 * np.pi)
+    )
+    return k
 
 
 def _compute_albedo(
@@ -105,11 +121,11 @@ def _compute_albedo(
     ssa_m2_kg: float,
     index: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Return the albedo of deep snow under a beam (degrees), or under diffuse light."""
+    """Return the albedo of deep snow for a beam (degrees) or diffuse light."""
     if incidence == "diffuse":
-        found = snowoptics.albedo_diffuse_KZ04(wavelength_m, ssa_m2_kg, ni=index[1])
+        albedo = snowoptics.albedo_diffuse_KZ04(wavelength_m, ssa_m2_kg, ni=index[1])
     else:
-        found = snowoptics.albedo_direct_KZ04(
+        albedo = snowoptics.albedo_direct_KZ04(
             wavelength_m, np.radians(float(str(incidence))), ssa_m2_kg, ni=index[1]
         )
-    return np.asarray(found, dtype=float)
+    return np.asarray(albedo, dtype=float)

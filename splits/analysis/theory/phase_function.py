@@ -1,7 +1,4 @@
-"""Phase functions by angle from their moments, with or without the peak of diffraction.
-
-For programs that solve radiative transfer with grains of this package.
-"""
+"""Phase functions from Legendre moments, with or without diffraction, for other transfer codes."""
 
 from __future__ import annotations
 
@@ -24,87 +21,91 @@ DEFAULT_ANGLES_DEG = tuple(np.linspace(0.0, 180.0, 361).tolist())
 
 @reject_unknown_arguments
 def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.Dataset:
-    """Return single-scattering properties with what light does that passes a grain by.
+    """Return single-scattering properties that include diffraction by the grains.
 
-    As much light as a large grain intercepts is diffracted at its edge.  It doubles the extinction
-    by grains, and goes into a peak a few tenths of a degree wide.  What follows for radiative
-    transfer is nearly the same with and without: the peak's light goes on as if nothing had been.
+    A large grain diffracts as much light as it intercepts.  Diffraction doubles the extinction by
+    grains and scatters into a peak a few tenths of a degree wide, which hardly changes the results
+    of radiative transfer.
 
     Parameters
     ----------
     optics : xarray.Dataset
-        As `splits.single_scattering` returns it.
+        Output of `splits.single_scattering`.
     radius_um : float, optional
-        Of spheres with the grains' shadows (µm), 0.1 to 1e6; by default the medium's optical
-        radius, which is about that.  Grains are taken to lie in air, where the peak is widest.
+        Radius of spheres with the same projected area as the grains (µm), 0.1 to 1e6; by default
+        the optical radius of the medium.  Grains are assumed in air, where the peak is widest.
 
     Returns
     -------
     xarray.Dataset
         Extinction, optical thickness, single-scattering albedo, asymmetry parameter and moments
-        with diffraction, and errors.  For all of the peak to show some 4π radius/wavelength
-        moments are needed.
+        with diffraction, and their errors.  About 4π radius/wavelength moments resolve the peak.
 
     Raises
     ------
     ValueError
-        For a dataset of another kind, or that has diffraction already.
+        For another kind of dataset, or one that includes diffraction.
 
     Notes
     -----
-    Moments of the peak are those of a circular opening in Fraunhofer's limit, as optical transfer
-    functions have it: χ_l = (2/π)(arccos t − t √(1 − t²)), t = √(l(l + 1))/2x, x = 2π r/λ
-    (Goodman 2005, Introduction to Fourier Optics, chapter 6; J_0 stands for Legendre polynomials).
+    Moments of the peak are those of a circular aperture in the Fraunhofer limit, equal to its
+    optical transfer function: χ_l = (2/π)(arccos t − t √(1 − t²)), t = √(l(l + 1))/2x, x = 2π r/λ
+    (Goodman 2005, Introduction to Fourier Optics, chapter 6; Legendre polynomials are approximated
+    by J_0).
     """
     optics = _check_moments(optics)
     if optics.attrs["diffraction"] != "none":
         raise invalid("optics", optics.attrs["diffraction"], "without diffraction yet")
     if radius_um is None:
-        own = optics.attrs.get(f"{optics.attrs['medium']}_optical_radius_um")
-        if own is None:
+        medium_radius = optics.attrs.get(f"{optics.attrs['medium']}_optical_radius_um")
+        if medium_radius is None:
             raise invalid("radius_um", None, "given for a medium that has no optical radius")
-        radius_um = float(own)
+        radius_um = float(medium_radius)
     radius_um = check_range("radius_um", radius_um, 0.1, 1e6)
     grains = float(optics.attrs["extinction_by_grains_per_m"])
     peak = diffraction_moments(radius_um, optics.wavelength.values, optics.order.values)
     extinction = optics.extinction.values
     scattered = optics[ALBEDO].values * extinction
 
-    def mixed(albedo: np.ndarray, moment: np.ndarray) -> np.ndarray:
+    def mix(albedo: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """Return moments of all scattered light."""
-        own = (albedo * extinction)[..., np.newaxis]
-        found: np.ndarray = (own * moment + grains * peak) / (own + grains)
-        return found
+        medium_radius = (albedo * extinction)[..., np.newaxis]
+        variables: np.ndarray = (medium_radius * moment + grains * peak) / (medium_radius + grains)
+        return variables
 
-    moment = mixed(optics[ALBEDO].values, optics[MOMENT].values)
-    left = mixed(optics[f"{ALBEDO}_jackknife"].values, optics[f"{MOMENT}_jackknife"].values)
-    share = (scattered / (scattered + grains))[:, np.newaxis]
-    missed = share * optics[f"{MOMENT}_interpolation_bound"].values
-    whole_extinction = extinction + grains
-    thinned = extinction / whole_extinction
-    found: dict[str, Any] = {}
-    found |= make_variable("extinction", "wavelength", whole_extinction, None,
+    moment = mix(optics[ALBEDO].values, optics[MOMENT].values)
+    jackknife = mix(optics[f"{ALBEDO}_jackknife"].values, optics[f"{MOMENT}_jackknife"].values)
+    fraction = (scattered / (scattered + grains))[:, np.newaxis]
+    bound = fraction * optics[f"{MOMENT}_interpolation_bound"].values
+    total_extinction = extinction + grains
+    extinction_ratio = extinction / total_extinction
+    variables: dict[str, Any] = {}
+    variables |= make_variable("extinction", "wavelength", total_extinction, None,
                       "extinction coefficient", "m-1")  # fmt: skip
-    thickness = optics.optical_thickness.values * whole_extinction / extinction
-    found |= make_variable("optical_thickness", "wavelength", thickness, None,
+    thickness = optics.optical_thickness.values * total_extinction / extinction
+    variables |= make_variable("optical_thickness", "wavelength", thickness, None,
                       "optical thickness of extinction")  # fmt: skip
-    albedo = (scattered + grains) / whole_extinction
-    error = thinned * optics[f"{ALBEDO}_stderr"].values
-    found |= make_variable(ALBEDO, "wavelength", albedo, error, "single-scattering albedo")
-    error = np.hypot(compute_jackknife_stderr(left), missed)
+    albedo = (scattered + grains) / total_extinction
+    error = extinction_ratio * optics[f"{ALBEDO}_stderr"].values
+    variables |= make_variable(ALBEDO, "wavelength", albedo, error, "single-scattering albedo")
+    error = np.hypot(compute_jackknife_stderr(jackknife), bound)
     dims = ("wavelength", "order")
-    found |= make_variable(
+    variables |= make_variable(
         ASYMMETRY, "wavelength", moment[:, 1], error[:, 1], "asymmetry parameter"
     )
-    found |= make_variable(MOMENT, dims, moment, error, "Legendre moment of the phase function")
-    found[f"{MOMENT}_jackknife"] = (("batch", *dims), left, optics[f"{MOMENT}_jackknife"].attrs)
-    found[f"{MOMENT}_interpolation_bound"] = (
+    variables |= make_variable(MOMENT, dims, moment, error, "Legendre moment of the phase function")
+    variables[f"{MOMENT}_jackknife"] = (
+        ("batch", *dims),
+        jackknife,
+        optics[f"{MOMENT}_jackknife"].attrs,
+    )
+    variables[f"{MOMENT}_interpolation_bound"] = (
         dims,
-        missed,
+        bound,
         optics[f"{MOMENT}_interpolation_bound"].attrs,
     )
-    facts = {**optics.attrs, "diffraction": f"Fraunhofer, radius {radius_um:g} um"}
-    return xr.Dataset(found, optics.coords, to_netcdf_attributes(facts))
+    attributes = {**optics.attrs, "diffraction": f"Fraunhofer, radius {radius_um:g} um"}
+    return xr.Dataset(variables, optics.coords, to_netcdf_attributes(attributes))
 
 
 def diffraction_moments(
@@ -121,72 +122,72 @@ def diffraction_moments(
 def phase_function(optics: xr.Dataset, angle_deg: Any = DEFAULT_ANGLES_DEG) -> xr.Dataset:
     """Return the phase function by scattering angle.
 
-    Smoothed by the narrowest peak that so many moments can describe and that is nowhere negative:
-    plain sums over moments ring around whatever is narrow.  That
-    peak is some 475° over the number of moments wide at half its height.  Smoothing lowers the mean
-    cosine: of 64 moments by 0.3 %.
+    It is smoothed by the narrowest nonnegative peak that the number of moments represents, since
+    truncated sums oscillate around narrow features.  The full width at half maximum of that peak is
+    about 475° divided by the number of moments.  Smoothing reduces the mean cosine, for 64 moments
+    by 0.3 %.
 
     Parameters
     ----------
     optics : xarray.Dataset
-        As `splits.single_scattering` or `with_diffraction` returns it.
+        Output of `splits.single_scattering` or `with_diffraction`.
     angle_deg : array_like
         Scattering angles, 0 to 180 degrees.
 
     Returns
     -------
     xarray.Dataset
-        ``phase_function`` (1/sr) over ``wavelength`` and ``angle``, which adds up to 1 over all
+        ``phase_function`` (1/sr) over ``wavelength`` and ``angle``, normalized to 1 over all
         directions, and its standard error.
 
     Raises
     ------
     ValueError
-        For a dataset of another kind, or angles out of range.
+        For another kind of dataset, or angles outside the range.
     """
     optics = _check_moments(optics)
     angles = check_array_range("angle_deg", as_1d_array("angle_deg", angle_deg), 0.0, 180.0)
     terms = _make_legendre_terms(np.cos(np.radians(angles)), int(optics.order[-1]))
     value = optics[MOMENT].values @ terms
     noise = compute_jackknife_stderr(optics[f"{MOMENT}_jackknife"].values @ terms)
-    missed = optics[f"{MOMENT}_interpolation_bound"].values @ np.abs(terms)
+    bound = optics[f"{MOMENT}_interpolation_bound"].values @ np.abs(terms)
     variables = make_variable(
         "phase_function", ("wavelength", "angle"), np.maximum(value, 0.0),
-        np.hypot(noise, missed), "phase function", "sr-1",
+        np.hypot(noise, bound), "phase function", "sr-1",
     )  # fmt: skip
-    about = {"long_name": "scattering angle", "units": "degree"}
-    axes = {"wavelength": optics.wavelength, "angle": ("angle", angles, about)}
+    attributes = {"long_name": "scattering angle", "units": "degree"}
+    axes = {"wavelength": optics.wavelength, "angle": ("angle", angles, attributes)}
     return xr.Dataset(variables, axes, to_netcdf_attributes(dict(optics.attrs)))
 
 
 def _make_legendre_terms(mu: np.ndarray, max_order: int) -> np.ndarray:
-    """Return what moments are multiplied by, shape (orders, angles)."""
-    damped = _compute_damping_factors(max_order)
+    """Return the factors of moments, shape (orders, angles)."""
+    damping = _compute_damping_factors(max_order)
     terms = np.empty((max_order + 1, mu.size))
     for order, polynomial in enumerate(_generate_legendre_polynomials(mu, max_order)):
-        terms[order] = (2.0 * order + 1.0) * damped[order] / (4.0 * np.pi) * polynomial
+        terms[order] = (2.0 * order + 1.0) * damping[order] / (4.0 * np.pi) * polynomial
     return terms
 
 
 def _generate_legendre_polynomials(mu: np.ndarray, max_order: int) -> Iterator[np.ndarray]:
-    """Yield Legendre's polynomials of each order."""
-    before, last = np.zeros_like(mu), np.ones_like(mu)
+    """Yield the Legendre polynomials of increasing order."""
+    previous, last = np.zeros_like(mu), np.ones_like(mu)
     yield last
     for n in range(1, max_order + 1):
-        before, last = last, ((2 * n - 1) * mu * last - (n - 1) * before) / n
+        previous, last = last, ((2 * n - 1) * mu * last - (n - 1) * previous) / n
         yield last
 
 
 def _compute_damping_factors(max_order: int) -> np.ndarray:
-    """Return the moments of the narrowest peak that polynomials up to an (even) order can be.
+    """Return the moments of the narrowest nonnegative polynomial peak up to an even order.
 
-    Of all that are nowhere negative, the square of a polynomial Σ (2k + 1) P_k(x) P_k(μ) of half
-    the order has the largest mean cosine, x, the largest zero of the next polynomial: there
-    Gauss's quadrature puts all of its weight on one node.
+    Among nonnegative polynomials, the square of Σ (2k + 1) P_k(x) P_k(μ) of half the order has the
+    largest mean cosine x, the largest zero of the next polynomial, where Gauss quadrature puts all
+    of its weight on one node.
     """
     half = max_order // 2
     x = np.array([_find_largest_zero(half + 1)])
-    # Fejér's quadrature is exact for polynomials of fewer orders than it has nodes.
+    # Fejér quadrature is exact for polynomials of a lower order than its number of nodes.
     count = 2 * max_order + 2
     angle = (np.arange(count) + 0.5) * np.pi / count
     weight = np.full(count, 2.0 / count)
@@ -194,31 +195,31 @@ def _compute_damping_factors(max_order: int) -> np.ndarray:
         weight -= 4.0 / count * np.cos(2.0 * k * angle) / (4.0 * k * k - 1.0)
     mu = np.cos(angle)
     root = np.zeros(count)
-    for k, (own, there) in enumerate(
+    for k, (at_zero, at_node) in enumerate(
         zip(
             _generate_legendre_polynomials(x, half),
             _generate_legendre_polynomials(mu, half),
             strict=True,
         )
     ):
-        root += (2.0 * k + 1.0) * own * there
+        root += (2.0 * k + 1.0) * at_zero * at_node
     peak = weight * root**2
     moments = np.array(
-        [(peak * one).sum() for one in _generate_legendre_polynomials(mu, max_order)]
+        [(peak * polynomial).sum() for polynomial in _generate_legendre_polynomials(mu, max_order)]
     )
-    damped: np.ndarray = moments / moments[0]
-    return damped
+    damping: np.ndarray = moments / moments[0]
+    return damping
 
 
 def _find_largest_zero(order: int) -> float:
-    """Return the largest zero of a Legendre polynomial, by Newton's steps from Bessel's zero."""
+    """Return the largest zero of a Legendre polynomial, by Newton steps from a zero of J_0."""
     x = np.cos(2.404825557695773 / (order + 0.5))
     for _ in range(20):
-        *_, before, last = [
+        *_, previous, last = [
             1.0,
             *(float(p[0]) for p in _generate_legendre_polynomials(np.array([x]), order)),
         ]
-        step = last * (1.0 - x * x) / (order * (before - x * last))
+        step = last * (1.0 - x * x) / (order * (previous - x * last))
         x -= step
         if abs(step) < 1e-15:
             break
@@ -226,44 +227,43 @@ def _find_largest_zero(order: int) -> float:
 
 
 def choose_resolving_angles(n_moments: int) -> np.ndarray:
-    """Return angles (degrees) between which a phase function of so many moments is nearly linear.
+    """Return angles (degrees) between which a phase function is nearly linear.
 
-    A tenth of the narrowest peak apart near 0°, and then wider and wider, up to half a degree.
+    The spacing is a tenth of the narrowest peak near 0° and increases to half a degree.
     """
-    finest = min(47.5 / max(n_moments, 1), 0.5)
+    min_step = min(47.5 / max(n_moments, 1), 0.5)
     angles = [0.0]
     while angles[-1] < 180.0:
-        angles.append(angles[-1] + min(max(finest, 0.03 * angles[-1]), 0.5))
+        angles.append(angles[-1] + min(max(min_step, 0.03 * angles[-1]), 0.5))
     angles[-1] = 180.0
     return np.array(angles)
 
 
 def to_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
-    """Return single-scattering properties as particle layers of eradiate take them ("Aer v1").
+    """Return single-scattering properties in the format of eradiate's particle layers ("Aer v1").
 
-    A phase function that is smoothed, and linear between angles, is a little less forward than its
-    moments say.  Scattering is made less by as much, so that what is turned away and what is
-    absorbed per metre are as they were (van de Hulst's similarity).
+    A smoothed phase function with linear interpolation between angles has a slightly smaller
+    asymmetry than its moments.  Scattering is reduced accordingly, so that transport scattering and
+    absorption per metre are conserved (similarity relation of van de Hulst).
 
     Parameters
     ----------
     optics : xarray.Dataset
         As for `phase_function`.
     angle_deg : array_like, optional
-        Scattering angles from 0 to 180 degrees; by default as many as the moments need.
+        Scattering angles from 0 to 180 degrees; by default enough for the moments.
 
     Returns
     -------
     xarray.Dataset
         ``sigma_t`` (1/m) and ``albedo`` over ``w`` (nm), and ``phase`` (1/sr) over ``w``, ``mu``
-        (ascending), ``i`` and ``j``: the one element of unpolarized light, which adds up to 1
-        between the angles.  ``optical_thickness`` over ``w`` stands beside them: eradiate asks for
-        it at one wavelength, ``tau_ref`` at ``w_ref``.
+        (ascending), ``i`` and ``j``: the element of unpolarized light, normalized to 1.
+        ``optical_thickness`` over ``w`` is included for eradiate's ``tau_ref`` at ``w_ref``.
 
     Raises
     ------
     ValueError
-        For angles that miss a peak: between which light does not add up to 1 within 1 %.
+        For angles that do not resolve a peak, so that the normalization deviates by more than 1 %.
     """
     optics = _check_moments(optics)
     angles = choose_resolving_angles(int(optics.order[-1])) if angle_deg is None else angle_deg
@@ -272,7 +272,7 @@ def to_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
     phase = function.phase_function.values
     total = 2.0 * np.pi * np.trapezoid(phase, mu, axis=1)
     if np.abs(total - 1.0).max() > 0.01:
-        allowed = "fine enough that the phase function adds up to 1 within 1 %"
+        allowed = "fine enough to normalize the phase function within 1 %"
         raise invalid("angle_deg", f"{len(mu)} angles", allowed, "leave them out")
     phase = phase / total[:, np.newaxis]
     forward = 2.0 * np.pi * np.trapezoid(phase * mu, mu, axis=1)
@@ -280,8 +280,8 @@ def to_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
     scattered = extinction * optics[ALBEDO].values
     absorbed = extinction - scattered
     scattered = scattered * (1.0 - optics[MOMENT].values[:, 1]) / (1.0 - forward)
-    thinner = (scattered + absorbed) / extinction
-    thickness = optics.optical_thickness.values * thinner
+    ratio = (scattered + absorbed) / extinction
+    thickness = optics.optical_thickness.values * ratio
     return xr.Dataset(
         {
             "sigma_t": ("w", scattered + absorbed, {"units": "m^-1"}),
@@ -303,30 +303,32 @@ def to_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
 
 
 def write_libradtran(optics: xr.Dataset, path: str | Path) -> None:
-    """Write the optical properties of a layer as libRadtran's ``wc_files`` and ``ic_files`` name.
+    """Write the optical properties of a layer for libRadtran's ``wc_files`` and ``ic_files``.
 
-    A line for each wavelength: nm, extinction (1/km), single-scattering albedo, moments from 0 on.
+    Each line has wavelength (nm), extinction (1/km), single-scattering albedo, moments from 0 on.
 
     Parameters
     ----------
     optics : xarray.Dataset
         As for `phase_function`.
     path : path
-        The file appears whole or not at all.
+        The file is written atomically.
     """
     optics = _check_moments(optics)
     columns = [optics.wavelength.values, 1e3 * optics.extinction.values, optics[ALBEDO].values]
     table = np.column_stack([*columns, optics[MOMENT].values])
-    with atomic_write(path) as aside:
-        np.savetxt(aside, table, fmt="%.8g", header="nm, 1/km, albedo, Legendre moments from 0 on")
+    with atomic_write(path) as temporary_path:
+        np.savetxt(
+            temporary_path, table, fmt="%.8g", header="nm, 1/km, albedo, Legendre moments from 0 on"
+        )
 
 
 def _check_moments(optics: xr.Dataset) -> xr.Dataset:
-    """Return what `splits.single_scattering` returned, moments ascending and last, or refuse it."""
+    """Return optics with ascending moments along the last axis; reject other datasets."""
     attrs = optics.attrs if isinstance(optics, xr.Dataset) else {"title": type(optics).__name__}
     if "diffraction" not in attrs or f"{MOMENT}_jackknife" not in optics:
-        given = attrs.get("title", "a dataset")
-        raise invalid("optics", given, "what splits.single_scattering returns")
+        title = attrs.get("title", "a dataset")
+        raise invalid("optics", title, "the output of splits.single_scattering")
     check_no_gaps("optics", optics)
     optics = optics.sortby("order").transpose(..., "wavelength", "order")
     if not np.array_equal(optics.order, np.arange(optics.sizes["order"])):

@@ -1,1 +1,1 @@
-"""The configuration of experiments and studies: models, checks, loading."""
+"""Configuration of experiments and studies: models, validation and loading."""

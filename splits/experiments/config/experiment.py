@@ -1,4 +1,4 @@
-"""What an experiment file may say: what decides its numbers, and how it is shown."""
+"""Model of an experiment file: simulation, figure, retrieval and their validation."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ RESERVED_NAMES = (
     "figure_speed_against_error", "fitted_parameters", "retrieve", "simulate",
     "speed_against_error", "table", "table_part",
 )  # fmt: skip
-"""Names that the workflow's own rules have taken."""
+"""Names of rules of the workflow, which experiments may not have."""
 
 
 class ExperimentConfig(SimulationConfig):
-    """A simulation with the words and the figure that show it."""
+    """A simulation with its title, caption, figure and retrieval."""
 
     title: str = ""
     caption: str = ""
@@ -80,29 +80,30 @@ class ExperimentConfig(SimulationConfig):
         if self.figure.kind == "fit" and not self.fit:
             raise invalid("figure.kind", "fit", "another one for an experiment without section fit")
         self._check_figure()
-        for dimension, given in self.figure.select.items():
+        for dimension, value in self.figure.select.items():
             if not self.grid:
                 raise invalid("figure.select", dimension, "left out where there is no grid")
             check_choice("figure.select", dimension, self.grid)
-            find_label(dimension, self.grid[dimension], given)
+            find_label(dimension, self.grid[dimension], value)
         self._check_unused_figure_settings()
         self._check_single_point()
         self._check_swatches()
-        check_retrieve_section(self)
+        if self.retrieve:
+            check_retrieve_section(self, self.retrieve, self.figure.model_fields_set)
         for _, medium, _ in self.iter_points():
             self._check_quantity(medium)
         return self
 
     def _check_figure(self) -> None:
-        """Refuse a figure that does not show what the instrument measures."""
+        """Reject a figure of quantities that the instrument does not measure."""
         instrument = self.instrument
-        known = FIGURE_KINDS[instrument.kind]
-        drawn = self.figure.kind != "none"
-        if drawn and self.figure.kind is not None and self.figure.kind not in known:
+        allowed_kinds = FIGURE_KINDS[instrument.kind]
+        is_drawn = self.figure.kind != "none"
+        if is_drawn and self.figure.kind is not None and self.figure.kind not in allowed_kinds:
             raise invalid(
                 "figure.kind",
                 self.figure.kind,
-                f"one of {', '.join(known)} for instrument.kind = {instrument.kind!r}",
+                f"one of {', '.join(allowed_kinds)} for instrument.kind = {instrument.kind!r}",
             )
         if "quantity" in self.figure.model_fields_set:
             for quantity in self.figure.quantity:
@@ -111,13 +112,13 @@ class ExperimentConfig(SimulationConfig):
                 )
         if self.figure.kind == "hemisphere":
             self._check_hemisphere()
-        turned = instrument.azimuth_deg
-        if drawn and turned is not None and not {0.0, 180.0} <= set(turned):
+        azimuths = instrument.azimuth_deg
+        if is_drawn and azimuths is not None and not {0.0, 180.0} <= set(azimuths):
             raise invalid(
-                "instrument.azimuth_deg", turned, "with 0 and 180",
+                "instrument.azimuth_deg", azimuths, "with 0 and 180",
                 "figures show the principal plane",
             )  # fmt: skip
-        if drawn and instrument.n_bins is not None and instrument.n_bins[1] % 2:
+        if is_drawn and instrument.n_bins is not None and instrument.n_bins[1] % 2:
             raise invalid(
                 "instrument.n_bins", instrument.n_bins, "an even number around",
                 "figures show the principal plane",
@@ -128,7 +129,7 @@ class ExperimentConfig(SimulationConfig):
             )
 
     def _check_unused_figure_settings(self) -> None:
-        """Refuse settings of the figure that it would not show."""
+        """Reject settings that have no effect on the figure."""
         figure, kind = self.figure, self.resolve_figure()["kind"]
         for key, kinds in KINDS_OF_SETTING.items():
             if getattr(figure, key) is not None and kind not in kinds and kind != "none":
@@ -137,10 +138,16 @@ class ExperimentConfig(SimulationConfig):
                 raise invalid(f"figure.{key}", getattr(figure, key), allowed, hint)
         free = [values for name, values in self.grid.items() if name not in figure.select]
         lines = [values for values in free if len(values) > 1]
-        against = len(lines) == 1 and DEFAULT_LABEL in lines[0] and len(lines[0]) <= MAX_PANELS
-        bare = not free or against
-        if kind == "spectra" and figure.legend is not None and bare and not figure.measured:
-            hint = "panels show differences from the default" if against else "there is one line"
+        compares_default = (
+            len(lines) == 1 and DEFAULT_LABEL in lines[0] and len(lines[0]) <= MAX_PANELS
+        )
+        has_one_line = not free or compares_default
+        if kind == "spectra" and figure.legend is not None and has_one_line and not figure.measured:
+            hint = (
+                "panels show differences from the default"
+                if compares_default
+                else "there is one line"
+            )
             raise invalid("figure.legend", figure.legend, "left out", hint)
         low, high = figure.wavelength_nm or (0.0, np.inf)
         x = self.instrument.get_wavelengths()
@@ -149,7 +156,7 @@ class ExperimentConfig(SimulationConfig):
             raise invalid("figure.wavelength_nm", [low, high], allowed)
 
     def _check_hemisphere(self) -> None:
-        """Refuse a map of the hemisphere where directions do not lie all around."""
+        """Reject a hemisphere map of directions that do not cover all azimuths."""
         instrument = self.instrument
         polar = np.asarray(instrument.polar_deg or POLAR_DEG)
         azimuth = np.asarray(instrument.azimuth_deg or AZIMUTH_DEG)
@@ -162,23 +169,27 @@ class ExperimentConfig(SimulationConfig):
             azimuth = np.linspace(0.0, 360.0, columns, endpoint=False)
         if not can_map_hemisphere(polar, azimuth):
             raise invalid(
-                f"instrument.{key}", given,
+                f"instrument.{key}",
+                given,
                 f"at least {MIN_POLAR_ANGLES} polar angles and {MIN_AZIMUTHS} azimuths at most "
-                f"{MAX_AZIMUTH_GAP_DEG:g} degrees apart, all around, for figure.kind = 'hemisphere'",
-            )  # fmt: skip
+                f"{MAX_AZIMUTH_GAP_DEG:g} degrees apart, all around, "
+                "for figure.kind = 'hemisphere'",
+            )
 
     def _check_single_point(self) -> None:
-        """Refuse figures of one point of a grid that do not say which."""
+        """Reject figures of one grid point that do not select it."""
         free = [parameter for parameter in self.grid if parameter not in self.figure.select]
         kind = self.figure.kind or FIGURE_KINDS[self.instrument.kind][0]
         if kind in SINGLE_POINT_KINDS and len(free) > (kind == "lobes"):
             raise invalid(
-                "figure.select", self.figure.select, f"with a value of {', '.join(free)} for a figure of "
-                f"kind {kind}", "it shows one point of the grid; the dataset holds all",
-            )  # fmt: skip
+                "figure.select",
+                self.figure.select,
+                f"with a value of {', '.join(free)} for a figure of kind {kind}",
+                "it shows one point of the grid; the dataset holds all",
+            )
 
     def _check_swatches(self) -> None:
-        """Refuse colours of spectra that are not of daylight, or of too many parameters."""
+        """Reject colours of spectra without the visible range, or of too many parameters."""
         if self.figure.kind != "swatches":
             return
         x = self.instrument.get_wavelengths()
@@ -193,10 +204,10 @@ class ExperimentConfig(SimulationConfig):
             )
 
     def _check_quantity(self, medium: Medium) -> None:
-        """Refuse a figure of what a medium does not have."""
-        without = isinstance(medium, ParticleMedium | LayeredMedium)
-        heard = self.instrument.estimator == "next_event" and "btdf" in self.figure.quantity
-        if heard and getattr(medium, "bottom_albedo", None) is not None:
+        """Reject a figure of a quantity that the medium does not have."""
+        has_no_grain_distance = isinstance(medium, ParticleMedium | LayeredMedium)
+        is_next_event = self.instrument.estimator == "next_event" and "btdf" in self.figure.quantity
+        if is_next_event and getattr(medium, "bottom_albedo", None) is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a bottom with local estimation")
         if "btdf" in self.figure.quantity and get_reflecting_ground(medium) is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a ground")
@@ -208,22 +219,22 @@ class ExperimentConfig(SimulationConfig):
                     "instrument.estimator", self.instrument.estimator,
                     "next_event or bins for figure.kind = 'polarization'",
                 )  # fmt: skip
-        if without and "mean_grain_distance" in self.figure.quantity:
-            why = "left out: layers have no grains, stacks not one distance"
-            raise invalid("figure.quantity", "mean_grain_distance", why)
+        if has_no_grain_distance and "mean_grain_distance" in self.figure.quantity:
+            hint = "left out: layers have no grains, and stacks no single distance"
+            raise invalid("figure.quantity", "mean_grain_distance", hint)
 
     def resolve_figure(self) -> dict[str, Any]:
-        """Return the section `figure` for `splits.plotting.draw`, with a kind that fits.
+        """Return the section `figure` for `splits.plotting.draw`, with its kind resolved.
 
-        What is held fixed is given as the dataset's coordinates have it.
+        The selected values are those of the dataset's coordinates.
         """
-        usual = FIGURE_KINDS[self.instrument.kind][0]
-        if usual == "spectra" and self.grid and self.instrument.get_wavelengths().size == 1:
-            usual = "points"
-        at = {}
-        for dimension, given in self.figure.select.items():
+        default_kind = FIGURE_KINDS[self.instrument.kind][0]
+        if default_kind == "spectra" and self.grid and self.instrument.get_wavelengths().size == 1:
+            default_kind = "points"
+        fixed = {}
+        for dimension, label in self.figure.select.items():
             values = self.grid[dimension]
-            place = list(values).index(find_label(dimension, values, given))
-            at[dimension] = to_coordinate_values(values)[place].item()
-        drawing = self.figure.model_dump(mode="json")
-        return {**drawing, "kind": self.figure.kind or usual, "select": at}
+            index = list(values).index(find_label(dimension, values, label))
+            fixed[dimension] = to_coordinate_values(values)[index].item()
+        section = self.figure.model_dump(mode="json")
+        return {**section, "kind": self.figure.kind or default_kind, "select": fixed}

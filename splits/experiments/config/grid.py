@@ -1,7 +1,4 @@
-"""What the parameters of a grid are called in datasets, and their units.
-
-Grids of an experiment: labels, values, evenly spaced values, coordinates.
-"""
+"""Grids of an experiment: labels, values, evenly spaced values and dataset coordinates."""
 
 from __future__ import annotations
 
@@ -22,10 +19,10 @@ MEAN_FUNCTIONS: dict[str, Callable[[Sequence[float]], float]] = {
     "roundness": lambda given: given[0],
     "sphericity": lambda given: given[2],
 }
-"""The number that stands for a range or a distribution, by its parameter."""
+"""Functions that give the mean of a range or a distribution, by parameter."""
 
 Coordinate = tuple[str, np.ndarray, dict[str, str]]
-"""Dimension, values and attributes, as `xarray.Dataset` takes them."""
+"""Dimension, values and attributes of a coordinate of `xarray.Dataset`."""
 
 
 def make_grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Coordinate]:
@@ -40,31 +37,31 @@ def make_grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Co
     -------
     dict
         Per parameter numbers in the parameter's unit where all values are numbers, and labels
-        otherwise; labels have no units, so that their long name says the unit.  Beside labels of
-        ranges and distributions stand their means as ``…_mean``, so that one can interpolate.
+        otherwise, with the unit in their long name.  Labels of ranges and distributions have
+        additional coordinates ``…_mean``, which allow interpolation.
     """
-    found = {}
+    coordinates = {}
     for parameter, choices in grid.items():
         long_name, units = describe_parameter(parameter)
         values = to_coordinate_values(choices)
         if values.dtype.kind == "f":
-            about = {"long_name": long_name, "units": units}
+            attributes = {"long_name": long_name, "units": units}
         else:
-            about = {"long_name": long_name + (f" ({units})" if units != "1" else "")}
-        found[parameter] = (parameter, values, about)
+            attributes = {"long_name": long_name + (f" ({units})" if units != "1" else "")}
+        coordinates[parameter] = (parameter, values, attributes)
         means = compute_means(parameter, choices)
         if means is not None:
-            about = {"long_name": f"mean of: {long_name}", "units": units}
-            found[f"{parameter}_mean"] = (parameter, means, about)
-    return found
+            attributes = {"long_name": f"mean of: {long_name}", "units": units}
+            coordinates[f"{parameter}_mean"] = (parameter, means, attributes)
+    return coordinates
 
 
 def compute_means(parameter: str, choices: Mapping[str, Any]) -> np.ndarray | None:
-    """Return the mean of each value of a grid, None where values are no ranges."""
+    """Return the mean of each value of a grid, or None unless all values are ranges."""
     path = parse_layer_parameter(parameter)
     mean = MEAN_FUNCTIONS.get(path[1] if path else parameter)
-    several = all(isinstance(value, (list, tuple)) for value in choices.values())
-    if mean is None or not several:
+    are_ranges = all(isinstance(value, (list, tuple)) for value in choices.values())
+    if mean is None or not are_ranges:
         return None
     return np.array([float(mean(value)) for value in choices.values()])
 
@@ -77,13 +74,13 @@ def to_coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:
 
 
 MAX_GRID_POINTS = 10_000
-"""Points of a grid."""
+"""Largest number of points of a grid."""
 STEP_KEYS = ("start", "stop", "step")
 GEOMSPACE_KEY = "geomspace"
 
 
 def make_even_spacing(key: str, start: float, stop: float, step: float) -> np.ndarray:
-    """Return start, start + step, … up to stop, which belongs to them, or refuse the three."""
+    """Return start, start + step, … up to and including stop."""
     if not step > 0.0:
         raise invalid(f"{key}.step", step, "above 0")
     if stop < start:
@@ -106,7 +103,7 @@ def label_grid(grid: Any) -> dict[str, dict[str, Any]]:
     Raises
     ------
     ValueError
-        For a parameter without values, values given twice, and labels that cannot be shown.
+        For a parameter without values, repeated values, and labels that cannot be printed.
     """
     if not isinstance(grid, Mapping):
         raise invalid("grid", grid, "a mapping from parameters to lists of values")
@@ -136,9 +133,9 @@ def _label_values(parameter: str, values: Any) -> dict[str, Any]:
 
 
 def _is_step_mapping(values: Mapping[Any, Any]) -> bool:
-    """Tell whether a mapping's keys are of ``{start, stop, step}`` and its values numbers."""
-    several = len(set(STEP_KEYS) & set(values)) >= 2 and set(values) <= {*STEP_KEYS, "also"}
-    return several and all(_is_number(values[key]) for key in STEP_KEYS if key in values)
+    """Return whether a mapping's keys are of ``{start, stop, step}`` and its values numbers."""
+    has_step_keys = len(set(STEP_KEYS) & set(values)) >= 2 and set(values) <= {*STEP_KEYS, "also"}
+    return has_step_keys and all(_is_number(values[key]) for key in STEP_KEYS if key in values)
 
 
 def _expand_steps(key: str, values: Mapping[str, Any]) -> list[float]:
@@ -150,20 +147,20 @@ def _expand_steps(key: str, values: Mapping[str, Any]) -> list[float]:
     if "also" in values:
         raise invalid(f"{key}.also", values["also"], "left out", "list the values instead")
     start, stop, step = (check_number(f"{key}.{name}", values[name]) for name in STEP_KEYS)
-    # 0.30000000000000004 is nobody's value.
+    # Rounding removes digits such as those of 0.30000000000000004.
     return [float(f"{x:.12g}") for x in make_even_spacing(key, start, stop, step)]
 
 
 def _expand_geomspace(key: str, given: Any) -> list[float]:
-    """Return values of which each is as many times the one before."""
+    """Return the geometrically spaced values of a parameter."""
     allowed = "[first, last, number of values]: 0 < first < last, at least two"
-    numbers = isinstance(given, (list, tuple)) and all(map(_is_number, given))
-    if not numbers or len(given) != 3:
+    are_numbers = isinstance(given, (list, tuple)) and all(map(_is_number, given))
+    if not are_numbers or len(given) != 3:
         raise invalid(key, given, allowed)
     first, last, count = given
     if not 0.0 < first < last or count != int(count) or not 2 <= count <= MAX_NUMBERS:
         raise invalid(key, given, allowed)
-    # No figure has room for more digits.
+    # Four digits keep the labels of figures short.
     return [float(f"{x:.4g}") for x in np.geomspace(first, last, int(count))]
 
 
@@ -184,36 +181,36 @@ def make_label(key: str, value: Any) -> str:
 
 def _format_label(key: str, value: Any) -> str:
     if not _is_number(value):
-        # A table by its name: where it lies is nobody's label.
+        # Tables are labelled by their file name, without the folder.
         return PurePath(value).name if str(value).endswith(".csv") else str(value)
     return f"{value:g}" if isinstance(value, float) else f"{check_number(key, value):g}"
 
 
 def find_label(parameter: str, values: Mapping[str, Any], given: float | str) -> str:
-    """Return the label of the value that a figure is to hold fixed, or refuse what is none.
+    """Return the label of the value at which a figure fixes a parameter.
 
-    Text is a label, or a value that is text; a number is a value, or the number that a label
-    shows of a value that is none, such as a distribution's mean.
+    A text is a label or a text value.  A number is a value, or the number shown in the label of
+    a range or distribution, such as its mean.
 
     Parameters
     ----------
     parameter : str
     values : mapping
-        Of the parameter, by label.
+        Values of the parameter by label.
     given : number or str
-        What the figure section names.
+        Value in the figure section.
     """
     if isinstance(given, str) and given in values:
         return given
-    hits = [label for label, value in values.items() if _is_same_value(value, given)]
-    if hits:
-        return hits[0]
-    shown = str(given) if isinstance(given, str) else f"{given:g}"
-    if shown in values and not _is_number(values[shown]):
-        return shown
+    matches = [label for label, value in values.items() if _is_same_value(value, given)]
+    if matches:
+        return matches[0]
+    text = str(given) if isinstance(given, str) else f"{given:g}"
+    if text in values and not _is_number(values[text]):
+        return text
     names = ", ".join(format_key(label) for label in list(values)[:12])
-    more = f", … ({len(values)} in all)" if len(values) > 12 else ""
-    raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{more}")
+    suffix = f", … ({len(values)} in all)" if len(values) > 12 else ""
+    raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{suffix}")
 
 
 def _is_same_value(value: Any, given: float | str) -> bool:

@@ -1,6 +1,6 @@
-"""The instrument of an experiment file: which one, and its settings.
+"""Section `instrument` of an experiment file.
 
-Settings that the instrument chosen does not know are refused.
+Settings that the chosen instrument does not have are rejected.
 """
 
 from __future__ import annotations
@@ -52,22 +52,22 @@ INSTRUMENTS_OF_SETTING = {
     "covariance": ("table",),
     "blocks": ("table",),
 }
-"""Settings that only some instruments know."""
+"""Settings that only some instruments have, with these instruments."""
 UNUSED_SETTINGS = {
     "surface_map": ("wavelength_nm", "incidence_deg", "stderr_scale"),
     "lens": ("wavelength_nm", "incidence_deg", "stderr_scale"),
     "refractive_index": ("incidence_deg", "stderr_scale", "seed"),
 }
-"""Settings that all others know, but not these instruments."""
-USE_GRID_HINT = "several values go under grid"
+"""Settings that these instruments do not have, unlike all others."""
+USE_GRID_HINT = "several values belong under grid"
 SURFACE_INSTRUMENTS = ("surface_map", "lens")
-"""Instruments that look at a rough surface alone."""
+"""Instruments that measure a rough surface only."""
 REQUIRED_SETTINGS = {"surface_map": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
-"""Settings that an instrument cannot do without."""
+"""Settings that an instrument requires."""
 
 
 class WavelengthGrid(ConfigSection):
-    """Equidistant wavelengths in nm, both ends included, and single ones besides."""
+    """Equidistant wavelengths in nm, both ends included, and additional single ones."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -88,9 +88,14 @@ class InstrumentSection(ConfigSection):
     model_config = ConfigDict(allow_inf_nan=False)
 
     kind: Literal[
-        "spectrophotometer", "goniophotometer", "beam_spread", "refractive_index", "surface_map", "lens",
+        "spectrophotometer",
+        "goniophotometer",
+        "beam_spread",
+        "refractive_index",
+        "surface_map",
+        "lens",
         "table",
-    ] = "spectrophotometer"  # fmt: skip
+    ] = "spectrophotometer"
     wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
         start=400, stop=2500, step=10
     )
@@ -127,9 +132,11 @@ class InstrumentSection(ConfigSection):
 
     @model_validator(mode="after")
     def _check_settings(self) -> InstrumentSection:
-        known = ESTIMATORS.get(self.kind, ())
-        if self.estimator is not None and self.estimator not in known:
-            allowed = "one of " + ", ".join(known) if known else "left out"
+        allowed_estimators = ESTIMATORS.get(self.kind, ())
+        if self.estimator is not None and self.estimator not in allowed_estimators:
+            allowed = (
+                "one of " + ", ".join(allowed_estimators) if allowed_estimators else "left out"
+            )
             raise invalid("instrument.estimator", self.estimator, f"{allowed} for {self.kind}")
         for key, kinds in INSTRUMENTS_OF_SETTING.items():
             if getattr(self, key) is not None and self.kind not in kinds:
@@ -160,33 +167,33 @@ class InstrumentSection(ConfigSection):
         return self
 
     def _check_extent(self) -> None:
-        """Refuse what an instrument that looks at places cannot look at."""
+        """Reject an extent that an imaging instrument cannot measure."""
         if self.half_width_m is not None:
             check_half_width(self.kind, self.half_width_m)
         if self.kind == "surface_map" and self.realisations is not None:
             check_integer("realisations", self.realisations, 2, MAX_REALIZATIONS)
         if self.kind == "lens":
             if self.half_width_m is None and self.centre_on != "origin":
-                hint = "where to look for the crest; or centre_on: origin"
+                hint = "range of the search for the crest; or centre_on: origin"
                 raise invalid("half_width_m", None, "given for lens", hint)
             if self.half_width_m is not None and self.centre_on == "origin":
-                hint = "nothing is searched for"
+                hint = "there is no search for a crest"
                 raise invalid("half_width_m", self.half_width_m, "left out over the origin", hint)
             depths = check_screen_depths("screen_depth_m", self.screen_depth_m)
             check_ring_radius(self.radius_m)
             check_ring_size(self.rays or DEFAULT_RAYS, self.realisations or 1, depths.size)
 
     def _check_unused(self) -> None:
-        """Refuse settings that would change nothing."""
+        """Reject settings that have no effect."""
         for key in UNUSED_SETTINGS.get(self.kind, ()):
             value = getattr(self, key)
             if value != type(self).model_fields[key].default:
-                given = value.model_dump() if isinstance(value, BaseModel) else value
-                raise invalid(f"instrument.{key}", given, f"left out for {self.kind}")
-        counted = "rays" if self.rays is not None else "bins" if self.estimator == "bins" else ""
-        if counted and self.stderr_scale != 1.0:
+                shown = value.model_dump() if isinstance(value, BaseModel) else value
+                raise invalid(f"instrument.{key}", shown, f"left out for {self.kind}")
+        fixed_by = "rays" if self.rays is not None else "bins" if self.estimator == "bins" else ""
+        if fixed_by and self.stderr_scale != 1.0:
             raise invalid(
-                "instrument.stderr_scale", self.stderr_scale, f"left out with {counted}",
+                "instrument.stderr_scale", self.stderr_scale, f"left out with {fixed_by}",
                 "the number of rays is fixed there, not the error",
             )  # fmt: skip
 
@@ -197,16 +204,16 @@ class InstrumentSection(ConfigSection):
             return check_wavelengths(grid.to_array() if isinstance(grid, WavelengthGrid) else grid)
 
     def count_values(self) -> int:
-        """Return how many values a quantity has at one point of a grid."""
+        """Return the number of values of a quantity at one point of a grid."""
         if self.kind == "lens":
             return len(self.screen_depth_m or ()) * (self.rays or DEFAULT_RAYS)
         if self.kind == "surface_map":
             return DEFAULT_POINTS**2
-        places = 1
+        n_values = 1
         if self.kind == "beam_spread":
-            places = len(SIDES) * N_MAP_PIXELS**2
+            n_values = len(SIDES) * N_MAP_PIXELS**2
         elif self.estimator == "bins":
-            places = math.prod(self.n_bins or DEFAULT_N_BINS)
+            n_values = math.prod(self.n_bins or DEFAULT_N_BINS)
         elif self.kind == "goniophotometer":
-            places = len(self.polar_deg or POLAR_DEG) * len(self.azimuth_deg or AZIMUTH_DEG)
-        return places * self.get_wavelengths().size
+            n_values = len(self.polar_deg or POLAR_DEG) * len(self.azimuth_deg or AZIMUTH_DEG)
+        return n_values * self.get_wavelengths().size

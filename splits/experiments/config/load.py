@@ -1,4 +1,4 @@
-"""Reading configuration files: one clear message for anything that cannot be run."""
+"""Loading and checking of configuration files, with one-line error messages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from splits.retrieval.measurement import MAX_REFLECTANCE
 SectionType = TypeVar("SectionType", bound=BaseModel)
 
 MAX_MESSAGE_CHARS = 450
-"""Characters of a message, the name of its file left out."""
+"""Largest number of characters of a message, without the name of its file."""
 
 
 def load_experiment(
@@ -41,20 +41,20 @@ def load_experiment(
     media_folder: str | Path = "config/media",
     measured_folder: str | Path | None = None,
 ) -> ExperimentConfig:
-    """Read and check one experiment file; its name is the file's unless it gives another.
+    """Read and check one experiment file.  Its name defaults to that of the file.
 
     Parameters
     ----------
     path : path
     media_folder : path
-        Where ``medium: {base: NAME}`` finds ``NAME.yaml``.
+        Folder of the files ``NAME.yaml`` to which ``medium: {base: NAME}`` refers.
     measured_folder : path, optional
-        Where measured tables are; by default ``measured`` beside the media.
+        Folder of measured tables; by default ``measured`` beside that of media.
 
     Raises
     ------
     ConfigError
-        One line that names the file, the key, the value and what is allowed.
+        One line that names the file, the key, the value and the allowed values.
     """
     try:
         path, media = expand_path(path), expand_path(media_folder, "media_folder")
@@ -67,16 +67,20 @@ def load_experiment(
 
 
 def _to_single_line(text: str) -> str:
-    """Return a message on one line of bounded length, whatever a user's words in it are."""
-    plain = "".join(c if c.isprintable() else " " for c in text)
-    return plain if len(plain) <= MAX_MESSAGE_CHARS else f"{plain[: MAX_MESSAGE_CHARS - 2]} …"
+    """Return a message as one printable line of bounded length."""
+    printable = "".join(c if c.isprintable() else " " for c in text)
+    return (
+        printable
+        if len(printable) <= MAX_MESSAGE_CHARS
+        else f"{printable[: MAX_MESSAGE_CHARS - 2]} …"
+    )
 
 
 def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConfig:
-    """Return what an experiment file describes; errors need not name the file."""
+    """Return the experiment of a file; errors need not name the file."""
     content = {"name": path.stem, **read_yaml(path)}
     check_replaced_settings(content)
-    given = collect_keywords(content)
+    keywords = collect_keywords(content)
     medium, grid = content.get("medium", {}), content.get("grid")
     if not isinstance(medium, dict):
         raise invalid("medium", medium, "a mapping of keys to values")
@@ -85,23 +89,24 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
     if isinstance(grid, dict) and isinstance(grid.get(SAMPLE_KEY), (list, dict)):
         grid = content["grid"] = grid | {SAMPLE_KEY: _resolve_samples(grid[SAMPLE_KEY], media)}
     if isinstance(grid, dict) and isinstance(grid.get(LAYERS_KEY), dict):
-        whole = {
+        stacks = {
             label: _apply_all_bases({LAYERS_KEY: layers}, f"grid.{LAYERS_KEY}.{label}", media)[
                 LAYERS_KEY
             ]
             for label, layers in grid[LAYERS_KEY].items()
         }
-        content["grid"] = grid | {LAYERS_KEY: whole}
+        content["grid"] = grid | {LAYERS_KEY: stacks}
     experiment = _validate(ExperimentConfig, content)
-    check_unused_keywords(experiment, given)
+    check_unused_keywords(experiment, keywords)
     check_figure_size(experiment)
     if experiment.figure.measured:
         _check_figure_table(
             experiment, _read_measured("figure.measured", measured, experiment.figure.measured)
         )
     if experiment.retrieve:
-        name = experiment.retrieve.measured
-        check_measured_spectra(experiment, _read_measured("retrieve.measured", measured, name))
+        section = experiment.retrieve
+        table = _read_measured("retrieve.measured", measured, section.measured)
+        check_measured_spectra(experiment, section, table)
     if experiment.fit:
         if experiment.figure.kind not in ("fit", "none"):
             raise invalid("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
@@ -110,41 +115,45 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
 
 
 def _read_measured(key: str, folder: Path, name: str) -> pd.DataFrame:
-    """Return a measured table, or refuse its name or what the file holds."""
+    """Return a measured table; reject an unknown name or an invalid file."""
     if not (folder / name).is_file():
-        there = [p.name for p in folder.glob("*.csv")]
-        if not there:
+        available = [p.name for p in folder.glob("*.csv")]
+        if not available:
             raise invalid(key, name, f"a CSV file in {folder}", "there is none")
-        check_choice(key, name, there)
+        check_choice(key, name, available)
     return read_spectra(folder / name, key)
 
 
 def _check_figure_table(experiment: ExperimentConfig, measured: pd.DataFrame) -> None:
-    """Refuse a measured table that does not hold, as shares, what the figure shows beside it."""
+    """Reject a measured table without the quantity of the figure, or with values in per cent."""
     key, quantity = "figure.measured", experiment.figure.quantity
-    drawn = [name for name in quantity if name in measured and measured[name].count()]
-    if not drawn:
+    shown = [name for name in quantity if name in measured and measured[name].count()]
+    if not shown:
         columns = f"{WAVELENGTH_COLUMN} and {' or '.join(quantity)}"
         raise invalid(key, experiment.figure.measured, f"a table with columns {columns}")
-    for name in drawn:
-        ends = [f"{name}_min", f"{name}_max"]
-        if len(set(ends) & set(measured)) == 1:
-            raise invalid(key, experiment.figure.measured, f"with both {' and '.join(ends)}")
-        rows = measured[[end for end in (ends[0], name, ends[1]) if end in measured]].to_numpy()
+    for name in shown:
+        bounds = [f"{name}_min", f"{name}_max"]
+        if len(set(bounds) & set(measured)) == 1:
+            raise invalid(key, experiment.figure.measured, f"with both {' and '.join(bounds)}")
+        rows = measured[
+            [bound for bound in (bounds[0], name, bounds[1]) if bound in measured]
+        ].to_numpy()
         largest = np.nanmax(np.abs(rows), initial=0.0)
         if largest > MAX_REFLECTANCE:
-            hint = "shares, not per cent"
+            hint = "fractions, not per cent"
             raise invalid(f"{key} ({name})", float(largest), f"at most {MAX_REFLECTANCE:g}", hint)
         if (np.diff(rows, axis=1) < 0.0).any():
-            raise invalid(key, experiment.figure.measured, f"with {ends[0]} <= {name} <= {ends[1]}")
+            raise invalid(
+                key, experiment.figure.measured, f"with {bounds[0]} <= {name} <= {bounds[1]}"
+            )
 
 
-def _resolve_samples(given: Any, folder: Path) -> dict[str, Any]:
-    """Return the media of a grid by label, those given by a file's name read from that file."""
-    if isinstance(given, list) and not all(isinstance(name, str) for name in given):
+def _resolve_samples(samples: Any, folder: Path) -> dict[str, Any]:
+    """Return the media of a grid by label; names of files are replaced by their content."""
+    if isinstance(samples, list) and not all(isinstance(name, str) for name in samples):
         allowed = "names of files, or a mapping from labels to media"
-        raise invalid(f"grid.{SAMPLE_KEY}", given, allowed)
-    named = {name: name for name in given} if isinstance(given, list) else given
+        raise invalid(f"grid.{SAMPLE_KEY}", samples, allowed)
+    named = {name: name for name in samples} if isinstance(samples, list) else samples
     return {
         label: _apply_all_bases(
             {"base": value} if isinstance(value, str) else value,
@@ -155,24 +164,24 @@ def _resolve_samples(given: Any, folder: Path) -> dict[str, Any]:
     }
 
 
-def _apply_base(medium: Any, place: str, folder: Path) -> Any:
-    """Return a medium's settings on top of those of the file that its ``base`` names."""
+def _apply_base(medium: Any, key: str, folder: Path) -> Any:
+    """Return the settings of a medium, with those of its ``base`` file as defaults."""
     if not isinstance(medium, dict) or "base" not in medium:
         return medium
-    base = check_choice(f"{place}.base", medium["base"], [p.stem for p in folder.glob("*.yaml")])
-    own = {key: value for key, value in medium.items() if key != "base"}
+    base = check_choice(f"{key}.base", medium["base"], [p.stem for p in folder.glob("*.yaml")])
+    settings = {name: value for name, value in medium.items() if name != "base"}
     content = read_yaml(folder / f"{base}.yaml")
     kind = content.get("kind", "snow")
-    if own.get("kind", kind) != kind:
-        hint = "without a base it has values of its own"
-        raise invalid(f"{place}.kind", own["kind"], f"{kind}, as its base {base}", hint)
-    return override_keywords(content, own)
+    if settings.get("kind", kind) != kind:
+        hint = "or leave out base"
+        raise invalid(f"{key}.kind", settings["kind"], f"{kind}, as its base {base}", hint)
+    return override_keywords(content, settings)
 
 
 def _apply_all_bases(medium: Any, key: str, folder: Path) -> Any:
-    """Return a medium, or a stack and all of its layers, on top of the bases they name."""
+    """Return the settings of a medium, or of a stack and its layers, with their bases applied."""
     medium = _apply_base(medium, key, folder)
-    return apply_bases(key, medium, lambda layer, here: _apply_base(layer, here, folder))
+    return apply_bases(key, medium, lambda layer, layer_key: _apply_base(layer, layer_key, folder))
 
 
 def load_experiments(
@@ -185,32 +194,31 @@ def load_experiments(
     Raises
     ------
     ConfigError
-        With one line for each file that cannot be run or has the name of another, or if there
-        is no file.
+        With one line for each invalid file and for each repeated name, or if there is no file.
     """
     experiments: dict[str, ExperimentConfig] = {}
     files: dict[str, Path] = {}
-    refused: list[str] = []
+    errors: list[str] = []
     for path in sorted(expand_path(folder, "folder").rglob("*.y*ml")):
         try:
             experiment = load_experiment(path, media_folder, measured_folder)
             _check_table_paths(path, experiment)
         except ConfigError as error:
-            refused.append(str(error))
+            errors.append(str(error))
             continue
         name = experiment.name
         if name in experiments:
-            refused.append(f"{path}: name = {name!r}: already taken by {files[name]}")
+            errors.append(f"{path}: name = {name!r}: already taken by {files[name]}")
         experiments[name], files[name] = experiment, path
-    if refused:
-        raise ConfigError("\n".join(refused))
+    if errors:
+        raise ConfigError("\n".join(errors))
     if not experiments:
         raise ConfigError(f"{folder}: no experiment file (*.yaml)")
     return experiments
 
 
 def _check_table_paths(path: Path, experiment: ExperimentConfig) -> None:
-    """Refuse users' own tables that the workflow could not take for its inputs."""
+    """Reject paths of users' own tables that the workflow cannot use as inputs."""
     try:
         for table in experiment.list_table_paths():
             check_path("table", table)
@@ -219,7 +227,7 @@ def _check_table_paths(path: Path, experiment: ExperimentConfig) -> None:
 
 
 def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -> Settings:
-    """Check the main configuration, given as a mapping."""
+    """Return the settings of the main configuration, given as a mapping."""
     try:
         return _validate(Settings, content)
     except ValueError as error:
@@ -227,7 +235,7 @@ def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -
 
 
 def _validate(model: type[SectionType], content: dict[str, Any]) -> SectionType:
-    """Return a model of the content, or refuse it in one line."""
+    """Return the model of some content; raise a one-line error for invalid content."""
     try:
         return model.model_validate(content)
     except ValidationError as error:

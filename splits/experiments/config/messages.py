@@ -1,4 +1,4 @@
-"""One line for what pydantic refuses: the key with its full path, the value, what is allowed."""
+"""One-line messages for validation errors of pydantic: key, value, allowed values and a hint."""
 
 from __future__ import annotations
 
@@ -16,41 +16,41 @@ TYPE_DESCRIPTIONS = {
     float: ("a number", "numbers"),
     str: ("text", "names"),
 }
-"""What a key of a type must be, and a list of them."""
+"""Descriptions of a value of a type, and of a list of such values."""
 LIMIT_DESCRIPTIONS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
 
 
 def format_validation_error(model: type[BaseModel], error: ValidationError) -> str:
-    """Return one line for a model's refusal: key, value, what is allowed, a hint."""
-    # A misspelt key may be the one that is missing; of a key that may be either of two things,
-    # the deepest error tells which was meant.
+    """Return the first validation error as one line: key, value, allowed values and a hint."""
+    # Unknown keys come first, since a misspelt key also causes a missing one.  Of the branches of
+    # a union, the deepest error belongs to the branch that was meant.
     errors: list[Any] = error.errors(include_url=False)
     first = max(errors, key=lambda e: (e["type"] == "extra_forbidden", len(e["loc"])))
-    place, problem = first["loc"], first["type"]
-    if problem == "value_error":
+    location, error_type = first["loc"], first["type"]
+    if error_type == "value_error":
         return str(first["ctx"]["error"])
-    if problem in ("extra_forbidden", "invalid_key"):
-        section, kind = _resolve_location(model, place[:-1])
-        known = next(k for k in _list_options(kind) if _is_section(k)).model_fields
-        return str(unknown_key(f"{section}.{place[-1]}".lstrip("."), known))
-    of_list = problem == "missing" and isinstance(place[-1], int)
-    key, kind = _resolve_location(model, place[:-1] if of_list else place)
-    if problem == "missing" and not of_list:
+    if error_type in ("extra_forbidden", "invalid_key"):
+        section, kind = _resolve_location(model, location[:-1])
+        fields = next(k for k in _list_options(kind) if _is_section(k)).model_fields
+        return str(unknown_key(f"{section}.{location[-1]}".lstrip("."), fields))
+    of_list = error_type == "missing" and isinstance(location[-1], int)
+    key, kind = _resolve_location(model, location[:-1] if of_list else location)
+    if error_type == "missing" and not of_list:
         return f"{key}: missing, must be {_describe_type(kind)}"
     limits = [
         f"{LIMIT_DESCRIPTIONS[k]} {v:g}"
         for k, v in first.get("ctx", {}).items()
         if k in LIMIT_DESCRIPTIONS
     ]
-    finite = "finite " if problem == "finite_number" else ""
+    finite = "finite " if error_type == "finite_number" else ""
     allowed = limits[0] if limits else _describe_type(kind).replace("a number", f"a {finite}number")
     return str(invalid(key, first["input"], allowed, _suggest_value(kind, first["input"])))
 
 
 def _resolve_location(model: type[BaseModel], location: Sequence[Any]) -> tuple[str, Any]:
-    """Return the key that a location leads to, and the type of what stands there.
+    """Return the key at a location of an error, and the type of its value.
 
-    Locations also name branches of unions, which are no keys.
+    Locations also contain the names of branches of unions, which are skipped.
     """
     kind: Any = model
     names: list[str] = []
@@ -76,9 +76,9 @@ def _resolve_location(model: type[BaseModel], location: Sequence[Any]) -> tuple[
 
 
 def _list_options(kind: Any) -> list[Any]:
-    """Return the types that a key may have, None left out."""
+    """Return the types that a key may have, without None."""
     kinds = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
-    return [one for one in kinds if one is not type(None)]
+    return [option for option in kinds if option is not type(None)]
 
 
 def _is_section(kind: Any) -> bool:
@@ -86,7 +86,7 @@ def _is_section(kind: Any) -> bool:
 
 
 def _describe_type(kind: Any) -> str:
-    """Return what may stand under a key of this type."""
+    """Return a description of the values of a type."""
     return " or ".join(dict.fromkeys(_describe_option(option) for option in _list_options(kind)))
 
 
@@ -95,28 +95,30 @@ def _describe_option(kind: Any) -> str:
     if origin is Literal:
         return "one of " + ", ".join(inner) if len(inner) > 1 else f'"{inner[0]}"'
     if origin is tuple:
-        several = (
+        items = (
             TYPE_DESCRIPTIONS[inner[0]][1]
             if inner[0] in TYPE_DESCRIPTIONS
             else ", ".join(get_args(inner[0]))
         )
-        return f"a list of {several if inner[-1] is Ellipsis else f'{len(inner)} {several}'}"
+        return f"a list of {items if inner[-1] is Ellipsis else f'{len(inner)} {items}'}"
     if _is_section(kind):
-        needed = [name for name, field in kind.model_fields.items() if field.is_required()]
-        return "a mapping with " + ", ".join(needed) if needed else "a mapping of keys to values"
+        required = [name for name, field in kind.model_fields.items() if field.is_required()]
+        return (
+            "a mapping with " + ", ".join(required) if required else "a mapping of keys to values"
+        )
     return (
         TYPE_DESCRIPTIONS[kind][0] if kind in TYPE_DESCRIPTIONS else "a mapping of keys to values"
     )
 
 
 def _suggest_value(kind: Any, value: Any) -> str:
-    """Return what to write instead of a value that is nearly right, or nothing."""
+    """Return a correction of a value that is nearly valid, or an empty string."""
     options = _list_options(kind)
     choices = [c for k in options if get_origin(k) is Literal for c in get_args(k)]
     if choices:
         return suggest_name(value, choices)
-    plain = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if plain and any(get_args(k) == (float, Ellipsis) for k in options):
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if is_number and any(get_args(k) == (float, Ellipsis) for k in options):
         return f"write [{short_repr(value)}]"
     quoted = str in options and isinstance(value, (int, float, date))
     return "put it into quotes" if quoted else ""

@@ -1,4 +1,4 @@
-"""The section `retrieve` of an experiment: measured spectra to read in its own table."""
+"""Section `retrieve` of an experiment file: measured spectra and the parameters to retrieve."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from splits.tables.axes import INCIDENCE
 
 WAVELENGTH_COLUMN = "wavelength_nm"
 MIN_STDERR = 1e-6
-"""Least standard error, of a reflectance of 0."""
+"""Smallest relative standard error, for reflectances near 0."""
 ANGLE_SEPARATOR = "@"
-"""Between the name of a sample and the angle of incidence it was measured under."""
+"""Separator between the name of a sample and its angle of incidence."""
 
 
 class NoiseSection(ConfigSection):
-    """Standard errors of measured reflectances: absolute ones, and ones relative to the value.
+    """Standard errors of measured reflectances: absolute, and relative to the value.
 
-    The former are independent, the latter alike over `correlation_nm`, unless that is left out.
+    Absolute errors are independent; relative ones are correlated over `correlation_nm`, if given.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
@@ -55,19 +55,19 @@ class NoiseSection(ConfigSection):
         return self
 
     def evaluate(self, values: np.ndarray) -> Any:
-        """Return the noise of reflectances as `splits.retrieve` takes it."""
+        """Return the argument `noise` of `splits.retrieve` for reflectances."""
         relative = np.maximum(self.relative * np.abs(values), MIN_STDERR)
         if self.correlation_nm is None:
             return np.hypot(self.absolute, relative)
-        together = {"stderr": relative, "correlation_nm": self.correlation_nm}
-        return together | ({"independent": self.absolute} if self.absolute else {})
+        correlated = {"stderr": relative, "correlation_nm": self.correlation_nm}
+        return correlated | ({"independent": self.absolute} if self.absolute else {})
 
 
 class PriorFromSample(ConfigSection):
-    """A sample that is retrieved first, with some parameters known.
+    """A sample that is retrieved first, with some parameters fixed.
 
-    What it tells of the others is what is known of them before other samples are retrieved: all, or
-    those whose names begin with `applies_to`.
+    Its posterior of the other parameters is the prior of the samples whose names begin with
+    `applies_to` (by default all).
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
@@ -78,16 +78,16 @@ class PriorFromSample(ConfigSection):
 
 
 class RetrieveSection(ConfigSection):
-    """Measured spectra from which parameters are to be retrieved with the experiment's table.
+    """Measured spectra from which parameters are retrieved with the experiment's table.
 
     `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
-    sample; `samples` chooses some of them.  A sample's name may end in ``@50``, its angle of
-    incidence.  `free`, `fixed` and `prior` are as for `splits.retrieve`; `exclude_nm` are intervals
-    that do not count, such as those where water vapour lets no light through.  `reference_values` are values
-    by parameter and sample that were found otherwise, to be drawn beside.  Without `noise` the
-    misfit tells the errors.  `model_axis` is an axis of
-    texts, whose light is compared: every sample is read with each of them.  `compare_with` is a published
-    law of snow, with which they are read, too.
+    sample; `samples` selects some of them.  A sample's name may end in its angle of incidence,
+    as ``@50``.  `free`, `fixed` and `prior` are as for `splits.retrieve`.  `exclude_nm` are
+    intervals to leave out, such as absorption bands of water vapour.  `reference_values` are
+    independent values by parameter and sample, shown for comparison.  Without `noise` the
+    measurement error is estimated from the misfit.  `model_axis` is an axis of texts: every sample
+    is retrieved with each of them.  `compare_with` is a published law of snow, with which all
+    samples are retrieved as well.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
@@ -115,7 +115,8 @@ class RetrieveSection(ConfigSection):
         if value is None or isinstance(value, dict | NoiseSection):
             return value
         allowed = "a mapping such as {relative: 0.01, absolute: 0.003}, or left out"
-        raise invalid("retrieve.noise", value, allowed, "without it the misfit tells the errors")
+        hint = "without it the misfit gives the errors"
+        raise invalid("retrieve.noise", value, allowed, hint)
 
     @field_validator("prior_from", mode="before")
     @classmethod
@@ -132,72 +133,77 @@ class RetrieveSection(ConfigSection):
     def select_spectra(
         self, measured: pd.DataFrame, wavelengths: np.ndarray
     ) -> dict[str, pd.Series]:
-        """Return the spectra to read, by sample, where the table has them and nothing leaves out.
+        """Return the spectra by sample, at the measured wavelengths that are used.
 
         Raises
         ------
         ValueError
-            For a table without wavelengths, or a sample that it does not have.
+            For a table without wavelengths, or an unknown sample.
         """
         if WAVELENGTH_COLUMN not in measured:
             columns = list(measured.columns)
             raise invalid("retrieve.measured", columns, f"a table with column {WAVELENGTH_COLUMN}")
-        known = [str(c) for c in measured.columns if c != WAVELENGTH_COLUMN]
-        if any(name.startswith("Unnamed") for name in known):
-            hint = "numbers of rows? write it with index=False"
+        available = [str(c) for c in measured.columns if c != WAVELENGTH_COLUMN]
+        if any(name.startswith("Unnamed") for name in available):
+            hint = "a column of row numbers? write the table with index=False"
             raise invalid("retrieve.measured", "a column without a name", "names for all", hint)
-        w = measured[WAVELENGTH_COLUMN].to_numpy(dtype=float)
-        near = snap_to_limits(w, wavelengths[0], wavelengths[-1])
-        inside = (near >= wavelengths[0]) & (near <= wavelengths[-1])
+        wavelength = measured[WAVELENGTH_COLUMN].to_numpy(dtype=float)
+        snapped = snap_to_limits(wavelength, wavelengths[0], wavelengths[-1])
+        inside = (snapped >= wavelengths[0]) & (snapped <= wavelengths[-1])
         for low, high in self.exclude_nm:
-            inside &= (w < low) | (w > high)
+            inside &= (wavelength < low) | (wavelength > high)
         if not inside.any():
-            allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, as the table has them"
-            raise invalid("retrieve.measured", f"{w.min():g} to {w.max():g} nm", allowed)
-        names = [check_choice("retrieve.samples", s, known) for s in self.samples] or known
-        early = [
+            allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, the range of the table"
+            raise invalid(
+                "retrieve.measured", f"{wavelength.min():g} to {wavelength.max():g} nm", allowed
+            )
+        names = [check_choice("retrieve.samples", s, available) for s in self.samples] or available
+        first_samples = [
             check_choice("retrieve.prior_from.sample", f.sample, names) for f in self.prior_from
         ]
-        later = [name for name in names if name not in early]
-        if len(set(early)) < len(early):
-            raise invalid("retrieve.prior_from.sample", early, "different samples")
-        if not later:
+        other_samples = [name for name in names if name not in first_samples]
+        if len(set(first_samples)) < len(first_samples):
+            raise invalid("retrieve.prior_from.sample", first_samples, "different samples")
+        if not other_samples:
             hint = "all samples are retrieved first"
-            raise invalid("retrieve.samples", names, "some besides those of prior_from", hint)
+            raise invalid("retrieve.samples", names, "others than those of prior_from", hint)
         for first in self.prior_from:
-            if not any(name.startswith(first.applies_to) for name in later):
-                allowed = f"how the name of another sample begins: {', '.join(later)}"
+            if not any(name.startswith(first.applies_to) for name in other_samples):
+                allowed = f"the beginning of the name of another sample: {', '.join(other_samples)}"
                 raise invalid("retrieve.prior_from.applies_to", first.applies_to, allowed)
         for parameter, values in self.reference_values.items():
             for sample in values:
                 check_choice(f"retrieve.reference_values.{parameter}", sample, names)
-        return {n: pd.Series(measured[n].to_numpy(dtype=float)[inside], w[inside]) for n in names}
+        return {
+            n: pd.Series(measured[n].to_numpy(dtype=float)[inside], wavelength[inside])
+            for n in names
+        }
 
     def compute_noise(self, values: np.ndarray) -> Any:
-        """Return the noise of reflectances as `splits.retrieve` takes it."""
+        """Return the argument `noise` of `splits.retrieve` for reflectances."""
         return None if self.noise is None else self.noise.evaluate(values)
 
     def get_fixed_values(self, sample: str, axes: list[str]) -> dict[str, float | str]:
-        """Return what is known of a sample: `fixed`, and the angle that its name tells."""
-        found = dict(self.fixed)
+        """Return the fixed values of a sample: `fixed`, and the angle in its name."""
+        fixed = dict(self.fixed)
         if INCIDENCE not in axes or ANGLE_SEPARATOR not in sample:
-            return found
+            return fixed
         angle = parse_incidence_deg(sample)
-        known = INCIDENCE in found or INCIDENCE in self.free
-        if angle is None and not known:
+        is_known = INCIDENCE in fixed or INCIDENCE in self.free
+        if angle is None and not is_known:
             raise invalid("retrieve.samples", sample, f"an angle after {ANGLE_SEPARATOR}")
-        if angle is not None and (INCIDENCE in self.free or found.get(INCIDENCE, angle) != angle):
-            key = f"retrieve.fixed.{INCIDENCE}" if INCIDENCE in found else "retrieve.free"
-            hint = f"the name {format_key(sample)} tells the angle"
-            raise invalid(key, found.get(INCIDENCE, INCIDENCE), "left out", hint)
-        return found if angle is None else {**found, INCIDENCE: angle}
+        if angle is not None and (INCIDENCE in self.free or fixed.get(INCIDENCE, angle) != angle):
+            key = f"retrieve.fixed.{INCIDENCE}" if INCIDENCE in fixed else "retrieve.free"
+            hint = f"the name {format_key(sample)} contains the angle"
+            raise invalid(key, fixed.get(INCIDENCE, INCIDENCE), "left out", hint)
+        return fixed if angle is None else {**fixed, INCIDENCE: angle}
 
     def list_sample_prefixes(self) -> list[str]:
-        """Return how names of samples begin that figures show together."""
+        """Return the prefixes of the names of samples that figures show together."""
         return [first.applies_to for first in self.prior_from] or [""]
 
 
 def parse_incidence_deg(sample: str) -> float | None:
     """Return the angle of incidence at the end of a sample's name, or None."""
-    _, mark, angle = sample.rpartition(ANGLE_SEPARATOR)
-    return float(angle) if mark and re.fullmatch(r"[0-9]+(\.[0-9]+)?", angle) else None
+    _, separator, angle = sample.rpartition(ANGLE_SEPARATOR)
+    return float(angle) if separator and re.fullmatch(r"[0-9]+(\.[0-9]+)?", angle) else None

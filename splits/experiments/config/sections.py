@@ -1,7 +1,4 @@
-"""Sections of an experiment file: figure, fit, and what all sections have in common.
-
-Words that figures and reports show: what can be set, and what cannot.
-"""
+"""Sections `figure` and `fit` of an experiment file, their base class, and checks of texts."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ MAX_CAPTION_CHARS = 5000
 
 
 def check_text(key: str, value: str, max_chars: int, multiline: bool = False) -> str:
-    """Return a text of one line, or of several, or refuse what cannot be printed.
+    """Return a printable text of one or several lines; reject others.
 
     Parameters
     ----------
@@ -34,29 +31,29 @@ def check_text(key: str, value: str, max_chars: int, multiline: bool = False) ->
     max_chars : int
         Largest number of characters.
     multiline : bool
-        Whether it may have several lines.
+        Whether several lines are allowed.
     """
     if len(value) > max_chars:
         raise invalid(key, value, f"at most {max_chars} characters")
-    plain = value.replace("\n", "").replace("\t", "") if multiline else value
-    if not plain.isprintable():
+    joined = value.replace("\n", "").replace("\t", "") if multiline else value
+    if not joined.isprintable():
         raise invalid(key, value, "text without control characters or line breaks")
     return value
 
 
 def check_path(key: str, value: str) -> str:
-    """Return the path of a folder or file, or refuse one that the workflow reads as a pattern."""
+    """Return the path of a folder or file; reject one that Snakemake would read as a pattern."""
     if not value.isprintable() or set(value) & set("{}<>"):
         allowed = "a path without { } < > and control characters"
-        raise invalid(key, value, allowed, "Snakemake takes braces for wildcards")
+        raise invalid(key, value, allowed, "Snakemake reads braces as wildcards")
     return value
 
 
 def check_mathematics(key: str, value: str) -> str:
-    """Return a text that may hold formulas between dollar signs, or refuse what cannot be set."""
-    # One dollar sign alone is a dollar sign.
-    dollars = value.count("$") - value.count(r"\$")
-    if dollars < 2 or dollars % 2:
+    """Return a text that may contain formulas between dollar signs; reject invalid formulas."""
+    # A single dollar sign starts no formula.
+    n_dollars = value.count("$") - value.count(r"\$")
+    if n_dollars < 2 or n_dollars % 2:
         return value
     from matplotlib.mathtext import MathTextParser  # a figure's job loads it anyway
 
@@ -64,7 +61,7 @@ def check_mathematics(key: str, value: str) -> str:
         MathTextParser("path").parse(value)
     except (ValueError, RuntimeError):
         hint = r"write \$ for a dollar sign"
-        raise invalid(key, value, "text that matplotlib can set", hint) from None
+        raise invalid(key, value, "text that matplotlib can typeset", hint) from None
     return value
 
 
@@ -77,20 +74,20 @@ FIGURE_KINDS = {
     "lens": ("lens",),
     "table": ("summary",),
 }
-"""Kinds of figures that show what an instrument measures, the usual one first."""
+"""Kinds of figures for an instrument, the default first."""
 SINGLE_POINT_KINDS = ("spread", "lobes", "bins", "surface", "lens")
-"""Kinds of figures that show one point of a grid; of lobes, one parameter may vary."""
+"""Kinds of figures that show one point of a grid; for lobes, one parameter may vary."""
 FIGURE_QUANTITIES = {
     "spectrophotometer": ("reflectance", "transmittance", "absorptance", "mean_grain_distance"),
     "goniophotometer": ("brdf", "btdf", "reflectance_factor", "anisotropy_factor"),
     "table": ("reflectance", "transmittance"),
 }
-"""What figures of an instrument may show."""
+"""Quantities that figures of an instrument may show."""
 QUANTITY_OF_KIND = {
     "lobes": "brdf", "bins": "brdf", "polarization": "brdf", "swatches": "reflectance",
     "fit": "reflectance",
 }  # fmt: skip
-"""What kinds of figures show that do not let one choose."""
+"""Quantity of kinds of figures that always show the same one."""
 KINDS_OF_SETTING = {
     "wavelength_nm": ("spectra",),
     "measured": ("spectra",),
@@ -98,7 +95,7 @@ KINDS_OF_SETTING = {
     "legend": ("spectra", "points", "summary", "fit", "principal_plane", "hemisphere",
                "polarization"),
 }  # fmt: skip
-"""Settings of figures that only some kinds show."""
+"""Settings that only some kinds of figures have, with these kinds."""
 QuantityName = Literal[
     "reflectance", "transmittance", "absorptance", "mean_grain_distance",
     "brdf", "btdf", "reflectance_factor", "anisotropy_factor",
@@ -106,28 +103,28 @@ QuantityName = Literal[
 
 
 def check_measured_file(key: str, name: str) -> str:
-    """Return the name of a file of config/measured, or refuse a path that leads elsewhere."""
+    """Return the name of a file of config/measured; reject paths to other folders."""
     if not name.isprintable() or len(name) > 100 or PurePath(name).name != name or "\\" in name:
         raise invalid(key, name, "the name of a file of config/measured, without folders")
     return check_path(key, name)
 
 
 class ConfigSection(BaseModel):
-    """A configuration section: unknown keys are refused, values are fixed once read."""
+    """A configuration section: immutable, and unknown keys are rejected."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
 
     @field_validator("*", mode="before")
     @classmethod
     def _reject_booleans(cls, value: Any) -> Any:
-        # Nothing here is switched on and off; pydantic would take true for the number 1.
+        # No setting is a boolean; pydantic would convert true to the number 1.
         if isinstance(value, bool):
             raise PydanticCustomError("no_switch", "true or false")
         return value
 
 
 class FigureSection(ConfigSection):
-    """How an experiment's figure shows its dataset."""
+    """Settings of an experiment's figure."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -152,7 +149,7 @@ class FigureSection(ConfigSection):
     @field_validator("select", mode="before")
     @classmethod
     def _label_booleans(cls, value: Any) -> Any:
-        # Grids label true and false by these words.
+        # Labels of booleans on a grid are texts.
         if not isinstance(value, dict):
             return value
         return {key: str(v) if isinstance(v, bool) else v for key, v in value.items()}
@@ -168,8 +165,8 @@ class FigureSection(ConfigSection):
         if value is None:
             return None
         key = f"figure.{info.field_name}"
-        longest = MAX_LABEL_CHARS if info.field_name == "legend" else MAX_TITLE_CHARS
-        return check_mathematics(key, check_text(key, value, longest))
+        max_chars = MAX_LABEL_CHARS if info.field_name == "legend" else MAX_TITLE_CHARS
+        return check_mathematics(key, check_text(key, value, max_chars))
 
     @model_validator(mode="after")
     def _check_settings(self) -> FigureSection:
@@ -182,19 +179,21 @@ class FigureSection(ConfigSection):
         if self.kind == "none" and self.model_fields_set != {"kind"}:
             others = sorted(self.model_fields_set - {"kind"})
             raise invalid("figure.kind", "none", f"left out with {', '.join(others)}")
-        shown = QUANTITY_OF_KIND.get(self.kind or "")
-        if shown and "quantity" in self.model_fields_set and self.quantity != (shown,):
-            raise invalid("figure.quantity", self.quantity, f"{shown} for a figure of {self.kind}")
+        quantity = QUANTITY_OF_KIND.get(self.kind or "")
+        if quantity and "quantity" in self.model_fields_set and self.quantity != (quantity,):
+            raise invalid(
+                "figure.quantity", self.quantity, f"{quantity} for a figure of {self.kind}"
+            )
         if "mean_grain_distance" in self.quantity and self.kind != "points":
             raise invalid("figure.kind", self.kind, "points for mean_grain_distance")
         return self
 
 
 class FitSection(ConfigSection):
-    """Measured spectra to find sands for, instead of simulating given ones.
+    """Measured spectra to which sands are fitted.
 
     `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
-    sample; `samples` chooses some of them.  `ranges` replaces those of
+    sample; `samples` selects some of them.  `ranges` replaces ranges of
     `splits.retrieval.sand_parameters.DEFAULT_RANGES`.
     """
 

@@ -1,4 +1,4 @@
-"""What the main configuration file may say: which experiments run, how far, and where to."""
+"""Model of the main configuration file: selected experiments, accuracy and folders."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from splits.experiments.config.study_checks import check_studies
 from splits.io.ro_crate import ORCID_URL, Author
 
 DEFAULT_LICENCE = "MIT"
-"""Of results, unless the configuration says another: that of the software."""
+"""Default licence of results: that of the software."""
 RESULT_FOLDERS = ("archive", "benchmarks", "blocks", "data", "figures", "logs", "tables")
-"""What the workflow makes in the folder of results."""
+"""Subfolders of the results folder, which the workflow creates."""
 _ACCURACY_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LICENCE_PATTERN = re.compile(
     r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[\w.~:/?#@!$&'()*+,;=%-]{1,300}", re.ASCII
@@ -36,7 +36,7 @@ _LICENCE_PATTERN = re.compile(
 
 
 class Accuracy(ConfigSection):
-    """How far simulations run."""
+    """Target standard errors and the limit of rays of simulations."""
 
     max_stderr: float = Field(ge=1e-6, le=0.5)
     relative_stderr: float = Field(default=0.02, ge=1e-4, le=0.5)
@@ -61,12 +61,12 @@ class ArchiveAuthor(ConfigSection):
         digits = value.removeprefix(ORCID_URL)
         if not value or _is_orcid(digits):
             return digits
-        allowed = "an ORCID such as 0000-0002-1825-0097, whose last digit follows from the others"
+        allowed = "an ORCID such as 0000-0002-1825-0097, with a valid check digit"
         raise invalid("archive_authors.orcid", value, allowed)
 
 
 def _is_orcid(digits: str) -> bool:
-    """Tell whether that is an ORCID by its check digit (ISO 7064, MOD 11-2)."""
+    """Return whether a text is an ORCID with a valid check digit (ISO 7064, MOD 11-2)."""
     if not re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", digits, re.ASCII):
         return False
     total = 0
@@ -76,7 +76,7 @@ def _is_orcid(digits: str) -> bool:
 
 
 EXPLORER_DIRECTION_AXES = ("optical_radius_um", "incidence_deg")
-"""Axes of experiments that show where the light of the explorer goes."""
+"""Grid axes of the experiments that give the explorer's BRDFs."""
 
 
 FOLDER_KEYS = (
@@ -111,7 +111,7 @@ class Settings(ConfigSection):
     @field_validator("experiments", "archive", mode="before")
     @classmethod
     def _split_names(cls, value: Any) -> Any:
-        # On the command line a list is written with commas.
+        # Lists on the command line are separated by commas.
         if isinstance(value, str) and value != "all":
             return tuple(name.strip() for name in value.split(","))
         return value
@@ -120,7 +120,7 @@ class Settings(ConfigSection):
     @classmethod
     def _check_folder(cls, value: str, info: ValidationInfo) -> str:
         key = str(info.field_name)
-        # Snakemake takes paths as texts: those of one file must be spelt alike.
+        # Snakemake compares paths as texts, so each file needs a unique spelling.
         path = posixpath.normpath(str(expand_path(value, key))) if value else "."
         if path == ".":
             raise invalid(key, value, "the path of a folder")
@@ -147,7 +147,7 @@ class Settings(ConfigSection):
         for name in value:
             if not _ACCURACY_PATTERN.fullmatch(name) or name.lower() in RESULT_FOLDERS:
                 allowed = "letters, digits, _, - and ., none of " + ", ".join(RESULT_FOLDERS)
-                raise invalid("accuracies", name, f"called by {allowed}", "it names a folder")
+                raise invalid("accuracies", name, allowed, "it names a folder")
         return value
 
     @model_validator(mode="after")
@@ -157,33 +157,33 @@ class Settings(ConfigSection):
 
     @property
     def results_folder(self) -> str:
-        """Where results go: `results`, with a subfolder for accuracies other than standard."""
+        """Folder of results: `results`, or its subfolder of an accuracy other than standard."""
         return self.results if self.accuracy == "standard" else f"{self.results}/{self.accuracy}"
 
     @property
     def table_folders(self) -> dict[str, Path]:
-        """Where tables of measured and of published numbers are."""
+        """Folders of the tables of measured and of published numbers."""
         return {"measured": Path(self.measured_folder), "published": Path(self.published_folder)}
 
     def select_archived(self) -> Settings:
-        """Return the settings of a run that makes what an archive holds, and nothing else."""
+        """Return the settings of a run that makes the content of an archive only."""
         if self.archive == "all":
             return self
-        every = self.experiments == "all"
-        names = tuple(name for name in self.archive if every or name in self.experiments)
+        is_all = self.experiments == "all"
+        names = tuple(name for name in self.archive if is_all or name in self.experiments)
         others: dict[str, Any] = {"studies": {}, "explorer": {}, "explorer_directions": {}}
         return self.model_copy(update={"experiments": names, "archive": "all", **others})
 
     def list_authors(self) -> tuple[Author, ...]:
-        """Return the authors of results that an archive names, if any are given."""
+        """Return the authors of an archive, if any are given."""
         return tuple(Author(**author.model_dump()) for author in self.archive_authors)
 
     def _check_explorer(self, available: Mapping[str, ExperimentConfig]) -> None:
-        """Refuse an explorer of experiments that it cannot show."""
+        """Reject experiments that the explorer cannot show."""
         for label, name in self.explorer.items():
             if name in available and available[name].instrument.kind != "table":
                 kind = available[name].instrument.kind
-                raise ConfigError(f"explorer.{label} = {name!r}: must be a table, and is of {kind}")
+                raise ConfigError(f"explorer.{label} = {name!r}: must be a table (it is a {kind})")
             rows = dict(zip(*available[name].make_axes(), strict=True)) if name in available else {}
             for axis, row in rows.items():
                 if len(row) < 2 or isinstance(row[0], str):
@@ -192,12 +192,12 @@ class Settings(ConfigSection):
         for label, name in self.explorer_directions.items():
             key = f"explorer_directions.{label} = {name!r}"
             if label not in self.explorer:
-                known = ", ".join(self.explorer) or "none"
-                raise ConfigError(f"{key}: no table is called so in explorer (known: {known})")
+                labels = ", ".join(self.explorer) or "none"
+                raise ConfigError(f"{key}: must have the name of a table in explorer ({labels})")
             if name not in available:
                 continue
-            one = available[name]
-            if one.instrument.kind != "goniophotometer" or {*one.grid} != {
+            experiment = available[name]
+            if experiment.instrument.kind != "goniophotometer" or {*experiment.grid} != {
                 *EXPLORER_DIRECTION_AXES
             }:
                 allowed = f"a goniophotometer over {' and '.join(EXPLORER_DIRECTION_AXES)}"
@@ -206,12 +206,12 @@ class Settings(ConfigSection):
     def select_experiments(
         self, available: Mapping[str, ExperimentConfig]
     ) -> dict[str, ExperimentConfig]:
-        """Return the experiments chosen among those available.
+        """Return the selected experiments.
 
         Raises
         ------
         ConfigError
-            For a name that is not available or taken twice, or a study that cannot be made.
+            For an unknown or repeated name, or an invalid study.
         """
         for key, names in (("experiments", self.experiments), ("archive", self.archive)):
             for name in () if names == "all" else names:
@@ -223,5 +223,5 @@ class Settings(ConfigSection):
             raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
         check_studies(self.studies, available, self.table_folders)
         self._check_explorer(available)
-        chosen = available if self.experiments == "all" else self.experiments
-        return {name: available[name] for name in chosen}
+        selected = available if self.experiments == "all" else self.experiments
+        return {name: available[name] for name in selected}

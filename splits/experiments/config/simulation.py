@@ -1,8 +1,7 @@
-"""What an experiment file says that decides numbers: medium, instrument, grid, fit.
+"""Model of a simulation: medium, instrument, grid and fit of an experiment file.
 
-One pydantic model per section (those of its parts are in `splits.experiments.config.sections`).  Unknown
-keys are refused everywhere; physical ranges are checked by the media and instruments themselves,
-so that a limit stands in one place only.
+Each section is a pydantic model that rejects unknown keys.  Physical ranges are checked by the
+media and instruments, so that each limit is defined once.
 """
 
 from __future__ import annotations
@@ -62,14 +61,14 @@ from splits.tables.axes import ParameterGrid
 
 MEDIUM_CLASSES: dict[str, Any] = {**LAYER_MEDIA, "stack": Stack}
 SAMPLE_KEY = "medium"
-"""Grid dimension whose values are whole media: their settings replace those of the base medium."""
+"""Grid dimension whose values are media: their settings replace those of the base medium."""
 SEMI_INFINITE_INSTRUMENTS = ("spectrophotometer", "refractive_index", "table")
-"""Instruments that take packs without end."""
+"""Instruments for semi-infinite media."""
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
 NAME_RULE = (
     "lower-case letters, digits and underscores, a letter first, no device such as con or nul"
 )
-"""What names of experiments, of studies and of what these make are: files on all systems."""
+"""Rule for names of experiments, studies and their products: valid file names on all systems."""
 
 
 class SimulationConfig(ConfigSection):
@@ -78,7 +77,7 @@ class SimulationConfig(ConfigSection):
     `grid` maps parameters to lists of values, or to mappings from labels to values.  A parameter
     is any keyword of the medium, for a stack also one of a layer as a path such as
     ``layers.0.depth_m``, ``incidence_deg``, or ``medium`` for values that are mappings of several
-    keywords; all combinations are run.
+    keywords.  All combinations are simulated.
     """
 
     name: str
@@ -105,46 +104,46 @@ class SimulationConfig(ConfigSection):
         check_choice("medium.kind", kind, MEDIUM_CLASSES)
         keywords = list_keywords(MEDIUM_CLASSES[kind])
         samples = self.grid.get(SAMPLE_KEY, {})
-        for place, settings in {"medium": self.medium, **_map_sample_keys(samples)}.items():
+        for prefix, settings in {"medium": self.medium, **_map_sample_keys(samples)}.items():
             for key in settings:
                 if key not in (*keywords, "kind"):
-                    raise unknown_key(f"{place}.{key}", keywords)
-            check_choice(f"{place}.kind", settings.get("kind", kind), [kind])
-            if kind == "stack" and (place == "medium" or LAYERS_KEY in settings):
-                check_layers(place, settings.get(LAYERS_KEY))
+                    raise unknown_key(f"{prefix}.{key}", keywords)
+            check_choice(f"{prefix}.kind", settings.get("kind", kind), [kind])
+            if kind == "stack" and (prefix == "medium" or LAYERS_KEY in settings):
+                check_layers(prefix, settings.get(LAYERS_KEY))
         if kind == "stack":
             check_grid_layers(self.medium, self.grid, SAMPLE_KEY)
         parameters = [*keywords, "incidence_deg", SAMPLE_KEY]
         for parameter in self.grid:
             if kind == "stack" and parse_layer_parameter(parameter):
                 continue
-            amount = parse_impurity_parameter(parameter)
-            if amount and amount[0] in keywords:
+            impurity = parse_impurity_parameter(parameter)
+            if impurity and impurity[0] in keywords:
                 continue
             if parameter not in parameters:
                 raise unknown_key(f"grid.{parameter}", parameters)
         self._check_fit(kind)
         self._check_size()
         wavelengths = self.instrument.get_wavelengths()
-        grounded: set[bool] = set()
-        beam = self.instrument.kind in ("goniophotometer", "beam_spread")
+        has_ground: set[bool] = set()
+        has_beam = self.instrument.kind in ("goniophotometer", "beam_spread")
         for labels, medium, incidence in self.iter_points():
             with self.locate_errors(labels):
                 if not self.fit:
                     compute_optical_constants(medium, wavelengths)
-                check_beam_angle(incidence) if beam else check_incidence(incidence)
+                check_beam_angle(incidence) if has_beam else check_incidence(incidence)
                 if isinstance(medium, GranularMedium | LayeredMedium):
                     check_thickness(medium)
             self._check_medium(kind, medium)
-            grounded.add(get_reflecting_ground(medium) is not None)
-        if len(grounded) > 1 and self.instrument.kind == "goniophotometer":
-            why = "a BTDF is there only where light leaves below"
-            raise invalid("grid", "open and reflecting grounds", "of one sort", why)
+            has_ground.add(get_reflecting_ground(medium) is not None)
+        if len(has_ground) > 1 and self.instrument.kind == "goniophotometer":
+            hint = "a BTDF exists only where light leaves the lower boundary"
+            raise invalid("grid", "open and reflecting grounds", "of one kind", hint)
         self._check_grid()
         return self
 
     def _check_fit(self, kind: str) -> None:
-        """Refuse what does not go with a fit."""
+        """Reject settings that a fit does not allow."""
         if self.fit and self.instrument.kind != "spectrophotometer":
             allowed = "spectrophotometer with a section fit"
             raise invalid("instrument.kind", self.instrument.kind, allowed)
@@ -154,30 +153,30 @@ class SimulationConfig(ConfigSection):
             raise invalid(
                 "instrument.wavelength_nm",
                 "given",
-                "left out: a fit takes the measured wavelengths",
+                "left out: a fit uses the measured wavelengths",
             )
         if self.fit and self.instrument.estimator == "analog":
-            raise invalid("instrument.estimator", "analog", "left out: fits share their paths")
+            raise invalid("instrument.estimator", "analog", "left out: fits reuse paths")
 
     def _check_size(self) -> None:
-        """Refuse a grid whose dataset would not fit into memory."""
+        """Reject a grid whose dataset would not fit into memory."""
         if self.instrument.kind == "table":
-            # Its blocks are written one by one.
+            # The blocks of a table are written one by one.
             self.make_axes()
             return
         points = math.prod(len(values) for values in self.grid.values())
         if points > MAX_GRID_POINTS:
-            hint = "instrument.kind: table takes more"
+            hint = "instrument.kind: table allows more"
             raise invalid("grid", f"{points} points", f"at most {MAX_GRID_POINTS} points", hint)
         values = points * self.instrument.count_values()
         if values > MAX_DATASET_VALUES:
             raise invalid(
                 "grid", f"{points} points of {self.instrument.count_values()} values each",
-                f"at most {MAX_DATASET_VALUES} values in all", "several experiments hold more",
+                f"at most {MAX_DATASET_VALUES} values in all", "split it into several experiments",
             )  # fmt: skip
 
     def _check_grid(self) -> None:
-        """Refuse grids that an instrument cannot look at."""
+        """Reject grids that an instrument does not allow."""
         instrument = self.instrument
         if instrument.kind in SURFACE_INSTRUMENTS and "incidence_deg" in self.grid:
             raise invalid(
@@ -192,38 +191,42 @@ class SimulationConfig(ConfigSection):
                 "instrument.half_width_m", None, "given where there is a grid",
                 "all maps of one dataset have the same axes",
             )  # fmt: skip
-        several = {key: list(given) for key, given in self.grid.items() if len(given) > 1}
-        if instrument.kind == "refractive_index" and several:
-            raise invalid("grid", several, "of one value for refractive_index")
+        varied = {key: list(given) for key, given in self.grid.items() if len(given) > 1}
+        if instrument.kind == "refractive_index" and varied:
+            raise invalid("grid", varied, "of one value for refractive_index")
 
     def _check_medium(self, kind: str, medium: Medium) -> None:
-        """Refuse what only layers, only smooth or only rough ones have, where they have it not."""
-        layer = isinstance(medium, ParticleMedium)
-        rough = isinstance(medium, ParticleMedium) and medium.make_height_fields() is not None
+        """Reject a medium that the instrument or its estimator does not allow."""
+        is_layer = isinstance(medium, ParticleMedium)
+        is_rough = isinstance(medium, ParticleMedium) and medium.make_height_fields() is not None
         instrument = self.instrument
-        if instrument.kind in SURFACE_INSTRUMENTS and not rough:
-            given = kind if not layer else "a layer without surface"
+        if instrument.kind in SURFACE_INSTRUMENTS and not is_rough:
+            given = kind if not is_layer else "a layer without surface"
             raise invalid("medium.kind", given, f"a layer with a surface for {instrument.kind}")
-        endless = not layer and math.isinf(medium.depth_m)  # type: ignore[union-attr]
-        if endless and (
+        is_semi_infinite = not is_layer and math.isinf(medium.depth_m)  # type: ignore[union-attr]
+        if is_semi_infinite and (
             instrument.kind not in SEMI_INFINITE_INSTRUMENTS or instrument.estimator == "analog"
         ):
-            hint = "the spectrophotometer takes packs without end"
+            hint = "only the spectrophotometer measures semi-infinite media"
             raise invalid("medium.depth_m", math.inf, "finite", hint)
-        if instrument.estimator == "next_event" and (rough or not layer):
-            hint = "of these, cells have Stokes parameters"
+        if instrument.estimator == "next_event" and (is_rough or not is_layer):
+            hint = "bins give Stokes parameters"
             raise invalid("instrument.estimator", "next_event", "expansion or bins", hint)
         if instrument.target == "btdf" and get_reflecting_ground(medium) is not None:
             raise invalid("instrument.target", "btdf", "brdf over a ground")
-        told = "wavelength_nm" in instrument.model_fields_set
-        if layer and not told and instrument.kind not in (*SURFACE_INSTRUMENTS, "refractive_index"):
+        has_wavelengths = "wavelength_nm" in instrument.model_fields_set
+        if (
+            is_layer
+            and not has_wavelengths
+            and instrument.kind not in (*SURFACE_INSTRUMENTS, "refractive_index")
+        ):
             raise invalid(
                 "instrument.wavelength_nm", None, "given for a layer, for example [550]",
-                "layers have no colour: one wavelength says all",
+                "properties of layers do not depend on wavelength",
             )  # fmt: skip
 
     def list_table_paths(self) -> list[str]:
-        """Return the files of users' own refractive indices, on which the numbers depend."""
+        """Return the paths of users' own tables, on which the results depend."""
         return list_table_paths([settings for _, settings, _ in self.iter_settings()])
 
     def iter_points(self) -> Iterator[tuple[dict[str, str], Medium, float | str]]:
@@ -235,7 +238,7 @@ class SimulationConfig(ConfigSection):
 
     @contextmanager
     def locate_errors(self, labels: Mapping[str, str]) -> Iterator[None]:
-        """Put before the key of a refusal the section that gives it at a point of the grid."""
+        """Prefix the key of an error with the section that defines it at a point of the grid."""
         try:
             yield
         except InvalidValue as error:
@@ -243,51 +246,51 @@ class SimulationConfig(ConfigSection):
             key = path if path in self.grid else re.split(r"\W", path, maxsplit=1)[0]
             sample = self.grid[SAMPLE_KEY][labels[SAMPLE_KEY]] if SAMPLE_KEY in self.grid else {}
             if key in self.grid:
-                place = "grid"
+                prefix = "grid"
             elif key in sample:
-                place = f"grid.{SAMPLE_KEY}.{labels[SAMPLE_KEY]}"
+                prefix = f"grid.{SAMPLE_KEY}.{labels[SAMPLE_KEY]}"
             else:
-                place = "fit" if key in FitSection.model_fields else "medium"
-                place = "instrument" if key in InstrumentSection.model_fields else place
-            several = place == "medium" and self._has_several_values(key)
-            raise error.add_prefix(place, USE_GRID_HINT if several else "") from None
+                prefix = "fit" if key in FitSection.model_fields else "medium"
+                prefix = "instrument" if key in InstrumentSection.model_fields else prefix
+            has_several = prefix == "medium" and self._has_several_values(key)
+            raise error.add_prefix(prefix, USE_GRID_HINT if has_several else "") from None
 
     def _has_several_values(self, key: str) -> bool:
-        """Tell whether a keyword of the medium holds a list of what a grid takes."""
-        given = self.medium.get(key)
-        usual = getattr(MEDIUM_CLASSES[self.medium.get("kind", "snow")], key, None)
-        if not isinstance(given, (list, tuple)) or usual is None:
+        """Return whether a keyword of the medium has a list of values that belongs on a grid."""
+        value = self.medium.get(key)
+        default = getattr(MEDIUM_CLASSES[self.medium.get("kind", "snow")], key, None)
+        if not isinstance(value, (list, tuple)) or default is None:
             return False
-        return not isinstance(usual, tuple) or any(isinstance(v, (list, tuple)) for v in given)
+        return not isinstance(default, tuple) or any(isinstance(v, (list, tuple)) for v in value)
 
     def iter_settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
-        """Yield what `iter_points` yields, with the medium's keywords in its place."""
+        """Yield the labels, the keywords of the medium and the angle of incidence of each point."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
         if not isinstance(base.get("interpretation", {}), Mapping | str):
-            allowed = "a mapping of named readings, or the name of a set"
+            allowed = "a mapping of interpretation keywords, or the name of a set"
             raise invalid("medium.interpretation", base["interpretation"], allowed)
         for labels in self._iter_labels():
-            chosen = dict(zip(self.grid, labels, strict=True))
-            values = {p: self.grid[p][label] for p, label in chosen.items()}
+            point_labels = dict(zip(self.grid, labels, strict=True))
+            values = {p: self.grid[p][label] for p, label in point_labels.items()}
             incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
-            yield chosen, self.merge_settings(base, values), incidence
+            yield point_labels, self.merge_settings(base, values), incidence
 
     def _iter_labels(self) -> Iterator[tuple[str, ...]]:
-        """Yield the labels of every point; of a table, each value with the first of all others.
+        """Yield the labels of every point; for a table, each value with the first of all others.
 
-        All of a table's points are looked at where it is made.
+        All points of a table are checked when it is built.
         """
         if self.instrument.kind != "table":
             yield from itertools.product(*self.grid.values())
             return
         first = [next(iter(values)) for values in self.grid.values()]
         yield tuple(first)
-        for place, values in enumerate(self.grid.values()):
+        for index, values in enumerate(self.grid.values()):
             for label in list(values)[1:]:
-                yield (*first[:place], label, *first[place + 1 :])
+                yield (*first[:index], label, *first[index + 1 :])
 
     def merge_settings(self, base: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the medium's keywords at a point of the grid, on top of those of all points."""
+        """Return the keywords of the medium at a point of the grid, merged into the common ones."""
         values = dict(values)
         for parameter in [p for p in values if parse_impurity_parameter(p)]:
             key, kind = parse_impurity_parameter(parameter) or ("", "")
@@ -303,51 +306,51 @@ class SimulationConfig(ConfigSection):
         return settings
 
     def make_axes(self) -> ParameterGrid:
-        """Return the grid as the axes of a table: increasing numbers, or texts."""
+        """Return the grid as axes of a table: increasing numbers, or texts."""
         return ParameterGrid.from_mapping(
             {p: list(_get_axis_nodes(values)) for p, values in self.grid.items()}
         )
 
     def make_medium(self, **values: Any) -> Medium:
-        """Return the medium at a point of the grid, without the incidence."""
+        """Return the medium at a point of the grid."""
         base = {k: v for k, v in self.medium.items() if k != "kind"}
-        chosen = {p: self.grid[p][v] if _get_axis_nodes(self.grid[p]) is self.grid[p] else v
+        point = {p: self.grid[p][v] if _get_axis_nodes(self.grid[p]) is self.grid[p] else v
                   for p, v in values.items()}  # fmt: skip
-        return self._make_medium(self.merge_settings(base, chosen))
+        return self._make_medium(self.merge_settings(base, point))
 
     def _make_medium(self, settings: Mapping[str, Any]) -> Medium:
         kind = self.medium.get("kind", "snow")
-        made: Medium = (
+        medium: Medium = (
             make_stack(**settings) if kind == "stack" else MEDIUM_FACTORIES[kind](**settings)
         )
-        return made
+        return medium
 
     def dump_simulation(self) -> dict[str, Any]:
-        """Return what decides the numbers; `Simulation.model_validate` makes the same of it."""
+        """Return all settings that affect the results, for `SimulationConfig.model_validate`."""
         content = self.model_dump(mode="json", include=set(SimulationConfig.model_fields))
         if self.fit:
             del content["instrument"]["wavelength_nm"]
         return content
 
     def dump_configuration(self) -> str:
-        """Return `dump_simulation` as JSON for a dataset, users' tables by name and content."""
+        """Return `dump_simulation` as JSON, with users' tables identified by name and content."""
         return json.dumps(
             replace_table_paths(self.dump_simulation(), identify_by_content), sort_keys=True
         )
 
 
 def _get_axis_nodes(values: Mapping[str, Any]) -> Iterable[Any]:
-    """Return what a table has along an axis: its values, or their labels where these say more."""
-    more = any(isinstance(v, Mapping | list | tuple) for v in values.values())
-    return values if more else values.values()
+    """Return the nodes of a table's axis: the values, or their labels if any value is composite."""
+    is_composite = any(isinstance(v, Mapping | list | tuple) for v in values.values())
+    return values if is_composite else values.values()
 
 
 def _map_sample_keys(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the media of a grid by the place that an error message names."""
-    places = {
+    """Return the media of a grid by the key for error messages."""
+    by_key = {
         f"grid.{SAMPLE_KEY}.{format_key(label)}": settings for label, settings in samples.items()
     }
-    for place, settings in places.items():
+    for key, settings in by_key.items():
         if not isinstance(settings, Mapping):
-            raise invalid(place, settings, "a mapping of the medium's keywords")
-    return places
+            raise invalid(key, settings, "a mapping of the medium's keywords")
+    return by_key

@@ -1,4 +1,4 @@
-"""Studies: tables and figures that are made of several experiments."""
+"""Studies: tables and figures made from several experiments."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from splits.experiments.config.study_kinds import STUDY_PRODUCTS
 
 
 class SensitivityPair(ConfigSection):
-    """Two values of a parameter between which a spectrum's sensitivity is taken.
+    """Two values of a parameter between which the sensitivity of a spectrum is computed.
 
-    `experiment` varies the parameter, and `interpretation` besides it the readings of the papers.
-    `source` says whether the paper states the two values or they were chosen here.
+    `experiment` varies the parameter, and the experiment `interpretation` the interpretation of the
+    papers as well.  `source` is the origin of the two values: the paper, or our choice.
     """
 
     parameter: str
@@ -29,7 +29,7 @@ class SensitivityPair(ConfigSection):
 
 
 class Study(ConfigSection):
-    """One analysis of several experiments."""
+    """An analysis of several experiments."""
 
     kind: Literal[
         "sensitivity", "agreement", "sand_tables", "sand_compositions", "angular_trends",
@@ -49,22 +49,24 @@ class Study(ConfigSection):
     fixed: dict[str, float | str] = Field(default_factory=dict)
 
     def list_experiments(self) -> list[str]:
-        """Return the names of the experiments that it is made of, each once."""
+        """Return the names of the experiments of the study, without repetition."""
         names = list(self.inputs.values())
         for pair in self.pairs.values():
             names += [pair.experiment, *([pair.interpretation] if pair.interpretation else [])]
         return list(dict.fromkeys(names))
 
     def list_product_names(self, study: str) -> dict[str, str]:
-        """Return the name of every product, without folder and suffix, by its key."""
-        usual = STUDY_PRODUCTS[self.kind]
-        return {key: self.outputs.get(key, usual[key].name.format(study=study)) for key in usual}
+        """Return the names of all products, without folder and suffix, by key."""
+        products = STUDY_PRODUCTS[self.kind]
+        return {
+            key: self.outputs.get(key, products[key].name.format(study=study)) for key in products
+        }
 
     def list_product_paths(self, study: str) -> dict[str, list[str]]:
-        """Return the files of every product by its key, relative to the folder of results."""
-        usual = STUDY_PRODUCTS[self.kind]
+        """Return the files of all products by key, relative to the results folder."""
+        products = STUDY_PRODUCTS[self.kind]
         return {
-            key: [f"{usual[key].folder}/{name}{suffix}" for suffix in usual[key].suffixes]
+            key: [f"{products[key].folder}/{name}{suffix}" for suffix in products[key].suffixes]
             for key, name in self.list_product_names(study).items()
         }
 
@@ -74,15 +76,15 @@ def describe_missing(
     selected: Mapping[str, ExperimentConfig],
     available: Mapping[str, ExperimentConfig],
 ) -> list[str]:
-    """Return which experiments are needed and not selected, in words."""
-    required = [one for one in dict.fromkeys(required) if one not in selected]
-    idle = [one for one in required if one in available]
-    lacking = [f"not selected: {', '.join(idle)}"] if idle else []
-    for one in required:
-        if one not in available:
-            hint = suggest_name(one, available)
-            lacking.append(f"no such experiment: {one}" + (f" ({hint})" if hint else ""))
-    return lacking
+    """Return messages about required experiments that are not selected or do not exist."""
+    required = [name for name in dict.fromkeys(required) if name not in selected]
+    unselected = [name for name in required if name in available]
+    messages = [f"not selected: {', '.join(unselected)}"] if unselected else []
+    for name in required:
+        if name not in available:
+            hint = suggest_name(name, available)
+            messages.append(f"no such experiment: {name}" + (f" ({hint})" if hint else ""))
+    return messages
 
 
 def find_incomplete_studies(
@@ -90,16 +92,20 @@ def find_incomplete_studies(
     selected: Mapping[str, ExperimentConfig],
     available: Mapping[str, ExperimentConfig],
 ) -> dict[str, str]:
-    """Return the studies that lack experiments among those selected, each with a line saying so."""
-    lines = {}
+    """Return a message for each study of which not all experiments are selected."""
+    messages = {}
     for name, study in studies.items():
-        needed = study.list_experiments()
+        required = study.list_experiments()
         if study.sensitivity:
-            needed += studies[study.sensitivity].list_experiments()
-        lacking = describe_missing(needed, selected, available)
-        sands = [one for one in selected.values() if one.medium.get("kind") == "sand"]
+            required += studies[study.sensitivity].list_experiments()
+        missing = describe_missing(required, selected, available)
+        sands = [
+            experiment
+            for experiment in selected.values()
+            if experiment.medium.get("kind") == "sand"
+        ]
         if study.kind == "sand_compositions" and not sands:
-            lacking = ["no experiment with sand is selected"]
-        if lacking:
-            lines[name] = f"study {name} is left out: {'; '.join(lacking)}"
-    return lines
+            missing = ["no experiment with sand is selected"]
+        if missing:
+            messages[name] = f"study {name} is left out: {'; '.join(missing)}"
+    return messages

@@ -1,4 +1,4 @@
-"""What each analysis needs: the roles that experiments of a study play in it."""
+"""Requirements of each kind of study on its input experiments."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class StudyInput:
-    """What an experiment must be to play a role.
+    """Requirements on an input experiment.
 
     Attributes
     ----------
     axes : tuple of str
-        Parameters of its grid: these and no others.
+        Parameters of its grid, exactly.
     labels : mapping
-        Values that its grid must hold, by parameter.
+        Values that its grid must contain, by parameter.
     at_nm, band_nm : tuple of float
-        Wavelengths that it must hold, and the ends of a range that it must cover (nm).
+        Wavelengths that it must contain, and the ends of a range that it must cover (nm).
     instrument : str
     """
 
@@ -36,7 +36,19 @@ _VISIBLE_NM = (400.0, 700.0)
 _SAND_RANGE_NM = (400.0, 1000.0)
 
 SENSITIVITY_DEPTHS_M: Mapping[str, tuple[float | str, ...]] = {"depth_m": (0.12, 0.02)}
-"""Depths for reflectance and transmittance, see `splits.experiments.papers.sensitivity_table.QUANTITY_CONDITIONS`."""
+"""Depths of `splits.experiments.papers.sensitivity_table.QUANTITY_CONDITIONS`."""
+
+OVERLAPS_KEY = "overlaps"
+"""Key of a ranking of interpretations that sets `OVERLAP_KEYS` together."""
+OVERLAP_KEYS = ("overlap_with_previous_segment", "overlap_with_boundary")
+"""Fields of `splits.Interpretation` for grains that overlap the last segment or a boundary."""
+OVERLAP_CHOICES = {
+    "reject": ("reject", "reject"),
+    "keep": ("keep", "keep"),
+    "skip": ("skip", "skip"),
+    "segment overlap kept": ("keep", "reject"),
+}
+"""Values of `OVERLAPS_KEY`, and those of `OVERLAP_KEYS` for each."""
 
 SNOW_INPUTS = {
     "sample": StudyInput(("density_kg_m3",), {"density_kg_m3": (450,)}),
@@ -54,7 +66,7 @@ SNOW_INPUTS = {
                     {"depth_m": (0.34, 0.045), "incidence_deg": ("beam", "diffuse")}),
     "interpretation": StudyInput(("interpretation",), at_nm=(842.25, 1073.76, 1237.93)),
 }  # fmt: skip
-"""Roles of the agreement with SPLITSnow."""
+"""Inputs of the comparison with SPLITSnow."""
 
 SAND_INPUTS = {
     "samples": StudyInput(("medium",), band_nm=_SAND_RANGE_NM),
@@ -71,7 +83,7 @@ SAND_INPUTS = {
     "interpretation": StudyInput(("medium", "interpretation"), {"interpretation": ("default",)}),
     "size_tail": StudyInput(("medium", "size_tail"), {"size_tail": (1e-4,)}),
 }
-"""Roles of the trends of SPLITS."""
+"""Inputs of the trends of SPLITS."""
 
 BRDF_INPUTS = {
     "incidence": _make_goniophotometer_input("incidence_deg", labels={"incidence_deg": (0,)}),
@@ -83,11 +95,11 @@ BRDF_INPUTS = {
     "facetness": _make_goniophotometer_input("facetness"),
     "sand": _make_goniophotometer_input("incidence_deg", labels={"incidence_deg": (60,)}),
 }
-"""Roles of the trends of BRDFs; a grid's finest or least faceted grains stand as the papers have
-them, grain sizes from coarse to fine and facetness from low to high."""
+"""Inputs of the trends of BRDFs.  Values are in the order of the papers: grain sizes from coarse to
+fine, facetness from low to high."""
 
 ANISOTROPY_INPUTS = {"directions": _make_goniophotometer_input("interpretation", "saturation")}
-"""Role of directions held against measured ones: models of wet sand, and samples."""
+"""Input of the comparison with measured directions: interpretations of wet sand."""
 
 LAYER_INPUTS = {
     "lens": StudyInput(instrument="lens"),
@@ -99,7 +111,7 @@ LAYER_INPUTS = {
     "multiple_reflection": _make_goniophotometer_input("polarized"),
     "band_limit": StudyInput(("surface",)),
 }
-"""Roles of what is stated of rough layers."""
+"""Inputs of the statements on rough layers."""
 
 SURFACE_AREA_INPUTS = {
     "spectra": StudyInput(
@@ -107,4 +119,4 @@ SURFACE_AREA_INPUTS = {
     ),
     "field": StudyInput(("specific_surface_area_m2_kg", "medium"), at_nm=(1310.0,)),
 }
-"""Roles of the surface area of snow from measured spectra."""
+"""Inputs of the retrieval of the specific surface area of snow from measured spectra."""

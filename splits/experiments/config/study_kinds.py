@@ -1,4 +1,4 @@
-"""What each kind of study makes, of which experiments, and which tables of numbers it reads."""
+"""Products, inputs and files of each kind of study."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from splits.experiments.config.study_inputs import (
 )
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
-"""What names of figures end in; the report shows the first."""
+"""File suffixes of figures; the report shows the first."""
 
 
 class StudyProduct(NamedTuple):
-    """Files that a study makes: their folder, suffixes and usual name."""
+    """Files that a study makes: their folder, suffixes and default name."""
 
     folder: str
     suffixes: tuple[str, ...]
@@ -55,8 +55,14 @@ STUDY_PRODUCTS: dict[str, dict[str, StudyProduct]] = {
         "without": _make_table_product("{study}_without"),
         "figure": StudyProduct("figures", FIGURE_SUFFIXES, "{study}"),
     },
-    "sobol": {"table": _make_table_product("{study}"), "figure": StudyProduct("figures", FIGURE_SUFFIXES, "{study}")},
-    "bands": {"table": _make_table_product("{study}"), "figure": StudyProduct("figures", FIGURE_SUFFIXES, "{study}")},
+    "sobol": {
+        "table": _make_table_product("{study}"),
+        "figure": StudyProduct("figures", FIGURE_SUFFIXES, "{study}"),
+    },
+    "bands": {
+        "table": _make_table_product("{study}"),
+        "figure": StudyProduct("figures", FIGURE_SUFFIXES, "{study}"),
+    },
     "anisotropy": {
         "table": _make_table_product("{study}"),
         "misfits": _make_table_product("{study}_by_angle"),
@@ -70,17 +76,21 @@ STUDY_PRODUCTS: dict[str, dict[str, StudyProduct]] = {
         "figure": StudyProduct("figures", FIGURE_SUFFIXES, "{study}_found"),
         "law_figure": StudyProduct("figures", FIGURE_SUFFIXES, "{study}_law"),
     },
-}  # fmt: skip
-"""What each kind of study makes, by key; `Study.outputs` gives other names."""
+}
+"""Products of each kind of study, by key; `Study.outputs` gives other names."""
 
 STUDY_INPUTS: dict[str, Mapping[str, StudyInput]] = {
-    "agreement": SNOW_INPUTS, "sand_tables": SAND_INPUTS, "angular_trends": BRDF_INPUTS, "layer_trends": LAYER_INPUTS,
-    "surface_area": SURFACE_AREA_INPUTS, "anisotropy": ANISOTROPY_INPUTS,
-}  # fmt: skip
+    "agreement": SNOW_INPUTS,
+    "sand_tables": SAND_INPUTS,
+    "angular_trends": BRDF_INPUTS,
+    "layer_trends": LAYER_INPUTS,
+    "surface_area": SURFACE_AREA_INPUTS,
+    "anisotropy": ANISOTROPY_INPUTS,
+}
 PARTIAL_KINDS = ("angular_trends", "layer_trends")
-"""Kinds that make what they can of some of their roles."""
+"""Kinds for which some of the inputs suffice."""
 TABLE_KINDS = ("sobol", "bands")
-"""Kinds that are made of tables, however they are called."""
+"""Kinds whose inputs are tables with any names."""
 STUDY_FILES = {
     "sensitivity": {"published": "published"},
     "interpretation": {"published": "published"},
@@ -88,4 +98,4 @@ STUDY_FILES = {
     "surface_area": {"spectra": "measured"},
     "anisotropy": {"directions": "measured"},
 }
-"""Tables of numbers that a kind of study reads, and their folders beside that of media."""
+"""Tables of numbers that a kind of study reads, and their folders."""

@@ -1,4 +1,4 @@
-"""Settings of layers that would change nothing anywhere on a grid."""
+"""Detection of settings that have no effect at any point of a grid."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNUSED_KEYWORDS: tuple[tuple[tuple[str, ...], Callable[[ParticleLayer], bool], s
         ("optical_thickness", "single_scattering_albedo", "asymmetry", "phase_function",
          "max_polarization", "bottom_albedo"),
         lambda layer: layer.opaque,
-        "nothing comes back from below an opaque surface",
+        "an opaque surface transmits no light",
     ),
     (
         ("bottom_albedo",),
@@ -28,82 +28,87 @@ UNUSED_KEYWORDS: tuple[tuple[tuple[str, ...], Callable[[ParticleLayer], bool], s
     (
         ("asymmetry",),
         lambda layer: layer.phase_function != "henyey_greenstein",
-        "it belongs to henyey_greenstein",
+        "it is a parameter of henyey_greenstein",
     ),
     (
         ("max_polarization",),
         lambda layer: not layer.polarized,
-        "it counts with polarized: true",
+        "it has an effect with polarized: true only",
     ),
     (
         ("max_polarization",),
         lambda layer: layer.phase_function == "rayleigh",
-        "Rayleigh scattering has its own",
+        "it is fixed for Rayleigh scattering",
     ),
 )  # fmt: skip
-"""Keywords, where they do not count, and why."""
+"""Keywords, the condition in which they have no effect, and the reason."""
 
 
 def collect_keywords(content: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
-    """Return where an experiment file itself gives keywords of a medium, and their values.
+    """Return the keywords of the medium that an experiment file gives: their keys and values.
 
-    What the file of a base medium says is not among them: it serves other experiments, too.
+    Keywords of a base medium are not included, since its file serves other experiments as well.
     """
-    found: dict[str, tuple[str, Any]] = {}
+    keywords: dict[str, tuple[str, Any]] = {}
     grid = content.get("grid")
     grid = grid if isinstance(grid, Mapping) else {}
     samples = grid.get(SAMPLE_KEY)
-    places = {"medium": content.get("medium"), "grid": grid}
+    sections = {"medium": content.get("medium"), "grid": grid}
     if isinstance(samples, Mapping):
-        places |= {f"grid.{SAMPLE_KEY}.{label}": given for label, given in samples.items()}
-    for place, given in places.items():
-        for key, value in given.items() if isinstance(given, Mapping) else ():
-            found[key] = f"{place}.{key}", value
-    return found
+        sections |= {f"grid.{SAMPLE_KEY}.{label}": settings for label, settings in samples.items()}
+    for prefix, settings in sections.items():
+        for key, value in settings.items() if isinstance(settings, Mapping) else ():
+            keywords[key] = f"{prefix}.{key}", value
+    return keywords
 
 
 def check_replaced_settings(content: Mapping[str, Any]) -> None:
-    """Refuse settings that an experiment file gives and its grid replaces at every point.
+    """Reject settings that the grid replaces at every point.
 
     Raises
     ------
     ValueError
-        The message says where the setting stands.
+        The message names the key of the setting.
     """
     grid = content.get("grid")
     grid = grid if isinstance(grid, Mapping) else {}
-    taken = {REPLACED_FIELDS.get(str(key), str(key)): key for key in grid}
-    samples, beam = grid.get(SAMPLE_KEY), content.get("instrument")
-    places = {"medium": content.get("medium")}
+    replacements = {REPLACED_FIELDS.get(str(key), str(key)): key for key in grid}
+    samples, instrument = grid.get(SAMPLE_KEY), content.get("instrument")
+    sections = {"medium": content.get("medium")}
     if isinstance(samples, Mapping):
-        places |= {f"grid.{SAMPLE_KEY}.{format_key(label)}": one for label, one in samples.items()}
-    if isinstance(beam, Mapping) and INCIDENCE in beam:
-        places["instrument"] = {INCIDENCE: beam[INCIDENCE]}
-    for place, given in places.items():
-        for key, value in given.items() if isinstance(given, Mapping) else ():
-            by = taken.get(REPLACED_FIELDS.get(str(key), str(key)))
-            # Layers are told whole, of which a grid varies some settings; mappings are merged.
-            if by is not None and key not in (*MERGED_KEYWORDS, LAYERS_KEY, SAMPLE_KEY):
-                raise invalid(f"{place}.{key}", value, "left out", f"grid.{by} has its values")
+        sections |= {
+            f"grid.{SAMPLE_KEY}.{format_key(label)}": settings
+            for label, settings in samples.items()
+        }
+    if isinstance(instrument, Mapping) and INCIDENCE in instrument:
+        sections["instrument"] = {INCIDENCE: instrument[INCIDENCE]}
+    for prefix, section in sections.items():
+        for key, value in section.items() if isinstance(section, Mapping) else ():
+            parameter = replacements.get(REPLACED_FIELDS.get(str(key), str(key)))
+            # Layers are given completely while a grid varies some settings; mappings are merged.
+            if parameter is not None and key not in (*MERGED_KEYWORDS, LAYERS_KEY, SAMPLE_KEY):
+                raise invalid(
+                    f"{prefix}.{key}", value, "left out", f"grid.{parameter} has its values"
+                )
 
 
 def check_unused_keywords(
     experiment: SimulationConfig, given: Mapping[str, tuple[str, Any]]
 ) -> None:
-    """Refuse keywords given, see `collect_keywords`, that count at no point of the grid.
+    """Reject keywords of `collect_keywords` that have no effect at any point of the grid.
 
     Raises
     ------
     ValueError
-        The message says where the keyword stands and why it does not count.
+        The message names the key of the keyword and the reason.
     """
     if experiment.medium.get("kind") != "particle_layer":
         return
     layers = [
         medium for _, medium, _ in experiment.iter_points() if isinstance(medium, ParticleLayer)
     ]
-    for keys, idle, why in UNUSED_KEYWORDS:
+    for keys, has_no_effect, reason in UNUSED_KEYWORDS:
         for key in keys:
-            place, value = given.get(key, ("", None))
-            if value is not None and all(idle(layer) for layer in layers):
-                raise invalid(place, value, "left out", why)
+            prefix, value = given.get(key, ("", None))
+            if value is not None and all(has_no_effect(layer) for layer in layers):
+                raise invalid(prefix, value, "left out", reason)

@@ -1,12 +1,10 @@
-"""Published numbers and trends of SPLITSnow held against runs: one table of verdicts."""
+"""Comparison of simulations with the published numbers and trends of SPLITSnow."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -26,25 +24,13 @@ from splits.experiments.papers.snow_trends import (
     make_ranking_rows,
     make_snow_trend_rows,
 )
-from splits.materials.csv_table import read_csv
 
 ValueAndStderr = tuple[float, float]
 """A number and its standard error."""
 
 MIN_VERDICT_SIGMA = 2.0
-"""A verdict on a published number needs its bar to be more than so many standard errors away."""
+"""Smallest distance to a tolerance limit, in standard errors, that permits a verdict."""
 AVIRIS_BANDS_NM = {"842": 842.25, "1074": 1073.76, "1238": 1237.93}
-
-
-def read_published(path: str | Path, key: str = "published") -> pd.DataFrame:
-    """Read the table of published numbers, indexed by id, or refuse it under a key."""
-    cells = read_csv(key, path, ["published", "low", "high"])
-    columns: dict[str, Any] = {name: cells.get_texts(name) for name in ("quantity", "place", "bar")}
-    columns["bar"] = [bar or None for bar in columns["bar"]]
-    columns |= {
-        name: cells.get_numbers(name, allow_gaps=True) for name in ("published", "low", "high")
-    }
-    return pd.DataFrame(columns, index=pd.Index(cells.get_texts("id"), name="id"))
 
 
 def make_agreement_table(
@@ -59,9 +45,9 @@ def make_agreement_table(
     Parameters
     ----------
     datasets : mapping
-        By role, see `splits.experiments.config.study_inputs.SNOW_INPUTS`.
+        By name, see `splits.experiments.config.study_inputs.SNOW_INPUTS`.
     published : pandas.DataFrame
-        See `read_published`.
+        See `splits.analysis.measured.read_published`.
     sensitivities : xarray.Dataset
         See `splits.experiments.papers.sensitivity_table.select_chosen_sensitivities`.
     aviris, letcher : pandas.DataFrame
@@ -113,7 +99,7 @@ def _compare_with_published(
 
 
 def _judge_range(value: float, stderr: float, low: float, high: float) -> str:
-    """Return whether a value lies in a range, if its standard error lets that be known."""
+    """Return the verdict on whether a value lies in a range, if its standard error permits one."""
     if min(abs(value - low), abs(value - high)) < MIN_VERDICT_SIGMA * stderr:
         return UNRESOLVED_VERDICT
     return "agrees" if low <= value <= high else "outside"
@@ -143,8 +129,8 @@ def _compute_values(
     values |= _compute_density_effect(datasets["density"])
     for quantity in sensitivities.quantity.values:
         for parameter in sensitivities.parameter.values:
-            one = sensitivities.sel(quantity=quantity, parameter=parameter)
-            values[f"msi_{quantity[0]}_{parameter}"] = float(one.msi), float(one.msi_stderr)
+            index = sensitivities.sel(quantity=quantity, parameter=parameter)
+            values[f"msi_{quantity[0]}_{parameter}"] = float(index.msi), float(index.msi_stderr)
     return values
 
 
@@ -165,18 +151,20 @@ def _compute_density_effect(dataset: xr.Dataset) -> dict[str, ValueAndStderr]:
     error = np.hypot(loose.reflectance_stderr.values, dense.reflectance_stderr.values)
     percent = 100 * np.abs(difference) / loose.reflectance.values
 
-    def combined(weights: np.ndarray) -> float:
+    def compute_stderr(weights: np.ndarray) -> float:
         weight = xr.DataArray(weights, dims="wavelength")
         errors = [
-            float(compute_weighted_error(one, "reflectance", weight)) for one in (loose, dense)
+            float(compute_weighted_error(spectrum, "reflectance", weight))
+            for spectrum in (loose, dense)
         ]
         return math.hypot(*errors)
 
     return {
-        "density_rmse": compute_rmse(difference, error, combined),
+        "density_rmse": compute_rmse(difference, error, compute_stderr),
         "density_percent": (
             float(percent.mean()),
-            100 * combined(np.sign(difference) / (loose.reflectance.values * difference.size)),
+            100
+            * compute_stderr(np.sign(difference) / (loose.reflectance.values * difference.size)),
         ),
     }
 
@@ -184,20 +172,20 @@ def _compute_density_effect(dataset: xr.Dataset) -> dict[str, ValueAndStderr]:
 def _make_measured_rows(
     datasets: Mapping[str, xr.Dataset], aviris: pd.DataFrame, letcher: pd.DataFrame
 ) -> list[dict[str, object]]:
-    """Return the RMSE against measured spectra, which nothing was fitted to."""
-    found = [("AVIRIS-NG, 3 bands", "Table 3", compute_measured_rmse(datasets["aviris"], aviris))]
+    """Return the RMSE to measured spectra, to which nothing was fitted."""
+    results = [("AVIRIS-NG, 3 bands", "Table 3", compute_measured_rmse(datasets["aviris"], aviris))]
     snows = datasets["letcher"]
     for snow, depth in itertools.product(snows.medium.values, LETCHER_COLUMNS):
         column = select_letcher_column(letcher, depth)
-        off = compute_measured_rmse(mix_letcher_illumination(snows, snow, depth), column)
-        what = f"Letcher et al. (2022), {1e3 * depth:g} mm, {snow}"
-        found.append((what, "The Cryosphere 16, 4343", off))
+        rmse = compute_measured_rmse(mix_letcher_illumination(snows, snow, depth), column)
+        description = f"Letcher et al. (2022), {1e3 * depth:g} mm, {snow}"
+        results.append((description, "The Cryosphere 16, 4343", rmse))
     rows: list[dict[str, object]] = []
-    for what, place, (value, error) in found:
+    for description, place, (value, error) in results:
         rows.append(
             {
                 "id": "measured",
-                "quantity": f"RMSE to measured reflectance: {what}",
+                "quantity": f"RMSE to measured reflectance: {description}",
                 "place": place,
                 "ours": value,
                 "stderr": error,

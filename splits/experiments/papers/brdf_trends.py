@@ -1,4 +1,4 @@
-"""Trends of BRDFs that the papers state in words, as differences with their errors."""
+"""Qualitative trends of BRDFs in the papers, as differences with standard errors."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from splits.analysis.directions import select_principal_plane
 from splits.experiments.papers.snow_trends import make_significance_row
 
 FORWARD_PEAK_ANGLES_DEG = (45.0, 82.5)
-"""Viewing angles (degrees) among which a forward peak is looked for."""
+"""Range of viewing angles (degrees) in which the forward peak is searched."""
 
 MAX_LAMBERTIAN_RANGE = 0.2
-"""Relative range within 60° of the normal up to which a BRDF is called nearly Lambertian; set after
-a first look at the figures."""
+"""Largest relative range within 60° of the normal of a nearly Lambertian BRDF; chosen after
+inspecting the figures."""
 
 
 def compute_forward_peak(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return the height of the forward peak over the nadir, in units of the nadir, and its error.
+    """Return the height of the forward peak above the nadir, relative to the nadir, and its error.
 
     Parameters
     ----------
@@ -48,19 +48,19 @@ def make_brdf_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
     Parameters
     ----------
     datasets : mapping
-        By role, some or all of `splits.experiments.config.study_inputs.BRDF_INPUTS`.
+        By name, some or all of `splits.experiments.config.study_inputs.BRDF_INPUTS`.
     """
     planes = {role: select_principal_plane(dataset) for role, dataset in datasets.items()}
     rows: list[dict[str, object]] = []
-    for role, rows_of in (("incidence", _make_incidence_rows), ("grazing", _make_grazing_rows)):
+    for role, make_rows in (("incidence", _make_incidence_rows), ("grazing", _make_grazing_rows)):
         if role in planes:
-            rows += rows_of(planes[role].isel(wavelength=0))
+            rows += make_rows(planes[role].isel(wavelength=0))
     if "wavelength" in planes:
         rows += _make_wavelength_rows(planes["wavelength"])
     rows += _make_grain_size_rows(planes)
-    for role, rows_of in (("facetness", _make_facetness_rows), ("sand", _make_sand_rows)):
+    for role, make_rows in (("facetness", _make_facetness_rows), ("sand", _make_sand_rows)):
         if role in planes:
-            rows += rows_of(planes[role].isel(wavelength=0))
+            rows += make_rows(planes[role].isel(wavelength=0))
     return rows
 
 
@@ -110,15 +110,15 @@ def _make_incidence_rows(plane: xr.Dataset) -> list[dict[str, object]]:
 
 
 def _make_grazing_rows(plane: xr.Dataset) -> list[dict[str, object]]:
-    """Compare the brightest of both limbs with the nadir."""
+    """Return the comparison of the brighter limb with the nadir."""
     tilt = np.abs(plane.angle)
     limb = plane.where(
         (tilt >= FORWARD_PEAK_ANGLES_DEG[0]) & (tilt <= FORWARD_PEAK_ANGLES_DEG[1]), drop=True
     )
     top = limb.isel(angle=limb.brdf.argmax("angle"))
     ratio, error = _normalize_by_nadir(top.brdf.values, top.brdf_stderr.values, plane)
-    *most, last = (f"{angle:g}" for angle in plane.incidence_deg.values)
-    angles = " and ".join(filter(None, [", ".join(most), last]))
+    *all_but_last, last = (f"{angle:g}" for angle in plane.incidence_deg.values)
+    angles = " and ".join(filter(None, [", ".join(all_but_last), last]))
     return [
         make_significance_row(
             f"nadir darker than the limb at {angles}°, {_format_wavelength(plane)}: smallest",
@@ -136,15 +136,15 @@ def _make_grazing_rows(plane: xr.Dataset) -> list[dict[str, object]]:
 
 
 def _make_wavelength_rows(plane: xr.Dataset) -> list[dict[str, object]]:
-    dark = plane.sel(wavelength=1800.0)
-    nadir = dark.sel(angle=0.0)
-    sides = [dark.sel(angle=angle) for angle in (-60.0, 60.0)]
-    above = np.array([float(s.brdf - nadir.brdf) for s in sides])
+    infrared = plane.sel(wavelength=1800.0)
+    nadir = infrared.sel(angle=0.0)
+    sides = [infrared.sel(angle=angle) for angle in (-60.0, 60.0)]
+    excess = np.array([float(s.brdf - nadir.brdf) for s in sides])
     errors = np.array([float(np.hypot(s.brdf_stderr, nadir.brdf_stderr)) for s in sides])
     value, error = compute_relative_range(plane.sel(wavelength=[600.0, 1800.0]), 82.5)
     return [
         make_significance_row(
-            "nadir darkening at 1800 nm: below both sides at 60°", "Fig 17", above, errors
+            "nadir darkening at 1800 nm: below both sides at 60°", "Fig 17", excess, errors
         ),
         make_significance_row(
             "relative range larger at 1800 nm than at 600 nm",
@@ -156,9 +156,9 @@ def _make_wavelength_rows(plane: xr.Dataset) -> list[dict[str, object]]:
 
 
 def _make_grain_size_rows(planes: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
-    """Compare the forward peaks of fine grains with those of the others.
+    """Return the comparison of the forward peaks of fine and coarser grains.
 
-    At 600 nm their heights above the nadir, too: coarse grains lose light through the sample.
+    At 600 nm the heights above the nadir are compared as well: coarse grains transmit more light.
     """
     uniform = "Fig 20, size_sampling: uniform"
     rows = []
@@ -219,7 +219,7 @@ def _format_wavelength(plane: xr.Dataset) -> str:
 def _normalize_by_nadir(
     value: np.ndarray, stderr: np.ndarray, plane: xr.Dataset
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a BRDF in units of the nadir's, and its error."""
+    """Return a BRDF relative to the nadir, and its error."""
     nadir = plane.sel(angle=0.0)
     ratio = value / nadir.brdf.values
     relative = np.hypot(stderr / value, (nadir.brdf_stderr / nadir.brdf).values)
@@ -237,7 +237,8 @@ def _make_facetness_rows(plane: xr.Dataset) -> list[dict[str, object]]:
     value, error = compute_relative_range(plane, 75.0)
     return [
         make_significance_row(
-            f"low facetness varies most with the angle, {_format_incidence(plane)}, {_format_wavelength(plane)}",
+            "low facetness varies most with the angle, "
+            f"{_format_incidence(plane)}, {_format_wavelength(plane)}",
             "Fig 22",
             value[0] - value[1:],
             np.hypot(error[0], error[1:]),
@@ -246,7 +247,7 @@ def _make_facetness_rows(plane: xr.Dataset) -> list[dict[str, object]]:
 
 
 def _make_sand_rows(plane: xr.Dataset) -> list[dict[str, object]]:
-    """Forward scattering and retro-reflection of sand at 60 degrees."""
+    """Return the rows on forward scattering and retro-reflection of sand at 60 degrees."""
     part = plane.sel(incidence_deg=60.0)
     nadir = part.sel(angle=0.0)
     rows = []
@@ -254,7 +255,8 @@ def _make_sand_rows(plane: xr.Dataset) -> list[dict[str, object]]:
         side = part.sel(angle=angle)
         rows.append(
             make_significance_row(
-                f"sand, {statement} at 60° incidence, {_format_wavelength(plane)}: {angle:g}° above the nadir",
+                f"sand, {statement} at 60° incidence, {_format_wavelength(plane)}: "
+                f"{angle:g}° above the nadir",
                 "SPLITS Fig 11",
                 np.atleast_1d(float(side.brdf - nadir.brdf)),
                 np.atleast_1d(float(np.hypot(side.brdf_stderr, nadir.brdf_stderr))),

@@ -1,10 +1,10 @@
-"""Which readings did a paper's authors run?  All combinations against all that it states.
+"""Ranking of the interpretations of a paper by their misfit to its published statements.
 
-The misfit of a combination is the sum of squared differences in bars from every number and trend
-(`splits.experiments.papers.misfit`).  But for noise it grows from stage to stage.  All combinations go
-through the cheap stages; of the costly ones each takes fewer, those with the least sum so far
-(`STAGE_QUOTAS`).  What is left behind may still have a smaller misfit than the first: this is a search,
-not a proof.
+The misfit of a combination is the sum over all numbers and trends of squared differences in units
+of their tolerances (`splits.experiments.papers.misfit`).  Apart from noise it increases from stage
+to stage.  All combinations are simulated in the cheap stages; costly stages are limited to those
+with the smallest sum so far (`STAGE_QUOTAS`).  A combination that was dropped may still have a
+smaller misfit than the first, so the search is heuristic.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from splits.experiments.config.study_inputs import OVERLAP_CHOICES, OVERLAP_KEYS, OVERLAPS_KEY
 from splits.experiments.papers.interpretation_runs import (
     WATER_TABLES,
     InterpretationRun,
@@ -45,42 +46,33 @@ STAGE_QUOTAS = {
     "angles": (32, 32), "transmittance": (16, 16), "facetness below": (16, 16),
     "grain size": (16, 16), "nadir": (7, 7), "grains": (7, 7), "free ranges": (7, 7),
 }  # fmt: skip
-"""How many combinations a stage takes of all, and of those that keep to the text, besides the sets
-with a name; others take all that are left."""
+"""Numbers of combinations that enter a stage: of all, and of those consistent with the text.  Named
+sets always enter; other stages have no limit."""
 
 LOG_INTERVAL = 24
-"""Combinations between lines of progress."""
+"""Number of combinations between lines of progress."""
 MAX_MISFIT = 100.0
-"""Sum of squares (ten bars once) from which a combination is simulated no further."""
+"""Misfit (one difference of ten tolerances) above which a combination is dropped."""
 
-BOUNDARIES_KEY = "overlaps"
+
 PAPER_SETS = tuple(
     name for name in INTERPRETATION_SETS if Interpretation.from_input(name).grain_extent == "finite"
 )
-"""Sets that can be ranked by what the papers state: the papers' grains have an extent."""
-OVERLAP_KEYS = ("overlap_with_previous_segment", "overlap_with_boundary")
-"""Readings that ``overlaps`` stands for together."""
-OVERLAP_CHOICES = {
-    "reject": ("reject", "reject"),
-    "keep": ("keep", "keep"),
-    "skip": ("skip", "skip"),
-    "segment overlap kept": ("keep", "reject"),
-}
-"""What ``overlaps`` may be, and those readings."""
+"""Named sets that can be ranked: in the papers, grains have a finite extent."""
 
 
 class BestMatch(NamedTuple):
-    """What a paper leaves open, chosen with one water to come as near as can be.
+    """Values of all free choices of a paper with the smallest misfit for one water.
 
     Attributes
     ----------
     misfit : Misfit
     values : dict
-        Ours and its standard error by statement.
+        Our values and their standard errors by statement.
     floor : float
-        Transmittance below which light counts as none in all sensitivities.
+        Transmittance below which values count as 0 in all sensitivities.
     ranges : dict
-        Extremes of a parameter by the statements of its sensitivities.
+        Extremes of the parameter for each statement on its sensitivity.
     """
 
     misfit: Misfit
@@ -91,17 +83,18 @@ class BestMatch(NamedTuple):
 
 @dataclass(eq=False)
 class InterpretationSet:
-    """One set of readings, as far as it has been simulated.
+    """An interpretation and the results of the stages simulated so far.
 
     Attributes
     ----------
     run : InterpretationRun
     values : dict
-        Ours and its standard error by statement, see `splits.experiments.papers.interpretation_runs.StatementValues`.
+        Our values and standard errors, see
+        `splits.experiments.papers.interpretation_runs.StatementValues`.
     n_stages : int
-        How many stages are behind it.
+        Number of stages simulated.
     min_misfit : float
-        The least sum of squares so far with any water.
+        Smallest misfit so far over all waters.
     """
 
     run: InterpretationRun
@@ -110,36 +103,41 @@ class InterpretationSet:
     min_misfit: float = 0.0
 
     def is_consistent_with(self, stated_choices: Mapping[str, str]) -> bool:
-        """Tell whether the readings are those of a text."""
-        own = self.run.interpretation
+        """Return whether the interpretation agrees with the choices that a text states."""
+        interpretation = self.run.interpretation
         return all(
-            getattr(own, name) == choice
-            for name, choice in expand_boundaries(stated_choices).items()
+            getattr(interpretation, name) == choice
+            for name, choice in expand_overlaps(stated_choices).items()
         )
 
     def find_set_name(self) -> str:
-        """Return the name that these readings have as a set, nothing if they have none."""
-        own = self.run.interpretation
-        return next((name for name in PAPER_SETS if Interpretation.from_input(name) == own), "")
+        """Return the name of the set with this interpretation, or an empty string."""
+        interpretation = self.run.interpretation
+        return next(
+            (name for name in PAPER_SETS if Interpretation.from_input(name) == interpretation), ""
+        )
 
     def find_best_matches(self, stated: Mapping[str, PublishedStatement]) -> list[BestMatch]:
-        """Return the nearest choice with each water, of those statements that it has values for.
+        """Return the best match for each water, over the statements simulated so far.
 
-        One floor holds for all sensitivities, one pair of extremes for both of a parameter.
+        The floor is common to all sensitivities, and the pair of extremes to both of a parameter.
         """
-        known = {name: stated[name] for name in stated if name in self.values}
+        statements = {name: stated[name] for name in stated if name in self.values}
         return [
             min(
-                (self._match(known, w, f) for f in range(len(TRANSMITTANCE_FLOORS))),
-                key=lambda c: c.misfit.total,
+                (
+                    self._match(statements, water, floor)
+                    for floor in range(len(TRANSMITTANCE_FLOORS))
+                ),
+                key=lambda match: match.misfit.total,
             )
-            for w in range(len(WATER_TABLES))
+            for water in range(len(WATER_TABLES))
         ]
 
     def _match(
         self, statements: Mapping[str, PublishedStatement], water: int, floor: int
     ) -> BestMatch:
-        """Return the choice with one water and one floor."""
+        """Return the best match for one water and one floor."""
         rows = {
             name: np.array([array[water] if array.ndim == 1 else _select_floor(array[water], floor)
                             for array in self.values[name]])
@@ -159,8 +157,8 @@ class InterpretationSet:
         ours, errors = (
             zip(*(values[name] for name in statements), strict=True) if statements else ((), ())
         )
-        found = compute_misfit(statements.values(), ours, errors)
-        return BestMatch(found, values, TRANSMITTANCE_FLOORS[floor], ranges)
+        misfit = compute_misfit(statements.values(), ours, errors)
+        return BestMatch(misfit, values, TRANSMITTANCE_FLOORS[floor], ranges)
 
 
 def _to_pair(row: np.ndarray) -> tuple[float, float]:
@@ -168,17 +166,17 @@ def _to_pair(row: np.ndarray) -> tuple[float, float]:
 
 
 def _select_floor(array: np.ndarray, floor: int) -> np.ndarray:
-    """Return the sensitivities of all pairs with a floor; reflectance has none."""
+    """Return the sensitivities of all pairs for one floor; reflectance has a single one."""
     return array[:, min(floor, array.shape[1] - 1)]
 
 
 def _group_by_parameter(rows: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
-    """Return the sensitivities by parameter."""
-    found: dict[str, list[str]] = {}
+    """Return the names of sensitivities by parameter."""
+    groups: dict[str, list[str]] = {}
     for name, row in rows.items():
         if row.ndim > 1:
-            found.setdefault(name.split("_", 2)[2], []).append(name)
-    return found
+            groups.setdefault(name.split("_", 2)[2], []).append(name)
+    return groups
 
 
 def rank_interpretations(
@@ -190,20 +188,20 @@ def rank_interpretations(
     stderr_scale: float = 1.0,
     log: Callable[[str], None] = lambda line: None,
 ) -> tuple[list[InterpretationSet], dict[str, PublishedStatement]]:
-    """Simulate combinations of readings, each as far as it may be among the first.
+    """Simulate combinations of interpretations, dropping those with a large misfit.
 
     Parameters
     ----------
     published : pandas.DataFrame
-        See `splits.experiments.papers.agreement.read_published`.
+        See `splits.analysis.measured.read_published`.
     choices : mapping
-        Names of `splits.Interpretation` to the choices tried; ``overlaps`` says what becomes of both
-        kinds of grains that do not fit.
+        From fields of `splits.Interpretation` to the choices varied; ``overlaps`` sets both fields
+        for overlapping grains.
     stated_choices : mapping
-        What the paper says without doubt, likewise: the best of those that keep to it are followed
-        to the end whatever comes before them.
+        Choices that the paper states unambiguously.  The best combinations that agree with them
+        are simulated in all stages.
     seed : int
-        The same for all runs, so that combinations share random numbers where they are alike.
+        Common to all runs, so that similar combinations have correlated errors.
     threads : int
     stderr_scale : float
         Multiplies the errors of all runs.
@@ -213,70 +211,71 @@ def rank_interpretations(
     Returns
     -------
     combinations : list of InterpretationSet
-        All of them, and the sets with a name besides, the least misfit first.
+        All combinations and the named sets, in order of increasing misfit.
     stated : dict
         All statements by name.
     """
-    begun, given = time.perf_counter(), TargetErrors().scale(stderr_scale)
+    start_time, target_errors = time.perf_counter(), TargetErrors().scale(stderr_scale)
     stages = {
         stage: select_statements(published, STATED_NUMBERS.get(stage, ()))
         | get_stated_trends(stage)
         for stage in STAGES
     }
-    stated = {name: s for stage in stages.values() for name, s in stage.items()}
-    interpretation = [
-        Interpretation(**expand_boundaries(dict(zip(choices, one, strict=True))))
-        for one in itertools.product(*choices.values())
+    stated = {name: statement for stage in stages.values() for name, statement in stage.items()}
+    interpretations = [
+        Interpretation(**expand_overlaps(dict(zip(choices, item, strict=True))))
+        for item in itertools.product(*choices.values())
     ]
-    # Sets with a name may differ from all of them in readings that are not tried.
-    interpretation += [
-        one for one in map(Interpretation.from_input, PAPER_SETS) if one not in interpretation
+    # Named sets may differ from all combinations in fields that are not varied.
+    interpretations += [
+        item for item in map(Interpretation.from_input, PAPER_SETS) if item not in interpretations
     ]
     combinations = [
-        InterpretationSet(InterpretationRun(one, seed, given)) for one in interpretation
+        InterpretationSet(InterpretationRun(item, seed, target_errors)) for item in interpretations
     ]
 
-    def further(one: InterpretationSet) -> None:
-        stage = list(STAGES)[one.n_stages]
-        one.values |= STAGES[stage](one.run)
-        one.n_stages += 1
-        one.min_misfit = min(choice.misfit.total for choice in one.find_best_matches(stated))
+    def advance(item: InterpretationSet) -> None:
+        stage = list(STAGES)[item.n_stages]
+        item.values |= STAGES[stage](item.run)
+        item.n_stages += 1
+        item.min_misfit = min(choice.misfit.total for choice in item.find_best_matches(stated))
 
-    alive = list(combinations)
+    active = list(combinations)
     with ThreadPoolExecutor(threads) as pool:
         for number, stage in enumerate(stages):
-            alive.sort(key=lambda one: one.min_misfit)
+            active.sort(key=lambda item: item.min_misfit)
             if stage in STAGE_QUOTAS:
-                some, true = STAGE_QUOTAS[stage]
-                literal = [one for one in alive if one.is_consistent_with(stated_choices)][:true]
-                kept = [*alive[:some], *literal, *(one for one in alive if one.find_set_name())]
-                alive = [one for one in alive if one in kept]
+                n_all, n_consistent = STAGE_QUOTAS[stage]
+                consistent = [item for item in active if item.is_consistent_with(stated_choices)]
+                named = [item for item in active if item.find_set_name()]
+                selected = [*active[:n_all], *consistent[:n_consistent], *named]
+                active = [item for item in active if item in selected]
             if number:
-                # What is off beyond all repair by what costs nothing needs no rays, but two do.
-                alive = [
-                    one for i, one in enumerate(alive)
-                    if i < 2 or one.min_misfit < MAX_MISFIT or one.find_set_name()
+                # Combinations with a large misfit are dropped, except for the best two.
+                active = [
+                    item for i, item in enumerate(active)
+                    if i < 2 or item.min_misfit < MAX_MISFIT or item.find_set_name()
                 ]  # fmt: skip
-            for done, _ in enumerate(pool.map(further, alive), start=1):
-                if done % LOG_INTERVAL == 0 or done == len(alive):
+            for done, _ in enumerate(pool.map(advance, active), start=1):
+                if done % LOG_INTERVAL == 0 or done == len(active):
                     log(
-                        f"interpretation: {stage}, {done} of {len(alive)}; stage {number + 1} of "
-                        f"{len(stages)}; {time.perf_counter() - begun:.0f} s"
+                        f"interpretation: {stage}, {done} of {len(active)}; stage {number + 1} of "
+                        f"{len(stages)}; {time.perf_counter() - start_time:.0f} s"
                     )
-    return sorted(combinations, key=lambda one: (-one.n_stages, one.min_misfit)), stated
+    return sorted(combinations, key=lambda item: (-item.n_stages, item.min_misfit)), stated
 
 
-def expand_boundaries(choices: Mapping[str, str]) -> dict[str, str]:
-    """Return choices with both readings in place of ``overlaps``."""
-    rest = {name: choice for name, choice in choices.items() if name != BOUNDARIES_KEY}
-    fates = OVERLAP_CHOICES[choices[BOUNDARIES_KEY]] if BOUNDARIES_KEY in choices else ()
-    return rest | dict(zip(OVERLAP_KEYS, fates, strict=bool(fates)))
+def expand_overlaps(choices: Mapping[str, str]) -> dict[str, str]:
+    """Return choices with ``overlaps`` replaced by the two fields that it sets."""
+    rest = {name: choice for name, choice in choices.items() if name != OVERLAPS_KEY}
+    values = OVERLAP_CHOICES[choices[OVERLAPS_KEY]] if OVERLAPS_KEY in choices else ()
+    return rest | dict(zip(OVERLAP_KEYS, values, strict=bool(values)))
 
 
 def find_choice(interpretation: Interpretation, name: str) -> str:
-    """Return the choice that readings make of one name of a study, the inverse of `expand_boundaries`."""
-    own = interpretation.as_dict()
-    if name != BOUNDARIES_KEY:
-        return own[name]
-    fates = tuple(own[one] for one in OVERLAP_KEYS)
-    return next(choice for choice, both in OVERLAP_CHOICES.items() if both == fates)
+    """Return the choice of an interpretation for a key, the inverse of `expand_overlaps`."""
+    fields = interpretation.as_dict()
+    if name != OVERLAPS_KEY:
+        return fields[name]
+    values = tuple(fields[key] for key in OVERLAP_KEYS)
+    return next(choice for choice, pair in OVERLAP_CHOICES.items() if pair == values)

@@ -1,4 +1,4 @@
-"""Tables of a ranking of readings, see `splits.experiments.papers.interpretation_ranking`."""
+"""Tables of a ranking of interpretations, see `interpretation_ranking`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STATEMENT_GROUPS = {
     "sensitivities, free ranges": ("msi_r_sat", "msi_t_sat", "msi_r_dens", "msi_t_dens"),
     "angles": ("fig",),
 }
-"""Groups of statements by the beginnings of their names."""
+"""Prefixes of the names of statements, by group."""
 
 
 def make_ranking_table(
@@ -34,22 +34,26 @@ def make_ranking_table(
     choices: Mapping[str, Sequence[str]],
     stated_choices: Mapping[str, str],
 ) -> pd.DataFrame:
-    """Return one row per combination and water that went through all stages, then the others.
+    """Return one row per complete combination and water, followed by the dropped combinations.
 
-    Columns rank (0 for the others), one per choice, set (a name that these readings have), water,
-    text (whether it keeps to it), stages, misfit and misfit_stderr (sum of squares in bars; of the
-    others that so far, which bounds theirs from below), floor (transmittance that counts as none),
-    rms (in bars) and worst (the statement furthest off).
+    Columns are rank (0 for dropped ones), one per choice, set (its name, if any), water, text
+    (whether it agrees with the text), stages, misfit and misfit_stderr (sum of squares in units of
+    the tolerances; a lower bound for dropped ones), floor (transmittance that counts as 0), rms (in
+    tolerances) and worst (the statement with the largest difference).
     """
     rows = []
-    for one in combinations:
-        complete = one.n_stages == len(STAGES)
-        found = one.find_best_matches(stated)
-        order = _sort_waters(found)
+    for combination in combinations:
+        complete = combination.n_stages == len(STAGES)
+        matches = combination.find_best_matches(stated)
+        order = _sort_waters(matches)
         for water in order if complete else order[:1]:
-            row = _make_ranking_row(one, int(water), found[water], stated, choices)
+            row = _make_ranking_row(combination, int(water), matches[water], stated, choices)
             rows.append(
-                {**row, "text": one.is_consistent_with(stated_choices), "complete": complete}
+                {
+                    **row,
+                    "text": combination.is_consistent_with(stated_choices),
+                    "complete": complete,
+                }
             )
     table = pd.DataFrame(rows)
     table = table.sort_values(["complete", "stages", "misfit"], ascending=[False, False, True])
@@ -88,38 +92,43 @@ def make_statement_table(
     stated: Mapping[str, PublishedStatement],
     names: Sequence[str],
 ) -> pd.DataFrame:
-    """Return one row per statement, complete combination and water, the nearest water first.
+    """Return one row per statement, complete combination and water, in order of misfit.
 
     Parameters
     ----------
     combinations, stated
         See `splits.experiments.papers.interpretation_ranking.rank_interpretations`.
     names : sequence of str
-        Readings that tell combinations apart.
+        Fields of the interpretation that identify combinations.
     """
     rows = []
-    complete = [one for one in combinations if one.n_stages == len(STAGES)]
-    for number, one in enumerate(complete, start=1):
-        own = one.run.interpretation.as_dict()
-        label = ", ".join(f"{name}: {own[name]}" for name in names)
-        found = one.find_best_matches(stated)
-        for place, (water, (name, statement)) in enumerate(
-            itertools.product(_sort_waters(found), stated.items())
+    complete = [combination for combination in combinations if combination.n_stages == len(STAGES)]
+    for number, combination in enumerate(complete, start=1):
+        fields = combination.run.interpretation.as_dict()
+        label = ", ".join(f"{name}: {fields[name]}" for name in names)
+        matches = combination.find_best_matches(stated)
+        for index, (water, (name, statement)) in enumerate(
+            itertools.product(_sort_waters(matches), stated.items())
         ):
-            value, error = found[water].values[name]
+            value, error = matches[water].values[name]
             rows.append(
                 {
-                    "combination": number, "interpretation": label, "set": one.find_set_name(),
+                    "combination": number,
+                    "interpretation": label,
+                    "set": combination.find_set_name(),
                     "water": WATER_TABLES[water],
-                    "nearest_water": place < len(stated),
-                    "statement": name, "place": statement.place,
+                    "nearest_water": index < len(stated),
+                    "statement": name,
+                    "place": statement.place,
                     "published": "above 0" if statement.is_trend else f"{statement.published:g}",
-                    "ours": value, "stderr": error, "bar": statement.tolerance,
+                    "ours": value,
+                    "stderr": error,
+                    "bar": statement.tolerance,
                     "distance": float(statement.normalize_difference(value)),
-                    "between": found[water].ranges.get(name, ""),
-                    "floor": found[water].floor if name.startswith("msi_t") else np.nan,
+                    "between": matches[water].ranges.get(name, ""),
+                    "floor": matches[water].floor if name.startswith("msi_t") else np.nan,
                 }
-            )  # fmt: skip
+            )
     return pd.DataFrame(rows)
 
 
@@ -128,20 +137,27 @@ def make_leave_out_table(
     stated: Mapping[str, PublishedStatement],
     names: Sequence[str],
 ) -> pd.DataFrame:
-    """Return which combination is first with all statements, and without each group of them.
+    """Return the best combination for all statements, and without each group of them.
 
-    Columns without, first (its readings), misfit, misfit_stderr, second, margin, margin_stderr: by
-    how much the second one's misfit is larger, of those that went through all stages.
+    Columns are without, first (its interpretation), misfit, misfit_stderr, second, and margin with
+    margin_stderr, the difference of the two misfits, for complete combinations.
     """
     rows = []
-    complete = [one for one in combinations if one.n_stages == len(STAGES)]
-    for group, beginnings in {"nothing": (), **STATEMENT_GROUPS}.items():
-        kept = {n: s for n, s in stated.items() if not (beginnings and n.startswith(beginnings))}
+    complete = [combination for combination in combinations if combination.n_stages == len(STAGES)]
+    for group, prefixes in {"nothing": (), **STATEMENT_GROUPS}.items():
+        statements = {
+            name: statement
+            for name, statement in stated.items()
+            if not (prefixes and name.startswith(prefixes))
+        }
         best = []
-        for one in complete:
-            nearest = min((c.misfit for c in one.find_best_matches(kept)), key=lambda m: m.total)
-            own = one.run.interpretation.as_dict()
-            label = ", ".join(f"{name}: {own[name]}" for name in names)
+        for combination in complete:
+            nearest = min(
+                (match.misfit for match in combination.find_best_matches(statements)),
+                key=lambda misfit: misfit.total,
+            )
+            fields = combination.run.interpretation.as_dict()
+            label = ", ".join(f"{key}: {fields[key]}" for key in names)
             best.append((nearest, label))
         best.sort(key=lambda pair: pair[0].total)
         if len(best) < 2:
@@ -160,11 +176,19 @@ def make_leave_out_table(
 
 
 def find_differing_keys(combinations: Sequence[InterpretationSet]) -> list[str]:
-    """Return the readings in which complete combinations differ, the first where none does."""
-    own = [one.run.interpretation.as_dict() for one in combinations if one.n_stages == len(STAGES)]
-    return [name for name in own[0] if len({one[name] for one in own}) > 1] or list(own[0])[:1]
+    """Return the fields in which complete combinations differ, or the first field."""
+    interpretations = [
+        combination.run.interpretation.as_dict()
+        for combination in combinations
+        if combination.n_stages == len(STAGES)
+    ]
+    return [
+        name
+        for name in interpretations[0]
+        if len({combination[name] for combination in interpretations}) > 1
+    ] or list(interpretations[0])[:1]
 
 
 def _sort_waters(matches: Sequence[BestMatch]) -> np.ndarray:
-    """Return the numbers of waters, that with the least misfit first."""
-    return np.argsort([choice.misfit.total for choice in matches])
+    """Return the indices of waters in order of increasing misfit."""
+    return np.argsort([match.misfit.total for match in matches])

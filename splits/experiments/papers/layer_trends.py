@@ -1,4 +1,4 @@
-"""What Budak & Grimailo 2020 state of rough layers, as numbers with their errors."""
+"""Statements of Budak & Grimailo (2020) on rough layers, as numbers with standard errors."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from splits.analysis.directions import select_principal_plane
 from splits.experiments.papers.snow_trends import make_significance_row
 
 MAX_ANGLE_DEG = 75.0
-"""Viewing angle (degrees) up to which curves are compared."""
+"""Largest viewing angle (degrees) at which curves are compared."""
 
 
 def make_layer_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
-    """Return one row per statement; see `splits.experiments.papers.snow_trends.make_significance_row` for its columns.
+    """Return one row per statement, from `splits.experiments.papers.snow_trends`.
 
     Parameters
     ----------
     datasets : mapping
-        By role, some or all of `splits.experiments.config.study_inputs.LAYER_INPUTS`.
+        By name, some or all of `splits.experiments.config.study_inputs.LAYER_INPUTS`.
     """
     rows: dict[str, Callable[[xr.Dataset], dict[str, object]]] = {
         "lens": _make_lens_row,
@@ -32,17 +32,17 @@ def make_layer_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, 
         ),
         "polarization": lambda d: _make_change_row(
             _select_plane(d), "polarized",
-            "Rayleigh layer under smooth glass, polarization followed or not: largest relative "
+            "Rayleigh layer under smooth glass, with or without polarization: largest relative "
             "change of the radiance factor", "section 1",
         ),
         "multiple_reflection": lambda d: _make_change_row(
             _select_plane(d), "polarized",
-            "multiple reflections in rough glass, polarization followed or not: largest relative "
+            "multiple reflections in rough glass, with or without polarization: largest relative "
             "change of the BRDF (up to 30 % in the paper's reference 6)", "section 1",
         ),
         "band_limit": _make_band_limit_row,
     }  # fmt: skip
-    return [row(datasets[role]) for role, row in rows.items() if role in datasets]
+    return [make_row(datasets[role]) for role, make_row in rows.items() if role in datasets]
 
 
 def _select_plane(dataset: xr.Dataset) -> xr.Dataset:
@@ -51,7 +51,7 @@ def _select_plane(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _make_lens_row(dataset: xr.Dataset) -> dict[str, object]:
-    """Compare the densest image of a ring over a crest with the ring."""
+    """Return the comparison of the densest image of a ring above a crest with the ring."""
     best = dataset.isel(screen_depth=dataset.concentration.argmax("screen_depth"))
     return make_significance_row(
         "statistical lens: inverse mean square size of a ring's image "
@@ -63,13 +63,13 @@ def _make_lens_row(dataset: xr.Dataset) -> dict[str, object]:
 
 
 def _make_volume_row(plane: xr.Dataset) -> dict[str, object]:
-    """Compare a surface with a volume below it with the surface alone."""
-    both, alone = (plane.sel(medium=name) for name in ("surface and volume", "surface only"))
+    """Return the comparison of a surface above a volume with the surface only."""
+    both, surface = (plane.sel(medium=name) for name in ("surface and volume", "surface only"))
     return make_significance_row(
         "very rough glass: BRDF (1/sr) that the volume adds, where least significant",
         "Fig 3",
-        (both.brdf - alone.brdf).values,
-        np.hypot(both.brdf_stderr, alone.brdf_stderr).values,
+        (both.brdf - surface.brdf).values,
+        np.hypot(both.brdf_stderr, surface.brdf_stderr).values,
     )
 
 
@@ -80,16 +80,16 @@ def _make_change_row(
     first, last = plane.isel({dimension: 0}), plane.isel({dimension: -1})
     change = (last.brdf / first.brdf - 1.0).values
     error = np.hypot(last.brdf_stderr / first.brdf, last.brdf * first.brdf_stderr / first.brdf**2)
-    at = int(np.argmax(np.abs(change) - 2.0 * error.values))
-    angle = float(plane.angle.values[at])
-    sign = "" if change[at] > 0.0 else "less, "
+    index = int(np.argmax(np.abs(change) - 2.0 * error.values))
+    angle = float(plane.angle.values[index])
+    sign = "" if change[index] > 0.0 else "less, "
     return make_significance_row(
-        f"{statement} ({sign}at {angle:g}°)", place, np.abs(change[at]), error.values[at]
+        f"{statement} ({sign}at {angle:g}°)", place, np.abs(change[index]), error.values[index]
     )
 
 
 def _make_band_limit_row(dataset: xr.Dataset) -> dict[str, object]:
-    """Return the fall of reflectance with the band limit, smallest step."""
+    """Return the smallest decrease of reflectance with the band limit."""
     value = dataset.reflectance.isel(wavelength=0).values
     error = dataset.reflectance_stderr.isel(wavelength=0).values
     return make_significance_row(

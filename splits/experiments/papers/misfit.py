@@ -1,8 +1,8 @@
-"""How far a model lies from everything that a paper states about it, in one number.
+"""Misfit of a model to the statements of a paper.
 
-A stated number has a bar: the difference up to which ours counts as agreeing, as in the tables of
-agreement.  The misfit of a set of statements is the sum of squares of their differences in bars.
-A statement in words, that something is larger than something else, adds only where it fails.
+A stated number has a tolerance: the largest difference that counts as agreement.  The misfit of a
+set of statements is the sum of squared differences in units of the tolerances.  Qualitative trends
+add to it only where they fail.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ import numpy as np
 import pandas as pd
 
 TREND_TOLERANCE = 0.1
-"""Failure of a trend that counts as one bar, as a part of what is compared (a nadir's brightness,
-a peak's height)."""
+"""Tolerance of a trend, relative to the compared quantity (nadir BRDF, height of a peak)."""
 
 MAX_SIGMA = 8.0
-"""Errors by which a trend holds beyond any doubt; differences of large terms are noise there."""
+"""Significance (standard errors) above which the variance of a satisfied trend is set to 0, because
+its formula loses all digits."""
 
 
 @dataclass(frozen=True)
 class PublishedStatement:
-    """One thing that a paper states.
+    """A number or trend that a paper states.
 
     Attributes
     ----------
     name, place : str
-        Its id, and where it stands in the paper.
+        Its id, and its place in the paper.
     published : float
-        The number, or 0 for a trend, whose value is to be above.
+        The number, or 0 for a trend, which is satisfied by positive values.
     tolerance : float
         Above 0.
     is_trend : bool
-        Whether only values below `published` count against a model.
+        Whether only values below `published` add to the misfit.
     """
 
     name: str
@@ -44,7 +44,7 @@ class PublishedStatement:
     is_trend: bool = False
 
     def normalize_difference(self, ours: np.ndarray | float) -> np.ndarray:
-        """Return the signed difference from what is stated, in bars; 0 for a trend that holds."""
+        """Return the signed difference in units of the tolerance; 0 for a satisfied trend."""
         difference = (np.asarray(ours, dtype=float) - self.published) / self.tolerance
         return np.minimum(difference, 0.0) if self.is_trend else difference
 
@@ -57,31 +57,31 @@ def select_statements(
     Parameters
     ----------
     published : pandas.DataFrame
-        See `splits.experiments.papers.agreement.read_published`.  Where limits stand instead of a bar, half
-        the distance between them is the bar.
+        See `splits.analysis.measured.read_published`.  Where limits are given instead of a
+        tolerance, half of their distance is the tolerance.
     names : iterable of str
         Ids in that table.
     """
-    found = {}
+    statements = {}
     for name in names:
         row = published.loc[name]
         if isinstance(row.bar, str):
-            part = abs(row.published) / 100.0 if row.bar.endswith("%") else 1.0
-            bar = float(row.bar.rstrip("%")) * part
+            unit = abs(row.published) / 100.0 if row.bar.endswith("%") else 1.0
+            tolerance = float(row.bar.rstrip("%")) * unit
         else:
-            bar = 0.5 * (float(row.high) - float(row.low))
-        found[name] = PublishedStatement(name, str(row.place), float(row.published), bar)
-    return found
+            tolerance = 0.5 * (float(row.high) - float(row.low))
+        statements[name] = PublishedStatement(name, str(row.place), float(row.published), tolerance)
+    return statements
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """Sum of squares of differences in bars.
+    """Sum of squared differences in units of the tolerances.
 
     Attributes
     ----------
     total : float
-        Without what the errors of our values add to it on average.
+        Sum with the mean contribution of noise subtracted.
     stderr : float
     """
 
@@ -89,7 +89,7 @@ class Misfit:
     stderr: float
 
     def compute_rms(self, n_statements: int) -> tuple[float, float]:
-        """Return the root-mean-square difference in bars over `n_statements` statements, and its error."""
+        """Return the root-mean-square difference in tolerances per statement, and its error."""
         value = float(np.sqrt(max(self.total, 0.0) / n_statements))
         spread = self.stderr / n_statements
         return value, float(spread / (2.0 * value)) if value > 0.0 else float(np.sqrt(spread))
@@ -100,10 +100,10 @@ def compute_misfit(
 ) -> Misfit:
     """Return the misfit of values with independent errors.
 
-    With a difference d of error e (both in bars), d² is e² too large on average and has the
-    variance 4 d² e² + 2 e⁴.  A trend that fails counts alike.  One that holds by z errors adds
-    nothing but the chance that it fails in truth: the mean of the squared sum of squares over a
-    normal distribution of what the truth may be, e⁴ ((z⁴ + 6z² + 3) Φ(−z) − (z³ + 5z) φ(z)).
+    With a difference d of error e (both in tolerances), d² is e² too large on average and has the
+    variance 4 d² e² + 2 e⁴.  A trend that fails is treated alike.  A trend that is satisfied by z
+    standard errors adds only to the variance, for the probability that the true value fails:
+    e⁴ ((z⁴ + 6z² + 3) Φ(−z) − (z³ + 5z) φ(z)).
     """
     total, variance = 0.0, 0.0
     for statement, value, error in zip(statements, ours, stderr, strict=True):
@@ -119,12 +119,12 @@ def compute_misfit(
 
 
 def _compute_tail_fourth_moment(z: float) -> float:
-    """Return the mean fourth power of what lies below -z in a standard normal distribution."""
+    """Return the fourth moment of a standard normal distribution beyond -z, about -z."""
     if z > MAX_SIGMA:
         return 0.0
-    from scipy.special import ndtr  # half a second, which every start of the workflow would take
+    from scipy.special import ndtr  # imported here, as it would slow the start of the workflow
 
-    beyond = ndtr(-z)
+    tail = ndtr(-z)
     density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
-    polynomial = (z**4 + 6.0 * z**2 + 3.0) * beyond - (z**3 + 5.0 * z) * density
+    polynomial = (z**4 + 6.0 * z**2 + 3.0) * tail - (z**3 + 5.0 * z) * density
     return max(float(polynomial), 0.0)

@@ -1,4 +1,4 @@
-"""Tables of the report, and writing them whole or not at all."""
+"""Tables 1 and 3 of SPLITSnow, and atomic writing of CSV tables."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ TABLE1_LABELS = {
 def write_table(table: pd.DataFrame, path: str | Path) -> None:
     """Write a table as CSV with six significant digits.
 
-    Texts that a spreadsheet would compute begin with an apostrophe.
+    Texts that a spreadsheet would evaluate are prefixed with an apostrophe.
     """
-    with atomic_write(path) as aside:
-        escape_cells(table).to_csv(aside, index=False, float_format="%.6g")
+    with atomic_write(path) as temporary_path:
+        escape_cells(table).to_csv(temporary_path, index=False, float_format="%.6g")
 
 
 def make_table1(sample: xr.Dataset) -> pd.DataFrame:
@@ -55,12 +55,11 @@ def make_table3(
     Parameters
     ----------
     interpretations : xarray.Dataset
-        Reflectance over ``wavelength`` and ``interpretations``, each place where the papers can be read
-        two ways.
+        Reflectance over ``wavelength`` and ``interpretation``.
     aviris : pandas.DataFrame
         Measured bands.
     published : pandas.DataFrame
-        See `splits.experiments.papers.agreement.read_published`.
+        See `splits.analysis.measured.read_published`.
     """
     names = [name for name in published.index if str(name).startswith("table3_")]
     tables = []

@@ -1,7 +1,8 @@
-"""Time against error: what a measured speed is worth, and what holds for other errors by scaling.
+"""Computing time and error of methods, and their scaling to other errors.
 
-The errors of all Monte Carlo methods fall with the square root of the time, so a method's figure of
-merit is 1/(error² · time), and the ratio of two is the ratio of their times at equal error.
+The error of a Monte Carlo method is proportional to the inverse square root of its time, so the
+figure of merit is 1/(error² · time).  The ratio of two figures of merit is the ratio of the times
+at equal error.
 """
 
 from __future__ import annotations
@@ -21,59 +22,59 @@ VECTORIZED = "vectorized"
 METHODS = {
     PAPER_UNIFORM: "papers' algorithm, uniform",
     PAPER_ADAPTIVE: "papers' algorithm, adaptive",
-    "one_by_one": "weights, one wavelength at a time",
+    "one_by_one": "weights, single wavelengths",
     "scalar": "shared paths, scalar kernel",
     VECTORIZED: "shared paths, lanes",
     "discrete_ordinates": "discrete ordinates",
     "kz04": "Kokhanovsky & Zege",
 }
-"""Methods as `benchmarks/speed_against_error.py` names them, and in words."""
+"""Descriptions of the methods of `benchmarks/speed_against_error.py`."""
 THEORIES = ("discrete_ordinates", "kz04")
-"""Methods that differ from the reference because they are other models."""
+"""Methods that are other models, and so differ from the reference."""
 
 MEASURED = "measured"
 MEASURED_PARTLY = "measured at every tenth wavelength"
 SCALED = "scaled from another error"
-"""How a time was found: by a whole run; from every tenth wavelength, traced to that very error; or
-from those traced to another error."""
+"""Origins of a time: a full run; every tenth wavelength, traced to the same error; or a run with
+another error."""
 
 
 def scale_paper_times(
     seconds: np.ndarray, rays: np.ndarray, stderr: np.ndarray, error: float, min_rays: int
 ) -> tuple[float, float, float, float]:
-    """Return what wavelengths traced one by one take to reach another error, by scaling.
+    """Return the times and rays of single-wavelength runs, scaled to another error.
 
-    Rays go with 1/error² and time with rays.
+    The number of rays is proportional to 1/error² and the time to the number of rays.
 
     Parameters
     ----------
     seconds, rays, stderr : float, shape (wavelengths,)
-        Time spent, rays traced and standard error so reached.
+        Time, number of rays and standard error of each wavelength.
     error : float
-        Standard error to scale to.
+        Target standard error.
     min_rays : int
-        Rays that every wavelength takes in any case.
+        Smallest number of rays per wavelength.
 
     Returns
     -------
     uniform_s, uniform_rays : float
-        If every wavelength takes the rays that the noisiest one needs: total time and rays.
+        Total time and rays if every wavelength uses those of the noisiest one.
     adaptive_s, adaptive_rays : float
-        If every wavelength takes the rays that it needs by itself.
+        Total time and rays if every wavelength uses as many as it needs.
     """
-    needed = np.maximum(rays * (stderr / error) ** 2, min_rays)
+    rays_needed = np.maximum(rays * (stderr / error) ** 2, min_rays)
     per_ray = seconds / rays
-    most = needed.max()
+    max_rays = rays_needed.max()
     return (
-        float(most * per_ray.sum()),
-        float(most * len(needed)),
-        float((per_ray * needed).sum()),
-        float(needed.sum()),
+        float(max_rays * per_ray.sum()),
+        float(max_rays * len(rays_needed)),
+        float((per_ray * rays_needed).sum()),
+        float(rays_needed.sum()),
     )
 
 
 def summarize_stated_errors(dataset: xr.Dataset) -> dict[str, float]:
-    """Return the largest stated standard error of a spectrum, and its root mean square.
+    """Return the largest and the root-mean-square standard error of a spectrum.
 
     Parameters
     ----------
@@ -89,13 +90,13 @@ def summarize_stated_errors(dataset: xr.Dataset) -> dict[str, float]:
 
 
 def compute_deviations(dataset: xr.Dataset, reference: xr.Dataset) -> dict[str, float]:
-    """Return how far a spectrum lies from a reference.
+    """Return the deviations of a spectrum from a reference.
 
     Parameters
     ----------
     dataset, reference : xarray.Dataset
-        Of `QUANTITIES`, the reference at least at the dataset's wavelengths; standard errors of
-        the dataset may be missing.
+        With all `QUANTITIES`; the reference must contain the dataset's wavelengths.  Standard
+        errors of the dataset may be missing.
 
     Returns
     -------
@@ -106,39 +107,39 @@ def compute_deviations(dataset: xr.Dataset, reference: xr.Dataset) -> dict[str, 
         without any.
     """
     reference = reference.sel(wavelength=dataset.wavelength)
-    off = np.stack([(dataset[name] - reference[name]).values for name in QUANTITIES])
+    deviation = np.stack([(dataset[name] - reference[name]).values for name in QUANTITIES])
     z = np.nan
     if f"{QUANTITIES[0]}_stderr" in dataset:
         variance = [
             dataset[f"{name}_stderr"].values ** 2 + reference[f"{name}_stderr"].values ** 2
             for name in QUANTITIES
         ]
-        z = float(np.sqrt((off**2 / np.stack(variance)).mean()))
+        z = float(np.sqrt((deviation**2 / np.stack(variance)).mean()))
     return {
-        "deviation_rms": float(np.sqrt((off**2).mean(axis=1)).max()),
-        "deviation_largest": float(np.abs(off).max()),
+        "deviation_rms": float(np.sqrt((deviation**2).mean(axis=1)).max()),
+        "deviation_largest": float(np.abs(deviation).max()),
         "deviation_z": z,
     }
 
 
 def combine_runs(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Return what repeated runs say together of `summarize_stated_errors` and `compute_deviations`.
+    """Return the combined errors of repeated runs.
 
-    Of numbers called largest it is the largest, of all others the root mean square.
+    Numbers with suffix ``_largest`` are combined by the maximum, others by the root mean square.
     """
-    found: dict[str, float] = {}
+    combined: dict[str, float] = {}
     for run in runs:
         for key, value in run.items():
-            before = found.get(key, 0.0)
+            previous = combined.get(key, 0.0)
             if key.endswith("_largest"):
-                found[key] = max(before, value)
+                combined[key] = max(previous, value)
             else:
-                found[key] = float(np.sqrt(before**2 + value**2 / len(runs)))
-    return found
+                combined[key] = float(np.sqrt(previous**2 + value**2 / len(runs)))
+    return combined
 
 
 def format_row(row: Mapping[str, Any]) -> str:
-    """Return one line that says what a row of the table holds."""
+    """Return a row of the table as one line of text."""
     parts = [f"{row['medium']}, {METHODS[row['method']]}"]
     if not np.isnan(row["error"]):
         parts.append(f"error {row['error']:g}")
@@ -153,35 +154,35 @@ def format_row(row: Mapping[str, Any]) -> str:
 
 
 def add_figures_of_merit(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of times and errors with figures of merit and their ratios to the papers'.
+    """Return a table with figures of merit and their ratios to those of the papers' algorithm.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        With columns ``medium``, ``method``, ``error`` (asked for; none for theories), ``seconds``,
+        With columns ``medium``, ``method``, ``error`` (target; NaN for theories), ``seconds``,
         ``stderr_largest`` and ``how`` (`MEASURED`, `MEASURED_PARTLY` or `SCALED`).
 
     Returns
     -------
     pandas.DataFrame
-        With ``figure_of_merit`` (1/s) and, at the same error asked for, its ratios
-        ``over_uniform`` and ``over_adaptive`` to the papers' algorithm, scaled where it was not
-        measured.  None for theories: their difference does not fall with time.
+        With ``figure_of_merit`` (1/s) and, at the same target error, its ratios ``over_uniform``
+        and ``over_adaptive`` to the papers' algorithm, scaled where it was not measured.  NaN for
+        theories, whose deviation does not depend on time.
     """
     table = table.copy()
     table["figure_of_merit"] = 1.0 / (table.stderr_largest**2 * table.seconds)
     table.loc[table.method.isin(THEORIES), "figure_of_merit"] = np.nan
     for method, column in ((PAPER_UNIFORM, "over_uniform"), (PAPER_ADAPTIVE, "over_adaptive")):
         table[column] = [
-            row.figure_of_merit / papers.figure_of_merit if papers is not None else np.nan
+            row.figure_of_merit / paper_row.figure_of_merit if paper_row is not None else np.nan
             for row in table.itertuples()
-            for papers in [find_best_row(table, row.medium, method, row.error)]
+            for paper_row in [find_best_row(table, row.medium, method, row.error)]
         ]
     return table
 
 
 def find_best_row(table: pd.DataFrame, medium: str, method: str, error: float) -> pd.Series | None:
-    """Return the row of a method at an error asked for, scaled only if no other is there."""
+    """Return the row of a method at a target error; a scaled one only if no other exists."""
     rows = table[(table.medium == medium) & (table.method == method) & (table.error == error)]
     if rows.empty:
         return None
@@ -189,7 +190,7 @@ def find_best_row(table: pd.DataFrame, medium: str, method: str, error: float) -
 
 
 def format_headline(table: pd.DataFrame, medium: str, error: float, wavelengths: int) -> str:
-    """Return one line that says how much sooner lanes reach an error than the papers' algorithm."""
+    """Return one line on the times of lanes and of the papers' algorithm at equal error."""
     rows = {
         name: find_best_row(table, medium, name, error)
         for name in (VECTORIZED, PAPER_UNIFORM, PAPER_ADAPTIVE)

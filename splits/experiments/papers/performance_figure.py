@@ -1,4 +1,4 @@
-"""Error against time, for several methods and media."""
+"""Figure of error against computing time for several methods and media."""
 
 from __future__ import annotations
 
@@ -19,33 +19,38 @@ from splits.plotting.style import (
 
 METHOD_MARKERS = ("s", "D", "v", "^", "o", "P", "X")
 THEORY_GREYS = ("0.15", "0.5")
-"""Shades of the theories, which are other models."""
+"""Greys of the theories, which are other models."""
 MAX_COLUMNS = 2
 
 
 def draw_speed_against_error(table: pd.DataFrame) -> Figure:
-    """Draw the error that methods reach in a time, one panel per medium.
+    """Draw the error of methods against their time, one panel per medium.
 
     Filled markers are measured, open ones scaled from another error.  The error is the largest
-    stated standard error, of theories the largest deviation from the reference.
+    stated standard error; for theories, the largest deviation from the reference.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        As `benchmarks/speed_against_error.py` writes it, see there.
+        Output of `benchmarks/speed_against_error.py`.
     """
     media = list(dict.fromkeys(table.medium))
     columns = min(MAX_COLUMNS, len(media))
     rows = -(-len(media) // columns)
-    shades: list[Colour] = [*pick_colours(len(METHODS) - len(THEORIES), "sample"), *THEORY_GREYS]
-    looks = dict(zip(METHODS, zip(shades, METHOD_MARKERS, strict=True), strict=True))
+    colours: list[Colour] = [*pick_colours(len(METHODS) - len(THEORIES), "sample"), *THEORY_GREYS]
+    styles = dict(zip(METHODS, zip(colours, METHOD_MARKERS, strict=True), strict=True))
     with use_style():
         figure, panels = make_subplots(
-            rows, columns, width=TWO_COLUMNS_INCHES, height=2.3 * rows + 0.8, sharex=True, sharey=True,
+            rows,
+            columns,
+            width=TWO_COLUMNS_INCHES,
+            height=2.3 * rows + 0.8,
+            sharex=True,
+            sharey=True,
             squeeze=False,
-        )  # fmt: skip
+        )
         for medium, axes in zip(media, panels.flat, strict=False):
-            _draw_medium(axes, table[table.medium == medium], looks)
+            _draw_medium(axes, table[table.medium == medium], styles)
             axes.set_title(medium)
         for axes in panels.flat[len(media) :]:
             axes.set_visible(False)
@@ -56,7 +61,7 @@ def draw_speed_against_error(table: pd.DataFrame) -> Figure:
         shown = [name for name in METHODS if (table.method == name).any()]
         handles = [
             Line2D(
-                [], [], color=looks[name][0], marker=looks[name][1],
+                [], [], color=styles[name][0], marker=styles[name][1],
                 ls="none" if name in THEORIES else "-", label=_format_method(name),
             )
             for name in shown
@@ -69,7 +74,7 @@ def draw_speed_against_error(table: pd.DataFrame) -> Figure:
 
 
 def _format_method(method: str) -> str:
-    """Return a method in words, as the legend has it."""
+    """Return the label of a method in the legend."""
     return METHODS[method] + (" (another model)" if method in THEORIES else "")
 
 
@@ -80,7 +85,7 @@ def _draw_medium(axes: Axes, table: pd.DataFrame, styles: dict[str, tuple[Colour
         rows = rows.assign(error_shown=rows.stderr_largest)
         if method in THEORIES:
             rows = rows.assign(error_shown=rows.deviation_largest)
-        # Where an error was measured and scaled, the line takes the measured one.
+        # Lines pass through the measured point where a scaled one exists as well.
         line = rows.sort_values("how", key=lambda how: how == SCALED).drop_duplicates("error")
         line = line.sort_values("error")
         axes.plot(line.seconds, line.error_shown, color=colour, lw=1.0)

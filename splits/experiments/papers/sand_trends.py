@@ -1,4 +1,4 @@
-"""Trends that SPLITS states for sand, and how far its results hang on data and readings."""
+"""Trends of sand in the SPLITS paper, and the sensitivity of results to data and interpretation."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from splits.experiments.papers.snow_trends import (
 
 RISING_BANDS_NM = ((400, 500), (500, 600), (600, 700), (700, 1000))
 MAX_GOOD_RMSE = 0.03
-"""SPLITS section 5.1.1 calls a reconstruction good below this root mean square error."""
-UNDETERMINED_VERDICT = "undetermined: the error is more than half of what the range alone leaves"
+"""Root-mean-square error below which SPLITS section 5.1.1 calls a reconstruction good."""
+UNDETERMINED_VERDICT = "undetermined: the error exceeds half of the error from the range alone"
 RED_BAND_NM, GREEN_BAND_NM = (620, 700), (480, 560)
 
 
@@ -29,7 +29,7 @@ def make_sand_trend_table(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
     Parameters
     ----------
     datasets : mapping
-        By role, see `splits.experiments.config.study_inputs.SAND_INPUTS`.
+        By name, see `splits.experiments.config.study_inputs.SAND_INPUTS`.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def _make_rise_rows(samples: xr.Dataset) -> list[dict[str, object]]:
 
 
 def _make_reddening_row(dataset: xr.Dataset) -> dict[str, object]:
-    """Return how the ratio of red to green reflectance grows with hematite."""
+    """Return the row on the increase of the ratio of red to green reflectance with hematite."""
     red, green = (
         compute_band_mean(dataset, "reflectance", *b) for b in (RED_BAND_NM, GREEN_BAND_NM)
     )
@@ -98,7 +98,7 @@ def _make_reddening_row(dataset: xr.Dataset) -> dict[str, object]:
 
 
 def make_shift_table(dataset: xr.Dataset, dimension: str, reference: str | float) -> pd.DataFrame:
-    """Return how far reflectance moves from a reference along one dimension of a grid.
+    """Return the shifts of reflectance from a reference along one dimension of a grid.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ def make_shift_table(dataset: xr.Dataset, dimension: str, reference: str | float
     Returns
     -------
     pandas.DataFrame
-        Per medium and value the mean shift with its error, and the largest shift either way with
-        its wavelength and error.
+        Per medium and value the mean shift and the largest absolute shift with their errors, and
+        the wavelength of the latter.
     """
     rows: list[dict[str, object]] = []
     for sample in dataset.medium.values:
@@ -148,14 +148,13 @@ def make_fit_table(dataset: xr.Dataset) -> pd.DataFrame:
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.experiments.run_fit.run_fit` returns it.
+        Output of `splits.experiments.run_fit.run_fit`.
 
     Returns
     -------
     pandas.DataFrame
-        The labels, value, value_stderr; ``verdict`` on the parameter, determined or not;
-        ``spectrum``, reproduced or not, which is the same for all parameters of a fit; rmse,
-        rmse_stderr.
+        The labels, value, value_stderr; ``verdict``, whether the parameter is constrained;
+        ``spectrum``, whether the fit reproduces it; rmse, rmse_stderr.
     """
     names = ["value", "value_stderr", "constrained", "rmse", "rmse_stderr"]
     table = dataset[names].to_dataframe().reset_index()

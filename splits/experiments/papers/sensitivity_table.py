@@ -1,4 +1,4 @@
-"""Sensitivity of snow's spectra to its parameters: the published pairs, and how they move."""
+"""Mean sensitivity indices of snow spectra for the published parameter ranges and others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ QUANTITY_CONDITIONS: dict[str, dict[str, Any]] = {
     "reflectance": {"depth_m": 0.12, "wavelength_nm": (400.0, 2500.0)},
     "transmittance": {"depth_m": 0.02, "wavelength_nm": (400.0, 1420.0)},
 }
-"""Depth and wavelengths that SPLITSnow sections 5.2.2 and 5.4 use for each quantity."""
+"""Depth and wavelengths for each quantity in SPLITSnow sections 5.2.2 and 5.4."""
 
 
 def compute_pair_sensitivity(
@@ -33,9 +33,9 @@ def compute_pair_sensitivity(
         Name of the grid's dimension and two of its labels.
     quantity : {"reflectance", "transmittance"}
     """
-    where = QUANTITY_CONDITIONS[quantity]
-    part = select_points(dataset, {"depth_m": where["depth_m"]}).sel(
-        wavelength=slice(*where["wavelength_nm"])
+    conditions = QUANTITY_CONDITIONS[quantity]
+    part = select_points(dataset, {"depth_m": conditions["depth_m"]}).sel(
+        wavelength=slice(*conditions["wavelength_nm"])
     )
     y, z = (select_points(part, {parameter: label}) for label in (low, high))
     return compute_spectral_sensitivity(y, z, quantity)
@@ -44,21 +44,21 @@ def compute_pair_sensitivity(
 def make_sensitivity_table(
     datasets: Mapping[str, xr.Dataset], pairs: Mapping[str, Mapping[str, Any]]
 ) -> pd.DataFrame:
-    """Return the index for every parameter, quantity, range and reading.
+    """Return the index for every parameter, quantity, range and interpretation.
 
     Parameters
     ----------
     datasets : mapping
         Experiments by name.
     pairs : mapping
-        Per parameter ``experiment``, ``interpretation`` (experiment over readings), ``parameter``
-        (grid dimension), ``low`` and ``high``; ``interpretation`` may be None.
+        Per parameter ``experiment``, ``interpretation`` (experiment or None), ``parameter``
+        (grid dimension), ``low`` and ``high``.
 
     Returns
     -------
     pandas.DataFrame
-        Columns parameter, quantity, interpretation, low, high, chosen, msi, msi_stderr, msi_resolved,
-        resolved_fraction.
+        Columns parameter, quantity, interpretation, low, high, chosen, msi, msi_stderr,
+        msi_resolved, resolved_fraction.
     """
     rows = []
     for name, pair in pairs.items():
@@ -67,35 +67,35 @@ def make_sensitivity_table(
         values = list(ranges[dimension].values)
         interpretation = datasets[pair["interpretation"]] if pair["interpretation"] else None
         for quantity in QUANTITY_CONDITIONS:
-            for i, low in enumerate(values):
-                for high in values[i + 1 :]:
-                    s = compute_pair_sensitivity(ranges, dimension, low, high, quantity)
+            for position, low in enumerate(values):
+                for high in values[position + 1 :]:
+                    index = compute_pair_sensitivity(ranges, dimension, low, high, quantity)
                     chosen = _is_same_label(low, pair["low"]) and _is_same_label(high, pair["high"])
-                    rows.append(_make_row(name, quantity, "default", low, high, chosen, s))
+                    rows.append(_make_row(name, quantity, "default", low, high, chosen, index))
             if interpretation is None:
                 continue
-            # The experiment over ranges holds the default readings.
-            for reading in interpretation.interpretation.values[
+            # The experiment over ranges has the default interpretation.
+            for label in interpretation.interpretation.values[
                 interpretation.interpretation.values != "default"
             ]:
-                part = select_points(interpretation, {"interpretation": str(reading)})
+                part = select_points(interpretation, {"interpretation": str(label)})
                 low, high = part[dimension].values[[0, -1]]
-                s = compute_pair_sensitivity(part, dimension, low, high, quantity)
-                rows.append(_make_row(name, quantity, str(reading), low, high, False, s))
+                index = compute_pair_sensitivity(part, dimension, low, high, quantity)
+                rows.append(_make_row(name, quantity, str(label), low, high, False, index))
     return pd.DataFrame(rows)
 
 
 def select_chosen_sensitivities(
     table: pd.DataFrame, published: pd.DataFrame | None = None
 ) -> xr.Dataset:
-    """Return the chosen pairs' indices over quantity and parameter, beside published ones.
+    """Return the indices of the chosen pairs over quantity and parameter, and published ones.
 
     Parameters
     ----------
     table : pandas.DataFrame
         See `make_sensitivity_table`.
     published : pandas.DataFrame, optional
-        See `splits.experiments.papers.agreement.read_published`; with a row for each index.
+        See `splits.analysis.measured.read_published`, with a row for each index.
     """
     chosen = table[table.chosen]
     parameters = list(dict.fromkeys(chosen.parameter))
@@ -110,11 +110,11 @@ def select_chosen_sensitivities(
             if published is not None:
                 row = published.loc[f"msi_{quantity[0]}_{parameter}"]
                 columns["published"][i, j] = row.published
-    over, label = ("quantity", "parameter"), "mean sensitivity index"
-    variables = quantity_of("msi", over, columns["msi"], columns["msi_stderr"], label)
+    dims, label = ("quantity", "parameter"), "mean sensitivity index"
+    variables = quantity_of("msi", dims, columns["msi"], columns["msi_stderr"], label)
     if published is not None:
-        theirs, words = columns["published"], f"{label} published in SPLITSnow Table 2"
-        variables |= quantity_of("published", over, theirs, None, words)
+        values, long_name = columns["published"], f"{label} published in SPLITSnow Table 2"
+        variables |= quantity_of("published", dims, values, None, long_name)
     return xr.Dataset(
         variables,
         {
@@ -128,7 +128,7 @@ def select_chosen_sensitivities(
 
 
 def describe_ranges(pairs: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return in words between which values of each parameter the index is taken, and who says so.
+    """Return a sentence on the range of each parameter and its origin.
 
     Parameters
     ----------
@@ -136,13 +136,16 @@ def describe_ranges(pairs: Mapping[str, Mapping[str, Any]]) -> str:
         Per parameter ``low``, ``high`` and ``source``, ``"paper"`` or ``"ours"``.
     """
     parts = []
-    for origin, words in (("paper", "stated by the paper"), ("ours", "chosen here, not stated")):
-        own = [
+    for origin, description in (
+        ("paper", "stated by the paper"),
+        ("ours", "chosen here, not stated"),
+    ):
+        ranges = [
             f"{name.replace('_', ' ')} {pair['low']} to {pair['high']}"
             for name, pair in pairs.items()
             if pair["source"] == origin
         ]
-        parts += [f"{words}: {', '.join(own)}"] if own else []
+        parts += [f"{description}: {', '.join(ranges)}"] if ranges else []
     return f"Ranges {'; '.join(parts)}."
 
 

@@ -1,7 +1,7 @@
-"""What SPLITSnow's paper states about its model, simulated under any set of readings.
+"""Statements of the SPLITSnow paper, simulated for any interpretation.
 
-Stages from cheap to costly, each a set of statements (numbers of the tables and figures, trends in
-words) and the runs that give our values.
+Stages are ordered from cheap to costly.  Each is a set of statements (numbers of tables and
+figures, qualitative trends) and the runs that give our values.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ PARAMETER_EXTREMES: dict[str, tuple[Any, ...]] = {
     "saturation": (0.0, 0.1, 0.3, 1.0),
     "density": (100.0, 200.0, 400.0, 450.0),
 }
-"""Extremes between which sensitivities are taken (section 5.4).  The paper does not say those of
-saturation and density: any two of these values may have been meant."""
+"""Extremes of parameters for sensitivities (section 5.4).  The paper does not state those of
+saturation and density, so any two of these values are considered."""
 
 SNOW_KEYWORDS = {
     "grain_size": "grain_size_um", "facetness": "facetness", "saturation": "saturation",
@@ -45,12 +45,12 @@ SENSITIVITY_SPECTRA = {
     "r": ("reflectance", 0.12, np.arange(400.0, 2501.0, 50.0)),
     "t": ("transmittance", 0.02, np.arange(400.0, 1421.0, 30.0)),
 }
-"""Quantity, depth (m) and wavelengths behind the sensitivities."""
+"""Quantity, depth (m) and wavelengths (nm) of the sensitivities."""
 
 
 TRANSMITTANCE_FLOORS = (0.0, 0.005, 0.02)
-"""Transmittances that may have counted as none in a sensitivity: the paper does not say, and where
-two of them are small their ratio is large."""
+"""Transmittances below which values may have counted as 0 in a sensitivity.  The paper states no
+threshold, and the ratio of two small values is large."""
 
 
 def _compute_grain_distance(run: InterpretationRun) -> StatementValues:
@@ -65,19 +65,24 @@ def _compute_table3(run: InterpretationRun) -> StatementValues:
     spectra = run.simulate_spectra(
         list(TABLE3_WAVELENGTHS_NM.values()), run.errors.bands, 62.3, depth_m=0.25
     )
-    both = [
-        np.array([one[name].values for one in spectra])
+    arrays = [
+        np.array([spectrum[name].values for spectrum in spectra])
         for name in ("reflectance", "reflectance_stderr")
     ]
-    return {name: (both[0][:, i], both[1][:, i]) for i, name in enumerate(TABLE3_WAVELENGTHS_NM)}
+    return {
+        name: (arrays[0][:, i], arrays[1][:, i]) for i, name in enumerate(TABLE3_WAVELENGTHS_NM)
+    }
 
 
 def _compute_max_transmittance(run: InterpretationRun) -> StatementValues:
-    """Return the largest transmittance, where snow absorbs least (Fig 7)."""
+    """Return the largest transmittance, at the wavelengths where snow absorbs least (Fig 7)."""
     spectra = run.simulate_spectra(np.arange(400.0, 501.0, 20.0), run.errors.transmittance)
-    best = [one.isel(wavelength=int(one.transmittance.values.argmax())) for one in spectra]
+    best = [
+        spectrum.isel(wavelength=int(spectrum.transmittance.values.argmax()))
+        for spectrum in spectra
+    ]
     value, error = (
-        np.array([float(one[name]) for one in best])
+        np.array([float(spectrum[name]) for spectrum in best])
         for name in ("transmittance", "transmittance_stderr")
     )
     return {"transmittance_max": (value, error)}
@@ -86,43 +91,43 @@ def _compute_max_transmittance(run: InterpretationRun) -> StatementValues:
 def _make_sensitivity_stage(
     parameters: Sequence[str], letters: Sequence[str]
 ) -> Callable[[InterpretationRun], StatementValues]:
-    """Return the stage that takes indices: arrays of shape (waters, pairs, floors)."""
+    """Return the stage that computes sensitivity indices, shape (waters, pairs, floors)."""
 
-    def measured(trial: InterpretationRun) -> StatementValues:
-        found: StatementValues = {}
+    def compute(run: InterpretationRun) -> StatementValues:
+        values: StatementValues = {}
         for parameter, letter in itertools.product(parameters, letters):
-            quantity, depth, places = SENSITIVITY_SPECTRA[letter]
-            error = getattr(trial.errors, f"{quantity}s")
-            ends = [
-                trial.simulate_spectra(
-                    places,
+            quantity, depth, wavelengths = SENSITIVITY_SPECTRA[letter]
+            error = getattr(run.errors, f"{quantity}s")
+            spectra = [
+                run.simulate_spectra(
+                    wavelengths,
                     error,
                     run_number=1 + i,
-                    **{SNOW_KEYWORDS[parameter]: value, "depth_m": depth},
+                    **{SNOW_KEYWORDS[parameter]: extreme, "depth_m": depth},
                 )
-                for i, value in enumerate(PARAMETER_EXTREMES[parameter])
+                for i, extreme in enumerate(PARAMETER_EXTREMES[parameter])
             ]
             floors = (
                 TRANSMITTANCE_FLOORS if quantity == "transmittance" else TRANSMITTANCE_FLOORS[:1]
             )
-            found[f"msi_{letter}_{parameter}"] = _compute_sensitivity_indices(
-                ends, quantity, floors
+            values[f"msi_{letter}_{parameter}"] = _compute_sensitivity_indices(
+                spectra, quantity, floors
             )
-        return found
+        return values
 
-    return measured
+    return compute
 
 
 def list_extreme_pairs(parameter: str) -> list[str]:
-    """Return how tables name the pairs of extremes of a parameter, in the order of indices."""
+    """Return the labels of the pairs of extremes of a parameter, in the order of the indices."""
 
-    def named(value: Any) -> str:
-        ends = np.atleast_1d(value)[:2]
-        return "-".join(f"{end:g}" for end in ends)
+    def format_extreme(value: Any) -> str:
+        limits = np.atleast_1d(value)[:2]
+        return "-".join(f"{limit:g}" for limit in limits)
 
     return [
-        f"{named(a)} / {named(b)}"
-        for a, b in itertools.combinations(PARAMETER_EXTREMES[parameter], 2)
+        f"{format_extreme(low)} / {format_extreme(high)}"
+        for low, high in itertools.combinations(PARAMETER_EXTREMES[parameter], 2)
     ]
 
 
@@ -151,8 +156,7 @@ STAGES: dict[str, Callable[[InterpretationRun], StatementValues]] = {
     "grains": compute_grain_trends,
     "free ranges": _make_sensitivity_stage(("saturation", "density"), ("r", "t")),
 }
-"""Runs in the order in which they tell most for their cost; each gives our values of some
-statements."""
+"""Runs in order of decreasing information per cost; each gives our values of some statements."""
 
 STATED_NUMBERS = {
     "distance": ("grain_distance",),
@@ -181,7 +185,7 @@ STATED_TRENDS: Mapping[str, Mapping[str, str]] = {
         "fig22_rounded_varies_most": "Fig 22",
     },
 }  # fmt: skip
-"""Trends by stage, and where the paper states them."""
+"""Trends by stage, with their place in the paper."""
 
 
 def get_stated_trends(stage: str) -> dict[str, PublishedStatement]:

@@ -1,4 +1,4 @@
-"""Trends that SPLITSnow states in words, as differences that can be held against their errors."""
+"""Qualitative trends in the SPLITSnow paper, as differences with standard errors."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import xarray as xr
 from splits.core.uncertainty import compute_band_error, make_band_weights
 
 UNRESOLVED_VERDICT = "not resolved at this accuracy"
-"""Verdict on a number whose error is too large for one."""
+"""Verdict on a number whose error is too large for a decision."""
 MIN_TREND_SIGMA = 3.0
-"""A trend counts as shown when its smallest step exceeds this many standard errors."""
+"""Significance (standard errors) that the smallest step of a trend must exceed."""
 
 
 def compute_band_mean(dataset: xr.Dataset, quantity: str, low: float, high: float) -> xr.DataArray:
-    """Return the mean of a quantity over a band (nm), NaN if a value there is."""
+    """Return the mean of a quantity over a band (nm), NaN if any of its values is."""
     inside = make_band_weights(dataset, low, high).values > 0.0
     return dataset[quantity].isel(wavelength=inside).mean("wavelength", skipna=False)
 
@@ -26,8 +26,8 @@ def compute_steps(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the steps of a band mean along a grid dimension and their standard errors.
 
-    The grid's points are taken as independent, which overstates the error where they share random
-    numbers.
+    Points of the grid are assumed independent, which overestimates the error where they share
+    random numbers.
     """
     means = compute_band_mean(dataset, quantity, low, high)
     mean = means.values
@@ -44,28 +44,27 @@ def make_snow_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
     Parameters
     ----------
     datasets : mapping
-        By role, see `splits.experiments.config.study_inputs.SNOW_INPUTS`.
+        By name, see `splits.experiments.config.study_inputs.SNOW_INPUTS`.
     """
-    wetness, through = datasets["saturation_transmittance"], "transmittance"
-    ends = wetness.isel(saturation=[0, -1])
+    saturations, quantity = datasets["saturation_transmittance"], "transmittance"
+    ends = saturations.isel(saturation=[0, -1])
     rows = [
         make_monotone_row(datasets["grain_size"], "reflectance", "grain_size_um", -1, (700, 1300),
-                 "reflectance falls with grain size, 700-1300 nm", "Fig 8"),
-        make_monotone_row(datasets["depth"], through, "depth_m", -1, (400, 700),
-                 "transmittance falls with depth, 400-700 nm", "Fig 11"),
-        make_monotone_row(datasets["grain_size_transmittance"], through, "grain_size_um", +1, (400, 700),
-                 "transmittance rises with grain size, 400-700 nm", "Fig 12"),
-        make_monotone_row(wetness, through, "saturation", +1, (400, 700),
-                 "transmittance rises with saturation, 400-700 nm", "Fig 13"),
-        make_monotone_row(wetness, through, "saturation", -1, (800, 1450),
-                 "transmittance falls with every step of saturation, mean over 800-1450 nm",
-                 "Fig 13"),
-        make_monotone_row(ends, through, "saturation", -1, (800, 1450),
-                 "transmittance falls from 0 to 30 % saturation, mean over 800-1450 nm", "Fig 13"),
-        make_monotone_row(wetness, through, "saturation", -1, (940, 1450),
-                 "transmittance falls with saturation, 940-1450 nm", "Fig 13"),
-        make_monotone_row(datasets["density_transmittance"], through, "density_kg_m3", -1, (400, 700),
-                 "transmittance falls with density, 400-700 nm", "Fig 14"),
+            "reflectance falls with grain size, 700-1300 nm", "Fig 8"),
+        make_monotone_row(datasets["depth"], quantity, "depth_m", -1, (400, 700),
+            "transmittance falls with depth, 400-700 nm", "Fig 11"),
+        make_monotone_row(datasets["grain_size_transmittance"], quantity, "grain_size_um", +1,
+            (400, 700), "transmittance rises with grain size, 400-700 nm", "Fig 12"),
+        make_monotone_row(saturations, quantity, "saturation", +1, (400, 700),
+            "transmittance rises with saturation, 400-700 nm", "Fig 13"),
+        make_monotone_row(saturations, quantity, "saturation", -1, (800, 1450),
+            "transmittance falls with every step of saturation, mean over 800-1450 nm", "Fig 13"),
+        make_monotone_row(ends, quantity, "saturation", -1, (800, 1450),
+            "transmittance falls from 0 to 30 % saturation, mean over 800-1450 nm", "Fig 13"),
+        make_monotone_row(saturations, quantity, "saturation", -1, (940, 1450),
+            "transmittance falls with saturation, 940-1450 nm", "Fig 13"),
+        make_monotone_row(datasets["density_transmittance"], quantity, "density_kg_m3", -1,
+            (400, 700), "transmittance falls with density, 400-700 nm", "Fig 14"),
     ]  # fmt: skip
     sizes = datasets["grain_size"]
     rows += [
@@ -78,20 +77,21 @@ def make_snow_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
 
 
 def make_ranking_rows(sensitivities: xr.Dataset) -> list[dict[str, object]]:
-    """Return one row per step of the ranking of reflectance's sensitivities (Table 2)."""
+    """Return one row per step of the ranking of sensitivities of reflectance (Table 2)."""
     reflectance = sensitivities.sel(quantity="reflectance")
-    steps_down = [
+    ranking = [
         ("grain_size", "facetness"),
         ("grain_size", "density"),
         ("saturation", "density"),
         ("facetness", "density"),
     ]
     rows = []
-    for more, less in steps_down:
-        a, b = (reflectance.sel(parameter=p) for p in (more, less))
+    for stronger, weaker in ranking:
+        a, b = (reflectance.sel(parameter=p) for p in (stronger, weaker))
         rows.append(
             make_significance_row(
-                f"MSI of reflectance: {more.replace('_', ' ')} above {less.replace('_', ' ')}",
+                f"MSI of reflectance: {stronger.replace('_', ' ')} above "
+                f"{weaker.replace('_', ' ')}",
                 "Table 2",
                 np.atleast_1d(float(a.msi - b.msi)),
                 np.atleast_1d(float(np.hypot(a.msi_stderr, b.msi_stderr))),
@@ -101,7 +101,7 @@ def make_ranking_rows(sensitivities: xr.Dataset) -> list[dict[str, object]]:
 
 
 REFLECTANCE_PEAKS_NM = {1800.0: (1500.0, 2000.0), 2250.0: (2000.0, 2500.0)}
-"""Wavelengths (nm) of reflectance features, each between two where ice absorbs more."""
+"""Wavelengths (nm) of reflectance maxima, and of the absorption bands on both sides."""
 
 
 def _make_row(
@@ -121,10 +121,10 @@ def _make_row(
 def make_significance_row(
     quantity: str, place: str, value: np.ndarray, error: np.ndarray
 ) -> dict[str, object]:
-    """Return the row of the least significant of several values that should be positive.
+    """Return the row of the least significant of several values expected to be positive.
 
-    Columns id, quantity, place, ours, stderr, bar, verdict; shown when the value exceeds
-    `MIN_TREND_SIGMA` standard errors.
+    Columns are id, quantity, place, ours, stderr, bar, verdict.  The trend agrees if the value
+    exceeds `MIN_TREND_SIGMA` standard errors.
     """
     value, error = np.ravel(value), np.ravel(error)
     worst = int(np.argmin(value / error))
@@ -147,18 +147,19 @@ def make_monotone_row(
 
 
 def _make_facetness_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
-    """Return the rise of reflectance over the whole range of facetness, and its smallest step.
+    """Return the rows on the rise of reflectance with facetness: whole range and smallest step.
 
-    The rise flattens: neighbouring facetnesses may lie within each other's errors, and the second
-    row only asks that none falls beyond them.
+    The rise flattens, so that neighbouring values may agree within their errors; the second row
+    only requires that no step is significantly negative.
     """
     step, error = compute_steps(dataset, "reflectance", "facetness", 700, 1300)
     ends = dataset.isel(facetness=[0, -1])
     rise, rise_error = compute_steps(ends, "reflectance", "facetness", 700, 1300)
     worst = int(np.argmin(step / error))
     return [
-        make_significance_row("reflectance rises from least to most facetness, 700-1300 nm", "Fig 9", rise,
-                rise_error),
+        make_significance_row(
+            "reflectance rises from least to most facetness, 700-1300 nm", "Fig 9", rise, rise_error
+        ),
         _make_row(
             "reflectance never falls with facetness, 700-1300 nm: smallest step",
             "Fig 9",
@@ -167,27 +168,27 @@ def _make_facetness_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
             bool(step[worst] > -MIN_TREND_SIGMA * error[worst]),
             f"above -{MIN_TREND_SIGMA:g} standard errors",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _make_band_comparison_row(dataset: xr.Dataset) -> dict[str, object]:
-    """Compare the fall from least to largest grain size in 700-1300 nm with that in 400-700 nm."""
+    """Return the comparison of the decrease with grain size in 700-1300 nm and in 400-700 nm."""
     ends = dataset.isel(grain_size_um=[0, -1])
-    near, near_error = compute_steps(ends, "reflectance", "grain_size_um", 700, 1300)
+    infrared, infrared_error = compute_steps(ends, "reflectance", "grain_size_um", 700, 1300)
     visible, visible_error = compute_steps(ends, "reflectance", "grain_size_um", 400, 700)
     return make_significance_row(
         "reflectance falls more with grain size in 700-1300 nm than in 400-700 nm",
         "Fig 8",
-        visible - near,
-        np.hypot(near_error, visible_error),
+        visible - infrared,
+        np.hypot(infrared_error, visible_error),
     )
 
 
 def _make_peak_row(
     dataset: xr.Dataset, peak: float, left: float, right: float
 ) -> dict[str, object]:
-    at = dataset.sel(wavelength=[left, peak, right])
-    r, e = at.reflectance.values, at.reflectance_stderr.values
+    part = dataset.sel(wavelength=[left, peak, right])
+    r, e = part.reflectance.values, part.reflectance_stderr.values
     height = np.minimum(r[..., 1] - r[..., 0], r[..., 1] - r[..., 2])
     return make_significance_row(
         f"reflectance peaks at {peak:g} nm between {left:g} and {right:g} nm: smallest height",
@@ -198,7 +199,7 @@ def _make_peak_row(
 
 
 def _make_depth_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
-    """Return the ratio of transmittance at twice the depth, and how it drops where ice absorbs."""
+    """Return the rows on transmittance at twice the depth, in the visible and at 1030 nm."""
     t = compute_band_mean(dataset, "transmittance", 400, 700).values
     e = compute_band_error(dataset, "transmittance", 400, 700).values
     rows = []
@@ -218,8 +219,8 @@ def _make_depth_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
                 "0.35 to 0.65",
             )
         )
-    at = dataset.isel(depth_m=[0, 1]).sel(wavelength=1030)
-    (shallow, deep), (e0, e1) = at.transmittance.values, at.transmittance_stderr.values
+    infrared = dataset.isel(depth_m=[0, 1]).sel(wavelength=1030)
+    (shallow, deep), (e0, e1) = infrared.transmittance.values, infrared.transmittance_stderr.values
     drop = deep / shallow
     visible = t[1] / t[0]
     error = np.hypot(e1, drop * e0) / shallow

@@ -1,1 +1,1 @@
-"""A page to play with: tables in one file of HTML, read between nodes as Python reads them."""
+"""Interactive explorer: tables in one HTML file, interpolated as in Python."""

@@ -9,7 +9,7 @@ for (const table of tables) {
   if (table.directions) table.directions.value = numbers(table.directions.value);
 }
 
-// --- between nodes: as splits.tables.interpolation has it ---------------------------------------
+// --- interpolation, as in splits.tables.interpolation -------------------------------------------
 
 const laws = {
   cosine: [(x) => -Math.cos(x * Math.PI / 180), (y) => Math.acos(Math.min(1, Math.max(-1, -y))) * 180 / Math.PI],
@@ -17,83 +17,83 @@ const laws = {
   root: [Math.sqrt, (y) => y * y],
   itself: [(x) => x, (y) => y],
 };
-const MOST = 4;
+const STENCIL_SIZE = 4;
 
-function nearest(at, x, most) {
-  most = Math.min(most, at.length);
+function nearest(at, x, count) {
+  count = Math.min(count, at.length);
   let right = at.findIndex((one) => one >= x);
   if (right < 0) right = at.length;
-  const first = Math.min(Math.max(right - Math.floor(most / 2), 0), at.length - most);
-  return Array.from({ length: most }, (_, i) => first + i);
+  const first = Math.min(Math.max(right - Math.floor(count / 2), 0), at.length - count);
+  return Array.from({ length: count }, (_, i) => first + i);
 }
 
 function lagrange(at, x) {
-  return at.map((one, i) => at.reduce((share, other, j) => (i === j ? share : share * (x - other) / (one - other)), 1));
+  return at.map((one, i) => at.reduce((weight, other, j) => (i === j ? weight : weight * (x - other) / (one - other)), 1));
 }
 
 function weightsAt(axis, value) {
   const law = laws[axis.law][0];
   const at = axis.nodes.map(law), x = law(value);
-  const drawn = nearest(at, x, MOST);
-  const share = lagrange(drawn.map((i) => at[i]), x);
-  const beyond = drawn.reduce((product, i) => product * (x - at[i]), 1);
-  const others = [];
-  if (beyond !== 0 && at.length === 2) {
-    others.push([-share[0] * share[1], share[0] * share[1]]);
-  } else if (beyond !== 0) {
-    const ordered = [...drawn].sort((i, j) => Math.abs(at[i] - x) - Math.abs(at[j] - x) || i - j);
-    if (at.length <= MOST) {
+  const stencil = nearest(at, x, STENCIL_SIZE);
+  const weights = lagrange(stencil.map((i) => at[i]), x);
+  const nodeProduct = stencil.reduce((product, i) => product * (x - at[i]), 1);
+  const errorWeights = [];
+  if (nodeProduct !== 0 && at.length === 2) {
+    errorWeights.push([-weights[0] * weights[1], weights[0] * weights[1]]);
+  } else if (nodeProduct !== 0) {
+    const ordered = [...stencil].sort((i, j) => Math.abs(at[i] - x) - Math.abs(at[j] - x) || i - j);
+    if (at.length <= STENCIL_SIZE) {
       const row = at.map(() => 0), few = ordered.slice(0, -1), found = lagrange(few.map((i) => at[i]), x);
-      drawn.forEach((i, k) => { row[i] += share[k]; });
+      stencil.forEach((i, k) => { row[i] += weights[k]; });
       few.forEach((i, k) => { row[i] -= found[k]; });
-      others.push(row);
-      return { drawn, share, others };
+      errorWeights.push(row);
+      return { stencil, weights, errorWeights };
     }
     for (const node of ordered.slice(0, 2)) {
       const rest = at.map((_, i) => i).filter((i) => i !== node);
-      const few = nearest(rest.map((i) => at[i]), at[node], MOST).map((i) => rest[i]);
-      const scale = Math.abs(beyond / few.reduce((product, i) => product * (at[node] - at[i]), 1));
+      const few = nearest(rest.map((i) => at[i]), at[node], STENCIL_SIZE).map((i) => rest[i]);
+      const scale = Math.abs(nodeProduct / few.reduce((product, i) => product * (at[node] - at[i]), 1));
       const row = at.map(() => 0), found = lagrange(few.map((i) => at[i]), at[node]);
       row[node] += scale;
       few.forEach((i, k) => { row[i] -= scale * found[k]; });
-      others.push(row);
+      errorWeights.push(row);
     }
   }
-  return { drawn, share, others };
+  return { stencil, weights, errorWeights };
 }
 
-// What is read at a place of the first axis: values, errors of cells, and of interpolation.
+// Interpolate along the first axis: values, standard errors of nodes, and interpolation errors.
 function along(read, axis, value) {
   const w = weightsAt(axis, value), size = read.value.length / axis.nodes.length;
-  const out = { value: new Float64Array(size), stderr: new Float64Array(size), missed: new Float64Array(size) };
+  const out = { value: new Float64Array(size), stderr: new Float64Array(size), interpolationError: new Float64Array(size) };
   for (let i = 0; i < size; i++) {
-    let v = 0, alike = 0, apart = 0, before = 0, here = 0;
-    w.drawn.forEach((node, k) => {
-      const j = node * size + i, share = w.share[k];
-      v += share * read.value[j];
-      alike += share * read.stderr[j];
-      apart += (share * read.stderr[j]) ** 2;
-      before += Math.abs(share) * read.missed[j];
+    let v = 0, correlated = 0, variance = 0, previous = 0, added = 0;
+    w.stencil.forEach((node, k) => {
+      const j = node * size + i, weight = w.weights[k];
+      v += weight * read.value[j];
+      correlated += weight * read.stderr[j];
+      variance += (weight * read.stderr[j]) ** 2;
+      previous += Math.abs(weight) * read.interpolationError[j];
     });
-    for (const row of w.others) {
-      let off = 0;
-      for (let node = 0; node < row.length; node++) off += row[node] * read.value[node * size + i];
-      here = Math.max(here, Math.abs(off));
+    for (const row of w.errorWeights) {
+      let deviation = 0;
+      for (let node = 0; node < row.length; node++) deviation += row[node] * read.value[node * size + i];
+      added = Math.max(added, Math.abs(deviation));
     }
     out.value[i] = v;
-    out.stderr[i] = Math.max(Math.abs(alike), Math.sqrt(apart));
-    out.missed[i] = Math.hypot(before, here);
+    out.stderr[i] = Math.max(Math.abs(correlated), Math.sqrt(variance));
+    out.interpolationError[i] = Math.hypot(previous, added);
   }
   return out;
 }
 
 function interp(table, at) {
-  let read = { value: table.value, stderr: table.stderr, missed: new Float64Array(table.value.length) };
+  let read = { value: table.value, stderr: table.stderr, interpolationError: new Float64Array(table.value.length) };
   table.axes.forEach((axis, k) => { read = along(read, axis, at[k]); });
-  return { value: read.value, error: read.stderr.map((s, i) => Math.hypot(s, read.missed[i])) };
+  return { value: read.value, error: read.stderr.map((s, i) => Math.hypot(s, read.interpolationError[i])) };
 }
 
-// --- what is shown ------------------------------------------------------------------------------
+// --- display ------------------------------------------------------------------------------------
 
 const digits = (x) => Number(x.toPrecision(4)).toString();
 let chosen = 0, cursor = null;
@@ -109,13 +109,13 @@ function colourOf(table, value) {
   });
 }
 
-// --- where the light goes -----------------------------------------------------------------------
+// --- directions ---------------------------------------------------------------------------------
 
-// Two nodes and their shares of a logarithm, linear in a law; beyond the ends, the end.
+// Two nodes and their weights, linear in a transform; values outside the range use its end.
 function between(nodes, law, value) {
   const at = nodes.map(law), x = Math.min(Math.max(law(value), at[0]), at[at.length - 1]);
-  const right = Math.max(1, at.findIndex((one) => one >= x)), share = (x - at[right - 1]) / (at[right] - at[right - 1]);
-  return [[right - 1, 1 - share], [right, share]];
+  const right = Math.max(1, at.findIndex((one) => one >= x)), weight = (x - at[right - 1]) / (at[right] - at[right - 1]);
+  return [[right - 1, 1 - weight], [right, weight]];
 }
 
 function amountOf(table, name) {
@@ -123,7 +123,7 @@ function amountOf(table, name) {
   return k < 0 ? null : table.at[k];
 }
 
-// Reflectance factors over polar angle and azimuth, for the grains and the light that are chosen.
+// Reflectance factors over polar angle and azimuth for the selected grains and incidence.
 function factors(table, nm) {
   const d = table.directions, rows = d.polar.length, columns = d.azimuth.length, size = rows * columns;
   const near = d.wavelength.reduce((best, one, i) => (Math.abs(one - nm) < Math.abs(d.wavelength[best] - nm) ? i : best), 0);
@@ -140,8 +140,8 @@ function factors(table, nm) {
 
 const SHADES = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
-function shade(share) {
-  const x = Math.min(Math.max(share, 0), 1) * (SHADES.length - 1), i = Math.min(Math.floor(x), SHADES.length - 2);
+function shade(fraction) {
+  const x = Math.min(Math.max(fraction, 0), 1) * (SHADES.length - 1), i = Math.min(Math.floor(x), SHADES.length - 2);
   return SHADES[i].map((c, k) => c + (x - i) * (SHADES[i + 1][k] - c));
 }
 
@@ -156,7 +156,7 @@ function hemisphere(table, nm) {
     for (let u = 0; u < canvas.width; u++) {
       const x = (u + 0.5 - half) / radius, y = (v + 0.5 - half) / radius, r = Math.hypot(x, y);
       if (r > 1) continue;
-      // Equal steps outwards are equal steps of the polar angle; right is forwards, azimuth 0.
+      // The radius is proportional to the polar angle; azimuth 0 (forward) is to the right.
       const p = Math.min(r * 90, last) / last * (rows - 1), a = Math.abs(Math.atan2(y, x)) / Math.PI * (columns - 1);
       const i = Math.min(Math.floor(p), rows - 2), j = Math.min(Math.floor(a), columns - 2), s = p - i, t = a - j;
       const at = (m, n) => value[m * columns + n];
@@ -168,10 +168,10 @@ function hemisphere(table, nm) {
   paper.putImageData(image, 0, 0);
   const size = amountOf(table, "optical_radius_um"), beam = amountOf(table, "incidence_deg");
   const ends = [d.optical_radius_um, d.incidence_deg], outside = [size, beam].some((x, k) => x < ends[k][0] || x > ends[k][ends[k].length - 1]);
-  const text = `Where the light goes at ${found.nm} nm: π·BRDF from ${low.toFixed(2)} (dark) to ${high.toFixed(2)} (bright). ` +
-    `The rim is the horizon; light comes from the left. Clean, dry grains. One error is ${Math.round(100 * d.typical)} % of it typically, ${Math.round(100 * d.error)} % at most` +
-    (outside ? `; as for the nearest of ${ends[0][0]} to ${ends[0][ends[0].length - 1]} µm and ${ends[1][0]} to ${ends[1][ends[1].length - 1]}°.` : ".");
-  show("whither").textContent = text;
+  const text = `Reflected light at ${found.nm} nm: π·BRDF from ${low.toFixed(2)} (dark) to ${high.toFixed(2)} (bright). ` +
+    `The rim is the horizon; light comes from the left. Clean, dry grains. Standard error: ${Math.round(100 * d.typical)} % typically, ${Math.round(100 * d.error)} % at most` +
+    (outside ? `; shown for the nearest of ${ends[0][0]} to ${ends[0][ends[0].length - 1]} µm and ${ends[1][0]} to ${ends[1][ends[1].length - 1]}°.` : ".");
+  show("direction-note").textContent = text;
   canvas.setAttribute("aria-label", text);
   canvas.dataset.factors = Array.from(value, (x) => x.toFixed(5)).join(" ");
 }
@@ -198,7 +198,7 @@ function draw() {
   const place = cursor === null ? Math.floor(w.length / 4) : cursor;
   const mark = `<path class="cursor" d="M${x(w[place])} ${top}V${bottom}"/>`;
   show("chart").innerHTML = `${marks}<path class="band" d="${path([...upper, ...lower])}Z"/><path class="model" d="${path(line)}"/>${mark}`;
-  show("reading").textContent = `Reflectance at ${w[place]} nm: ${found.value[place].toFixed(4)} ± ${found.error[place].toFixed(4)}`;
+  show("readout").textContent = `Reflectance at ${w[place]} nm: ${found.value[place].toFixed(4)} ± ${found.error[place].toFixed(4)}`;
   const rgb = colourOf(table, found.value), hex = "#" + rgb.map((c) => c.toString(16).padStart(2, "0")).join("");
   hemisphere(table, w[place]);
   show("swatch").style.background = hex;
@@ -222,27 +222,27 @@ function sliders() {
     const [there, back] = laws[axis.law], box = document.createElement("div");
     const low = there(axis.nodes[0]), high = there(axis.nodes[axis.nodes.length - 1]), id = `axis${k}`;
     box.className = "slider";
-    const words = document.createElement("span"), told = document.createElement("output");
+    const words = document.createElement("span"), output = document.createElement("output");
     const label = document.createElement("label"), input = document.createElement("input");
     words.textContent = axis.label;
-    for (const one of [label, told]) one.setAttribute("for", id);
+    for (const one of [label, output]) one.setAttribute("for", id);
     for (const [key, value] of Object.entries({ type: "range", id, min: 0, max: 1000, step: 1 })) input.setAttribute(key, value);
-    label.append(words, told);
+    label.append(words, output);
     box.append(label, input);
     input.value = Math.round(1000 * (there(table.at[k]) - low) / (high - low));
-    const tell = () => {
-      told.textContent = `${digits(table.at[k])} ${axis.unit}`.trim();
-      input.setAttribute("aria-valuetext", told.textContent);
+    const update = () => {
+      output.textContent = `${digits(table.at[k])} ${axis.unit}`.trim();
+      input.setAttribute("aria-valuetext", output.textContent);
     };
     input.addEventListener("input", () => {
-      const share = input.value / 1000;
-      // The ends are nodes, to the last digit; in between three digits are enough, and can be written down.
-      const value = share === 0 ? axis.nodes[0] : share === 1 ? axis.nodes[axis.nodes.length - 1] : Number(back(low + share * (high - low)).toPrecision(3));
+      const fraction = input.value / 1000;
+      // The ends are exact nodes; values in between are rounded to three digits.
+      const value = fraction === 0 ? axis.nodes[0] : fraction === 1 ? axis.nodes[axis.nodes.length - 1] : Number(back(low + fraction * (high - low)).toPrecision(3));
       table.at[k] = Math.min(Math.max(value, axis.nodes[0]), axis.nodes[axis.nodes.length - 1]);
-      tell();
+      update();
       draw();
     });
-    tell();
+    update();
     show("sliders").append(box);
   });
 }
@@ -266,8 +266,8 @@ function start() {
 
 function point(event) {
   const box = show("chart").getBoundingClientRect(), table = tables[chosen];
-  const share = ((event.clientX - box.left) / box.width * 640 - 48) / 568;
-  cursor = Math.round(Math.min(Math.max(share, 0), 1) * (table.wavelength.length - 1));
+  const fraction = ((event.clientX - box.left) / box.width * 640 - 48) / 568;
+  cursor = Math.round(Math.min(Math.max(fraction, 0), 1) * (table.wavelength.length - 1));
   draw();
 }
 
@@ -277,8 +277,8 @@ show("chart").addEventListener("keydown", (event) => {
   const step = { ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10 }[event.key];
   if (!step) return;
   event.preventDefault();
-  const most = tables[chosen].wavelength.length - 1;
-  cursor = Math.min(Math.max((cursor === null ? Math.floor((most + 1) / 4) : cursor) + step, 0), most);
+  const last = tables[chosen].wavelength.length - 1;
+  cursor = Math.min(Math.max((cursor === null ? Math.floor((last + 1) / 4) : cursor) + step, 0), last);
   draw();
 });
 show("csv").addEventListener("click", () => {
@@ -292,7 +292,7 @@ show("csv").addEventListener("click", () => {
   URL.revokeObjectURL(link.href);
 });
 show("copy").addEventListener("click", () => navigator.clipboard.writeText(show("python").textContent));
-// What the address says after #: the table's number and a value for each axis.
+// State in the address after #: the number of the table and a value for each axis.
 function fromAddress() {
   const [number, ...at] = location.hash.slice(1).split("/").map(Number);
   const table = tables[number];

@@ -1,4 +1,4 @@
-"""The explorer: tables of spectra in one file of HTML that needs no server and no network."""
+"""Writer of the explorer: tables of spectra in one HTML file without server or network access."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _ASSET_FOLDER = Path(__file__).parent
 
 
 class ExplorerTable(NamedTuple):
-    """A table that the page shows.
+    """A table of the page.
 
     Attributes
     ----------
-    table : MethodTable
-        Of reflectance, over axes of numbers.
+    table : Table
+        Table of reflectance over numeric axes.
     file_name : str
-        Its name, for the line of Python that the page shows.
+        File of the table, for the line of Python on the page.
     description : str
-        What it holds, in a sentence.
+        Description of the table, one sentence.
     directions : xarray.Dataset, optional
         Reflectance factors over ``optical_radius_um``, ``incidence_deg``, wavelength, polar angle
-        and azimuth: where the light goes; attribute ``relative_stderr_reached``.
+        and azimuth, with the attribute ``relative_stderr_reached``.
     """
 
     table: Table
@@ -44,21 +44,21 @@ class ExplorerTable(NamedTuple):
 
 
 def write_explorer(tables: Mapping[str, ExplorerTable], path: str | Path) -> None:
-    """Write the explorer of some tables.
+    """Write the explorer of several tables.
 
     Parameters
     ----------
     tables : mapping
-        From what the page calls them to the tables.
+        Tables by their label on the page.
     path : path
-        The file appears whole or not at all.
+        The file is written atomically.
 
     Raises
     ------
     ValueError
-        For an axis of texts, or tables too large for a page.
+        For an axis of texts, or tables that exceed the size limit of the page.
     """
-    data = [_serialize_table(label, one) for label, one in tables.items()]
+    data = [_serialize_table(label, entry) for label, entry in tables.items()]
     page = (_ASSET_FOLDER / "page.html").read_text(encoding="utf-8")
     parts = {
         "{{STYLE}}": (_ASSET_FOLDER / "page.css").read_text(encoding="utf-8"),
@@ -71,12 +71,12 @@ def write_explorer(tables: Mapping[str, ExplorerTable], path: str | Path) -> Non
     if len(content) > MAX_PAGE_BYTES:
         allowed = f"small enough for a page of {MAX_PAGE_BYTES} bytes"
         raise invalid("explorer", f"{len(content)} bytes", allowed, "fewer nodes or wavelengths")
-    with atomic_write(path) as aside:
-        aside.write_bytes(content)
+    with atomic_write(path) as temporary_path:
+        temporary_path.write_bytes(content)
 
 
 def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
-    """Return what the page holds of a table."""
+    """Return the data of a table for the page."""
     dataset = entry.table.dataset
     names = entry.table.axes[:-1]
     axes = []
@@ -84,29 +84,31 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
         nodes = dataset[name].values
         if nodes.dtype.kind != "f" or nodes.size < 2:
             raise invalid("explorer", name, "an axis of at least two numbers")
-        kind, at = transform_axis(name, nodes)
-        middle = float(nodes[np.abs(at - 0.5 * (at[0] + at[-1])).argmin()])
-        about = dataset[name].attrs
+        transform, transformed = transform_axis(name, nodes)
+        middle = float(
+            nodes[np.abs(transformed - 0.5 * (transformed[0] + transformed[-1])).argmin()]
+        )
+        attributes = dataset[name].attrs
         axes.append(
             {
                 "name": name,
-                "label": _make_axis_label(name, str(about.get("long_name", name))),
+                "label": _make_axis_label(name, str(attributes.get("long_name", name))),
                 "unit": _UNIT_SYMBOLS.get(
-                    str(about.get("units", "1")), str(about.get("units", ""))
+                    str(attributes.get("units", "1")), str(attributes.get("units", ""))
                 ),
                 "nodes": nodes.tolist(),
-                "law": kind,
+                "law": transform,
                 "start": middle,
             }
         )
-        assert np.array_equal(apply_axis_transform(kind, nodes), at)
+        assert np.array_equal(apply_axis_transform(transform, nodes), transformed)
     wavelength = dataset.wavelength.values
     return {
         "label": label,
         "file": entry.file_name,
         "about": entry.description,
-        "note": "The band is two standard errors wide on either side; it holds the noise of the "
-        "simulation and what reading between the nodes of the table may miss.",
+        "note": "The band is two standard errors wide on either side; it includes the noise of the "
+        "simulation and the error of interpolation between the nodes of the table.",
         "axes": axes,
         "wavelength": wavelength.tolist(),
         "value": _encode_float32(dataset.reflectance.values),
@@ -120,18 +122,18 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
 
 MAX_POLAR_DEG = 80.0
 POLAR_STEP_DEG = 5.0
-"""Polar angle up to which the page shows directions, and the step of that and half that around."""
+"""Largest polar angle of directions on the page, and its step (degrees)."""
 _DIRECTION_DIMS = ("optical_radius_um", "incidence_deg", "wavelength", "polar", "azimuth")
 
 
 def _serialize_directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str, Any]:
-    """Return what the page holds of where light goes: every 5° from above, every 10° around."""
-    found = [str(dim) for dim in dataset.reflectance_factor.dims]
-    if set(found) != {*_DIRECTION_DIMS}:
-        raise invalid("explorer", found, f"reflectance factors over {', '.join(_DIRECTION_DIMS)}")
+    """Return the directions of a table for the page: every 5° in polar angle, 10° in azimuth."""
+    dims = [str(dim) for dim in dataset.reflectance_factor.dims]
+    if set(dims) != {*_DIRECTION_DIMS}:
+        raise invalid("explorer", dims, f"reflectance factors over {', '.join(_DIRECTION_DIMS)}")
     for name in _DIRECTION_DIMS[:2]:
         if name not in axes:
-            raise invalid("explorer", list(axes), f"a table with {name}, as its directions have")
+            raise invalid("explorer", list(axes), f"a table with {name}, an axis of directions")
         if dataset.sizes[name] < 2:
             raise invalid("explorer", f"{dataset.sizes[name]} {name}", "at least two of directions")
     polar, azimuth = (
@@ -143,44 +145,53 @@ def _serialize_directions(dataset: xr.Dataset, axes: Sequence[str]) -> dict[str,
             f"every {POLAR_STEP_DEG:g}° to {MAX_POLAR_DEG:g}°, and every 10° of azimuth to 180°"
         )
         raise invalid("explorer", "angles of directions", allowed)
-    some = dataset.reflectance_factor.transpose(*_DIRECTION_DIMS).sel(polar=polar, azimuth=azimuth)
-    if not (some > 0.0).all():
-        raise invalid("explorer", f"{float(some.min()):g}", "above 0 in all directions")
-    nodes = {name: some[name].values.astype(float) for name in _DIRECTION_DIMS}
+    factor = dataset.reflectance_factor.transpose(*_DIRECTION_DIMS).sel(
+        polar=polar, azimuth=azimuth
+    )
+    if not (factor > 0.0).all():
+        raise invalid("explorer", f"{float(factor.min()):g}", "above 0 in all directions")
+    nodes = {name: factor[name].values.astype(float) for name in _DIRECTION_DIMS}
     stderr = dataset.reflectance_factor_stderr.transpose(*_DIRECTION_DIMS).sel(
         polar=polar, azimuth=azimuth
     )
-    missed = np.concatenate(
+    interpolation_error = np.concatenate(
         [
             _estimate_interpolation_error(
-                some.values, axis, apply_axis_transform(kind, nodes[name])
+                factor.values, axis, apply_axis_transform(transform, nodes[name])
             ).ravel()
-            for axis, (name, kind) in enumerate(
+            for axis, (name, transform) in enumerate(
                 zip(_DIRECTION_DIMS, ("logarithm", "cosine"), strict=False)
             )
         ]
     )
-    largest = np.hypot(dataset.attrs["relative_stderr_reached"], missed.max(initial=0.0))
-    square = float(((stderr / some) ** 2).mean())
-    typical = np.sqrt(square + (float((missed**2).mean()) if missed.size else 0.0))
-    listed = {name: values.tolist() for name, values in nodes.items()}
-    return listed | {
-        "value": _encode_float32(some.values), "error": float(largest), "typical": float(typical),
+    largest = np.hypot(
+        dataset.attrs["relative_stderr_reached"], interpolation_error.max(initial=0.0)
+    )
+    noise_variance = float(((stderr / factor) ** 2).mean())
+    typical = np.sqrt(
+        noise_variance
+        + (float((interpolation_error**2).mean()) if interpolation_error.size else 0.0)
+    )
+    axis_values = {name: values.tolist() for name, values in nodes.items()}
+    return axis_values | {
+        "value": _encode_float32(factor.values), "error": float(largest), "typical": float(typical),
     }  # fmt: skip
 
 
 def _estimate_interpolation_error(values: np.ndarray, axis: int, nodes: np.ndarray) -> np.ndarray:
-    """Return what reading between two nodes of an axis misses, relative, near each inner node.
+    """Return the relative interpolation error of an axis near each inner node.
 
-    Logarithms are read, linear between nodes.  A quarter of what a node is off that is left out,
-    for half the distance.
+    Logarithms are interpolated linearly.  The error is a quarter of that at a node that is left
+    out, since the distance between nodes is halved.
     """
     rows = np.moveaxis(np.log(values), axis, 0)
-    share = ((nodes[1:-1] - nodes[:-2]) / (nodes[2:] - nodes[:-2])).reshape(
+    fraction = ((nodes[1:-1] - nodes[:-2]) / (nodes[2:] - nodes[:-2])).reshape(
         -1, *[1] * (rows.ndim - 1)
     )
-    found: np.ndarray = 0.25 * np.abs((1.0 - share) * rows[:-2] + share * rows[2:] - rows[1:-1])
-    return found
+    error: np.ndarray = 0.25 * np.abs(
+        (1.0 - fraction) * rows[:-2] + fraction * rows[2:] - rows[1:-1]
+    )
+    return error
 
 
 _UNIT_SYMBOLS = {
@@ -190,8 +201,8 @@ _UNIT_SYMBOLS = {
 
 def _make_axis_label(name: str, long_name: str) -> str:
     """Return a short name of an axis."""
-    amount = parse_impurity_parameter(name)
-    return amount[1].replace("_", " ") if amount else _AXIS_LABELS.get(name, long_name)
+    impurity = parse_impurity_parameter(name)
+    return impurity[1].replace("_", " ") if impurity else _AXIS_LABELS.get(name, long_name)
 
 
 _AXIS_LABELS = {
@@ -206,17 +217,17 @@ _AXIS_LABELS = {
 
 
 def _encode_float32(values: np.ndarray) -> str:
-    """Return numbers in single precision as text."""
+    """Return numbers in single precision, encoded as text."""
     return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
 
 
 def compute_colour_weights(wavelength: np.ndarray) -> np.ndarray:
-    """Return what X, Y, Z take from each wavelength, shape (3, wavelengths).
+    """Return the weights of wavelengths in X, Y, Z, shape (3, wavelengths).
 
-    Spectra are linear between the wavelengths, and level beyond the last.
+    Spectra are linear between the wavelengths, and constant outside them.
     """
     from splits.analysis.colour import compute_tristimulus
 
     fine = np.arange(400.0, 781.0, 5.0)
-    hats = np.stack([np.interp(fine, wavelength, unit) for unit in np.eye(wavelength.size)])
-    return np.stack([compute_tristimulus(fine, hat) for hat in hats], axis=1)
+    basis = np.stack([np.interp(fine, wavelength, unit) for unit in np.eye(wavelength.size)])
+    return np.stack([compute_tristimulus(fine, function) for function in basis], axis=1)

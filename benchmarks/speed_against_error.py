@@ -49,7 +49,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from method_table import Table
+from method_table import MethodTable
 from theories import THEORIES
 
 import splits
@@ -75,7 +75,7 @@ MEDIA = {
 SEED = 3
 REFERENCE_SEED = 101
 UNLIMITED_RAYS = 2**62
-PHYSICS_FOLDERS = ("materials", "media", "transport", "instruments")
+PHYSICS_FOLDERS = ("materials", "media", "kernels", "simulation", "instruments")
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,9 @@ def simulate_one_by_one(
     return spectrum, np.array([seconds for _, seconds in runs]), rays
 
 
-def time_papers(table: Table, medium: splits.Snow, plan: SpeedPlan, include_smallest: bool) -> None:
+def time_papers(
+    table: MethodTable, medium: splits.Snow, plan: SpeedPlan, include_smallest: bool
+) -> None:
     """Add the papers' algorithm, run to the largest error, and to the smallest if `fully`."""
     scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
     first = plan.errors[0]
@@ -221,7 +223,7 @@ def time_papers(table: Table, medium: splits.Snow, plan: SpeedPlan, include_smal
 
 
 def add_papers(
-    table: Table,
+    table: MethodTable,
     error: float,
     spectrum: xr.Dataset,
     seconds: np.ndarray,
@@ -253,7 +255,7 @@ def compute_largest_stderr(spectrum: xr.Dataset) -> np.ndarray:
     return np.max([spectrum[f"{name}_stderr"].values for name in performance.QUANTITIES], axis=0)
 
 
-def time_weights(table: Table, medium: splits.Snow, plan: SpeedPlan) -> None:
+def time_weights(table: MethodTable, medium: splits.Snow, plan: SpeedPlan) -> None:
     """Add weights wavelength by wavelength, together, and together on lanes."""
     scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
     for error in plan.errors:
@@ -287,7 +289,7 @@ def time_weights(table: Table, medium: splits.Snow, plan: SpeedPlan) -> None:
             table.add(kernel, MEASURED, spent, rays, error, spectra)
 
 
-def time_theories(table: Table, medium: splits.Snow, plan: SpeedPlan) -> None:
+def time_theories(table: MethodTable, medium: splits.Snow, plan: SpeedPlan) -> None:
     """Add both theories; their time contains the walks through single grains."""
     for method, theory in THEORIES.items():
         try:
@@ -304,7 +306,7 @@ def measure_all(plan: SpeedPlan, media: Sequence[str], folder: Path) -> pd.DataF
     rows = []
     for name in media:
         medium = MEDIA[name]
-        table = Table(name, load_or_compute_reference(name, medium, plan, folder))
+        table = MethodTable(name, load_or_compute_reference(name, medium, plan, folder))
         warm_up(medium, plan)
         time_weights(table, medium, plan)
         time_papers(table, medium, plan, include_smallest=name == next(iter(MEDIA)))

@@ -122,7 +122,7 @@ def sample_facet(state, d, normal, facetness, rule):
 
 @njit
 def sample_facet_by_lane(words, d, normal, sigma, rule):
-    """Return the facet that a ray strikes on a surface, drawn as the lanes' `sample_interaction` does."""
+    """Return the facet that a ray strikes, drawn as the lanes' `sample_interaction` does."""
     smooth = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), single(1.0))
     while True:
         numbers = draw_interaction_variates(words, 0, True, True)

@@ -52,7 +52,7 @@ def make_coated_grains(thickness, materials, facetness=0.0):
 
 def make_scene(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0.0):
     """Return a slab of grains under a beam, or diffuse light, and how the papers are read."""
-    rules = splits.Interpretation().rules() if rules is None else rules
+    rules = splits.Interpretation().to_sampling_rules() if rules is None else rules
     layers = Layers(
         np.array([0.0, -depth]), np.array([grains.attenuation]), np.array([float(saturation)]),
         grains.type_cdf[np.newaxis], np.array([0]), np.array([0]), np.empty((1, 0)),

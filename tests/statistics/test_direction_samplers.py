@@ -158,7 +158,7 @@ def test_lobe_in_single_precision():
 
 
 MEDIA = relative_index(ComplexIndex(1.0, 0.0), ComplexIndex(1.31, 0.0))
-RULES = splits.Interpretation().rules()
+RULES = splits.Interpretation().to_sampling_rules()
 
 
 @njit

@@ -46,7 +46,8 @@ def compare_methods(
     print(
         f"{100 * depth_m:g} cm, {wavelength_nm:g} nm: {value:.4g} ± {100 * error / value:.1f} % in "
         f"{spent:.0f} s, rate {float(deep.attenuation_rate[0]):.1f} per m, heaviest family "
-        f"{100 * float(deep.largest_history_fraction[0]):.1f} % (stopped by {deep.attrs['stop_reason']})",
+        f"{100 * float(deep.largest_history_fraction[0]):.1f} % "
+        f"(stopped by {deep.attrs['stop_reason']})",
         flush=True,
     )
     begun = time.perf_counter()

@@ -198,8 +198,10 @@ def compute_likelihood_ratio(medium: Any, rays: int) -> tuple[np.ndarray, np.nda
     begun = time.process_time()
     index, absorption = compute_optical_constants(medium, np.array(WAVELENGTHS_NM))
     runner = Runner(medium, INCIDENCE_DEG, 1, None, False)
-    one = ScoreTally(0, index[len(WAVELENGTHS_NM) // 2], absorption, np.ones(len(WAVELENGTHS_NM), bool), runner.tracer.traits,
-                 bounds=SINGLE_STRATUM)  # fmt: skip
+    one = ScoreTally(
+        0, index[len(WAVELENGTHS_NM) // 2], absorption, np.ones(len(WAVELENGTHS_NM), bool),
+        runner.tracer.traits, bounds=SINGLE_STRATUM,
+    )  # fmt: skip
     one.sums, one.attenuation = (
         np.zeros((2, len(WAVELENGTHS_NM))),
         1.0 / compute_mean_free_path_m(medium),
@@ -337,8 +339,10 @@ def report_attenuation_cost(error: float) -> None:
     """Print what likelihood ratios cost, where attenuation is all that changes."""
     for label, depth in (("2 cm of snow", 0.02), ("30 cm of snow", 0.3)):
         soot = {"black_carbon": 100}
-        medium = splits.Snow.natural(optical_radius_um=150, depth_m=depth, density_kg_m3=200,
-                                     impurities_ng_g=soot, interpretation=KEEP_OVERLAPS)  # fmt: skip
+        medium = splits.Snow.natural(
+            optical_radius_um=150, depth_m=depth, density_kg_m3=200, impurities_ng_g=soot,
+            interpretation=KEEP_OVERLAPS,
+        )  # fmt: skip
         time_spectrum(medium, 0.02, 1)
         found, seconds = time_spectrum(medium, error, 1, jacobian=["density_kg_m3"])
         spent = seconds - time_spectrum(medium, error, 1)[1]

@@ -48,7 +48,9 @@ RUNS: dict[str, Callable[[], xr.Dataset]] = {
     ),
     "natural snow": lambda: splits.spectrophotometer(NATURAL_SNOW, BANDS, 60.0, 0.005),
     "natural snow, geometric": lambda: splits.spectrophotometer(
-        splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.1, interpretation="geometric"),
+        splits.Snow.natural(
+            specific_surface_area_m2_kg=20.0, depth_m=0.1, interpretation="geometric"
+        ),
         BANDS, 60.0, 0.005,
     ),
 }  # fmt: skip

@@ -1,8 +1,9 @@
 """The optical shape of the model's grains by its readings, against natural snow.
 
-Printed are B and g at 900 nm without diffraction (`splits.analysis.theory.grain_shape`) for the papers'
-readings and for others, with standard errors.  Natural snow, 33 samples in micro-tomography
-(Robledano et al. 2023, Nature Communications 14, 3955): B 1.68 ± 0.02 and g 0.65 ± 0.03.
+Printed are B and g at 900 nm without diffraction (`splits.analysis.theory.grain_shape`) for the
+papers' readings and for others, with standard errors.  Natural snow, 33 samples in
+micro-tomography (Robledano et al. 2023, Nature Communications 14, 3955): B 1.68 ± 0.02 and
+g 0.65 ± 0.03.
 
     python benchmarks/grain_shape.py [TABLE.csv] [--rays 65536] [--search]
 
@@ -40,8 +41,14 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "facetness 0.05": ({}, make_grains(0.05)),
     "any facet, mirrored": ({"facet_sampling": "any", "wrong_side_ray": "mirror"}, {}),
     "projected, Table 1": (SHARP_FACETS, {}),
-    **{f"projected, facetness {f:g}": (SHARP_FACETS, make_grains(f)) for f in (0.0, 0.02, 0.05, 0.08, 0.1)},
-    **{f"projected, mirrored, facetness {f:g}": (MIRRORED_INTERPRETATION, make_grains(f)) for f in (0.05, 0.08, 0.1)},
+    **{
+        f"projected, facetness {f:g}": (SHARP_FACETS, make_grains(f))
+        for f in (0.0, 0.02, 0.05, 0.08, 0.1)
+    },
+    **{
+        f"projected, mirrored, facetness {f:g}": (MIRRORED_INTERPRETATION, make_grains(f))
+        for f in (0.05, 0.08, 0.1)
+    },
     "projected, unweighted facets, facetness 0.05": (
         {**SHARP_FACETS, "facet_sampling": "unweighted"}, make_grains(0.05),
     ),

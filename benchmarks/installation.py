@@ -115,9 +115,8 @@ def main() -> None:
         imports = [float(run_command(python, "-c", IMPORT_PROGRAM)) for _ in range(7)]
         size = measure_size_mib(folder / "wheel", False)
         print(f"{wheel.name}: {wheel.stat().st_size / 2**20:.2f} MiB")
-        print(
-            f"installed: {size:.0f} MiB, {measure_size_mib(folder / 'wheel', True):.0f} with bytecode"
-        )
+        with_bytecode = measure_size_mib(folder / "wheel", True)
+        print(f"installed: {size:.0f} MiB, {with_bytecode:.0f} with bytecode")
         print(f"import splits: {statistics.median(imports):.3f} s, median of {len(imports)}")
         print(
             f"from nothing to a spectrum of {spectrum[2]} wavelengths: {first - begun:.0f} s "

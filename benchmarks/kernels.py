@@ -3,15 +3,17 @@
 Everything is measured in this one run, after warm-ups that compile; rivals take turns and the
 least time of each counts, because whatever else the machine does can only add to it.
 
-vectorized_against_scalar  Time per ray through the same medium with the same optics, one core, as many
-                      rays at a time as the instruments trace in a long run.  Paths are long at
-                      500 nm and short in the near infrared; lanes suffer from stragglers.
-                      `events_per_ray` are legs through the pore space.
-two_cores             211 wavelengths on two cores and on one; the smaller the error asked
-                      for, the less the ends of rounds matter, where one core waits for the other.
-features              Time per grain drawn at 500 nm, in dry snow of smooth grains as 1.  "unused"
-                      has the feature compiled in but nothing to do in the scene: the price of its
-                      instructions.  Facets, and the last scenes, are in use, which is work besides.
+vectorized_against_scalar
+    Time per ray through the same medium with the same optics, one core, as many rays at a time as
+    the instruments trace in a long run.  Paths are long at 500 nm and short in the near infrared;
+    lanes suffer from stragglers.  `events_per_ray` are legs through the pore space.
+two_cores
+    211 wavelengths on two cores and on one; the smaller the error asked for, the less the ends of
+    rounds matter, where one core waits for the other.
+features
+    Time per grain drawn at 500 nm, in dry snow of smooth grains as 1.  "unused" has the feature
+    compiled in but nothing to do in the scene: the price of its instructions.  Facets, and the last
+    scenes, are in use, which is work besides.
 
     python benchmarks/kernels.py [TABLE.csv]
 
@@ -216,13 +218,15 @@ def compare_with_scalar(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
             scalar, lane = pair["scalar"], pair["vectorized"]
             rows.append(
                 make_row(
-                    "vectorized_against_scalar", name, "s per ray", lane.time_per_ray_s, "scalar", scalar.time_per_ray_s,
-                    wavelength_nm=wavelength, events_per_ray=scalar.segments_per_ray,
+                    "vectorized_against_scalar", name, "s per ray", lane.time_per_ray_s, "scalar",
+                    scalar.time_per_ray_s, wavelength_nm=wavelength,
+                    events_per_ray=scalar.segments_per_ray,
                 )
             )  # fmt: skip
             print(
-                f"  {name}, {wavelength:g} nm: {scalar.segments_per_ray:.0f} events per ray; scalar "
-                f"{1e6 * scalar.time_per_ray_s:.3g} µs per ray, {1e9 * scalar.time_per_segment_s:.0f} ns per event; "
+                f"  {name}, {wavelength:g} nm: {scalar.segments_per_ray:.0f} events per ray; "
+                f"scalar {1e6 * scalar.time_per_ray_s:.3g} µs per ray, "
+                f"{1e9 * scalar.time_per_segment_s:.0f} ns per event; "
                 f"lanes {1e6 * lane.time_per_ray_s:.3g} µs per ray, "
                 f"{1e9 * lane.time_per_ray_s / scalar.segments_per_ray:.0f} ns per event; "
                 f"{scalar.time_per_ray_s / lane.time_per_ray_s:.2f} times as fast",
@@ -244,8 +248,8 @@ def compare_two_cores(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
             for threads in best:
                 begun = time.perf_counter()
                 splits.spectrophotometer(
-                    splits.Snow(), WAVELENGTHS_NM, max_stderr=error, kernel="vectorized", threads=threads,
-                    seed=seed,
+                    splits.Snow(), WAVELENGTHS_NM, max_stderr=error, kernel="vectorized",
+                    threads=threads, seed=seed,
                 )  # fmt: skip
                 best[threads] = min(best[threads], time.perf_counter() - begun)
         print(
@@ -279,8 +283,10 @@ def compare_features(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
     for name, bench in list(benches.items())[1:]:
         print(f"  {name}: {bench.time_per_segment_s / one:.2f}", flush=True)
     return [
-        make_row("features", name, "s per grain drawn", bench.time_per_segment_s, "smooth", one,
-            wavelength_nm=500.0)
+        make_row(
+            "features", name, "s per grain drawn", bench.time_per_segment_s, "smooth", one,
+            wavelength_nm=500.0,
+        )
         for name, bench in benches.items()
     ]  # fmt: skip
 

@@ -1,15 +1,16 @@
 """What light inside costs: planes by ray, and errors of absorbed power by time.
 
-First `splits.irradiance_profile` against the plain spectrum, for the same rays: wet snow of SPLITSnow Table 1
-at 211 wavelengths, one thread, by turns.  So large an error is asked for that there is one round
-only.  Printed are CPU seconds per ray over those of the spectrophotometer.
+First `splits.irradiance_profile` against the plain spectrum, for the same rays: wet snow of
+SPLITSnow Table 1 at 211 wavelengths, one thread, by turns.  So large an error is asked for that
+there is one round only.  Printed are CPU seconds per ray over those of the spectrophotometer.
 
 Then five layers of natural snow under a sky.  Errors are asked at every wavelength of irradiances
-and absorptances, as `splits.irradiance_profile` does by default, or of power absorbed in the broad band, or of
-irradiances in it, as `splits.radiation_profile` does.  Printed are CPU seconds, stated errors of the
-power that the top layer absorbs and of the irradiance below it (W m⁻²), the part of the former that
-bounds interpolation between refractive indices, and how both scatter over seeds.  At last, the
-difference that interpolation makes: between as few indices as the first rule takes, and many.
+and absorptances, as `splits.irradiance_profile` does by default, or of power absorbed in the broad
+band, or of irradiances in it, as `splits.radiation_profile` does.  Printed are CPU seconds, stated
+errors of the power that the top layer absorbs and of the irradiance below it (W m⁻²), the part of
+the former that bounds interpolation between refractive indices, and how both scatter over seeds.
+At last, the difference that interpolation makes: between as few indices as the first rule takes,
+and many.
 
     python benchmarks/light_inside.py [--planes 10 50] [--rounds 20] [--errors 0.05 0.02]
         [--seeds 4]

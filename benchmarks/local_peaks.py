@@ -79,7 +79,8 @@ def main() -> None:
             print(f"{name}, peak {label}: {1e6 * spent:.0f} us a ray")
             for side, rows in enumerate(("BRDF", "BTDF")):
                 print(
-                    f"  {rows} at {POLAR_DEG}: median {np.median(value, axis=0)[side] / right[side]}, "
+                    f"  {rows} at {POLAR_DEG}: "
+                    f"median {np.median(value, axis=0)[side] / right[side]}, "
                     f"rms z {z[side]}, scatter {value.std(axis=0)[side] / right[side]}"
                 )
         print(f"  variance at equal time lower by {gain.ravel()}", flush=True)

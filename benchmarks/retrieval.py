@@ -45,8 +45,10 @@ SAND_GRID: dict[str, Any] = {
     "saturation": [0.0, 0.1, 0.3, 0.6, 1.0],
 }  # fmt: skip
 SAND_TRUTH = {"iron_oxide": (0.001, 0.04), "hematite_ratio": (0.0, 1.0), "saturation": (0.0, 1.0)}
-AXIS_SCALES = {SIZE: "logarithm", SOOT: "root", WATER: "root", "iron_oxide": "logarithm",
-        "hematite_ratio": "root", "saturation": "root"}  # fmt: skip
+AXIS_SCALES = {
+    SIZE: "logarithm", SOOT: "root", WATER: "root", "iron_oxide": "logarithm",
+    "hematite_ratio": "root", "saturation": "root",
+}  # fmt: skip
 RELATIVE_NOISE, NOISE_FLOOR = 0.01, 0.003
 INTERVAL_PROBABILITY = 0.99 ** (1.0 / 12.0)
 """Probability that chance keeps each of twelve shares within its bounds."""
@@ -67,8 +69,10 @@ def make_snow(**settings: Any) -> splits.Snow:
     return splits.Snow.natural(impurities_ng_g={"black_carbon": soot}, **settings)
 
 
-def load_or_build_table(path: Path, make: Callable[..., Any], grid: dict[str, Any], wavelengths_nm: np.ndarray, error: float,
-          incidence: float = 0.0) -> splits.Table:  # fmt: skip
+def load_or_build_table(
+    path: Path, make: Callable[..., Any], grid: dict[str, Any], wavelengths_nm: np.ndarray,
+    error: float, incidence: float = 0.0,
+) -> splits.Table:  # fmt: skip
     """Return a table that a file keeps."""
     if not path.exists():
         begun = time.process_time()

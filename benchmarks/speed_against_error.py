@@ -75,7 +75,7 @@ MEDIA = {
 SEED = 3
 REFERENCE_SEED = 101
 UNLIMITED_RAYS = 2**62
-PHYSICS_FOLDERS = ("materials", "media", "transport", "instruments")
+PHYSICS_FOLDERS = ("materials", "media", "kernels", "simulation", "instruments")
 
 
 @dataclass(frozen=True)

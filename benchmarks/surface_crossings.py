@@ -111,7 +111,8 @@ def main() -> None:
             seconds += took
             print(
                 f"{name}: {counts[INTERSECTIONS]} crossings, {counts[LEAKS]} leaks, "
-                f"{counts[LOST_RAYS]} lost, {counts[EVALUATIONS] / counts[INTERSECTIONS]:.1f} evaluations "
+                f"{counts[LOST_RAYS]} lost, "
+                f"{counts[EVALUATIONS] / counts[INTERSECTIONS]:.1f} evaluations "
                 f"and {1e6 * THREADS * took / counts[INTERSECTIONS]:.2f} µs per crossing",
                 flush=True,
             )

@@ -217,11 +217,15 @@ def main() -> None:
     grid = SMALL_GRID if given.quick else GRID
     for water in (0.0, 0.1):
         # Kernels compiled.
-        splits.spectrophotometer(make_snow(0.0, optical_radius_um=100.0, liquid_water_content=water),
-                                 [500.0, 1500.0], 10.0, 0.05)  # fmt: skip
+        splits.spectrophotometer(
+            make_snow(0.0, optical_radius_um=100.0, liquid_water_content=water),
+            [500.0, 1500.0], 10.0, 0.05,
+        )  # fmt: skip
     table, wall, used = time_call(
-        lambda: splits.build_table(make_snow, grid, WAVELENGTHS_NM, max_stderr=MAX_STDERR, folder=given.folder,
-                             progress=True)
+        lambda: splits.build_table(
+            make_snow, grid, WAVELENGTHS_NM, max_stderr=MAX_STDERR, folder=given.folder,
+            progress=True,
+        )
     )  # fmt: skip
     count = ParameterGrid.from_mapping(grid).size
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6

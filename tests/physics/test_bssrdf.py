@@ -63,7 +63,7 @@ def test_profile_and_map_hold_the_reflectance(incidence):
         ("transmitted", "transmittance", "direct_transmittance", 1),
     ):
         share = ds.fraction.sel(side=side).values + straight[other]
-        error = np.hypot(ds.share_stderr.sel(side=side), total[f"{name}_stderr"])
+        error = np.hypot(ds.fraction_stderr.sel(side=side), total[f"{name}_stderr"])
         error = np.hypot(error, straight[f"{other}_stderr"])
         z.extend(((share - total[name]) / error).values[:seen])
     judge_z(z, "beam spread against reflectance and transmittance", independent=1)

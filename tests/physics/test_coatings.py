@@ -54,7 +54,7 @@ def walk(
     index = np.array([1.0, 1.33, *index], dtype=complex)
     absorption = np.array([0.0, 0.0, *absorption], dtype=float)
     optics = make_optics(index.real, index.imag, heard * absorption)
-    rules = splits.SandInterpretation(entry_point=entry).rules(analog)
+    rules = splits.SandInterpretation(entry_point=entry).to_sampling_rules(analog)
     scene = make_scene(grains, saturation=saturation, rules=rules)
     return draw_samples(
         _walk, COUNT, psi, facetness, scene, optics, absorption, np.zeros(index.size),

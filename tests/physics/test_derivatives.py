@@ -152,8 +152,10 @@ def formula(make, noise):
         mean = np.array([[make(medium.saturation)], [0.0], [0.0]])
         groups = np.full((32, 2, 1), noise / np.sqrt(32.0))
         none = np.zeros((2, 0, 1))
-        return SpectralEstimate(mean, noise + 0.0 * mean, 0.0 * mean, groups, 1, 1, True, "vectorized",
-                        Derivatives(none, np.zeros((32, *none.shape)), none))  # fmt: skip
+        return SpectralEstimate(
+            mean, noise + 0.0 * mean, 0.0 * mean, groups, 1, 1, True, "vectorized",
+            Derivatives(none, np.zeros((32, *none.shape)), none),
+        )  # fmt: skip
 
     return measure
 

@@ -312,7 +312,7 @@ BAD = [
     ("rays", 0, "a whole number of at least 1"),
     ("relative_stderr", 0.9, r"in \[0.0001, 0.5\]"),
     ("target", "brfd", "did you mean brdf"),
-    ("estimator", "cell", "did you mean cells"),
+    ("estimator", "bin", "did you mean bins"),
     ("polar_deg", [0.0, 90.0], r"in \[0, 90\)"),
     ("azimuth_deg", [10.0, 0.0], "strictly increasing"),
     ("azimuth_deg", [], "numbers in degrees, at least one"),

@@ -32,7 +32,7 @@ MANY = 10_000_000
 DRIFT = 1e-9
 EPS = 2.0**-52
 FIRST_LONG_RAY = 189
-RULES = splits.Interpretation().rules()
+RULES = splits.Interpretation().to_sampling_rules()
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 
 
@@ -227,7 +227,7 @@ def test_rays_tangent_to_a_grain(axis, psi):
     "rule", [microfacet.PROJECTED_FACETS, microfacet.UNWEIGHTED_FACETS, microfacet.ANY_FACETS]
 )
 def test_facets_struck_exactly_along_the_normal(axis, facetness, rule):
-    rules = splits.Interpretation().rules()._replace(facets=rule)
+    rules = splits.Interpretation().to_sampling_rules()._replace(facet_sampling=rule)
     n, d = Vector(*axis), Vector(*-axis)
     for ray in range(50):
         facet = sample_facet(start_random_stream(ray), d, n, facetness, rule)
@@ -324,7 +324,7 @@ def _bubble(state, scene, optics, length):
 @pytest.mark.parametrize("pore", [1.33, 2.0])
 def test_bubbles_scatter_as_spheres_with_total_reflection_outside(pore):
     # A beam along −z on bubbles, struck by projected area: sums over orders, by quadrature.
-    rules = splits.Interpretation(entry_point="projected").rules()
+    rules = splits.Interpretation(entry_point="projected").to_sampling_rules()
     scene = make_scene(splits.Snow().make_grain_population(), saturation=1.0, rules=rules)
     out = draw_samples(_bubble, 300_000, scene, make_optics([1.0, pore, 1.0]), np.zeros(3), width=2)
 

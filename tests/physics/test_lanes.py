@@ -222,9 +222,10 @@ def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
         for name, value in values.items():
             table[getattr(lane_state, name) // N_LANES] = value
 
-    put(QX=q[0], QY=q[1], QZ=q[2], DX=d[0], DY=d[1], DZ=d[2], WZ=1.0, MINOR=1e-4, SIDE=-1.0)
-    put(SHELL=1.0, STATUS=lane_state.AT_SURFACE, M_IN_DRY=1.31, C_IN_DRY=0.31)
-    put(M_OUT_DRY=1.0 / 1.31, C_OUT_DRY=-0.31 / 1.31)
+    put(UNIT_POINT_X=q[0], UNIT_POINT_Y=q[1], UNIT_POINT_Z=q[2])
+    put(DIR_X=d[0], DIR_Y=d[1], DIR_Z=d[2], AXIS_Z=1.0, SEMI_MINOR=1e-4, SIDE=-1.0)
+    put(SHELL=1.0, STATUS=lane_state.AT_SURFACE, M_IN_DRY=1.31, M1_IN_DRY=0.31)
+    put(M_OUT_DRY=1.0 / 1.31, M1_OUT_DRY=-0.31 / 1.31)
     scene = get_vectorized_scene(make_medium_scene(splits.Snow(saturation=0.0)))
 
     def cosines():

@@ -105,8 +105,9 @@ def test_polarization_without_polarizing_particles_or_faces_changes_nothing():
     polar = np.array([0.0, 30.0, 60.0])
     pair = [
         splits.goniophotometer(
-            splits.ParticleLayer(**plain, polarized=polarized), NM, 40.0, seed=seed, polar_deg=polar,
-            azimuth_deg=[0.0, 90.0, 180.0], estimator="next_event", relative_stderr=0.01,
+            splits.ParticleLayer(**plain, polarized=polarized), NM, 40.0, seed=seed,
+            polar_deg=polar, azimuth_deg=[0.0, 90.0, 180.0], estimator="next_event",
+            relative_stderr=0.01,
         )
         for seed, polarized in ((1, False), (2, True))
     ]  # fmt: skip
@@ -240,7 +241,9 @@ def test_what_was_not_heard_is_not_certain():
         assert (ds.brdf_stderr > 0.0).all()
         assert (ds.reflectance_stderr > 0.0).all()
     ds = splits.spectrophotometer(
-        splits.ParticleLayer(optical_thickness=1e-3, single_scattering_albedo=0.0, bottom_albedo=0.0),
+        splits.ParticleLayer(
+            optical_thickness=1e-3, single_scattering_albedo=0.0, bottom_albedo=0.0
+        ),
         NM, 0.0, 0.01,
     )  # fmt: skip
     assert float(ds.absorptance_stderr[0]) > 0.0

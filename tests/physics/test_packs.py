@@ -29,7 +29,9 @@ def dilute(thickness, size, facetness):
     """Return dry snow of an optical thickness, of grains far apart that may lie anywhere."""
     common = {
         "grain_size_um": size, "facetness": facetness, "saturation": 0.0, "density_kg_m3": 1e-3,
-        "interpretation": {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"},
+        "interpretation": {
+            "overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep",
+        },
         "refractive_index": {"ice": ICE},
     }  # fmt: skip
     whole = splits.Snow(**common, depth_m=1e4)

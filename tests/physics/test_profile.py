@@ -89,8 +89,9 @@ def test_both_kernels_see_the_same_inside(error):
     z = []
     for medium, wavelengths, seed in ((WET, WAVELENGTHS, 5), (PACK, NARROW, 7)):
         one, other = (
-            splits.irradiance_profile(medium, wavelengths, [0.001, 0.0045, 0.011], 20.0, error, seed + i,
-                           kernel=kernel)
+            splits.irradiance_profile(
+                medium, wavelengths, [0.001, 0.0045, 0.011], 20.0, error, seed + i, kernel=kernel
+            )
             for i, kernel in enumerate(("vectorized", "scalar"))
         )  # fmt: skip
         for name in NAMES:
@@ -106,7 +107,9 @@ def test_a_dilute_layer_has_the_fluxes_of_discrete_ordinates():
     ice = {"wavelength_nm": [400.0, 2000.0], "n": [1.31, 1.31], "k": [1e-7, 1e-4]}
     common = {
         "saturation": 0.0, "density_kg_m3": 1e-3, "refractive_index": {"ice": ice},
-        "interpretation": {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"},
+        "interpretation": {
+            "overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep",
+        },
     }  # fmt: skip
     thickness, streams, mu = 6.0, 32, 0.5
     depth = thickness * splits.Snow(**common, depth_m=1e4).mean_grain_distance_m

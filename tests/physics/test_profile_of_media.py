@@ -121,8 +121,10 @@ def test_a_layer_of_particles_cut_by_planes_is_the_same():
 def test_a_pack_without_end_is_a_very_deep_one(error):
     wavelengths, depths = [500.0, 900.0, 1100.0], [0.005, 0.02, 0.04]
     endless, deep = (
-        splits.irradiance_profile(splits.Snow.natural(**ENDLESS, depth_m=depth), wavelengths, depths,
-                       "diffuse", error, seed)
+        splits.irradiance_profile(
+            splits.Snow.natural(**ENDLESS, depth_m=depth), wavelengths, depths,
+            "diffuse", error, seed,
+        )
         for seed, depth in ((1, math.inf), (2, 0.5))
     )  # fmt: skip
     assert endless.depth.values.tolist() == [0.0, *depths]

@@ -52,10 +52,10 @@ class UniformSizes:
     """Snow's sizes, uniform from 300 to 750 µm, in place of a soil's."""
 
     limits = (3e-4, 7.5e-4)
-    largest = limits[1]
-    attenuation = grain_statistics.size_attenuation(*limits)
+    largest_m = limits[1]
+    size_attenuation_per_m = grain_statistics.size_attenuation(*limits)
 
-    def struck_inverse_sizes(self):
+    def tabulate_struck_inverse_sizes(self):
         return grain_statistics.tabulate_struck_inverse_sizes(*self.limits, "cross_section")
 
 
@@ -63,7 +63,7 @@ class IcySand(splits.Sand):
     """Sand of snow's sizes."""
 
     @cached_property
-    def sizes(self):
+    def size_distribution(self):
         return UniformSizes()
 
 

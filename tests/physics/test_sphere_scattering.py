@@ -39,7 +39,7 @@ def _scatter(state, psi, facetness, scene, optics, length):
 
 
 def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog=False, ray=0):
-    rules = splits.Interpretation(entry_point=entry).rules(analog)
+    rules = splits.Interpretation(entry_point=entry).to_sampling_rules(analog)
     scene = make_scene(splits.Snow().make_grain_population(), rules=rules)
     optics = make_optics([1.0, 1.33, n], absorption=[0.0, 0.0, absorption])
     out = draw_samples(

@@ -254,7 +254,8 @@ def test_blocks_of_other_tables_are_none_of_this_one(other):
     assert len(set(one)) == len(one)
     for changed in (
         order._replace(covariance=True), order._replace(quantities=("transmittance",)),
-        order._replace(spectral_request=run._replace(seed=2)), order._replace(spectral_request=run._replace(max_stderr=0.02)),
+        order._replace(spectral_request=run._replace(seed=2)),
+        order._replace(spectral_request=run._replace(max_stderr=0.02)),
     ):  # fmt: skip
         assert build.compute_block_digest(plan_of(pack, grid).path_groups[0], changed) != one[0]
     threads = order._replace(spectral_request=run._replace(threads=7))

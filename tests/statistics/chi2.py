@@ -64,7 +64,7 @@ def start_random_stream(ray: int = 0) -> np.ndarray:
 
 def draw_samples(sampler, count: int, *args, width: int = 0, ray: int = 0) -> np.ndarray:
     """Return `count` values (or tuples of `width` values) of ``sampler(state, *args)``."""
-    sampler = getattr(sampler, "compiled", sampler)
+    sampler = getattr(sampler, "dispatcher", sampler)
     if width == 0:
         out = np.empty(count)
         _fill_scalar(sampler, start_random_stream(ray), args, out)

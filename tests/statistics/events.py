@@ -20,7 +20,7 @@ from splits.kernels.grains.grain_path import sample_interaction, trace_through_g
 from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
 from splits.kernels.grains.scene import NO_MAX_ORDER, WRONG_SIDE_LOBE
 from splits.kernels.grains.spheroid import Spheroid
-from splits.kernels.grains.state import GrainSample, NextEvent
+from splits.kernels.grains.state import GrainSample, NextEvent, sample_entry_variates
 from splits.kernels.math import rng
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import UP, Vector
@@ -64,7 +64,7 @@ def make_lane_words(ray=0):
 @njit
 def sample_entry(state, d, size, entry_rule):
     """Return where a ray along d strikes a grain."""
-    aim = state.sample_entry_variates(state, size.flattening)
+    aim = sample_entry_variates(state, size.flattening)
     return spheroid.sample_entry_point(d, size, aim, entry_rule)
 
 
@@ -122,7 +122,7 @@ def sample_facet(state, d, normal, facetness, rule):
 
 @njit
 def sample_facet_by_lane(words, d, normal, sigma, rule):
-    """Return the facet that a ray strikes on a surface, drawn as the lanes' `sample_interaction` does."""
+    """Return the facet that a ray strikes, drawn as the lanes' `sample_interaction` does."""
     smooth = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), single(1.0))
     while True:
         numbers = draw_interaction_variates(words, 0, True, True)

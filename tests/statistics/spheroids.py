@@ -48,7 +48,7 @@ def compute_normal(p, w, minor, flattening):
 
 
 def find_closest_approach(start, end, w, minor, flattening, steps=500):
-    """Return the least `evaluate_quadratic` over points along a segment; positions from the centre."""
+    """Return the least `evaluate_quadratic` along a segment; positions from the centre."""
     part = np.linspace(0.0, 1.0, steps)
     return np.min(
         [evaluate_quadratic(start + t * (end - start), w, minor, flattening) for t in part], 0

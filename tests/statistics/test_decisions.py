@@ -77,8 +77,8 @@ def _sample_next_grain(state, z, d, scene, optics, displacement, direction_back,
     q, w = grain.q, grain.w
     outside = 1.0 if met.leaves_layer else 0.0
     return (
-        met.distance, grain.semi_minor, grain.flattening, q.x, q.y, q.z, w.x, w.y, w.z, n.x, n.y, n.z,
-        outside,
+        met.distance, grain.semi_minor, grain.flattening, q.x, q.y, q.z, w.x, w.y, w.z,
+        n.x, n.y, n.z, outside,
     )  # fmt: skip
 
 
@@ -210,8 +210,8 @@ def sample_interactions(precision, count, cos_i, n1, n2, k2, facetness, rules, r
         )
     near, far = ComplexIndex(single(n1), single(0.0)), ComplexIndex(single(n2), single(k2))
     return draw_samples(
-        _sample_interaction_by_lane, count, make_lane_words(ray), cos_i, near, far, single(0.5 * facetness),
-        rules, width=4,
+        _sample_interaction_by_lane, count, make_lane_words(ray), cos_i, near, far,
+        single(0.5 * facetness), rules, width=4,
     )  # fmt: skip
 
 
@@ -220,7 +220,7 @@ PRECISIONS = ["double", pytest.param("single", marks=NEEDS_JIT)]
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_share_reflected_at_a_smooth_grain(precision):
-    rules = splits.Interpretation().rules()
+    rules = splits.Interpretation().to_sampling_rules()
     z = []
     for n1, n2, k2 in ((1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.31, 1.33, 1e-3), (1.0, 1.3, 0.5)):
         for cos_i in (1.0, 0.8, 0.5, 0.1):
@@ -262,7 +262,8 @@ def test_share_reflected_at_a_rough_grain(precision):
     ray = 0
     for wrong_side in ("cosine_lobe", "mirror"):
         for rule in ("projected", "unweighted", "any"):
-            rules = splits.Interpretation(facet_sampling=rule, wrong_side_ray=wrong_side).rules()
+            read = splits.Interpretation(facet_sampling=rule, wrong_side_ray=wrong_side)
+            rules = read.to_sampling_rules()
             for n1, n2 in ((1.0, 1.31), (1.31, 1.0)):
                 for cos_i in (0.9, 0.3):
                     how = cos_i, n1, n2
@@ -375,7 +376,8 @@ def test_skipped_grains_thin_the_process_of_grains():
     for entry in ("uniform", "projected"):
         snow = splits.Snow(
             depth_m=depth, grain_size_um=(400, 400), sphericity=(1.0, 1.0, 1.0, 0.0),
-            density_kg_m3=450, interpretation={"overlap_with_boundary": "skip", "entry_point": entry},
+            density_kg_m3=450,
+            interpretation={"overlap_with_boundary": "skip", "entry_point": entry},
         )  # fmt: skip
         leg = sample_next_grains(N_SAMPLES, 0.0, np.array([0.0, 0.0, -1.0]), snow)[0]
 

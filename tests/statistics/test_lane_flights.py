@@ -77,8 +77,10 @@ def sample_collisions(medium, count=N_SAMPLES):
     words = make_lane_words()
     for lane in range(N_LANES):
         for row, value in (
-            (lane_state.Z, -0.5 * DEPTH_M), (lane_state.DIR_X, 0.48), (lane_state.DIR_Y, -0.64), (lane_state.DIR_Z, 0.6),
-            (lane_state.PREV_LENGTH, -1.0), (lane_state.NEXT_ROULETTE, np.inf), (lane_state.WEIGHT, 1.0),
+            (lane_state.Z, -0.5 * DEPTH_M),
+            (lane_state.DIR_X, 0.48), (lane_state.DIR_Y, -0.64), (lane_state.DIR_Z, 0.6),
+            (lane_state.PREV_LENGTH, -1.0),
+            (lane_state.NEXT_ROULETTE, np.inf), (lane_state.WEIGHT, 1.0),
             (lane_state.STATUS, lane_state.IN_FLIGHT),
         ):  # fmt: skip
             state[row + lane] = value

@@ -304,8 +304,8 @@ def test_facets_are_chosen_as_the_density_says(rule):
     for number, (facetness, cos_i) in enumerate(product((0.3, 1.0), (0.05, 0.5, 1.0))):
         sin_i = math.sqrt(1.0 - cos_i**2)
         out = draw_samples(
-            _sample_facet, N_SAMPLES, make_lane_words(100 * number), single(0.5 * facetness), single(cos_i),
-            single(sin_i), RULES[rule], width=5,
+            _sample_facet, N_SAMPLES, make_lane_words(100 * number), single(0.5 * facetness),
+            single(cos_i), single(sin_i), RULES[rule], width=5,
         )  # fmt: skip
         x, tilt_sine, sine, cosine, cos_facet = out.T
         # Of the lean itself, 1 − cos has lost the last digits.

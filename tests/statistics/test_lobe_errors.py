@@ -81,9 +81,8 @@ def compare_errors(width, rays, classes):
     error = np.sqrt((stated**2).mean(axis=0))
     z = np.sqrt((off**2).mean(axis=0)) / error
     bias = np.abs(off.mean(axis=0)) / error
-    print(
-        f"off over stated: lobe {compute_rms(z[LOBE]):.2f}, elsewhere {compute_rms(z[~LOBE]):.2f}, at most"
-    )
+    lobe, elsewhere = compute_rms(z[LOBE]), compute_rms(z[~LOBE])
+    print(f"off over stated: lobe {lobe:.2f}, elsewhere {elsewhere:.2f}, at most")
     print(f"{z.max():.2f}; bias over stated at most {bias.max():.2f}")
     # 40 values know a root mean square to 11 %, and a mean to 16 % of their scatter.
     assert 0.6 < compute_rms(z[LOBE]) < 1.2 and 0.6 < compute_rms(z[~LOBE]) < 1.2

@@ -19,6 +19,7 @@ from spheroids import compute_normal, dot_product, evaluate_quadratic, to_real_s
 
 from splits.kernels.grains import spheroid
 from splits.kernels.grains.spheroid import GrainSize
+from splits.kernels.grains.state import sample_entry_variates
 from splits.kernels.math import rng
 from splits.kernels.math.rng import make_table_probabilities
 from splits.kernels.math.vectors import Vector
@@ -126,7 +127,7 @@ def compute_area_below(z, sphericity):
 
 @njit
 def _sample_axial(state, flattening):
-    return 2.0 * state.sample_entry_variates(state, flattening).u_axial - 1.0
+    return 2.0 * sample_entry_variates(state, flattening).u_axial - 1.0
 
 
 def test_axial_position():

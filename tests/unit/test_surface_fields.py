@@ -26,7 +26,7 @@ INVALID_SURFACES = [
     ("waves", True, "a whole number from 1 to 100000"),
     ("band_limit_per_m", 0.0, "at least 0.001 1/m"),
     ("band_limit_per_m", float("nan"), "at least 0.001 1/m"),
-    ("band_limit_per_m", None, "name the finest waves that light shall see, or infinity"),
+    ("band_limit_per_m", None, "give the largest wave number of the surface, or infinity"),
     ("spectrum", TABLE, 'left out unless correlation is "spectrum"'),
 ]
 INVALID_TABLES = [
@@ -36,7 +36,7 @@ INVALID_TABLES = [
     (TABLE | {"density": [1.0, "x", 2.0]}, "spectrum.density = 'x': must be numbers"),
     (TABLE | {"density": [1.0, -1.0, 2.0]}, "spectrum.density = .*0 or more"),
     (TABLE | {"density": [0.0, 0.0, 0.0]}, "spectrum.density = .*0 or more"),
-    (TABLE | {"wave_number_per_m": [1.0, 1.0, 2.0]}, "spectrum.wave_number_per_m = .*rising"),
+    (TABLE | {"wave_number_per_m": [1.0, 1.0, 2.0]}, "spectrum.wave_number_per_m = .*increasing"),
     ({"wave_number_per_m": [1.0], "density": [1.0]}, "two rows"),
 ]
 

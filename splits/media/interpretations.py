@@ -232,9 +232,8 @@ class Interpretation(TransportInterpretation):
     """Interpretation of SPLITSnow, in addition to that of `TransportInterpretation`.
 
     The default is the set ``splitsnow_2021``.  It follows the text of the paper where that is
-    unambiguous (entry point, grains that overlap boundaries).  Elsewhere it is the combination
-    that agrees at least as well as any other with 24 statements of the paper
-    (docs/theory/interpretation.md).
+    unambiguous (entry point, overlap with boundaries), and elsewhere the combination that agrees
+    best with 24 statements of the paper (docs/theory/interpretation.md).
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ OTHER_READERS = {"sky": ",diffuse", "index": ",k"}
 VALID_TEXTS = "wavelength_nm,VALUE\n400,0.9\n450,0.8\n500,0.9\n550,0.8\n600,0.9\n650,0.8\n700,0.9\n"
 VALID_TEXTS += "750,0.8\n800,0.9\n850,0.8\n900,0.9\n"
 INVALID_TEXTS = {
-    "per cent sign": (("0.8\n500", "80%\n500"), "line 3: VALUE is 80%; write a share"),
+    "per cent sign": (("0.8\n500", "80%\n500"), "line 3: VALUE is 80%; write a fraction"),
     "thousands": (("\n450", '\n"1,450"'), "line 3: wavelength_nm is 1,450; write decimals"),
     "footer": (("900,0.9\n", "900,0.9\nmean,0.9\n"), "line 13: wavelength_nm is mean"),
     "text": (("450,0.8", "450,little"), "line 3: VALUE is little"),
@@ -79,7 +79,7 @@ INVALID_TEXTS = {
     "semicolons": ((",", ";"), "it has no|no column|fields in line"),
     "gap": (("\n450", "\n"), "line 3: wavelength_nm is a gap"),
     "quote without end": (("450,0.8", '450,"0.8'), "line 3: unexpected end of data"),
-    "no text": (("450,0.8", "450,0.8\0"), "line 3: it is no text in UTF-8"),
+    "no text": (("450,0.8", "450,0.8\0"), "line 3: it is not text in UTF-8"),
     "empty": ((VALID_TEXTS, ""), "it has no rows"),
     "header alone": ((VALID_TEXTS.partition("\n")[2], ""), "it has no rows"),
 }  # fmt: skip

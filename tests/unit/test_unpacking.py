@@ -56,7 +56,7 @@ def refused(tmp_path):
             with pytest.raises(ArchiveError, match=match) as caught:
                 attempt(path)
             assert "\n" not in str(caught.value)
-            assert str(caught.value).startswith(f"{path}: refused, ")
+            assert str(caught.value).startswith(f"{path}: rejected, ")
         assert sorted(tmp_path.rglob("*")) == before
 
     return check

@@ -85,7 +85,7 @@ def test_a_table_with_covariance_knows_them_better():
 INVALID_CALLS = {
     "no axis": (["depth_m"], {}, "depth_m"),
     "text": ("optical_radius_um", {}, "a list of"),
-    "twice": (["incidence_deg"] * 2, {}, "each once"),
+    "twice": (["incidence_deg"] * 2, {}, "different names"),
     "root": (["liquid_water_content"], {"liquid_water_content": 0.0}, "is finite"),
     "outside": (["incidence_deg"], {"incidence_deg": 80.0}, "as far as the table goes"),
     "wavelength": (["incidence_deg"], {"wavelength": 500.0}, "wavelength"),

@@ -84,7 +84,7 @@ class TablePlan(NamedTuple):
             raise invalid(INCIDENCE, incidence_deg, allowed)
         media_axes = grid.drop(INCIDENCE)
         media = [_make_medium(make_medium, point) for point in media_axes.iterate_points()]
-        beams = [check_incidence(group) for group in grid.get_values(INCIDENCE, incidence_deg)]
+        beams = [check_incidence(angle) for angle in grid.get_values(INCIDENCE, incidence_deg)]
         media_groups = group_by_shared_paths(media, wavelengths)
         positions = np.arange(grid.size).reshape(grid.shape)
         if INCIDENCE in grid.names:

@@ -1,4 +1,4 @@
-"""Arrays of every public function: gaps, labels, and what libraries hand out besides doubles."""
+"""Array arguments of every public function: gaps, labels and data types."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ INVALID_INPUTS = {
     "complex": lambda a: a.astype(complex),
     "set": lambda a: set(a.ravel().tolist()),
 }
-"""What is no row of numbers."""
+"""Values that are not sequences of numbers."""
 
 LABELLED = {name: case for name, case in CASES.items() if case.labels}
 NON_ARRAYS = {
     "Progress", "ProgressBar", "Readings", "SandReadings", "__version__", "load", "open_table",
     "save", "sensor", "surface_map",
 }  # fmt: skip
-"""Public names that take no array, and those that keep datasets as they are."""
+"""Public names without array arguments, and those that store datasets unchanged."""
 DATASET_CALLS = {"save_brdf", "with_diffraction", "retrieve_map", "Table"}
 """Those that take arrays within datasets, below."""
 
@@ -96,7 +96,7 @@ def test_forms_of_the_same_values_give_the_same(case):
 
 
 @pytest.mark.parametrize("case", list_case_names(CASES, runs=True))
-def test_an_array_without_dimensions_is_one_number_or_refused(case):
+def test_an_array_without_dimensions_is_one_number_or_rejected(case):
     first = np.array(case.values).ravel()[:1]
     if case.one:
         assert_same(case.call(float(first[0])), case.call(first.reshape(())))
@@ -108,7 +108,7 @@ def test_an_array_without_dimensions_is_one_number_or_refused(case):
 
 @pytest.mark.parametrize("kind", INVALID_INPUTS)
 @pytest.mark.parametrize("case", list_case_names(CASES))
-def test_gaps_and_what_is_no_number_are_refused_in_one_line(case, kind):
+def test_gaps_and_non_numbers_are_rejected_in_one_line(case, kind):
     if case is CASES["table grid"] and kind == "text":
         pytest.skip("an axis may have texts")
     with pytest.raises(InvalidValue) as caught:
@@ -117,7 +117,7 @@ def test_gaps_and_what_is_no_number_are_refused_in_one_line(case, kind):
 
 
 @pytest.mark.parametrize("case", list_case_names(LABELLED, runs=True))
-def test_labels_decide_and_not_places(case):
+def test_labels_decide_and_not_positions(case):
     native = case.call(case.values)
     series = pd.Series(case.values, case.labels)
     for given in (series, series[::-1], series.rename_axis("x").to_xarray()[::-1]):
@@ -165,7 +165,7 @@ def test_maps_take_every_form_of_numbers(form):
 
 
 @pytest.mark.parametrize("kind", ["truth", "date", "text", "complex"])
-def test_maps_of_what_is_no_number_are_refused(kind):
+def test_maps_of_non_numbers_are_rejected(kind):
     with pytest.raises(InvalidValue, match="image = "):
         retrieve_image(INVALID_INPUTS[kind](np.full(W.size, 0.5)))
 
@@ -216,7 +216,7 @@ GAP = {
 
 
 @pytest.mark.parametrize("look", GAP)
-def test_datasets_with_gaps_are_refused(look):
+def test_datasets_with_gaps_are_rejected(look):
     broken = TABLE.dataset.where(TABLE.dataset[SIZE] > 40.0)
     with pytest.raises(
         InvalidValue, match=r"gaps in .*masked, NaN or missing|a number at every node"
@@ -245,7 +245,7 @@ def test_a_gap_is_no_single_number(value):
 
 
 def test_arrays_are_not_changed():
-    """What is put at the end of a range is put there in a copy."""
+    """Values at the end of a range are adjusted in a copy."""
     cosine = np.array([-1.0 - 1e-12, 0.0, 1.0])
     splits.ParticleLayer(phase_function={"cosine": cosine, "density": [1.0, 1.0, 1.0]})
     assert cosine[0] != -1.0

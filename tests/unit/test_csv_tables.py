@@ -1,4 +1,4 @@
-"""CSV tables of users: one reader for all of them, which refuses what could be misread."""
+"""CSV tables of users: ambiguous content is rejected everywhere."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_a_sound_table_is_read_everywhere(tmp_path, way):
 
 @pytest.mark.parametrize("what", INVALID_TEXTS)
 @pytest.mark.parametrize("way", READERS)
-def test_what_could_be_misread_is_refused_everywhere(tmp_path, way, what):
+def test_ambiguous_content_is_rejected_everywhere(tmp_path, way, what):
     (old, new), told = INVALID_TEXTS[what]
     if way in OTHER_READERS:
         told = told.replace("3, in the header: 2", "4, in the header: 3")
@@ -135,14 +135,14 @@ def test_what_could_be_misread_is_refused_everywhere(tmp_path, way, what):
         (lambda text: text.replace("wavelength_nm", "wavelength"), "no column wavelength_nm"),
     ],
 )
-def test_spectra_are_shares_over_increasing_nanometres(tmp_path, way, change, told):
+def test_spectra_are_fractions_over_increasing_nanometres(tmp_path, way, change, told):
     path = tmp_path / "mine.csv"
     path.write_text(change(make_table_text(way)), encoding="utf-8")
     with pytest.raises(ValueError, match=told):
         READERS[way][1](path)
 
 
-def test_gaps_stay_gaps_in_figures_and_are_refused_in_fits_and_retrievals(tmp_path):
+def test_gaps_stay_gaps_in_figures_and_are_rejected_in_fits_and_retrievals(tmp_path):
     path = tmp_path / "mine.csv"
     for gap in ("", "NaN", "n/a"):
         path.write_text(make_table_text("figure").replace("0.9", gap, 1), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Files that nobody means to write: one line each, in bounded time and memory."""
+"""Malformed and hostile files: one-line errors in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ FILES = {
 
 
 def read_message(path, text):
-    """Return what is said about a file, its path left out."""
+    """Return the error message about a file, without its path."""
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
         load_experiment(path)

@@ -1,4 +1,4 @@
-"""Impurities in snow: what they add to absorption, and what is refused."""
+"""Impurities in snow: absorption and errors."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
         ({"impurities_ng_g": {"mine": LISTS | {"absorption_m2_kg": [1, -1]}}}, "at least 0"),
     ],
 )
-def test_bad_impurities_are_refused_in_one_line(given, text):
+def test_bad_impurities_are_rejected_in_one_line(given, text):
     with pytest.raises(ValueError, match=text) as error:
         splits.Snow(**given)
     assert "\n" not in str(error.value)
@@ -138,7 +138,7 @@ def test_a_table_of_ones_own_stands_in_the_attributes():
     assert facts["mine_absorption_m2_kg"].tolist() == [20.0, 1.0]
 
 
-def test_wavelengths_beyond_the_table_are_refused():
+def test_wavelengths_outside_the_table_are_rejected():
     with pytest.raises(ValueError, match="range of impurity black_carbon"):
         splits.spectrophotometer(splits.Snow(impurities_ng_g={"black_carbon": 1.0}), [2600.0])
 

@@ -1,4 +1,4 @@
-"""Datasets of every older layout can be read; those of newer ones are refused."""
+"""Schema versions: older datasets are converted, newer ones are rejected."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_readers_are_applied_one_after_the_other(monkeypatch):
         (-1, r"a\.nc: splits_schema = -1: must be a whole number"),
     ],
 )
-def test_other_numbers_are_refused(number, said):
+def test_other_numbers_are_rejected(number, said):
     attributes = {"splits_schema": number, "splits_version": "3.0"}
     with pytest.raises(ValueError, match=said):
         netcdf.upgrade_schema(xr.Dataset(attrs=attributes), "a.nc")

@@ -1,4 +1,4 @@
-"""Stacks in experiment files: layers, bases, paths, and what is refused in one line."""
+"""Stacks in experiment files: layers, bases, paths and errors."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(tmp_path, text, message):
+def test_invalid_stacks_are_rejected_in_one_line(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message) as refused:
         load_text(tmp_path, text)
     assert "\n" not in str(refused.value)
@@ -188,12 +188,12 @@ def make_semi_infinite_text(kind):
     }
 
 
-def test_packs_without_end_are_for_the_spectrophotometer():
+def test_semi_infinite_media_are_for_the_spectrophotometer():
     with pytest.raises(ValidationError, match=r"medium.depth_m = inf: must be finite"):
         ExperimentConfig.model_validate(make_semi_infinite_text("goniophotometer"))
 
 
-def test_a_pack_without_end_in_a_grid_is_run_and_kept(tmp_path):
+def test_a_semi_infinite_medium_in_a_grid_is_run_and_stored(tmp_path):
     experiment = ExperimentConfig.model_validate(make_semi_infinite_text("spectrophotometer"))
     save(run(experiment, Accuracy(max_stderr=0.1)), tmp_path / "endless.nc")
     ds = splits.load(tmp_path / "endless.nc")

@@ -1,4 +1,4 @@
-"""Surface area of snow from spectra: what is put in comes out, with its error, or a flag."""
+"""Retrieval of the specific surface area of snow from spectra, with errors and flags."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def compute_reflectance(areas=AREAS, wavelengths=WAVELENGTHS):
 
 
 def make_dataset(angles=(30.0, 60.0), noise=0.0, seed=1):
-    """Return a dataset as an experiment makes it, its groups so far off on average."""
+    """Return a dataset like that of an experiment, with batches of given mean deviation."""
     exact = compute_reflectance()
     random = np.random.default_rng(seed)
     groups = noise / np.sqrt(N_BATCHES) * random.normal(size=(N_BATCHES, *exact.shape))
@@ -66,7 +66,7 @@ def test_what_is_put_in_comes_out(area):
     assert fit.rmse < 1e-3
 
 
-def test_a_spectrum_beyond_the_grid_is_flagged():
+def test_a_spectrum_outside_the_grid_is_flagged():
     table = retrieve_surface_areas(make_dataset(), measured(inside=20.0, beyond=150.0))
     flags = table.set_index(["spectrum", "window"]).at_the_end
     assert not flags["inside@60"].any() and flags["beyond@60"]["all"]
@@ -86,7 +86,7 @@ def test_stated_errors_are_the_scatter_between_runs():
             assert 0.7 < values.std(ddof=1) / stated < 1.3, (window, name)
 
 
-def test_overlay_has_the_level_and_says_what_was_fitted():
+def test_overlay_has_the_scale_and_names_the_fitted_parameters():
     dataset, spectra = make_dataset(), measured(a=16.0)
     table = make_overlay_table(dataset, spectra, retrieve_surface_areas(dataset, spectra))
     assert list(table.wavelength_nm) == list(WAVELENGTHS)
@@ -99,12 +99,12 @@ def test_overlay_has_the_level_and_says_what_was_fitted():
     assert draw_fitted_spectra(table).axes
 
 
-def test_a_spectrum_under_an_angle_that_was_not_run_is_refused():
+def test_a_spectrum_under_an_angle_that_was_not_run_is_rejected():
     with pytest.raises(ValueError, match=r"column = 'a@60': must be .* ends with @10 or @20"):
         retrieve_surface_areas(make_dataset([10.0, 20.0]), measured(a=16.0))
 
 
-def test_published_laws_stand_beside_ours():
+def test_published_laws_are_compared():
     dataset = xr.Dataset(
         {
             "reflectance": (("medium", AREA, "wavelength"), np.full((1, AREAS.size, 1), 0.3)),

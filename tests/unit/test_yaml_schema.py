@@ -89,7 +89,7 @@ def test_long_scalars_are_texts_soon(tmp_path, scalar):
 
 
 @pytest.mark.parametrize("number", ["1", "0x1", "0o1", "1.", "-1"])
-def test_long_numbers_are_refused(tmp_path, number):
+def test_long_numbers_are_rejected(tmp_path, number):
     text = number + 40_000 * "1"
     begun = time.perf_counter()
     with pytest.raises(

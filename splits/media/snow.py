@@ -104,7 +104,7 @@ class Snow(ContentEquality):
     --------
     >>> from splits import Snow
     >>> round(Snow(density_kg_m3=450).mean_grain_distance_m, 6)
-    0.000435
+    0.000437
     """
 
     kind = "snow"

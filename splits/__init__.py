@@ -1,7 +1,8 @@
-"""Light that snow, sand and rough layers send back.
+"""Monte Carlo reflectance and transmittance of snow, sand and rough particle layers.
 
-A *medium* (`Snow`, `Sand`, `Layer`) under a virtual *instrument* (`spectrophotometer`,
-`goniophotometer`, `bssrdf`, …) gives a labelled dataset with standard errors.
+A virtual *instrument* (`spectrophotometer`, `goniophotometer`, `beam_spread`, …) measures a
+*medium* (`Snow`, `Sand`, `ParticleLayer`, `Stack`) and returns a labelled dataset with standard
+errors.
 
 Examples
 --------
@@ -13,6 +14,6 @@ True
 
 import lazy_loader
 
-# Drawing a figure needs no kernels: a public name loads its module, as listed in __init__.pyi,
-# when it is first used.
+# Modules of public names, as listed in __init__.pyi, are imported on first use, so that plotting
+# does not import the kernels.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""The command `splits`: one experiment without a workflow, versions, kept kernels, archives."""
+"""Command `splits`: single experiments, versions, kernel cache and archives."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ if TYPE_CHECKING:
 
 ACCURACY_PRESETS = {"tiny": (0.05, 0.3), "draft": (0.01, 0.05), "standard": (0.002, 0.02),
               "fine": (0.001, 0.01)}  # fmt: skip
-"""Largest standard error of hemispherical values, and largest relative one of values by direction,
-as in config/config.yaml."""
+"""Maximum standard error of hemispherical values and maximum relative error of directional values.
+
+The values are those of config/config.yaml.
+"""
 REPORTED_PACKAGES = (
     "numpy", "numba", "llvmlite", "xarray", "netCDF4", "pydantic", "scipy", "matplotlib",
     "snakemake",
 )  # fmt: skip
-"""Packages whose versions `splits versions` prints."""
+"""Packages whose versions are printed by `splits versions`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,26 +36,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        What stands behind `splits`; by default what the shell gave.
+        Arguments after `splits`; by default those of the command line.
 
     Returns
     -------
     int
-        Exit status: 0, or 1 after one line that says what is wrong.
+        Exit status: 0, or 1 after a one-line error message.
     """
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    given = _make_parser().parse_args(words, argparse.Namespace(words=words))
+    argv = sys.argv[1:] if arguments is None else list(arguments)
+    options = _make_parser().parse_args(argv, argparse.Namespace(words=argv))
     _open_standard_files()
     try:
-        for name, value in vars(given).items():
+        for name, value in vars(options).items():
             if isinstance(value, Path):
-                setattr(given, name, expand_path(value, name))
-        given.action(given)
+                setattr(options, name, expand_path(value, name))
+        options.action(options)
     except OSError as error:
-        named = error.filename is not None and error.strerror
-        _log(f"splits: {error.filename}: {error.strerror}" if named else f"splits: {error}")
+        has_filename = error.filename is not None and error.strerror
+        _log(f"splits: {error.filename}: {error.strerror}" if has_filename else f"splits: {error}")
     except MemoryError as error:
-        _log(f"splits: not enough memory ({error or 'no more is to be had'})")
+        _log(f"splits: not enough memory ({error or 'allocation failed'})")
     except (ValueError, TypeError, ModuleNotFoundError) as error:
         _log(f"splits: {error}")
     else:
@@ -62,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _open_standard_files() -> None:
-    """Let standard files that are closed lead nowhere, or what is opened next would be these."""
+    """Open closed standard streams as the null device, so that no other file takes their place."""
     while (file := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
     os.close(file)
@@ -70,41 +72,42 @@ def _open_standard_files() -> None:
 
 def _make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="splits", description="Light that snow, sand and rough layers send back."
+        prog="splits",
+        description="Monte Carlo reflectance and transmittance of snow, sand and rough layers.",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    run = commands.add_parser("run", help="run one experiment file and draw its figure")
-    run.add_argument("file", type=Path, help="an experiment, YAML")
+    run = commands.add_parser("run", help="run one experiment file and plot its figure")
+    run.add_argument("file", type=Path, help="experiment file (YAML)")
     run.add_argument("--output", type=Path, default=Path(), metavar="FOLDER",
-                     help="where the dataset and the figure go (default: here)")  # fmt: skip
+                     help="output folder (default: current folder)")  # fmt: skip
     run.add_argument("--accuracy", choices=ACCURACY_PRESETS, default="standard",
-                     help="how exact (default: standard)")  # fmt: skip
-    run.add_argument("--seed", type=int, help="of the random numbers (default: 1)")
-    run.add_argument("--threads", type=int, help="default: all processors")
+                     help="target accuracy (default: standard)")  # fmt: skip
+    run.add_argument("--seed", type=int, help="seed of the random numbers (default: 1)")
+    run.add_argument("--threads", type=int, help="number of threads (default: all processors)")
     run.add_argument("--media", type=Path, default=Path("config/media"), metavar="FOLDER",
-                     help="where `base: NAME` finds NAME.yaml (default: config/media)")  # fmt: skip
+                     help="folder of media for `base: NAME` (default: config/media)")  # fmt: skip
     run.set_defaults(action=_run_experiment)
 
-    versions = commands.add_parser("versions", help="print versions of this and what it uses")
+    versions = commands.add_parser(
+        "versions", help="print the versions of this package and its dependencies"
+    )
     versions.set_defaults(action=_print_versions)
 
-    cache = commands.add_parser("cache", help="say where compiled kernels are kept")
-    cache.add_argument("--clear", action="store_true", help="delete them")
+    cache = commands.add_parser("cache", help="show the cache folders of compiled kernels")
+    cache.add_argument("--clear", action="store_true", help="delete the cached kernels")
     cache.set_defaults(action=_manage_cache)
 
-    unpack = commands.add_parser(
-        "unpack", help="verify an archive of results, byte by byte, and unpack it"
-    )
-    unpack.add_argument("archive", type=Path, help="a zip file that `snakemake archive` made")
+    unpack = commands.add_parser("unpack", help="verify an archive of results and unpack it")
+    unpack.add_argument("archive", type=Path, help="zip file made by `snakemake archive`")
     unpack.add_argument("folder", type=Path, nargs="?",
-                        help="where to; new or empty (default: only verify)")  # fmt: skip
+                        help="new or empty target folder (default: verify only)")  # fmt: skip
     unpack.set_defaults(action=_unpack_archive)
     return parser
 
 
 def _run_experiment(arguments: argparse.Namespace) -> None:
-    """Run an experiment; its dataset, figure and tables appear whole or not at all."""
+    """Run an experiment and write its dataset, figure and tables atomically."""
     import_optional("pydantic", "experiments", "experiment files need")
     import_optional("yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_spectra
@@ -122,29 +125,33 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
     threads = check_threads(arguments.threads)
     experiment = load_experiment(arguments.file, arguments.media)
-    own = experiment.instrument.seed
-    if arguments.seed is not None and own is not None:
-        raise invalid("--seed", arguments.seed, "left out", f"the file has instrument.seed = {own}")
-    drawn = experiment.figure.kind != "none"
-    if drawn or experiment.retrieve:
+    file_seed = experiment.instrument.seed
+    if arguments.seed is not None and file_seed is not None:
+        raise invalid(
+            "--seed", arguments.seed, "left out", f"the file has instrument.seed = {file_seed}"
+        )
+    has_figure = experiment.figure.kind != "none"
+    if has_figure or experiment.retrieve:
         import_optional("matplotlib", "figures", "figures need")
         import_optional("seaborn", "figures", "figures need")
     measured = arguments.media.parent / "measured"
-    shown = experiment.figure.measured
-    beside = [read_spectra(measured / shown, "figure.measured")] if shown else []
+    figure_measured = experiment.figure.measured
+    measured_spectra = (
+        [read_spectra(measured / figure_measured, "figure.measured")] if figure_measured else []
+    )
     target = arguments.output / f"{experiment.name}.nc"
     check_writable(target)
     max_stderr, relative_stderr = ACCURACY_PRESETS[arguments.accuracy]
     accuracy = Accuracy(max_stderr=max_stderr, relative_stderr=relative_stderr)
-    again = shlex.join(["splits", *map(str, arguments.words)])
-    exit_on_signals("splits run", f"to go on where it stopped, type: {again}")
+    command = shlex.join(["splits", *map(str, arguments.words)])
+    exit_on_signals("splits run", f"to resume, type: {command}")
     simulation = SimulationConfig.model_validate(experiment.dump_simulation())
     if experiment.fit:
         table = read_spectra(measured / experiment.fit.measured, "fit.measured")
         save(run_fit(simulation, accuracy, table, seed, threads, _log), target)
     else:
-        kept = arguments.output / "blocks" / experiment.name
-        write_run(simulation, accuracy, seed, kept, target, threads, _log)
+        block_folder = arguments.output / "blocks" / experiment.name
+        write_run(simulation, accuracy, seed, block_folder, target, threads, _log)
     _print_line(target)
     if experiment.retrieve:
         _run_retrieval(experiment, target, measured, seed)
@@ -156,17 +163,18 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
         parameters = arguments.output / f"{experiment.name}_parameters.csv"
         write_table(make_fit_table(load(target)), parameters)
         _print_line(parameters)
-    if drawn:
+    if has_figure:
         from splits.plotting import draw, save_figure
 
         save_figure(
-            draw(load(target), experiment.resolve_figure(), *beside), target.with_suffix("")
+            draw(load(target), experiment.resolve_figure(), *measured_spectra),
+            target.with_suffix(""),
         )
         _print_line(target.with_suffix(".png"))
 
 
 def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed: int) -> None:
-    """Read measured spectra of a folder in a table, and write what they tell beside it."""
+    """Retrieve medium parameters from measured spectra with a table, and write the results."""
     section = experiment.retrieve
     if section is None:
         return
@@ -182,30 +190,30 @@ def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed:
     from splits.tables.table import open_table
 
     measured = read_spectra(folder / section.measured, "retrieve.measured")
-    found = run_retrieve(section, open_table(path), measured, seed, _log)
+    results = run_retrieve(section, open_table(path), measured, seed, _log)
     table = path.with_name(f"{experiment.name}_retrieved.csv")
-    write_table(make_retrieval_table(found, section.reference_values), table)
+    write_table(make_retrieval_table(results, section.reference_values), table)
     _print_line(table)
-    joined = combine_samples(found, experiment.name)
+    combined = combine_samples(results, experiment.name)
     save_figure(
-        draw_retrievals(joined, section.reference_values, section.list_sample_prefixes()),
+        draw_retrievals(combined, section.reference_values, section.list_sample_prefixes()),
         path.with_suffix(""),
     )
     _print_line(path.with_suffix(".png"))
 
 
 def _log(line: str) -> None:
-    """Say how far a run is, or why it ends."""
+    """Print progress or an error message to standard error."""
     write_line(line, sys.stderr)
 
 
 def _print_line(line: object) -> None:
-    """Say what was made."""
+    """Print a result to standard output."""
     write_line(str(line), sys.stdout)
 
 
 def _print_versions(arguments: argparse.Namespace) -> None:
-    """Print what a report of a problem should hold."""
+    """Print the versions to include in a bug report."""
     import platform
     from importlib.metadata import PackageNotFoundError, version
 
@@ -224,17 +232,17 @@ def _print_versions(arguments: argparse.Namespace) -> None:
 
 
 def _manage_cache(arguments: argparse.Namespace) -> None:
-    """Say what is kept where, or delete it."""
+    """Print the content of the kernel cache folders, or clear them."""
     from splits.kernels.compiler.cache_folders import list_cache_folders
 
     for folder in list_cache_folders():
-        kept = sorted(folder.path.glob("*.nbc"))
-        size = sum(path.stat().st_size for path in kept) / 1e6
-        _print_line(f"{folder.path}: {len(kept)} compiled kernels, {size:.1f} MB")
+        kernels = sorted(folder.path.glob("*.nbc"))
+        size = sum(path.stat().st_size for path in kernels) / 1e6
+        _print_line(f"{folder.path}: {len(kernels)} compiled kernels, {size:.1f} MB")
         if arguments.clear:
-            for path in kept:
+            for path in kernels:
                 folder.remove(path.name)
-            _print_line(f"deleted {len(kept)}")
+            _print_line(f"deleted {len(kernels)}")
 
 
 def _unpack_archive(arguments: argparse.Namespace) -> None:

@@ -1,1 +1,1 @@
-"""Validation, provenance, uncertainty, progress and files: what every other package uses."""
+"""Common services: validation, provenance, uncertainty, progress and atomic file writes."""

@@ -1,8 +1,8 @@
-"""One way to read arrays of numbers that a user gives.
+"""Conversion and validation of numeric arrays given by users.
 
-Every such array passes through `as_float_array`, alone or within the functions below it.  Masked
-members, NaN and the missing values of pandas are one kind, gaps.  Where values have labels of their
-own (pandas, xarray), the labels decide what belongs to what, and not the places.
+Every such array passes through `as_float_array`, directly or through the other functions of this
+module.  Masked elements, NaN and missing values of pandas are all treated as gaps.  Values with
+labels (pandas, xarray) are matched by label, not by position.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from splits.core.validation import (
 )
 
 MAX_NUMBERS = 20_000
-"""A row of numbers, such as wavelengths, is so long at most."""
+"""Largest length of a sequence of numbers, such as wavelengths."""
 TEXT_HINT = "this is text, not a number"
 UNLABELLED_HINT = "values are matched by their labels; .to_numpy() has none"
 
@@ -35,31 +35,31 @@ UNLABELLED_HINT = "values are matched by their labels; .to_numpy() has none"
 def as_float_array(
     key: str, values: Any, allowed: str = "numbers", *, allow_gaps: bool = False
 ) -> np.ndarray:
-    """Return numbers of any shape as a new array of doubles, or refuse them.
+    """Return numbers of any shape as a new array of doubles.
 
     Parameters
     ----------
     key : str
-        Name the user knows them by.
+        Key named in error messages.
     values : array_like
-        Numbers of any type, order of bytes and access; no truth values, dates or texts.
+        Numbers of any type, byte order and memory layout, but not booleans, dates or text.
     allowed : str
-        What they must be, such as "numbers in nanometres".
+        Requirement for error messages, such as "numbers in nanometres".
     allow_gaps : bool
-        Whether gaps are returned as NaN, and infinite numbers as they are; else both are refused.
+        Whether gaps, returned as NaN, and infinite numbers are allowed.
     """
-    found = _convert(key, values, allowed)
-    wrong = np.flatnonzero(~np.isfinite(found)) if not allow_gaps else np.empty(0)
-    if wrong.size:
-        value = found.flat[wrong[0]]
-        where = f"number {wrong[0] + 1} of {found.size} is " if found.ndim else ""
-        hint = f"{where}masked, NaN or missing" if np.isnan(value) else ""
+    numbers = _convert(key, values, allowed)
+    bad_positions = np.flatnonzero(~np.isfinite(numbers)) if not allow_gaps else np.empty(0)
+    if bad_positions.size:
+        value = numbers.flat[bad_positions[0]]
+        prefix = f"number {bad_positions[0] + 1} of {numbers.size} is " if numbers.ndim else ""
+        hint = f"{prefix}masked, NaN or missing" if np.isnan(value) else ""
         raise invalid(key, float(value), allowed, hint)
-    return found
+    return numbers
 
 
 def _convert(key: str, values: Any, allowed: str) -> np.ndarray:
-    """Return numbers as a new array of doubles with NaN for gaps, or refuse them."""
+    """Return numbers as a new array of doubles, with NaN for gaps."""
     if isinstance(values, (str, bytes)):
         raise invalid(key, values, allowed, TEXT_HINT)
     if isinstance(values, Set):
@@ -71,7 +71,7 @@ def _convert(key: str, values: Any, allowed: str) -> np.ndarray:
     if not isinstance(values, Iterable):
         if values is pd.NA:
             return np.array(np.nan)
-        # Numbers that are not finite are judged later.
+        # Non-finite numbers are checked later.
         return np.array(values if isinstance(values, float) else check_number(key, values, allowed))
     members = list(itertools.islice(values, MAX_NUMBERS + 1))
     if len(members) > MAX_NUMBERS:
@@ -83,97 +83,100 @@ def _convert(key: str, values: Any, allowed: str) -> np.ndarray:
 
 
 def _convert_array(key: str, values: Any, allowed: str) -> np.ndarray:
-    """Return the numbers of an array of whatever library, see `_convert`."""
+    """Return the numbers of an array of any library; see `_convert`."""
     dense = values if isinstance(values, np.ndarray) else np.asarray(values)
     data, kind = np.ma.getdata(dense), dense.dtype.kind
     if kind in "fiu":
-        found = np.array(data, dtype=float)
+        numbers = np.array(data, dtype=float)
     elif kind == "O":
         missing = np.asarray(pd.isna(data))
-        found = np.full(data.shape, np.nan)
-        found[~missing] = [check_number(key, one, allowed) for one in data[~missing]]
+        numbers = np.full(data.shape, np.nan)
+        numbers[~missing] = [check_number(key, item, allowed) for item in data[~missing]]
     else:
-        told = data.ravel()[0] if kind in "bUS" and data.size else f"of type {dense.dtype}"
-        raise invalid(key, told, allowed, TEXT_HINT if kind in "US" else "")
+        example = data.ravel()[0] if kind in "bUS" and data.size else f"of type {dense.dtype}"
+        raise invalid(key, example, allowed, TEXT_HINT if kind in "US" else "")
     if isinstance(dense, np.ma.MaskedArray):
-        found[np.ma.getmaskarray(dense)] = np.nan
-    return found
+        numbers[np.ma.getmaskarray(dense)] = np.nan
+    return numbers
 
 
 def as_1d_array(key: str, values: Any, allowed: str = "numbers") -> np.ndarray:
-    """Return one number or a row of numbers as an array of doubles, or refuse them.
+    """Return a number or a sequence of numbers as a one-dimensional array of doubles.
 
     Parameters
     ----------
     key : str
+        Key named in error messages.
     values : array_like
-        At least one, and `MAX_NUMBERS` at most; each is finite.
+        Finite numbers, from 1 to `MAX_NUMBERS` of them.
     allowed : str
-        What they must be, such as "numbers in nanometres".
+        Requirement for error messages, such as "numbers in nanometres".
     """
-    found = as_float_array(key, values, allowed)
-    if found.ndim > 1:
+    numbers = as_float_array(key, values, allowed)
+    if numbers.ndim > 1:
         raise invalid(key, np.asarray(values).tolist(), f"one row of {allowed}")
-    if not found.size:
+    if not numbers.size:
         raise invalid(key, [], f"{allowed}, at least one")
-    if found.size > MAX_NUMBERS:
-        raise invalid(key, f"{found.size} numbers", f"at most {MAX_NUMBERS} numbers")
-    return np.atleast_1d(found)
+    if numbers.size > MAX_NUMBERS:
+        raise invalid(key, f"{numbers.size} numbers", f"at most {MAX_NUMBERS} numbers")
+    return np.atleast_1d(numbers)
 
 
 def read_columns(key: str, columns: Mapping[str, Any]) -> list[np.ndarray]:
-    """Return the columns of a table, each a row of numbers, in the order of the first.
+    """Return the columns of a table as arrays, in the order of the first column.
 
     Parameters
     ----------
     key : str
-        Name the user knows the table by.
+        Key of the table in error messages.
     columns : mapping
-        Rows of numbers by name; labels of the others are values or labels of the first.
+        Sequences of numbers by name; labels of the others are values or labels of the first.
     """
     first, *others = columns
     column = as_1d_array(f"{key}.{first}", columns[first])
-    own = find_labels(columns[first])
+    labels = find_labels(columns[first])
     rows = [
-        as_1d_array(f"{key}.{name}", align_to_labels(f"{key}.{name}", columns[name], column, own))
+        as_1d_array(
+            f"{key}.{name}", align_to_labels(f"{key}.{name}", columns[name], column, labels)
+        )
         for name in others
     ]
     return [column, *rows]
 
 
 def check_increasing(key: str, values: np.ndarray) -> np.ndarray:
-    """Return numbers that rise strictly, or refuse the first two that do not."""
-    falls = np.flatnonzero(np.diff(values) <= 0.0)
-    if falls.size:
-        pair = values[falls[0] : falls[0] + 2].tolist()
-        where = f"numbers {falls[0] + 1} and {falls[0] + 2} of {values.size}"
-        raise invalid(key, pair, "strictly increasing", where)
+    """Return numbers after checking that they are strictly increasing."""
+    violations = np.flatnonzero(np.diff(values) <= 0.0)
+    if violations.size:
+        pair = values[violations[0] : violations[0] + 2].tolist()
+        detail = f"numbers {violations[0] + 1} and {violations[0] + 2} of {values.size}"
+        raise invalid(key, pair, "strictly increasing", detail)
     return values
 
 
 def check_array_range(
     key: str, values: np.ndarray, low: float, high: float, unit: str = "", **how: Any
 ) -> np.ndarray:
-    """Return numbers that all are in a range, see `splits.core.validation.check_range`, or refuse the first."""
-    found = snap_to_limits(values, low, high)
+    """Return numbers after checking that all are in a range; see `check_range`."""
+    snapped = snap_to_limits(values, low, high)
     open_low, open_high = how.get("open_low", False), how.get("open_high", False)
-    outside = (found < low) | (found > high) | (open_low & (found == low))
-    outside |= open_high & (found == high)
+    outside = (snapped < low) | (snapped > high) | (open_low & (snapped == low))
+    outside |= open_high & (snapped == high)
     if outside.any():
-        check_range(key, found[outside][0], low, high, unit, **how)
-    return found
+        check_range(key, snapped[outside][0], low, high, unit, **how)
+    return snapped
 
 
 def check_no_gaps(key: str, data: xr.Dataset | xr.DataArray) -> None:
-    """Refuse a dataset with a gap in what it holds."""
+    """Check that a dataset has no gaps."""
     variables = data.data_vars.values() if isinstance(data, xr.Dataset) else [data]
-    for one in variables:
-        if pd.isna(one.values).any():
-            raise invalid(key, f"gaps in {one.name}", "numbers", "masked, NaN or missing")
+    for variable in variables:
+        if pd.isna(variable.values).any():
+            raise invalid(key, f"gaps in {variable.name}", "numbers", "masked, NaN or missing")
 
 
 def find_labels(values: Any, axis: int = 0) -> pd.Index | None:
-    """Return the labels that values have along an axis, None where they have none."""
+    """Return the labels of values along an axis, or None."""
     if isinstance(values, pd.Series | pd.DataFrame):
         return values.axes[axis]
     if isinstance(values, xr.DataArray) and axis < values.ndim:
@@ -189,26 +192,27 @@ def align_to_labels(
     allow_gaps: bool = False,
     ignore_default_labels: bool = True,
 ) -> np.ndarray:
-    """Return numbers in the order of labels along every axis, or refuse those with other labels.
+    """Return numbers in the order of given labels along every axis.
 
     Parameters
     ----------
     key : str
+        Key named in error messages.
     values : array_like
     *labels : sequence or None
-        What the labels of the values may be; the first that they are decides.
-    allowed, gaps
+        Alternative sequences of labels; the first that matches determines the order.
+    allowed, allow_gaps
         As for `as_float_array`.
     ignore_default_labels : bool
-        Whether labels that only count, 0, 1, 2 …, are none.
+        Whether default labels 0, 1, 2 … are ignored.
     """
-    found = as_float_array(key, values, allowed, allow_gaps=allow_gaps)
-    for axis in range(found.ndim):
-        places = match_labels(
+    numbers = as_float_array(key, values, allowed, allow_gaps=allow_gaps)
+    for axis in range(numbers.ndim):
+        positions = match_labels(
             key, find_labels(values, axis), labels, ignore_default_labels=ignore_default_labels
         )
-        found = found[(slice(None),) * axis + (places,)]
-    return found
+        numbers = numbers[(slice(None),) * axis + (positions,)]
+    return numbers
 
 
 def match_labels(
@@ -218,53 +222,57 @@ def match_labels(
     *,
     ignore_default_labels: bool = True,
 ) -> Any:
-    """Return where values with labels of their own stand among them, or refuse other labels.
+    """Return the indices that bring labelled values into the order of given labels.
 
     Parameters
     ----------
     key : str
-    own_labels : pandas.ComplexIndex or None
-        None where places count.
-    labels, counted
+        Key named in error messages.
+    own_labels : pandas.Index or None
+        Labels of the values; None for values matched by position.
+    labels, ignore_default_labels
         As for `align_to_labels`.
     """
     if own_labels is None:
         return slice(None)
-    wanted = [row for row in labels if row is not None]
-    for row in wanted:
-        found = _find_positions(own_labels, row)
-        if found is not None:
-            return found
+    candidates = [candidate for candidate in labels if candidate is not None]
+    for candidate in candidates:
+        positions = _find_positions(own_labels, candidate)
+        if positions is not None:
+            return positions
     if ignore_default_labels and own_labels.equals(pd.RangeIndex(own_labels.size)):
         return slice(None)
-    there, least = own_labels.tolist(), np.asarray(wanted[0]).tolist()
+    own_values, expected = own_labels.tolist(), np.asarray(candidates[0]).tolist()
     raise invalid(
-        key, f"values at {short_repr(there)}", f"values at {short_repr(least)}", UNLABELLED_HINT
+        key,
+        f"values at {short_repr(own_values)}",
+        f"values at {short_repr(expected)}",
+        UNLABELLED_HINT,
     )
 
 
 def _find_positions(own_labels: pd.Index, labels: Any) -> np.ndarray | None:
-    """Return where each label stands among one's own, None if they are not the same."""
-    wanted: Any = np.asarray(labels)
-    there: Any = np.asarray(own_labels.tolist())
-    if there.shape != wanted.shape:
+    """Return the position of each label among the own labels, or None if the sets differ."""
+    target: Any = np.asarray(labels)
+    own: Any = np.asarray(own_labels.tolist())
+    if own.shape != target.shape:
         return None
-    numeric = wanted.dtype.kind in "fiu"
+    numeric = target.dtype.kind in "fiu"
     if not numeric:
-        wanted, there = wanted.astype(str), there.astype(str)
-    elif there.dtype.kind not in "fiu":
+        target, own = target.astype(str), own.astype(str)
+    elif own.dtype.kind not in "fiu":
         return None
-    before, after = np.argsort(there, kind="stable"), np.argsort(wanted, kind="stable")
+    own_order, target_order = np.argsort(own, kind="stable"), np.argsort(target, kind="stable")
     if numeric:
-        same = np.allclose(there[before], wanted[after], rtol=ROUNDING_TOLERANCE, atol=0.0)
+        same = np.allclose(own[own_order], target[target_order], rtol=ROUNDING_TOLERANCE, atol=0.0)
     else:
-        same = bool((there[before] == wanted[after]).all())
-    once = bool((there[before][1:] != there[before][:-1]).all())
-    if not same or not (once or np.array_equal(there, wanted)):
+        same = bool((own[own_order] == target[target_order]).all())
+    is_unique = bool((own[own_order][1:] != own[own_order][:-1]).all())
+    if not same or not (is_unique or np.array_equal(own, target)):
         return None
-    places = np.empty(there.size, dtype=np.int64)
-    places[after] = before
-    return places
+    positions = np.empty(own.size, dtype=np.int64)
+    positions[target_order] = own_order
+    return positions
 
 
 def check_named_numbers(
@@ -273,9 +281,9 @@ def check_named_numbers(
     names: tuple[str, ...],
     limits: tuple[float, float] = (-math.inf, math.inf),
 ) -> tuple[float, ...]:
-    """Return a sequence of ``len(names)`` floats, by its labels where it has some, or refuse it.
+    """Return a sequence of ``len(names)`` floats, matched by labels if it has any.
 
-    What rounding has taken beyond one of the `limits` is that end; what is beyond is not refused.
+    Numbers outside `limits` by rounding only are set to the limit; others are not checked.
     """
     allowed = f"{len(names)} numbers ({', '.join(names)})"
     value = as_scalar(value)
@@ -284,6 +292,8 @@ def check_named_numbers(
     values = tuple(itertools.islice(value, len(names) + 1))
     if len(values) != len(names):
         raise invalid(key, value, allowed)
-    places = np.arange(len(names))[match_labels(key, find_labels(value), [names])]
-    found = [check_number(f"{key} ({n})", values[i]) for n, i in zip(names, places, strict=True)]
-    return tuple(snap_to_limits(found, *limits).tolist())
+    positions = np.arange(len(names))[match_labels(key, find_labels(value), [names])]
+    numbers = [
+        check_number(f"{key} ({n})", values[i]) for n, i in zip(names, positions, strict=True)
+    ]
+    return tuple(snap_to_limits(numbers, *limits).tolist())

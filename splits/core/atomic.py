@@ -1,9 +1,9 @@
-"""Files and folders that appear whole or not at all, and what killed writers have left.
+"""Atomic writes, and removal of temporary files left by killed processes.
 
-A writer holds a lock on a file of its own beside what it writes.  Locks end with the process that
-holds them, however that ends, and wherever it is seen from: neither names of hosts nor numbers of
-processes tell whether a writer lives, since containers and nodes share them.  A lock that was set
-on another machine, or through another mount, need not be seen here: there age decides.
+A writer holds a lock on a separate file beside its output.  The operating system releases the lock
+when the process exits.  Host names and process numbers cannot identify a live writer, because
+containers and cluster nodes reuse them.  A lock set on another machine, or through another mount,
+may not be visible here; the age of the files decides then.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from splits.core.paths import expand_path
 
 try:
     import fcntl
-except ImportError:  # Windows has none: age alone decides there.
+except ImportError:  # Not available on Windows, where age alone decides.
     fcntl = None  # type: ignore[assignment]
 
 DAMAGED_SUFFIX = ".damaged"
-"""What the name of a file gets at its end when it is set aside."""
+"""Suffix of a damaged file after renaming."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
-"""Numbers of errors that say that no space is left."""
+"""Error numbers of a full disk or an exceeded quota."""
 ABANDONED_AFTER_S = 7 * 86_400.0
-"""Time without a change after which a file is abandoned whose lock says nothing."""
+"""Time (s) without a change after which a file of unknown lock state is abandoned."""
 _TEMPORARY_NAME_PATTERN = re.compile(
     r"(?P<lock>\.aside\.[0-9a-f]{16}\.[0-9a-f]{16})(\.[0-9a-f]{8}\..+)?"
 )
@@ -43,10 +43,10 @@ _TEMPORARY_NAME_PATTERN = re.compile(
 
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
-    """Give a name to write to; that file takes the place of `path` when the block ends well.
+    """Yield a temporary path; the file written there replaces `path` if the block succeeds.
 
-    If the block raises, the file is deleted and what was at `path` stays.  A check of what was
-    written belongs at the end of the block.  The folder is made, and leftovers in it are removed
+    If the block raises, the temporary file is deleted and `path` is unchanged.  Verify the written
+    file at the end of the block.  The parent folder is created, and stale files in it are removed
     (see `remove_stale_files`).
 
     Parameters
@@ -56,112 +56,112 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        In the same folder, with the same suffix; a hidden name.
+        Hidden path in the same folder, with the same suffix.
     """
     path = expand_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _reserve_temporary_path(path) as aside, track_unfinished_file(aside):
-        yield aside
-        os.replace(aside, path)
+    with _reserve_temporary_path(path) as temporary, track_unfinished_file(temporary):
+        yield temporary
+        os.replace(temporary, path)
 
 
 @contextmanager
 def atomic_folder(path: str | Path) -> Iterator[Path]:
-    """Give a new folder to write into; it gets the name `path` when the block ends well.
+    """Yield a new temporary folder; it is renamed to `path` if the block succeeds.
 
-    If the block raises, the folder is deleted with all that is in it.  Leftovers beside it are
-    removed (see `remove_stale_files`).
+    If the block raises, the temporary folder is deleted with its content.  Stale files beside it
+    are removed (see `remove_stale_files`).
 
     Parameters
     ----------
     path : path
-        Must not exist, or be an empty folder; the folder that it stands in must exist.
+        Must not exist or be an empty folder; its parent folder must exist.
 
     Yields
     ------
     Path
-        In the same folder; a hidden name.
+        Hidden path in the same parent folder.
     """
     path = expand_path(path)
-    with _reserve_temporary_path(path) as aside:
-        aside.mkdir()
+    with _reserve_temporary_path(path) as temporary:
+        temporary.mkdir()
         try:
-            yield aside
+            yield temporary
             if path.exists():
                 path.rmdir()
-            aside.rename(path)
+            temporary.rename(path)
         finally:
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 @contextmanager
 def _reserve_temporary_path(path: Path) -> Iterator[Path]:
-    """Give a name beside a path that `remove_stale_files` knows, where leftovers are removed first.
+    """Yield a locked temporary path beside `path`, after removing stale files there.
 
-    What cannot be written is reported with the name of the path, not with the hidden one.
+    Errors of writing name `path`, not the hidden temporary path.
     """
     remove_stale_files(path.parent)
     lock = path.with_name(f".aside.{_get_lock_domain(path.parent)}.{secrets.token_hex(8)}")
-    # Names of files may have 255 bytes.  The second number keeps others from foreseeing this one.
-    aside = path.with_name(f"{lock.name}.{secrets.token_hex(4)}.{path.name[-40:]}")
+    # File names are limited to 255 bytes.  The second random number makes the name unpredictable.
+    temporary = path.with_name(f"{lock.name}.{secrets.token_hex(4)}.{path.name[-40:]}")
     try:
         with track_unfinished_file(lock), open(lock, "xb") as file:
             if fcntl:
-                # Where files cannot be locked, age decides.
+                # On file systems without locks, age decides.
                 with suppress(OSError):
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            yield aside
+            yield temporary
     except OSError as error:
-        # What fails in the midst of a file knows no name.
+        # Errors in the middle of a write carry no file name.
         nameless = error.filename is None and error.errno in DISK_FULL_ERRORS
-        if not nameless and str(error.filename) not in (str(lock), str(aside)):
+        if not nameless and str(error.filename) not in (str(lock), str(temporary)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def remove_stale_files(folder: str | Path) -> list[Path]:
-    """Delete what writers that have ended left unfinished in a folder.
+    """Delete temporary files in a folder whose writers have ended.
 
-    What is locked stays.  So does what was written on another machine or through another mount, or
-    where files cannot be locked, until nothing has changed there for `ABANDONED_AFTER_S`.
+    Locked files are kept.  Files written on another machine, through another mount or on a file
+    system without locks are kept until they are unchanged for `ABANDONED_AFTER_S`.
 
     Parameters
     ----------
     folder : path
-        Need not exist; folders in it are left alone.
+        Need not exist; subfolders are not searched.
 
     Returns
     -------
     list of Path
-        What was deleted.
+        Deleted files and folders.
     """
-    left: dict[Path, list[Path]] = {}
+    stale: dict[Path, list[Path]] = {}
     for path in Path(folder).glob(".aside.*"):
-        if found := _TEMPORARY_NAME_PATTERN.fullmatch(path.name):
-            left.setdefault(path.with_name(found["lock"]), []).append(path)
-    gone = []
-    for lock, paths in left.items():
+        if match := _TEMPORARY_NAME_PATTERN.fullmatch(path.name):
+            stale.setdefault(path.with_name(match["lock"]), []).append(path)
+    deleted = []
+    for lock, paths in stale.items():
         with suppress(OSError):
             ended = _has_writer_ended(lock)
             if not (_is_abandoned(paths) if ended is None else ended):
                 continue
-        # The lock last: what is without one is judged by its age.
-        for path in sorted(paths, key=lambda one: one == lock):
+        # The lock file last, because files without one are judged by age.
+        for path in sorted(paths, key=lambda entry: entry == lock):
             with suppress(OSError):
                 if path.is_dir() and not path.is_symlink():
                     shutil.rmtree(path)
                 else:
                     path.unlink()
-                gone.append(path)
-    return gone
+                deleted.append(path)
+    return deleted
 
 
 def _has_writer_ended(lock: Path) -> bool | None:
-    """Return whether the writer that held a lock has ended; None where that cannot be known."""
+    """Return whether the writer that held a lock has ended, or None if unknown."""
     if fcntl is None:
         return None
     try:
-        # NFS locks only what is open for writing.
+        # NFS requires write access for locking.
         with open(lock, "r+b") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -172,23 +172,23 @@ def _has_writer_ended(lock: Path) -> bool | None:
 
 
 def _is_abandoned(paths: Sequence[Path]) -> bool:
-    """Return whether nothing in some files and folders has changed for `ABANDONED_AFTER_S`."""
-    every = [one for path in paths for one in (path, *path.rglob("*"))]
-    return time.time() - max(one.lstat().st_mtime for one in every) > ABANDONED_AFTER_S
+    """Return whether files and folders are unchanged for `ABANDONED_AFTER_S`."""
+    entries = [entry for path in paths for entry in (path, *path.rglob("*"))]
+    return time.time() - max(entry.lstat().st_mtime for entry in entries) > ABANDONED_AFTER_S
 
 
 def _get_lock_domain(folder: Path) -> str:
-    """Return a name of the running system and of the mount that a folder is on.
+    """Return an identifier of the running system and of the mount of a folder.
 
-    Processes that agree in it see each other's locks.
+    Processes with the same identifier see each other's locks.
     """
-    seen = f"{_get_boot_id()} {folder.stat().st_dev}"
-    return hashlib.sha256(seen.encode()).hexdigest()[:16]
+    domain = f"{_get_boot_id()} {folder.stat().st_dev}"
+    return hashlib.sha256(domain.encode()).hexdigest()[:16]
 
 
 @functools.cache
 def _get_boot_id() -> str:
-    """Return what tells a running system from all others, whatever its host is called."""
+    """Return an identifier of the running system that does not depend on the host name."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
     except (OSError, ValueError):
@@ -196,37 +196,39 @@ def _get_boot_id() -> str:
 
 
 def check_writable(path: str | Path) -> None:
-    """Make the folder of a file, and refuse a path at which no file can be put.
+    """Create the folder of a file and check that the file can be written.
 
-    What takes long to compute is not to be lost at its end.
+    The check precedes long computations, whose results would otherwise be lost.
 
     Raises
     ------
     OSError
-        As writing there would.
+        If the file cannot be written.
     """
     path = Path(path)
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _reserve_temporary_path(path) as aside, track_unfinished_file(aside):
-        aside.touch()
+    with _reserve_temporary_path(path) as temporary, track_unfinished_file(temporary):
+        temporary.touch()
 
 
 def check_disk_space(path: Path, n_bytes: int) -> None:
-    """Take the space that a file needs for a moment, and leave the file empty.
+    """Check that a file of given size fits on the disk by allocating it temporarily.
+
+    The file is left empty.
 
     Parameters
     ----------
     path : path
-        Of a new file.
+        New file.
     n_bytes : int
-        Bytes.
+        Size in bytes.
 
     Raises
     ------
     OSError
-        If no such space is left.
+        If the space is not available.
     """
     with open(path, "wb") as file:
         try:
@@ -235,7 +237,7 @@ def check_disk_space(path: Path, n_bytes: int) -> None:
             elif shutil.disk_usage(path.parent).free < n_bytes:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
         except OSError as error:
-            # Not all file systems take space in advance.
+            # Some file systems do not support preallocation.
             if error.errno in DISK_FULL_ERRORS:
                 raise
         finally:
@@ -243,6 +245,6 @@ def check_disk_space(path: Path, n_bytes: int) -> None:
 
 
 def rename_damaged_file(path: str | Path) -> Path:
-    """Rename a damaged file to ``NAME.damaged``, over an earlier one, and return its new name."""
+    """Rename a damaged file to ``NAME.damaged``, replacing an earlier one; return the new path."""
     path = Path(path)
     return path.replace(path.with_name(path.name + DAMAGED_SUFFIX))

@@ -1,7 +1,7 @@
-"""Notices that kernels are compiled, here or by another process, where a person sees them.
+"""Notices about kernel compilation, in this process or another one.
 
-They go to a terminal as lines, or to whoever listens, such as a progress bar.  Nothing here can end
-a run: what cannot be shown is left out.
+Notices are written to the terminal, or passed to registered functions such as a progress bar.
+Errors are ignored, so that a notice never ends a run.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ COMPILING_MESSAGE = "compiling code for this kind of scene, once, which takes up
 WAITING_MESSAGE = "waiting for another process that compiles the same code"
 DONE_MESSAGE = "compiled"
 NOTICE_DELAY_S = 1.0
-"""How long compilation takes before a notice, and pauses before it counts as over."""
+"""Duration (s) of compilation before the first notice, and of a pause that ends a session."""
 _NOTICE_INTERVAL_S = 0.1
 
 listeners: list[Callable[[str], None]] = []
-"""Receive every notice in place of the terminal, each with the seconds so far."""
+"""Functions that receive every notice, with the elapsed seconds, in place of the terminal."""
 
 
 class _NoticeSession:
-    """Kernels that are compiled one after the other: notices by a thread of its own.
+    """Sequence of kernel compilations, with notices from a separate thread.
 
     Attributes
     ----------
     activity : str
-        What goes on, or nothing.
+        Current activity, or an empty text.
     start_time, last_end_time : float
-        When the session began, and when it last ended to compile.
+        Start of the session and end of the last compilation.
     """
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class _NoticeSession:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing has been compiled for a while."""
+        """Whether no compilation has run for `NOTICE_DELAY_S`."""
         return not self.activity and time.monotonic() - self.last_end_time > NOTICE_DELAY_S
 
     def _run(self) -> None:
@@ -66,12 +66,12 @@ class _NoticeSession:
 
 
 _session: _NoticeSession | None = None
-"""The last one; kernels are compiled one at a time."""
+"""Last session; kernels are compiled one at a time."""
 
 
 @contextmanager
 def announce(activity: str) -> Iterator[None]:
-    """Say what goes on meanwhile, if it takes longer than `NOTICE_DELAY_S` and a person sees it."""
+    """Announce an activity if it takes longer than `NOTICE_DELAY_S` and can be shown."""
     global _session
     outermost = _session is None or not _session.activity
     if outermost and (listeners or _is_terminal()):
@@ -87,13 +87,13 @@ def announce(activity: str) -> Iterator[None]:
 
 
 def _is_terminal() -> bool:
-    """Tell whether errors go to a terminal."""
+    """Return whether standard error is a terminal."""
     with suppress(Exception):
         return sys.stderr.isatty()
     return False
 
 
 def _write_line(line: str) -> None:
-    # Not by way of Python's buffer: what fails there fails again when the process ends.
+    # Bypasses Python's buffer, where a failed write would fail again at exit.
     with suppress(Exception):
         os.write(sys.stderr.fileno(), f"splits: {line}\n".encode())

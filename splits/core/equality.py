@@ -1,4 +1,4 @@
-"""Equality and hash of inputs by the values that they hold, arrays included."""
+"""Equality and hashing of inputs by value, including arrays."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ import numpy as np
 
 
 class ContentEquality:
-    """A frozen dataclass that equals another of its class where all of their fields are equal.
+    """Base class of frozen dataclasses that compare and hash by the values of their fields.
 
-    The classes that derive from it are made with ``eq=False``: equality as dataclasses have it
-    fails for arrays, and their hash for arrays and mappings.  Arrays, lists and tuples of equal
-    values are equal, and so are mappings in any order.  A copy, or what was pickled, is equal.
+    Derived classes are declared with ``eq=False``: the generated equality of dataclasses fails for
+    arrays, and the generated hash fails for arrays and mappings.  Arrays, lists and tuples of equal
+    values are equal, and mappings are equal in any order.  Copies and unpickled objects are equal.
     """
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other is of this class and holds the same."""
+        """Return whether the other is of the same class with equal fields."""
         if type(other) is not type(self):
             return NotImplemented
         return self is other or self._comparison_key() == other._comparison_key()
 
     def __hash__(self) -> int:
-        """Return the hash of what it holds."""
+        """Return the hash of the fields."""
         return hash(self._comparison_key())
 
     def _comparison_key(self) -> tuple[Hashable, ...]:
-        """Return what two equal objects have in common."""
-        own: Any = self
-        return tuple(_to_hashable(getattr(own, f.name)) for f in fields(own) if f.compare)
+        """Return the key by which objects compare."""
+        instance: Any = self
+        return tuple(_to_hashable(getattr(instance, f.name)) for f in fields(instance) if f.compare)
 
 
 def _to_hashable(value: Any) -> Hashable:
-    """Return a value, of arrays and sequences a tuple, of mappings a set of pairs."""
+    """Return a hashable equivalent: tuples of sequences and arrays, sets of pairs of mappings."""
     if isinstance(value, Mapping):
-        return frozenset((key, _to_hashable(one)) for key, one in value.items())
+        return frozenset((key, _to_hashable(item)) for key, item in value.items())
     if hasattr(value, "__array__"):
         value = np.asarray(value).tolist()
     if isinstance(value, list | tuple):
         return tuple(map(_to_hashable, value))
-    found: Hashable = value
-    return found
+    hashable: Hashable = value
+    return hashable

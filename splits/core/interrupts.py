@@ -1,8 +1,8 @@
-"""How SIGINT and SIGTERM end a run of the workflow soon, and leave nothing half done.
+"""Handling of SIGINT and SIGTERM: a prompt exit that leaves no unfinished files.
 
-Snakemake waits for its jobs when it is interrupted, but does not tell them: it is made to pass the
-signal on.  A job hears of a signal only between two steps of Python; while a kernel runs or is
-compiled, that may take minutes: a thread of its own ends the process then.
+An interrupted Snakemake waits for its jobs without forwarding the signal, so it is made to forward
+it.  Python handles a signal only between two bytecode instructions; while a kernel runs or is
+compiled, that may take minutes.  A separate thread therefore ends the process.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from pathlib import Path
 from types import FrameType, TracebackType
 
 GRACE_PERIOD_S = 1.0
-"""How long a job may take to end by itself after a signal."""
+"""Time (s) that a job has to end after a signal before it is ended."""
 INTERRUPTED_EXIT_STATUS = 130
-"""Exit status of a job that a signal has ended: what shells give for SIGINT."""
+"""Exit status of an interrupted job, the one shells report for SIGINT."""
 HANDLED_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _unfinished_files: set[Path] = set()
 
 
 @contextmanager
 def track_unfinished_file(path: Path) -> Iterator[None]:
-    """Remove a file at the end of this, also when a signal ends the process meanwhile."""
+    """Remove a file at the end of the block, also if a signal ends the process within it."""
     _unfinished_files.add(path)
     try:
         yield
@@ -38,53 +38,54 @@ def track_unfinished_file(path: Path) -> Iterator[None]:
 
 
 def exit_on_signals(name: str, resume_hint: str = "") -> None:
-    """Let SIGINT and SIGTERM end this process within about `GRACE_PERIOD_S`, with a line of `name`.
+    """End this process within about `GRACE_PERIOD_S` of SIGINT or SIGTERM.
 
-    To be called once, in the main thread of a process that does nothing but one job.  A process
-    that ignores SIGINT, as shells start those in the background, goes on to do so.
+    Call it once, in the main thread of a process that runs a single job.  A process that ignores
+    SIGINT, such as a background process of a shell, continues to do so.
 
     Parameters
     ----------
     name : str
+        Program name in the line that reports the interruption.
     resume_hint : str, optional
-        A last line.
+        Second line of the report.
     """
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        # A second one would break off what the first makes end.
-        for known in HANDLED_SIGNALS:
-            signal.signal(known, signal.SIG_IGN)
+        # A second signal must not interrupt the clean-up after the first.
+        for handled in HANDLED_SIGNALS:
+            signal.signal(handled, signal.SIG_IGN)
         raise KeyboardInterrupt
 
     def watch() -> None:
-        told.recv(1)
+        receiver.recv(1)
         time.sleep(GRACE_PERIOD_S)
-        end()
+        exit_process()
 
-    def end() -> None:
-        # Of two threads that come here, the first.
-        ending.acquire()
+    def exit_process() -> None:
+        # Only the first thread to arrive continues.
+        exit_lock.acquire()
         for path in list(_unfinished_files):
             with suppress(OSError):
                 path.unlink(missing_ok=True)
-        # Not by way of Python's own end, which waits for threads and for whoever is compiling.
-        said = f"{name}: interrupted\n" + (f"{resume_hint}\n" if resume_hint else "")
+        # os._exit: the regular exit of Python waits for threads and for the compiler lock.
+        message = f"{name}: interrupted\n" + (f"{resume_hint}\n" if resume_hint else "")
         with suppress(OSError):
-            os.write(2, said.encode(errors="backslashreplace"))
+            os.write(2, message.encode(errors="backslashreplace"))
         os._exit(INTERRUPTED_EXIT_STATUS)
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         if issubclass(kind, KeyboardInterrupt):
-            end()
+            exit_process()
         sys.__excepthook__(kind, error, trace)
 
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         return
-    ending = threading.Lock()
-    tell, told = socket.socketpair()
-    tell.setblocking(False)
-    # Written to at once, whatever the main thread is at; Python's own handler has to wait for it.
-    signal.set_wakeup_fd(tell.detach(), warn_on_full_buffer=False)
+    exit_lock = threading.Lock()
+    sender, receiver = socket.socketpair()
+    sender.setblocking(False)
+    # The wakeup descriptor is written at once; Python-level handlers wait for the main thread.
+    signal.set_wakeup_fd(sender.detach(), warn_on_full_buffer=False)
     for number in HANDLED_SIGNALS:
         signal.signal(number, interrupt)
     sys.excepthook = hook
@@ -92,9 +93,9 @@ def exit_on_signals(name: str, resume_hint: str = "") -> None:
 
 
 def forward_interrupts() -> None:
-    """Let SIGINT interrupt all processes that this one has started, then this one.
+    """Forward SIGINT to all descendant processes, then handle it in this process.
 
-    In other threads than the main one, or where SIGINT is ignored, nothing is done.
+    No effect outside the main thread or if SIGINT is ignored.
     """
     main = threading.current_thread() is threading.main_thread()
     if not main or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

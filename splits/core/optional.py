@@ -1,4 +1,4 @@
-"""Packages that a plain installation leaves out, asked for where they are needed."""
+"""Optional dependencies, imported where they are needed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib import import_module
 from types import ModuleType
 
 DISTRIBUTION_NAME = "splits-optics"
-"""What this package is called on the package index; it is imported as `splits`."""
+"""Name of this package on the package index; the import name is `splits`."""
 
 
 def import_optional(module: str, extra: str, purpose: str) -> ModuleType:
@@ -15,16 +15,16 @@ def import_optional(module: str, extra: str, purpose: str) -> ModuleType:
     Parameters
     ----------
     module : str
-        Its name, such as "pvlib.spectrum".
+        Name of the module, such as "pvlib.spectrum".
     extra : str
-        The extra of this package that brings it.
+        Extra of this package that installs it.
     purpose : str
-        What needs it, as the beginning of a sentence: "clear skies need".
+        Start of the error message, such as "clear skies need".
 
     Raises
     ------
     ModuleNotFoundError
-        If the package is not installed; the message says how to install it.
+        If the package is not installed; the message gives the command that installs it.
     """
     try:
         return import_module(module)

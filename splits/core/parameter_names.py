@@ -1,11 +1,11 @@
-"""What parameters of media are called in datasets, and their units."""
+"""Long names and units of the parameters of media in datasets."""
 
 from __future__ import annotations
 
 import re
 
 PARAMETERS: dict[str, tuple[str, str]] = {
-    "algae_cells_ml": ("cells of algae per volume of meltwater", "1"),
+    "algae_cells_ml": ("number of algae cells per volume of meltwater", "1"),
     "asymmetry": ("mean cosine of the scattering angle", "1"),
     "bottom_albedo": ("albedo of the bottom", "1"),
     "density_kg_m3": ("mass of ice per volume", "kg m-3"),
@@ -14,37 +14,37 @@ PARAMETERS: dict[str, tuple[str, str]] = {
     "ground": ("ground below", "1"),
     "grain_size_um": ("major-axis diameter of the grains, smallest to largest", "um"),
     "hematite_ratio": ("mass of hematite per mass of iron oxide", "1"),
-    "impurities_in": ("where impurities are", "1"),
+    "impurities_in": ("location of the impurities", "1"),
     "impurities_ng_g": ("mass of impurities per mass of ice", "1e-9"),
     "incidence_deg": ("angle of incidence", "degree"),
     "iron_oxide": ("mass of hematite and goethite per mass of sand", "1"),
     "layers": ("layers", "1"),
     "liquid_water_content": ("volume of water per volume of snow", "1"),
     "magnetite": ("mass of magnetite per mass of sand", "1"),
-    "max_polarization": ("largest degree of polarization of light scattered once", "1"),
+    "max_polarization": ("largest degree of polarization of single scattering", "1"),
     "medium": ("sample", "1"),
-    "opaque": ("whether nothing comes back from below the surface", "1"),
-    "optical_radius_um": ("radius of spheres of the same surface area per mass", "um"),
+    "opaque": ("whether all light transmitted by the surface is absorbed", "1"),
+    "optical_radius_um": ("radius of spheres of the same specific surface area", "um"),
     "optical_thickness": ("optical thickness", "1"),
     "partition": ("mass fractions of pure, mixed and coated particles", "1"),
     "phase_function": ("phase function", "1"),
-    "polarized": ("whether the Stokes vector is followed", "1"),
-    "pores": ("what fills the pores besides air and water", "1"),
+    "polarized": ("whether the Stokes vector is traced", "1"),
+    "pores": ("fluids in the pores besides air and water", "1"),
     "porosity": ("volume of pores per volume", "1"),
-    "interpretation": ("reading of the papers", "1"),
+    "interpretation": ("interpretation of the papers", "1"),
     "refractive_index": ("refractive index", "1"),
     "relative_coating_thickness": ("thickness of coatings per major axis of the particle", "1"),
     "roundness": ("roundness of the particles, mean and standard deviation", "1"),
     "saturation": ("volume of water per volume of pores", "1"),
     "single_scattering_albedo": ("single-scattering albedo", "1"),
-    "size_tail": ("mass beyond the outermost size limits per mass", "1"),
-    "specific_surface_area_m2_kg": ("surface area of the ice per mass", "m2 kg-1"),
+    "size_tail": ("mass fraction outside the outermost size limits", "1"),
+    "specific_surface_area_m2_kg": ("specific surface area of the ice", "m2 kg-1"),
     "sphericity": ("sphericity of the grains, mean", "1"),
     "surface": ("surface of the layer", "1"),
     "temperature_c": ("temperature", "degC"),
     "texture": ("mass fractions of clay, silt and sand", "1"),
 }
-"""Long names and units (UDUNITS) of all parameters that a grid can have."""
+"""Long names and units (UDUNITS) of all parameters of a grid."""
 
 DERIVED_QUANTITIES: dict[str, tuple[str, str]] = {
     "absorption_enhancement_900nm_dry": ("absorption enhancement of dry grains at 900 nm", "1"),
@@ -52,30 +52,30 @@ DERIVED_QUANTITIES: dict[str, tuple[str, str]] = {
     "extinction_per_m": ("extinction coefficient", "m-1"),
     "mean_grain_distance_m": ("mean distance between grains along a ray", "m"),
 }
-"""The same of what follows from parameters, and which datasets tell."""
+"""Long names and units of derived quantities that datasets hold as attributes."""
 
 IMPURITY_KEYWORDS = ("impurities_ng_g", "algae_cells_ml")
-"""Keywords that are mappings of amounts, by kind."""
+"""Keywords that are mappings of amounts by type."""
 _IMPURITY_PATTERN = re.compile(rf"({'|'.join(IMPURITY_KEYWORDS)})\.(\w+)")
 _LAYER_PATTERN = re.compile(r"layers\.(\d+)\.(\w+)")
 
 
 def parse_layer_parameter(parameter: str) -> tuple[int, str] | None:
-    """Return the number of the layer and the keyword that a path such as layers.0.depth_m names."""
-    found = _LAYER_PATTERN.fullmatch(parameter)
-    return (int(found[1]), found[2]) if found else None
+    """Return the layer number and the keyword of a path such as layers.0.depth_m, or None."""
+    match = _LAYER_PATTERN.fullmatch(parameter)
+    return (int(match[1]), match[2]) if match else None
 
 
 def parse_impurity_parameter(parameter: str) -> tuple[str, str] | None:
-    """Return the keyword and the kind that a name such as impurities_ng_g.black_carbon holds."""
-    found = _IMPURITY_PATTERN.fullmatch(parameter)
-    return (found[1], found[2]) if found else None
+    """Return keyword and type of a name such as impurities_ng_g.black_carbon, or None."""
+    match = _IMPURITY_PATTERN.fullmatch(parameter)
+    return (match[1], match[2]) if match else None
 
 
 def describe_parameter(parameter: str) -> tuple[str, str]:
-    """Return the long name and the units of a parameter, or of that of a layer by its path.
+    """Return the long name and units of a parameter, also for the path of one in a layer.
 
-    One that is not known, as a user's own function may have, is called by its name.
+    An unknown parameter, such as one of a user's function, gets its own name.
     """
     path = parse_layer_parameter(parameter)
     if path is not None:

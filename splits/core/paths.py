@@ -1,4 +1,4 @@
-"""Paths that users give."""
+"""Expansion of paths given by users."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from splits.core.validation import invalid
 
 
 def expand_path(value: Any, key: str = "path", hint: str = "") -> Path:
-    """Return a path whose ``~`` or ``~NAME`` at the beginning is the home of that user.
+    """Return a path with a leading ``~`` or ``~NAME`` expanded to the home directory.
 
-    Every path that a user gives goes through here: the shell leaves a ``~`` as it is in
-    ``--output=~/results``, and Python and YAML leave it everywhere.
+    All paths given by users pass through this function: the shell does not expand ``~`` in
+    ``--output=~/results``, and neither Python nor YAML expands it at all.
 
     Parameters
     ----------
     value : str or path
     key : str
-        What the user knows it by.
+        Key named in error messages.
     hint : str
-        What to do with a value that is no path.
+        Hint for a value that is not a path.
 
     Raises
     ------
     ValueError
-        For what is no path, and where no home is known.
+        If the value is not a path, or the home directory is unknown.
     """
     text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(text, str):
@@ -37,5 +37,6 @@ def expand_path(value: Any, key: str = "path", hint: str = "") -> Path:
     if text.startswith("~"):
         hint = "write it in full, or with ./ in front if it lies here"
         raise invalid(key, text, "a path whose home is known", hint)
-    # Here lies what has that name, and whoever expands the path again must not take it for a home.
+    # A relative path that begins with ~ after expansion is made absolute, so that a second
+    # expansion leaves it unchanged.
     return Path.cwd() / path

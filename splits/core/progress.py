@@ -1,7 +1,4 @@
-"""What a running simulation has reached, and a bar that shows it.
-
-Lines of progress in the terminal and in a file of their own.
-"""
+"""Progress of a running simulation: progress bars and progress logs."""
 
 from __future__ import annotations
 
@@ -24,19 +21,19 @@ from splits.core.validation import invalid
 
 @dataclass(frozen=True)
 class Progress:
-    """What a running simulation has reached.
+    """State of a running simulation.
 
     Attributes
     ----------
     rays : int
-        Rays of the present round.
+        Number of rays of the current round.
     stderr : float
-        Largest standard error so far; 1 or more before the first round is over.  Relative, where
-        an instrument works to a relative error.
+        Largest standard error so far, or relative standard error for an instrument with a relative
+        target; 1 or more before the end of the first round.
     target : float
-        Error asked for.
+        Requested standard error.
     seconds, seconds_left : float
-        Time since the start, and about as much still to go (s).
+        Elapsed time and estimated remaining time (s).
     """
 
     rays: int
@@ -47,7 +44,7 @@ class Progress:
 
     @property
     def fraction_done(self) -> float:
-        """Part of the whole time that is over, 0 to 1."""
+        """Elapsed fraction of the estimated total time, 0 to 1."""
         whole = self.seconds + self.seconds_left
         return self.seconds / whole if whole > 0.0 else 0.0
 
@@ -59,7 +56,7 @@ class Progress:
 
 
 ProgressCallback = Callable[[Progress], None] | bool | None
-"""What instruments take as `progress`: a function, True for a bar, or nothing."""
+"""Type of the argument `progress` of instruments: a function, True for a bar, or None."""
 
 
 _BAR_FORMAT = "{desc}{percentage:3.0f}%|{bar}|"
@@ -71,11 +68,11 @@ class ProgressBar:
     Parameters
     ----------
     description : str
-        Stands before the bar.
+        Text in front of the bar.
 
     Examples
     --------
-    One bar for each call is what ``progress=True`` gives.  A bar of your own serves several:
+    ``progress=True`` shows one bar per call.  An explicit bar can serve several calls:
 
     >>> import splits
     >>> with splits.ProgressBar("dry snow") as bar:
@@ -83,20 +80,20 @@ class ProgressBar:
     """
 
     def __init__(self, description: str = "") -> None:
-        before = f"{description}: " if description else ""
-        where = (
+        prefix = f"{description}: " if description else ""
+        output = (
             {} if _is_notebook() else {"file": _SafeStream(sys.stderr), "disable": not sys.stderr}
         )
-        form = f"{_BAR_FORMAT} starting"
-        self._bar: tqdm = _get_bar_class()(total=1.0, desc=before, bar_format=form, **where)
+        bar_format = f"{_BAR_FORMAT} starting"
+        self._bar: tqdm = _get_bar_class()(total=1.0, desc=prefix, bar_format=bar_format, **output)
         listeners.append(self._show_notice)
 
     def __call__(self, progress: Progress) -> None:
-        """Show what has been reached."""
+        """Show the state of the simulation."""
         self._show(progress.fraction_done, str(progress))
 
     def close(self, *, done: bool = True) -> None:
-        """Leave the bar as it is, full if the simulation is done."""
+        """Close the bar, filled if the simulation is done."""
         if self._show_notice in listeners:
             listeners.remove(self._show_notice)
         if done and not self._bar.disable:
@@ -104,7 +101,7 @@ class ProgressBar:
         self._bar.close()
 
     def _show_notice(self, notice: str) -> None:
-        """Show what keeps the simulation from starting."""
+        """Show a notice about compilation."""
         self._show(self._bar.n, notice)
 
     def _show(self, fraction: float, text: str) -> None:
@@ -125,7 +122,7 @@ class ProgressBar:
 
 
 class _SafeStream:
-    """A stream whose errors end nothing: a bar that cannot be shown is not shown.
+    """Text stream that ignores write errors, so that a failing progress bar ends no run.
 
     Parameters
     ----------
@@ -136,12 +133,12 @@ class _SafeStream:
         self._stream = stream
 
     def write(self, text: str) -> None:
-        """Write a text if that is possible."""
+        """Write a text, ignoring errors."""
         with suppress(OSError, ValueError):
             self._stream.write(text)
 
     def flush(self) -> None:
-        """Let what was written appear if that is possible."""
+        """Flush the stream, ignoring errors."""
         with suppress(OSError, ValueError):
             self._stream.flush()
 
@@ -150,17 +147,17 @@ class _SafeStream:
 
 
 def _is_notebook() -> bool:
-    """Tell whether bars of notebooks can be shown."""
+    """Return whether notebook progress bars are available."""
     return "ipykernel" in sys.modules and bool(find_spec("ipywidgets"))
 
 
 def _get_bar_class() -> type[tqdm]:
-    """Return the bar of notebooks where there is one, the terminal's elsewhere."""
+    """Return the progress bar class for a notebook, or for the terminal."""
     if _is_notebook():
         from tqdm.notebook import tqdm as in_notebooks
 
-        kind: type[tqdm] = in_notebooks
-        return kind
+        bar_class: type[tqdm] = in_notebooks
+        return bar_class
     return tqdm
 
 
@@ -169,51 +166,50 @@ Result = TypeVar("Result")
 
 
 def with_progress(instrument: Callable[Given, Result]) -> Callable[Given, Result]:
-    """Let ``progress=True`` of an instrument stand for a bar, and refuse what is no function.
+    """Decorate an instrument: ``progress=True`` creates a bar, and the callback is validated.
 
-    A function that cannot write what it is told ends no run.
+    Write errors of the callback are ignored.
     """
 
     @wraps(instrument)
-    def measured(*args: Given.args, **given: Given.kwargs) -> Result:
-        progress: Any = given.get("progress")
+    def wrapped(*args: Given.args, **keywords: Given.kwargs) -> Result:
+        progress: Any = keywords.get("progress")
         if progress is True:
             with ProgressBar(instrument.__name__) as bar:
-                return instrument(*args, **{**given, "progress": bar})  # type: ignore[arg-type]
+                return instrument(*args, **{**keywords, "progress": bar})  # type: ignore[arg-type]
         if progress is False:
-            return instrument(*args, **{**given, "progress": None})  # type: ignore[arg-type]
+            return instrument(*args, **{**keywords, "progress": None})  # type: ignore[arg-type]
         if progress is not None and not callable(progress):
             allowed = "True for a bar, or a function that takes a splits.Progress"
             raise invalid("progress", progress, allowed)
         if progress is not None and not isinstance(progress, ProgressBar):
-            given["progress"] = _suppress_write_errors(progress)
-        return instrument(*args, **given)
+            keywords["progress"] = _suppress_write_errors(progress)
+        return instrument(*args, **keywords)
 
-    return measured
+    return wrapped
 
 
 def _suppress_write_errors(callback: Callable[[Progress], None]) -> Callable[[Progress], None]:
-    """Return a function that does what another does, and passes over what that cannot write."""
+    """Return the callback with its write errors ignored."""
 
-    def told(progress: Progress) -> None:
+    def safe_callback(progress: Progress) -> None:
         with suppress(OSError, UnicodeError):
             callback(progress)
 
-    return told
+    return safe_callback
 
 
 def write_line(line: str, stream: TextIO | None) -> None:
-    """Write a line to a stream of this process if that is possible.
+    """Write a line to a standard stream, ignoring errors.
 
-    What says how far a run is must not end it: a stream that fails (a full disk, a reader that has
-    gone, a closed terminal) takes nothing from then on, and characters that its encoding does not
-    have are escaped.
+    A progress message must not end a run.  A stream that fails (full disk, broken pipe, closed
+    terminal) is redirected to the null device, and characters outside its encoding are escaped.
 
     Parameters
     ----------
     line : str
     stream : text file or None
-        None, as `sys.stderr` is in programs without a terminal, takes nothing.
+        None, the value of `sys.stderr` in programs without a terminal, discards the line.
     """
     if stream is None:
         return
@@ -222,26 +218,26 @@ def write_line(line: str, stream: TextIO | None) -> None:
         plain = line.encode(encoding, "backslashreplace").decode(encoding)
         print(plain, file=stream, flush=True)
     except (OSError, ValueError):
-        # What it still holds would fail again at the end of the process, and be its exit status.
-        with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), stream.fileno())
+        # Buffered text would fail again at exit and change the exit status.
+        with suppress(OSError, ValueError), open(os.devnull, "wb") as null:
+            os.dup2(null.fileno(), stream.fileno())
 
 
 @contextmanager
 def open_progress_log(path: str | Path) -> Iterator[Callable[[str], None]]:
-    """Give a function that shows a line in the terminal and keeps it in a file.
+    """Yield a function that writes a line to the terminal and to a log file.
 
-    Where either cannot be written the other still is, and the run goes on.
+    Each is written even if the other fails.
 
     Parameters
     ----------
     path : path
-        Of the file, which is written anew.
+        Log file; an existing file is overwritten.
     """
     with open(path, "w", encoding="utf-8") as log:
 
-        def say(line: str) -> None:
+        def log_line(line: str) -> None:
             write_line(line, sys.stderr)
             write_line(line, log)
 
-        yield say
+        yield log_line

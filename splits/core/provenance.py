@@ -1,9 +1,8 @@
-"""Which files of the package the numbers of a dataset depend on: one list for all who ask.
+"""Provenance: package version, git commit and digest of the sources of a simulation.
 
-The workflow runs a simulation again when their digest changes, and every dataset carries it.
-Plots, tables and the reading of configuration files may change without that.
-
-Which version of the package this is.
+The digest covers the files that determine the numbers of a dataset.  Every dataset holds it, and
+the workflow runs a simulation again when it changes.  Plotting, tables and the reading of
+configuration files are not part of it.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ SIMULATION_SOURCES = (
     "tables/axes.py", "tables/block.py", "tables/plan.py",
     "experiments/config/grid.py", "experiments/run.py", "experiments/run_points.py",
 )  # fmt: skip
-"""Folders and files, relative to the package, behind every simulation."""
+"""Folders and files, relative to the package, that determine every simulation."""
 FIT_SOURCES = (
     "retrieval/sand_fit.py",
     "retrieval/sand_parameters.py",
@@ -35,29 +34,31 @@ FIT_SOURCES = (
     "retrieval/linearization.py", "retrieval/measurement.py", "retrieval/residual_covariance.py",
     "retrieval/posterior.py", "retrieval/result.py", "retrieval/gauss_newton.py",
 )  # fmt: skip
-"""Files behind a fit besides."""
+"""Additional files that determine a fit."""
 RETRIEVAL_SOURCES = (
-    "analysis/theory/kokhanovsky_zege.py", "experiments/config/retrieve.py", "experiments/run_retrieve.py",
+    "analysis/theory/kokhanovsky_zege.py",
+    "experiments/config/retrieve.py", "experiments/run_retrieve.py",
     "tables/export.py", "tables/interpolation.py", "tables/axis_order.py", "tables/table.py",
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
     "retrieval/state_vector.py", "retrieval/cubic_interpolation.py", "retrieval/band_selection.py",
     "retrieval/optimal_estimation.py", "retrieval/forward_model.py", "retrieval/sobol.py",
     "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
-    "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py", "retrieval/retrieve.py",
+    "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py",
+    "retrieval/retrieve.py",
     "illumination/bands.py",
 )  # fmt: skip
-"""Files behind retrievals from a table."""
+"""Files that determine retrievals from a table."""
 
 
 def list_sources(*, fit: bool = False) -> list[str]:
-    """Return the files that a simulation, or a fit, depends on, relative to the package."""
-    found = []
+    """Return the source files of a simulation, or of a fit, relative to the package."""
+    sources = []
     for name in SIMULATION_SOURCES + (FIT_SOURCES if fit else ()):
         path = PACKAGE_FOLDER / name
-        every = [f for end in ("*.py", "*.csv") for f in path.rglob(end)]
-        files = sorted(map(_to_package_path, every)) if path.is_dir() else [name]
-        found += files
-    return found
+        paths = [f for end in ("*.py", "*.csv") for f in path.rglob(end)]
+        files = sorted(map(_to_package_path, paths)) if path.is_dir() else [name]
+        sources += files
+    return sources
 
 
 @functools.cache
@@ -69,7 +70,8 @@ def hash_physics_sources(*, fit: bool = False) -> str:
 def hash_files(folder: Path, names: Iterable[str]) -> str:
     """Return the SHA-256 (first 16 hex digits) of files of a folder.
 
-    The same on every machine: of names relative to the folder, and of content, however lines end.
+    The digest covers names relative to the folder and content with normalized line endings, so it
+    is the same on every machine.
     """
     digest = hashlib.sha256()
     for name in names:

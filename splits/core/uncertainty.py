@@ -1,14 +1,13 @@
-"""Values with their standard errors: as variables of a dataset, and from groups of rays.
+"""Standard errors of spectra: dataset variables, batch statistics and error propagation.
 
-Errors of what combines several wavelengths of one spectrum.
-
-A spectrophotometer traces paths at a few refractive indices.  Errors of wavelengths that draw on
-the same paths go together, those of others do not, so neither rule serves for a whole spectrum.
-Each dataset therefore carries how far `splits.simulation.tally.GROUPS` groups of its rays take
-every wavelength off (``…_batches``).  What is linear in the spectrum deviates by group alike, and
-the squares of its deviations add up to its variance.  What the standard error holds beyond that
-bounds what interpolation between refractive indices misses.  Neighbours miss alike, wavelengths far
-apart do not: bounds add up along each stretch of weights of one sign, and stretches in quadrature.
+A spectrophotometer traces paths at a few refractive indices.  Errors at wavelengths estimated from
+the same paths are correlated; others are independent.  Each dataset therefore holds the deviation
+of every wavelength in each of `splits.simulation.tally.N_BATCHES` batches of rays (``…_batches``).
+A quantity that is linear in the spectrum has the same linear combination of deviations, and their
+squares add up to its variance.  The rest of the standard error is a bound on the interpolation
+error between refractive indices.  That error is similar at neighbouring wavelengths and independent
+at distant ones, so bounds add up linearly along each interval of weights of one sign, and intervals
+in quadrature.
 """
 
 from __future__ import annotations
@@ -31,57 +30,57 @@ def make_variable(
     long_name: str,
     units: str = "1",
 ) -> dict[str, Variable]:
-    """Return a variable and, unless it is None, its standard error ``…_stderr``, by name."""
-    about = {"long_name": long_name, "units": units}
+    """Return a variable and its standard error ``…_stderr``, if not None, by name."""
+    attrs = {"long_name": long_name, "units": units}
     if stderr is None:
-        return {name: (dims, values, about)}
-    error = f"{name}_stderr"
+        return {name: (dims, values, attrs)}
+    error_name = f"{name}_stderr"
     return {
-        name: (dims, values, {**about, "ancillary_variables": error}),
-        error: (dims, stderr, {**about, "long_name": f"standard error of {long_name}"}),
+        name: (dims, values, {**attrs, "ancillary_variables": error_name}),
+        error_name: (dims, stderr, {**attrs, "long_name": f"standard error of {long_name}"}),
     }
 
 
 def make_deviation_variable(
     name: str, dims: str | tuple[str, ...], deviations: np.ndarray, long_name: str
 ) -> dict[str, Variable]:
-    """Return how far groups of rays take a quantity off, ``…_batches``, by name.
+    """Return the variable ``…_batches``, the deviation of a quantity by batch of rays, by name.
 
     Parameters
     ----------
     name, dims, long_name
-        Of the quantity.
-    deviations : float, shape (groups, ...)
-        Stored in single precision.
+        Name, dimensions and long name of the quantity.
+    deviations : float, shape (batches, ...)
+        Deviations, stored in single precision.
     """
     dims = (dims,) if isinstance(dims, str) else dims
-    about = {
+    attrs = {
         "long_name": f"deviation of {long_name} by batch of rays",
         "units": "1",
-        "comment": "sums over groups of products are covariances, without what stands for "
+        "comment": "sums of products over batches are covariances, without the allowance for "
         "interpolation between refractive indices in the standard error",
     }
-    return {f"{name}_batches": (("batch", *dims), deviations.astype(np.float32), about)}
+    return {f"{name}_batches": (("batch", *dims), deviations.astype(np.float32), attrs)}
 
 
 def compute_batch_stderr(batch_means: np.ndarray) -> np.ndarray:
-    """Return the standard error of the mean of groups of rays."""
+    """Return the standard error of the mean of batches of rays."""
     return batch_means.std(axis=0, ddof=1) / np.sqrt(len(batch_means))
 
 
 def compute_leave_one_out_means(batch_means: np.ndarray) -> np.ndarray:
-    """Return the means over all groups but one, the groups along the first axis."""
+    """Return the means over all batches but one; batches are along the first axis."""
     return (batch_means.sum(axis=0) - batch_means) / (len(batch_means) - 1)
 
 
 def compute_jackknife_stderr(leave_one_out: np.ndarray) -> np.ndarray:
-    """Return the standard error of what was computed from all groups but one (Efron 1982)."""
+    """Return the jackknife standard error of leave-one-out estimates (Efron 1982)."""
     n = len(leave_one_out)
     return np.sqrt((n - 1) / n * ((leave_one_out - leave_one_out.mean(axis=0)) ** 2).sum(axis=0))
 
 
 _VARIANCE_ROUNDING = 1e-6
-"""Part of a variance that deviations in single precision may miss."""
+"""Relative rounding error of a variance from deviations in single precision."""
 
 
 def compute_weighted_error(
@@ -97,69 +96,71 @@ def compute_weighted_error(
     Returns
     -------
     xarray.DataArray
-        Over all other dimensions: both parts, added in quadrature.
+        Both parts added in quadrature, over all other dimensions.
     """
-    scatter, missed = compute_error_parts(dataset, quantity, weights)
-    return (scatter**2 + missed**2) ** 0.5
+    statistical, interpolation = compute_error_parts(dataset, quantity, weights)
+    return (statistical**2 + interpolation**2) ** 0.5
 
 
 def compute_error_parts(
     dataset: xr.Dataset, quantity: str, weights: xr.DataArray
 ) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return how a weighted sum of a spectrum scatters, and a bound on what it misses besides.
+    """Return the statistical error of a weighted sum of a spectrum and its interpolation bound.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        The quantity's ``_stderr`` over ``wavelength`` and any other dimensions, and its
-        ``_batches`` over ``batch`` besides.  Without those, as in datasets of earlier versions,
-        the scatter is an upper bound: the sum of errors times sizes of weights.
+        With ``…_stderr`` of the quantity over ``wavelength`` and any other dimensions, and with
+        ``…_batches``, also over ``batch``.  If the latter is missing, the statistical error is an
+        upper bound, the sum of errors times absolute weights.
     quantity : str
-        Such as ``reflectance``.
+        Name of the quantity, such as ``reflectance``.
     weights : xarray.DataArray
-        Over ``wavelength`` and any other dimensions; of any sign.
+        Weights of any sign, over ``wavelength`` and any other dimensions.
 
     Returns
     -------
-    scatter, missed : xarray.DataArray
-        Over all other dimensions: one standard deviation between runs with other seeds, and how
-        much interpolation between refractive indices may miss.  NaN where an error that counts is
-        unknown.
+    statistical, interpolation : xarray.DataArray
+        Standard deviation between runs with different seeds, and bound on the interpolation error
+        between refractive indices, over all other dimensions.  NaN where an error of non-zero
+        weight is unknown.
     """
     stderr = dataset[f"{quantity}_stderr"]
     weights = _align_weights(weights, dataset)
     if f"{quantity}_batches" not in dataset:
-        most = _sum_weighted(abs(weights), stderr)
-        return most, xr.zeros_like(most)
-    groups = dataset[f"{quantity}_batches"].astype(float)
-    rest = stderr**2 - (groups**2).sum("batch", skipna=False)
-    bound = rest.where(~(rest <= _VARIANCE_ROUNDING * stderr**2), 0.0) ** 0.5
-    scatter = (_sum_weighted(weights, groups) ** 2).sum("batch", skipna=False) ** 0.5
-    weighed = (abs(weights) * bound).where(weights != 0.0, 0.0)
-    missed = xr.apply_ufunc(
+        upper_bound = _sum_weighted(abs(weights), stderr)
+        return upper_bound, xr.zeros_like(upper_bound)
+    deviations = dataset[f"{quantity}_batches"].astype(float)
+    excess_variance = stderr**2 - (deviations**2).sum("batch", skipna=False)
+    bound = excess_variance.where(~(excess_variance <= _VARIANCE_ROUNDING * stderr**2), 0.0) ** 0.5
+    statistical = (_sum_weighted(weights, deviations) ** 2).sum("batch", skipna=False) ** 0.5
+    weighted_bound = (abs(weights) * bound).where(weights != 0.0, 0.0)
+    interpolation = xr.apply_ufunc(
         _sum_same_sign_intervals,
-        *xr.broadcast(weights, weighed),
+        *xr.broadcast(weights, weighted_bound),
         input_core_dims=[["wavelength"]] * 2,
     )
-    return scatter, missed
+    return statistical, interpolation
 
 
 def compute_difference(
     dataset: xr.Dataset, quantity: str, one: str, other: str, dim: str = "medium"
 ) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return by how much one medium exceeds another that shares its paths, and the error of that.
+    """Return the difference between two media that share paths, with its standard error.
 
-    What they scatter by is largely the same and cancels, group by group.  Interpolation between
-    refractive indices is the same as well: of what it may miss, the difference counts.
+    The statistical errors of both are strongly correlated and largely cancel in each batch.  The
+    interpolation between refractive indices is also the same, so the bound of the difference is the
+    difference of their bounds.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of `splits.spectrophotometer` or `splits.albedo` with several media.
+        Result of `splits.spectrophotometer` or `splits.albedo` for several media.
     quantity : str
-        Such as ``reflectance`` or ``band_albedo``, with its ``_stderr`` and ``_batches``.
+        Name of the quantity, such as ``reflectance`` or ``band_albedo``, with ``…_stderr`` and
+        ``…_batches``.
     one, other : str
-        Labels along `dim`.
+        Labels of minuend and subtrahend along `dim`.
     dim : str
 
     Returns
@@ -170,63 +171,65 @@ def compute_difference(
     Raises
     ------
     ValueError
-        For a label that is not there, or a dataset without groups.
+        For an unknown label, or a dataset without ``…_batches``.
     """
     if f"{quantity}_batches" not in dataset:
-        raise invalid("quantity", quantity, "one with groups of rays", "such as reflectance")
+        raise invalid("quantity", quantity, "one with batches of rays", "such as reflectance")
     labels = [str(label) for label in np.atleast_1d(dataset[dim].values)]
-    parts = [
-        dataset.sel({dim: check_choice(key, label, labels)}, drop=True)
-        for key, label in (("one", one), ("other", other))
+    selections = [
+        dataset.sel({dim: check_choice(argument, label, labels)}, drop=True)
+        for argument, label in (("one", one), ("other", other))
     ]
-    groups = [part[f"{quantity}_batches"].astype(float) for part in parts]
+    deviations = [selection[f"{quantity}_batches"].astype(float) for selection in selections]
     bounds = [
-        np.maximum(part[f"{quantity}_stderr"] ** 2 - (found**2).sum("batch"), 0.0) ** 0.5
-        for part, found in zip(parts, groups, strict=True)
+        np.maximum(selection[f"{quantity}_stderr"] ** 2 - (deviation**2).sum("batch"), 0.0) ** 0.5
+        for selection, deviation in zip(selections, deviations, strict=True)
     ]
-    scatter = ((groups[0] - groups[1]) ** 2).sum("batch")
-    stderr = (scatter + (bounds[0] - bounds[1]) ** 2) ** 0.5
-    return (parts[0][quantity] - parts[1][quantity]).drop_attrs(), stderr.drop_attrs()
+    variance = ((deviations[0] - deviations[1]) ** 2).sum("batch")
+    stderr = (variance + (bounds[0] - bounds[1]) ** 2) ** 0.5
+    return (selections[0][quantity] - selections[1][quantity]).drop_attrs(), stderr.drop_attrs()
 
 
 def _align_weights(weights: xr.DataArray, dataset: xr.Dataset) -> xr.DataArray:
-    """Return weights in the order of a dataset's wavelengths, or refuse those of others."""
+    """Return weights in the order of the wavelengths of a dataset."""
     check_no_gaps("weights", weights)
     axis = weights.get_axis_num("wavelength")
-    places = match_labels("weights", find_labels(weights, axis), [dataset.wavelength])
-    return weights.isel(wavelength=places)
+    positions = match_labels("weights", find_labels(weights, axis), [dataset.wavelength])
+    return weights.isel(wavelength=positions)
 
 
 def _sum_same_sign_intervals(weights: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Return sums of parts over stretches of one sign along the last axis, added in quadrature."""
-    places = np.where(weights != 0.0, np.arange(weights.shape[-1]), 0)
-    signs = np.sign(np.take_along_axis(weights, np.maximum.accumulate(places, axis=-1), axis=-1))
-    stretch = np.cumsum(np.diff(signs, axis=-1, prepend=signs[..., :1]) != 0.0, axis=-1)
+    """Return sums of parts over intervals of one sign of weights, added in quadrature."""
+    last_nonzero = np.where(weights != 0.0, np.arange(weights.shape[-1]), 0)
+    signs = np.sign(
+        np.take_along_axis(weights, np.maximum.accumulate(last_nonzero, axis=-1), axis=-1)
+    )
+    interval = np.cumsum(np.diff(signs, axis=-1, prepend=signs[..., :1]) != 0.0, axis=-1)
     total = np.zeros(parts.shape[:-1])
-    for number in range(int(stretch.max()) + 1):
-        total += np.where(stretch == number, parts, 0.0).sum(axis=-1) ** 2
+    for number in range(int(interval.max()) + 1):
+        total += np.where(interval == number, parts, 0.0).sum(axis=-1) ** 2
     return np.sqrt(total)
 
 
 def _sum_weighted(weights: xr.DataArray, values: xr.DataArray) -> xr.DataArray:
-    """Return a weighted sum over wavelength, unknown if a value is that counts."""
+    """Return a weighted sum over wavelength; NaN only if a value of non-zero weight is NaN."""
     return (weights * values).where(weights != 0.0, 0.0).sum("wavelength", skipna=False)
 
 
 def make_band_weights(dataset: xr.Dataset, low: float, high: float) -> xr.DataArray:
-    """Return the weights over wavelength that make a sum the mean over a band (nm).
+    """Return the weights over wavelength of the mean over a band (nm).
 
     Raises
     ------
     ValueError
-        If the dataset has no wavelength there.
+        If the dataset has no wavelength in the band.
     """
     inside = (dataset.wavelength >= low) & (dataset.wavelength <= high)
     if not inside.any():
-        ends = " to ".join(f"{end:g}" for end in dataset.wavelength.values[[0, -1]])
-        raise invalid("wavelength", f"{ends} nm", f"some in {low:g} to {high:g} nm")
+        limits = " to ".join(f"{limit:g}" for limit in dataset.wavelength.values[[0, -1]])
+        raise invalid("wavelength", f"{limits} nm", f"some in {low:g} to {high:g} nm")
     weights = inside / inside.sum()
-    weights.attrs.clear()  # those of wavelengths are not those of errors
+    weights.attrs.clear()  # attributes of the wavelength do not apply
     return weights
 
 

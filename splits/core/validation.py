@@ -1,4 +1,4 @@
-"""One way to refuse a bad value: name the key, the value, the allowed range and a hint."""
+"""Input validation: errors that name the key, the value, the allowed range and a hint."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 MAX_LISTED_NAMES = 24
-"""A message lists so many names at most."""
+"""Largest number of names listed in a message."""
 NON_NUMERIC_TYPES = (bool, np.timedelta64)
-"""Types that Python and NumPy count among the numbers."""
+"""Types that Python or NumPy treat as numbers but that are not accepted as such."""
 ROUNDING_TOLERANCE = 1e-9
-"""Part of the end of a range by which rounding may take a number beyond it."""
+"""Relative tolerance at the limits of a range, for rounding."""
 ZERO_TOLERANCE = 1e-12
-"""The same where the end is 0."""
+"""Absolute tolerance at a limit of 0."""
 
 
 class _ShortRepr(Repr):
     """Bounded representations; mappings keep their order."""
 
     def repr_dict(self, x: dict[Any, Any], level: int) -> str:
-        """Return a mapping with as many keys as `maxdict` allows."""
+        """Return the text of a mapping with at most `maxdict` keys."""
         if level <= 0:
             return "{...}"
         pairs = [f"{self.repr1(k, level - 1)}: {self.repr1(v, level - 1)}" for k, v in
@@ -49,36 +49,36 @@ Result = TypeVar("Result")
 
 
 def short_repr(value: object) -> str:
-    """Return a value as messages show it: on one line, and shortened where it is long."""
+    """Return the text of a value for messages: one line, shortened if long."""
     text = _SHORT_REPR.repr(as_scalar(value))
     return text if "\n" not in text else " ".join(text.split())
 
 
 def format_key(key: object) -> str:
-    """Return a key that a user gave as messages show it: as it is, if that is short and plain."""
+    """Return the text of a user's key for messages: unchanged if short and printable."""
     text = str(key)
     return text if text.isprintable() and len(text) <= 90 else short_repr(text)
 
 
 def join_names(names: Iterable[str]) -> str:
-    """Return names with commas between them, of many the first."""
-    known = [str(name) for name in names]
-    more = f", … ({len(known)} in all)" if len(known) > MAX_LISTED_NAMES else ""
-    return ", ".join(known[:MAX_LISTED_NAMES]) + more
+    """Return names joined by commas; a long list is truncated."""
+    items = [str(name) for name in names]
+    suffix = f", … ({len(items)} in all)" if len(items) > MAX_LISTED_NAMES else ""
+    return ", ".join(items[:MAX_LISTED_NAMES]) + suffix
 
 
 class InvalidValue(ValueError):
-    """A value that cannot be taken.
+    """Invalid value of a key.
 
     Attributes
     ----------
     key : str
-        What the user knows it by, with the sections that it stands in.
+        Key, prefixed by its sections.
     value : object
     allowed : str
-        What it must be.
+        Allowed values.
     hint : str
-        What to do instead, or nothing.
+        Suggestion, may be empty.
     """
 
     def __init__(self, key: str, value: object, allowed: str, hint: str = "") -> None:
@@ -94,13 +94,13 @@ class InvalidValue(ValueError):
         return f"{self.key} = {short_repr(self.value)}: must be {self.allowed}"
 
     def add_prefix(self, prefix: str, extra_hint: str = "") -> InvalidValue:
-        """Return the refusal of the same value in a section, with one more hint."""
+        """Return the error with a section before the key and an additional hint."""
         hint = ") (".join(part for part in (self.hint, extra_hint) if part)
         return type(self)(f"{prefix}.{self.key}", self.value, self.allowed, hint)
 
 
 class UnknownKey(InvalidValue):
-    """A key that there is not; `value` is None, `allowed` names those that there are."""
+    """Unknown key; `value` is None, and `allowed` names the known keys."""
 
     def format_message(self) -> str:
         """Return the message without the hint."""
@@ -108,26 +108,26 @@ class UnknownKey(InvalidValue):
 
 
 def invalid(key: str, value: object, allowed: str, hint: str = "") -> InvalidValue:
-    """Return the error that says why `value` cannot be taken for `key`."""
+    """Return the error for an invalid value of a key."""
     return InvalidValue(key, value, allowed, hint)
 
 
 def unknown_key(key: str, known_names: Iterable[str]) -> UnknownKey:
-    """Return the error that says that there is no such key, and suggests the nearest."""
+    """Return the error for an unknown key, with the nearest known name as a hint."""
     names = list(known_names)
     hint = suggest_name(key.rsplit(".", 1)[-1], names)
     return UnknownKey(key, None, f"one of {join_names(names)}", hint)
 
 
 def list_keywords(kind: Any) -> list[str]:
-    """Return the keywords of a dataclass: its fields, and others that it says it takes."""
+    """Return the keywords of a dataclass: its fields and those in `OTHER_KEYWORDS`."""
     return [field.name for field in fields(kind)] + list(getattr(kind, "OTHER_KEYWORDS", ()))
 
 
 def reject_unknown_keywords(kind: Class) -> Class:
-    """Let a dataclass refuse keywords that it does not have by the list of those it has.
+    """Decorate a dataclass to reject unknown keywords with a message that lists the known ones.
 
-    Refusals are raised from here, see `reject_unknown_arguments`.
+    Errors are raised from here; see `reject_unknown_arguments`.
     """
     construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
 
@@ -140,31 +140,31 @@ def reject_unknown_keywords(kind: Class) -> Class:
 
 
 def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Given, Result]:
-    """Let a public function refuse keywords that it does not have by the list of those it has.
+    """Decorate a public function to reject unknown keywords with a list of the known ones.
 
-    Refusals, and the news that a file is not there, are raised from here: a traceback shows the
-    line that holds the mistake, and not what lies between it and the check.
+    Errors of invalid values and missing files are raised from here, so that the traceback shows
+    the line of the call without the internal calls between it and the check.
     """
     parameters = signature(function).parameters
-    open_ended = any(one.kind is Parameter.VAR_KEYWORD for one in parameters.values())
-    names = None if open_ended else [name for name in parameters if name not in ("self", "cls")]
+    takes_any = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
+    names = None if takes_any else [name for name in parameters if name not in ("self", "cls")]
 
     @wraps(function)
     def checked(*values: Given.args, **keywords: Given.kwargs) -> Result:
-        found: Result = _call_checked(function, names, values, keywords)
-        return found
+        result: Result = _call_checked(function, names, values, keywords)
+        return result
 
     return checked
 
 
 def to_text_keys(key: str, mapping: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return a mapping with texts for names, or refuse two names that are the same text."""
-    found: dict[str, Any] = {}
+    """Return a mapping with keys converted to text; raise ValueError for duplicates."""
+    renamed: dict[str, Any] = {}
     for name, value in mapping.items():
-        if str(name) in found:
-            raise invalid(key, name, "names that differ as texts", f"{name} is there twice")
-        found[str(name)] = value
-    return found
+        if str(name) in renamed:
+            raise invalid(key, name, "names that differ as texts", f"{name} is given twice")
+        renamed[str(name)] = value
+    return renamed
 
 
 def _call_checked(
@@ -173,7 +173,7 @@ def _call_checked(
     values: tuple[Any, ...],
     keywords: Mapping[str, Any],
 ) -> Any:
-    """Call a function; raise from here that a keyword is unknown, or that a value is refused."""
+    """Call a function; raise errors of unknown keywords and invalid values from here."""
     for key in keywords:
         if names is not None and key not in names:
             raise TypeError(str(unknown_key(key, names)))
@@ -185,7 +185,7 @@ def _call_checked(
 
 @contextmanager
 def key_prefix(prefix: str) -> Iterator[None]:
-    """Put the place of a section before the key of a refusal within."""
+    """Prefix the key of validation errors raised in the block with a section."""
     try:
         yield
     except InvalidValue as error:
@@ -193,18 +193,18 @@ def key_prefix(prefix: str) -> Iterator[None]:
 
 
 def as_scalar(value: object) -> Any:
-    """Return the number that a NumPy scalar or an array without dimensions holds, or the value.
+    """Return the Python scalar of a NumPy scalar or zero-dimensional array; others unchanged.
 
-    What is masked holds none, and `item` of a date is a number by which the date is no longer told.
+    Masked values have no scalar.  Dates are unchanged, because their `item` may be a plain number.
     """
     if getattr(value, "shape", None) != () or not hasattr(value, "item"):
         return value
-    date = getattr(getattr(value, "dtype", None), "kind", "") in "mM"
-    return value if date or np.ma.is_masked(value) else value.item()
+    is_date = getattr(getattr(value, "dtype", None), "kind", "") in "mM"
+    return value if is_date or np.ma.is_masked(value) else value.item()
 
 
 def check_number(key: str, value: object, allowed: str = "a finite number") -> float:
-    """Return `value` as a float, or refuse it; an array without dimensions is a number."""
+    """Return a finite number as a float; a zero-dimensional array counts as a number."""
     value = as_scalar(value)
     if isinstance(value, str):
         raise invalid(key, value, allowed, "this is text, not a number")
@@ -220,12 +220,14 @@ def check_number(key: str, value: object, allowed: str = "a finite number") -> f
 
 
 def snap_to_limits(values: Any, low: float, high: float) -> np.ndarray:
-    """Return numbers, with those at the end of a range that only rounding has taken beyond it."""
+    """Return numbers, with those outside a range by rounding only set to its limit."""
     x = np.asarray(values, dtype=float)
-    for end, beyond in ((float(low), x < low), (float(high), x > high)):
-        if beyond.any():
-            near = np.abs(x - end) <= (ROUNDING_TOLERANCE * abs(end) if end else ZERO_TOLERANCE)
-            x = np.where(beyond & near, end, x)
+    for limit, outside in ((float(low), x < low), (float(high), x > high)):
+        if outside.any():
+            near = np.abs(x - limit) <= (
+                ROUNDING_TOLERANCE * abs(limit) if limit else ZERO_TOLERANCE
+            )
+            x = np.where(outside & near, limit, x)
     return x
 
 
@@ -240,21 +242,21 @@ def check_range(
     open_high: bool = False,
     hint: str = "",
 ) -> float:
-    """Return `value` as a float if it lies between `low` and `high`, or refuse it.
+    """Return a number as a float after checking that it is in a range.
 
-    What rounding has taken beyond an end is that end.
+    Numbers outside the range by rounding only are set to the limit.
 
     Parameters
     ----------
     key : str
-        Name the user knows the value by.
+        Key named in error messages.
     value : object
     low, high : float
-        Limits, belonging to the range unless `open_low` or `open_high`; may be infinite.
+        Limits, included unless `open_low` or `open_high`; may be infinite.
     unit : str
-        Shown with the range.
+        Unit shown with the range.
     hint : str
-        What to do instead.
+        Suggestion for the message.
     """
     if math.isinf(high):
         allowed = f"{'above' if open_low else 'at least'} {low:g}"
@@ -269,7 +271,7 @@ def check_range(
 
 
 def check_choice(key: str, value: object, choices: Iterable[str]) -> str:
-    """Return `value` if it is one of `choices`, or refuse it and suggest the nearest."""
+    """Return `value` after checking that it is one of `choices`."""
     names = sorted(choices)
     if isinstance(value, str) and value in names:
         return value
@@ -293,20 +295,20 @@ KEYWORD_ALIASES = {
     "sza": "incidence_deg",
     "solar_zenith": "incidence_deg",
 }
-"""What others call some keywords."""
+"""Common synonyms of keywords."""
 IMPURITY_ALIASES = {
     "soot": ("black_carbon", "impurities_ng_g"),
     "bc": ("black_carbon", "impurities_ng_g"),
     "dust": ("dust_sahara", "impurities_ng_g"),
 }
-"""What others call some kinds of impurities, which may stand for the keyword, too."""
+"""Common synonyms of impurities, each with the type and the keyword that takes it."""
 
 
 def suggest_name(name: object, names: Iterable[str]) -> str:
-    """Return "did you mean …?" for a misspelt name or one that others use, or nothing."""
+    """Return "did you mean …?" for a misspelt name or a common synonym, or an empty text."""
     known = list(names)
     lower = str(name).lower()
-    others = (lower, *IMPURITY_ALIASES.get(lower, ()), KEYWORD_ALIASES.get(lower))
-    near = [one for one in others if one in known]
-    near = near or get_close_matches(str(name)[:90], known, n=1)
-    return f"did you mean {near[0]}?" if near else ""
+    synonyms = (lower, *IMPURITY_ALIASES.get(lower, ()), KEYWORD_ALIASES.get(lower))
+    matches = [synonym for synonym in synonyms if synonym in known]
+    matches = matches or get_close_matches(str(name)[:90], known, n=1)
+    return f"did you mean {matches[0]}?" if matches else ""

@@ -1,4 +1,4 @@
-"""Reading YAML files that anyone may have written: bounded, and refused in one line."""
+"""Safe YAML loading with size limits and one-line errors."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ import yaml
 from splits.core.validation import format_key, short_repr
 
 MAX_BYTES = 2**20
-"""Size of a file."""
+"""Largest size of a file."""
 MAX_NODES = 50_000
-"""Values in a file, those that aliases stand for counted each time."""
+"""Largest number of values in a file, with the content of aliases counted each time."""
 MAX_DEPTH = 32
-"""Lists and mappings within each other."""
+"""Largest nesting depth of lists and mappings."""
 MAX_NUMBER_CHARS = 1000
-"""Characters of a number."""
+"""Largest number of characters of a number."""
 
 
 class ConfigError(ValueError):
-    """A configuration that cannot be run; the message names file, key, value and range."""
+    """Invalid configuration; the message names file, key, value and range."""
 
 
 CORE_SCHEMA = {
@@ -38,10 +38,10 @@ CORE_SCHEMA = {
     ),
     "merge": re.compile("<<"),
 }
-"""Plain scalars that are no text, by tag: the core schema of YAML 1.2, and merged mappings.
+"""Plain scalars other than text, by tag: the core schema of YAML 1.2, and merged mappings.
 
-All else is text, such as 1:15, yes, off and 2001-01-01, for which YAML 1.1 has 75, true, false and
-a date.  No expression takes more than linear time.
+All other scalars are text, such as 1:15, yes, off and 2001-01-01, which are 75, true, false and a
+date in YAML 1.1.  All expressions match in linear time.
 """
 _TAG_PREFIX = "tag:yaml.org,2002:"
 
@@ -54,9 +54,9 @@ def _find_tag(text: str) -> str | None:
 
 
 class _Loader(yaml.SafeLoader):
-    """A loader of YAML 1.2's core schema with bounds, which refuses a key given twice.
+    """Loader of the YAML 1.2 core schema with size limits, which rejects duplicate keys.
 
-    It tells what PyYAML's constructors raise as an error of the file.
+    Exceptions of PyYAML's constructors are raised as errors of the file.
     """
 
     yaml_constructors: ClassVar[dict[Any, Any]] = {
@@ -71,14 +71,14 @@ class _Loader(yaml.SafeLoader):
         self.sizes: dict[int, int] = {}
 
     def resolve(self, kind: type[yaml.Node], value: str | None, implicit: Any) -> str:
-        """Return the tag of a node that has none."""
+        """Return the tag of a node without an explicit tag."""
         if kind is yaml.ScalarNode and implicit[0]:
             return _find_tag(value or "") or f"{_TAG_PREFIX}str"
         tag: str = super().resolve(kind, value, implicit)
         return tag
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Compose a node and count what it holds; an alias holds what its anchor does."""
+        """Compose a node and count its values; an alias counts as much as its anchor."""
         mark = self.peek_event().start_mark
         self.depth += 1
         if self.depth > MAX_DEPTH:
@@ -95,30 +95,34 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """Construct what a node stands for, or refuse it."""
+        """Construct the value of a node; raise a YAML error if it is invalid."""
         try:
             return super().construct_object(node, deep)
         except (ValueError, LookupError, TypeError, AttributeError, OverflowError):
-            what = short_repr(node.value) if isinstance(node.value, str) else "a list or mapping"
+            description = (
+                short_repr(node.value) if isinstance(node.value, str) else "a list or mapping"
+            )
             tag = str(node.tag).rpartition(":")[2]
-            raise _make_error(node.start_mark, f"{what} is no {format_key(tag)}") from None
+            raise _make_error(
+                node.start_mark, f"{description} is not of type {format_key(tag)}"
+            ) from None
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Construct a mapping whose keys are plain and differ."""
+        """Construct a mapping with plain, distinct keys."""
         seen = set()
         for part, _ in node.value:
             if part.tag == f"{_TAG_PREFIX}merge":
                 continue
             key = self.construct_object(part, deep=True)
             if not isinstance(key, Hashable) or isinstance(key, tuple):
-                raise _make_error(part.start_mark, "a key that is no text")
+                raise _make_error(part.start_mark, "a key that is not text")
             if key in seen:
                 raise _make_error(node.start_mark, f"{format_key(key)} given twice")
             seen.add(key)
         return super().construct_mapping(node, deep)
 
     def construct_plain(self, node: yaml.ScalarNode) -> bool | int | float:
-        """Construct a truth value or a number, or refuse one that is too long or too large."""
+        """Construct a boolean or a number; raise a YAML error if it is too long or too large."""
         kind, text = node.tag.removeprefix(_TAG_PREFIX), str(node.value)
         if len(text) > MAX_NUMBER_CHARS:
             raise _make_error(node.start_mark, f"a number of more than {MAX_NUMBER_CHARS} digits")
@@ -140,10 +144,10 @@ for _kind in ("bool", "int", "float"):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes what `_Loader` and readers of YAML 1.1 read alike."""
+    """Dumper of text that `_Loader` and YAML 1.1 parsers read identically."""
 
     def resolve(self, kind: type[yaml.Node], value: str | None, implicit: Any) -> str:
-        """Return the tag that readers give to a node, one that is not text's if any does."""
+        """Return the tag of a node; text that any parser reads otherwise is quoted."""
         tag: str = super().resolve(kind, value, implicit)
         plain = kind is yaml.ScalarNode and implicit[0] and tag == f"{_TAG_PREFIX}str"
         return (plain and _find_tag(value or "")) or tag
@@ -154,7 +158,7 @@ def _make_error(mark: yaml.Mark | None, problem: str) -> yaml.MarkedYAMLError:
 
 
 def _list_children(node: yaml.Node | None) -> list[yaml.Node]:
-    """Return the nodes that a list or a mapping holds, none for a single value."""
+    """Return the child nodes of a list or mapping; none for a scalar."""
     if isinstance(node, yaml.SequenceNode):
         return list(node.value)
     return [x for pair in node.value for x in pair] if isinstance(node, yaml.MappingNode) else []
@@ -162,36 +166,35 @@ def _list_children(node: yaml.Node | None) -> list[yaml.Node]:
 
 @functools.lru_cache(maxsize=64)
 def _parse(text: str) -> Any:
-    """Return what YAML holds."""
+    """Return the content of a YAML text."""
     return yaml.load(text, Loader=_Loader)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the mapping that a YAML file holds.
+    """Return the mapping in a YAML file.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, is not YAML, is not a mapping or is larger than the bounds of
-        this module.
+        If the file cannot be read, is not YAML, is not a mapping or exceeds a limit of this module.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ConfigError(f"{path}: must be at most {MAX_BYTES // 1024} KiB")
-        # Many experiments rest on the same file.
+        # Parsed once and copied, because many experiments use the same file.
         content = copy.deepcopy(_parse(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise ConfigError(f"{format_key(path)}: cannot be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark else ""
+        position = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not text"
-        raise ConfigError(f"{path}{where}: not YAML ({problem})") from None
+        raise ConfigError(f"{path}{position}: not YAML ({problem})") from None
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: must be a mapping of keys to values")
     return content
 
 
 def dump_yaml(content: dict[str, Any]) -> str:
-    """Return the text that `read_yaml` takes for that content."""
+    """Return the YAML text from which `read_yaml` restores the content."""
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True)

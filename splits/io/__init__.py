@@ -1,1 +1,1 @@
-"""Reading and writing: netCDF, archives, BRDF files, checksums."""
+"""Reading and writing of netCDF files, archives and BRDF files, with checksums."""

@@ -1,4 +1,4 @@
-"""Who made this software, under which licence: from the repository or the installed package."""
+"""Authors, version and licence of this software, from the repository or the installed package."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def make_software_info(repository: Path | None = None) -> SoftwareInfo:
     Parameters
     ----------
     repository : Path, optional
-        Where CITATION.cff may be; if it is not there, the metadata of the installed package say
-        who the authors are.
+        Folder with CITATION.cff.  If it is missing, the authors are those in the metadata of the
+        installed package.
     """
     citation = _read_citation(repository)
     authors = tuple(map(_parse_author, citation["authors"]))
@@ -36,23 +36,23 @@ def read_software_files(repository: Path | None = None) -> dict[str, bytes]:
     Parameters
     ----------
     repository : Path, optional
-        Where they may be.  If they are not there, the installed package has the text of the
-        licence, and CITATION.cff is written from its metadata.
+        Folder with the files.  If they are missing, the licence is that of the installed package,
+        and CITATION.cff is generated from its metadata.
     """
-    found = {
+    files = {
         name: (repository / name).read_bytes()
         for name in (LICENCE_FILE, CITATION_FILE)
         if repository and (repository / name).is_file()
     }
-    if LICENCE_FILE not in found:
-        found[LICENCE_FILE] = _read_licence().encode()
-    if CITATION_FILE not in found:
-        found[CITATION_FILE] = dump_yaml(_read_citation(None)).encode()
-    return found
+    if LICENCE_FILE not in files:
+        files[LICENCE_FILE] = _read_licence().encode()
+    if CITATION_FILE not in files:
+        files[CITATION_FILE] = dump_yaml(_read_citation(None)).encode()
+    return files
 
 
 def _read_citation(repository: Path | None) -> dict[str, Any]:
-    """Return what CITATION.cff says, or would say if it were there."""
+    """Return the content of CITATION.cff, or its equivalent from the package metadata."""
     if repository and (repository / CITATION_FILE).is_file():
         return read_yaml(repository / CITATION_FILE)
     fields = distribution(DISTRIBUTION_NAME).metadata
@@ -70,16 +70,18 @@ def _read_citation(repository: Path | None) -> dict[str, Any]:
 
 
 def _read_licence() -> str:
-    """Return the text of the licence, from whichever record of the installed package has it.
+    """Return the text of the licence from the installed package.
 
-    A source tree on the path has a record, too, which does not.
+    A source tree on the path also has package metadata, but without the licence.
     """
     records = distributions(name=DISTRIBUTION_NAME)
-    return next(filter(None, (one.read_text(f"licenses/{LICENCE_FILE}") for one in records)), "")
+    return next(
+        filter(None, (record.read_text(f"licenses/{LICENCE_FILE}") for record in records)), ""
+    )
 
 
 def _parse_author(entry: dict[str, str]) -> Author:
-    """Return an author of CITATION.cff: a group has a name, a person has two."""
+    """Return an author of CITATION.cff: a person with two names, or an organization with one."""
     orcid, affiliation = (
         entry.get("orcid", "").removeprefix(ORCID_URL),
         entry.get("affiliation", ""),

@@ -1,16 +1,15 @@
-"""Labelled results: CF attributes, provenance, netCDF in and out.
+"""Datasets in netCDF files: CF attributes, provenance, schema versions, reading and writing.
 
-The layout of datasets in files has a number, and only files of the present number are read.
-
-The number goes up when variables, dimensions or attributes get another name or meaning; a new
-variable alone is no reason.
+The layout of datasets in files has a schema version, and only files of the current version are read.
+The version increases when variables, dimensions or attributes change their name or meaning, but not
+for a new variable.
 """
 
 from __future__ import annotations
 
 import platform
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -37,60 +36,60 @@ from splits.io.integrity import (
 )
 
 SCHEMA_ATTRIBUTE = "splits_schema"
-"""Attribute that holds the number; files from before there was one are of schema 0."""
+"""Attribute of the schema version; files without it are of version 0."""
 SCHEMA_VERSION = 2
 
 
 def check_schema(dataset: xr.Dataset, path: str | Path) -> None:
-    """Refuse a dataset in another layout than that of this version.
+    """Check that a dataset has the current schema version.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        As it was read.
+        As read from a file.
     path : path
-        Of the file, for messages.
+        Path of the file, for messages.
 
     Raises
     ------
     ValueError
-        If the number is none, or an older or newer version of this package wrote the file.
+        If the schema version is invalid, or another version of this package wrote the file.
     """
-    found = dataset.attrs.get(SCHEMA_ATTRIBUTE, 0)
-    if not isinstance(found, (int, np.integer)) or found < 0:
+    version = dataset.attrs.get(SCHEMA_ATTRIBUTE, 0)
+    if not isinstance(version, (int, np.integer)) or version < 0:
         raise ValueError(
-            f"{path}: {SCHEMA_ATTRIBUTE} = {found!r}: must be a whole number, 0 or more"
+            f"{path}: {SCHEMA_ATTRIBUTE} = {version!r}: must be a whole number, 0 or more"
         )
-    by = dataset.attrs.get("splits_version", "unknown")
-    if found > SCHEMA_VERSION:
+    written_by = dataset.attrs.get("splits_version", "unknown")
+    if version > SCHEMA_VERSION:
         raise ValueError(
-            f"{path}: {SCHEMA_ATTRIBUTE} = {int(found)}: must be at most {SCHEMA_VERSION}; a newer "
-            f"version of the package wrote it ({by}): pip install --upgrade splits-optics"
+            f"{path}: {SCHEMA_ATTRIBUTE} = {int(version)}: must be at most {SCHEMA_VERSION}; a newer "
+            f"version of the package wrote it ({written_by}): pip install --upgrade splits-optics"
         )
-    if found < SCHEMA_VERSION:
+    if version < SCHEMA_VERSION:
         raise ValueError(
-            f"{path}: {SCHEMA_ATTRIBUTE} = {int(found)}: must be {SCHEMA_VERSION}; an older "
-            f"version of the package wrote it ({by}): run the experiment again, or read it with "
-            "that version"
+            f"{path}: {SCHEMA_ATTRIBUTE} = {int(version)}: must be {SCHEMA_VERSION}; an older "
+            f"version of the package wrote it ({written_by}): run the experiment again, or read it "
+            "with that version"
         )
 
 
 CF_CONVENTIONS = "CF-1.11"
 RUN_SPECIFIC_ATTRIBUTES = ("date_created", "history", "wall_time_s", "threads", "host_cpu")
-"""Attributes that differ between runs of one and the same simulation."""
+"""Attributes that differ between runs of the same simulation."""
 NETCDF_SUFFIXES = (".nc", ".nc4", ".netcdf")
-"""What names of datasets end in."""
+"""Suffixes of netCDF files."""
 ANCILLARY_ATTRIBUTE = "ancillary_variables"
-"""Attribute of a variable: names of those that say more of its values, such as errors and flags."""
+"""CF attribute that names the variables of errors and flags of a variable."""
 
 
 def make_provenance(action: str = "dataset made") -> dict[str, Any]:
-    """Return the attributes that say which program made a dataset, when and where.
+    """Return the provenance attributes of a dataset: program, versions, date and history.
 
     Parameters
     ----------
     action : str
-        What the program did, for the attribute ``history``: "experiment fig08_grain_size".
+        Action for the attribute ``history``, such as "experiment fig08_grain_size".
     """
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return {
@@ -107,7 +106,7 @@ def make_provenance(action: str = "dataset made") -> dict[str, Any]:
 
 
 def to_netcdf_attributes(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `values` as netCDF attributes: numbers, strings and flat lists of numbers."""
+    """Return values as netCDF attributes: numbers, strings and flat lists of numbers."""
 
     def plain(value: Any) -> Any:
         if value is None:
@@ -122,7 +121,7 @@ def to_netcdf_attributes(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def drop_run_specific_attributes(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a copy without the attributes that name the occasion of a run (see `RUN_SPECIFIC_ATTRIBUTES`)."""
+    """Return a copy of a dataset without `RUN_SPECIFIC_ATTRIBUTES`."""
     copy = dataset.copy()
     copy.attrs = {k: v for k, v in dataset.attrs.items() if k not in RUN_SPECIFIC_ATTRIBUTES}
     return copy
@@ -130,88 +129,87 @@ def drop_run_specific_attributes(dataset: xr.Dataset) -> xr.Dataset:
 
 @reject_unknown_arguments
 def save(dataset: xr.Dataset, path: str | Path) -> None:
-    """Write a dataset to netCDF so that the file appears whole or not at all.
+    """Write a dataset to a netCDF file atomically.
 
-    Every array has checksums of its own (fletcher32), and the whole file has those of
-    `splits.io.integrity`, which `load` checks.  Coordinates whose values are texts, or numbers in
-    no order, are auxiliary coordinates in the file, ``medium_label(medium)`` and
-    ``depth_m_value(depth_m)``, as the CF conventions (section 5) want them; `load` makes them
-    coordinates of their dimension again.  Names have letters, digits and underscores in the file
-    (section 2.3): ``layers.0.depth_m`` is ``layers_0_depth_m`` there, and `load` gives it its own
-    name again.  A dataset without provenance, such as a part of another one, gets that of the file.
+    Every array has a checksum (fletcher32), and the file has those of `splits.io.integrity`, which
+    `load` verifies.  Coordinates of text or of unordered numbers are auxiliary coordinates in the
+    file, ``medium_label(medium)`` and ``depth_m_value(depth_m)``, as the CF conventions (section 5)
+    require; `load` restores them as coordinates of their dimension.  Names in the file consist of
+    letters, digits and underscores (section 2.3): ``layers.0.depth_m`` is ``layers_0_depth_m``
+    there, and `load` restores the name.  A dataset without provenance, such as a part of another
+    one, gets new provenance attributes.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        What a function of this package returns, or what was made from that.  Values are finite,
-        or NaN where a variable of flags that ``ancillary_variables`` names is not 0.
+        Dataset returned by this package or derived from one.  Values are finite, or NaN where a
+        flag variable named in ``ancillary_variables`` is not 0.
     path : path
-        Its suffix is one of `NETCDF_SUFFIXES`.
+        File with one of `NETCDF_SUFFIXES`.
 
     Raises
     ------
     ValueError
-        For something else than a dataset, a value that is not finite, or another suffix.
+        For an object that is not a dataset, a value that is not finite, or another suffix.
     OSError
         If the file cannot be written, or does not hold the dataset afterwards.
     """
     path = expand_path(path)
     if path.suffix not in NETCDF_SUFFIXES:
-        hint = "this writes netCDF; tables come from dataset.to_dataframe().to_csv(…)"
+        hint = "this writes netCDF; use dataset.to_dataframe().to_csv(…) for CSV"
         raise invalid("path", str(path), "a name that ends in " + ", ".join(NETCDF_SUFFIXES), hint)
     dataset = _check_dataset(dataset, path.name)
-    stored = encode_for_netcdf(dataset)
-    stored.attrs = {**make_provenance("dataset saved"), **stored.attrs}
-    # HDF5 has checksums for arrays of numbers only.
+    encoded = encode_for_netcdf(dataset)
+    encoded.attrs = {**make_provenance("dataset saved"), **encoded.attrs}
+    # HDF5 supports checksums of numeric arrays only.
     encoding = {
         name: {
             "_FillValue": np.nan if v.dtype.kind == "f" and v.isnull().any() else None,
             "fletcher32": bool(v.size and v.ndim and v.dtype.kind in "biuf"),
         }
-        for name, v in stored.variables.items()
+        for name, v in encoded.variables.items()
     }
-    with atomic_netcdf(path, stored.nbytes) as aside:
-        stored.to_netcdf(aside, engine="netcdf4", encoding=encoding)
-        write_checksums(aside)
-        if not _read_file(aside).equals(dataset):
+    with atomic_netcdf(path, encoded.nbytes) as temporary:
+        encoded.to_netcdf(temporary, engine="netcdf4", encoding=encoding)
+        write_checksums(temporary)
+        if not _read_file(temporary).equals(dataset):
             raise OSError(f"{path}: the file written does not hold the dataset")
 
 
 def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
-    """Return a dataset in memory, or refuse what a file cannot hold or nobody could read in it."""
+    """Return a dataset in memory after checking its type and values."""
     if not isinstance(dataset, xr.Dataset):
         hint = "write its dataset: save(….dataset, path)" if hasattr(dataset, "dataset") else ""
         if isinstance(dataset, xr.DataArray):
             hint = f"write array.to_dataset(name={str(dataset.name or 'reflectance')!r})"
         raise invalid("dataset", type(dataset).__name__, "an xarray.Dataset", hint)
-    # What is not computed yet would be at every look.
+    # Lazy arrays would otherwise be computed several times.
     dataset = dataset.compute()
     for key, variable in dataset.data_vars.items():
         if not np.issubdtype(variable.dtype, np.number):
             continue
-        bad = ~np.isfinite(variable)
-        for beside in str(variable.attrs.get(ANCILLARY_ATTRIBUTE, "")).split():
-            if beside in dataset and "flag_meanings" in dataset[beside].attrs:
-                bad &= ~((dataset[beside] != 0) & np.isnan(variable))
-        if bad.any():
+        invalid_values = ~np.isfinite(variable)
+        for flag_name in str(variable.attrs.get(ANCILLARY_ATTRIBUTE, "")).split():
+            if flag_name in dataset and "flag_meanings" in dataset[flag_name].attrs:
+                invalid_values &= ~((dataset[flag_name] != 0) & np.isnan(variable))
+        if invalid_values.any():
             raise ValueError(f"{name}: {key} holds values that are not finite")
     return dataset
 
 
 @reject_unknown_arguments
 def load(path: str | Path) -> xr.Dataset:
-    """Read a dataset into memory and check that this package wrote it and that it is undamaged.
+    """Read a dataset into memory, and verify its origin and its checksums.
 
-    A dataset in the layout of an older version is refused (see `splits.io.netcdf`).  One without
-    checksum is read with a warning.
+    A dataset of an older version is converted to the current schema (see `splits.io.netcdf`).  A
+    file without checksum gives a warning.
 
     Raises
     ------
     splits.io.integrity.DamagedFileError
-        A ValueError: if the file cannot be read, or holds something else than was written.
+        A ValueError: if the file cannot be read, or its content differs from what was written.
     ValueError
-        If the file has no provenance of this package, or another version wrote it in another
-        layout.
+        If the file has no provenance of this package, or a newer version wrote it.
     OSError
         If the file cannot be opened.
     """
@@ -219,27 +217,29 @@ def load(path: str | Path) -> xr.Dataset:
 
 
 def open_lazily(path: str | Path) -> xr.Dataset:
-    """Return what `load` would, whose values stay in the file until they are asked for.
+    """Open a dataset as `load` does, with values read from the file on access.
 
-    For what does not fit into memory.  The file is checked whole when it is opened.
+    For datasets larger than memory.  Checksums of the whole file are verified on opening.
     """
     return _check_origin(_read_file(path, lazy=True), path)
 
 
 def _check_origin(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
-    """Return a dataset of the present schema, or refuse one that this package has not written."""
+    """Return a dataset in the current schema after checking that this package wrote it."""
     if "splits_version" not in dataset.attrs:
         raise ValueError(f"{path}: not a dataset written by splits")
     check_schema(dataset, path)
     if CHECKSUM_ATTRIBUTE not in dataset.attrs:
-        older = "an older version or another program wrote it"
-        warnings.warn(f"{path}: has no checksum, damage would go unseen ({older})", stacklevel=2)
+        reason = "an older version or another program wrote it"
+        warnings.warn(
+            f"{path}: has no checksum, so damage cannot be detected ({reason})", stacklevel=2
+        )
     dataset.attrs.pop(CHECKSUM_ATTRIBUTE, None)
     return dataset
 
 
 def _read_file(path: str | Path, *, lazy: bool = False) -> xr.Dataset:
-    """Return what a file holds, its checksum included, with coordinates that label dimensions."""
+    """Return the dataset in a file with its coordinates restored, including the checksum."""
     path = expand_path(path)
     with NETCDF_LOCK:
         verify_checksums(path)
@@ -248,36 +248,36 @@ def _read_file(path: str | Path, *, lazy: bool = False) -> xr.Dataset:
             with dataset as file:
                 dataset = file.load()
     for variable in dataset.variables.values():
-        # Or it would be written again, whatever coordinates there are by then.
+        # Otherwise a later write would repeat it, even after coordinates have changed.
         variable.encoding.pop("coordinates", None)
     return decode_from_netcdf(dataset)
 
 
 def select_points(dataset: xr.Dataset, coordinates: Mapping[str, float | str]) -> xr.Dataset:
-    """Return the part of a dataset at coordinates of its grid.
+    """Select nodes of a dataset by their coordinates.
 
     Parameters
     ----------
     dataset : xarray.Dataset
     coordinates : mapping
-        From dimensions to coordinates: numbers, up to rounding, or labels.
+        Coordinate by dimension: a number, matched up to rounding, or a label.
 
     Raises
     ------
     ValueError
-        For a dimension or a coordinate that the dataset does not have.
+        For an unknown dimension or coordinate.
     """
-    for dimension, given in coordinates.items():
+    for dimension, value in coordinates.items():
         check_choice("at", dimension, map(str, dataset.dims))
         values = dataset[dimension].values
         if np.issubdtype(values.dtype, np.number):
-            wanted = check_number(f"at.{dimension}", given)
-            place = int(np.abs(values - wanted).argmin())
-            found = bool(np.isclose(values[place], wanted, rtol=1e-12, atol=0.0))
+            target = check_number(f"at.{dimension}", value)
+            position = int(np.abs(values - target).argmin())
+            is_node = bool(np.isclose(values[position], target, rtol=1e-12, atol=0.0))
         else:
-            place = int((values == str(given)).argmax())
-            found = bool(values[place] == str(given))
-        if not found:
-            raise invalid(f"at.{dimension}", given, "one of " + join_names(values.tolist()))
-        dataset = dataset.isel({dimension: place}, drop=True)
+            position = int((values == str(value)).argmax())
+            is_node = bool(values[position] == str(value))
+        if not is_node:
+            raise invalid(f"at.{dimension}", value, "one of " + join_names(values.tolist()))
+        dataset = dataset.isel({dimension: position}, drop=True)
     return dataset

@@ -1,8 +1,8 @@
-"""The RO-Crate of an archive: what is in it, what made it, who answers for it, which licence.
+"""RO-Crate metadata of an archive: files, software, authors and licences.
 
-An RO-Crate (https://w3id.org/ro/crate/1.2) is a folder or a zip file with a list of its files and
-of what they have to do with each other, as linked data (JSON-LD), in ``ro-crate-metadata.json``.
-It is written with the package rocrate, and read with the standard library alone.
+An RO-Crate (https://w3id.org/ro/crate/1.2) is a folder or a zip file that describes its files and
+their relations as linked data (JSON-LD) in ``ro-crate-metadata.json``.  The metadata are written
+with the package rocrate and read with the standard library alone.
 """
 
 from __future__ import annotations
@@ -34,39 +34,39 @@ MEDIA_TYPES = {
     ".txt": "text/plain",
     "": "text/plain",
 }
-"""By what a name ends in."""
+"""Media types by suffix."""
 FILE_DESCRIPTIONS = {
-    "README.md": "What is in this archive, and how to run it again",
+    "README.md": "Content of the archive, and how to reproduce it",
     "LICENSE": "Licence of the software",
     "CITATION.cff": "How to cite the software",
-    "requirements.txt": "The lock: packages that the software runs on, with versions and hashes",
-    "versions.json": "Versions of all Python packages that were there when this was packed",
-    "SHA256SUMS": f"Checksums of all other files but {METADATA_FILE}",
-    "data": "Dataset: netCDF with CF attributes, all inputs among them",
+    "requirements.txt": "Lock file: required packages with versions and hashes",
+    "versions.json": "Versions of all Python packages installed when the archive was made",
+    "SHA256SUMS": f"Checksums of all other files except {METADATA_FILE}",
+    "data": "Dataset: netCDF with CF attributes, including all inputs",
     "figures": "Figure of a dataset",
     "tables": "Table of numbers",
-    "config": "Configuration in force: settings, experiments, media and tables that they name",
+    "config": "Configuration: settings, experiments, media and the tables that they name",
 }
-"""By name, or by folder."""
+"""Descriptions by file name or by folder."""
 
 _RO_CRATE_ID_PATTERN = re.compile(r"https://w3id\.org/ro/crate/1\.\d+(-DRAFT)?(/context)?")
 
 
 class ArchiveError(ValueError):
-    """An archive that is not unpacked; the message is one line."""
+    """Invalid archive; the message is one line."""
 
 
 @dataclass(frozen=True)
 class Author:
-    """A person, or a group.
+    """Author: a person or an organization.
 
     Attributes
     ----------
     name : str
     orcid : str
-        "0000-0002-1825-0097", or nothing.
+        ORCID such as "0000-0002-1825-0097", may be empty.
     affiliation : str
-        Or nothing.
+        May be empty.
     is_person : bool
     """
 
@@ -78,7 +78,7 @@ class Author:
 
 @dataclass(frozen=True)
 class SoftwareInfo:
-    """What an archive says of this software; `licence` is an SPDX identifier."""
+    """Version, commit, licence (SPDX identifier) and authors of this software."""
 
     version: str
     commit: str
@@ -88,18 +88,18 @@ class SoftwareInfo:
 
 @dataclass(frozen=True)
 class ArchiveInfo:
-    """What an archive says of itself.
+    """Metadata of an archive.
 
     Attributes
     ----------
     date : str
-        When it was packed, as ISO 8601 has it: 2026-01-31.
+        Date of the archive in ISO 8601: 2026-01-31.
     licence : str
-        Of the results: an SPDX identifier or a URL.
+        Licence of the results: an SPDX identifier or a URL.
     authors : tuple of Author
-        Of the results.
+        Authors of the results.
     software : SoftwareInfo
-        What made them.
+        Software that made the results.
     """
 
     date: str
@@ -120,9 +120,9 @@ def make_metadata(members: Mapping[str, bytes], info: ArchiveInfo) -> bytes:
     Returns
     -------
     bytes
-        The same for the same arguments.
+        Deterministic for given arguments.
     """
-    # Takes a second to import, and the core of the package goes without it.
+    # Imported here: it is an optional dependency and slow to import.
     from rocrate.rocrate import ROCrate
 
     crate = ROCrate(version=RO_CRATE_VERSION)
@@ -133,8 +133,8 @@ def make_metadata(members: Mapping[str, bytes], info: ArchiveInfo) -> bytes:
     }
     root["name"] = f"Results of splits {software.version}"
     root["description"] = (
-        "Simulated light that snow, sand and rough layers send back: datasets, their figures and "
-        "tables, and the configuration that they were made from."
+        "Simulated reflectance and transmittance of snow, sand and rough layers: datasets, their "
+        "figures and tables, and the configuration that they were made from."
     )
     root["datePublished"] = info.date
     root["license"] = _add_licence(crate, info.licence)
@@ -151,9 +151,13 @@ def make_metadata(members: Mapping[str, bytes], info: ArchiveInfo) -> bytes:
         "author": [_add_author(crate, author) for author in software.authors],
     })  # fmt: skip
     folders = {name: PurePosixPath(name).parts[0] for name in files}
-    made = [files[name] for name, top in folders.items() if top in ("data", "figures", "tables")]
-    taken = [files[name] for name, top in folders.items() if top in ("config", "requirements.txt")]
-    run = crate.add_action(program, "#run", object=taken, result=made, properties={
+    results = [
+        files[name] for name, folder in folders.items() if folder in ("data", "figures", "tables")
+    ]
+    inputs = [
+        files[name] for name, folder in folders.items() if folder in ("config", "requirements.txt")
+    ]
+    run = crate.add_action(program, "#run", object=inputs, result=results, properties={
         "name": "Run of the workflow with this configuration",
     })  # fmt: skip
     root["mentions"] = run
@@ -162,7 +166,7 @@ def make_metadata(members: Mapping[str, bytes], info: ArchiveInfo) -> bytes:
 
 
 def _describe_file(name: str, content: bytes) -> dict[str, str]:
-    """Return the properties of a file."""
+    """Return the RO-Crate properties of a file."""
     path = PurePosixPath(name)
     return {
         "name": path.name,
@@ -174,7 +178,7 @@ def _describe_file(name: str, content: bytes) -> dict[str, str]:
 
 
 def _add_entity(crate: Any, identifier: str, properties: dict[str, Any]) -> Any:
-    """Return an entity that is no file, added to the crate if it is not there."""
+    """Return a contextual entity, added to the crate if missing."""
     from rocrate.model import ContextEntity
 
     return crate.get(identifier) or crate.add(ContextEntity(crate, identifier, properties))
@@ -186,7 +190,7 @@ def _add_licence(crate: Any, licence: str) -> Any:
 
 
 def _add_author(crate: Any, author: Author) -> Any:
-    """Return the entity of a person or of a group."""
+    """Return the entity of an author."""
     name = f"#{quote(author.name.replace(' ', '-'))}"
     identifier = ORCID_URL + author.orcid if author.orcid else name
     kind = "Person" if author.is_person else "Organization"
@@ -197,34 +201,36 @@ def _add_author(crate: Any, author: Author) -> Any:
 
 
 def parse_entities(content: bytes) -> dict[str, dict[str, Any]]:
-    """Return what the metadata describes, by its @id."""
+    """Return the entities of the metadata by @id."""
 
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def reject_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         if len(dict(pairs)) < len(pairs):
             raise ValueError("a key given twice")
         return dict(pairs)
 
     try:
-        crate = json.loads(content.decode(), object_pairs_hook=once)
+        crate = json.loads(content.decode(), object_pairs_hook=reject_duplicates)
     except (ValueError, RecursionError) as error:
         raise ArchiveError(f"{METADATA_FILE} is not JSON ({format_key(error)})") from None
     graph = crate.get("@graph") if isinstance(crate, dict) else None
     if not isinstance(graph, list) or not all(isinstance(entity, dict) for entity in graph):
         raise ArchiveError(f"no RO-Crate, {METADATA_FILE} has no @graph")
-    if not any(_is_crate_id(one) for one in _as_list(crate.get("@context"))):
+    if not any(_is_crate_id(context) for context in _as_list(crate.get("@context"))):
         raise ArchiveError(f"no RO-Crate, {METADATA_FILE} has another @context")
-    names = [entity.get("@id") for entity in graph]
-    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+    identifiers = [entity.get("@id") for entity in graph]
+    if not all(isinstance(identifier, str) for identifier in identifiers) or len(
+        set(identifiers)
+    ) < len(identifiers):
         raise ArchiveError(f"no RO-Crate, {METADATA_FILE} has entities without an @id of their own")
-    return dict(zip(names, graph, strict=True))
+    return dict(zip(identifiers, graph, strict=True))
 
 
 def find_root_dataset(entities: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """Return the root dataset."""
+    """Return the root dataset of the metadata."""
     descriptor = entities.get(METADATA_FILE, {})
     root = entities.get("./", {})
-    about = _get_references(descriptor, "about") == ["./"]
-    if not (about and any(map(_is_crate_id, _get_references(descriptor, "conformsTo")))):
+    describes_root = _get_references(descriptor, "about") == ["./"]
+    if not (describes_root and any(map(_is_crate_id, _get_references(descriptor, "conformsTo")))):
         raise ArchiveError(f"no RO-Crate, {METADATA_FILE} does not describe itself as one")
     if "Dataset" not in _as_list(root.get("@type")):
         raise ArchiveError(f"no RO-Crate, {METADATA_FILE} has no root dataset")
@@ -237,15 +243,15 @@ def find_root_dataset(entities: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
 def list_files(
     entities: Mapping[str, dict[str, Any]], root: Mapping[str, Any]
 ) -> dict[str, tuple[int, str]]:
-    """Return size and SHA-256 of all files that the metadata lists, by name."""
+    """Return size and SHA-256 of the files listed in the metadata, by name."""
     parts = set(_get_references(root, "hasPart"))
-    found: dict[str, tuple[int, str]] = {}
+    files: dict[str, tuple[int, str]] = {}
     for identifier, entity in entities.items():
         if "File" not in _as_list(entity.get("@type")):
             continue
         name = unquote(identifier)
         size, digest = entity.get("contentSize"), entity.get("sha256")
-        if identifier not in parts or name in found:
+        if identifier not in parts or name in files:
             raise ArchiveError(
                 f"{short_repr(name)} is listed twice, or is no part of the root dataset"
             )
@@ -253,8 +259,8 @@ def list_files(
             raise ArchiveError(f"{short_repr(name)} is listed without contentSize")
         if not (isinstance(digest, str) and re.fullmatch(r"[0-9a-f]{64}", digest)):
             raise ArchiveError(f"{short_repr(name)} is listed without sha256")
-        found[name] = int(size), digest
-    return found
+        files[name] = int(size), digest
+    return files
 
 
 def _as_list(value: Any) -> list[Any]:
@@ -263,17 +269,17 @@ def _as_list(value: Any) -> list[Any]:
 
 
 def _get_references(entity: Mapping[str, Any], key: str) -> list[str]:
-    """Return the identifiers that a property refers to."""
+    """Return the identifiers that a property references."""
     values = (v.get("@id") for v in _as_list(entity.get(key)) if isinstance(v, dict))
     return [value for value in values if isinstance(value, str)]
 
 
 def get_text(entity: Mapping[str, Any], key: str) -> str:
-    """Return a property that is a text or refers to something, or nothing."""
+    """Return the text or first reference of a property, or an empty text."""
     value = entity.get(key)
     return value if isinstance(value, str) else next(iter(_get_references(entity, key)), "")
 
 
 def _is_crate_id(identifier: Any) -> bool:
-    """Tell whether that is RO-Crate's identifier, or that of its context."""
+    """Return whether an identifier is that of RO-Crate or of its context."""
     return isinstance(identifier, str) and bool(_RO_CRATE_ID_PATTERN.fullmatch(identifier))

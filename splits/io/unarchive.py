@@ -1,9 +1,10 @@
-"""Archives that anyone may have made: verified, and unpacked whole or not at all.
+"""Verification and unpacking of archives from untrusted sources.
 
-An archive is a zip file with an RO-Crate (`splits.experiments.archive`).  Nothing in it is believed before it
-is checked: names, kinds and sizes of its members, then the list of files in its metadata, then
-every byte.  What is checked is that the files are those listed, not who listed them: compare the
-archive's own SHA-256, which `ArchiveReport` holds, with one that you trust.
+An archive is a zip file with an RO-Crate (`splits.experiments.archive`).  All of it is verified:
+names, types and sizes of its members, then the list of files in its metadata, then every byte.  An
+archive is unpacked completely or not at all.  The verification shows that the files are those
+listed, not who made the list: compare the SHA-256 of the archive in `ArchiveReport` with a trusted
+value.
 """
 
 from __future__ import annotations
@@ -37,50 +38,50 @@ ROOT_MEMBERS = (
     METADATA_FILE, "README.md", "LICENSE", "CITATION.cff", "requirements.txt", "versions.json",
     "SHA256SUMS",
 )  # fmt: skip
-"""Members that stand in no folder."""
+"""Members of the root folder."""
 FOLDER_SUFFIXES = {
     "config": (".csv", ".dat", ".md", ".tsv", ".txt", ".yaml", ".yml"),
     "data": (".nc",),
     "figures": (".pdf", ".png", ".svg"),
     "tables": (".csv",),
 }
-"""What names of all others end in, by the folder that they stand in.
+"""Allowed suffixes of all other members, by folder.
 
-A file of another name could steer what runs beside it, or be run itself when it is opened.
+A file of another name could influence programs that run beside it, or be executed when opened.
 """
 MAX_MEMBERS = 20_000
 MAX_UNPACKED_BYTES = 2**35
-"""Size of everything unpacked."""
+"""Largest total size after unpacking."""
 MAX_METADATA_BYTES = 2**26
-"""Size of the metadata."""
+"""Largest size of the metadata."""
 MAX_COMPRESSION_RATIO = 300
-"""A member of more than `MIN_RATIO_CHECK_BYTES` bytes unpacks to so many times its packed size at most."""
+"""Largest compression ratio of a member of more than `MIN_RATIO_CHECK_BYTES` bytes."""
 MIN_RATIO_CHECK_BYTES = 2**20
 MAX_NAME_LENGTH = 1000
 MAX_NAME_PART_BYTES = 255
-"""Bytes of a file's or folder's name."""
+"""Largest number of bytes of a file or folder name."""
 
 _CHUNK_BYTES = 2**20
 _LOCAL_HEADER_BYTES = 30
-"""Bytes in front of a member's content, besides its name."""
+"""Size of the local header of a member without its name."""
 _DEVICE_NAME_PATTERN = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class ArchiveReport:
-    """What an archive holds, all of it verified.
+    """Summary of a verified archive.
 
     Attributes
     ----------
     archive : Path
     sha256 : str
-        Of the archive itself, to be compared with one that you trust.
+        SHA-256 of the archive, for comparison with a trusted value.
     n_files : int
-        How many files it holds, metadata included.
+        Number of files, including the metadata.
     n_bytes : int
-        Their bytes.
+        Total size of the files in bytes.
     name, date, license : str
-        What the archive says of itself.
+        Properties of the root dataset in the metadata.
     """
 
     archive: Path
@@ -99,7 +100,7 @@ class ArchiveReport:
 
 
 def verify_archive(archive: str | Path) -> ArchiveReport:
-    """Check an archive from end to end without unpacking it.
+    """Verify an archive completely without unpacking it.
 
     Parameters
     ----------
@@ -108,8 +109,8 @@ def verify_archive(archive: str | Path) -> ArchiveReport:
     Raises
     ------
     ArchiveError
-        A ValueError: if it is no sound zip file, no RO-Crate, holds other files than its metadata
-        list or other bytes, or members that could do harm when they are unpacked.
+        A ValueError: if the archive is not a valid zip file or RO-Crate, if its files differ from
+        those listed in its metadata, or if a member would be unsafe to unpack.
     OSError
         If the file cannot be read.
     """
@@ -117,20 +118,20 @@ def verify_archive(archive: str | Path) -> ArchiveReport:
 
 
 def unpack_archive(archive: str | Path, folder: str | Path) -> ArchiveReport:
-    """Verify an archive and unpack it into a new folder, which appears whole or not at all.
+    """Verify an archive and unpack it into a new folder, atomically.
 
     Parameters
     ----------
     archive : path
     folder : path
-        Must not exist, or be empty; the folder that it stands in must exist.
+        Must not exist or be empty; its parent folder must exist.
 
     Raises
     ------
     ArchiveError
-        As `verify_archive` does.
+        As for `verify_archive`.
     ValueError
-        If the folder cannot be taken.
+        If the folder is not new or empty.
     OSError
         If files cannot be read or written.
     """
@@ -139,12 +140,12 @@ def unpack_archive(archive: str | Path, folder: str | Path) -> ArchiveReport:
         raise invalid("folder", str(folder), "in a folder that exists")
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise invalid("folder", str(folder), "a new or an empty folder")
-    with atomic_folder(folder) as aside:
-        return _read_archive(expand_path(archive, "archive"), aside)
+    with atomic_folder(folder) as temporary:
+        return _read_archive(expand_path(archive, "archive"), temporary)
 
 
 def find_name_problem(name: str) -> str:
-    """Return why no member of an archive may have that name, or nothing."""
+    """Return the reason why a member name is not allowed, or an empty text."""
     parts = name.split("/")
     if name.startswith("/") or re.match(r"[A-Za-z]:", name):
         return "an absolute path"
@@ -170,9 +171,9 @@ def find_name_problem(name: str) -> str:
 
 
 def find_name_collision(names: Iterable[str]) -> str:
-    """Return the first name that would be the same file or folder as another, or nothing.
+    """Return the first name that denotes the same file or folder as another, or an empty text.
 
-    Some systems take names for the same that differ in case, or in how accents are written.
+    Some file systems treat names as equal that differ in case or in Unicode normalization.
     """
     seen: dict[str, tuple[str, bool]] = {}
     for name in names:
@@ -180,7 +181,7 @@ def find_name_collision(names: Iterable[str]) -> str:
         for depth in range(1, len(parts) + 1):
             path, is_file = "/".join(parts[:depth]), depth == len(parts)
             folded = unicodedata.normalize("NFKC", path).casefold()
-            # A folder may come again, spelt the same way; a file may not.
+            # A folder may occur again with the same spelling; a file may not.
             if folded in seen and (is_file or seen[folded] != (path, is_file)):
                 return name
             seen[folded] = (path, is_file)
@@ -188,7 +189,7 @@ def find_name_collision(names: Iterable[str]) -> str:
 
 
 def _read_archive(archive: Path, target: Path | None) -> ArchiveReport:
-    """Verify an archive, and write its files below a folder meanwhile if there is one."""
+    """Verify an archive, and write its files to the target folder if given."""
     if archive.exists() and not archive.is_file():
         raise invalid("archive", str(archive), "a zip file")
     with open(archive, "rb") as raw, _convert_errors(archive):
@@ -200,44 +201,48 @@ def _read_archive(archive: Path, target: Path | None) -> ArchiveReport:
             listed = list_files(entities, root)
             _check_listing(set(members) - {METADATA_FILE}, set(listed))
             for name, info in members.items():
-                size, found = _copy_member(file, info, target)
-                if name in listed and listed[name] != (size, found):
+                size, member_digest = _copy_member(file, info, target)
+                if name in listed and listed[name] != (size, member_digest):
                     raise ArchiveError(f"{name} is not the file that {METADATA_FILE} lists")
     size = sum(info.file_size for info in members.values())
-    words = (get_text(root, key) for key in ("name", "datePublished", "license"))
-    return ArchiveReport(archive, digest, len(members), size, *words)
+    properties = (get_text(root, key) for key in ("name", "datePublished", "license"))
+    return ArchiveReport(archive, digest, len(members), size, *properties)
 
 
 @contextmanager
 def _convert_errors(archive: Path) -> Iterator[None]:
-    """Turn whatever a bad archive makes the libraries underneath raise into one line."""
+    """Convert exceptions of the zip libraries into one-line archive errors."""
     try:
         yield
     except ArchiveError as error:
-        raise ArchiveError(f"{archive}: refused, {error}") from None
+        raise ArchiveError(f"{archive}: rejected, {error}") from None
     except (
         zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, ValueError,
         LookupError, OverflowError,
     ) as error:  # fmt: skip
-        what = " ".join(str(error).split()) or type(error).__name__
-        raise ArchiveError(f"{archive}: refused, no sound zip file ({format_key(what)})") from None
+        problem = " ".join(str(error).split()) or type(error).__name__
+        raise ArchiveError(
+            f"{archive}: rejected, no sound zip file ({format_key(problem)})"
+        ) from None
 
 
 def _list_members(file: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """Return the members by name, none of which can do harm."""
+    """Return the members by name after checking that all are safe to unpack."""
     infos = file.infolist()
     if len(infos) > MAX_MEMBERS:
         raise ArchiveError(f"more than {MAX_MEMBERS} members")
     for info in infos:
-        # A name with a zero byte is cut there, and systems differ in what separates folders.
+        # zipfile truncates names at a zero byte and normalizes separators.
         name = info.orig_filename
-        wrong = find_name_problem(name) or (name != info.filename and "a name of two sorts")
-        wrong = wrong or _find_kind_problem(info)
-        if wrong:
-            raise ArchiveError(f"{short_repr(name)} is {wrong}")
-    twice = find_name_collision(info.filename for info in infos)
-    if twice:
-        raise ArchiveError(f"{short_repr(twice)} is there twice, or its name differs in case only")
+        problem = find_name_problem(name) or (name != info.filename and "a name of two sorts")
+        problem = problem or _find_kind_problem(info)
+        if problem:
+            raise ArchiveError(f"{short_repr(name)} is {problem}")
+    collision = find_name_collision(info.filename for info in infos)
+    if collision:
+        raise ArchiveError(
+            f"{short_repr(collision)} is there twice, or its name differs in case only"
+        )
     _check_sizes(file, infos)
     if METADATA_FILE not in file.NameToInfo:
         raise ArchiveError(f"no RO-Crate, {METADATA_FILE} is missing")
@@ -245,7 +250,7 @@ def _list_members(file: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
 
 
 def _find_kind_problem(info: zipfile.ZipInfo) -> str:
-    """Return what a member is if it is no plain file, or nothing."""
+    """Return the type of a member that is not a regular file, or an empty text."""
     mode = info.external_attr >> 16
     if stat.S_ISLNK(mode):
         return "a symbolic link"
@@ -261,25 +266,25 @@ def _find_kind_problem(info: zipfile.ZipInfo) -> str:
 
 
 def _check_sizes(file: zipfile.ZipFile, infos: list[zipfile.ZipInfo]) -> None:
-    """Refuse an archive that unpacks to far more than it is, or whose members share bytes."""
+    """Check total size and compression ratios, and that members do not overlap."""
     if sum(info.file_size for info in infos) > MAX_UNPACKED_BYTES:
         raise ArchiveError(f"it would unpack to more than {MAX_UNPACKED_BYTES // 2**30} GiB")
-    free = 0
+    end_of_previous = 0
     if infos and min(info.header_offset for info in infos) != 0:
         raise ArchiveError("no sound zip file (its first member is not at its beginning)")
     for info in sorted(infos, key=lambda info: info.header_offset):
         if info.file_size > max(MIN_RATIO_CHECK_BYTES, MAX_COMPRESSION_RATIO * info.compress_size):
             raise ArchiveError(f"{info.filename} would unpack to too many times its size")
-        if info.header_offset < free:
+        if info.header_offset < end_of_previous:
             raise ArchiveError(f"{info.filename} shares bytes with another member")
         name = len(info.orig_filename)
-        free = info.header_offset + _LOCAL_HEADER_BYTES + name + info.compress_size
-    if free > (file.start_dir or 0):
+        end_of_previous = info.header_offset + _LOCAL_HEADER_BYTES + name + info.compress_size
+    if end_of_previous > (file.start_dir or 0):
         raise ArchiveError("no sound zip file (a member is longer than the file)")
 
 
 def _read_metadata(file: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo]) -> bytes:
-    """Return the metadata."""
+    """Return the content of the metadata file."""
     if members[METADATA_FILE].file_size > MAX_METADATA_BYTES:
         raise ArchiveError(f"{METADATA_FILE} has more than {MAX_METADATA_BYTES // 2**20} MiB")
     return file.read(METADATA_FILE)
@@ -288,7 +293,7 @@ def _read_metadata(file: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo]
 def _copy_member(
     file: zipfile.ZipFile, info: zipfile.ZipInfo, target: Path | None
 ) -> tuple[int, str]:
-    """Read a member to its end and return its size and SHA-256; write it if there is a folder."""
+    """Read a member, write it to the target folder if given, and return its size and SHA-256."""
     digest, size = hashlib.sha256(), 0
     path = os.devnull if target is None else target / info.filename
     if target is not None:
@@ -306,10 +311,10 @@ def _copy_member(
 
 
 def _check_listing(present: set[str], listed: set[str]) -> None:
-    """Refuse files that are not listed, and those that are but are not there."""
-    for names, what in (
+    """Check that the files present are exactly those listed."""
+    for names, problem in (
         (listed - present, "listed, but missing"),
         (present - listed, "not listed"),
     ):
         if names:
-            raise ArchiveError(f"{short_repr(min(names))} is {what} ({len(names)} such)")
+            raise ArchiveError(f"{short_repr(min(names))} is {problem} ({len(names)} such)")

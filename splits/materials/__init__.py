@@ -1,4 +1,4 @@
-"""What matter is: complex refractive indices with range and source, mixtures, and densities."""
+"""Materials: complex refractive indices with range and source, mixing rules and densities."""
 
 from splits.materials.density import MINERAL_DENSITY_KG_M3, ice_density
 from splits.materials.library import list_datasets

@@ -1,4 +1,4 @@
-"""The reader of all CSV tables that users give: one line of refusal for what could be misread."""
+"""Reading of user CSV tables, with one-line errors for ambiguous content."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from splits.core.paths import expand_path
 from splits.core.validation import InvalidValue, format_key, invalid, join_names, suggest_name
 
 MAX_TABLE_BYTES = 2**25
-"""Size of a file."""
+"""Largest size of a file."""
 GAP_MARKERS = ("", "na", "n/a", "nan", "null")
-"""What cells without a value hold, in lower case."""
+"""Content of table cells without a value, in lower case."""
 _NUMBER_PATTERN = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 
 class UserTable(NamedTuple):
-    """Columns of a user's file, and the SHA-256 of its content.
+    """Columns of a user's file, with the SHA-256 of its content.
 
-    The path says nothing on another machine; the content does.
+    The digest identifies the content on any machine; the path does not.
     """
 
     columns: list[np.ndarray]
@@ -34,23 +34,23 @@ class UserTable(NamedTuple):
 
 
 class CsvTable(NamedTuple):
-    """The cells of a CSV file as text.
+    """Content of a CSV file as text.
 
     Attributes
     ----------
     key : str
-        What is refused.
+        Key named in error messages.
     path : Path
     allowed : str
-        What the file must be.
+        Requirement on the file, for error messages.
     column_names : list of str
-        Of the columns; no two are the same.
+        Names of the columns, without duplicates.
     rows : list of list of str
-        One cell for each name.
+        Fields of each row, one per column.
     line_numbers : list of int
-        Where the rows stand in the file, counted from 1.
+        Line number of each row in the file, counted from 1.
     sha256 : str
-        Of the file's content.
+        SHA-256 of the content of the file.
     """
 
     key: str
@@ -62,57 +62,59 @@ class CsvTable(NamedTuple):
     sha256: str
 
     def invalid(self, hint: str) -> InvalidValue:
-        """Return the error that says why the file cannot be taken."""
+        """Return the error for an invalid file."""
         return invalid(self.key, str(self.path), self.allowed, hint)
 
     def get_texts(self, name: str) -> list[str]:
-        """Return the cells of a column, or refuse a file that does not have it."""
+        """Return the fields of a column; raise ValueError if the file does not have it."""
         if name not in self.column_names:
-            near = suggest_name(name, self.column_names)
-            there = (
-                f"; {near}" if near else f" among {join_names(map(format_key, self.column_names))}"
+            hint = suggest_name(name, self.column_names)
+            detail = (
+                f"; {hint}" if hint else f" among {join_names(map(format_key, self.column_names))}"
             )
-            raise self.invalid(f"no column {name}{there}")
-        place = self.column_names.index(name)
-        return [row[place] for row in self.rows]
+            raise self.invalid(f"no column {name}{detail}")
+        column = self.column_names.index(name)
+        return [row[column] for row in self.rows]
 
     def get_numbers(self, name: str, allow_gaps: bool = False) -> np.ndarray:
-        """Return a column of finite numbers, or refuse the first cell that holds none.
+        """Return a column of finite numbers; raise ValueError for any other field.
 
         Parameters
         ----------
         name : str
         allow_gaps : bool
-            Whether cells may be empty, which are NaN.
+            Whether fields may be empty; gaps are returned as NaN.
         """
-        found = []
-        for cell, line in zip(self.get_texts(name), self.line_numbers, strict=True):
-            gap = cell.lower() in GAP_MARKERS
-            value = float(cell) if _NUMBER_PATTERN.fullmatch(cell) else np.nan
-            if not np.isfinite(value) and not (gap and allow_gaps):
-                what = "a gap" if gap else format_key(cell)
-                raise self.invalid(f"line {line}: {format_key(name)} is {what}{_suggest_fix(cell)}")
-            found.append(value)
-        return np.array(found)
+        numbers = []
+        for field, line in zip(self.get_texts(name), self.line_numbers, strict=True):
+            is_gap = field.lower() in GAP_MARKERS
+            value = float(field) if _NUMBER_PATTERN.fullmatch(field) else np.nan
+            if not np.isfinite(value) and not (is_gap and allow_gaps):
+                content = "a gap" if is_gap else format_key(field)
+                raise self.invalid(
+                    f"line {line}: {format_key(name)} is {content}{_suggest_fix(field)}"
+                )
+            numbers.append(value)
+        return np.array(numbers)
 
 
 def _suggest_fix(cell: str) -> str:
-    """Return what to write instead of a cell that is nearly a number, or nothing."""
+    """Return a hint for a field that is nearly a number, or an empty text."""
     if cell.endswith("%"):
-        return "; write a share, 0.95 for 95 %"
+        return "; write a fraction, 0.95 for 95 %"
     return "; write decimals with a point, thousands without commas" if "," in cell else ""
 
 
 def read_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> CsvTable:
-    """Return the cells of a CSV file with comments after ``#``, or refuse it.
+    """Return the content of a CSV file with comments after ``#``.
 
     Parameters
     ----------
     key : str
-        What is refused.
+        Key named in error messages.
     path : path
     required : sequence of str
-        Columns that a refusal names.
+        Required columns, named in error messages.
 
     Raises
     ------
@@ -160,36 +162,36 @@ def _split_line(table: CsvTable, number: int, line: str) -> list[str]:
         line = row
     try:
         if "\0" in line:
-            raise csv.Error("it is no text in UTF-8")
+            raise csv.Error("it is not text in UTF-8")
         return [field.strip() for field in next(csv.reader([line], strict=True))]
     except csv.Error as error:
         raise table.invalid(f"line {number}: {error}") from None
 
 
 def _check_header(table: CsvTable) -> None:
-    """Refuse names of columns that are missing or not unique."""
+    """Check that all columns have unique names."""
     if "" in table.column_names:
         hint = "a comma too many, or numbers of rows? write it with index=False"
         raise table.invalid(f"a column without a name; {hint}")
-    twice = [name for name in table.column_names if table.column_names.count(name) > 1]
-    if twice:
-        raise table.invalid(f"two columns {format_key(twice[0])}")
+    duplicates = [name for name in table.column_names if table.column_names.count(name) > 1]
+    if duplicates:
+        raise table.invalid(f"two columns {format_key(duplicates[0])}")
 
 
 def read_numeric_csv(key: str, path: str | Path, required: Sequence[str] = ()) -> pd.DataFrame:
-    """Return a CSV file whose columns hold numbers, or gaps (NaN) unless needed, or refuse it."""
-    cells = read_csv(key, path, required)
+    """Return a CSV file of numbers; columns that are not required may have gaps (NaN)."""
+    table = read_csv(key, path, required)
     for name in required:
-        cells.get_numbers(name)
+        table.get_numbers(name)
     return pd.DataFrame(
-        {name: cells.get_numbers(name, allow_gaps=True) for name in cells.column_names}
+        {name: table.get_numbers(name, allow_gaps=True) for name in table.column_names}
     )
 
 
 def to_columns(value: Any) -> Any:
-    """Return the columns of a DataFrame as a mapping of lists, with an index that has a name.
+    """Return the columns of a DataFrame, with a named index, as a mapping of lists.
 
-    Whatever else a user gives is returned as it is.
+    Other values are returned unchanged.
     """
     if not isinstance(value, pd.DataFrame):
         return value
@@ -198,15 +200,15 @@ def to_columns(value: Any) -> Any:
 
 
 def read_user_table(key: str, path: str | Path, column_names: Sequence[str]) -> UserTable:
-    """Return columns of numbers of a CSV file, or refuse it; see `read_csv`.
+    """Return numeric columns of a CSV file; see `read_csv`.
 
     Parameters
     ----------
     key : str
-        What is refused.
+        Key named in error messages.
     path : path
     column_names : sequence of str
-        Of the columns; others are not looked at.
+        Columns to read; others are ignored.
     """
-    cells = read_csv(key, path, column_names)
-    return UserTable([cells.get_numbers(name) for name in column_names], cells.sha256)
+    table = read_csv(key, path, column_names)
+    return UserTable([table.get_numbers(name) for name in column_names], table.sha256)

@@ -1,4 +1,4 @@
-"""Densities of pure matter."""
+"""Densities of ice and minerals."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ MINERAL_DENSITY_KG_M3: Mapping[str, float] = MappingProxyType(
         "kaolinite": 2590.0,
     }
 )
-"""Densities of minerals in kg/m³: SPLITS (Kimmel & Baranoski 2007) Table 2."""
+"""Densities of minerals (kg/m³), SPLITS (Kimmel & Baranoski 2007) Table 2."""
 
 
 def ice_density(temperature_c: float) -> float:
-    """Return the density of ice in kg/m³, linear between tabulated temperatures.
+    """Return the density of ice (kg/m³), linear between tabulated temperatures.
 
     Parameters
     ----------
     temperature_c : float
-        Degrees Celsius, −40 to 0.
+        Temperature (°C), −40 to 0.
 
     Raises
     ------
     ValueError
-        Outside the table.
+        For a temperature outside the table.
 
     References
     ----------

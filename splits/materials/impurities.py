@@ -1,7 +1,7 @@
-"""What dirt in snow absorbs: soot, dust, ash and algae, by how much of each there is.
+"""Absorption by light-absorbing impurities in snow: black carbon, dust, ash and algae.
 
-Particles far smaller than grains, and far fewer, absorb along the paths that light takes anyway.
-That they scatter is left out; docs/how-to/impurities.md bounds it.
+The particles are much smaller and much rarer than grains, so they absorb along paths that they do
+not change.  Their scattering is neglected; docs/how-to/impurities.md gives a bound on its effect.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from splits.materials.csv_table import read_user_table
 from splits.materials.refractive_index import check_wavelength_range
 
 ALGAE_NAMES = ("ice_algae", "snow_algae")
-"""Kinds whose absorption is known per cell (m²); of the others it is per mass (m²/kg)."""
+"""Types with absorption per cell (m²); that of other types is per mass (m²/kg)."""
 MASS_RATIO_PER_NG_G = 1e-9
-"""kg of impurity per kg of ice that are 1 ng/g."""
+"""Mass of impurity per mass of ice of 1 ng/g."""
 CELLS_PER_KG_PER_CELL_ML = 1e3
-"""Cells per kg of ice that are 1 per ml of its meltwater, which weighs a gram."""
+"""Cells per kg of ice of 1 cell per ml of meltwater, with 1 g of meltwater per ml."""
 MAX_NG_G = 1e8
 MAX_CELLS_ML = 1e9
 USER_IMPURITY_KEYS = ({"ng_g", "table"}, {"ng_g", "wavelength_nm", "absorption_m2_kg"})
@@ -38,19 +38,20 @@ _TABLE_FILE = Path(__file__).with_suffix(".csv")
 
 @dataclass(frozen=True, eq=False)
 class Impurity(ContentEquality):
-    """One kind of particles.
+    """Impurity of one type.
 
     Attributes
     ----------
     name : str
     amount_per_kg_ice : float
-        kg, or cells of algae, per kg of ice.
+        Mass (kg), or number of algae cells, per kg of ice.
     wavelength_nm, absorption : float, shape (n,)
-        Absorption per kg (m²/kg) or per cell (m²) over wavelength (nm, strictly increasing).
+        Wavelengths (nm, strictly increasing) and absorption cross-section per kg (m²/kg) or per
+        cell (m²).
     sha256 : str
-        Of a user's file.
+        SHA-256 of a user's file, otherwise empty.
     is_user_defined : bool
-        Whether the table is a user's.
+        Whether the table was given by the user.
     """
 
     name: str
@@ -61,7 +62,7 @@ class Impurity(ContentEquality):
     is_user_defined: bool = False
 
     def compute_absorption_per_kg_ice(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return the absorption per mass of ice (m²/kg), shaped like the wavelengths (nm)."""
+        """Return the absorption cross-section per mass of ice (m²/kg) at wavelengths (nm)."""
         first, last = self.wavelength_nm[[0, -1]]
         w = check_wavelength_range(wavelength_nm, first, last, f"impurity {self.name}")
         return self.amount_per_kg_ice * np.interp(w, self.wavelength_nm, self.absorption)
@@ -73,72 +74,77 @@ def _load_known_impurities() -> pd.DataFrame:
 
 
 def list_impurities() -> tuple[str, ...]:
-    """Return the kinds known by name whose amount is a mass."""
+    """Return the names of the tabulated impurities whose amount is a mass."""
     return tuple(name for name in _load_known_impurities().columns if name not in ALGAE_NAMES)
 
 
 def make_impurities(mass_ng_g: Any, cells_ml: Any) -> tuple[Impurity, ...]:
-    """Return the impurities that a user's values stand for, or refuse them.
+    """Return the impurities for a user's input.
 
     Parameters
     ----------
     mass_ng_g : mapping
-        ng of impurity per g of ice by kind, see `list_impurities`; or, under a name of one's own, a mapping
-        of ``ng_g`` and either ``table``, the path of a CSV file with columns ``wavelength_nm,
-        absorption_m2_kg``, or these two as lists.
+        Mass of impurity per mass of ice (ng/g) by type, see `list_impurities`.  Under any other
+        name, a mapping of ``ng_g`` and either ``table``, the path of a CSV file with columns
+        ``wavelength_nm, absorption_m2_kg``, or these two columns as lists.
     cells_ml : mapping
-        Cells per ml of meltwater by kind of algae, see `ALGAE_NAMES`.
+        Cells per ml of meltwater by type of algae, see `ALGAE_NAMES`.
 
     Raises
     ------
     ValueError
-        For an unknown kind, a negative amount or a malformed table.
+        For an unknown type, a negative amount or a malformed table.
     """
     for key, given in (("impurities_ng_g", mass_ng_g), ("algae_cells_ml", cells_ml)):
         if not isinstance(given, Mapping):
             raise invalid(key, given, "a mapping of amounts by kind")
-    found = [_make_mass_impurity(name, amount) for name, amount in mass_ng_g.items()]
+    impurities = [_make_mass_impurity(name, amount) for name, amount in mass_ng_g.items()]
     for name, amount in cells_ml.items():
         number = check_range(f"algae_cells_ml.{name}", amount, 0.0, MAX_CELLS_ML, "cells/ml")
-        found.append(
+        impurities.append(
             _make_tabulated_impurity(
                 "algae_cells_ml", name, CELLS_PER_KG_PER_CELL_ML * number, ALGAE_NAMES
             )
         )
-    return tuple(found)
+    return tuple(impurities)
 
 
 def describe_impurities(impurities: Sequence[Impurity], location: str) -> dict[str, Any]:
-    """Return impurities under names fit for dataset attributes."""
-    facts: dict[str, Any] = {"impurities_in": location} if impurities else {}
-    for one in impurities:
-        if one.name in ALGAE_NAMES:
-            facts[f"{one.name}_cells_ml"] = one.amount_per_kg_ice / CELLS_PER_KG_PER_CELL_ML
+    """Return impurities as dataset attributes."""
+    attrs: dict[str, Any] = {"impurities_in": location} if impurities else {}
+    for impurity in impurities:
+        if impurity.name in ALGAE_NAMES:
+            attrs[f"{impurity.name}_cells_ml"] = (
+                impurity.amount_per_kg_ice / CELLS_PER_KG_PER_CELL_ML
+            )
         else:
-            facts[f"{one.name}_ng_g"] = one.amount_per_kg_ice / MASS_RATIO_PER_NG_G
-        if one.sha256:
-            facts[f"{one.name}_sha256"] = one.sha256
-        elif one.is_user_defined:
-            facts[f"{one.name}_wavelength_nm"] = one.wavelength_nm
-            facts[f"{one.name}_absorption_m2_kg"] = one.absorption
-    return facts
+            attrs[f"{impurity.name}_ng_g"] = impurity.amount_per_kg_ice / MASS_RATIO_PER_NG_G
+        if impurity.sha256:
+            attrs[f"{impurity.name}_sha256"] = impurity.sha256
+        elif impurity.is_user_defined:
+            attrs[f"{impurity.name}_wavelength_nm"] = impurity.wavelength_nm
+            attrs[f"{impurity.name}_absorption_m2_kg"] = impurity.absorption
+    return attrs
 
 
 def _make_mass_impurity(name: Any, value: Any) -> Impurity:
     key = f"impurities_ng_g.{name}"
-    own = isinstance(value, Mapping)
-    if own and set(value) not in USER_IMPURITY_KEYS:
+    is_user_defined = isinstance(value, Mapping)
+    if is_user_defined and set(value) not in USER_IMPURITY_KEYS:
         allowed = "ng_g and table, or ng_g, wavelength_nm and absorption_m2_kg"
         raise invalid(key, sorted(map(str, value)), allowed)
     amount = check_range(
-        f"{key}.ng_g" if own else key, value["ng_g"] if own else value, 0.0, MAX_NG_G
+        f"{key}.ng_g" if is_user_defined else key,
+        value["ng_g"] if is_user_defined else value,
+        0.0,
+        MAX_NG_G,
     )
-    if not own:
+    if not is_user_defined:
         return _make_tabulated_impurity(
             "impurities_ng_g", name, MASS_RATIO_PER_NG_G * amount, list_impurities()
         )
     if name in _load_known_impurities().columns:
-        raise invalid("impurities_ng_g", name, "a name of its own for a table of one's own")
+        raise invalid("impurities_ng_g", name, "a new name for a user table")
     if not (USER_IMPURITY_NAME_PATTERN.fullmatch(str(name)) and str(name).isprintable()):
         allowed = "a name of at most 80 characters without /, not ground or refractive_index"
         raise invalid("impurities_ng_g", name, allowed, "it names attributes of datasets")
@@ -151,10 +157,10 @@ def _make_mass_impurity(name: Any, value: Any) -> Impurity:
     w, values = read_columns(key, {"wavelength_nm": w, "absorption_m2_kg": values})
     check_increasing(f"{key}.wavelength_nm", w)
     if w.size != values.size or w.size < 2:
-        found = f"{w.size} wavelengths, {values.size} values"
-        raise invalid(key, found, "two columns of the same length, at least 2")
+        sizes = f"{w.size} wavelengths, {values.size} values"
+        raise invalid(key, sizes, "two columns of the same length, at least 2")
     values = check_array_range(f"{key}.absorption_m2_kg", values, 0.0, np.inf, "m2/kg")
-    return Impurity(str(name), MASS_RATIO_PER_NG_G * amount, w, values, digest, own)
+    return Impurity(str(name), MASS_RATIO_PER_NG_G * amount, w, values, digest, is_user_defined)
 
 
 def _make_tabulated_impurity(
@@ -163,11 +169,11 @@ def _make_tabulated_impurity(
     if name not in known_names:
         hint = suggest_name(name, list(known_names))
         if name in _load_known_impurities().columns:
-            right = "algae_cells_ml" if name in ALGAE_NAMES else "impurities_ng_g"
-            hint = f"its amount stands under {right}"
+            keyword = "algae_cells_ml" if name in ALGAE_NAMES else "impurities_ng_g"
+            hint = f"its amount belongs to {keyword}"
         raise invalid(key, name, "one of " + ", ".join(known_names), hint)
     column = _load_known_impurities()[name]
     w = column.index.to_numpy()
-    # The first and the last band reach half a band farther than their middles.
+    # The outermost bands extend half a band width past their centres.
     w = np.concatenate([[w[0] - HALF_BAND_WIDTH_NM], w, [w[-1] + HALF_BAND_WIDTH_NM]])
     return Impurity(name, amount_per_kg_ice, w, np.pad(column.to_numpy(), 1, mode="edge"))

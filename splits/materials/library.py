@@ -1,7 +1,7 @@
-"""Named datasets of refractive indices, per material, and how they are read.
+"""Named datasets of refractive indices by material.
 
-The tables lie in the folder ``indices``, each with its citation in its first line and its licence
-in the second.  Nothing is fetched.
+The tables are in the folder ``indices``; the first line of each holds its citation and the second
+its licence.  Nothing is downloaded.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _GHOSH_RANGE_NM = (198.0, 2053.1)
 
 
 def _load_columns(file: str) -> tuple[np.ndarray, str]:
-    """Return the columns of a table, and the reference in its first line."""
+    """Return the columns of a table and the citation in its first line."""
     lines = (_INDEX_FOLDER / f"{file}.csv").read_text(encoding="utf-8").splitlines()
     rows = [line for line in lines if not line.startswith("#")]
     return np.loadtxt(rows[1:], delimiter=",").T, lines[0].removeprefix("# ")
@@ -44,14 +44,14 @@ def _load_table(material: str, name: str) -> TabulatedIndex:
 def _drop_invalid_rows(
     w: np.ndarray, n: np.ndarray, k: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Leave out rows that cannot stand in a table.
+    """Return a table without invalid rows.
 
-    Querry's tables repeat or misprint a few wavelengths beyond 1.9 µm (3.6911 for 3.8911 µm):
-    a row counts if its wavelength exceeds all before it.  Where his Kramers-Kronig analysis
-    turns to negative k (far infrared), the table ends.
+    Querry's tables repeat or misprint a few wavelengths above 1.9 µm (3.6911 for 3.8911 µm), so a
+    row is valid if its wavelength exceeds all before it.  The table ends where his Kramers-Kronig
+    analysis gives negative k (far infrared).
     """
-    ordered = np.concatenate([[True], w[1:] > np.maximum.accumulate(w)[:-1]])
-    keep = ordered & (np.cumsum(k < 0.0) == 0)
+    increasing = np.concatenate([[True], w[1:] > np.maximum.accumulate(w)[:-1]])
+    keep = increasing & (np.cumsum(k < 0.0) == 0)
     return w[keep], n[keep], k[keep]
 
 
@@ -60,17 +60,17 @@ def _load_ice_warren_2008() -> TabulatedIndex:
 
 
 def _load_ice_picard_2016() -> TabulatedIndex:
-    """Warren & Brandt 2008 with the absorption of Picard et al. 2016 below 600 nm.
+    """Return Warren & Brandt 2008 with the absorption of Picard et al. 2016 below 600 nm.
 
-    Picard's table begins at 320 nm; from 200 nm to there its first value is held, for the last
-    half per cent of sunlight.
+    Picard's table begins at 320 nm.  Its first value is used from 200 to 320 nm, a range of about
+    0.5 % of sunlight.
     """
     warren = _load_ice_warren_2008()
     (short, absorption), reference = _load_columns("ice_picard_2016")
     short, absorption = short[short < 600.0], absorption[short < 600.0]
-    beyond = np.arange(200.0, short[0], 10.0)
-    short = np.concatenate([beyond, short])
-    absorption = np.concatenate([np.full(beyond.size, absorption[0]), absorption])
+    extrapolated = np.arange(200.0, short[0], 10.0)
+    short = np.concatenate([extrapolated, short])
+    absorption = np.concatenate([np.full(extrapolated.size, absorption[0]), absorption])
     k_short = absorption * short * 1e-9 / (4.0 * np.pi)
     keep = warren.wavelength_nm >= 600.0
     w = np.concatenate([short, warren.wavelength_nm[keep]])
@@ -113,7 +113,7 @@ def _load_hematite_extraordinary() -> TabulatedIndex:
 
 
 def _make_hematite_mean() -> TabulatedIndex:
-    """Crystals in every direction: √((2 ε_o + ε_e)/3) wherever both rays are tabulated."""
+    """Return the index of randomly oriented crystals, √((2 ε_o + ε_e)/3), in the common range."""
     ordinary, extraordinary = _load_hematite_ordinary(), _load_hematite_extraordinary()
     tables = (ordinary.wavelength_nm, extraordinary.wavelength_nm)
     w = np.union1d(*tables)
@@ -128,7 +128,7 @@ def _load_magnetite() -> TabulatedIndex:
 
 
 def _make_kaolinite() -> ConstantIndex:
-    """One value for all wavelengths: no table in the visible was found to be public."""
+    """Return a constant index; no public table was found for the visible."""
     source = (
         "a constant, the same at every wavelength: n and the order of magnitude of k near 620 nm "
         "after W. G. Egan, T. W. Hilgeman. Optical Properties of Inhomogeneous Materials, "
@@ -159,11 +159,11 @@ _DATASET_LOADERS: dict[str, dict[str, Callable[[], RefractiveIndex]]] = {
 
 
 def list_datasets(material: str) -> list[str]:
-    """Return the names of the datasets known for a material, the default first."""
+    """Return the names of the datasets of a material, the default first."""
     return list(_DATASET_LOADERS[check_choice("material", material, _DATASET_LOADERS)])
 
 
 @cache
 def load_dataset(material: str, name: str) -> RefractiveIndex:
-    """Return the dataset `name` (one of `list_datasets`) of a material, read once."""
+    """Return the dataset `name` of a material (see `list_datasets`), cached."""
     return _DATASET_LOADERS[material][name]()

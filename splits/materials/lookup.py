@@ -1,7 +1,4 @@
-"""The complex refractive index n + i k that a user's specification stands for.
-
-Wherever an index is asked for, a named dataset can stand, a constant, or a user's table.
-"""
+"""Complex refractive index n + i k from a user's input: named dataset, constant or table."""
 
 from __future__ import annotations
 
@@ -31,28 +28,28 @@ from splits.materials.refractive_index import (
 
 
 def make_refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
-    """Return the refractive index that `spec` stands for.
+    """Return the refractive index for a user's input.
 
     Parameters
     ----------
     material : str
         ``"ice"``, ``"water"``, ``"quartz"``, ``"hematite"``, ``"goethite"``, ``"magnetite"`` or
-        ``"kaolinite"``; decides which dataset names are known.
+        ``"kaolinite"``; determines the names of datasets.
     spec : None, str, number, mapping, path or RefractiveIndex
-        Nothing takes the material's default dataset.  A string is a dataset's name, a complex
-        number such as ``"1.31+1e-7j"``, or the path of a CSV file with columns
-        ``wavelength_nm, n, k``.  A mapping holds ``n`` and ``k``, numbers or, together with
-        ``wavelength_nm``, lists; or ``load_dataset`` (a name; without it the default) and ``k_factor``
-        (above 0), which multiplies the dataset's k and leaves its n.
+        None selects the default dataset of the material.  A string is the name of a dataset, a
+        complex number such as ``"1.31+1e-7j"``, or the path of a CSV file with columns
+        ``wavelength_nm, n, k``.  A mapping holds ``n`` and ``k``, as numbers or, with
+        ``wavelength_nm``, as lists; or ``dataset`` (a name; the default dataset if omitted) and
+        ``k_factor`` (above 0), which multiplies k and leaves n unchanged.
 
     Raises
     ------
     ValueError
-        For an unknown name, a malformed table, an impossible index or a bad factor.
+        For an unknown name, a malformed table, an invalid index or an invalid factor.
 
     Examples
     --------
-    >>> refractive_index("goethite", {"k_factor": 0.5}).name
+    >>> make_refractive_index("goethite", {"k_factor": 0.5}).name
     'oscillators, k x 0.5'
     """
     names = list_datasets(material)
@@ -66,7 +63,7 @@ def make_refractive_index(material: str, spec: Any = None) -> RefractiveIndex:
 def parse_refractive_index(
     material: str, spec: Any, dataset_names: Sequence[str] = ()
 ) -> RefractiveIndex:
-    """Return what `make_refractive_index` does of a material with datasets of these names, or none."""
+    """Return the refractive index for an input other than None; see `make_refractive_index`."""
     key, spec = f"refractive_index[{material}]", to_columns(spec)
     if isinstance(spec, str):
         if spec in dataset_names:
@@ -95,7 +92,7 @@ def parse_refractive_index(
 
 def _make_scaled_index(key: str, material: str, spec: Mapping[str, Any]) -> RefractiveIndex:
     if set(spec) - {"dataset", "k_factor"}:
-        raise invalid(key, dict(spec), "a mapping of dataset and k_factor, and nothing else")
+        raise invalid(key, dict(spec), "a mapping of dataset and k_factor only")
     names = list_datasets(material)
     index = load_dataset(
         material, check_choice(f"{key}.dataset", spec.get("dataset", names[0]), names)
@@ -115,8 +112,8 @@ def _make_user_index(key: str, material: str, spec: Mapping[str, Any]) -> Refrac
         return ConstantIndex(
             complex(check_number(f"{key}.n", spec["n"]), check_number(f"{key}.k", k))
         )
-    given = {"wavelength_nm": spec["wavelength_nm"], "n": spec["n"], "k": k}
-    w, n, k = read_columns(key, given)
+    columns = {"wavelength_nm": spec["wavelength_nm"], "n": spec["n"], "k": k}
+    w, n, k = read_columns(key, columns)
     k = np.broadcast_to(k, w.shape) if k.size == 1 else k
     return TabulatedIndex(f"user table for {material}", "given by the user", w, n, k)
 
@@ -127,5 +124,5 @@ def _load_user_index(key: str, path: Path) -> TabulatedIndex:
 
 
 def absorption_coefficient(index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
-    """Return α = 4πk/λ in 1/m (SPLITSnow Eq 6) for complex indices and wavelengths in nm."""
+    """Return the absorption coefficient α = 4πk/λ (1/m), SPLITSnow Eq 6; wavelengths in nm."""
     return 4.0 * np.pi * index.imag / (np.asarray(wavelength_nm, dtype=float) * 1e-9)

@@ -1,4 +1,4 @@
-"""Complex refractive indices built from Lorentz oscillators; goethite is one."""
+"""Complex refractive indices of Lorentz oscillator models, such as that of goethite."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ HC_EV_NM = 1239.841984
 
 @dataclass(frozen=True)
 class LorentzOscillator:
-    """One Lorentz oscillator.
+    """Lorentz oscillator: a band of the dielectric function.
 
     Parameters
     ----------
     energy_ev : float
         Photon energy E_j of the resonance (eV), above 0.
     strength : float
-        f_j, what the band adds to the static dielectric constant, above 0.
+        f_j, contribution of the band to the static dielectric constant, above 0.
     width_ev : float
         γ_j, full width of the band at half maximum (eV), above 0.
     """
@@ -37,28 +37,30 @@ class LorentzOscillator:
             check_range(key, getattr(self, key), 0.0, np.inf, open_low=True)
 
     def permittivity(self, energy_ev: Any) -> np.ndarray:
-        """Return the band's part of the dielectric constant at photon energies in eV."""
+        """Return the contribution of the band to ε at photon energies (eV)."""
         e = np.asarray(energy_ev, dtype=float)
-        square = self.energy_ev**2
-        return self.strength * square / (square - e * e - 1j * self.width_ev * e)
+        resonance_squared = self.energy_ev**2
+        return (
+            self.strength * resonance_squared / (resonance_squared - e * e - 1j * self.width_ev * e)
+        )
 
 
 @dataclass(frozen=True)
 class LorentzIndex:
-    """The root of ε(E) = ε∞ + Σ f_j E_j² / (E_j² − E² − i γ_j E), E the photon energy.
+    """Lorentz oscillator model: n + i k = √ε, ε(E) = ε∞ + Σ f_j E_j² / (E_j² − E² − i γ_j E).
 
-    n and k come from one analytic function, so they obey the Kramers-Kronig relations whatever
-    the parameters.
+    E is the photon energy.  Since n and k derive from one analytic function, they satisfy the
+    Kramers-Kronig relations for all parameters.
 
     Parameters
     ----------
     name, source : str
-        What the model is called and where it is from.
+        Name and source of the model.
     range_nm : (low, high)
-        Vacuum wavelengths (nm) the model is meant for.
+        Range of validity in vacuum wavelength (nm).
     high_energy_permittivity : float
-        ε∞, what all bands beyond those listed contribute; at least 1.
-    oscillators : sequence of Band
+        ε∞, contribution of all bands at higher energies; at least 1.
+    oscillators : sequence of LorentzOscillator
     """
 
     name: str
@@ -68,10 +70,10 @@ class LorentzIndex:
     oscillators: tuple[LorentzOscillator, ...]
 
     def __post_init__(self) -> None:
-        check_range("high_energy", self.high_energy_permittivity, 1.0, np.inf)
+        check_range("high_energy_permittivity", self.high_energy_permittivity, 1.0, np.inf)
 
     def permittivity(self, energy_ev: Any) -> np.ndarray:
-        """Return ε at photon energies in eV, also beyond the range the model is meant for."""
+        """Return ε at photon energies (eV), also outside the range of validity."""
         bands = [band.permittivity(energy_ev) for band in self.oscillators]
         return np.asarray(self.high_energy_permittivity + np.sum(bands, axis=0))
 
@@ -87,22 +89,22 @@ class LorentzIndex:
 def make_goethite() -> LorentzIndex:
     """Return a model of goethite (α-FeOOH), 300 to 2600 nm.
 
-    This is a MODEL, not a measurement: no public table of goethite's n and k in the visible was
-    found.  A user's table takes its place (see `splits.materials.refractive_index`).
+    This is a model, not a measurement: no public table of n and k of goethite in the visible was
+    found.  A user's table can replace it (see `splits.materials.lookup`).
 
-    - Crystal-field bands near 900 and 650 nm, the paired transition near 480 nm, and, for all that
-      absorbs below 420 nm (ligand field and charge transfer from oxygen to iron), two broad bands
-      at 365 and 285 nm.  The positions follow, rounded, the assignments in Sherman & Waite and in
-      Cornell & Schwertmann.
-    - ε∞ is set so that n = 2.36 at 570 nm, within 0.02 of the mean of the principal indices of
+    - The bands are the crystal-field bands near 900 and 650 nm, the paired transition near 480 nm,
+      and two broad bands at 365 and 285 nm for the absorption below 420 nm (ligand field and charge
+      transfer from oxygen to iron).  Their rounded positions follow the assignments of Sherman &
+      Waite and of Cornell & Schwertmann.
+    - ε∞ is chosen so that n = 2.36 at 570 nm, within 0.02 of the mean of the principal indices of
       optical mineralogy (2.27, 2.40, 2.46).
-    - Strengths and widths are chosen for k near 0.1 from 425 to 490 nm, falling to 0.03 at 600 to
-      650 nm and 0.02 at 700 nm, with the shoulder at 650 nm and the weak maximum near
-      900 nm that reflectance spectra of goethite show.
+    - Strengths and widths are chosen for k near 0.1 from 425 to 490 nm, decreasing to 0.03 at 600
+      to 650 nm and 0.02 at 700 nm, with the shoulder at 650 nm and the weak maximum near 900 nm
+      seen in reflectance spectra of goethite.
 
-    Of k, trust the order of magnitude.  Lorentz wings are broader than those of real bands, so k
-    beyond 1000 nm (0.012, falling to 0.003) is rather too high than too low.  ``k_factor`` tells
-    how much it matters.
+    Only the order of magnitude of k is reliable.  Lorentz wings are broader than those of real
+    bands, so k above 1000 nm (0.012, decreasing to 0.003) is more likely too high than too low.
+    Use ``k_factor`` to test the sensitivity to k.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""The complex refractive index of a matrix with small inclusions of another material."""
+"""Complex refractive index of a matrix with small inclusions of another material."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ from splits.core.validation import invalid, snap_to_limits
 
 
 def _check_arguments(matrix: Any, inclusion: Any, fraction: Any) -> tuple[np.ndarray, ...]:
-    share = snap_to_limits(as_float_array("fraction", fraction, allow_gaps=True), 0.0, 1.0)
-    outside = share[~((share >= 0.0) & (share <= 1.0))]
+    volume_fraction = snap_to_limits(
+        as_float_array("fraction", fraction, allow_gaps=True), 0.0, 1.0
+    )
+    outside = volume_fraction[~((volume_fraction >= 0.0) & (volume_fraction <= 1.0))]
     if outside.size:
         raise invalid("fraction", float(outside.flat[0]), "in [0, 1]")
-    return np.asarray(matrix, dtype=complex), np.asarray(inclusion, dtype=complex), share
+    return np.asarray(matrix, dtype=complex), np.asarray(inclusion, dtype=complex), volume_fraction
 
 
 def maxwell_garnett(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
-    """Return the index of spheres, small against the wavelength, within a matrix.
+    """Return the effective refractive index of small spheres in a matrix (Maxwell Garnett).
 
     With dielectric constants ε = m², ε = ε_m (ε_i + 2ε_m + 2f (ε_i − ε_m)) /
-    (ε_i + 2ε_m − f (ε_i − ε_m)); of its roots that with n > 0 and k ≥ 0.
+    (ε_i + 2ε_m − f (ε_i − ε_m)); the index is the root with n > 0 and k ≥ 0.  The spheres are small
+    compared to the wavelength.
 
     Parameters
     ----------
@@ -46,18 +49,18 @@ def maxwell_garnett(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
     m, i, f = _check_arguments(matrix, inclusion, fraction)
     outer, inner = m * m, i * i
     contrast, total = (i - m) * (i + m), inner + 2.0 * outer
-    # The formula above, as the distance from the nearer of its ends: k of a mixture then keeps its
-    # digits even if all of it comes from a trace of one of the two.
+    # The formula above, written as the distance from the nearer pure material, so that k of the
+    # mixture keeps its digits even if all absorption is due to a trace of one material.
     scale = contrast / (total - f * contrast)
     epsilon = np.where(f < 0.5, outer + 3.0 * f * outer * scale, inner - (1.0 - f) * total * scale)
     root = np.sqrt(epsilon)
-    # Rounding may leave k a little below 0 where neither material absorbs.
-    mixed = root.real + 1j * np.maximum(root.imag, 0.0)
-    return np.where(f == 0.0, m, np.where(f == 1.0, i, mixed))
+    # Rounding may make k slightly negative where neither material absorbs.
+    mixture = root.real + 1j * np.maximum(root.imag, 0.0)
+    return np.where(f == 0.0, m, np.where(f == 1.0, i, mixture))
 
 
 def linear_mixing(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
-    """Return the mean of the two indices by volume: the simplest rule, to set beside the other.
+    """Return the volume-weighted mean of two refractive indices.
 
     Parameters
     ----------
@@ -78,4 +81,4 @@ def linear_mixing(matrix: Any, inclusion: Any, fraction: Any) -> np.ndarray:
 MIXING_RULES: Mapping[str, Callable[[Any, Any, Any], np.ndarray]] = MappingProxyType(
     {"maxwell_garnett": maxwell_garnett, "linear": linear_mixing}
 )
-"""Rules of mixture by name."""
+"""Mixing rules by name."""

@@ -1,8 +1,9 @@
-"""Kinds of complex refractive index n + i k (k ≥ 0) over wavelength.
+"""Complex refractive index n + i k (k ≥ 0) as a function of wavelength.
 
-A constant, a table, a closed form without absorption, and any of them with k scaled.  Between
-tabulated wavelengths n is linear, and log k is linear, in log wavelength: k spans ten orders of
-magnitude and its tables are coarse where water absorbs most steeply.
+The index is a constant, a table, a Sellmeier formula without absorption, or one of these with k
+scaled.  Between tabulated wavelengths, n and log k are linear in log wavelength, because k spans
+ten orders of magnitude and its tables are coarse where the absorption of water varies most
+steeply.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from splits.core.validation import check_range, invalid, snap_to_limits
 
 
 class RefractiveIndex(Protocol):
-    """A material's complex refractive index."""
+    """Protocol of the complex refractive index of a material."""
 
     @property
     def name(self) -> str:
-        """What the table or constant is called."""
+        """Name of the table or constant."""
         ...
 
     @property
     def source(self) -> str:
-        """Where its values are from."""
+        """Source of the values."""
         ...
 
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
@@ -37,7 +38,7 @@ class RefractiveIndex(Protocol):
 
 
 def check_wavelength_range(wavelength_nm: Any, low: float, high: float, name: str) -> np.ndarray:
-    """Return the wavelengths (nm) as an array, or refuse those outside the range of `name`."""
+    """Return wavelengths (nm) as an array, checked against the range of `name`."""
     w = snap_to_limits(as_float_array("wavelength_nm", wavelength_nm, allow_gaps=True), low, high)
     inside = (w >= low) & (w <= high)
     if not inside.all():
@@ -45,14 +46,14 @@ def check_wavelength_range(wavelength_nm: Any, low: float, high: float, name: st
             "wavelength_nm",
             float(w[~inside].flat[0]),
             f"in [{low:g}, {high:g}] nm, the range of {name}",
-            f"give wavelengths within it, such as {_suggest_wavelengths(w[inside], low, high)}, or choose other "
-            "data",
+            f"give wavelengths within it, such as {_suggest_wavelengths(w[inside], low, high)}, "
+            "or choose other data",
         )
     return w
 
 
 def _suggest_wavelengths(valid_wavelengths: np.ndarray, low: float, high: float) -> str:
-    """Return a row of wavelengths in a range (nm) as a user writes it, near those asked for."""
+    """Return an example of wavelengths in a range (nm), near those requested."""
     first, last = (
         (valid_wavelengths.min(), valid_wavelengths.max())
         if valid_wavelengths.size > 1
@@ -63,16 +64,16 @@ def _suggest_wavelengths(valid_wavelengths: np.ndarray, low: float, high: float)
 
 @dataclass(frozen=True)
 class ConstantIndex:
-    """The same complex index at every wavelength.
+    """Refractive index that does not depend on wavelength.
 
     Parameters
     ----------
     value : complex
         n + kj with n > 0 and k ≥ 0.
     name : str
-        What it is called; a constant without a name of its own is called by its value.
+        Name of the constant; by default its value.
     source : str
-        Where it is from.
+        Source of the value.
     """
 
     value: complex
@@ -92,16 +93,16 @@ class ConstantIndex:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class TabulatedIndex(ContentEquality):
-    """A table of n and k, interpolated in log wavelength (and log k).
+    """Tabulated refractive index, with n and log k interpolated in log wavelength.
 
     Parameters
     ----------
     name, source : str
-        What the table is called and where it is from.
+        Name and source of the table.
     wavelength_nm, n, k : numpy.ndarray
         Vacuum wavelengths (nm, strictly increasing), n > 0, k ≥ 0.
     sha256 : str
-        Of the content of the file that a user's table was read from; "" for others.
+        SHA-256 of the content of a user's file, otherwise empty.
     """
 
     name: str
@@ -133,24 +134,24 @@ class TabulatedIndex(ContentEquality):
         x, xp = np.log(w), np.log(self.wavelength_nm)
         n = np.interp(x, xp, self.n)
         k = np.interp(x, xp, self.k)
-        # In log wherever both neighbours absorb; next to a row without absorption, linearly.
+        # Logarithmic where both neighbours absorb; linear next to a row with k = 0.
         row = np.clip(np.searchsorted(xp, x, side="right"), 1, xp.size - 1)
         logarithmic = (self.k[row - 1] > 0.0) & (self.k[row] > 0.0)
-        floor = np.log(np.where(self.k > 0.0, self.k, 1.0))
-        k = np.where(logarithmic, np.exp(np.interp(x, xp, floor)), k)
+        log_k = np.log(np.where(self.k > 0.0, self.k, 1.0))
+        k = np.where(logarithmic, np.exp(np.interp(x, xp, log_k)), k)
         return n + 1j * k
 
 
 @dataclass(frozen=True)
 class SellmeierIndex:
-    """A transparent material: n² = 1 + constant + Σ B λ² / (λ² − C), λ in µm.
+    """Sellmeier index of a transparent material: n² = 1 + constant + Σ B λ² / (λ² − C), λ in µm.
 
     Parameters
     ----------
     name, source : str
-        What the formula is called and where it is from.
+        Name and source of the formula.
     range_nm : (low, high)
-        Vacuum wavelengths (nm) it is stated for.
+        Range of validity in vacuum wavelength (nm).
     constant : float
     terms : sequence of (B, C)
         Strengths B and squared resonance wavelengths C (µm²).
@@ -164,20 +165,26 @@ class SellmeierIndex:
 
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
         """Return complex n + 0i; a wavelength outside the range raises ValueError."""
-        square = (check_wavelength_range(wavelength_nm, *self.range_nm, self.name) * 1e-3) ** 2
-        epsilon = 1.0 + self.constant + sum(b * square / (square - c) for b, c in self.terms)
+        wavelength_squared = (
+            check_wavelength_range(wavelength_nm, *self.range_nm, self.name) * 1e-3
+        ) ** 2
+        epsilon = (
+            1.0
+            + self.constant
+            + sum(b * wavelength_squared / (wavelength_squared - c) for b, c in self.terms)
+        )
         return np.sqrt(epsilon) + 0j
 
 
 @dataclass(frozen=True)
 class ScaledIndex:
-    """An index with its k multiplied by a factor and n as it was, to ask how much k matters.
+    """Refractive index with k multiplied by a factor, to test the sensitivity to k.
 
     Parameters
     ----------
     index : RefractiveIndex
     k_factor : float
-        Above 0.
+        Factor of k, above 0.
     """
 
     index: RefractiveIndex
@@ -188,15 +195,15 @@ class ScaledIndex:
 
     @property
     def name(self) -> str:
-        """The index's name and the factor."""
+        """Name of the index and the factor."""
         return f"{self.index.name}, k x {self.k_factor:g}"
 
     @property
     def source(self) -> str:
-        """Where the values are from before scaling."""
+        """Source of the values before scaling."""
         return f"k multiplied by {self.k_factor:g}; {self.index.source}"
 
     def __call__(self, wavelength_nm: Any) -> np.ndarray:
-        """Return complex n + i factor k."""
+        """Return complex n + i k_factor k."""
         index = self.index(wavelength_nm)
         return index.real + 1j * (self.k_factor * index.imag)

@@ -1,4 +1,4 @@
-"""What a user describes: media, turned into numbers for the kernels."""
+"""Media: snow, sand, particle layers, rough surfaces and stacks of them."""
 
 from splits.media.interpretations import Interpretation, SandInterpretation
 from splits.media.medium import GranularMedium

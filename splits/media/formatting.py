@@ -1,4 +1,4 @@
-"""Media on one line, in the words of their input: the call that makes them, without defaults."""
+"""One-line representation of media: the call that constructs them, without defaults."""
 
 from __future__ import annotations
 
@@ -12,31 +12,33 @@ import numpy as np
 from splits.core.validation import as_scalar, short_repr
 
 MAX_SHOWN_NUMBERS = 8
-"""Numbers of a row that are shown; of longer rows, the first and the last."""
+"""Longest sequence shown in full; of longer ones the first and the last number."""
 
 
 def format_call(name: str, inputs: Mapping[str, Any]) -> str:
-    """Return a call with keywords as text, on one line."""
+    """Return the text of a call with keywords, on one line."""
     return f"{name}({', '.join(f'{key}={format_value(value)}' for key, value in inputs.items())})"
 
 
 def find_differences(medium: Any, reference: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass in which it differs from another of its kind, by name."""
-    found = {}
+    """Return the fields in which a dataclass differs from a reference of the same class."""
+    differences = {}
     for name in (field.name for field in fields(medium)):
-        value, other = getattr(medium, name), getattr(reference, name)
-        if format_value(value) == format_value(other):
+        value, reference_value = getattr(medium, name), getattr(reference, name)
+        if format_value(value) == format_value(reference_value):
             continue
-        if isinstance(value, Mapping) and isinstance(other, Mapping):
+        if isinstance(value, Mapping) and isinstance(reference_value, Mapping):
             value = {
-                k: v for k, v in value.items() if format_value(v) != format_value(other.get(k))
+                k: v
+                for k, v in value.items()
+                if format_value(v) != format_value(reference_value.get(k))
             }
-        found[name] = value
-    return found
+        differences[name] = value
+    return differences
 
 
 def format_value(value: Any) -> str:
-    """Return an input as text, on one line; what has `as_input` as that says."""
+    """Return the text of an input, on one line; objects are shown by their `as_input`."""
     value = as_scalar(value)
     if hasattr(value, "as_input"):
         return format_value(value.as_input())
@@ -50,12 +52,12 @@ def format_value(value: Any) -> str:
         )
     if isinstance(value, (np.ndarray, Sequence)) and not isinstance(value, str):
         return _format_sequence(value)
-    # An index of refraction is known by its name.
+    # Refractive indices are shown by name.
     return short_repr(value.name if callable(value) and hasattr(value, "name") else value)
 
 
 def count_digits(value: Any) -> int:
-    """Return how many digits a number, or the longest of several, is written with."""
+    """Return the number of digits of a number, or of the longest of several."""
     return max(
         len(format_value(x).partition("e")[0].replace(".", "").strip("0")) for x in np.ravel(value)
     )

@@ -1,8 +1,8 @@
-"""Size and shape statistics of prolate grains: attenuation, and what rays strike.
+"""Size and shape statistics of prolate grains: attenuation, and distributions of hit grains.
 
-The number of grains that a straight ray meets per metre follows from the sizes and shapes
-present; the grains that it strikes are drawn from densities weighted by cross-section, so that
-both belong to one and the same medium (SPLITS section 4.3.3, SPLITSnow appendix A).
+The number of collisions per metre of a straight ray follows from the sizes and shapes present.
+Grains that are hit are sampled from densities weighted by cross-section, so that both describe the
+same medium (SPLITS section 4.3.3, SPLITSnow appendix A).
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from numpy.polynomial.legendre import leggauss
 from splits.kernels.math.rng import make_table_probabilities
 
 N_TABLE_POINTS = 1025
-"""Probabilities at which quantile functions are tabulated."""
+"""Number of probabilities at which quantile functions are tabulated."""
 
 _PROBABILITIES = make_table_probabilities(N_TABLE_POINTS)
 _N_PANELS = 128
 _GAUSS_NODES, _GAUSS_WEIGHTS = (
     0.5 * (x + offset) for x, offset in zip(leggauss(12), (1.0, 0.0), strict=True)
 )
-"""Gauss and Legendre's nodes and weights on (0, 1)."""
+"""Gauss-Legendre nodes and weights on (0, 1)."""
 _TAIL_SIGMA = 9.0
-"""Standard deviations beyond which a normal holds less than 1e-18."""
+"""Cutoff in standard deviations; the tails of a normal distribution hold less than 1e-18."""
 
 
 def integrate_with_quantiles(
@@ -34,18 +34,19 @@ def integrate_with_quantiles(
     high: float,
     probability: np.ndarray | None = None,
 ) -> tuple[float, np.ndarray]:
-    """Return ∫ density over [low, high] and quantiles of it, to the last few digits of the type.
+    """Return ∫ density over [low, high] and its quantiles, nearly to machine precision.
 
-    Gauss-Legendre quadrature in panels; within its panel, each quantile by Newton's method on an
-    integral from the panel's edge, so that no interpolation enters.
+    The integral is a Gauss-Legendre quadrature in panels.  Each quantile is found by Newton's
+    method on the integral from the edge of its panel, without interpolation.
 
     Parameters
     ----------
     density : callable
-        Positive and smooth on the scale of a panel, 1/128 of the range; any factor.
+        Positive, and smooth on the scale of a panel, 1/128 of the range; need not be normalized.
     low, high : float
+        Limits of integration.
     probability : array_like, optional
-        In [0, 1].
+        Probabilities of the quantiles, in [0, 1].
     """
     edges = np.linspace(low, high, _N_PANELS + 1)
     width = np.diff(edges)
@@ -62,18 +63,18 @@ def integrate_with_quantiles(
     total = float(cumulative[-1])
     u = np.atleast_1d(np.asarray([] if probability is None else probability, dtype=float))
     panel = np.clip(np.searchsorted(cumulative, total * u, side="right") - 1, 0, _N_PANELS - 1)
-    wanted = total * u - cumulative[panel]
+    target = total * u - cumulative[panel]
     start, width = edges[panel], width[panel]
-    x = ratio(wanted, mass(start, width))
+    x = ratio(target, mass(start, width))
     for _ in range(10):
-        gap = wanted - mass(start, x * width)
-        x = np.clip(x + ratio(gap, width * density(start + x * width)), 0.0, 1.0)
+        residual = target - mass(start, x * width)
+        x = np.clip(x + ratio(residual, width * density(start + x * width)), 0.0, 1.0)
     x = start + x * width
     return total, np.where(u <= 0.0, low, np.where(u >= 1.0, high, x))
 
 
 def surface_to_volume_ratio(sphericity: np.ndarray | float) -> np.ndarray:
-    """Return A(Ψ), surface area over volume of a prolate spheroid of major axis 1.
+    """Return A(Ψ), the ratio of surface area to volume of a prolate spheroid of major axis 1.
 
     SPLITSnow Eq A.9 (SPLITS Eq 14): 3 (1 + asin(x)/(Ψ² x)) with x = √(1 − Ψ⁴); 6 for a sphere.
 
@@ -85,14 +86,14 @@ def surface_to_volume_ratio(sphericity: np.ndarray | float) -> np.ndarray:
     psi2 = np.square(np.asarray(sphericity, dtype=float))
     x2 = (1.0 - psi2) * (1.0 + psi2)
     x = np.sqrt(x2)
-    # asin(x)/x loses its digits, and at 0 its value, for nearly spherical grains.
+    # For nearly spherical grains asin(x)/x loses digits, and it is undefined at 0.
     safe = np.where(x2 < 1e-6, 1.0, x)
     ratio = np.where(x2 < 1e-6, 1.0 + x2 / 6.0 + 3.0 * x2**2 / 40.0, np.arcsin(safe) / safe)
     return 3.0 * (1.0 + ratio / psi2)
 
 
 def size_attenuation(smallest: float, largest: float) -> float:
-    """Return K1 in 1/m for major axes uniform between two lengths in m.
+    """Return K1 (1/m) for major axes uniform between two lengths (m).
 
     SPLITSnow Eqs A.6-A.7 with the sign of the logarithm corrected,
     K1 = (1/s_min − 1/s_max) / ln(s_max/s_min), written without cancellation; 1/s for one size.
@@ -103,30 +104,30 @@ def size_attenuation(smallest: float, largest: float) -> float:
 
 @cache
 def shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) -> float:
-    """Return K2 for a sphericity normal within limits: the mean of A(Ψ)/4 (SPLITSnow Eq A.8)."""
+    """Return K2, the mean of A(Ψ)/4 for a truncated normal sphericity (SPLITSnow Eq A.8)."""
     if sd == 0.0 or minimum == maximum:
         return float(surface_to_volume_ratio(_get_single_value(minimum, maximum, mean))) / 4.0
     low, high = _standardize_limits(minimum, maximum, mean, sd)
     weighted, _ = integrate_with_quantiles(
         _make_weighted_normal(minimum, maximum, mean, sd), low, high
     )
-    plain, _ = integrate_with_quantiles(lambda t: np.exp(-0.5 * t * t), low, high)
-    return weighted / plain / 4.0
+    norm, _ = integrate_with_quantiles(lambda t: np.exp(-0.5 * t * t), low, high)
+    return weighted / norm / 4.0
 
 
 def tabulate_struck_inverse_sizes(smallest: float, largest: float, weighting: str) -> np.ndarray:
-    """Return the quantile function of the inverse major axis of struck grains (1/m).
+    """Return the quantile function of the inverse major axis of hit grains (1/m).
 
     Parameters
     ----------
     smallest, largest : float
-        Limits of the uniform distribution P(s), in m.
+        Limits of the uniform distribution P(s) (m).
     weighting : {"cross_section", "uniform"}
         Density ∝ s⁻² P(s) (SPLITS Eq 25), or P(s) itself.
 
     Returns
     -------
-    numpy.ndarray, shape (TABLE_POINTS,)
+    numpy.ndarray, shape (N_TABLE_POINTS,)
         Increasing, from 1/largest to 1/smallest.
     """
     if weighting == "uniform":
@@ -138,7 +139,7 @@ def tabulate_struck_inverse_sizes(smallest: float, largest: float, weighting: st
 def tabulate_struck_sphericities(
     minimum: float, maximum: float, mean: float, sd: float
 ) -> np.ndarray:
-    """Return the quantile function of the sphericity of struck grains (SPLITS Eq 26).
+    """Return the quantile function of the sphericity of hit grains (SPLITS Eq 26).
 
     Density ∝ A(Ψ) times the normal density within [minimum, maximum].
     """
@@ -154,7 +155,7 @@ def tabulate_struck_sphericities(
 
 @cache
 def tabulate_truncated_normal(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
-    """Return the quantile function of a normal distribution within [minimum, maximum]."""
+    """Return the quantile function of a normal distribution truncated to [minimum, maximum]."""
     if sd == 0.0 or minimum == maximum:
         return np.full(N_TABLE_POINTS, _get_single_value(minimum, maximum, mean))
     _, score = integrate_with_quantiles(
@@ -172,9 +173,9 @@ def _get_single_value(minimum: float, maximum: float, mean: float) -> float:
 def _standardize_limits(
     minimum: float, maximum: float, mean: float, sd: float
 ) -> tuple[float, float]:
-    """Return the limits in standard deviations from the mean, without tails that hold nothing.
+    """Return the limits in standard deviations from the mean, without negligible tails.
 
-    In these units no peak is too narrow between its limits to be seen.
+    In these units the quadrature resolves the peak however narrow it is between the limits.
     """
     with np.errstate(over="ignore"):
         low, high = np.divide([minimum - mean, maximum - mean], sd)
@@ -184,7 +185,7 @@ def _standardize_limits(
 def _make_weighted_normal(
     minimum: float, maximum: float, mean: float, sd: float
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return A(Ψ) times the normal density, up to a factor, over standard deviations."""
+    """Return A(Ψ) times the normal density, up to a factor, as a function of standard score."""
 
     def density(score: np.ndarray) -> np.ndarray:
         psi = np.clip(mean + sd * score, minimum, maximum)

@@ -1,4 +1,4 @@
-"""What lies below a sample: nothing, or a ground that sends light back by Lambert's law."""
+"""Lambertian ground below a sample, or an open lower boundary."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from splits.media.formatting import format_value
 OPEN = "open"
 BLACK = "black"
 TABLE_NAME = "table"
-"""Name of a table given as numbers."""
+"""Name of a ground given as numeric columns."""
 BLACK_OPTICAL_DEPTH = 1e4
-"""Optical depth of a bounce where nothing comes back: single precision holds no such light."""
+"""Optical depth of a reflection from a black ground; exp(−1e4) underflows to 0."""
 _SOILS_FILE = Path(__file__).with_name("soils.csv")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ground(ContentEquality):
-    """A Lambertian ground by its albedo, the same at all wavelengths or a table.
+    """Lambertian ground with a constant or tabulated albedo.
 
     Attributes
     ----------
     name, source : str
-        What it is called, and where its values are from.
+        Name of the ground and source of its albedo.
     albedo_values : float, shape (n,)
         Albedo, 0 to 1.
     wavelength_nm : float, shape (n,) or None
-        Strictly increasing (nm); None where the albedo is the same everywhere, and n is 1.
+        Wavelengths (nm), strictly increasing; None for a constant albedo, with n = 1.
     sha256 : str
-        Of a user's file.
+        SHA-256 of a user's file, otherwise empty.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Ground(ContentEquality):
 
     @staticmethod
     def from_input(value: Any) -> Ground | None:
-        """Return the ground that a user's value stands for, None where light leaves below.
+        """Return the ground for a user's input, or None for an open lower boundary.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class Ground(ContentEquality):
         return Ground(f"albedo {albedo!r}", "given by the user", np.array([albedo]))
 
     def as_input(self) -> Any:
-        """Return what a user gives for this ground, see `from_input`; of a file, its name."""
+        """Return the input of `from_input` for this ground; for a file, its name."""
         if self.name == TABLE_NAME:
             return {"wavelength_nm": self.wavelength_nm, "albedo": self.albedo_values}
         if self.wavelength_nm is None:
@@ -91,16 +91,16 @@ class Ground(ContentEquality):
         return self.name if self.sha256 else _get_soil_name(self.name)
 
     def __repr__(self) -> str:
-        """Return the ground on one line."""
+        """Return the call that constructs the ground, on one line."""
         return f"Ground.from_input({format_value(self)})"
 
     @property
     def is_reflecting(self) -> bool:
-        """Whether light comes back at any wavelength."""
+        """Whether the albedo is positive at any wavelength."""
         return bool((self.albedo_values > 0.0).any())
 
     def albedo(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return the albedo at wavelengths (nm), shaped like them; linear between table rows."""
+        """Return the albedo at wavelengths (nm), linear between the rows of a table."""
         if self.wavelength_nm is None:
             return np.full(np.shape(wavelength_nm), self.albedo_values[0])
         first, last = self.wavelength_nm[[0, -1]]
@@ -111,23 +111,23 @@ class Ground(ContentEquality):
         )
 
     def optical_depth(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return the optical depth of a bounce, −ln of the albedo, shaped like the wavelengths."""
+        """Return the optical depth of a reflection, −ln(albedo), at wavelengths (nm)."""
         albedo = self.albedo(wavelength_nm)
-        dark = albedo <= np.exp(-BLACK_OPTICAL_DEPTH)
-        return np.where(dark, BLACK_OPTICAL_DEPTH, -np.log(np.where(dark, 1.0, albedo)))
+        is_black = albedo <= np.exp(-BLACK_OPTICAL_DEPTH)
+        return np.where(is_black, BLACK_OPTICAL_DEPTH, -np.log(np.where(is_black, 1.0, albedo)))
 
 
 def describe_ground(ground: Ground | None) -> dict[str, Any]:
-    """Return what a ground is, for a dataset's attributes."""
+    """Return a ground as dataset attributes."""
     if ground is None:
         return {"ground": OPEN}
-    facts: dict[str, Any] = {"ground": ground.name}
+    attrs: dict[str, Any] = {"ground": ground.name}
     if ground.name == TABLE_NAME:
-        facts |= {
+        attrs |= {
             "ground_wavelength_nm": ground.wavelength_nm,
             "ground_albedo": ground.albedo_values,
         }
-    return facts | ({"ground_sha256": ground.sha256} if ground.sha256 else {})
+    return attrs | ({"ground_sha256": ground.sha256} if ground.sha256 else {})
 
 
 _ALLOWED_INPUT = (
@@ -138,7 +138,7 @@ _ALLOWED_INPUT = (
 
 @cache
 def load_soils() -> dict[str, Ground]:
-    """Return the soils known by name, with their measured directional reflectance at 10 degrees."""
+    """Return the soils by name, with their measured directional reflectance at 10 degrees."""
     table = pd.read_csv(_SOILS_FILE, comment="#")
     lines = _SOILS_FILE.read_text(encoding="utf-8").splitlines()
     source = " ".join(line.lstrip("# ") for line in lines if line.startswith("#"))
@@ -151,7 +151,7 @@ def load_soils() -> dict[str, Ground]:
 
 
 def _get_soil_name(name: str) -> str:
-    """Return what users call the soil of a column."""
+    """Return the short name of the soil of a column."""
     return name.partition("_")[0]
 
 
@@ -160,19 +160,19 @@ def _find_ground(name: str) -> Ground | None:
         return None
     if name == BLACK:
         return Ground(BLACK, "given by the user", np.zeros(1))
-    known = load_soils()
-    if name not in known:
-        hint = suggest_name(name, [OPEN, BLACK, *known]) or "soils: " + ", ".join(known)
+    soils = load_soils()
+    if name not in soils:
+        hint = suggest_name(name, [OPEN, BLACK, *soils]) or "soils: " + ", ".join(soils)
         raise invalid("ground", name, _ALLOWED_INPUT, hint)
-    return known[name]
+    return soils[name]
 
 
 def _make_tabulated_ground(
     name: str, source: str, wavelength_nm: Any, albedo: Any, sha256: str = ""
 ) -> Ground:
-    """Return a ground by its table, or refuse that."""
-    given = {"wavelength_nm": wavelength_nm, "albedo": albedo}
-    w, values = read_columns("ground", given)
+    """Return the ground of a validated table."""
+    columns = {"wavelength_nm": wavelength_nm, "albedo": albedo}
+    w, values = read_columns("ground", columns)
     check_increasing("ground.wavelength_nm", w)
     if w.size != values.size or w.size < 2:
         allowed = "two lists of the same length, at least 2"
@@ -182,6 +182,6 @@ def _make_tabulated_ground(
 
 
 def _load_ground(path: Path) -> Ground:
-    """Return a ground by a file's table, or refuse that."""
+    """Return the ground of a CSV file."""
     (w, albedo), digest = read_user_table("ground", path, ("wavelength_nm", "albedo"))
     return _make_tabulated_ground(path.name, "table of the user", w, albedo, digest)

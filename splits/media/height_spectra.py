@@ -1,4 +1,4 @@
-"""Laws of the wave numbers of rough surfaces: shares, densities, correlations of heights."""
+"""Wave-number distributions of rough surfaces and their correlations of heights."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 class HeightSpectrum(NamedTuple):
-    """How wave numbers are distributed, all in units of k0.
+    """Distribution of wave numbers, in units of k0.
 
     Attributes
     ----------
     kernel_code : int
-        What kernels call it.
+        Code of the distribution in the kernels.
     cdf : callable
-        Probability of wave numbers below λ.
+        Cumulative distribution function of λ.
     density : callable
-        Its derivative.
+        Probability density of λ.
     mean_square : callable
-        Mean of λ² below a limit.
+        Mean of λ² below a band limit.
     correlation : callable
-        Of heights at a distance, without a limit.
+        Correlation of heights at a distance, without a band limit.
     """
 
     kernel_code: int
@@ -63,8 +63,8 @@ def _gaussian_mean_square(limit: float) -> float:
     if math.isinf(limit):
         return 4.0
     e = 0.25 * limit * limit
-    share = -math.expm1(-e)
-    return 4.0 * (1.0 - e * math.exp(-e) / share)
+    band_fraction = -math.expm1(-e)
+    return 4.0 * (1.0 - e * math.exp(-e) / band_fraction)
 
 
 HEIGHT_SPECTRA = {
@@ -94,26 +94,30 @@ CORRELATIONS = (*HEIGHT_SPECTRA, "spectrum")
 
 
 def compute_quantiles(wave_number: np.ndarray, density: np.ndarray) -> np.ndarray:
-    """Return the quantile function of the density p(λ) λ, p linear between its points."""
+    """Return the quantile function of the density p(λ) λ, with p linear between nodes."""
     slope = np.diff(density) / np.diff(wave_number)
 
-    def mass(cell: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """∫ p λ dλ from the beginning of a cell, exact: p(λ) λ is a parabola."""
-        step = upper - wave_number[cell]
-        p, a = density[cell], wave_number[cell]
-        return step * (p * a + step * (0.5 * (p + slope[cell] * a) + step * slope[cell] / 3.0))
+    def mass(interval: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Return ∫ p λ dλ from the start of an interval, exact for linear p."""
+        step = upper - wave_number[interval]
+        p, a = density[interval], wave_number[interval]
+        return step * (
+            p * a + step * (0.5 * (p + slope[interval] * a) + step * slope[interval] / 3.0)
+        )
 
-    cells = np.arange(wave_number.size - 1)
-    cumulative = np.concatenate([[0.0], np.cumsum(mass(cells, wave_number[1:]))])
-    wanted = make_table_probabilities(N_QUANTILES) * cumulative[-1]
-    # Cells without mass hold no quantile but those at the very ends.
-    cell = np.clip(np.searchsorted(cumulative, wanted, side="left") - 1, 0, wave_number.size - 2)
+    intervals = np.arange(wave_number.size - 1)
+    cumulative = np.concatenate([[0.0], np.cumsum(mass(intervals, wave_number[1:]))])
+    target = make_table_probabilities(N_QUANTILES) * cumulative[-1]
+    # Intervals without mass hold no quantiles except those at 0 and 1.
+    interval = np.clip(
+        np.searchsorted(cumulative, target, side="left") - 1, 0, wave_number.size - 2
+    )
     first = np.flatnonzero(np.diff(cumulative) > 0.0)[0]
-    cell = np.maximum(cell, first)
-    low, high = wave_number[cell], wave_number[cell + 1]
+    interval = np.maximum(interval, first)
+    low, high = wave_number[interval], wave_number[interval + 1]
     for _ in range(60):
         middle = 0.5 * (low + high)
-        below = cumulative[cell] + mass(cell, middle) < wanted
+        below = cumulative[interval] + mass(interval, middle) < target
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     return 0.5 * (low + high)
 
@@ -121,28 +125,28 @@ def compute_quantiles(wave_number: np.ndarray, density: np.ndarray) -> np.ndarra
 def average_over_quantiles(
     table: np.ndarray, function: Callable[[np.ndarray], np.ndarray], pieces: int = 1
 ) -> float:
-    """Return the mean of a function of what a quantile table, linear in its cells, stands for."""
-    points = (table.size - 1) * pieces
-    x = (np.arange(points)[:, None] + 0.5 * (1.0 + _GAUSS_NODES)) / points
-    # Derivative of the probabilities of `make_table_probabilities`.
-    weight = 2.0 * np.minimum(x, 1.0 - x) * _GAUSS_WEIGHTS / points
-    where = np.linspace(0.0, 1.0, table.size)
-    return float((weight * function(np.interp(x, where, table))).sum())
+    """Return the mean of a function of a variate given by a piecewise linear quantile table."""
+    n_intervals = (table.size - 1) * pieces
+    x = (np.arange(n_intervals)[:, None] + 0.5 * (1.0 + _GAUSS_NODES)) / n_intervals
+    # Includes the derivative of the probabilities of `make_table_probabilities`.
+    weight = 2.0 * np.minimum(x, 1.0 - x) * _GAUSS_WEIGHTS / n_intervals
+    nodes = np.linspace(0.0, 1.0, table.size)
+    return float((weight * function(np.interp(x, nodes, table))).sum())
 
 
 def average_bessel_j0(table: np.ndarray, distance: float) -> float:
-    """Return the mean of J0(λ r), in pieces of less than a period."""
-    widest = float(np.diff(table).max())
+    """Return the mean of J0(λ r), in intervals shorter than a period."""
+    max_spacing = float(np.diff(table).max())
     j0 = _import_scipy_special().j0
     return average_over_quantiles(
-        table, lambda k: j0(k * distance), 1 + int(widest * distance / math.pi)
+        table, lambda k: j0(k * distance), 1 + int(max_spacing * distance / math.pi)
     )
 
 
 def integrate_bessel_j0(
     density: Callable[[np.ndarray], np.ndarray], limit: float, distance: float
 ) -> float:
-    """Return ∫ J0(λr) density dλ from 0 to the limit, in pieces of less than a period."""
+    """Return ∫ J0(λr) density dλ from 0 to the limit, in intervals shorter than a period."""
     octaves = 2.0 ** np.arange(-3.0, max(math.log2(limit), -2.0) + 1.0)
     edges = [
         np.array([0.0]),

@@ -1,4 +1,4 @@
-"""Checks that several media share."""
+"""Validation and description of inputs common to several media."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ EXPANDED_INPUTS = (
     "refractive_index", "interpretation", "ground", "pores",
     "impurities_ng_g", "algae_cells_ml", "impurities_in",
 )  # fmt: skip
-"""Inputs that attributes hold part by part."""
+"""Inputs that expand to several dataset attributes."""
 _TRUNCATED_NORMAL_NAMES = ("min", "max", "mean", "sd")
 
 
 def check_truncated_normal(key: str, value: Any, low: float) -> tuple[float, ...]:
-    """Return (min, max, mean, sd) of a normal distribution within limits in [low, 1], or refuse."""
-    *ends, sd = check_named_numbers(key, value, _TRUNCATED_NORMAL_NAMES)
-    minimum, maximum, mean = snap_to_limits(ends, low, 1.0).tolist()
+    """Return the validated (min, max, mean, sd) of a truncated normal distribution in [low, 1]."""
+    *limits_and_mean, sd = check_named_numbers(key, value, _TRUNCATED_NORMAL_NAMES)
+    minimum, maximum, mean = snap_to_limits(limits_and_mean, low, 1.0).tolist()
     if not low <= minimum <= mean <= maximum <= 1.0:
         raise invalid(key, value, f"{low:g} <= min <= mean <= max <= 1 (min, max, mean, sd)")
     check_range(f"{key} (sd)", sd, 0.0, 1.0)
@@ -31,7 +31,7 @@ def check_truncated_normal(key: str, value: Any, low: float) -> tuple[float, ...
 
 
 def check_sample_depth(depth_m: Any) -> float:
-    """Return the thickness of a sample of grains (m), above 0 to 1e4 or infinite, or refuse it."""
+    """Return the validated thickness of a granular layer (m), above 0 to 1e4 or infinite."""
     hint = "or infinite: .inf in YAML, math.inf in Python"
     if isinstance(as_scalar(depth_m), float) and depth_m == math.inf:
         return math.inf
@@ -41,28 +41,28 @@ def check_sample_depth(depth_m: Any) -> float:
 def make_refractive_indices(
     materials: Iterable[str], given: Any, pore_fluids: Iterable[str] = ()
 ) -> dict[str, RefractiveIndex]:
-    """Return the refractive index of every material, where nothing is given the default dataset.
+    """Return the refractive index of every material, by default that of its default dataset.
 
     Parameters
     ----------
     materials : iterable of str
     given : mapping
-        Of air, too, which has no default: it is 1.
+        Refractive indices by material; air may be among them and is 1 otherwise.
     pore_fluids : iterable of str, optional
-        Media in pores, of which something must be given.
+        Other pore fluids; each must be given.
 
     Raises
     ------
     ValueError
         If `given` is not a mapping, or for a material that the medium does not have.
     """
-    known = list(materials)
-    others = (
+    solids = list(materials)
+    optional_materials = (
         [*pore_fluids, "air"]
         if isinstance(given, Mapping) and "air" in given
         else list(pore_fluids)
     )
-    names = known + others
+    names = solids + optional_materials
     if not isinstance(given, Mapping):
         raise invalid("refractive_index", given, "a mapping by material")
     for name in given:
@@ -73,23 +73,23 @@ def make_refractive_indices(
                 "a mapping with keys " + ", ".join(names),
                 suggest_name(name, names),
             )
-    return {m: make_refractive_index(m, given.get(m)) for m in known} | {
-        m: parse_refractive_index(m, given[m]) for m in others
+    return {m: make_refractive_index(m, given.get(m)) for m in solids} | {
+        m: parse_refractive_index(m, given[m]) for m in optional_materials
     }
 
 
 def describe_inputs(medium: Any) -> dict[str, Any]:
-    """Return a medium's inputs under names fit for dataset attributes.
+    """Return the inputs of a medium as dataset attributes.
 
     Parameters
     ----------
     medium : dataclass
-        With fields ``make_refractive_index`` (by material), ``interpretation`` and ``ground`` among others.
+        With the fields ``refractive_index``, ``interpretation`` and ``ground``, among others.
     """
     inputs = {
         f.name: getattr(medium, f.name) for f in fields(medium) if f.name not in EXPANDED_INPUTS
     }
-    inputs |= {f"pores_{name}": share for name, share in medium.pores.items()}
+    inputs |= {f"pores_{name}": fraction for name, fraction in medium.pores.items()}
     for material, index in medium.refractive_index.items():
         inputs[f"refractive_index_{material}"] = index.name
         if digest := getattr(index, "sha256", ""):

@@ -1,6 +1,7 @@
-"""Where the papers can be read two ways: every reading has a name, and one is the default.
+"""Interpretation of the papers: named choices where their text is ambiguous.
 
-docs/theory/interpretation.md says why each default was taken and what the alternatives do to reflectance.
+docs/theory/interpretation.md gives the reason for each default and the effect of the alternatives
+on reflectance.
 """
 
 from __future__ import annotations
@@ -50,13 +51,13 @@ INTERPRETATION_CHOICES: dict[str, tuple[str, ...]] = {
 INTERPRETATION_SETS: dict[str, dict[str, str]] = {
     "splits_2007": {
         "entry_point": "uniform", "facet_sampling": "projected", "wrong_side_ray": "cosine_lobe",
-        "overlap_with_previous_segment": "reject", "overlap_with_boundary": "reject", "mean_free_path": "pore_only",
-        "grain_extent": "finite",
+        "overlap_with_previous_segment": "reject", "overlap_with_boundary": "reject",
+        "mean_free_path": "pore_only", "grain_extent": "finite",
     },
     "splitsnow_2021": {
         "entry_point": "uniform", "facet_sampling": "any", "wrong_side_ray": "mirror",
-        "overlap_with_previous_segment": "reject", "overlap_with_boundary": "reject", "mean_free_path": "pore_only",
-        "grain_extent": "finite",
+        "overlap_with_previous_segment": "reject", "overlap_with_boundary": "reject",
+        "mean_free_path": "pore_only", "grain_extent": "finite",
     },
     "geometric": {
         "entry_point": "projected", "facet_sampling": "projected", "wrong_side_ray": "mirror",
@@ -69,20 +70,20 @@ INTERPRETATION_SETS: dict[str, dict[str, str]] = {
         "mean_free_path": "including_grain", "grain_extent": "point",
     },
 }  # fmt: skip
-"""Sets of readings by name; what a set does not say stays as by default."""
+"""Named sets of choices; keys that a set omits keep their defaults."""
 SET_KEY = "set"
-"""Key of a mapping of readings that names the set which the others stand beside."""
+"""Key of a mapping that names the set which the other keys modify."""
 
 
 def merge_interpretations(given: Sequence[Any]) -> Any:
-    """Return readings given one after the other as one: a set's name replaces all before it."""
-    found: Any = {}
-    for one in given:
-        mapping = {SET_KEY: one} if isinstance(one, str) else one
+    """Merge interpretations given in sequence; the name of a set replaces all before it."""
+    merged: Any = {}
+    for value in given:
+        mapping = {SET_KEY: value} if isinstance(value, str) else value
         if not isinstance(mapping, Mapping):
-            return one
-        found = dict(mapping) if SET_KEY in mapping else {**found, **mapping}
-    return found[SET_KEY] if list(found) == [SET_KEY] else found
+            return value
+        merged = dict(mapping) if SET_KEY in mapping else {**merged, **mapping}
+    return merged[SET_KEY] if list(merged) == [SET_KEY] else merged
 
 
 Kind = TypeVar("Kind", bound="TransportInterpretation")
@@ -90,41 +91,42 @@ Kind = TypeVar("Kind", bound="TransportInterpretation")
 
 @dataclass(frozen=True)
 class TransportInterpretation:
-    """Named readings of the transport that SPLITS and SPLITSnow share.
+    """Interpretation of the transport model common to SPLITS and SPLITSnow.
 
     Parameters
     ----------
     entry_point : {"uniform", "projected"}
-        Entry point uniform over the surface facing the ray (SPLITS 4.3.3, SPLITSnow 3.2), or by
-        projected area, as straight rays through real grains have it.
+        Sampling of the entry point: uniform over the surface facing the ray (SPLITS 4.3.3,
+        SPLITSnow 3.2), or by projected area, as for straight rays through real grains.
     facet_sampling : {"projected", "unweighted", "any"}
-        Facet struck: facing the ray and weighted by projected area (SPLITS 4.3.4), facing it
-        with equal weight, or any facet.
+        Sampling of the facet that is hit: facing the ray and weighted by projected area (SPLITS
+        4.3.4), facing the ray with equal weight, or any facet.
     wrong_side_ray : {"cosine_lobe", "mirror"}
-        A ray that a facet sends to the wrong side of the grain's surface leaves in a cosine
-        lobe (SPLITS 4.3.4) or mirrored in the surface.
+        Treatment of a ray that a facet scatters to the wrong side of the grain's surface: it leaves
+        in a cosine lobe (SPLITS 4.3.4) or mirrored in the surface.
     boundary_fresnel : {"yes", "no"}
         Fresnel reflection and refraction at the extended boundaries where water fills the pores
         (SPLITS 4.3.1).
     overlap_with_previous_segment : {"reject", "keep", "skip"}
-        A new grain that lies across the last leg through pores: drawn again from the same origin,
-        distance included (SPLITS 4.3.3), kept, or left out, so that the next distance counts
-        from its place.
+        Treatment of a new grain that overlaps the previous path segment through the pores.  It is
+        sampled again from the same origin, distance included (SPLITS 4.3.3); accepted; or skipped,
+        so that the next distance starts at its position.
     overlap_with_boundary : {"reject", "keep", "skip"}
-        A new grain that sticks out of the sample (SPLITS 4.3.3, SPLITSnow 3.2), likewise.  If
-        kept, a ray that leaves a grain outside the sample counts as standing on the boundary
-        there.  If skipped, grains are as rare near the boundaries as whole grains are.
+        Treatment of a new grain that overlaps a boundary of the sample (SPLITS 4.3.3, SPLITSnow
+        3.2), with the same choices.  With "keep", a ray that leaves a grain outside the sample is
+        placed on the boundary.  With "skip", the number density of grains near the boundaries is
+        reduced to that of whole grains.
     mean_free_path : {"pore_only", "including_grain"}
-        The mean distance between grains is that of a leg through pores, as the papers have it, or
-        that from one entry to the next, the way through the grain included.  With the latter rays
-        are in grains, and in water, for as much of their way as these fill of the volume, and
-        meet as many grains per metre as their surface asks for.
+        The mean distance between grains is the length of a path segment through the pores, as in
+        the papers, or the distance from one entry to the next, including the path through the
+        grain.  With the latter, the fractions of path length in grains and in water equal their
+        volume fractions, and the number of collisions per metre agrees with the surface area.
     grain_extent : {"finite", "point"}
-        The path through a grain displaces the ray, as the papers have it, or a grain is a point
-        scatterer, as radiative transfer has it.  The free path between points has the mean
-        1/(𝓔 K), of which the pore space is 1 − 𝓔 under ``mean_free_path: including_grain``, and all
-        of it under ``pore_only``.  A point overlaps neither a boundary nor the last leg, so the two
-        rules for such grains must be "keep".
+        The path through a grain displaces the ray, as in the papers, or a grain is a point
+        scatterer, as in radiative transfer.  The mean free path between point grains is 1/(𝓔 K).
+        The fraction of it that is pore space is 1 − 𝓔 under ``mean_free_path: including_grain`` and
+        1 under ``pore_only``.  Point grains overlap neither a boundary nor the previous segment, so
+        both overlap rules must be "keep".
     """
 
     entry_point: str = "uniform"
@@ -151,13 +153,18 @@ class TransportInterpretation:
 
     @classmethod
     def from_input(cls: type[Kind], value: Any) -> Kind:
-        """Return readings, or refuse them.
+        """Return the interpretation for a user's input.
 
         Parameters
         ----------
         value : Interpretation, str or mapping
-            The name of one of `INTERPRETATION_SETS`; or a mapping of names to choices, with the name of a set
-            under ``set`` if they are to stand beside it and not beside the default.
+            The name of one of `INTERPRETATION_SETS`, or a mapping of names to choices.  The key
+            ``set`` of a mapping names the set that the other keys modify, in place of the default.
+
+        Raises
+        ------
+        ValueError
+            For an unknown name or choice.
         """
         if isinstance(value, cls):
             return value
@@ -169,7 +176,7 @@ class TransportInterpretation:
             raise invalid(
                 "interpretation",
                 value,
-                f"a mapping of named readings, or one of {join_names(INTERPRETATION_SETS)}",
+                f"a mapping of named choices, or one of {join_names(INTERPRETATION_SETS)}",
             )
         names = [f.name for f in fields(cls)]
         if SET_KEY in value:
@@ -177,7 +184,7 @@ class TransportInterpretation:
                 check_choice(f"interpretation.{SET_KEY}", value[SET_KEY], INTERPRETATION_SETS)
             ]
             return cls.from_input(
-                {**base, **{key: given for key, given in value.items() if key != SET_KEY}}
+                {**base, **{key: choice for key, choice in value.items() if key != SET_KEY}}
             )
         for name in value:
             if name not in names:
@@ -187,7 +194,7 @@ class TransportInterpretation:
         return cls(**value)
 
     def to_sampling_rules(self, analog: bool = False) -> SamplingRules:
-        """Return the readings as kernels take them."""
+        """Return the sampling rules in the form the kernels take."""
         return SamplingRules(
             entry_sampling=ENTRY_SAMPLING[self.entry_point],
             facet_sampling=FACET_SAMPLING[self.facet_sampling],
@@ -200,43 +207,43 @@ class TransportInterpretation:
         )
 
     def as_dict(self) -> dict[str, str]:
-        """Return all readings by name."""
+        """Return all choices by name."""
         return asdict(self)
 
     def to_transport_dict(self) -> dict[str, str]:
-        """Return the readings that SPLITS and SPLITSnow share."""
+        """Return the choices of the transport model common to SPLITS and SPLITSnow."""
         return {field.name: getattr(self, field.name) for field in fields(TransportInterpretation)}
 
     def as_input(self) -> str | dict[str, str]:
-        """Return the name of the set that these readings are, or those that are not by default."""
-        for name, chosen in INTERPRETATION_SETS.items():
-            if self == type(self)(**chosen):
+        """Return the name of the matching set, or the choices that differ from the defaults."""
+        for name, choices in INTERPRETATION_SETS.items():
+            if self == type(self)(**choices):
                 return name
         return find_differences(self, type(self)())
 
     def __repr__(self) -> str:
-        """Return the readings on one line."""
+        """Return the call that constructs the interpretation, on one line."""
         return f"{type(self).__name__}.from_input({format_value(self)})"
 
 
 @reject_unknown_keywords
 @dataclass(frozen=True, repr=False)
 class Interpretation(TransportInterpretation):
-    """Named readings of SPLITSnow, besides those of `TransportInterpretation`.
+    """Interpretation of SPLITSnow, in addition to that of `TransportInterpretation`.
 
-    By default those of the set ``splitsnow_2021``: the paper's text where it speaks without doubt
-    (entry, grains across boundaries), and where it is silent or can be read two ways a
-    combination that comes as near as any to 24 of its statements (docs/theory/interpretation.md).
+    The default is the set ``splitsnow_2021``.  It follows the text of the paper where that is
+    unambiguous (entry point, overlap with boundaries), and elsewhere the combination that agrees
+    best with 24 statements of the paper (docs/theory/interpretation.md).
 
     Parameters
     ----------
     facet_sampling, wrong_side_ray
         As in `TransportInterpretation`.
     size_definition : {"diameter", "semi_axis"}
-        What a grain size of SPLITSnow Table 1 means: the major axis 2b, or b.
+        Meaning of a grain size of SPLITSnow Table 1: the major axis 2b, or b.
     size_sampling : {"cross_section", "uniform"}
-        Size distribution of the grains that rays strike: ∝ s⁻² P(s), consistent with the
-        attenuation K1 (SPLITS Eqs 20-25), or uniform like the sizes themselves.
+        Size distribution of the grains that rays hit: ∝ s⁻² P(s), consistent with the attenuation
+        K1 (SPLITS Eqs 20-25), or uniform like P(s).
     """
 
     facet_sampling: str = "any"
@@ -248,26 +255,31 @@ class Interpretation(TransportInterpretation):
 @reject_unknown_keywords
 @dataclass(frozen=True, repr=False)
 class SandInterpretation(TransportInterpretation):
-    """Named readings of SPLITS, besides those of `TransportInterpretation`.
+    """Interpretation of SPLITS, in addition to that of `TransportInterpretation`.
 
-    With ``attenuation_factor: as_printed`` grains alone fill the volume, so ``mean_free_path`` must be "pore_only".
+    With ``attenuation_factor: as_printed`` the solid fraction is taken as 1, so ``mean_free_path``
+    must be "pore_only".
 
     Parameters
     ----------
     mixing : {"maxwell_garnett", "linear"}
-        Index of a mineral with inclusions (Eq 4), or the mean of the two by volume.
+        Refractive index of a mineral with inclusions: Maxwell Garnett (Eq 4), or the mean of the
+        two indices by volume.
     size_distribution : {"separates", "single"}
-        A log-normal per soil separate (section 4.2.6), or one over silt and sand.
+        A log-normal distribution per soil separate (section 4.2.6), or a single one over silt and
+        sand.
     excess_magnetite : {"first", "clipped"}
-        More magnetite than the pure particles' share (Eq 9); see `splits.media.sand_composition`.
+        Treatment of more magnetite than the fraction of pure particles (Eq 9); see
+        `splits.media.sand_composition`.
     attenuation_factor : {"solid_fraction", "as_printed"}
-        Volume of particles per volume of sand, 1 − P, as a factor of K (section 4.2.5), or K
-        as Eqs 22-24 print it, without.
+        Whether the volume of particles per volume of sand, 1 − P, multiplies K (section 4.2.5), or
+        K is that of Eqs 22-24 as printed.
     water : {"whole_pores", "narrow_pores", "film"}
-        Every leg through pores is wet with the probability `saturation` (section 4.3.2); the
-        shortest legs are, whose volume is `saturation`, as capillary pressure has it; or water is
-        a film on all grains, which acts as a coating, up to a relative thickness of 0.05, and
-        beyond that fills whole pores.  See `splits.media.wetness`.
+        Every path segment through the pores is wet with the probability `saturation` (section
+        4.3.2); or the shortest segments are wet, up to a total length fraction of `saturation`, as
+        capillary pressure fills narrow pores first; or water is a film on all grains, treated as a
+        coating, up to a relative thickness of 0.05, and the rest fills whole pores.  See
+        `splits.media.wetness`.
     """
 
     mixing: str = "maxwell_garnett"
@@ -279,7 +291,7 @@ class SandInterpretation(TransportInterpretation):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.attenuation_factor == "as_printed" and self.mean_free_path != "pore_only":
-            hint = "mean chord and mean distance are both 1/K, which leaves no pores"
+            hint = "mean chord and mean distance are both 1/K, which leaves no pore space"
             raise invalid(
                 "interpretation.attenuation_factor",
                 self.attenuation_factor,

@@ -1,7 +1,4 @@
-"""What all media hand to an instrument, and what granular ones do.
-
-What a layer of small particles hands to an instrument.
-"""
+"""Protocols of the media that instruments measure, and quantities derived from them."""
 
 from __future__ import annotations
 
@@ -20,23 +17,23 @@ from splits.media.ground import Ground
 from splits.media.interpretations import TransportInterpretation
 
 N_PORE_MATERIALS = 2
-"""Materials of dry and wet pores, which come first; those of other pores follow."""
+"""Number of materials for dry and wet pores; they precede those of other pore fluids."""
 
 
 class Interface(NamedTuple):
-    """Two materials that meet, and the share of all meetings of light with grains that is theirs.
+    """Interface between two materials, with the probability that light interacts with it.
 
     Attributes
     ----------
     fraction : float
-        Of meetings with grains; of a face, that of the light that meets it.
+        Fraction of the collisions with grains; for a boundary, fraction of the light that hits it.
     outer_material, inner_material : int
         Materials on the outer and on the inner side.
     location : {"outer", "inner", "face"}
-        Between pores and grains; within grains; at a face of the sample, where wet pores meet dry
-        ones, or what particles lie in.
+        Between pores and grains ("outer"), within grains ("inner"), or at a horizontal boundary of
+        the sample ("face"), between wet pores and dry pores or the matrix of a particle layer.
     layer : int
-        Of the sample.
+        Number of the layer in the sample.
     """
 
     fraction: float
@@ -47,19 +44,19 @@ class Interface(NamedTuple):
 
 
 class OpticalMedium(Protocol):
-    """What all media tell instruments: their materials and all of their inputs."""
+    """Protocol of all media: materials, refractive indices and inputs."""
 
     @property
     def kind(self) -> str:
-        """What sort of medium this is, as configuration files name it."""
+        """Type of the medium, as in configuration files."""
         ...
 
     def list_materials(self) -> tuple[str, ...]:
-        """Return the names of the materials; of grains, after those of dry and wet pores."""
+        """Return the names of the materials; those of dry and wet pores precede those of grains."""
         ...
 
     def list_interfaces(self) -> Sequence[Interface]:
-        """Return the pairs of materials whose contrast depends on wavelength."""
+        """Return the interfaces whose relative index depends on wavelength."""
         ...
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
@@ -67,56 +64,58 @@ class OpticalMedium(Protocol):
         ...
 
     def describe(self) -> dict[str, Any]:
-        """Return all inputs and derived quantities, for a dataset's attributes."""
+        """Return all inputs and derived quantities as dataset attributes."""
         ...
 
 
 @runtime_checkable
 class ImpureMedium(Protocol):
-    """A medium that may hold what absorbs besides its materials."""
+    """Protocol of media with absorbing impurities."""
 
     def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return what impurities absorb (1/m), shape (wavelengths, materials)."""
+        """Return the absorption coefficient of impurities (1/m), shape (wavelengths, materials)."""
         ...
 
 
 def compute_absorption(
     medium: OpticalMedium, index: np.ndarray, wavelength_nm: np.ndarray
 ) -> np.ndarray:
-    """Return the absorption coefficients (1/m) of a medium's materials, impurities included.
+    """Return the absorption coefficients (1/m) of the materials of a medium, with impurities.
 
-    They apply to recorded lengths (`compute_path_fractions`).
+    They apply to path lengths as recorded by the kernels (see `compute_path_fractions`).
 
     Parameters
     ----------
     medium : OpticalMedium
     index : complex, shape (wavelengths, materials)
-        Its refractive indices.
+        Refractive indices.
     wavelength_nm : float, shape (wavelengths,)
     """
     absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
     absorption *= compute_path_fractions(medium)
     first = 0
-    for part in _get_scene_layers(medium):
-        count = len(part.list_materials())
-        if isinstance(part, ImpureMedium):
-            absorption[:, first : first + count] += part.compute_added_absorption(wavelength_nm)
-        first += count
+    for layer in _get_scene_layers(medium):
+        n_materials = len(layer.list_materials())
+        if isinstance(layer, ImpureMedium):
+            absorption[:, first : first + n_materials] += layer.compute_added_absorption(
+                wavelength_nm
+            )
+        first += n_materials
     return absorption
 
 
 def compute_path_fractions(medium: OpticalMedium) -> np.ndarray:
-    """Return which fraction of the length recorded in each material is path in it.
+    """Return the fraction of the recorded path length that lies in each material.
 
-    Kernels record whole segments between grains; of those between points, pores are a fraction
-    (`compute_pore_fraction`).
+    Kernels record whole segments between grains.  Between point grains only a fraction of a segment
+    is pore space (see `compute_pore_fraction`).
     """
     fractions = []
-    for part in _get_scene_layers(medium):
-        own = np.ones(len(part.list_materials()))
-        if isinstance(part, GranularMedium):
-            own[: N_PORE_MATERIALS + len(part.pores)] = compute_pore_fraction(part)
-        fractions.append(own)
+    for layer in _get_scene_layers(medium):
+        layer_fractions = np.ones(len(layer.list_materials()))
+        if isinstance(layer, GranularMedium):
+            layer_fractions[: N_PORE_MATERIALS + len(layer.pores)] = compute_pore_fraction(layer)
+        fractions.append(layer_fractions)
     return np.concatenate(fractions)
 
 
@@ -126,7 +125,7 @@ def _get_scene_layers(medium: OpticalMedium) -> Sequence[Any]:
 
 @runtime_checkable
 class LayeredMedium(OpticalMedium, Protocol):
-    """Several granular media, top first."""
+    """Protocol of layered media, top layer first."""
 
     @property
     def depth_m(self) -> float:
@@ -140,18 +139,18 @@ class LayeredMedium(OpticalMedium, Protocol):
 
     @property
     def scene_layers(self) -> Sequence[Any]:
-        """Return the media as scenes take them: granular ones, and layers of particles."""
+        """Layers in the form scenes take: granular media and stacked particle layers."""
         ...
 
     @property
     def ground(self) -> Ground | None:
-        """What lies below, None where light leaves there."""
+        """Ground below, or None for an open lower boundary."""
         ...
 
 
 @runtime_checkable
 class GranularMedium(OpticalMedium, Protocol):
-    """A slab of grains, as instruments see it: particle table, boundaries, optical constants."""
+    """Protocol of granular slabs: grain population, boundaries, optical constants."""
 
     @property
     def depth_m(self) -> float:
@@ -160,17 +159,17 @@ class GranularMedium(OpticalMedium, Protocol):
 
     @property
     def saturation(self) -> float:
-        """Share of the pore space that is wet."""
+        """Fraction of the pore space filled with water."""
         ...
 
     @property
     def wet_fraction(self) -> float:
-        """Probability that a leg through pores runs in water."""
+        """Probability that a path segment through the pore space lies in water."""
         ...
 
     @property
     def pores(self) -> Mapping[str, float]:
-        """Shares of the pore space that other media fill, by name."""
+        """Fractions of the pore space filled with other fluids, by name."""
         ...
 
     @property
@@ -180,57 +179,61 @@ class GranularMedium(OpticalMedium, Protocol):
 
     @property
     def porosity(self) -> float:
-        """Share of the volume that is pores."""
+        """Volume fraction of the pore space."""
         ...
 
     @property
     def mean_grain_distance_m(self) -> float:
-        """Mean distance between grains along a ray (m), as the papers have it."""
+        """Mean distance between grains along a ray (m), as defined in the papers."""
         ...
 
     @property
     def interpretation(self) -> TransportInterpretation:
-        """Named readings of the papers."""
+        """Interpretation of the papers."""
         ...
 
     @property
     def ground(self) -> Ground | None:
-        """What lies below, None where light leaves there."""
+        """Ground below, or None for an open lower boundary."""
         ...
 
     def make_grain_population(self) -> GrainPopulation:
-        """Return the table of particle types."""
+        """Return the grain population."""
         ...
 
 
 def compute_mean_free_path_m(medium: GranularMedium) -> float:
-    """Return the mean leg (m) that a ray goes from one grain to the next.
+    """Return the mean free path (m) from one grain to the next.
 
-    The papers' mean distance 1/(𝓔 K) is that between entries into grains (SPLITSnow Eq A.3), of
-    mean chord 1/K.  Counted with the grain, 1 − 𝓔 of it are left for the leg, unless grains are
-    points, among which the leg stands for both (`compute_pore_fraction`).
+    The mean distance 1/(𝓔 K) of the papers separates entries into grains (SPLITSnow Eq A.3); the
+    mean chord of a grain is 1/K.  If the distance includes the grain, a fraction 1 − 𝓔 of it is
+    free path.  Between point grains the free path is the whole distance
+    (see `compute_pore_fraction`).
     """
     interpretation = medium.interpretation
-    whole = interpretation.mean_free_path == "pore_only" or interpretation.grain_extent == "point"
-    return medium.mean_grain_distance_m * (1.0 if whole else medium.porosity)
+    whole_distance = (
+        interpretation.mean_free_path == "pore_only" or interpretation.grain_extent == "point"
+    )
+    return medium.mean_grain_distance_m * (1.0 if whole_distance else medium.porosity)
 
 
 def compute_pore_fraction(medium: GranularMedium) -> float:
-    """Return the fraction of a leg that counts as pore space when it absorbs.
+    """Return the fraction of a path segment that absorbs as pore space.
 
-    It is 1 unless grains are points whose distance includes them: then 1 − 𝓔, and the coefficient
-    that applies per metre of leg is that of radiative transfer, (1 − 𝓔) times the material's.
+    The fraction is 1, except for point grains with a mean free path that includes the grain.  It is
+    then 1 − 𝓔, and the absorption coefficient per metre of path is that of radiative transfer,
+    (1 − 𝓔) times that of the material.
     """
     interpretation = medium.interpretation
-    parted = (
+    includes_grain = (
         interpretation.mean_free_path == "including_grain"
         and interpretation.grain_extent == "point"
     )
-    return medium.porosity if parted else 1.0
+    return medium.porosity if includes_grain else 1.0
 
 
 def check_thickness(medium: GranularMedium | LayeredMedium) -> None:
-    """Refuse a sample that is not thicker than its largest grain."""
+    """Check that the sample is thicker than its largest grain."""
     largest = medium.largest_grain_m
     if medium.depth_m <= largest:
         hint = "such a grain must fit between the boundaries"
@@ -241,7 +244,7 @@ def check_thickness(medium: GranularMedium | LayeredMedium) -> None:
 
 @runtime_checkable
 class ParticleMedium(OpticalMedium, Protocol):
-    """A layer of particles far smaller than their distances, as instruments see it."""
+    """Protocol of layers of particles much smaller than their separation."""
 
     @property
     def extinction_per_m(self) -> float:
@@ -255,15 +258,15 @@ class ParticleMedium(OpticalMedium, Protocol):
 
     @property
     def polarized(self) -> bool:
-        """Whether the Stokes vector is followed."""
+        """Whether the Stokes vector is traced."""
         ...
 
     def make_scattering_layer(self, analog: bool) -> ScatteringLayer:
-        """Return the layer; with absorption by coin toss if it is `analog`."""
+        """Return the layer in the form the kernels take; `analog` samples absorption events."""
         ...
 
     def make_height_fields(self) -> HeightFields | None:
-        """Return the rough surface, None where it is smooth."""
+        """Return the rough surface, or None for a smooth surface."""
         ...
 
 
@@ -272,14 +275,14 @@ Medium = GranularMedium | LayeredMedium | ParticleMedium
 
 @runtime_checkable
 class SurfaceMedium(ParticleMedium, Protocol):
-    """A layer, as instruments see it that look at its surface alone."""
+    """Protocol of media for instruments that measure the surface alone."""
 
     @property
     def refractive_index(self) -> float:
-        """Of what is below the surface, relative to the medium above."""
+        """Refractive index below the surface, relative to the medium above."""
         ...
 
     @property
     def surface(self) -> Any:
-        """The `splits.media.rough_surface.RoughSurface`, None where it is smooth."""
+        """Rough surface (`splits.media.rough_surface.RoughSurface`), or None if smooth."""
         ...

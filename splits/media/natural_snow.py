@@ -1,9 +1,9 @@
-"""Snow as it lies: grains with the optical shape that tomography measures, and their surface area.
+"""Natural snow: grains with the optical shape derived from tomography, by specific surface area.
 
-Facetness and sphericity are those whose absorption enhancement B and asymmetry parameter g come
-nearest to natural snow's (Robledano et al. 2023, Nature Communications 14, 3955: B 1.68 ± 0.02,
-g 0.65 ± 0.03 over 33 samples at 900 nm).  They were found by `benchmarks/grain_shape.py --search`,
-from single scattering alone; nothing was fitted to an albedo.
+Facetness and sphericity are those whose absorption enhancement B and asymmetry parameter g are
+closest to those of natural snow (Robledano et al. 2023, Nature Communications 14, 3955:
+B 1.68 ± 0.02, g 0.65 ± 0.03 over 33 samples at 900 nm).  `benchmarks/grain_shape.py --search` found
+them from single scattering alone; no albedo was fitted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NATURAL_SPHERICITY = 0.75
 
 
 class NaturalGrainShape(NamedTuple):
-    """Optical shape of dry grains at 900 nm, see `splits.analysis.theory.grain_shape`."""
+    """Optical shape of dry grains at 900 nm; see `splits.analysis.theory.grain_shape`."""
 
     absorption_enhancement: float
     absorption_enhancement_stderr: float
@@ -36,7 +36,7 @@ class NaturalGrainShape(NamedTuple):
 NATURAL_GRAIN_SHAPE = NaturalGrainShape(1.661, 0.003, 0.678, 0.001)
 
 MIN_NATURAL_DENSITY_KG_M3 = 10.0
-"""Density (kg/m³) below which no snow lies."""
+"""Lower limit of the density of natural snow (kg/m³)."""
 
 NATURAL_REFRACTIVE_INDICES = {"ice": "warren_brandt_2008_picard_2016", "water": "segelstein_1981"}
 
@@ -69,30 +69,31 @@ def make_natural_snow(
     refractive_index: Mapping[str, Any] | None = None,
     interpretation: Interpretation | str | Mapping[str, Any] | None = None,
 ) -> Snow:
-    """Return snow as it lies, by its surface area: dry, deep and clean unless said.
+    """Return natural snow by its specific surface area; dry, clean and semi-infinite by default.
 
-    Its grains have the absorption enhancement and the asymmetry parameter that natural snow
-    was measured to have at 900 nm (`splits.media.natural_snow`).  They are point scatterers
-    (readings ``radiative_transfer``), so that the reflectance of a dry half-space does not depend
-    on its density, the BRDF is reciprocal, and mean paths inside are those of the law with the
-    grains' own B.  Its ice absorbs as Picard et al. (2016) found below 600 nm, and its water is
-    Segelstein's.
+    The grains have the absorption enhancement and the asymmetry parameter measured for natural snow
+    at 900 nm (`splits.media.natural_snow`).  They are point scatterers (interpretation
+    ``radiative_transfer``).  The reflectance of a dry half-space therefore does not depend on its
+    density, the BRDF is reciprocal, and the mean path length in ice follows from the B of the
+    grains.  The absorption of ice below 600 nm is that of Picard et al. (2016), and the refractive
+    index of water is that of Segelstein (1981).
 
     Parameters
     ----------
     specific_surface_area_m2_kg, optical_radius_um, grain_size_um
-        One of the three, as for `Snow`.
+        Size of the grains, by one of the three; see `Snow`.
     density_kg_m3 : float
-        From 10 kg/m³ on: no lighter snow lies.
+        Mass of ice per volume of snow, from 10 kg/m³ to below the density of ice.
     depth_m : float
-        Infinite depths are for spectra, albedos and profiles; the others need a finite one.
+        Thickness (m).  Infinite depths are for spectra, albedos and profiles; other instruments
+        require a finite depth.
     others
-        As for `Snow`; without them snow is dry and clean.
+        As for `Snow`; by default the snow is dry and clean.
 
     Raises
     ------
     ValueError
-        Without a size, or for a value outside its range.
+        If no size is given, or for a value outside its range.
 
     Examples
     --------
@@ -101,30 +102,31 @@ def make_natural_snow(
     >>> round(snow.optical_radius_um, 1)
     163.6
     """
-    given = {**locals()}
-    given.pop("cls")
-    given = {name: value for name, value in given.items() if value is not None}
-    return cls(**complete_natural_keywords(given))
+    keywords = {**locals()}
+    keywords.pop("cls")
+    keywords = {name: value for name, value in keywords.items() if value is not None}
+    return cls(**complete_natural_keywords(keywords))
 
 
 def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keywords of `splits.Snow` that natural snow has, with those given.
+    """Return the keywords of `splits.Snow` for natural snow, updated by those given.
 
     Raises
     ------
     ValueError
-        Where no size is given.
+        If no size is given.
     """
     if not {SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, "grain_size_um"} & set(keywords):
         raise invalid(
             SURFACE_AREA_KEY, None, "given, or optical_radius_um",
-            "m2/kg: fresh snow has 40 and more, old snow 10, melting snow 3",
+            "m2/kg: 40 and more for fresh snow, 10 for old snow, 3 for melting snow",
         )  # fmt: skip
-    usual = {
-        **NATURAL_GRAINS, "interpretation": NATURAL_INTERPRETATION, "density_kg_m3": 300.0, "depth_m": math.inf,
+    defaults = {
+        **NATURAL_GRAINS, "interpretation": NATURAL_INTERPRETATION,
+        "density_kg_m3": 300.0, "depth_m": math.inf,
     }  # fmt: skip
     if "saturation" not in keywords and "liquid_water_content" not in keywords:
-        usual["saturation"] = 0.0
+        defaults["saturation"] = 0.0
     if "density_kg_m3" in keywords:
         key, temperature = "density_kg_m3", keywords.get("temperature_c", -1.0)
         ice = ice_density(check_range("temperature_c", temperature, -40.0, 0.0, "°C"))
@@ -144,24 +146,25 @@ def complete_natural_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
         if isinstance(index, Mapping)
         else index
     }
-    return {**usual, **keywords, **indices}
+    return {**defaults, **keywords, **indices}
 
 
 def is_natural(snow: Any) -> bool:
-    """Tell whether snow has the grains and the readings of natural snow."""
-    alike = all(getattr(snow, name) == value for name, value in NATURAL_GRAINS.items())
-    return alike and snow.interpretation == type(snow.interpretation).from_input(
+    """Return whether snow has the grains and the interpretation of natural snow."""
+    same_grains = all(getattr(snow, name) == value for name, value in NATURAL_GRAINS.items())
+    return same_grains and snow.interpretation == type(snow.interpretation).from_input(
         NATURAL_INTERPRETATION
     )
 
 
 def describe_grain_shape(snow: Any) -> dict[str, float]:
-    """Return the optical shape of natural snow's grains as attributes, of other grains nothing."""
+    """Return the optical shape of grains of natural snow as attributes; empty for others."""
     if not is_natural(snow):
         return {}
+    shape = NATURAL_GRAIN_SHAPE
     return {
-        "absorption_enhancement_900nm_dry": NATURAL_GRAIN_SHAPE.absorption_enhancement,
-        "absorption_enhancement_900nm_dry_stderr": NATURAL_GRAIN_SHAPE.absorption_enhancement_stderr,
-        "asymmetry_parameter_900nm_dry": NATURAL_GRAIN_SHAPE.asymmetry_parameter,
-        "asymmetry_parameter_900nm_dry_stderr": NATURAL_GRAIN_SHAPE.asymmetry_parameter_stderr,
+        "absorption_enhancement_900nm_dry": shape.absorption_enhancement,
+        "absorption_enhancement_900nm_dry_stderr": shape.absorption_enhancement_stderr,
+        "asymmetry_parameter_900nm_dry": shape.asymmetry_parameter,
+        "asymmetry_parameter_900nm_dry_stderr": shape.asymmetry_parameter_stderr,
     }

@@ -1,4 +1,7 @@
-"""A scattering layer under a smooth or rough Fresnel surface, over a bottom (Budak & Grimailo)."""
+"""Particle layer under a smooth or rough Fresnel surface, over a Lambertian bottom.
+
+The model is that of Budak & Grimailo (2020).
+"""
 
 from __future__ import annotations
 
@@ -32,11 +35,13 @@ from splits.media.formatting import find_differences, format_call
 from splits.media.rough_surface import RoughSurface
 
 CLEARANCE_SIGMA = 8.0
-"""Standard deviations of height that must fit between mean surface and bottom."""
+"""Minimum distance between the mean surface and the bottom, in standard deviations of height."""
 
 SEMI_INFINITE_TRANSPORT_MFP = 40.0
-"""Transport mean free paths that stand for infinity where nothing is absorbed: what another
-bottom would change above has decayed by exp(−40) there."""
+"""Depth that replaces infinity in a conservative layer, in transport mean free paths.
+
+The influence of the bottom on the reflected light has decayed by exp(−40) there.
+"""
 
 PHASE_FUNCTIONS = ("henyey_greenstein", "rayleigh")
 
@@ -44,33 +49,36 @@ PHASE_FUNCTIONS = ("henyey_greenstein", "rayleigh")
 @reject_unknown_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class ParticleLayer(ContentEquality):
-    """A homogeneous layer of small particles in a transparent matrix.
+    """Homogeneous layer of small particles in a transparent matrix.
 
     Parameters
     ----------
     optical_thickness : float
-        Of extinction, 0 to 1e6 or infinite.
+        Extinction optical thickness, 0 to 1e6 or infinite.
     single_scattering_albedo : float
-        0 to 1.
+        Single-scattering albedo, 0 to 1.
     asymmetry : float
         Mean cosine of the scattering angle, −0.999 to 0.999 (Henyey–Greenstein).
     refractive_index : float
-        Of the matrix relative to the medium above, 1 to 10.
+        Refractive index of the matrix relative to the medium above, 1 to 10.
     bottom_albedo : float or None
-        Of a Lambertian bottom, 0 to 1; None lets light leave through a smooth lower face.
-    surface : RoughSurface, mapping, sequence of mappings, optional
-        The upper boundary's random height; default: smooth.
-    phase_function : "henyey_greenstein", "rayleigh" or mapping
-        ``{"cosine": […], "density": […]}`` tabulates one, linear in between.
+        Albedo of a Lambertian bottom, 0 to 1.  With None, light leaves through a smooth lower
+        boundary.
+    surface : RoughSurface, mapping or sequence of mappings, optional
+        Random height field of the upper boundary; smooth by default.
+    phase_function : {"henyey_greenstein", "rayleigh"} or mapping
+        Phase function; a mapping ``{"cosine": […], "density": […]}`` tabulates one, with linear
+        interpolation.
     polarized : bool
-        Follow the Stokes vector; light comes in unpolarized.
+        Whether the Stokes vector is traced; the incident light is unpolarized.
     max_polarization : float
-        Largest degree of polarization of light scattered once, 0 to 1, of Henyey–Greenstein and
-        tabulated functions (see `splits.kernels.optics.phase_function`).
+        Largest degree of polarization of single scattering, 0 to 1, for Henyey–Greenstein and
+        tabulated phase functions (see `splits.kernels.optics.phase_function`).
     opaque : bool
-        Nothing comes back from below the surface: particles and bottom do not count.
+        Whether all light transmitted by the surface is absorbed; particles and bottom then have
+        no effect.
     depth_m : float
-        Geometric thickness (m), 1e-9 to 1e6; of an infinite layer, its mean free path.
+        Geometric thickness (m), 1e-9 to 1e6; for an infinite layer, the mean free path.
 
     Raises
     ------
@@ -79,7 +87,8 @@ class ParticleLayer(ContentEquality):
 
     Notes
     -----
-    Transmitted light is what the bottom absorbs, or what leaves through the open face.
+    Transmittance counts the light absorbed by the bottom or, without a bottom, the light that
+    leaves through the lower boundary.
 
     References
     ----------
@@ -87,8 +96,8 @@ class ParticleLayer(ContentEquality):
 
     Examples
     --------
-    >>> from splits import Layer
-    >>> Layer(optical_thickness=2.0).extinction_per_m
+    >>> from splits import ParticleLayer
+    >>> ParticleLayer(optical_thickness=2.0).extinction_per_m
     2.0
     """
 
@@ -140,31 +149,31 @@ class ParticleLayer(ContentEquality):
         put("_phase", self._make_phase_function())
         if self.surface is not None:
             put("surface", RoughSurface.from_input(self.surface))
-            least = CLEARANCE_SIGMA * self.surface.rms_height_m
+            min_depth_m = CLEARANCE_SIGMA * self.surface.rms_height_m
             finite = self.optical_thickness != math.inf and not self.opaque
-            if self.depth_m < least and finite:
+            if self.depth_m < min_depth_m and finite:
                 raise invalid(
-                    "depth_m", self.depth_m, f"at least {least:g} m",
+                    "depth_m", self.depth_m, f"at least {min_depth_m:g} m",
                     f"{CLEARANCE_SIGMA:g} standard deviations of height must fit above the bottom",
                 )  # fmt: skip
 
     def _make_phase_function(self) -> PhaseFunction:
-        """Return the phase function, or refuse it."""
-        given = self.phase_function
-        if isinstance(given, Mapping):
-            return _make_tabulated_phase(given, self.max_polarization)
-        check_choice("phase_function", given, PHASE_FUNCTIONS)
-        if given == "rayleigh":
+        """Return the validated phase function."""
+        phase_function = self.phase_function
+        if isinstance(phase_function, Mapping):
+            return _make_tabulated_phase(phase_function, self.max_polarization)
+        check_choice("phase_function", phase_function, PHASE_FUNCTIONS)
+        if phase_function == "rayleigh":
             return make_rayleigh()
         return make_henyey_greenstein(self.asymmetry, self.max_polarization)
 
     def __repr__(self) -> str:
-        """Return the layer on one line, as it was given."""
+        """Return the call that constructs the layer, on one line."""
         return format_call("ParticleLayer", find_differences(self, type(self)()))
 
     @property
     def extinction_per_m(self) -> float:
-        """Extinction coefficient (1/m), infinite below an opaque surface."""
+        """Extinction coefficient (1/m); infinite for an opaque layer."""
         if self.opaque:
             return math.inf
         infinite = self.optical_thickness == math.inf
@@ -172,15 +181,16 @@ class ParticleLayer(ContentEquality):
 
     @property
     def kernel_phase_function(self) -> PhaseFunction:
-        """The phase function as kernels take it."""
+        """Phase function in the form the kernels take."""
         phase: PhaseFunction = self._phase  # type: ignore[attr-defined]
         return phase
 
     def make_scattering_layer(self, analog: bool) -> ScatteringLayer:
-        """Return the layer as kernels take it.
+        """Return the layer in the form the kernels take.
 
-        An infinite layer that absorbs nothing sends all light back, after infinitely many
-        scatterings on average; one of finite depth over a white bottom does the same in time.
+        An infinite conservative layer reflects all light, after an infinite mean number of
+        scatterings.  A deep finite layer over a white bottom replaces it, with the same
+        reflectance at finite cost.
         """
         depth, albedo = self.depth_m, self.single_scattering_albedo
         bottom = OPEN_BOTTOM if self.bottom_albedo is None else self.bottom_albedo
@@ -189,10 +199,13 @@ class ParticleLayer(ContentEquality):
         elif self.optical_thickness == math.inf:
             depth = math.inf
             if albedo == 1.0:
-                reach = max(1.0, 1.0 / (1.0 - self.kernel_phase_function.g))
-                rough = 0.0 if self.surface is None else CLEARANCE_SIGMA * self.surface.rms_height_m
+                transport_ratio = max(1.0, 1.0 / (1.0 - self.kernel_phase_function.g))
+                clearance_m = (
+                    0.0 if self.surface is None else CLEARANCE_SIGMA * self.surface.rms_height_m
+                )
                 depth, bottom = (
-                    SEMI_INFINITE_TRANSPORT_MFP * reach / self.extinction_per_m + rough,
+                    SEMI_INFINITE_TRANSPORT_MFP * transport_ratio / self.extinction_per_m
+                    + clearance_m,
                     1.0,
                 )
         return ScatteringLayer(
@@ -200,18 +213,18 @@ class ParticleLayer(ContentEquality):
         )
 
     def make_height_fields(self) -> HeightFields | None:
-        """Return the rough surface as kernels take it, None where it is smooth."""
+        """Return the rough surface in the form the kernels take, or None for a smooth surface."""
         if self.surface is None or self.surface.rms_height_m == 0.0:
             return None
-        numbers: HeightFields = self.surface.make_height_fields()
-        return numbers
+        height_fields: HeightFields = self.surface.make_height_fields()
+        return height_fields
 
     def list_materials(self) -> tuple[str, ...]:
-        """Return the name of the one material of index arrays."""
+        """Return the name of the single material of index arrays."""
         return ("matrix",)
 
     def list_interfaces(self) -> list[Any]:
-        """Return none: the index is the same at all wavelengths."""
+        """Return no interfaces: the refractive index does not depend on wavelength."""
         return []
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
@@ -219,10 +232,10 @@ class ParticleLayer(ContentEquality):
         return np.full((np.size(wavelength_nm), 1), complex(self.refractive_index))
 
     def describe(self) -> dict[str, Any]:
-        """Return all inputs under names fit for dataset attributes."""
+        """Return all inputs as dataset attributes."""
         inputs = {f.name: getattr(self, f.name) for f in fields(self)}
         surface = inputs.pop("surface")
-        rough = {} if surface is None else surface.describe()
+        surface_attrs = {} if surface is None else surface.describe()
         if isinstance(self.phase_function, Mapping):
             inputs["phase_function"] = "tabulated"
             inputs |= {f"phase_{key}": self.phase_function[key] for key in ("cosine", "density")}
@@ -231,13 +244,13 @@ class ParticleLayer(ContentEquality):
             "asymmetry": self.kernel_phase_function.g,
             "max_polarization": self.kernel_phase_function.max_polarization,
             "surface": "smooth" if surface is None else "rough",
-            **{f"surface_{key}": value for key, value in rough.items()},
+            **{f"surface_{key}": value for key, value in surface_attrs.items()},
             "extinction_per_m": self.extinction_per_m,
         }
 
 
 def _make_tabulated_phase(table: Mapping[str, Any], max_polarization: float) -> PhaseFunction:
-    """Return a tabulated phase function, or refuse it."""
+    """Return the validated tabulated phase function."""
     allowed = "a mapping with equally long lists cosine and density"
     if set(table) != {"cosine", "density"}:
         raise invalid("phase_function", [str(key) for key in table], allowed)
@@ -253,7 +266,7 @@ def _make_tabulated_phase(table: Mapping[str, Any], max_polarization: float) -> 
     if (np.diff(cosine) <= 0.0).any():
         raise invalid("phase_function.cosine", cosine.tolist(), "increasing from -1 to 1")
     density = snap_to_limits(density, 0.0, 1e100)
-    good = (density >= 0.0).all() and (density <= 1e100).all()
-    if not good or not density.max() > 1e-100:
+    in_range = (density >= 0.0).all() and (density <= 1e100).all()
+    if not in_range or not density.max() > 1e-100:
         raise invalid("phase_function.density", density.tolist(), "0 to 1e100, not all of them 0")
     return make_tabulated(cosine, density, max_polarization)

@@ -1,4 +1,4 @@
-"""A randomly rough surface as the user describes it: heights, correlation, number of waves."""
+"""Randomly rough surfaces: heights, correlation and number of waves."""
 
 from __future__ import annotations
 
@@ -44,27 +44,29 @@ _SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
 @reject_unknown_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomHeightField(ContentEquality):
-    """One random field of heights, Budak & Grimailo 2020, Eq 3.
+    """Random height field, Budak & Grimailo 2020, Eq 3.
 
     Parameters
     ----------
     rms_height_m : float
         Standard deviation of heights σ (m), 0 to 1e6.
     wave_number_per_m : float, optional
-        k0 (1/m), 1e-9 to 1e9; needed but for a spectrum.
-    correlation : str
-        "exponential": exp(−k0 r).  "exponential_printed": the law of wave numbers as printed,
-        λ = k0 β/√(1 − β²), whose correlation is x (I0(x) K1(x) − I1(x) K0(x)) with x = k0 r/2.
-        "gaussian": exp(−(k0 r)²).  "spectrum": as the table says.
+        k0 (1/m), 1e-9 to 1e9; required unless `correlation` is "spectrum".
+    correlation : {"exponential", "exponential_printed", "gaussian", "spectrum"}
+        Correlation of heights.  "exponential": exp(−k0 r).  "exponential_printed": that of the
+        distribution of wave numbers as printed, λ = k0 β/√(1 − β²), which is
+        x (I0(x) K1(x) − I1(x) K0(x)) with x = k0 r/2.  "gaussian": exp(−(k0 r)²).  "spectrum":
+        that of the tabulated spectrum.
     waves : int
-        M, 1 to 100 000.
+        Number of waves M, 1 to 100 000.
     band_limit_per_m : float, optional
-        Largest wave number (1/m), from k0/1000 to infinity; heights keep their σ.  Without one
-        the slopes of "exponential", which needs it, and more slowly those of
-        "exponential_printed" grow with the number of waves, and reflectance moves with them.
+        Largest wave number (1/m), from k0/1000 to infinity; σ does not change.  It is required for
+        "exponential".  Without a limit the rms slope of "exponential" and, more slowly, that of
+        "exponential_printed" grow with the number of waves, and reflectance changes with them.
     spectrum : mapping, optional
-        Columns ``wave_number_per_m``, rising, and ``density``, the isotropic spectral density p up
-        to a factor, linear in between: p(λ) λ dλ is the share of the variance.
+        Columns ``wave_number_per_m``, increasing, and ``density``, the isotropic spectral density
+        p up to a factor, with linear interpolation.  The fraction of the variance in dλ is
+        ∝ p(λ) λ dλ.
 
     Raises
     ------
@@ -96,15 +98,15 @@ class RandomHeightField(ContentEquality):
             raise invalid("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
         key, k0 = "wave_number_per_m", self.wave_number_per_m
         if k0 is None:
-            raise invalid(key, None, "given (1/m)", "the inverse of the length of its correlation")
+            raise invalid(key, None, "given (1/m)", "the inverse of the correlation length")
         put(key, k0 := check_range(key, k0, 1e-9, 1e9, "1/m"))
         key, limit = "band_limit_per_m", self.band_limit_per_m
         if limit is None and self.correlation == "exponential":
             raise invalid(
                 key, None, "given (1/m)",
-                "slopes, about rms_height_m √(k0 limit), grow without end with it and change "
-                "reflectance; name the finest waves that light shall see, or infinity; this is for "
-                'the default correlation "exponential", "gaussian" needs none',
+                "slopes, about rms_height_m √(k0 limit), grow without bound with it and change "
+                "reflectance; give the largest wave number of the surface, or infinity; only the "
+                'default correlation "exponential" needs it, "gaussian" does not',
             )  # fmt: skip
         if limit is None or limit == math.inf:
             put(key, math.inf)
@@ -112,16 +114,16 @@ class RandomHeightField(ContentEquality):
             put(key, check_range(key, limit, 1e-3 * k0, math.inf, "1/m"))
 
     def as_input(self) -> dict[str, Any]:
-        """Return the keywords of this field that are not as by default."""
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        # Without a limit, most laws need none.
+        """Return the keywords that differ from their defaults."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        # Only the exponential correlation requires a limit, so an infinite one is shown.
         if self.band_limit_per_m == math.inf and self.correlation != "exponential":
-            del given["band_limit_per_m"]
-        usual = {field.name: field.default for field in fields(self)}
-        return {name: value for name, value in given.items() if value != usual[name]}
+            del values["band_limit_per_m"]
+        defaults = {field.name: field.default for field in fields(self)}
+        return {name: value for name, value in values.items() if value != defaults[name]}
 
     def __repr__(self) -> str:
-        """Return the field on one line, as it was given."""
+        """Return the call that constructs the field, on one line."""
         return format_call("RandomHeightField", self.as_input())
 
     @property
@@ -132,27 +134,29 @@ class RandomHeightField(ContentEquality):
 
     @cached_property
     def wave_number_quantiles(self) -> np.ndarray:
-        """Quantile function of a spectrum's wave numbers (1/m), see `rng.table_probabilities`."""
+        """Quantile function of the wave numbers (1/m) at `rng.make_table_probabilities`."""
         assert self.spectrum is not None
         return compute_quantiles(*(np.array(self.spectrum[key]) for key in _SPECTRUM_COLUMNS))
 
     def compute_correlation(self, r_m: np.ndarray) -> np.ndarray:
-        """Return the expected correlation of heights at distances (m), as waves are drawn."""
+        """Return the expected correlation of heights at distances (m) for sampled waves."""
         r = as_float_array("r_m", r_m, "numbers in metres")
         if self.correlation == "spectrum":
             return np.array(
                 [average_bessel_j0(self.wave_number_quantiles, x) for x in r.ravel()]
             ).reshape(r.shape)
-        law = HEIGHT_SPECTRA[self.correlation]
+        spectrum = HEIGHT_SPECTRA[self.correlation]
         assert self.wave_number_per_m is not None
         r = self.wave_number_per_m * r
-        if law.cdf(self._relative_band_limit) == 1.0:
-            return law.correlation(r)
-        found = [integrate_bessel_j0(law.density, self._relative_band_limit, x) for x in r.ravel()]
-        return np.array(found).reshape(r.shape) / law.cdf(self._relative_band_limit)
+        if spectrum.cdf(self._relative_band_limit) == 1.0:
+            return spectrum.correlation(r)
+        integrals = [
+            integrate_bessel_j0(spectrum.density, self._relative_band_limit, x) for x in r.ravel()
+        ]
+        return np.array(integrals).reshape(r.shape) / spectrum.cdf(self._relative_band_limit)
 
     def mean_square_wave_number(self) -> float:
-        """Return the expected λ² of a wave (1/m²)."""
+        """Return the mean λ² of a wave (1/m²)."""
         if self.correlation == "spectrum":
             return average_over_quantiles(self.wave_number_quantiles, lambda k: k * k)
         assert self.wave_number_per_m is not None
@@ -164,12 +168,12 @@ class RandomHeightField(ContentEquality):
 @reject_unknown_keywords
 @dataclass(frozen=True, repr=False)
 class RoughSurface:
-    """Superposed random fields of heights above a plane.
+    """Rough surface: a superposition of random height fields above a plane.
 
     Parameters
     ----------
-    fields : RandomHeightField, mapping or a sequence of them
-        What one field is, see `RandomHeightField`, or several.
+    fields : RandomHeightField, mapping or sequence of them
+        One height field or several; a mapping holds the keywords of `RandomHeightField`.
 
     Examples
     --------
@@ -187,22 +191,22 @@ class RoughSurface:
             given = [given]
         if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
             raise invalid("surface", given, "one field, or a list of fields, of keys and values")
-        places = [f"surface[{i}]" for i in range(len(given))] if len(given) > 1 else ["surface"]
-        found = tuple(_make_height_field(*pair) for pair in zip(places, given, strict=True))
-        object.__setattr__(self, "fields", found)
+        keys = [f"surface[{i}]" for i in range(len(given))] if len(given) > 1 else ["surface"]
+        height_fields = tuple(_make_height_field(*pair) for pair in zip(keys, given, strict=True))
+        object.__setattr__(self, "fields", height_fields)
 
     @classmethod
     def from_input(cls, value: Any) -> RoughSurface:
-        """Return a surface given as such or as its fields, or refuse it."""
+        """Return the surface for a `RoughSurface` or for its height fields."""
         return value if isinstance(value, cls) else cls(value)
 
     def as_input(self) -> Any:
-        """Return the keywords of the field, of several a list."""
-        found = [field.as_input() for field in self.fields]
-        return found[0] if len(found) == 1 else found
+        """Return the keywords of the field, or a list of them for several fields."""
+        keywords = [field.as_input() for field in self.fields]
+        return keywords[0] if len(keywords) == 1 else keywords
 
     def __repr__(self) -> str:
-        """Return the surface on one line, as it was given."""
+        """Return the call that constructs the surface, on one line."""
         return f"RoughSurface({format_value(self)})"
 
     @property
@@ -211,46 +215,50 @@ class RoughSurface:
         return math.hypot(*(field.rms_height_m for field in self.fields))
 
     def correlation(self, r_m: Any) -> np.ndarray:
-        """Return the expected correlation of heights at distances (m); of a plane, 1."""
+        """Return the expected correlation of heights at distances (m); 1 for a plane."""
         r = as_float_array("r_m", r_m, "numbers in metres")
         if self.rms_height_m == 0.0:
             return np.ones_like(r)
-        shares = ((field.rms_height_m / self.rms_height_m) ** 2 for field in self.fields)
-        parts = zip(shares, self.fields, strict=True)
-        return np.sum([share * field.compute_correlation(r) for share, field in parts], axis=0)
+        variance_fractions = (
+            (field.rms_height_m / self.rms_height_m) ** 2 for field in self.fields
+        )
+        terms = zip(variance_fractions, self.fields, strict=True)
+        return np.sum(
+            [fraction * field.compute_correlation(r) for fraction, field in terms], axis=0
+        )
 
     def rms_slope(self) -> float:
-        """Return √⟨|∇Ψ|²⟩, infinite where a law without band limit has it so."""
+        """Return the rms slope √⟨|∇Ψ|²⟩; it may be infinite without a band limit."""
         rough = [field for field in self.fields if field.rms_height_m > 0.0]
         return math.sqrt(sum(f.rms_height_m**2 * f.mean_square_wave_number() for f in rough))
 
     def make_height_fields(self) -> kernels.HeightFields:
-        """Return the surface as kernels take it."""
-        count = len(self.fields)
-        law = np.full(count, kernels.TABULATED, dtype=np.int64)
-        wave_number, share = np.ones(count), np.ones(count)
-        tables = any(field.spectrum is not None for field in self.fields)
-        quantile = np.zeros((count, N_QUANTILES if tables else 2))
+        """Return the surface in the form the kernels take."""
+        n_fields = len(self.fields)
+        law = np.full(n_fields, kernels.TABULATED, dtype=np.int64)
+        wave_numbers, band_fraction = np.ones(n_fields), np.ones(n_fields)
+        tabulated = any(field.spectrum is not None for field in self.fields)
+        quantiles = np.zeros((n_fields, N_QUANTILES if tabulated else 2))
         for i, field in enumerate(self.fields):
             if field.spectrum is not None:
-                quantile[i] = field.wave_number_quantiles
+                quantiles[i] = field.wave_number_quantiles
                 continue
-            named = HEIGHT_SPECTRA[field.correlation]
-            law[i], wave_number[i] = named.kernel_code, field.wave_number_per_m
-            share[i] = named.cdf(field._relative_band_limit)
+            spectrum = HEIGHT_SPECTRA[field.correlation]
+            law[i], wave_numbers[i] = spectrum.kernel_code, field.wave_number_per_m
+            band_fraction[i] = spectrum.cdf(field._relative_band_limit)
         return kernels.HeightFields(
             rms_height=np.array([field.rms_height_m for field in self.fields]),
             n_waves=np.array([field.waves for field in self.fields], dtype=np.int64),
             law=law,
-            wave_number=wave_number,
-            band_fraction=share,
-            quantiles=quantile,
+            wave_number=wave_numbers,
+            band_fraction=band_fraction,
+            quantiles=quantiles,
         )
 
     def sample_realization(self, seed: int, ray_number: int = 0) -> np.ndarray:
-        """Return the waves that ray `ray_number` of ensemble 0 draws as its first numbers.
+        """Return the waves of the realization that ray `ray_number` of ensemble 0 samples first.
 
-        Rows are those of `splits.kernels.rough_surface.realization`, which also evaluates them.
+        The rows are those of `splits.kernels.rough_surface.realization`, which evaluates them.
         """
         seed, ray_number = (
             _check_integer("seed", seed, low=0),
@@ -258,20 +266,20 @@ class RoughSurface:
         )
         state = np.zeros(1, dtype=np.uint64)
         start_stream(state, seed, 0, ray_number)
-        drawn = self.make_height_fields()
+        height_fields = self.make_height_fields()
         waves: np.ndarray = kernels.sample_realization(
-            state, drawn, kernels.allocate_realization(drawn)
+            state, height_fields, kernels.allocate_realization(height_fields)
         ).waves
         return waves
 
     def describe(self) -> dict[str, Any]:
-        """Return inputs and rms slope under names fit for dataset attributes, a list per input."""
+        """Return the inputs, a list each, and the rms slope as dataset attributes."""
         inputs: dict[str, Any] = {}
         for key in (f.name for f in fields(RandomHeightField) if f.name != "spectrum"):
             values = [getattr(field, key) for field in self.fields]
-            # Without a band limit waves have none; fields with a table have no k0.
-            none = math.inf if key == "band_limit_per_m" else 0.0
-            inputs[key] = [none if value is None else value for value in values]
+            # No band limit means an infinite one; tabulated spectra have no k0.
+            missing = math.inf if key == "band_limit_per_m" else 0.0
+            inputs[key] = [missing if value is None else value for value in values]
         inputs["correlation"] = ", ".join(inputs["correlation"])
         tables = [field.spectrum for field in self.fields if field.spectrum is not None]
         for key in _SPECTRUM_COLUMNS if tables else ():
@@ -280,7 +288,7 @@ class RoughSurface:
 
 
 def _make_height_field(key: str, value: Any) -> RandomHeightField:
-    """Return a field, or refuse it and say which."""
+    """Return a height field; errors carry `key`."""
     if isinstance(value, RandomHeightField):
         return value
     names = [f.name for f in fields(RandomHeightField)]
@@ -297,16 +305,16 @@ def _make_height_field(key: str, value: Any) -> RandomHeightField:
 
 
 def _check_integer(key: str, value: Any, high: int = 2**63 - 1, low: int = 1) -> int:
-    """Return a whole number, or refuse it."""
+    """Return a whole number within limits."""
     value = as_scalar(value)
-    whole = isinstance(value, Integral) and not isinstance(value, NON_NUMERIC_TYPES)
-    if not whole or not low <= int(value) <= high:
+    is_integer = isinstance(value, Integral) and not isinstance(value, NON_NUMERIC_TYPES)
+    if not is_integer or not low <= int(value) <= high:
         raise invalid(key, value, f"a whole number from {low} to {high}")
     return int(value)
 
 
 def _read_spectrum(given: Any) -> dict[str, tuple[float, ...]]:
-    """Return the columns of a spectrum, or refuse them."""
+    """Return the validated columns of a spectrum."""
     allowed = "a mapping of equally many numbers " + " and ".join(_SPECTRUM_COLUMNS)
     if not isinstance(given, Mapping) or set(given) != set(_SPECTRUM_COLUMNS):
         raise invalid("spectrum", given, allowed)
@@ -315,7 +323,7 @@ def _read_spectrum(given: Any) -> dict[str, tuple[float, ...]]:
         raise invalid("spectrum", dict(given), allowed, "two rows at least")
     k, density = (snap_to_limits(row, 0.0, math.inf) for row in (k, density))
     if k[0] < 0.0 or (np.diff(k) <= 0.0).any():
-        raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and rising")
+        raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and increasing")
     if (density < 0.0).any() or not density[k > 0.0].any():
-        raise invalid("spectrum.density", density.tolist(), "0 or more, and more somewhere")
+        raise invalid("spectrum.density", density.tolist(), "0 or more, and positive somewhere")
     return dict(zip(_SPECTRUM_COLUMNS, (tuple(k.tolist()), tuple(density.tolist())), strict=True))

@@ -36,24 +36,24 @@ from splits.media.soil_texture import SOIL_SEPARATES, SoilSizeDistribution, make
 from splits.media.wetness import WaterDistribution, distribute_water
 
 WATER_FILM = "water film"
-"""Name of the water on grains, among their materials."""
+"""Name of the water film on grains in the list of materials."""
 
 
 @reject_unknown_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class Sand(ContentEquality):
-    """A homogeneous sand.
+    """Homogeneous sand layer, after SPLITS.
 
-    By default constants are those of SPLITS Table 2, the composition that of Fig 8's base case and
-    the texture that of most samples of Table 5.
+    The default constants are those of SPLITS Table 2, the default composition is that of the base
+    case of Fig 8, and the default texture is that of most samples of Table 5.
 
     Parameters
     ----------
     iron_oxide : float
-        ϑ_hg, mass of hematite and goethite per mass of sand; what coated particles can hold
-        limits it (0.065 for hematite and 0.054 for goethite at the default thickness).
+        ϑ_hg, mass of hematite and goethite per mass of sand.  The capacity of the coatings limits
+        it: to 0.065 for hematite and 0.054 for goethite at the default thickness.
     hematite_ratio : float
-        r_hg, hematite's part of the iron oxide, 0 to 1.
+        r_hg, mass fraction of hematite in the iron oxide, 0 to 1.
     magnetite : float
         ϑ_m, mass of magnetite per mass of sand, 0 to 1 − iron_oxide.
     partition : (pure, mixed, coated)
@@ -61,32 +61,37 @@ class Sand(ContentEquality):
     texture : (clay, silt, sand)
         Mass fractions of the soil separates, adding up to 1; silt + 1.5 clay at most 0.15.
     saturation : float
-        Fraction of the pore space filled with water, 0 to 1; ``interpretation.water`` says which.
+        Fraction of the pore space filled with water, 0 to 1; ``interpretation.water`` selects the
+        distribution of the water.
     pores : mapping, optional
-        Fractions of the pore space filled with other media, by name: ``{"oil": 0.1}``.
-        ``refractive_index`` has to know them.
+        Fractions of the pore space filled with other fluids, by name: ``{"oil": 0.1}``.
+        ``refractive_index`` must define each of them.
     porosity : float
-        Fraction of the volume that is pore space, above 0 and below 1.
+        Volume fraction of the pore space, above 0 and below 1.
     roundness : (mean, sd)
-        Krumbein roundness, 0 to 1 (smooth); normal.  Facetness is 1 − roundness.
+        Krumbein roundness, 0 to 1 (smooth); normal distribution.  Facetness is 1 − roundness.
     sphericity : (min, max, mean, sd)
-        Riley sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere); normal within limits.
+        Riley sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere); a normal distribution truncated
+        to [min, max].
     relative_coating_thickness : float
         Thickness of coatings per major axis, above 0 and at most 0.05.
     depth_m : float
-        Thickness of the sample (m), more than the largest particle, to 1e4, or infinite for the
+        Thickness of the layer (m), more than the largest particle, to 1e4, or infinite for the
         spectrophotometer.
     size_tail : float
-        Mass beyond the outermost size limits, see `splits.media.soil_texture.make_size_distribution`.
+        Mass fraction outside the outermost size limits; see
+        `splits.media.soil_texture.make_size_distribution`.
     refractive_index : mapping, optional
-        Per material ("quartz", "hematite", "goethite", "magnetite", "kaolinite", "water",
-        "air") a dataset's name, a constant or a table; see `splits.materials.refractive_index`.
-        Air, 1 by default, also lies above the sample.
-    interpretation : SandInterpretation or mapping, optional
-        Named readings of the paper.
+        Refractive index by material ("quartz", "hematite", "goethite", "magnetite", "kaolinite",
+        "water", "air"): the name of a dataset, a constant or a table; see
+        `splits.materials.refractive_index`.  Air, with an index of 1 by default, is also the
+        medium above the sample.
+    interpretation : SandInterpretation, str or mapping, optional
+        Interpretation of the paper, or the name of a set.
     ground : number, str, mapping or path, optional
-        Lambertian ground below: an albedo, "black", the name of a soil, a table; see
-        `splits.media.ground.Ground.from_input`.  By default light leaves below ("open").
+        Lambertian ground below the sample: an albedo, "black", the name of a soil or a table; see
+        `splits.media.ground.Ground.from_input`.  By default light leaves through the lower
+        boundary ("open").
 
     Raises
     ------
@@ -141,7 +146,7 @@ class Sand(ContentEquality):
             0.0,
             0.05,
             open_low=True,
-            hint="coatings act as flat slabs, so they must be thin",
+            hint="coatings are treated as flat slabs, so they must be thin",
         )
         put("relative_coating_thickness", thickness)
         kinds = ("pure", "mixed", "coated")
@@ -151,40 +156,44 @@ class Sand(ContentEquality):
         put("depth_m", check_sample_depth(self.depth_m))
         for name in ("iron_oxide", "hematite_ratio", "magnetite"):
             put(name, check_range(name, getattr(self, name), 0.0, 1.0))
-        given = self.refractive_index
-        put("pores", check_other_fluids(self.pores, self.saturation, given, MINERAL_DENSITY_KG_M3))
+        indices = self.refractive_index
+        put(
+            "pores", check_other_fluids(self.pores, self.saturation, indices, MINERAL_DENSITY_KG_M3)
+        )
         if self.pores and self.interpretation.water != "whole_pores":
-            hint = "which pores these media fill is not known: leave interpretation.water out"
+            hint = "which pores these fluids fill is not known: leave interpretation.water out"
             allowed = f"empty with interpretation.water {self.interpretation.water}"
             raise invalid("pores", dict(self.pores), allowed, hint)
         put(
             "refractive_index",
-            make_refractive_indices([*MINERAL_DENSITY_KG_M3, "water"], given, self.pores),
+            make_refractive_indices([*MINERAL_DENSITY_KG_M3, "water"], indices, self.pores),
         )
-        # What these derive is checked here.
+        # Validates the size distribution and the composition.
         _ = self.size_distribution, self.composition
 
     def __repr__(self) -> str:
-        """Return the sand on one line, as it was given."""
+        """Return the call that constructs the sand, on one line."""
         return format_call("Sand", find_differences(self, type(self)()))
 
     @cached_property
     def size_distribution(self) -> SoilSizeDistribution:
-        """Sizes of the particles, of every type alike."""
+        """Size distribution of the particles, the same for all types."""
         return make_size_distribution(
             self.texture, self.size_tail, self.interpretation.size_distribution
         )
 
     @cached_property
     def composition(self) -> SandComposition:
-        """Particle types with mass fractions, volume fractions and densities."""
-        coat = compute_coating_fraction(self.sphericity[2], self.relative_coating_thickness)
+        """Particle types with their mass fractions, volume fractions and densities."""
+        coating_fraction = compute_coating_fraction(
+            self.sphericity[2], self.relative_coating_thickness
+        )
         return make_composition(
             self.iron_oxide,
             self.hematite_ratio,
             self.magnetite,
             self.partition,
-            coat,
+            coating_fraction,
             self.interpretation.excess_magnetite,
         )
 
@@ -207,7 +216,7 @@ class Sand(ContentEquality):
 
     @property
     def mean_grain_distance_m(self) -> float:
-        """Mean distance between particles of any type along a ray (m), SPLITS Eq 21."""
+        """Mean free path between particles of any type (m), SPLITS Eq 21."""
         solid = (
             1.0 - self.porosity
             if self.interpretation.attenuation_factor == "solid_fraction"
@@ -217,41 +226,41 @@ class Sand(ContentEquality):
 
     @property
     def specific_surface_area_m2_kg(self) -> float:
-        """Surface area per mass of particles, 4K/γ for convex particles (m²/kg)."""
+        """Specific surface area, 4K/γ for convex particles (m²/kg)."""
         return 4.0 * self.attenuation_per_m / self.density_kg_m3
 
     @cached_property
     def _water(self) -> WaterDistribution:
-        """Where the water is."""
-        sphericity, reading = self.sphericity[2], self.interpretation.water
-        return distribute_water(self.saturation, self.porosity, sphericity, reading)
+        """Distribution of the water in the pore space."""
+        sphericity, water_model = self.sphericity[2], self.interpretation.water
+        return distribute_water(self.saturation, self.porosity, sphericity, water_model)
 
     @property
     def wet_fraction(self) -> float:
-        """Probability that a leg through pores runs in water."""
+        """Probability that a path segment through the pore space lies in water."""
         return self._water.wet_fraction
 
     @cached_property
     def _shell_materials(self) -> list[tuple[str, ...]]:
-        """Names of the materials of each particle type, from the outside in."""
+        """Materials of the shells of each particle type, from the outside in."""
         film = (WATER_FILM,) if self._water.relative_film_thickness else ()
         return [(*film, *t.shell_materials) for t in self.composition.particle_types]
 
     def list_materials(self) -> tuple[str, ...]:
-        """Return the names of the materials in the rows of index arrays."""
+        """Return the names of the materials, in the order of the columns of index arrays."""
         minerals = dict.fromkeys(m for layers in self._shell_materials for m in layers)
         return (*self.pore_fluids.names, *minerals)
 
     @cached_property
     def pore_fluids(self) -> PoreFluids:
-        """What fills the pores, by the probability that legs run there."""
+        """Fluids in the pore space, weighted by the probability of path segments in each."""
         return PoreFluids.from_saturation(self.wet_fraction, self.pores)
 
     def make_grain_population(self) -> GrainPopulation:
-        """Return the table of particle types; sizes and shapes are those of all types."""
+        """Return the grain population; all types have the same sizes and shapes."""
         names = self.list_materials()
-        deepest = max(len(layers) for layers in self._shell_materials)
-        material = np.zeros((len(self._shell_materials), deepest), dtype=np.int64)
+        max_shells = max(len(layers) for layers in self._shell_materials)
+        material = np.zeros((len(self._shell_materials), max_shells), dtype=np.int64)
         thickness = np.zeros(material.shape)
         for i, layers in enumerate(self._shell_materials):
             material[i, : len(layers)] = [names.index(m) for m in layers]
@@ -277,16 +286,16 @@ class Sand(ContentEquality):
         )
 
     def list_interfaces(self) -> list[Interface]:
-        """Return the pairs of materials that meet at surfaces of particles and of the slab."""
+        """Return the optical interfaces at particle surfaces and at the slab boundaries."""
         names = self.list_materials()
-        found: list[Interface] = []
-        for layers, share in zip(
+        interfaces: list[Interface] = []
+        for layers, fraction in zip(
             self._shell_materials, self.composition.volume_fractions, strict=True
         ):
             rows = [names.index(m) for m in layers]
-            found += self.pore_fluids.list_grain_interfaces(rows[0], share)
-            found += [Interface(share, *pair, "inner") for pair in pairwise(rows)]
-        return found + self.pore_fluids.list_boundary_interfaces(
+            interfaces += self.pore_fluids.list_grain_interfaces(rows[0], fraction)
+            interfaces += [Interface(fraction, *pair, "inner") for pair in pairwise(rows)]
+        return interfaces + self.pore_fluids.list_boundary_interfaces(
             self.interpretation.to_sampling_rules().boundary_fresnel
         )
 
@@ -296,14 +305,14 @@ class Sand(ContentEquality):
         mix = MIXING_RULES[self.interpretation.mixing]
         index = np.ones((wavelength_nm.size, len(self.list_materials())), dtype=complex)
         self.pore_fluids.fill_refractive_indices(index, self.refractive_index, wavelength_nm)
-        # A leg that is water for a part of its length absorbs by that part.
+        # Only the filled fraction of a wet path segment absorbs.
         index[:, WET_PORE].imag *= self._water.filled_fraction
-        known: dict[str, np.ndarray] = {}
+        minerals: dict[str, np.ndarray] = {}
 
         def pure(mineral: str) -> np.ndarray:
-            if mineral not in known:
-                known[mineral] = self.refractive_index[mineral](wavelength_nm)
-            return known[mineral]
+            if mineral not in minerals:
+                minerals[mineral] = self.refractive_index[mineral](wavelength_nm)
+            return minerals[mineral]
 
         if self._water.relative_film_thickness:
             index[:, self.list_materials().index(WATER_FILM)] = pure(WATER)
@@ -317,7 +326,7 @@ class Sand(ContentEquality):
         return index
 
     def describe(self) -> dict[str, Any]:
-        """Return inputs and derived quantities under names fit for dataset attributes."""
+        """Return the inputs and derived quantities as dataset attributes."""
         return describe_inputs(self) | {
             "particle_types": ", ".join(t.name for t in self.composition.particle_types),
             "particle_volume_fractions": self.composition.volume_fractions,

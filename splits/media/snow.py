@@ -31,61 +31,67 @@ from splits.media.natural_snow import describe_grain_shape, is_natural, make_nat
 from splits.media.pore_fluids import PoreFluids, check_other_fluids
 
 MIN_DENSITY_KG_M3 = 1e-12
-"""Least density: a grain in 1e11 m of a ray, far from where numbers end."""
+"""Lower limit of the density: about one grain per 1e11 m of path, well within double precision."""
 
 
 @reject_unknown_keywords
 @accepts_measured_inputs
 @dataclass(frozen=True, eq=False, repr=False)
 class Snow(ContentEquality):
-    """A homogeneous snow sample; the defaults are SPLITSnow Table 1.
+    """Homogeneous snow layer, after SPLITSnow; the defaults are those of its Table 1.
 
-    For snow of which a surface area was measured see `Snow.natural`.
+    `Snow.natural` describes natural snow by its measured specific surface area.
 
     Parameters
     ----------
     grain_size_um : (min, max)
-        Major-axis diameter of the grains (µm), uniform between the two; 1 to 100 000, max at
-        most 1000 min.  "Uniform" is the paper's word for P(s) in its attenuation K1 (Eq A.7),
-        which is that of a number of grains ∝ s⁻⁴ P(s): by number, area and volume of grains
-        sizes go as s⁻⁴, s⁻² and s⁻¹, and none of the three is uniform.
+        Limits of the major-axis diameter of the grains (µm), 1 to 100 000, with max at most
+        1000 min.  The paper calls the size distribution P(s) uniform; its attenuation K1 (Eq A.7)
+        is that of a number density ∝ s⁻⁴ P(s).  The distributions by number, area and volume are
+        then ∝ s⁻⁴, s⁻² and s⁻¹, and none of the three is uniform.
     specific_surface_area_m2_kg, optical_radius_um : float
-        In place of `grain_size_um`: surface area per mass of ice, 0.2 to 2000 m²/kg, or the radius
-        (µm) of the spheres that have it.  Sizes keep the ratio of Table 1's, 1 to 2.5.
+        Replaces `grain_size_um`: surface area per mass of ice, 0.2 to 2000 m²/kg, or the radius
+        (µm) of spheres of the same specific surface area.  The ratio of the largest to the
+        smallest size is that of Table 1, 2.5.
     facetness : (min, max, mean, sd)
-        0 (smooth) to 1; normal with mean and standard deviation within [min, max].
+        Facetness of the grains, 0 (smooth) to 1; a normal distribution truncated to [min, max].
     sphericity : (min, max, mean, sd)
-        Inscribed-circle sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere).
+        Inscribed-circle sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere); a normal distribution
+        truncated to [min, max].
     saturation : float
         Fraction of the pore space filled with water, 0 to 1.  The default sample is wet.
     liquid_water_content : float
-        In place of `saturation`: volume of water per volume of snow, 0 to the porosity.
+        Replaces `saturation`: volume of water per volume of snow, 0 to the porosity.
     pores : mapping, optional
-        Fractions of the pore space filled with other media, by name: ``{"brine": 0.1}``.
-        ``refractive_index`` has to know them.
+        Fractions of the pore space filled with other fluids, by name: ``{"brine": 0.1}``.
+        ``refractive_index`` must define each of them.
     impurities_ng_g : mapping, optional
-        Mass of impurities per mass of ice (ng/g) by kind: ``{"black_carbon": 50}``; kinds and
-        tables of one's own: `splits.materials.impurities.impurities_of`.  They absorb only.
+        Mass of impurities per mass of ice (ng/g) by type: ``{"black_carbon": 50}``; see
+        `splits.materials.impurities.make_impurities` for the types and for user tables.
+        Impurities absorb and do not scatter.
     algae_cells_ml : mapping, optional
-        Cells of "ice_algae" or "snow_algae" per ml of meltwater.
+        Number of cells of "ice_algae" or "snow_algae" per ml of meltwater.
     impurities_in : {"ice", "pores"}
-        Where they are, evenly spread: within the grains, or in all pores between them.
+        Location of the impurities, uniformly mixed into the grains or into the pore space.
     density_kg_m3 : float
-        Mass of ice (water not counted) per volume of snow, from 1e-12 to below the density of ice.
+        Mass of ice per volume of snow (kg/m³), without liquid water; from 1e-12 to below the
+        density of ice.
     temperature_c : float
-        −40 to 0 °C; decides the density of ice.
+        Temperature, −40 to 0 °C; determines the density of ice.
     depth_m : float
-        Thickness of the sample (m), above 0 to 1e4, or infinite for spectra and albedos.  A
-        sample, which may have several layers, must be thicker than its largest grain.
+        Thickness of the layer (m), above 0 to 1e4, or infinite for spectra and albedos.  The
+        whole sample, of one layer or several, must be thicker than its largest grain.
     refractive_index : mapping, optional
-        Per material ("ice", "water", "air") a dataset's name, a complex constant n + kj or a table;
-        see `splits.materials.refractive_index`.  Air, 1 by default, also lies above the sample.
+        Refractive index by material ("ice", "water", "air"): the name of a dataset, a complex
+        constant n + kj or a table; see `splits.materials.refractive_index`.  Air, with an index of
+        1 by default, is also the medium above the sample.
     interpretation : Interpretation, str or mapping, optional
-        Named readings of the papers, or the name of a set: "splitsnow_2021" (default),
+        Interpretation of the papers, or the name of a set: "splitsnow_2021" (default),
         "splits_2007", "geometric" or "radiative_transfer".
     ground : number, str, mapping or path, optional
-        Lambertian ground below: an albedo, "black", the name of a soil, a table; see
-        `splits.media.ground.Ground.from_input`.  By default light leaves below ("open").
+        Lambertian ground below the sample: an albedo, "black", the name of a soil or a table; see
+        `splits.media.ground.Ground.from_input`.  By default light leaves through the lower
+        boundary ("open").
 
     Raises
     ------
@@ -98,7 +104,7 @@ class Snow(ContentEquality):
     --------
     >>> from splits import Snow
     >>> round(Snow(density_kg_m3=450).mean_grain_distance_m, 6)
-    0.000435
+    0.000437
     """
 
     kind = "snow"
@@ -145,10 +151,10 @@ class Snow(ContentEquality):
     natural = classmethod(make_natural_snow)
 
     def __repr__(self) -> str:
-        """Return the snow on one line, as it was given."""
+        """Return the call that constructs the snow, on one line."""
         if is_natural(self):
-            usual = type(self).natural(grain_size_um=self.grain_size_um)
-            inputs = {"grain_size_um": self.grain_size_um, **find_differences(self, usual)}
+            default = type(self).natural(grain_size_um=self.grain_size_um)
+            inputs = {"grain_size_um": self.grain_size_um, **find_differences(self, default)}
             return format_call("Snow.natural", to_shortest_keywords(self, inputs))
         return format_call("Snow", to_shortest_keywords(self, find_differences(self, type(self)())))
 
@@ -179,11 +185,11 @@ class Snow(ContentEquality):
         put("ground", Ground.from_input(self.ground))
         put("depth_m", check_sample_depth(self.depth_m))
         put("interpretation", Interpretation.from_input(self.interpretation))
-        given = self.refractive_index
-        put("pores", check_other_fluids(self.pores, self.saturation, given, ("ice",)))
-        put("refractive_index", make_refractive_indices(("ice", "water"), given, self.pores))
+        indices = self.refractive_index
+        put("pores", check_other_fluids(self.pores, self.saturation, indices, ("ice",)))
+        put("refractive_index", make_refractive_indices(("ice", "water"), indices, self.pores))
         check_choice("impurities_in", self.impurities_in, ("ice", "pores"))
-        # Bad ones are refused here.
+        # Validates the impurities.
         _ = self._impurities
 
     @cached_property
@@ -196,7 +202,7 @@ class Snow(ContentEquality):
         return make_impurities(self.impurities_ng_g, self.algae_cells_ml)
 
     def _comparison_key(self) -> tuple[Hashable, ...]:
-        # A table is what it holds, and not the path that it was read from.
+        # Tables compare by their content, not by the path of the file.
         return (*super()._comparison_key(), frozenset(self._impurities))
 
     @property
@@ -224,17 +230,17 @@ class Snow(ContentEquality):
 
     @property
     def mean_grain_distance_m(self) -> float:
-        """Mean distance between grains along a ray (m), SPLITSnow Eq A.3."""
+        """Mean free path between grains (m), SPLITSnow Eq A.3."""
         return 1.0 / (self.ice_fraction * self.attenuation_per_m)
 
     @property
     def specific_surface_area_m2_kg(self) -> float:
-        """Surface area per mass of ice, 4K/ρ_ice for convex grains (m²/kg)."""
+        """Specific surface area, 4K/ρ_ice for convex grains (m²/kg)."""
         return 4.0 * self.attenuation_per_m / ice_density(self.temperature_c)
 
     @property
     def optical_radius_um(self) -> float:
-        """Radius (µm) of the ice spheres of the same specific surface area, 3/(ρ_ice SSA)."""
+        """Radius of ice spheres of the same specific surface area, 3/(ρ_ice SSA) (µm)."""
         return 3e6 / (ice_density(self.temperature_c) * self.specific_surface_area_m2_kg)
 
     @property
@@ -244,11 +250,11 @@ class Snow(ContentEquality):
 
     @property
     def wet_fraction(self) -> float:
-        """Probability that a leg through pores runs in water."""
+        """Probability that a path segment through the pore space lies in water."""
         return self.saturation
 
     def make_grain_population(self) -> GrainPopulation:
-        """Return the table of particle types: one, of ice."""
+        """Return the grain population: a single type, of ice."""
         sizes = statistics.tabulate_struck_inverse_sizes(
             *self._diameter_limits_m, self.interpretation.size_sampling
         )
@@ -266,28 +272,28 @@ class Snow(ContentEquality):
         )
 
     def list_materials(self) -> tuple[str, ...]:
-        """Return the names of the materials in the rows of index arrays."""
+        """Return the names of the materials, in the order of the columns of index arrays."""
         return (*self.pore_fluids.names, "ice")
 
     @cached_property
     def pore_fluids(self) -> PoreFluids:
-        """What fills the pores."""
+        """Fluids in the pore space."""
         return PoreFluids.from_saturation(self.saturation, self.pores)
 
     @property
     def _ice_column(self) -> int:
-        """Row of ice in index arrays."""
+        """Column of ice in index arrays."""
         return len(self.pore_fluids.names)
 
     def list_interfaces(self) -> list[Interface]:
-        """Return the pairs of materials that meet at surfaces of grains and of the slab."""
+        """Return the optical interfaces at grain surfaces and at the slab boundaries."""
         fresnel = self.interpretation.to_sampling_rules().boundary_fresnel
         return self.pore_fluids.list_grain_interfaces(
             self._ice_column
         ) + self.pore_fluids.list_boundary_interfaces(fresnel)
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return complex refractive indices, shape (wavelengths, materials); 1 if absent."""
+        """Return complex refractive indices, shape (wavelengths, materials); 1 where not given."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
         index = np.ones((wavelength_nm.size, self._ice_column + 1), dtype=complex)
         self.pore_fluids.fill_refractive_indices(index, self.refractive_index, wavelength_nm)
@@ -295,22 +301,24 @@ class Snow(ContentEquality):
         return index
 
     def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return what impurities absorb (1/m), shape (wavelengths, materials)."""
+        """Return the absorption coefficient of impurities (1/m), shape (wavelengths, materials)."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
         added = np.zeros((wavelength_nm.size, self._ice_column + 1))
-        per_ice = sum(one.compute_absorption_per_kg_ice(wavelength_nm) for one in self._impurities)
+        per_ice = sum(
+            impurity.compute_absorption_per_kg_ice(wavelength_nm) for impurity in self._impurities
+        )
         if self.impurities_in == "ice":
             added[:, self._ice_column] = ice_density(self.temperature_c) * per_ice
         else:
-            # Per length of leg: what leaves as much of the impurity along a ray as there is per
-            # mass of ice, of which a ray crosses 1/K (Eq A.5) for every leg.
-            ice_per_leg = 1.0 / (self.attenuation_per_m * compute_mean_free_path_m(self))
-            density = ice_density(self.temperature_c) * ice_per_leg
+            # Per length of path segment in the pores: a ray crosses a length 1/K of ice (Eq A.5)
+            # for every segment, so the impurity per mass of ice is preserved along the ray.
+            ice_per_segment = 1.0 / (self.attenuation_per_m * compute_mean_free_path_m(self))
+            density = ice_density(self.temperature_c) * ice_per_segment
             added[:, : self._ice_column] = np.reshape(density * per_ice, (-1, 1))
         return added
 
     def describe(self) -> dict[str, Any]:
-        """Return inputs and derived quantities under names fit for dataset attributes."""
+        """Return the inputs and derived quantities as dataset attributes."""
         return (
             describe_inputs(self)
             | describe_impurities(self._impurities, self.impurities_in)

@@ -1,4 +1,4 @@
-"""A stack: media of grains on top of one another, as one sample."""
+"""Layered media: a stack of granular layers and particle layers."""
 
 from __future__ import annotations
 
@@ -33,25 +33,26 @@ MAX_LAYERS = 200
 @reject_unknown_keywords
 @dataclass(frozen=True, repr=False)
 class Stack:
-    """Media of grains in order, top first.
+    """Layered medium, top layer first.
 
-    Between them nothing optical stands.  The pore of a leg is drawn once, so it changes at an
-    interface only where saturations differ; there Fresnel's laws act.  A grain belongs to the
-    layer in which a ray meets it, and is kept where it reaches across an interface, so that a
-    medium cut in two answers as the whole.
+    The pore fluid of a path segment is sampled once, so it changes at an interface between two
+    layers only where their saturations differ; Fresnel reflection and refraction act there.  A
+    grain belongs to the layer in which a ray hits it, and is accepted even if it overlaps an
+    interface.  Dividing a layer in two therefore changes no result.
 
     Parameters
     ----------
     layers : sequence of Snow, Sand or ParticleLayer
-        Top first, 1 to 200.  Readings of transport must be the same in all layers of grains; none
-        of them has a ground of its own.  A `StackedParticleLayer` has no bottom here, and a rough surface only
-        as the first.
+        Layers from top to bottom, 1 to 200.  The transport interpretation must be the same in all
+        granular layers, and no layer has a ground of its own.  A `ParticleLayer` has no bottom in a
+        stack; only the top layer may have a rough surface.
     ground : number, str, mapping or path, optional
-        Lambertian ground below: an albedo, "black", the name of a soil, a table; see
-        `splits.media.ground.Ground.from_input`.  By default light leaves below ("open").
+        Lambertian ground below the stack: an albedo, "black", the name of a soil or a table; see
+        `splits.media.ground.Ground.from_input`.  By default light leaves through the lower
+        boundary ("open").
     interpretation : str, optional
-        Name of a set of readings, see `splits.media.interpretations.INTERPRETATION_SETS`, that all layers of grains take
-        in place of their own: snow and sand have different ones by default.
+        Name of a set of `splits.media.interpretations.INTERPRETATION_SETS`.  It replaces the
+        interpretation of all granular layers; the defaults of snow and sand differ.
 
     Raises
     ------
@@ -86,56 +87,65 @@ class Stack:
                     StackedParticleLayer(layer, number == 0)
                 continue
             if isinstance(layer, type) or not isinstance(layer, GranularMedium):
-                given = getattr(layer, "kind", layer)
-                near = suggest_name(str(given).capitalize(), ["Snow", "Sand", "ParticleLayer"])
+                kind = getattr(layer, "kind", layer)
+                hint = suggest_name(
+                    str(kind).title().replace("_", ""), ["Snow", "Sand", "ParticleLayer"]
+                )
                 allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
-                raise invalid(f"layers[{number}]", given, allowed, near)
+                raise invalid(f"layers[{number}]", kind, allowed, hint)
             if layer.depth_m == math.inf and number < len(layers) - 1:
-                hint = "only the lowest layer has no end"
+                hint = "only the lowest layer may be infinite"
                 raise invalid(f"layers[{number}].depth_m", math.inf, "finite", hint)
             if layer.ground is not None:
                 hint = "give it to the stack"
                 raise invalid(f"layers[{number}].ground", layer.ground.name, "left out", hint)
         if self.interpretation is not None:
             layers = tuple(self._apply_interpretation(layer) for layer in layers)
-        grains = [(i, one) for i, one in enumerate(layers) if not isinstance(one, ParticleLayer)]
-        for number, layer in grains:
-            top, first = grains[0]
+        granular_layers = [
+            (i, layer_i)
+            for i, layer_i in enumerate(layers)
+            if not isinstance(layer_i, ParticleLayer)
+        ]
+        for number, layer in granular_layers:
+            first_number, first = granular_layers[0]
             if layer.interpretation.to_transport_dict() != first.interpretation.to_transport_dict():
                 raise invalid(
                     f"layers[{number}].interpretation", layer.interpretation.as_dict(),
-                    f"those of layers[{top}], {first.interpretation.as_dict()}",
-                    "one set holds for all: Stack(..., interpretation='radiative_transfer')",
+                    f"those of layers[{first_number}], {first.interpretation.as_dict()}",
+                    "one set applies to all: Stack(..., interpretation='radiative_transfer')",
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.from_input(self.ground))
 
     def __repr__(self) -> str:
-        """Return the stack, a layer to a line, as it was given."""
+        """Return the call that constructs the stack, with one layer per line."""
         inputs = {"ground": self.ground, "interpretation": self.interpretation}
-        ends = [
+        keywords = [
             f", {key}={format_value(value)}" for key, value in inputs.items() if value is not None
         ]
-        lines = ["Stack([", *(f"    {layer!r}," for layer in self.layers), f"]{''.join(ends)})"]
+        lines = ["Stack([", *(f"    {layer!r}," for layer in self.layers), f"]{''.join(keywords)})"]
         return "\n".join(lines)
 
     def _apply_interpretation(
         self, layer: GranularMedium | ParticleLayer
     ) -> GranularMedium | ParticleLayer:
-        """Return a layer with the stack's readings."""
+        """Return a layer with the interpretation of the stack."""
         if isinstance(layer, ParticleLayer):
             return layer
-        own: Any = layer.interpretation
-        chosen = INTERPRETATION_SETS[
+        own_interpretation: Any = layer.interpretation
+        choices = INTERPRETATION_SETS[
             check_choice("interpretation", self.interpretation, INTERPRETATION_SETS)
         ]
         return replace(
-            cast(Any, layer), interpretation=type(own).from_input({**own.as_dict(), **chosen})
+            cast(Any, layer),
+            interpretation=type(own_interpretation).from_input(
+                {**own_interpretation.as_dict(), **choices}
+            ),
         )
 
     @cached_property
     def scene_layers(self) -> tuple[GranularMedium | StackedParticleLayer, ...]:
-        """The layers as scenes take them."""
+        """Layers in the form scenes take."""
         return tuple(
             StackedParticleLayer(layer, number == 0) if isinstance(layer, ParticleLayer) else layer
             for number, layer in enumerate(self.layers)
@@ -143,16 +153,16 @@ class Stack:
 
     @property
     def depth_m(self) -> float:
-        """Thickness of all layers together (m)."""
-        return float(np.cumsum([part.depth_m for part in self.scene_layers])[-1])
+        """Total thickness (m)."""
+        return float(np.cumsum([layer.depth_m for layer in self.scene_layers])[-1])
 
     @property
     def largest_grain_m(self) -> float:
         """Diameter of the largest grain of all layers (m)."""
-        return max(part.largest_grain_m for part in self.scene_layers)
+        return max(layer.largest_grain_m for layer in self.scene_layers)
 
     def list_materials(self) -> tuple[str, ...]:
-        """Return the names of the materials, layer by layer."""
+        """Return the names of the materials of each layer in turn."""
         return tuple(
             f"layers.{number}.{name}"
             for number, layer in enumerate(self.scene_layers)
@@ -160,50 +170,54 @@ class Stack:
         )
 
     def list_interfaces(self) -> list[Interface]:
-        """Return the pairs of materials that meet within each layer, and at faces of particles'."""
-        found = []
-        first = np.cumsum([0, *(len(part.list_materials()) for part in self.scene_layers)]).tolist()
+        """Return the optical interfaces within layers and at their boundaries."""
+        interfaces = []
+        first_columns = np.cumsum(
+            [0, *(len(scene_layer.list_materials()) for scene_layer in self.scene_layers)]
+        ).tolist()
         for number, layer in enumerate(self.scene_layers):
-            found += [
+            interfaces += [
                 Interface(
-                    i.fraction,
-                    i.outer_material + first[number],
-                    i.inner_material + first[number],
-                    i.location,
+                    interface.fraction,
+                    interface.outer_material + first_columns[number],
+                    interface.inner_material + first_columns[number],
+                    interface.location,
                     number,
                 )
-                for i in layer.list_interfaces()
+                for interface in layer.list_interfaces()
             ]
         for upper, lower in pairwise(range(len(self.scene_layers))):
-            for one, other in ((upper, lower), (lower, upper)):
-                found += self._list_boundary_interfaces(one, other, first)
-        return found
+            for number_a, number_b in ((upper, lower), (lower, upper)):
+                interfaces += self._list_boundary_interfaces(number_a, number_b, first_columns)
+        return interfaces
 
     def _list_boundary_interfaces(
         self, number: int, neighbour_number: int, first_columns: list[int]
     ) -> list[Interface]:
-        """Return what the pores of one layer of grains have in common with its neighbour."""
-        grains, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
-        if isinstance(grains, StackedParticleLayer):
+        """Return the interfaces between the pores of a granular layer and its neighbour."""
+        layer, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
+        if isinstance(layer, StackedParticleLayer):
             return []
-        shares = PoreFluids.from_saturation(grains.wet_fraction, grains.pores).fractions
-        matrix = isinstance(neighbour, StackedParticleLayer)
-        if not matrix and not grains.interpretation.to_sampling_rules().boundary_fresnel:
+        fractions = PoreFluids.from_saturation(layer.wet_fraction, layer.pores).fractions
+        faces_matrix = isinstance(neighbour, StackedParticleLayer)
+        if not faces_matrix and not layer.interpretation.to_sampling_rules().boundary_fresnel:
             return []
-        # Air and water of two layers of grains may have tables of their own.
+        # Air and water of two granular layers may have different tables.
         rows = [
-            (r, WET_PORE if matrix else r) for r in range(len(shares)) if matrix or r <= WET_PORE
+            (r, WET_PORE if faces_matrix else r)
+            for r in range(len(fractions))
+            if faces_matrix or r <= WET_PORE
         ]
         return [
             Interface(
-                shares[row],
-                first_columns[neighbour_number] + beyond,
+                fractions[row],
+                first_columns[neighbour_number] + neighbour_row,
                 first_columns[number] + row,
                 "face",
                 number,
             )
-            for row, beyond in rows
-            if shares[row] > 0.0
+            for row, neighbour_row in rows
+            if fractions[row] > 0.0
         ]
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
@@ -213,11 +227,11 @@ class Stack:
         )
 
     def describe(self) -> dict[str, Any]:
-        """Return inputs and derived quantities of all layers, for a dataset's attributes."""
-        facts: dict[str, Any] = {"depth_m": self.depth_m}
+        """Return the inputs and derived quantities of all layers as dataset attributes."""
+        attrs: dict[str, Any] = {"depth_m": self.depth_m}
         for number, layer in enumerate(self.scene_layers):
-            facts[f"layers_{number}_kind"] = self.layers[number].kind
-            described = layer.describe()
-            described.pop("ground", None)
-            facts |= {f"layers_{number}_{key}": value for key, value in described.items()}
-        return facts | describe_ground(self.ground)
+            attrs[f"layers_{number}_kind"] = self.layers[number].kind
+            layer_attrs = layer.describe()
+            layer_attrs.pop("ground", None)
+            attrs |= {f"layers_{number}_{key}": value for key, value in layer_attrs.items()}
+        return attrs | describe_ground(self.ground)

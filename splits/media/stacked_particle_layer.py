@@ -1,4 +1,4 @@
-"""A layer of small particles as a part of a stack."""
+"""Particle layer within a stack."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from splits.media.particle_layer import ParticleLayer
 
 UNSUPPORTED_IN_STACK = {
     "bottom_albedo": (None, "the stack's ground is below all layers: bottom_albedo=None"),
-    "surface": (None, "only the top of a stack is rough"),
-    "polarized": (False, "stacks know no polarization"),
-    "opaque": (False, "light comes back from all layers of a stack"),
+    "surface": (None, "only the top layer of a stack may be rough"),
+    "polarized": (False, "stacks do not support polarization"),
+    "opaque": (False, "all layers of a stack scatter light"),
 }
-"""Settings that a layer of a stack has not, what they must be, and why."""
+"""Settings that are not supported in a stack, with the required value and the reason."""
 
 
 @dataclass(frozen=True)
 class StackedParticleLayer:
-    """What a `splits.ParticleLayer` hands to a scene of several layers.
+    """Particle layer in the form that scenes of several layers take.
 
-    Its matrix takes the place of pores that are all wet, with air outside: so it meets its
-    neighbours at Fresnel faces where their indices differ.
+    The matrix replaces the water of a fully saturated pore space, with air outside.  Fresnel
+    reflection and refraction act at its boundaries where the index of the neighbour differs.
 
     Parameters
     ----------
     layer : ParticleLayer
     is_top : bool
-        Whether it is the first of the stack, and may have a rough surface.
+        Whether it is the top layer of the stack, which may have a rough surface.
 
     Raises
     ------
     ValueError
-        If it has a bottom, a rough surface where it is not the top, polarization or no end.
+        If the layer has a bottom, polarization or infinite thickness, or is rough below the top.
     """
 
     layer: ParticleLayer
@@ -49,10 +49,10 @@ class StackedParticleLayer:
     largest_grain_m = 0.0
 
     def __post_init__(self) -> None:
-        for name, (allowed, why) in UNSUPPORTED_IN_STACK.items():
-            given = getattr(self.layer, name)
-            if given != allowed and not (name == "surface" and self.is_top):
-                raise invalid(name, given, "left out" if allowed is None else "false", why)
+        for name, (allowed, reason) in UNSUPPORTED_IN_STACK.items():
+            value = getattr(self.layer, name)
+            if value != allowed and not (name == "surface" and self.is_top):
+                raise invalid(name, value, "left out" if allowed is None else "false", reason)
         if self.layer.optical_thickness == math.inf:
             raise invalid("optical_thickness", math.inf, "finite", "other layers lie below")
 
@@ -62,15 +62,15 @@ class StackedParticleLayer:
         return float(self.layer.depth_m)
 
     def make_height_fields(self) -> HeightFields | None:
-        """Return its rough surface as kernels take it, None where it is smooth."""
+        """Return the rough surface in the form the kernels take, or None for a smooth surface."""
         return self.layer.make_height_fields()
 
     def list_materials(self) -> tuple[str, ...]:
-        """Return the names of the materials in the rows of index arrays."""
+        """Return the names of the materials, in the order of the columns of index arrays."""
         return ("air", "matrix")
 
     def list_interfaces(self) -> Sequence[Interface]:
-        """Return none: the index is the same at all wavelengths."""
+        """Return no interfaces: the refractive index does not depend on wavelength."""
         return ()
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
@@ -81,23 +81,23 @@ class StackedParticleLayer:
         return index
 
     def describe(self) -> dict[str, Any]:
-        """Return all inputs under names fit for dataset attributes."""
+        """Return all inputs as dataset attributes."""
         return self.layer.describe()
 
 
 @dataclass(frozen=True)
 class AbsorbingMatrixLayer(StackedParticleLayer):
-    """A layer of particles that scatter, in a matrix that absorbs in their place.
+    """Layer of conservative particles in an absorbing matrix.
 
-    Absorption along the path and at particles is the same to light.  Lengths of paths then tell
-    what is absorbed between any two depths.
+    Absorption at particles is equivalent to absorption along the path.  With the latter, path
+    lengths give the absorption between any two depths.
 
     Parameters
     ----------
     absorption_per_m : float
         Absorption coefficient of the matrix (1/m).
     outer_index : float
-        Refractive index outside the layer.
+        Refractive index of the medium outside the layer.
     """
 
     absorption_per_m: float = 0.0
@@ -105,7 +105,7 @@ class AbsorbingMatrixLayer(StackedParticleLayer):
 
     @classmethod
     def from_particle_layer(cls, stacked_layer: StackedParticleLayer) -> AbsorbingMatrixLayer:
-        """Return the layer that is the same to light as one of absorbing particles."""
+        """Return the layer that is equivalent to one of absorbing particles."""
         layer = stacked_layer.layer
         albedo = layer.single_scattering_albedo
         thickness = albedo * layer.optical_thickness
@@ -119,7 +119,7 @@ class AbsorbingMatrixLayer(StackedParticleLayer):
         return index
 
     def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return what the matrix absorbs (1/m), shape (wavelengths, 2)."""
+        """Return the absorption coefficient of the matrix (1/m), shape (wavelengths, 2)."""
         added = np.zeros((np.size(wavelength_nm), 2))
         added[:, WET_PORE] = self.absorption_per_m
         return added

@@ -1,1 +1,1 @@
-"""Look-up tables: spectra over a grid of parameters, from as few paths as serve them all."""
+"""Look-up tables: spectra over a grid of parameters, with path reuse between its points."""

@@ -1,4 +1,4 @@
-"""The axes of a table: parameters, and the values that each of them takes."""
+"""Axes of a table: parameters and their values."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from splits.core.validation import as_scalar, format_key, invalid, unknown_key
 
 INCIDENCE = "incidence_deg"
 AXIS_ALIASES = {"sza": INCIDENCE}
-"""Names that stand for those of axes."""
+"""Short names of axes."""
 MAX_SPECTRA = 100_000_000
 
 
 class ParameterGrid(NamedTuple):
-    """Parameters and their values: increasing numbers, or texts.
+    """Grid of parameters, each with increasing numbers or text values.
 
     Attributes
     ----------
@@ -34,21 +34,21 @@ class ParameterGrid(NamedTuple):
 
     @classmethod
     def from_mapping(cls, grid: Any) -> ParameterGrid:
-        """Return the axes of a user's grid, or refuse it.
+        """Return the grid for a user's mapping.
 
         Parameters
         ----------
         grid : mapping
-            From parameters to rows of different values: numbers, or texts such as "diffuse" and the
+            Sequence of distinct values by parameter: numbers, or text such as "diffuse" and the
             names of soils.
 
         Raises
         ------
         ValueError
-            For an empty row, values given twice, numbers among texts, or numbers in no order.
+            For an empty axis, duplicate values, mixed numbers and text, or unordered numbers.
         """
         if not isinstance(grid, Mapping) or not grid:
-            raise invalid("grid", grid, "a mapping from parameters to rows of values")
+            raise invalid("grid", grid, "a mapping from parameters to lists of values")
         axes = cls(
             tuple(map(str, grid)), tuple(_check_grid_axis(str(k), v) for k, v in grid.items())
         )
@@ -58,78 +58,85 @@ class ParameterGrid(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """How many values each axis has."""
+        """Number of values of each axis."""
         return tuple(len(row) for row in self.values)
 
     @property
     def size(self) -> int:
-        """How many spectra the table has."""
+        """Number of points of the grid."""
         return math.prod(self.shape)
 
     def drop(self, name: str) -> ParameterGrid:
-        """Return all axes but one, which need not be there."""
+        """Return the grid without an axis, which need not exist."""
         kept = [(n, row) for n, row in zip(*self, strict=True) if n != name]
         return ParameterGrid(tuple(n for n, _ in kept), tuple(row for _, row in kept))
 
     def get_values(self, name: str, default: Any) -> tuple[Any, ...]:
-        """Return the values of an axis, or one value where there is no such axis."""
+        """Return the values of an axis, or the default if there is no such axis."""
         return self.values[self.names.index(name)] if name in self.names else (default,)
 
     def iterate_points(self) -> Iterator[dict[str, Any]]:
-        """Yield the parameters of every point, the last axis running fastest."""
+        """Yield the parameters of every point; the last axis varies fastest."""
         for values in itertools.product(*self.values):
             yield dict(zip(self.names, values, strict=True))
 
     def to_coordinates(self) -> dict[str, Any]:
-        """Return the axes as coordinates of a dataset, numbers with their units."""
+        """Return the axes as dataset coordinates with long names and units."""
         return {name: (name, *_make_coordinate(name, row)) for name, row in zip(*self, strict=True)}
 
 
 def check_axis_values(
     at: Any, axes: Iterable[str], prefix: str = "", *, free_axes: Iterable[str] = ()
 ) -> dict[str, Any]:
-    """Return values of axes under the axes' own names, or refuse them.
+    """Return values by full axis name.
 
     Parameters
     ----------
     at : mapping or None
-        From axes, or what is short for them, to values.
+        Values by axis; short names are accepted.
     axes : iterable of str
-        Those that there are.
+        Axes of the table.
     prefix : str
-        Where the values stand, as messages show it before a name: "at.".
+        Prefix of names in error messages, such as "at.".
     free_axes : iterable of str
-        Axes that have no value.
+        Axes that must not be given a value.
+
+    Raises
+    ------
+    ValueError
+        For an unknown or free axis, or an axis given twice.
     """
     if not isinstance(at, Mapping | None):
         raise invalid(prefix.rstrip("."), at, "a mapping from axes to values")
-    known, found = list(axes), {}
+    axis_names, values = list(axes), {}
     for name, value in (at or {}).items():
-        own = name if name in known else AXIS_ALIASES.get(name, name)
-        if own not in known:
-            raise unknown_key(f"{prefix}{name}", known)
-        if own in found:
-            other = (
-                own
-                if name != own
-                else next(short for short in AXIS_ALIASES if AXIS_ALIASES[short] == own)
+        axis = name if name in axis_names else AXIS_ALIASES.get(name, name)
+        if axis not in axis_names:
+            raise unknown_key(f"{prefix}{name}", axis_names)
+        if axis in values:
+            other_name = (
+                axis
+                if name != axis
+                else next(alias for alias in AXIS_ALIASES if AXIS_ALIASES[alias] == axis)
             )
-            raise invalid(f"{prefix}{name}", value, f"left out beside {prefix}{other}, the same")
-        if own in free_axes:
+            raise invalid(
+                f"{prefix}{name}", value, f"left out beside {prefix}{other_name}, the same"
+            )
+        if axis in free_axes:
             raise invalid(f"{prefix}{name}", value, "left out, as it is free")
-        found[own] = value
-    return found
+        values[axis] = value
+    return values
 
 
 def list_numeric_axes(dataset: Any, names: Iterable[str]) -> list[str]:
-    """Return the axes of a table that are of several numbers."""
+    """Return the numeric axes of a table with more than one node."""
     return [n for n in names if dataset[n].dtype.kind == "f" and dataset[n].size > 1]
 
 
 def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
-    """Return the values of an axis, or refuse them."""
+    """Return the validated values of an axis."""
     key = f"grid.{format_key(name)}"
-    allowed = "a row of different values, numbers or texts"
+    allowed = "a list of different values, numbers or text"
     if isinstance(values_given, str | Mapping | Set) or not isinstance(values_given, Iterable):
         raise invalid(key, values_given, allowed)
     values = [as_scalar(value) for value in values_given]
@@ -137,7 +144,7 @@ def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
         raise invalid(key, values, allowed)
     if any(isinstance(value, str) for value in values):
         if not all(isinstance(value, str) for value in values):
-            hint = "not both in one axis: one reads between numbers"
+            hint = "not both in one axis: only numbers are interpolated"
             raise invalid(key, values, allowed, hint)
         if len(set(values)) < len(values):
             raise invalid(key, values, allowed)
@@ -150,7 +157,7 @@ def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
 
 
 def _make_coordinate(name: str, axis_values: tuple[Any, ...]) -> tuple[np.ndarray, dict[str, str]]:
-    """Return the values of an axis and what they are."""
+    """Return the values of an axis with its long name and units."""
     long_name, units = describe_parameter(name)
     values = np.array(axis_values)
     if values.dtype.kind != "f":

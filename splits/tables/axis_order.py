@@ -1,4 +1,4 @@
-"""Tables in order: what passed through other hands has its axes ascending again, or is refused."""
+"""Validation of tables: ascending axes and complete values."""
 
 from __future__ import annotations
 
@@ -11,9 +11,14 @@ from splits.core.validation import invalid
 
 
 def sort_axes(dataset: Any) -> xr.Dataset:
-    """Return a table whose axes of numbers ascend, the wavelength last, or refuse it.
+    """Return a table with ascending numeric axes and the wavelength as the last axis.
 
-    Selections, sorting, transposing and conversions leave tables as xarray has them.
+    Tables that were sliced, sorted, transposed or converted with xarray are accepted.
+
+    Raises
+    ------
+    ValueError
+        If the dataset is not a table, or an axis is missing or invalid.
     """
     allowed = "what splits.build_table returned, or wrote"
     if not isinstance(dataset, xr.Dataset):
@@ -34,10 +39,10 @@ def sort_axes(dataset: Any) -> xr.Dataset:
 
 
 def _sort_axis(dataset: xr.Dataset, name: str) -> xr.Dataset:
-    """Return a table with one axis in order, its numbers as floats."""
+    """Return a table with one axis sorted and its numbers as floats."""
     if name not in dataset.coords:
         raise invalid(f"table.{name}", None, "given: the values of the axis")
-    # Whatever holds them: pandas has objects.
+    # Axes converted by pandas may have the dtype object.
     values = np.array(dataset[name].values.tolist())
     text = values.dtype.kind in "OUS"
     if not text and not (values.dtype.kind in "iuf" and np.isfinite(values).all()):
@@ -51,8 +56,8 @@ def _sort_axis(dataset: xr.Dataset, name: str) -> xr.Dataset:
 
 
 def check_complete(dataset: xr.Dataset) -> None:
-    """Refuse a table that lacks values."""
+    """Check that a table has a value at every node."""
     for name, variable in dataset.data_vars.items():
         if variable.dtype.kind == "f" and not np.isfinite(variable).all():
-            hint = "aligning or reindexing leaves gaps: select the nodes that there are"
+            hint = "aligning or reindexing leaves gaps: select existing nodes"
             raise invalid(f"table.{name}", np.nan, "a number at every node", hint)

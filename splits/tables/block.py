@@ -1,4 +1,4 @@
-"""A block of a table: what one ensemble of paths tells of all points that it serves."""
+"""Block of a table: the spectra of all points that share an ensemble of paths."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ DIGEST_ATTRIBUTE = "table_digest"
 
 
 class TableRequest(NamedTuple):
-    """How a table is to be measured.
+    """Request for a table.
 
     Attributes
     ----------
-    spectral_request : Run
-        But for the incidence, which is each ensemble's own.
+    spectral_request : SpectralRequest
+        Request for spectra; each ensemble sets its own incidence.
     quantities : tuple of str
-        Of `SIDE_QUANTITIES`.
+        Some of `SIDE_QUANTITIES`.
     covariance : bool
-        Whether deviations by batch of rays are kept.
+        Whether deviations by batch of rays are stored.
     """
 
     spectral_request: SpectralRequest
@@ -39,7 +39,7 @@ class TableRequest(NamedTuple):
 
 
 class TruncationCache:
-    """Cuts of deep packs, which do not depend on the incidence: each family's is kept."""
+    """Cache of the truncation of semi-infinite media, which does not depend on the incidence."""
 
     def __init__(self) -> None:
         self._path_sharing: PathSharingMedia | None = None
@@ -48,7 +48,7 @@ class TruncationCache:
     def get(
         self, spectral_request: SpectralRequest, path_sharing: PathSharingMedia
     ) -> TruncatedMedium | None:
-        """Return the cut of a family; that of the last one asked for is at hand."""
+        """Return the truncated medium of path-sharing media; the last one is cached."""
         if path_sharing is not self._path_sharing:
             self._path_sharing, self._truncation = (
                 path_sharing,
@@ -64,70 +64,74 @@ def compute_block(
     digest: str,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Return a block: values and errors over ``point`` and ``wavelength``.
+    """Compute a block: values and standard errors over ``point`` and ``wavelength``.
 
     Parameters
     ----------
-    path_group : Ensemble
+    path_group : PathGroup
     request : TableRequest
     truncations : TruncationCache
     digest : str
-        Of all that decides the table's numbers.
+        Digest of all inputs of the block, see `splits.tables.build.compute_block_digest`.
     progress : callable, optional
     """
-    begun = time.perf_counter()
-    run = request.spectral_request._replace(incidence=path_group.incidence)
-    cut = truncations.get(run, path_group.path_sharing)
-    found = run.estimate_truncated(cut, path_group.path_sharing, progress=progress).estimate
-    shape = (len(path_group.path_sharing.media), run.wavelengths.size)
+    start_time = time.perf_counter()
+    spectral_request = request.spectral_request._replace(incidence=path_group.incidence)
+    truncation = truncations.get(spectral_request, path_group.path_sharing)
+    estimate = spectral_request.estimate_truncated(
+        truncation, path_group.path_sharing, progress=progress
+    ).estimate
+    shape = (len(path_group.path_sharing.media), spectral_request.wavelengths.size)
     variables: dict[str, Any] = {}
     for side in request.quantities:
         row = SIDE_QUANTITIES.index(side)
-        for name, table in ((side, found.mean), (f"{side}_stderr", found.stderr)):
-            values = table[row].reshape(shape)[path_group.media_indices]
+        for name, array in ((side, estimate.mean), (f"{side}_stderr", estimate.stderr)):
+            values = array[row].reshape(shape)[path_group.media_indices]
             variables[name] = (("point", "wavelength"), values.astype(np.float32))
         if request.covariance:
-            groups = found.batch_deviations[:, row].reshape(N_BATCHES, *shape)[
+            deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)[
                 :, path_group.media_indices
             ]
             variables[f"{side}_batches"] = (
-                ("batch", "point", "wavelength"), groups.astype(np.float32),
+                ("batch", "point", "wavelength"), deviations.astype(np.float32),
             )  # fmt: skip
-    facts = {
+    attrs = {
         **make_provenance("block of a table"),
         DIGEST_ATTRIBUTE: digest,
         "ensemble": path_group.number,
-        "rays": found.n_rays,
-        "max_stderr_reached": float(found.stderr.max()),
-        "interpolation_error_bound": float(found.interpolation_error.max()),
-        "kernel": found.kernel,
-        "stop_reason": "converged" if found.converged else "max_rays",
-        "wall_time_s": round(time.perf_counter() - begun, 3),
+        "rays": estimate.n_rays,
+        "max_stderr_reached": float(estimate.stderr.max()),
+        "interpolation_error_bound": float(estimate.interpolation_error.max()),
+        "kernel": estimate.kernel,
+        "stop_reason": "converged" if estimate.converged else "max_rays",
+        "wall_time_s": round(time.perf_counter() - start_time, 3),
     }
-    places = ("point", path_group.positions, {"long_name": "place in the table"})
-    return xr.Dataset(variables, {"point": places, "wavelength": run.wavelengths}, facts)
+    point_coordinate = ("point", path_group.positions, {"long_name": "flat index in the table"})
+    return xr.Dataset(
+        variables, {"point": point_coordinate, "wavelength": spectral_request.wavelengths}, attrs
+    )
 
 
 def make_block_path(folder: Path, number: int, digest: str) -> Path:
-    """Return where a block is kept; one of another digest has another place."""
+    """Return the path of a block file, which depends on the digest."""
     return folder / f"block_{number:06d}_{digest[:16]}.nc"
 
 
 def load_block(folder: Path, number: int, digest: str) -> xr.Dataset | None:
-    """Return a block that was kept, None where there is none, or one that is of no use."""
+    """Return a stored block, or None if it is missing, damaged or of another digest."""
     path = make_block_path(folder, number, digest)
     if not path.exists():
         return None
     try:
         block = load(path)
     except ValueError:
-        # Damaged, or of another program: it is measured again, and written over.
+        # A damaged or foreign file is computed again and overwritten.
         return None
     return block if block.attrs.get(DIGEST_ATTRIBUTE) == digest else None
 
 
 def save_block(block: xr.Dataset, folder: Path) -> None:
-    """Write a block, whole or not at all."""
+    """Write a block to its file atomically."""
     save(
         block, make_block_path(folder, int(block.attrs["ensemble"]), block.attrs[DIGEST_ATTRIBUTE])
     )

@@ -1,4 +1,4 @@
-"""Tables of spectra over a grid of parameters."""
+"""Computation of tables of spectra over a grid of parameters."""
 
 from __future__ import annotations
 
@@ -49,46 +49,46 @@ def build_table(
     kernel: str = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure spectra over a grid of parameters, from as few paths as serve them all.
+    """Compute a table of spectra over a grid of parameters.
 
-    Points that differ only in what absorbs, in the ground, or, in packs without end, in size share
-    one ensemble of paths; which these are is found from the media themselves.
+    Points that differ only in absorption, in the ground or, for semi-infinite media, in grain size
+    share one ensemble of paths.  These points are identified from the media.
 
     Parameters
     ----------
     make : callable
-        Takes the parameters of a point as keywords and returns its medium: `splits.Snow.natural`,
-        or a function of your own.
+        Function that returns the medium of a point for its parameters as keywords, such as
+        `splits.Snow.natural` or a user's function.
     grid : mapping
-        From parameters to their values: increasing numbers, or texts.  ``incidence_deg`` may be
-        one of them: degrees, or "diffuse".
+        Values by parameter: increasing numbers, or text.  ``incidence_deg`` may be one of the
+        parameters, in degrees or "diffuse".
     wavelength_nm : array_like
-        Strictly increasing vacuum wavelengths (nm).
+        Vacuum wavelengths (nm), strictly increasing.
     incidence_deg : float or "diffuse"
-        Where the grid has no such axis.
+        Angle of incidence (degrees), unless it is an axis of the grid.
     max_stderr, seed, max_rays, threads, kernel
-        As for `splits.spectrophotometer`; the error is reached in every cell, and `max_rays` is
-        the limit of an ensemble.
+        As for `splits.spectrophotometer`.  `max_stderr` applies to every node of the table, and
+        `max_rays` to each ensemble.
     quantities : sequence of str
-        Of "reflectance" and "transmittance".
+        Quantities of the table: "reflectance" and "transmittance".
     covariance : bool
-        Whether ``…_batches`` are kept, 32 deviations by batch of rays for each value: sums of
-        products are covariances of cells that share paths.
+        Whether to store ``…_batches``, 32 deviations by batch of rays for each value.  Sums of
+        products over batches are the covariances of values that share paths.
     folder : path, optional
-        Keeps what has been measured, ensemble by ensemble.  A run that was broken off goes on
-        from there, and gives the same numbers.
+        Folder in which each ensemble is stored when it is complete.  An interrupted run resumes
+        from there with the same results.
     progress : callable or bool, optional
-        As for `splits.spectrophotometer`, of the whole table.
+        As for `splits.spectrophotometer`, for the whole table.
 
     Returns
     -------
     xarray.Dataset
-        Values and errors, float32, over the axes of the grid and ``wavelength``.
+        Values and standard errors (float32) over the axes of the grid and ``wavelength``.
 
     Raises
     ------
     ValueError
-        For a value outside its range; names the point of the grid that cannot be.
+        For a value outside its range; the message names the point of the grid.
 
     Examples
     --------
@@ -102,43 +102,48 @@ def build_table(
     >>> dict(found.reflectance.sizes)
     {'optical_radius_um': 3, 'incidence_deg': 2, 'wavelength': 2}
     """
-    begun = time.perf_counter()
-    run = SpectralRequest.from_arguments(
+    start_time = time.perf_counter()
+    spectral_request = SpectralRequest.from_arguments(
         wavelength_nm, 0.0, max_stderr, seed, max_rays, threads, kernel
     )
-    order = TableRequest(run, _check_quantities(quantities), bool(covariance))
+    request = TableRequest(spectral_request, _check_quantities(quantities), bool(covariance))
     plan = TablePlan.from_grid(
-        make, ParameterGrid.from_mapping(grid), run.wavelengths, incidence_deg
+        make, ParameterGrid.from_mapping(grid), spectral_request.wavelengths, incidence_deg
     )
-    place = None if folder is None else expand_path(folder, "folder")
-    found = allocate_arrays(plan, order)
-    facts = []
-    for block in iterate_blocks(order, plan.path_groups, place, progress):
-        insert_block(found, block)
-        facts.append(block.attrs)
-    return assemble_dataset(found, plan, order, facts, time.perf_counter() - begun)
+    block_folder = None if folder is None else expand_path(folder, "folder")
+    arrays = allocate_arrays(plan, request)
+    block_attrs = []
+    for block in iterate_blocks(request, plan.path_groups, block_folder, progress):
+        insert_block(arrays, block)
+        block_attrs.append(block.attrs)
+    return assemble_dataset(arrays, plan, request, block_attrs, time.perf_counter() - start_time)
 
 
 def _check_quantities(quantities: Sequence[str]) -> tuple[str, ...]:
-    """Return quantities of a table, or refuse them."""
+    """Return the validated quantities of a table."""
     if isinstance(quantities, str) or not quantities or len(set(quantities)) < len(quantities):
         raise invalid("quantities", quantities, f"a list of {' and '.join(SIDE_QUANTITIES)}")
     return tuple(check_choice("quantities", name, SIDE_QUANTITIES) for name in quantities)
 
 
 def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:
-    """Return the SHA-256 of all that decides a block's numbers."""
+    """Return the SHA-256 of all inputs that determine the values of a block."""
     digest = hashlib.sha256(hash_physics_sources().encode())
-    run = request.spectral_request._replace(incidence=path_group.incidence, threads=0)
-    digest.update(repr(run._replace(wavelengths=np.zeros(0))).encode())
+    spectral_request = request.spectral_request._replace(incidence=path_group.incidence, threads=0)
+    digest.update(repr(spectral_request._replace(wavelengths=np.zeros(0))).encode())
     digest.update(repr([request.quantities, request.covariance]).encode())
-    likely, unit = compute_path_signature(path_group.path_sharing.media[0])
-    digest.update(likely)
+    signature, unit = compute_path_signature(path_group.path_sharing.media[0])
+    digest.update(signature)
     sizes = unit * path_group.path_sharing.size_ratios
-    for row in (run.wavelengths, path_group.positions, path_group.media_indices, sizes):
+    for row in (
+        spectral_request.wavelengths,
+        path_group.positions,
+        path_group.media_indices,
+        sizes,
+    ):
         digest.update(np.ascontiguousarray(row).tobytes())
     for medium in path_group.path_sharing.media:
-        digest.update(compute_absorption_signature(medium, run.wavelengths))
+        digest.update(compute_absorption_signature(medium, spectral_request.wavelengths))
     return digest.hexdigest()
 
 
@@ -148,30 +153,32 @@ def iterate_blocks(
     folder: Path | None,
     progress: ProgressCallback = None,
 ) -> Iterator[xr.Dataset]:
-    """Yield blocks of a table, those kept in a folder as they are, others measured and kept.
+    """Yield the blocks of a table, loaded from a folder or computed and stored there.
 
     Parameters
     ----------
     request : TableRequest
-    path_groups : sequence of Ensemble
-        Of a plan, all or some.
+    path_groups : sequence of PathGroup
+        All or some path groups of a plan.
     folder : path or None
     progress : callable, optional
-        Told of the whole.
+        Callback for the progress of the whole table.
     """
     if folder is not None:
         check_writable(folder / "block.nc")
-    begun, cuts, measured = time.perf_counter(), TruncationCache(), 0
-    for number, ensemble in enumerate(path_groups):
-        digest = compute_block_digest(ensemble, request)
-        block = None if folder is None else load_block(folder, ensemble.number, digest)
+    start_time, truncations, n_done = time.perf_counter(), TruncationCache(), 0
+    for number, path_group in enumerate(path_groups):
+        digest = compute_block_digest(path_group, request)
+        block = None if folder is None else load_block(folder, path_group.number, digest)
         if block is None:
-            left = len(path_groups) - number - 1
-            show = (
-                _report_whole_table(progress, begun, measured, left) if callable(progress) else None
+            n_left = len(path_groups) - number - 1
+            block_progress = (
+                _report_whole_table(progress, start_time, n_done, n_left)
+                if callable(progress)
+                else None
             )
-            block = compute_block(ensemble, request, cuts, digest, show)
-            measured += 1
+            block = compute_block(path_group, request, truncations, digest, block_progress)
+            n_done += 1
             if folder is not None:
                 save_block(block, folder)
         yield block
@@ -180,11 +187,19 @@ def iterate_blocks(
 def _report_whole_table(
     report: Callable[[Progress], None], start_time: float, n_done: int, n_left: int
 ) -> Callable[[Progress], None]:
-    """Return what tells of the whole table where one ensemble has got to."""
+    """Return a callback for one ensemble that reports the progress of the whole table."""
 
-    def show(one: Progress) -> None:
-        spent = time.perf_counter() - start_time
-        each = (spent + one.seconds_left) / (n_done + 1)
-        report(Progress(one.rays, one.stderr, one.target, spent, one.seconds_left + n_left * each))
+    def show(state: Progress) -> None:
+        elapsed_s = time.perf_counter() - start_time
+        mean_s = (elapsed_s + state.seconds_left) / (n_done + 1)
+        report(
+            Progress(
+                state.rays,
+                state.stderr,
+                state.target,
+                elapsed_s,
+                state.seconds_left + n_left * mean_s,
+            )
+        )
 
     return show

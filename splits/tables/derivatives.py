@@ -1,6 +1,6 @@
-"""Derivatives of a table's light to the parameters along its axes, between nodes.
+"""Derivatives of tabulated quantities with respect to the parameters of the axes.
 
-They are those of the polynomials that values are drawn from, see `splits.tables.interpolation`.
+They are the derivatives of the interpolating polynomials of `splits.tables.interpolation`.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ _TINY = 1e-300
 
 
 class DerivativeWeights(NamedTuple):
-    """Weights of the nodes of an axis in a derivative, those of one node fewer beside."""
+    """Weights of the nodes of an axis in a derivative, for the full stencil and one node fewer."""
 
     weights: np.ndarray
     lower_order_weights: np.ndarray
 
 
 class DerivativeEstimate(NamedTuple):
-    """A derivative along the spectrum, its error by the cells, and what reading between misses."""
+    """Spectral derivative with its standard error from the nodes and its interpolation error."""
 
     value: np.ndarray
     stderr: np.ndarray
@@ -36,41 +36,43 @@ class DerivativeEstimate(NamedTuple):
 def compute_derivative_weights(
     name: str, nodes: np.ndarray, stencil: np.ndarray, value: float
 ) -> DerivativeWeights:
-    """Return how the derivative to a parameter is drawn from some nodes of its axis.
+    """Return the weights of the derivative with respect to the parameter of an axis.
 
     Parameters
     ----------
     name : str
+        Name of the axis.
     nodes : float, shape (nodes,)
-        Of the axis, numbers.
-    stencil : int, shape (drawn,)
-        Those to draw from, at least 2.
+        Nodes of the axis.
+    stencil : int, shape (stencil,)
+        Indices of the nodes to use, at least 2.
     value : float
+        Position on the axis.
 
     Raises
     ------
     ValueError
-        For an axis of one node, or where light goes as a root from this value on.
+        For an axis of one node, or at the singularity of a square-root transform.
     """
     if len(stencil) < 2:
-        raise invalid(f"derivatives ({name})", len(nodes), "an axis of two nodes or more")
-    kind, at = transform_axis(name, nodes)
+        raise invalid(f"derivatives ({name})", len(nodes), "an axis of at least two nodes")
+    kind, coordinates = transform_axis(name, nodes)
     x = float(apply_axis_transform(kind, np.array(value)))
     if kind == "root" and value <= _TINY:
-        hint = "light goes as a root there: ask for it a little away"
+        hint = "reflectance varies as a square root there: use a larger value"
         raise invalid(f"derivatives ({name})", value, "where the derivative is finite", hint)
     rate = {
         "logarithm": lambda: 1.0 / value, "root": lambda: 0.5 / x, "itself": lambda: 1.0,
         "cosine": lambda: float(np.radians(1.0) * np.sin(np.radians(value))),
     }[kind]()  # fmt: skip
-    share = rate * _compute_lagrange_derivatives(at[stencil], x)
-    fewer = share.copy()
+    derivative_weights = rate * _compute_lagrange_derivatives(coordinates[stencil], x)
+    lower_order = derivative_weights.copy()
     if len(stencil) > 2:
-        far = int(np.argmax(np.abs(at[stencil] - x)))
-        kept = np.delete(np.arange(len(stencil)), far)
-        fewer = np.zeros_like(share)
-        fewer[kept] = rate * _compute_lagrange_derivatives(at[stencil][kept], x)
-    return DerivativeWeights(share, fewer)
+        farthest = int(np.argmax(np.abs(coordinates[stencil] - x)))
+        kept = np.delete(np.arange(len(stencil)), farthest)
+        lower_order = np.zeros_like(derivative_weights)
+        lower_order[kept] = rate * _compute_lagrange_derivatives(coordinates[stencil][kept], x)
+    return DerivativeWeights(derivative_weights, lower_order)
 
 
 def differentiate(
@@ -80,43 +82,49 @@ def differentiate(
     axis: int,
     derivative_weights: DerivativeWeights,
 ) -> DerivativeEstimate:
-    """Return the derivative along one axis at a place.
+    """Return the derivative along one axis at a point.
 
     Parameters
     ----------
     part : xarray.Dataset
-        The nodes around the place, all axes in the order of `weights`, the wavelength last.
+        Nodes around the point, with axes in the order of `weights` and the wavelength last.
     quantity : str
     weights : sequence of InterpolationWeights
-        Of every axis.
+        Interpolation weights of every axis.
     axis : int
-        The axis to derive along.
-    derivative_weights : Slope
-        Of its nodes.
+        Axis of the derivative.
+    derivative_weights : DerivativeWeights
+        Weights of the derivative along that axis.
     """
     values = part[quantity].values.astype(float)
-    shares = [w.weights for w in weights]
-    along = [*shares[:axis], derivative_weights.weights, *shares[axis + 1 :]]
-    plain = [*shares[:axis], derivative_weights.lower_order_weights, *shares[axis + 1 :]]
-    value = _apply_weights(values, weights, along)
-    missed = (value - _apply_weights(values, weights, plain)) ** 2
+    value_weights = [w.weights for w in weights]
+    axis_weights = [*value_weights[:axis], derivative_weights.weights, *value_weights[axis + 1 :]]
+    lower_order_weights = [
+        *value_weights[:axis],
+        derivative_weights.lower_order_weights,
+        *value_weights[axis + 1 :],
+    ]
+    value = _apply_weights(values, weights, axis_weights)
+    squared_error = (value - _apply_weights(values, weights, lower_order_weights)) ** 2
     for i, w in enumerate(weights):
         if i != axis and len(w.error_weights):
-            missed = missed + max(
+            squared_error = squared_error + max(
                 (
-                    _apply_full_axis_weights(values, weights, along, i, row) ** 2
+                    _apply_full_axis_weights(values, weights, axis_weights, i, row) ** 2
                     for row in w.error_weights
                 ),
-                key=lambda off: float(off.sum()),
+                key=lambda estimate: float(estimate.sum()),
             )
-    groups = f"{quantity}_batches"
+    batch_variable = f"{quantity}_batches"
     error = part[f"{quantity}_stderr"].values.astype(float)
-    variance = _apply_weights(error**2, weights, [s**2 for s in along])
-    if groups in part:
-        order = [d for d in part[quantity].dims if d != "wavelength"]
-        deviations = part[groups].transpose(*order, "batch", "wavelength").values.astype(float)
-        variance = (_apply_weights(deviations, weights, along) ** 2).sum(axis=0)
-    return DerivativeEstimate(value, np.sqrt(variance), np.sqrt(missed))
+    variance = _apply_weights(error**2, weights, [s**2 for s in axis_weights])
+    if batch_variable in part:
+        dims = [d for d in part[quantity].dims if d != "wavelength"]
+        deviations = (
+            part[batch_variable].transpose(*dims, "batch", "wavelength").values.astype(float)
+        )
+        variance = (_apply_weights(deviations, weights, axis_weights) ** 2).sum(axis=0)
+    return DerivativeEstimate(value, np.sqrt(variance), np.sqrt(squared_error))
 
 
 def make_derivative_dataset(
@@ -125,69 +133,72 @@ def make_derivative_dataset(
     wavelength: Any,
     attrs: dict[str, Any],
 ) -> xr.Dataset:
-    """Return derivatives by quantity as a dataset, over ``parameter`` and ``wavelength``."""
+    """Return derivatives of each quantity over ``parameter`` and ``wavelength``."""
     dims = ("parameter", "wavelength")
     variables = {}
     for quantity, rows in estimates.items():
-        label = f"derivative of {quantity} to the parameter, in the inverse of its unit"
-        error = [np.hypot(one.stderr, one.interpolation_error) for one in rows]
-        for end, values, about in (
-            ("", [one.value for one in rows], label),
-            ("_stderr", error, f"standard error of the {label}"),
+        label = f"derivative of {quantity} with respect to the parameter, per unit of it"
+        stderr = [np.hypot(row.stderr, row.interpolation_error) for row in rows]
+        for suffix, values, long_name in (
+            ("", [row.value for row in rows], label),
+            ("_stderr", stderr, f"standard error of the {label}"),
         ):
-            about_it = {"long_name": about, "units": "1"}
-            variables[f"{quantity}_jacobian{end}"] = (dims, np.stack(values), about_it)
+            variable_attrs = {"long_name": long_name, "units": "1"}
+            variables[f"{quantity}_jacobian{suffix}"] = (dims, np.stack(values), variable_attrs)
     units = [get_derivative_unit(name) for name in names]
     axes = {
         "parameter": ("parameter", list(names), {"long_name": "parameter"}),
-        "parameter_unit": ("parameter", units, {"long_name": "unit of derivatives to it"}),
+        "parameter_unit": ("parameter", units, {"long_name": "unit of the derivative"}),
         "wavelength": wavelength,
     }
     return xr.Dataset(variables, axes, attrs)
 
 
 def check_derivative_axes(names: Any, axes: Sequence[str]) -> list[str]:
-    """Return the axes to derive along, or refuse them."""
+    """Return the validated axes of derivatives."""
     if isinstance(names, str) or not isinstance(names, Sequence) or not names:
         raise invalid("names", names, f"a list of {', '.join(axes)}")
     for name in names:
         if name not in axes:
             raise unknown_key(f"names.{name}", axes)
     if len(set(names)) < len(names):
-        raise invalid("names", list(names), "each once")
+        raise invalid("names", list(names), "different names")
     return list(names)
 
 
 def _apply_weights(
     values: np.ndarray, weights: Sequence[InterpolationWeights], axis_weights: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Return the sum over all axes, by shares of the nodes that each is drawn from."""
-    for w, share in zip(weights, axis_weights, strict=True):
-        values = np.tensordot(share, values[w.nodes], 1)
+    """Return the weighted sum over the stencils of all axes."""
+    for w, axis_weight in zip(weights, axis_weights, strict=True):
+        values = np.tensordot(axis_weight, values[w.nodes], 1)
     return values
 
 
 def _apply_full_axis_weights(
-    values: np.ndarray, weights: Sequence[InterpolationWeights], axis_weights: Sequence[np.ndarray], axis: int,
+    values: np.ndarray,
+    weights: Sequence[InterpolationWeights],
+    axis_weights: Sequence[np.ndarray],
+    axis: int,
     full_weights: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """Return that sum with other shares of all nodes along one axis."""
-    for i, (w, share) in enumerate(zip(weights, axis_weights, strict=True)):
-        values = np.tensordot(full_weights if i == axis else share,
+) -> np.ndarray:
+    """Return the weighted sum with weights of all nodes along one axis."""
+    for i, (w, axis_weight) in enumerate(zip(weights, axis_weights, strict=True)):
+        values = np.tensordot(full_weights if i == axis else axis_weight,
                               values if i == axis else values[w.nodes], 1)  # fmt: skip
     return values
 
 
 def _compute_lagrange_derivatives(nodes: np.ndarray, x: float) -> np.ndarray:
-    """Return the weights of the slope of Lagrange's polynomial."""
-    found = np.zeros(len(nodes))
+    """Return the weights of the derivative of the Lagrange polynomial at x."""
+    weights = np.zeros(len(nodes))
     for i, one in enumerate(nodes):
-        for left in range(len(nodes)):
-            if left == i:
+        for omitted in range(len(nodes)):
+            if omitted == i:
                 continue
-            term = 1.0 / (one - nodes[left])
+            term = 1.0 / (one - nodes[omitted])
             for j, other in enumerate(nodes):
-                if j not in (i, left):
+                if j not in (i, omitted):
                     term *= (x - other) / (one - other)
-            found[i] += term
-    return found
+            weights[i] += term
+    return weights

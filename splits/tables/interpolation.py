@@ -1,10 +1,10 @@
-"""Interpolation along one axis of a table, and what it misses.
+"""Interpolation along one axis of a table, with an estimate of its error.
 
-Values between nodes are those of the cubic through the four nearest nodes, in a coordinate along
-which light changes evenly: the logarithm of a size, the cosine of an angle.  What a cubic misses at
-x is f⁗/24 times the product of the distances of its nodes from x.  So every node that is left out,
-and found again from its neighbours, tells f⁗ near it.  Where there are no more than four nodes,
-what the last of them adds stands for what one more would.
+Values between nodes are those of the cubic through the four nearest nodes, in a transformed
+coordinate in which reflectance varies smoothly: the logarithm of a size, the cosine of an angle.
+The error of a cubic at x is f⁗/24 times the product of the distances of its nodes from x.  The
+error of predicting a node from its neighbours therefore gives an estimate of f⁗ near it.  For axes
+of at most four nodes, the contribution of the farthest node replaces that of an additional node.
 """
 
 from __future__ import annotations
@@ -16,21 +16,23 @@ import numpy as np
 from splits.core.validation import check_number, invalid, snap_to_limits
 
 STENCIL_SIZE = 4
-"""Nodes that a value is drawn from."""
+"""Largest number of nodes in an interpolation stencil."""
 
 
 class InterpolationWeights(NamedTuple):
-    """How a value between nodes is drawn from them.
+    """Interpolation stencil of a value on an axis, with the weights of error estimates.
 
     Attributes
     ----------
-    nodes : int, shape (drawn,)
-    weights : float, shape (drawn,)
-        Their sum is 1.
-    validation_nodes : int, shape (near,)
-        Nodes nearby that are to be found again from others.
-    error_weights : float, shape (near, nodes of the axis)
-        What is to be added up for what these others miss there, as large as what is missed here.
+    nodes : int, shape (stencil,)
+        Nodes of the stencil.
+    weights : float, shape (stencil,)
+        Interpolation weights, with a sum of 1.
+    validation_nodes : int, shape (validation,)
+        Nearby nodes that are predicted from others.
+    error_weights : float, shape (validation, nodes)
+        Weights of all nodes of the axis in each error estimate: the error of the prediction of a
+        validation node, scaled to the position of the value.
     """
 
     nodes: np.ndarray
@@ -39,20 +41,21 @@ class InterpolationWeights(NamedTuple):
     error_weights: np.ndarray
 
     def restrict_to(self, kept_nodes: np.ndarray) -> InterpolationWeights:
-        """Return the same of an axis that has only some of its nodes, in their order."""
-        nodes, left_out = (
+        """Return the weights for an axis reduced to some of its nodes, in order."""
+        nodes, validation = (
             np.searchsorted(kept_nodes, row) for row in (self.nodes, self.validation_nodes)
         )
         return InterpolationWeights(
-            nodes, self.weights, left_out, self.error_weights[:, kept_nodes]
+            nodes, self.weights, validation, self.error_weights[:, kept_nodes]
         )
 
 
 def transform_axis(name: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
-    """Return by which law an axis is interpolated, and its nodes so.
+    """Return the transform of an axis for interpolation, and its transformed nodes.
 
-    Of amounts: logarithms where all are positive and the largest is three times the smallest;
-    roots where they begin with 0, as absorption goes.
+    Positive amounts that span at least a factor of three are transformed to logarithms.  Amounts
+    that begin with 0 are transformed to square roots, because reflectance is nearly linear in the
+    square root of absorption.
     """
     if name == "incidence_deg":
         return "cosine", apply_axis_transform("cosine", nodes)
@@ -64,7 +67,7 @@ def transform_axis(name: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
 
 
 def apply_axis_transform(transform: str, values: np.ndarray) -> np.ndarray:
-    """Return values as a law has them."""
+    """Return transformed values."""
     values = np.asarray(values, dtype=float)
     if transform == "cosine":
         return -np.cos(np.radians(values))
@@ -74,12 +77,12 @@ def apply_axis_transform(transform: str, values: np.ndarray) -> np.ndarray:
 
 
 def check_within_axis(name: str, nodes: np.ndarray, value: object) -> float:
-    """Return a place on the axis of a table as a number, or refuse it.
+    """Return a position on an axis of a table as a number within the axis.
 
     Raises
     ------
     ValueError
-        Outside the axis.
+        For a value outside the axis.
     """
     allowed = f"from {nodes[0]:g} to {nodes[-1]:g}, as far as the table goes"
     x = float(snap_to_limits(check_number(name, value), nodes[0], nodes[-1]))
@@ -91,46 +94,50 @@ def check_within_axis(name: str, nodes: np.ndarray, value: object) -> float:
 def compute_interpolation_weights(
     name: str, nodes: np.ndarray, value: object
 ) -> InterpolationWeights:
-    """Return how a value is drawn from the nodes of an axis.
+    """Return the interpolation weights of a value on an axis.
 
     Raises
     ------
     ValueError
-        Outside the axis.
+        For a value outside the axis.
     """
-    kind, at = transform_axis(name, nodes)
+    kind, coordinates = transform_axis(name, nodes)
     x = float(apply_axis_transform(kind, np.array(check_within_axis(name, nodes, value))))
-    drawn = _find_nearest_nodes(at, x, STENCIL_SIZE)
-    share = _compute_lagrange_weights(at[drawn], x)
-    beyond = float(np.prod(x - at[drawn]))
-    if len(at) == 2 and beyond != 0.0:
-        # No node can be left out: a quarter of the difference, in the middle.
+    stencil = _find_nearest_nodes(coordinates, x, STENCIL_SIZE)
+    weights = _compute_lagrange_weights(coordinates[stencil], x)
+    node_product = float(np.prod(x - coordinates[stencil]))
+    if len(coordinates) == 2 and node_product != 0.0:
+        # No node can be omitted; the estimate is a quarter of the difference at the midpoint.
         return InterpolationWeights(
-            drawn, share, drawn[:1], np.prod(share) * np.array([[-1.0, 1.0]])
+            stencil, weights, stencil[:1], np.prod(weights) * np.array([[-1.0, 1.0]])
         )
-    if beyond == 0.0:
-        # At a node nothing is missed.
-        return InterpolationWeights(drawn, share, drawn[:0], np.zeros((0, len(at))))
-    ordered = drawn[np.argsort(np.abs(at[drawn] - x), kind="stable")]
-    if len(at) <= STENCIL_SIZE:
-        # All are needed: what the farthest of them adds stands for what one more would.
-        last = np.zeros((1, len(at)))
-        last[0, drawn] += share
-        last[0, ordered[:-1]] -= _compute_lagrange_weights(at[ordered[:-1]], x)
-        return InterpolationWeights(drawn, share, ordered[-1:], last)
-    near = ordered[:2]
-    others = np.zeros((len(near), len(at)))
-    for row, node in enumerate(near):
-        rest = np.delete(np.arange(len(at)), node)
-        few = rest[_find_nearest_nodes(at[rest], at[node], STENCIL_SIZE)]
-        scale = abs(beyond / float(np.prod(at[node] - at[few])))
-        others[row, node] += scale
-        others[row, few] -= scale * _compute_lagrange_weights(at[few], at[node])
-    return InterpolationWeights(drawn, share, near, others)
+    if node_product == 0.0:
+        # No error at a node.
+        return InterpolationWeights(stencil, weights, stencil[:0], np.zeros((0, len(coordinates))))
+    ordered = stencil[np.argsort(np.abs(coordinates[stencil] - x), kind="stable")]
+    if len(coordinates) <= STENCIL_SIZE:
+        # All nodes are needed; the contribution of the farthest replaces that of one more.
+        error_row = np.zeros((1, len(coordinates)))
+        error_row[0, stencil] += weights
+        error_row[0, ordered[:-1]] -= _compute_lagrange_weights(coordinates[ordered[:-1]], x)
+        return InterpolationWeights(stencil, weights, ordered[-1:], error_row)
+    validation = ordered[:2]
+    error_weights = np.zeros((len(validation), len(coordinates)))
+    for row, node in enumerate(validation):
+        remaining = np.delete(np.arange(len(coordinates)), node)
+        neighbours = remaining[
+            _find_nearest_nodes(coordinates[remaining], coordinates[node], STENCIL_SIZE)
+        ]
+        scale = abs(node_product / float(np.prod(coordinates[node] - coordinates[neighbours])))
+        error_weights[row, node] += scale
+        error_weights[row, neighbours] -= scale * _compute_lagrange_weights(
+            coordinates[neighbours], coordinates[node]
+        )
+    return InterpolationWeights(stencil, weights, validation, error_weights)
 
 
 def _find_nearest_nodes(nodes: np.ndarray, x: float, n_nodes: int) -> np.ndarray:
-    """Return the nodes around x, as many on either side as there are."""
+    """Return the nodes around x, with equal numbers on both sides where possible."""
     n_nodes = min(n_nodes, len(nodes))
     right = int(np.searchsorted(nodes, x))
     first = min(max(right - n_nodes // 2, 0), len(nodes) - n_nodes)
@@ -138,10 +145,10 @@ def _find_nearest_nodes(nodes: np.ndarray, x: float, n_nodes: int) -> np.ndarray
 
 
 def _compute_lagrange_weights(nodes: np.ndarray, x: float) -> np.ndarray:
-    """Return the weights of Lagrange's polynomial."""
-    share = np.ones(len(nodes))
+    """Return the weights of the Lagrange polynomial at x."""
+    weights = np.ones(len(nodes))
     for i, one in enumerate(nodes):
         for j, other in enumerate(nodes):
             if i != j:
-                share[i] *= (x - other) / (one - other)
-    return share
+                weights[i] *= (x - other) / (one - other)
+    return weights

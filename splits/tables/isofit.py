@@ -1,4 +1,4 @@
-"""Tables as isofit's surface model looks them up."""
+"""Conversion of tables to the look-up tables of isofit's surface model."""
 
 from __future__ import annotations
 
@@ -19,35 +19,37 @@ ISOFIT_DIMS = ("solar_zenith", "observer_zenith", "relative_azimuth", "grain_rad
 def convert_to_isofit(
     dataset: xr.Dataset, directions: xr.Dataset | None = None, **at: Any
 ) -> xr.Dataset:
-    """Return a table as isofit's surface model looks it up.
+    """Convert a table to the format of isofit's surface model.
 
-    The reflectance of diffuse light into a direction is, by reciprocity, that of a beam from there
-    to all directions.  Snow whose readings are ``radiative_transfer`` is reciprocal.
+    By reciprocity, the reflectance of diffuse light into a direction equals that of a beam from
+    that direction into all directions.  Snow of the interpretation ``radiative_transfer`` is
+    reciprocal.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of reflectance over ``incidence_deg`` and ``optical_radius_um``.
+        Reflectance over ``incidence_deg`` and ``optical_radius_um``.
     directions : xarray.Dataset, optional
-        Runs of `splits.goniophotometer`, joined over ``optical_radius_um`` and ``incidence_deg``
-        (see `xarray.combine_nested`), at sizes and wavelengths of the table: with them the result
-        has ``rho_dir_dir``, at their angles and wavelengths.
+        Results of `splits.goniophotometer`, combined over ``optical_radius_um`` and
+        ``incidence_deg`` (see `xarray.combine_nested`), at sizes and wavelengths of the table.
+        With them the result includes ``rho_dir_dir`` at their angles and wavelengths.
     **at
-        Where other axes of the table are held, at one of their nodes each.
+        Node of each other axis of the table.
 
     Returns
     -------
     xarray.Dataset
-        Over ``solar_zenith``, ``observer_zenith``, ``relative_azimuth`` (degrees, 0 where the
-        observer stands on the sun's side: 180 less our azimuth), ``grain_radius`` (µm) and ``wl``
-        (nm): ``rho_dif_dir``, alike for every sun, as no beam is in it; and ``rho_dir_dir``, the
-        bidirectional reflectance factor, of light that met a grain; ``statevec_names``, which
-        isofit asks for: what is retrieved.
+        Variables over ``solar_zenith``, ``observer_zenith``, ``relative_azimuth`` (degrees; 180
+        minus the azimuth of this package, so that 0 is the side of the sun), ``grain_radius`` (µm)
+        and ``wl`` (nm): the hemispherical-directional reflectance factor
+        ``rho_dif_dir``, which does not depend on the solar zenith angle, and the bidirectional
+        reflectance factor ``rho_dir_dir`` of scattered light.  ``statevec_names`` names the
+        retrieved parameters, as isofit requires.
 
     Raises
     ------
     ValueError
-        For an axis that is missing, or directions that the table does not reach.
+        For a missing axis, or directions outside the table.
     """
     part = select_at_fixed_axes(dataset, ("reflectance",), [INCIDENCE, RADIUS], at).reflectance
     part = part.transpose(INCIDENCE, RADIUS, "wavelength")
@@ -67,40 +69,42 @@ def convert_to_isofit(
         "wl": _match_nodes(factor, part, "wavelength"),
     }
     part = part.sel({RADIUS: axes["grain_radius"], "wavelength": axes["wl"]})
-    seen = [
+    observer_weights = [
         compute_interpolation_weights(INCIDENCE, part[INCIDENCE].values, x)
         for x in axes["observer_zenith"]
     ]
-    diffuse = np.stack([np.tensordot(w.weights, part.values[w.nodes], 1) for w in seen])
-    both = {"rho_dif_dir": _broadcast_over_axes(diffuse, axes), "rho_dir_dir": factor.values}
-    return _make_isofit_dataset(both, axes, dataset)
+    diffuse = np.stack([np.tensordot(w.weights, part.values[w.nodes], 1) for w in observer_weights])
+    variables = {"rho_dif_dir": _broadcast_over_axes(diffuse, axes), "rho_dir_dir": factor.values}
+    return _make_isofit_dataset(variables, axes, dataset)
 
 
 def _order_reflectance_factor(directions: xr.Dataset) -> xr.DataArray:
-    """Return reflectance factors over the axes of the format: half a turn, backwards first."""
+    """Return reflectance factors over the axes of the format, by increasing relative azimuth."""
     dims = (INCIDENCE, "polar", "azimuth", RADIUS, "wavelength")
     if "reflectance_factor" not in directions or set(directions.reflectance_factor.dims) != {*dims}:
-        found = list(directions.sizes)
-        raise invalid("directions", found, f"reflectance_factor over {', '.join(dims)}")
+        sizes = list(directions.sizes)
+        raise invalid("directions", sizes, f"reflectance_factor over {', '.join(dims)}")
     check_no_gaps("directions", directions.reflectance_factor)
     factor = directions.reflectance_factor.transpose(*dims)
     half = factor.sel(azimuth=factor.azimuth.values <= 180.0)
-    # Backwards first, whose relative azimuth is the least.
+    # Azimuths in descending order, so that relative azimuths increase.
     return half.sortby([*dims]).isel(azimuth=slice(None, None, -1))
 
 
 def _match_nodes(factor: xr.DataArray, table_part: xr.DataArray, name: str) -> np.ndarray:
-    """Return the nodes of the table that directions were measured at, or refuse others."""
-    wanted, there = factor[name].values, table_part[name].values
-    near = np.abs(there[:, np.newaxis] - wanted).argmin(axis=0)
-    if not np.allclose(there[near], wanted, rtol=1e-9, atol=0.0):
-        raise invalid(f"directions.{name}", wanted.tolist(), f"among the table's, {there.tolist()}")
-    nodes: np.ndarray = there[near]
+    """Return the nodes of the table that match the coordinates of directions."""
+    target, table_nodes = factor[name].values, table_part[name].values
+    nearest = np.abs(table_nodes[:, np.newaxis] - target).argmin(axis=0)
+    if not np.allclose(table_nodes[nearest], target, rtol=1e-9, atol=0.0):
+        raise invalid(
+            f"directions.{name}", target.tolist(), f"among the table's, {table_nodes.tolist()}"
+        )
+    nodes: np.ndarray = table_nodes[nearest]
     return nodes
 
 
 def _broadcast_over_axes(values: np.ndarray, axes: dict[str, np.ndarray]) -> np.ndarray:
-    """Return what depends on the observer's angle, size and wavelength, over all axes."""
+    """Return values over observer angle, size and wavelength broadcast over all axes."""
     shape = tuple(axis.size for axis in axes.values())
     return np.broadcast_to(values[np.newaxis, :, np.newaxis], shape)
 
@@ -108,16 +112,16 @@ def _broadcast_over_axes(values: np.ndarray, axes: dict[str, np.ndarray]) -> np.
 def _make_isofit_dataset(
     values: dict[str, np.ndarray], axes: dict[str, np.ndarray], dataset: xr.Dataset
 ) -> xr.Dataset:
-    """Return variables with the names, units and texts of the format."""
-    about = {
+    """Return the dataset with the names, units and attributes of the format."""
+    long_names = {
         "rho_dif_dir": "hemispherical-directional reflectance factor",
         "rho_dir_dir": "bidirectional reflectance factor",
     }
-    turned = "0 is towards the sun's own side: backscattering"
+    azimuth_comment = "0 is the side of the sun, i.e. backscattering"
     units = {
         "solar_zenith": {"units": "degree"},
         "observer_zenith": {"units": "degree"},
-        "relative_azimuth": {"units": "degree", "comment": turned},
+        "relative_azimuth": {"units": "degree", "comment": azimuth_comment},
         "grain_radius": {"units": "um"},
         "wl": {"units": "nm"},
     }
@@ -125,7 +129,7 @@ def _make_isofit_dataset(
     return xr.Dataset(
         state
         | {
-            name: (ISOFIT_DIMS, v, {"long_name": about[name], "units": "1"})
+            name: (ISOFIT_DIMS, v, {"long_name": long_names[name], "units": "1"})
             for name, v in values.items()
         },
         {name: (name, axis, units[name]) for name, axis in axes.items()},

@@ -1,4 +1,4 @@
-"""What is to be traced for a table: ensembles of paths, each for all points that it serves."""
+"""Plan of a table: ensembles of paths, each used for a group of points."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from splits.tables.axes import INCIDENCE, ParameterGrid
 
 
 class PathGroup(NamedTuple):
-    """Points of a table that share paths.
+    """Points of a table that share an ensemble of paths.
 
     Attributes
     ----------
     number : int
-        Its place among all of the table's.
+        Number of the ensemble in the table.
     incidence : float or "diffuse"
     path_sharing : PathSharingMedia
-        The different media among the points'.
+        Distinct media of the points.
     positions : int, shape (points,)
-        Of the points in the table, counted as its axes run.
+        Flat indices of the points in the table.
     media_indices : int, shape (points,)
-        Medium of each point.
+        Index of the medium of each point.
     """
 
     number: int
@@ -38,14 +38,14 @@ class PathGroup(NamedTuple):
 
 
 class TablePlan(NamedTuple):
-    """All ensembles of a table.
+    """Plan of all ensembles of a table.
 
     Attributes
     ----------
     grid : ParameterGrid
     wavelengths : float, shape (wavelengths,)
-        nm.
-    path_groups : tuple of Ensemble
+        Wavelengths (nm).
+    path_groups : tuple of PathGroup
     path_sharing_axes : tuple of str
         Axes along which all points share paths.
     """
@@ -63,56 +63,60 @@ class TablePlan(NamedTuple):
         wavelengths: np.ndarray,
         incidence_deg: float | str = 0.0,
     ) -> TablePlan:
-        """Return the plan of a table, or refuse a point of it.
+        """Return the plan of a table.
 
         Parameters
         ----------
         make_medium : callable
-            Takes the parameters of a point but the incidence, returns a medium.
+            Function of the parameters of a point, without the incidence, that returns a medium.
         grid : ParameterGrid
         wavelengths : float, shape (wavelengths,)
         incidence_deg : float or "diffuse"
-            Where that is no axis.
+            Incidence, unless it is an axis of the grid.
 
         Raises
         ------
         ValueError
-            Names the point that cannot be.
+            For an invalid point; the message names it.
         """
         if INCIDENCE in grid.names and incidence_deg != 0.0:
             allowed = f"left out beside grid.{INCIDENCE}, the same"
             raise invalid(INCIDENCE, incidence_deg, allowed)
         media_axes = grid.drop(INCIDENCE)
         media = [_make_medium(make_medium, point) for point in media_axes.iterate_points()]
-        beams = [check_incidence(one) for one in grid.get_values(INCIDENCE, incidence_deg)]
-        found = group_by_shared_paths(media, wavelengths)
-        places = np.arange(grid.size).reshape(grid.shape)
+        beams = [check_incidence(angle) for angle in grid.get_values(INCIDENCE, incidence_deg)]
+        media_groups = group_by_shared_paths(media, wavelengths)
+        positions = np.arange(grid.size).reshape(grid.shape)
         if INCIDENCE in grid.names:
-            places = np.moveaxis(places, grid.names.index(INCIDENCE), -1)
-        places = places.reshape(len(media), len(beams))
-        ensembles = [
-            PathGroup(0, beam, one.path_sharing, places[one.positions, row], one.media_indices)
-            for one in found
+            positions = np.moveaxis(positions, grid.names.index(INCIDENCE), -1)
+        positions = positions.reshape(len(media), len(beams))
+        path_groups = [
+            PathGroup(
+                0, beam, group.path_sharing, positions[group.positions, row], group.media_indices
+            )
+            for group in media_groups
             for row, beam in enumerate(beams)
         ]
-        numbered = tuple(e._replace(number=number) for number, e in enumerate(ensembles))
-        return cls(grid, wavelengths, numbered, _find_path_sharing_axes(media_axes, found))
+        numbered = tuple(
+            path_group._replace(number=number) for number, path_group in enumerate(path_groups)
+        )
+        return cls(grid, wavelengths, numbered, _find_path_sharing_axes(media_axes, media_groups))
 
     def __str__(self) -> str:
-        """Return what is shared by what, in a line."""
-        names, count = self.grid.names, self.grid.size
+        """Return a one-line summary of the plan."""
+        names, n_spectra = self.grid.names, self.grid.size
         ensembles = (
             "1 ensemble" if len(self.path_groups) == 1 else f"{len(self.path_groups)} ensembles"
         )
-        those = f" ({', '.join(self.path_sharing_axes)})" if self.path_sharing_axes else ""
+        axes = f" ({', '.join(self.path_sharing_axes)})" if self.path_sharing_axes else ""
         return (
-            f"{len(self.path_sharing_axes)} of {len(names)} axes share paths{those}: {ensembles} for "
-            f"{count} spectra of {self.wavelengths.size} wavelengths"
+            f"{len(self.path_sharing_axes)} of {len(names)} axes share paths{axes}: {ensembles} "
+            f"for {n_spectra} spectra of {self.wavelengths.size} wavelengths"
         )
 
 
 def _make_medium(make_medium: Callable[..., Any], point: dict[str, Any]) -> Any:
-    """Return the medium of a point of the grid, or say which one cannot be."""
+    """Return the medium of a point of the grid; errors name the point."""
     try:
         medium = make_medium(**point)
         check_medium(medium, allow_semi_infinite=True)
@@ -123,12 +127,14 @@ def _make_medium(make_medium: Callable[..., Any], point: dict[str, Any]) -> Any:
 
 
 def _find_path_sharing_axes(grid: ParameterGrid, media_groups: list[MediaGroup]) -> tuple[str, ...]:
-    """Return the axes along which nothing but absorption, ground and size changes."""
-    family = np.empty(grid.size, dtype=int)
-    for number, one in enumerate(media_groups):
-        family[one.positions] = number
-    family = family.reshape(grid.shape)
-    several = [(number, name) for number, name in enumerate(grid.names) if grid.shape[number] > 1]
+    """Return the axes along which all points share paths."""
+    group_number = np.empty(grid.size, dtype=int)
+    for number, group in enumerate(media_groups):
+        group_number[group.positions] = number
+    group_number = group_number.reshape(grid.shape)
+    axes = [(number, name) for number, name in enumerate(grid.names) if grid.shape[number] > 1]
     return tuple(
-        name for number, name in several if (family == np.take(family, [0], axis=number)).all()
+        name
+        for number, name in axes
+        if (group_number == np.take(group_number, [0], axis=number)).all()
     )

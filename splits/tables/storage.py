@@ -1,4 +1,4 @@
-"""Tables that need not fit into memory: written block by block, straight into their file."""
+"""Block-wise writing of tables larger than memory."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from splits.tables.block import TableRequest
 from splits.tables.plan import TablePlan
 
 MAX_BYTES_IN_MEMORY = 2**28
-"""Bytes up to which a table is put together in memory, and read into it."""
+"""Largest size of a table that is assembled in memory or read into it."""
 
 
 def compute_table_bytes(plan: TablePlan, request: TableRequest) -> int:
-    """Return the bytes that the values of a table take."""
+    """Return the size of the values of a table in bytes."""
     rows = sum(2 + N_BATCHES * request.covariance for _ in request.quantities)
     return 4 * rows * plan.grid.size * plan.wavelengths.size
 
@@ -34,98 +34,102 @@ def write_table_blockwise(
     read_blocks: Callable[[], Iterable[xr.Dataset]],
     add_attributes: Callable[[xr.Dataset], xr.Dataset],
 ) -> None:
-    """Write a table so that its file appears whole or not at all.
+    """Write a table to a netCDF file atomically, one block at a time.
 
-    Of its values no more than a block is in memory at a time.  They lie in the file in the order of
-    the axes, uncompressed, so that each spectrum is read by itself.
+    At most one block of values is in memory.  Values are stored uncompressed in the order of the
+    axes, so that single spectra can be read.
 
     Parameters
     ----------
     path : Path
-    plan : Plan
+    plan : TablePlan
     request : TableRequest
     read_blocks : callable
-        Returns the blocks, each time it is called.
+        Returns an iterable of the blocks; called several times.
     add_attributes : callable
-        Adds to the table's attributes.
+        Returns a dataset with additional attributes.
 
     Raises
     ------
     OSError
-        If there is no space for it, or the file does not hold the blocks afterwards.
+        If the disk is full, or the file does not hold the blocks afterwards.
     """
-    with atomic_netcdf(path, compute_table_bytes(plan, request)) as aside:
+    with atomic_netcdf(path, compute_table_bytes(plan, request)) as temporary:
         skeleton = encode_for_netcdf(
             add_attributes(_make_skeleton(plan, request, [block.attrs for block in read_blocks()]))
         )
         values = [str(name) for name in skeleton.data_vars]
-        skeleton.drop_vars(values).to_netcdf(aside, engine="netcdf4")
-        with netCDF4.Dataset(aside, "a") as file:
+        skeleton.drop_vars(values).to_netcdf(temporary, engine="netcdf4")
+        with netCDF4.Dataset(temporary, "a") as file:
             for name in values:
                 _create_variable(file, name, skeleton)
             for block in read_blocks():
                 for name in values:
                     _write_block(file.variables[name], block, plan.grid.shape)
-        with netCDF4.Dataset(aside) as file:
+        with netCDF4.Dataset(temporary) as file:
             file.set_auto_maskandscale(False)
-            held = all(
+            complete = all(
                 _has_block(file.variables[name], block, plan.grid.shape)
                 for block in read_blocks()
                 for name in values
             )
-        if not held:
+        if not complete:
             raise OSError(f"{path}: the file written does not hold the table")
-        write_checksums(aside)
+        write_checksums(temporary)
 
 
 def _make_skeleton(
     plan: TablePlan, request: TableRequest, block_attrs: Sequence[Mapping[str, Any]]
 ) -> xr.Dataset:
-    """Return a table without values, which takes no memory for them."""
-    nothing = {
+    """Return a table with broadcast NaN values, which use no memory."""
+    empty_arrays = {
         name: np.broadcast_to(np.float32(np.nan), shape)
         for name, shape in compute_array_shapes(plan, request).items()
     }
     return assemble_dataset(
-        nothing, plan, request, block_attrs, sum(float(one["wall_time_s"]) for one in block_attrs)
+        empty_arrays,
+        plan,
+        request,
+        block_attrs,
+        sum(float(attrs["wall_time_s"]) for attrs in block_attrs),
     )
 
 
 def _create_variable(file: netCDF4.Dataset, name: str, skeleton: xr.Dataset) -> None:
-    """Make a variable in a file, whose values are still to come."""
+    """Create a variable in a file without writing its values."""
     variable = skeleton[name]
     dims = [str(dim) for dim in variable.dims]
     for dim, size in zip(dims, variable.shape, strict=True):
         if dim not in file.dimensions:
             file.createDimension(dim, size)
-    made = file.createVariable(name, "f4", dims, fill_value=False, contiguous=True)
-    made.setncatts(variable.attrs)
-    beside = [str(c) for c in variable.coords if c not in variable.dims]
-    if beside:
-        made.coordinates = " ".join(beside)
+    created = file.createVariable(name, "f4", dims, fill_value=False, contiguous=True)
+    created.setncatts(variable.attrs)
+    auxiliary = [str(c) for c in variable.coords if c not in variable.dims]
+    if auxiliary:
+        created.coordinates = " ".join(auxiliary)
 
 
 def _iterate_points(
     block: xr.Dataset, shape: tuple[int, ...]
 ) -> Iterable[tuple[int, tuple[Any, ...]]]:
-    """Yield where the points of a block are among its own, and in the table."""
-    places = np.unravel_index(block.point.values, shape)
-    yield from enumerate(zip(*(axis.tolist() for axis in places), strict=True))
+    """Yield the index of each point in a block and in the table."""
+    indices = np.unravel_index(block.point.values, shape)
+    yield from enumerate(zip(*(axis.tolist() for axis in indices), strict=True))
 
 
 def _write_block(variable: netCDF4.Variable, block: xr.Dataset, shape: tuple[int, ...]) -> None:
-    """Write what a block has of a variable."""
-    lead = (slice(None),) * (variable.ndim - len(shape) - 1)
+    """Write the values of a block into a variable."""
+    leading = (slice(None),) * (variable.ndim - len(shape) - 1)
     values = block[variable.name].values
-    for row, place in _iterate_points(block, shape):
-        variable[(*lead, *place)] = values[..., row, :]
+    for row, index in _iterate_points(block, shape):
+        variable[(*leading, *index)] = values[..., row, :]
 
 
 def _has_block(variable: netCDF4.Variable, block: xr.Dataset, shape: tuple[int, ...]) -> bool:
-    """Tell whether a file has what a block has of a variable."""
-    lead = (slice(None),) * (variable.ndim - len(shape) - 1)
+    """Return whether a variable holds the values of a block."""
+    leading = (slice(None),) * (variable.ndim - len(shape) - 1)
     values = block[variable.name].values
     return all(
-        np.array_equal(variable[(*lead, *place)], values[..., row, :])
-        for row, place in _iterate_points(block, shape)
+        np.array_equal(variable[(*leading, *index)], values[..., row, :])
+        for row, index in _iterate_points(block, shape)
     )

@@ -1,4 +1,4 @@
-"""Tables that were made: opened, looked up, and read between their nodes."""
+"""Look-up tables: opening, interpolation, derivatives and export."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ Part = TypeVar("Part", xr.Dataset, xr.DataArray)
 
 
 class Table:
-    """A table of spectra.
+    """Look-up table of spectra over a grid of parameters.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        As `splits.build_table` returns it, or a part of it, its axes in any order.
+        Result of `splits.build_table` or a part of it, with axes in any order.
 
     Attributes
     ----------
     dataset : xarray.Dataset
-        Axes of numbers ascend in it, and the wavelength is the last axis.
+        Table with ascending numeric axes and the wavelength as the last axis.
 
     Raises
     ------
     ValueError
-        For another dataset, and where values, or what labels them, are missing.
+        If the dataset is not a table, or values or coordinates are missing.
     """
 
     @reject_unknown_arguments
@@ -61,7 +61,7 @@ class Table:
             check_complete(self.dataset)
 
     def __repr__(self) -> str:
-        """Return what the table holds, an axis to a line."""
+        """Return a summary of the table, with one axis per line."""
         lines = [f"Table of {', '.join(self.quantities)}"]
         for name in self.axes:
             values = self.dataset[name].values
@@ -71,57 +71,65 @@ class Table:
 
     @property
     def quantities(self) -> list[str]:
-        """What the table holds, besides errors."""
+        """Quantities of the table, without standard errors."""
         return [str(n) for n in self.dataset.data_vars if f"{n}_stderr" in self.dataset.data_vars]
 
     @property
     def axes(self) -> list[str]:
-        """Its axes, the wavelength last."""
+        """Axes of the table, the wavelength last."""
         return [str(dim) for dim in self.dataset[self.quantities[0]].dims]
 
     @reject_unknown_arguments
     def interp(self, **at: Any) -> xr.Dataset:
-        """Return values between nodes, with errors that hold what interpolation adds.
+        """Interpolate spectra between the nodes of the table.
 
         Parameters
         ----------
         **at
-            From axes to a number within it, or to one of its texts; ``wavelength`` may be a row
-            of numbers.  Axes of one value may be left out, and so may the wavelength: then all of
-            the table's are returned.  ``sza`` is short for ``incidence_deg``.
+            Position on each axis: a number within the axis, or one of its text values.
+            ``wavelength`` may be a sequence of numbers; all wavelengths are returned if it is
+            omitted.  Axes of a single value may be omitted.  ``sza`` is short for
+            ``incidence_deg``.
 
         Returns
         -------
         xarray.Dataset
-            Each quantity over ``wavelength``, with ``…_stderr``: the error of the cells, as if
-            all were off alike or each by itself, whichever is more, and of interpolation, in
-            quadrature; ``…_interpolation_error`` is the second of these.
+            Each quantity over ``wavelength``, with its standard error ``…_stderr``: the error of
+            the nodes and the interpolation error, in quadrature.  The error of the nodes is the
+            larger of those for fully correlated and for independent nodes.
+            ``…_interpolation_error`` is the interpolation error alone.
 
         Raises
         ------
         ValueError
-            For an axis that there is not or that is missing, and outside the table.
+            For an unknown or missing axis, or a value outside the table.
         """
         at = check_axis_values(at, self.axes)
         wavelengths = self.dataset.wavelength.values
-        wanted = wavelengths
+        targets = wavelengths
         if "wavelength" in at:
             given = as_1d_array("wavelength", at.pop("wavelength"), "numbers in nanometres")
-            wanted = np.array([check_within_axis("wavelength", wavelengths, one) for one in given])
+            targets = np.array(
+                [check_within_axis("wavelength", wavelengths, value) for value in given]
+            )
         part, weights = self._select_stencil(at)
-        parts = [_InterpolatedSpectra(part[q].values.astype(float), part[f"{q}_stderr"].values.astype(float))
-                 for q in self.quantities]  # fmt: skip
-        for found in weights:
-            parts = [_interpolate_first_axis(read, found) for read in parts]
-        if not np.array_equal(wanted, wavelengths):
-            parts = [_interpolate_wavelengths(read, wavelengths, wanted) for read in parts]
-        return self._make_dataset(parts, wanted, at)
+        spectra = [
+            _InterpolatedSpectra(*(part[n].values.astype(float) for n in (q, f"{q}_stderr")))
+            for q in self.quantities
+        ]
+        for axis_weights in weights:
+            spectra = [_interpolate_first_axis(spectrum, axis_weights) for spectrum in spectra]
+        if not np.array_equal(targets, wavelengths):
+            spectra = [
+                _interpolate_wavelengths(spectrum, wavelengths, targets) for spectrum in spectra
+            ]
+        return self._make_dataset(spectra, targets, at)
 
     @reject_unknown_arguments
     def interpolation_errors(self, quantity: str, **at: Any) -> np.ndarray:
-        """Return what interpolation along each axis misses, with its sign along the spectrum.
+        """Return the spectral shape of the interpolation error along each axis.
 
-        One that is off is off in one way at all wavelengths, but whether up or down is not known.
+        The error of an axis is fully correlated between wavelengths; its overall sign is unknown.
 
         Parameters
         ----------
@@ -132,22 +140,23 @@ class Table:
         Returns
         -------
         float, shape (axes, wavelengths)
+            Error estimates, with relative signs along the spectrum.
         """
         part, weights = self._select_stencil(at)
         values = part[quantity].values.astype(float)
-        found: list[list[np.ndarray]] = []
+        errors: list[list[np.ndarray]] = []
         for w in weights:
-            found = [[np.tensordot(w.weights, row[w.nodes], 1) for row in rows] for rows in found]
-            found.append([np.tensordot(row, values, 1) for row in w.error_weights])
+            errors = [[np.tensordot(w.weights, row[w.nodes], 1) for row in rows] for rows in errors]
+            errors.append([np.tensordot(row, values, 1) for row in w.error_weights])
             values = np.tensordot(w.weights, values[w.nodes], 1)
-        # Of the nodes that were left out, that which the others miss by most.
-        none = np.zeros_like(values)
-        largest = [max(rows, key=lambda r: float((r**2).sum()), default=none) for rows in found]
+        # The largest of the estimates from different validation nodes.
+        zero = np.zeros_like(values)
+        largest = [max(rows, key=lambda r: float((r**2).sum()), default=zero) for rows in errors]
         return np.array(largest).reshape(-1, values.size)
 
     @reject_unknown_arguments
     def deviations(self, quantity: str, **at: Any) -> np.ndarray:
-        """Return how far groups of rays take a value off, of a table that keeps its covariance.
+        """Return the interpolated deviations by batch of rays of a table with covariance.
 
         Parameters
         ----------
@@ -157,13 +166,13 @@ class Table:
 
         Returns
         -------
-        float, shape (groups, wavelengths)
-            Sums over groups of products are covariances.
+        float, shape (batches, wavelengths)
+            Deviations; sums of products over batches are covariances.
 
         Raises
         ------
         ValueError
-            For a table without them.
+            For a table made without ``covariance=True``.
         """
         name = f"{quantity}_batches"
         if name not in self.dataset:
@@ -176,12 +185,12 @@ class Table:
 
     @reject_unknown_arguments
     def derivatives(self, names: Sequence[str], **at: Any) -> xr.Dataset:
-        """Return derivatives to parameters along the axes, with errors that hold interpolation.
+        """Return derivatives with respect to the parameters of axes.
 
         Parameters
         ----------
         names : sequence of str
-            Axes of numbers.
+            Numeric axes.
         **at
             As for `interp`, without a wavelength.
 
@@ -189,62 +198,69 @@ class Table:
         -------
         xarray.Dataset
             ``reflectance_jacobian`` and ``…_stderr`` over ``parameter`` and ``wavelength``, per
-            unit of the parameter.  Errors of cells count as independent, which overstates those of
-            cells that share paths, unless the table was made with ``covariance=True``.
+            unit of the parameter.  The standard error includes the interpolation error.  Unless
+            the table was made with ``covariance=True``, errors of the nodes are treated as
+            independent, which overestimates the error of nodes that share paths.
 
         Raises
         ------
         ValueError
-            As `interp`; and where light goes as a root from a value on.
+            As for `interp`, and at the singularity of an axis with a square-root transform.
         """
         axes = self.axes[:-1]
         at = check_axis_values(at, axes)
-        numbers = [n for n in axes if self.dataset[n].dtype.kind == "f"]
-        chosen = check_derivative_axes(names, numbers)
-        groups = [f"{q}_batches" for q in self.quantities if f"{q}_batches" in self.dataset]
-        part, weights = self._select_stencil(at, self._list_variables() + groups)
-        found: dict[str, list[DerivativeEstimate]] = {q: [] for q in self.quantities}
-        for name in chosen:
-            which, nodes = axes.index(name), self.dataset[name].values
-            here = np.searchsorted(nodes, part[name].values[weights[which].nodes])
-            slope = compute_derivative_weights(
-                name, nodes, here, check_within_axis(name, nodes, at.get(name, nodes[0]))
+        numeric_axes = [n for n in axes if self.dataset[n].dtype.kind == "f"]
+        selected = check_derivative_axes(names, numeric_axes)
+        batch_variables = [
+            f"{q}_batches" for q in self.quantities if f"{q}_batches" in self.dataset
+        ]
+        part, weights = self._select_stencil(at, self._list_variables() + batch_variables)
+        estimates: dict[str, list[DerivativeEstimate]] = {q: [] for q in self.quantities}
+        for name in selected:
+            axis, nodes = axes.index(name), self.dataset[name].values
+            stencil = np.searchsorted(nodes, part[name].values[weights[axis].nodes])
+            derivative_weights = compute_derivative_weights(
+                name, nodes, stencil, check_within_axis(name, nodes, at.get(name, nodes[0]))
             )
-            for quantity, rows in found.items():
-                rows.append(differentiate(part, quantity, weights, which, slope))
+            for quantity, rows in estimates.items():
+                rows.append(differentiate(part, quantity, weights, axis, derivative_weights))
         wavelength = ("wavelength", self.dataset.wavelength.values, self.dataset.wavelength.attrs)
-        return make_derivative_dataset(found, chosen, wavelength, to_netcdf_attributes(dict(at)))
+        return make_derivative_dataset(
+            estimates, selected, wavelength, to_netcdf_attributes(dict(at))
+        )
 
     def _select_stencil(
         self, at: dict[str, Any], variables: list[str] | None = None
     ) -> tuple[xr.Dataset, list[InterpolationWeights]]:
-        """Return the part of the table around a place, and how values there are drawn from it."""
+        """Return the nodes around a point and the interpolation weights of every axis."""
         at = check_axis_values(at, self.axes[:-1])
         part, weights = self.dataset[variables or self._list_variables()], []
         for name in self.axes[:-1]:
             values = self.dataset[name].values
             if name not in at and values.size > 1:
                 raise invalid(name, None, "given", "an axis of the table")
-            found = _compute_axis_weights(name, values, at.get(name, values[0]))
-            # Only the nodes that count are read from a table that lies in its file.
-            needed = np.union1d(found.nodes, np.flatnonzero(found.error_weights.any(axis=0)))
-            weights.append(found.restrict_to(needed))
+            axis_weights = _compute_axis_weights(name, values, at.get(name, values[0]))
+            # Only nodes with weights are read from a table on disk.
+            needed = np.union1d(
+                axis_weights.nodes, np.flatnonzero(axis_weights.error_weights.any(axis=0))
+            )
+            weights.append(axis_weights.restrict_to(needed))
             part = part.isel({name: needed})
         return load_selection(part), weights
 
     @reject_unknown_arguments
     def to_csv(self, path: str | Path) -> None:
-        """Write it as CSV, see `splits.tables.export.write_csv`."""
+        """Write the table as CSV; see `splits.tables.export.write_csv`."""
         write_csv(self.dataset, path)
 
     @reject_unknown_arguments
     def to_spires(self, impurity: str, bands: Any, per_unit: float = 1000.0, **at: Any) -> Any:
-        """Return it as the package spires takes it, see `splits.tables.export.convert_to_spires`."""
+        """Convert the table for spires; see `splits.tables.export.convert_to_spires`."""
         return convert_to_spires(self.dataset, impurity, bands, per_unit, **at)
 
     @reject_unknown_arguments
     def to_isofit(self, directions: xr.Dataset | None = None, **at: Any) -> xr.Dataset:
-        """Return it as isofit looks it up, see `splits.tables.isofit.convert_to_isofit`."""
+        """Convert the table for isofit; see `splits.tables.isofit.convert_to_isofit`."""
         return convert_to_isofit(self.dataset, directions, **at)
 
     def _list_variables(self) -> list[str]:
@@ -253,29 +269,31 @@ class Table:
     def _make_dataset(
         self, spectra: list[_InterpolatedSpectra], wavelengths: np.ndarray, at: Any
     ) -> xr.Dataset:
-        """Return what was read as a dataset."""
+        """Return interpolated spectra as a dataset."""
         variables: dict[str, Any] = {}
-        for name, read in zip(self.quantities, spectra, strict=True):
+        for name, spectrum in zip(self.quantities, spectra, strict=True):
             label = str(self.dataset[name].attrs.get("long_name", name))
-            error = np.sqrt(read.stderr**2 + read.interpolation_error**2)
-            for end, values, about in (
-                ("", read.value, label),
-                ("_stderr", error, f"standard error of {label}"),
+            stderr = np.sqrt(spectrum.stderr**2 + spectrum.interpolation_error**2)
+            for suffix, values, long_name in (
+                ("", spectrum.value, label),
+                ("_stderr", stderr, f"standard error of {label}"),
                 (
                     "_interpolation_error",
-                    read.interpolation_error,
+                    spectrum.interpolation_error,
                     f"error of interpolation of {label}",
                 ),
             ):
-                facts = {"long_name": about, "units": "1"}
-                variables[name + end] = ("wavelength", values, facts)
-        axis = ("wavelength", wavelengths, self.dataset.wavelength.attrs)
-        return xr.Dataset(variables, {"wavelength": axis}, to_netcdf_attributes(at))
+                attrs = {"long_name": long_name, "units": "1"}
+                variables[name + suffix] = ("wavelength", values, attrs)
+        wavelength_coordinate = ("wavelength", wavelengths, self.dataset.wavelength.attrs)
+        return xr.Dataset(
+            variables, {"wavelength": wavelength_coordinate}, to_netcdf_attributes(at)
+        )
 
 
 def load_selection(selection: Part) -> Part:
-    """Return a part of a table in memory, or refuse one with gaps."""
-    # The library underneath bears one reader at a time.
+    """Load a part of a table into memory and check it for gaps."""
+    # The HDF5 library is not thread-safe.
     with NETCDF_LOCK:
         selection = selection.load()
     check_no_gaps("table", selection)
@@ -283,7 +301,7 @@ def load_selection(selection: Part) -> Part:
 
 
 class _InterpolatedSpectra:
-    """Values, errors of the cells, and of interpolation, over the axes that are left."""
+    """Values, standard errors and interpolation errors over the remaining axes."""
 
     def __init__(
         self, value: np.ndarray, stderr: np.ndarray, interpolation_error: np.ndarray | None = None
@@ -295,65 +313,71 @@ class _InterpolatedSpectra:
 
 
 def _compute_axis_weights(name: str, nodes: np.ndarray, axis_value: Any) -> InterpolationWeights:
-    """Return how a value is drawn from the nodes of an axis; of texts, from that one."""
+    """Return the interpolation weights of a position; a text value selects its node."""
     if nodes.dtype.kind == "f":
         return compute_interpolation_weights(name, nodes, axis_value)
     check_choice(name, str(axis_value), nodes.tolist())
-    place = (nodes == str(axis_value)).argmax(keepdims=True)
-    return InterpolationWeights(place, np.ones(1), place[:0], np.zeros((0, nodes.size)))
+    node = (nodes == str(axis_value)).argmax(keepdims=True)
+    return InterpolationWeights(node, np.ones(1), node[:0], np.zeros((0, nodes.size)))
 
 
 def _interpolate_first_axis(
     spectra: _InterpolatedSpectra, axis_weights: InterpolationWeights
 ) -> _InterpolatedSpectra:
-    """Return what is read at a place of the first axis."""
-    some = [
+    """Interpolate spectra along the first axis."""
+    stencil = [
         spectra.value[axis_weights.nodes],
         spectra.stderr[axis_weights.nodes],
         spectra.interpolation_error[axis_weights.nodes],
     ]
-    value = np.tensordot(axis_weights.weights, some[0], 1)
-    # Cells share paths, or at least random numbers: how alike they are off is between the two.
-    alike = np.abs(np.tensordot(axis_weights.weights, some[1], 1))
-    stderr = np.maximum(alike, np.sqrt(np.tensordot(axis_weights.weights**2, some[1] ** 2, 1)))
-    before = np.tensordot(np.abs(axis_weights.weights), some[2], 1)
-    off = np.abs(np.tensordot(axis_weights.error_weights, spectra.value, 1))
-    here = off.max(axis=0) if len(off) else np.zeros_like(value)
-    return _InterpolatedSpectra(value, stderr, np.hypot(before, here))
+    value = np.tensordot(axis_weights.weights, stencil[0], 1)
+    # Nodes share paths or random numbers, so their correlation is between 0 and 1.
+    correlated = np.abs(np.tensordot(axis_weights.weights, stencil[1], 1))
+    stderr = np.maximum(
+        correlated, np.sqrt(np.tensordot(axis_weights.weights**2, stencil[1] ** 2, 1))
+    )
+    previous_error = np.tensordot(np.abs(axis_weights.weights), stencil[2], 1)
+    estimates = np.abs(np.tensordot(axis_weights.error_weights, spectra.value, 1))
+    axis_error = estimates.max(axis=0) if len(estimates) else np.zeros_like(value)
+    return _InterpolatedSpectra(value, stderr, np.hypot(previous_error, axis_error))
 
 
 def _interpolate_wavelengths(
     spectra: _InterpolatedSpectra, nodes: np.ndarray, wavelengths: np.ndarray
 ) -> _InterpolatedSpectra:
-    """Return what is read at other wavelengths."""
+    """Interpolate spectra to other wavelengths."""
     points = [
         _interpolate_first_axis(
             spectra, compute_interpolation_weights("wavelength", nodes, float(one))
         )
         for one in wavelengths
     ]
-    value, stderr, missed = (
+    value, stderr, interpolation_error = (
         np.array([getattr(one, name) for one in points])
         for name in ("value", "stderr", "interpolation_error")
     )
-    return _InterpolatedSpectra(value, stderr, missed)
+    return _InterpolatedSpectra(value, stderr, interpolation_error)
 
 
 @reject_unknown_arguments
 def open_table(path: str | Path) -> Table:
-    """Open a table that was written; of a large one only what is asked for is read.
+    """Open a table from a netCDF file; values of a large table are read on access.
 
     Parameters
     ----------
     path : path
-        Of a file that `splits.save` wrote, or the workflow.
+        File written by `splits.save` or by the workflow.
+
+    Returns
+    -------
+    Table
 
     Raises
     ------
     ValueError
-        For a file that holds no table, or is damaged.
+        If the file is damaged or does not hold a table.
     """
     hint = "splits.Table(…) takes a dataset" if isinstance(path, xr.Dataset) else ""
     path = expand_path(path, hint=hint)
-    small = path.stat().st_size <= 1.2 * MAX_BYTES_IN_MEMORY
-    return Table(load(path) if small else open_lazily(path))
+    fits_in_memory = path.stat().st_size <= 1.2 * MAX_BYTES_IN_MEMORY
+    return Table(load(path) if fits_in_memory else open_lazily(path))

@@ -115,7 +115,7 @@ def test_a_damaged_archive_is_refused_or_unpacks_to_the_same(archive, tmp_path, 
         unpack_archive(path, target)
     except ArchiveError as error:
         line = str(error)
-        assert line.startswith(f"{path}: refused, ") and line.isprintable()
+        assert line.startswith(f"{path}: rejected, ") and line.isprintable()
         assert not target.exists()
         counted("damaged archives", number, "refused")
     else:

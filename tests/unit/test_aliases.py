@@ -1,4 +1,4 @@
-"""One thing under two names: refused wherever it can be given."""
+"""Equivalent parameters given twice are rejected."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ IGNORED_ALIASES = {
 
 
 @pytest.mark.parametrize("name", GIVEN_TWICE)
-def test_one_thing_under_two_names_is_refused(name):
+def test_one_thing_under_two_names_is_rejected(name):
     with pytest.raises(ValueError, match=r"left out (beside|where)"):
         GIVEN_TWICE[name]()
 
 
 @pytest.mark.parametrize("name", IGNORED_ALIASES)
-def test_what_has_no_effect_is_refused(name):
+def test_what_has_no_effect_is_rejected(name):
     with pytest.raises(InvalidValue, match=r"unknown key|left out, as it is free"):
         IGNORED_ALIASES[name]()
 

@@ -1,4 +1,4 @@
-"""BRDFs in the universal BRDF format, field by field as its schema and its example have them."""
+"""BRDFs in the universal BRDF format, compared to its schema and its example."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ METADATA = {"schema", "id", "type", "timestamp", "provenance", "license", "descr
 PARAMETER = {"name", "symbol", "description", "value", "unit", "uncertainty", "uncertainty_unit",
              "data_links", "comments", "adhoc_section"}  # fmt: skip
 ANGLES = {"theta_i": 90.0, "phi_i": 360.0, "theta_r": 90.0, "phi_r": 360.0}
-"""Bounds of angles in degrees, which they must stay below."""
+"""Exclusive upper bounds of angles in degrees."""
 
 
 def make_brdf(incidence, **keywords):
@@ -160,7 +160,7 @@ def test_what_a_goniophotometer_measures_can_be_written(tmp_path):
         ([make_brdf(0.0)], {"license": {"type": "MIT"}}, "license = .*rights_holder"),
     ],
 )
-def test_what_the_format_cannot_hold_is_refused(datasets, changes, line):
+def test_what_the_format_cannot_hold_is_rejected(datasets, changes, line):
     given = {"path": "snow.brdf", "provenance": AUTHOR, "license": None, **changes}
     with pytest.raises(InvalidValue, match=f"^{line}"):
         splits.save_brdf(datasets, **given)

@@ -1,4 +1,4 @@
-"""The tables of refractive indices that the package carries are those of their sources."""
+"""The tables of refractive indices in the package are identical to their sources."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Refusals: every message names key, value and what is allowed."""
+"""Validation: every message names the key, the value and the allowed range."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from splits.core.validation import (
 )
 
 
-def test_a_refusal_names_key_value_range_and_hint():
+def test_errors_name_key_value_range_and_hint():
     error = invalid("depth_m", -1, "above 0", "think positive")
     assert str(error) == "depth_m = -1: must be above 0 (think positive)"
     assert str(invalid("depth_m", "x", "above 0")) == "depth_m = 'x': must be above 0"
@@ -70,7 +70,7 @@ def test_sequences_of_numbers():
 
 
 @pytest.mark.parametrize("value", [(1,), (1, 2, 3), "12", b"12", 7, None])
-def test_sequences_of_another_length_are_refused(value):
+def test_sequences_of_another_length_are_rejected(value):
     with pytest.raises(ValueError, match=r"^x = .*must be 2 numbers \(low, high\)"):
         check_named_numbers("x", value, ("low", "high"))
 
@@ -94,7 +94,7 @@ def test_suggestions_need_some_likeness():
     assert suggest_name(7, ["density"]) == ""
 
 
-def test_a_refusal_is_a_value_that_keeps_its_parts():
+def test_errors_keep_their_attributes():
     refused = invalid("depth_m", -1.0, "above 0", "in metres")
     assert (refused.key, refused.value, refused.allowed) == ("depth_m", -1.0, "above 0")
     inside = pickle.loads(pickle.dumps(refused)).add_prefix("medium", "not in cm")

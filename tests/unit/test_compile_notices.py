@@ -1,4 +1,4 @@
-"""A person is told that kernels are compiled, and nothing about that can end a run."""
+"""Notices about kernel compilation, whose errors never end a run."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def wait_for_notices():
 
 @pytest.fixture
 def heard():
-    """Return all that a listener is told."""
+    """Return the notices that a callback receives."""
     told = []
     notices.listeners.append(told.append)
     yield told
@@ -87,7 +87,7 @@ def test_a_terminal_that_was_closed_ends_nothing(monkeypatch):
             time.sleep(0.2)
 
 
-def test_where_nobody_sees_it_nothing_is_said(capfd):
+def test_without_a_terminal_there_is_no_notice(capfd):
     with announce(COMPILING_MESSAGE):
         time.sleep(0.2)
     assert notices._session is None
@@ -101,7 +101,7 @@ def test_bars_show_it_with_the_seconds(capsys):
     assert notices.listeners == []
 
 
-def test_a_listener_that_fails_ends_nothing(heard):
+def test_a_callback_that_fails_ends_nothing(heard):
     notices.listeners.insert(0, lambda text: 1 / 0)
     with announce(COMPILING_MESSAGE):
         time.sleep(0.2)

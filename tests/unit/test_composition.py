@@ -1,4 +1,4 @@
-"""From masses to particle types: SPLITS Tables 3-4 and Eqs 5-18, worked out by hand."""
+"""Composition of sand: SPLITS Tables 3-4 and Eqs 5-18, computed by hand."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_fractions_add_up_and_densities_lie_between_those_of_the_minerals(case):
 
 @pytest.mark.parametrize("case", [name for name in CASES if name != "13j9823"])
 def test_every_mineral_has_the_mass_asked_for(case):
-    """Eqs 8-9 have a solution where magnetite finds room among the pure particles."""
+    """Eqs 8-9 have a solution if magnetite does not exceed the pure fraction."""
     iron, ratio, magnetite, _ = CASES[case]
     found = compute_mineral_masses(make_composition(*CASES[case], COATING))
     assert found["hematite"] == pytest.approx(ratio * iron, abs=1e-15)
@@ -126,7 +126,7 @@ def test_kaolinite_fills_the_coating(oxide, iron, coat):
 
 
 @pytest.mark.parametrize(("oxide", "printed"), [("hematite", "0.0647"), ("goethite", "0.0536")])
-def test_more_iron_oxide_than_the_coating_holds_is_refused_by_name(oxide, printed):
+def test_more_iron_oxide_than_the_coating_holds_is_rejected_by_name(oxide, printed):
     assert (
         compute_coated_concentrations(oxide, LIMIT[oxide] * (1 - 1e-12), COATING)["kaolinite"]
         >= 0.0
@@ -144,7 +144,7 @@ def test_more_iron_oxide_than_the_coating_holds_is_refused_by_name(oxide, printe
 
 
 @pytest.mark.parametrize("oxide", LIMIT)
-def test_the_limit_that_a_refusal_names_is_accepted(oxide):
+def test_the_limit_named_in_the_error_is_accepted(oxide):
     with pytest.raises(ValueError) as caught:
         compute_coated_concentrations(oxide, 0.5, COATING)
     named = float(re.search(r"at most ([\d.]+)", str(caught.value))[1])
@@ -175,7 +175,7 @@ def test_a_full_coating_has_no_kaolinite(oxide):
         ({"hematite_ratio": -0.1}, r"^hematite_ratio = -0.1: must be in \[0, 1\]"),
     ],
 )
-def test_impossible_sands_are_refused(change, message):
+def test_impossible_sands_are_rejected(change, message):
     good = {"iron_oxide": 0.03, "hematite_ratio": 0.3, "magnetite": 0.0, "partition": (1, 0, 0)}
     with pytest.raises(ValueError, match=message):
         make_composition(**{**good, **change}, coating_fraction=COATING)
@@ -203,7 +203,7 @@ def test_types_without_mass_are_absent():
 
 
 @pytest.mark.parametrize("excess", ["first", "clipped"])
-def test_magnetite_may_take_the_whole_pure_share_and_more(excess):
+def test_magnetite_may_exceed_the_pure_fraction(excess):
     """Eq 9 reaches zero at ϑ_m = μ'_p − β_hg; nothing jumps there."""
     partition, iron, ratio = (0.4, 0.35, 0.25), 0.03, 0.3
     share = 0.4 - 0.4 * iron
@@ -220,7 +220,7 @@ def test_magnetite_may_take_the_whole_pure_share_and_more(excess):
     assert at.get("pure quartz", 0.0) < 1e-15 and "pure quartz" not in beyond
 
 
-def test_magnetite_and_pure_oxides_come_first_and_the_rest_shares_what_is_left():
+def test_magnetite_and_pure_oxides_have_priority():
     iron, ratio, magnetite, pure, mixed, coated = 0.03, 0.3, 0.6, 0.4, 0.35, 0.25
     made = make_composition(iron, ratio, magnetite, (pure, mixed, coated), COATING)
     mass = {t.name: t.mass_fraction for t in made.particle_types}

@@ -1,4 +1,4 @@
-"""CSV tables of users: one reader for all of them, which refuses what could be misread."""
+"""CSV tables of users: ambiguous content is rejected everywhere."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ OTHER_READERS = {"sky": ",diffuse", "index": ",k"}
 VALID_TEXTS = "wavelength_nm,VALUE\n400,0.9\n450,0.8\n500,0.9\n550,0.8\n600,0.9\n650,0.8\n700,0.9\n"
 VALID_TEXTS += "750,0.8\n800,0.9\n850,0.8\n900,0.9\n"
 INVALID_TEXTS = {
-    "per cent sign": (("0.8\n500", "80%\n500"), "line 3: VALUE is 80%; write a share"),
+    "per cent sign": (("0.8\n500", "80%\n500"), "line 3: VALUE is 80%; write a fraction"),
     "thousands": (("\n450", '\n"1,450"'), "line 3: wavelength_nm is 1,450; write decimals"),
     "footer": (("900,0.9\n", "900,0.9\nmean,0.9\n"), "line 13: wavelength_nm is mean"),
     "text": (("450,0.8", "450,little"), "line 3: VALUE is little"),
@@ -79,7 +79,7 @@ INVALID_TEXTS = {
     "semicolons": ((",", ";"), "it has no|no column|fields in line"),
     "gap": (("\n450", "\n"), "line 3: wavelength_nm is a gap"),
     "quote without end": (("450,0.8", '450,"0.8'), "line 3: unexpected end of data"),
-    "no text": (("450,0.8", "450,0.8\0"), "line 3: it is no text in UTF-8"),
+    "no text": (("450,0.8", "450,0.8\0"), "line 3: it is not text in UTF-8"),
     "empty": ((VALID_TEXTS, ""), "it has no rows"),
     "header alone": ((VALID_TEXTS.partition("\n")[2], ""), "it has no rows"),
 }  # fmt: skip
@@ -111,7 +111,7 @@ def test_a_sound_table_is_read_everywhere(tmp_path, way):
 
 @pytest.mark.parametrize("what", INVALID_TEXTS)
 @pytest.mark.parametrize("way", READERS)
-def test_what_could_be_misread_is_refused_everywhere(tmp_path, way, what):
+def test_ambiguous_content_is_rejected_everywhere(tmp_path, way, what):
     (old, new), told = INVALID_TEXTS[what]
     if way in OTHER_READERS:
         told = told.replace("3, in the header: 2", "4, in the header: 3")
@@ -135,14 +135,14 @@ def test_what_could_be_misread_is_refused_everywhere(tmp_path, way, what):
         (lambda text: text.replace("wavelength_nm", "wavelength"), "no column wavelength_nm"),
     ],
 )
-def test_spectra_are_shares_over_increasing_nanometres(tmp_path, way, change, told):
+def test_spectra_are_fractions_over_increasing_nanometres(tmp_path, way, change, told):
     path = tmp_path / "mine.csv"
     path.write_text(change(make_table_text(way)), encoding="utf-8")
     with pytest.raises(ValueError, match=told):
         READERS[way][1](path)
 
 
-def test_gaps_stay_gaps_in_figures_and_are_refused_in_fits_and_retrievals(tmp_path):
+def test_gaps_stay_gaps_in_figures_and_are_rejected_in_fits_and_retrievals(tmp_path):
     path = tmp_path / "mine.csv"
     for gap in ("", "NaN", "n/a"):
         path.write_text(make_table_text("figure").replace("0.9", gap, 1), encoding="utf-8")

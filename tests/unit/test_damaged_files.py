@@ -1,4 +1,4 @@
-"""Damaged datasets: each is refused in one line, whatever happened to the file."""
+"""Damaged datasets: one-line errors for every kind of damage."""
 
 from __future__ import annotations
 

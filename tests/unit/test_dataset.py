@@ -1,4 +1,4 @@
-"""Datasets on disk: round trip, whole or not at all, provenance."""
+"""Datasets on disk: round trip, atomic writes and provenance."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_a_save_that_fails_leaves_what_was_there(tmp_path, monkeypatch, before):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite_are_refused_by_name(tmp_path, bad):
+def test_values_that_are_not_finite_are_rejected_by_name(tmp_path, bad):
     values = np.zeros((2, 2, 3))
     values[1, 0, 2] = bad
     with pytest.raises(ValueError, match=r"made\.nc: transmittance holds values.*not finite"):
@@ -123,7 +123,7 @@ def test_names_have_no_dots_in_the_file_and_their_own_when_loaded(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["made.csv", "made", "made.nc.gz", "made.NC"])
-def test_other_suffixes_are_refused_with_a_hint(tmp_path, name):
+def test_other_suffixes_are_rejected_with_a_hint(tmp_path, name):
     with pytest.raises(ValueError, match=r"^path = .*: must be a name that ends in \.nc, .*to_csv"):
         splits.save(make_dataset(), tmp_path / name)
     assert list_names(tmp_path) == []
@@ -135,7 +135,7 @@ def test_suffixes_of_netcdf(tmp_path, name):
     xr.testing.assert_equal(splits.load(tmp_path / name), make_dataset())
 
 
-def test_datasets_of_others_are_refused(tmp_path):
+def test_datasets_of_other_programs_are_rejected(tmp_path):
     path = tmp_path / "foreign.nc"
     xr.Dataset({"x": ("t", [1.0, 2.0])}).to_netcdf(path)
     with pytest.raises(ValueError, match=r"foreign\.nc: not a dataset written by splits"):

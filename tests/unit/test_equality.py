@@ -1,4 +1,4 @@
-"""Inputs are equal, and have one hash, where they hold the same; however they were copied."""
+"""Equality and hash of inputs by value, also for copies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of sums over a spectrum: groups of rays tell how wavelengths go together."""
+"""Errors of sums over a spectrum: batches of rays give the correlation between wavelengths."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ERROR = 0.01
 
 
 def make_dataset(groups=None, bound=0.0, **dimensions):
-    """Return a grey spectrum with an error of 0.01, from these groups and a bound besides."""
+    """Return a grey spectrum with an error of 0.01, from given batches and a bound."""
     shape = (*(len(v) for v in dimensions.values()), len(WAVELENGTHS))
     dims = (*dimensions, "wavelength")
     variables = {
@@ -46,14 +46,14 @@ def make_dataset(groups=None, bound=0.0, **dimensions):
 
 
 def make_two_node_batches():
-    """Return groups of two independent sets of paths: one below 600 nm, one from there on."""
+    """Return batches of two independent ensembles: one below 600 nm, one above."""
     groups = np.zeros((N_BATCHES, len(WAVELENGTHS)))
     groups[0, ~RED] = ERROR
     groups[1, RED] = ERROR
     return groups
 
 
-def test_wavelengths_of_one_node_go_together_and_those_of_two_do_not():
+def test_errors_of_one_node_are_correlated_and_those_of_two_are_independent():
     ds = make_dataset(make_two_node_batches())
     assert float(compute_band_error(ds, "reflectance", 400, 590)) == pytest.approx(ERROR)
     assert float(compute_band_error(ds, "reflectance", 600, 780)) == pytest.approx(ERROR)
@@ -65,7 +65,7 @@ def test_wavelengths_of_one_node_go_together_and_those_of_two_do_not():
     assert mean == pytest.approx(ERROR * np.hypot(share, 1.0 - share))
 
 
-def test_what_interpolation_misses_goes_alike_along_a_stretch_of_one_sign():
+def test_interpolation_errors_are_correlated_along_an_interval_of_one_sign():
     ds = make_dataset(make_two_node_batches(), bound=0.004)
     weights = make_band_weights(ds, 600, 780) - make_band_weights(ds, 400, 590)
     scatter, missed = compute_error_parts(ds, "reflectance", weights)
@@ -77,7 +77,7 @@ def test_what_interpolation_misses_goes_alike_along_a_stretch_of_one_sign():
     assert error == pytest.approx(np.hypot(float(scatter), float(missed)))
 
 
-def test_without_groups_errors_are_upper_bounds():
+def test_without_batches_errors_are_upper_bounds():
     ds = make_dataset()
     weights = make_band_weights(ds, 600, 780) - make_band_weights(ds, 400, 590)
     scatter, missed = compute_error_parts(ds, "reflectance", weights)
@@ -99,7 +99,7 @@ def test_an_unknown_value_is_not_taken_for_an_exact_one(groups):
         assert compute_band_error(ds, "reflectance", 400, 590).isnull()
 
 
-def test_what_two_media_share_cancels_in_their_difference():
+def test_correlated_errors_cancel_in_a_difference():
     chance = np.random.default_rng(5)
     shared, own = chance.normal(size=(2, N_BATCHES, 1, 2))
     groups = np.concatenate([shared, shared + 0.1 * own], axis=1)
@@ -122,7 +122,7 @@ def test_what_two_media_share_cancels_in_their_difference():
     np.testing.assert_allclose(same, stderr)
 
 
-def test_a_band_without_wavelengths_is_refused():
+def test_a_band_without_wavelengths_is_rejected():
     for function in (compute_band_mean, compute_band_error):
         with pytest.raises(ValueError, match=r"wavelength = .*some in 1200 to 1300 nm"):
             function(make_dataset(make_two_node_batches()), "reflectance", 1200, 1300)
@@ -145,7 +145,7 @@ def test_a_colour_scatters_as_its_nodes_do():
     ).all()
 
 
-def test_the_gradient_of_colours_holds_for_dark_and_bright_ones():
+def test_the_gradient_of_colours_holds_for_low_and_high_luminance():
     for xyz in ([0.95, 1.0, 1.09], [0.2, 0.18, 0.1], [0.002, 0.002, 0.001]):
         step = 1e-3 * np.array([0.5, -0.2, 0.9]) * min(xyz)
         far = to_cielab(np.array(xyz) + step) - to_cielab(np.array(xyz) - step)
@@ -154,7 +154,7 @@ def test_the_gradient_of_colours_holds_for_dark_and_bright_ones():
         )
 
 
-def test_steps_of_a_grid_use_the_groups():
+def test_steps_of_a_grid_use_the_batches():
     step, error = compute_steps(
         make_dataset(make_two_node_batches(), x=[1.0, 2.0, 3.0]), "reflectance", "x", 400, 780
     )
@@ -163,7 +163,7 @@ def test_steps_of_a_grid_use_the_groups():
     np.testing.assert_allclose(error, np.sqrt(2.0) * ERROR * np.hypot(share, 1.0 - share))
 
 
-def test_scaled_groups_hold_the_variance_and_keep_correlations():
+def test_scaled_batches_hold_the_variance_and_keep_correlations():
     random = np.random.default_rng(2)
     raw = random.normal(size=(N_BATCHES, 3, 5))
     raw -= raw.mean(axis=0)
@@ -181,7 +181,7 @@ def test_scaled_groups_hold_the_variance_and_keep_correlations():
 
 
 @pytest.mark.parametrize("estimator", ["spectral", "analog"])
-def test_groups_are_no_more_than_the_standard_error(estimator):
+def test_batches_do_not_exceed_the_standard_error(estimator):
     ds = splits.spectrophotometer(
         splits.Snow(depth_m=0.002), [500.0, 1000.0], max_stderr=0.1, estimator=estimator, threads=1
     )
@@ -193,7 +193,7 @@ def test_groups_are_no_more_than_the_standard_error(estimator):
         assert largest < 1e-3 * float(ds[f"{name}_stderr"].max())
 
 
-def test_groups_survive_grids_and_files(tmp_path):
+def test_batches_survive_grids_and_files(tmp_path):
     experiment = ExperimentConfig.model_validate(
         {
             "name": "mine",

@@ -1,4 +1,4 @@
-"""Text of users stays text, hostile or innocent, for every program that it is handed to."""
+"""User text, hostile or harmless, is escaped for every program that interprets it."""
 
 from __future__ import annotations
 
@@ -221,13 +221,13 @@ def test_labels_are_not_handed_to_tex():
 
 @pytest.mark.parametrize("place", ["a{b}", "a</script>", "a\nb", "<b"])
 @pytest.mark.parametrize("key", ["results", "experiments_folder", "measured_folder"])
-def test_paths_that_the_workflow_reads_as_patterns_are_refused(key, place):
+def test_paths_that_the_workflow_reads_as_patterns_are_rejected(key, place):
     content = {"accuracies": {"standard": {"max_stderr": 0.01}}, key: place}
     with pytest.raises(ConfigError, match=rf"{key} = .*: must be a path without {{ }} < >"):
         load_settings(content)
 
 
-def test_tables_that_the_workflow_reads_as_patterns_are_refused(tmp_path):
+def test_tables_that_the_workflow_reads_as_patterns_are_rejected(tmp_path):
     table = tmp_path / "a{b}.csv"
     table.write_text("wavelength_nm,n,k\n200,1.3,0\n3000,1.3,0\n", encoding="utf-8")
     content = {"medium": {"refractive_index": {"ice": str(table)}}}

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and what killed writers leave behind."""
+"""Atomic writes, and removal of temporary files left by killed processes."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ with atomic_write(sys.argv[1]) as aside:
     input()
 """
 OTHER_MACHINE = ["unshare", "--pid", "--fork", "--mount-proc"]
-"""Runs a command where processes have other numbers, as in a container."""
+"""Command that runs another one in a new process namespace, as in a container."""
 
 
 def start_writing(path, *before):

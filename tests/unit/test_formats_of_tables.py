@@ -1,4 +1,4 @@
-"""Tables as other programs open them: field by field, and by the program where it is there."""
+"""Export of tables: formats compared to their definition, and to the programs if installed."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_isofit_finds_the_names_that_it_looks_for(table):
 
 
 def directions(**changes):
-    """Return bidirectional reflectance factors that tell every axis apart."""
+    """Return bidirectional reflectance factors that differ along every axis."""
     axes = {
         "optical_radius_um": np.array([100.0, 400.0]), "incidence_deg": np.array([0.0, 50.0]),
         "wavelength": np.array([500.0, 900.0]), "polar": np.array([0.0, 20.0, 60.0]),
@@ -128,7 +128,7 @@ def test_isofit_finds_both_reflectances_by_direction(table):
         ({"polar": np.array([0.0, 20.0, 75.0])}, "incidence_deg = 75.0: must be from 0 to 60"),
     ],
 )
-def test_directions_outside_the_table_are_refused(table, changes, line):
+def test_directions_outside_the_table_are_rejected(table, changes, line):
     clean = {"impurities_ng_g.dust": 0.0, "liquid_water_content": 0.0}
     with pytest.raises(InvalidValue, match=f"^{line}"):
         table.to_isofit(directions(**changes), **clean)
@@ -153,7 +153,7 @@ def test_directions_outside_the_table_are_refused(table, changes, line):
         ),
     ],
 )  # fmt: skip
-def test_what_a_format_cannot_hold_is_refused(table, call, line):
+def test_what_a_format_cannot_hold_is_rejected(table, call, line):
     with pytest.raises(InvalidValue, match=f"^{line}"):
         call(table)
 

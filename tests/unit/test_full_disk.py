@@ -1,4 +1,4 @@
-"""A full disk is said in one line, and nothing of a file that could not be written stays."""
+"""A full disk gives a one-line error and leaves no partial file."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def list_open_files():
 
 
 @pytest.mark.parametrize("write", [save_dataset, save_table, save_drawing, save_archive])
-def test_no_space_is_said_and_nothing_stays(disk, write):
+def test_a_full_disk_is_reported_and_nothing_stays(disk, write):
     for _ in range(2):
         with pytest.raises(OSError, match=r"No space left on device: '.*/made\.") as caught:
             write(disk)
@@ -122,7 +122,7 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("way", ["a folder", "below a file"])
-def test_an_output_that_cannot_be_written_is_refused_at_the_start(tmp_path, capsys, way):
+def test_an_output_that_cannot_be_written_is_rejected_at_the_start(tmp_path, capsys, way):
     file = tmp_path / "small.yaml"
     file.write_text("instrument: {wavelength_nm: [800]}\n", encoding="utf-8")
     output = tmp_path / "made"

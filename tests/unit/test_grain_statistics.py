@@ -1,4 +1,4 @@
-"""Numbers a medium is made of: ice density, surface over volume, attenuation K1 and K2."""
+"""Grain statistics: ice density, surface-to-volume ratio, attenuation K1 and K2."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_ice_density_at_and_between_tabulated_temperatures(temperature, density)
 
 
 @pytest.mark.parametrize("temperature", [-40.1, 0.1, float("nan"), None])
-def test_ice_density_outside_the_table_is_refused(temperature):
+def test_ice_density_outside_the_table_is_rejected(temperature):
     with pytest.raises(ValueError, match=r"temperature_c = .*\[-40, 0\]"):
         ice_density(temperature)
 

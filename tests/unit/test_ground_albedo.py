@@ -1,4 +1,4 @@
-"""What a ground is made of, what is refused, and what datasets say of it."""
+"""Ground albedo: inputs, errors and dataset attributes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_open_is_no_ground(given):
     assert splits.Snow(ground=given).describe()["ground"] == "open"
 
 
-def test_black_sends_nothing_back():
+def test_black_ground_reflects_nothing():
     assert not Ground.from_input("black").is_reflecting and not Ground.from_input(0.0).is_reflecting
     assert Ground.from_input(1e-9).is_reflecting
 
@@ -67,12 +67,12 @@ def test_a_file_is_known_by_its_content(tmp_path):
         ({"wavelength_nm": [400, 500], "albedo": [0.1, 1.2]}, r"ground.albedo = 1.2"),
     ],
 )
-def test_what_is_no_ground_is_refused(given, message):
+def test_invalid_grounds_are_rejected(given, message):
     with pytest.raises(ValueError, match=message):
         splits.Snow(ground=given)
 
 
-def test_instruments_that_look_below_refuse_a_ground():
+def test_instruments_that_look_below_reject_a_ground():
     snow = splits.Snow(depth_m=0.01, ground=0.5)
     with pytest.raises(ValueError, match="target = 'btdf': must be brdf over a ground"):
         splits.goniophotometer(snow, 500.0, target="btdf")

@@ -1,4 +1,4 @@
-"""A ~ in a path is the user's home, wherever a path is given: in Python, YAML and the shell."""
+"""Expansion of ~ in paths given in Python, YAML and the shell."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def test_what_has_that_name_itself_is_reached(home):
         shutil.rmtree(here / name)
 
 
-def test_a_home_that_is_not_known_is_refused_in_a_line(home, capsys):
+def test_an_unknown_home_is_rejected_in_one_line(home, capsys):
     with pytest.raises(InvalidValue, match=r"^path = '~nobody-here/a.nc': must be .* known"):
         splits.load("~nobody-here/a.nc")
     with pytest.raises(InvalidValue, match=r"^sky = '~nobody-here/a.csv': must be"):
@@ -191,7 +191,7 @@ def test_a_home_that_is_not_known_is_refused_in_a_line(home, capsys):
 @pytest.mark.parametrize(
     "given", [make_snowlike_table().dataset, make_snowlike_table(), None, 5, np.ones(3), b"a.nc"]
 )
-def test_what_is_no_path_is_refused_in_a_line(call, given):
+def test_what_is_not_a_path_is_rejected_in_one_line(call, given):
     kind = type(given).__name__
     with pytest.raises(
         InvalidValue, match=f"^path = '{kind}': must be the path of a file"

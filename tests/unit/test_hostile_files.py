@@ -34,8 +34,8 @@ FILES = {
         "instrument.wavelength_nm.step = 5e-324",
     "instrument: {wavelength_nm: {start: 400, stop: 90000, step: 0.9}}":
         "instrument.wavelength_nm.step = 0.9: must be large enough for at most 20000 values",
-    "medium: !!bool maybe": "not YAML ('maybe' is no bool)",
-    "medium: !!int ''": "not YAML ('' is no int)",
+    "medium: !!bool maybe": "not YAML ('maybe' is not of type bool)",
+    "medium: !!int ''": "not YAML ('' is not of type int)",
     "title: !!timestamp 2001-01-01": "not YAML (could not determine a constructor",
     "medium: !!python/object:os.system x": "not YAML (could not determine a constructor",
     f"medium: {500 * '['}{500 * ']'}": "not YAML (more than 32 lists and mappings",

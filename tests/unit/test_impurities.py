@@ -1,4 +1,4 @@
-"""Impurities in snow: what they add to absorption, and what is refused."""
+"""Impurities in snow: absorption and errors."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
         ({"impurities_ng_g": {"dust": 5}}, "did you mean dust_sahara"),
         ({"impurities_ng_g": {"black_carbon": -5}}, r"impurities_ng_g\.black_carbon = -5"),
         ({"impurities_ng_g": {"black_carbon": float("nan")}}, "black_carbon"),
-        ({"impurities_ng_g": {"snow_algae": 5}}, "stands under algae_cells_ml"),
-        ({"algae_cells_ml": {"black_carbon": 5}}, "stands under impurities_ng_g"),
+        ({"impurities_ng_g": {"snow_algae": 5}}, "belongs to algae_cells_ml"),
+        ({"algae_cells_ml": {"black_carbon": 5}}, "belongs to impurities_ng_g"),
         ({"impurities_ng_g": 3}, "a mapping of amounts by kind"),
         ({"impurities_in": "air"}, "one of ice, pores"),
         ({"impurities_ng_g": {"mine": {"ng": 3}}}, "ng_g and table, or"),
@@ -119,12 +119,12 @@ LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
             ({"impurities_ng_g": {name: {"ng_g": 3, "table": "no.csv"}}}, "a name of at most 80")
             for name in ("a/b", "a\nb", "ground", "refractive_index_ice", "", 81 * "x")
         ),
-        ({"impurities_ng_g": {"snow_algae": LISTS}}, "a name of its own"),
+        ({"impurities_ng_g": {"snow_algae": LISTS}}, "a new name for a user table"),
         ({"impurities_ng_g": {"mine": LISTS}}, "2 wavelengths, 1 values"),
         ({"impurities_ng_g": {"mine": LISTS | {"absorption_m2_kg": [1, -1]}}}, "at least 0"),
     ],
 )
-def test_bad_impurities_are_refused_in_one_line(given, text):
+def test_bad_impurities_are_rejected_in_one_line(given, text):
     with pytest.raises(ValueError, match=text) as error:
         splits.Snow(**given)
     assert "\n" not in str(error.value)
@@ -138,7 +138,7 @@ def test_a_table_of_ones_own_stands_in_the_attributes():
     assert facts["mine_absorption_m2_kg"].tolist() == [20.0, 1.0]
 
 
-def test_wavelengths_beyond_the_table_are_refused():
+def test_wavelengths_outside_the_table_are_rejected():
     with pytest.raises(ValueError, match="range of impurity black_carbon"):
         splits.spectrophotometer(splits.Snow(impurities_ng_g={"black_carbon": 1.0}), [2600.0])
 

@@ -1,4 +1,4 @@
-"""Reading a table between its nodes: what is found, what is said of the error, what is refused."""
+"""Interpolation of tables: values, error estimates and errors of input."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ANGLES = np.array([0.0, 20.0, 40.0, 55.0, 65.0, 75.0])
 
 
 def evaluate_truth(size, angle, wavelengths=WAVELENGTHS):
-    """Return what the reflectance of snow is like: smooth, and steep where it is dark."""
+    """Return a function like the reflectance of snow: smooth, and steep at low values."""
     depth = np.sqrt(size / 1e4) * (wavelengths / 700.0) ** 2.5
     return np.exp(-depth * (1.0 + 2.0 * np.cos(np.radians(angle))))
 
@@ -60,8 +60,8 @@ def test_cubics_are_read_exactly():
         np.testing.assert_allclose(np.abs(w.error_weights @ fourth), abs(missed), rtol=1e-9)
 
 
-def test_what_is_missed_between_nodes_is_said():
-    """The error told is at least half of the largest that there is, at most ten times it."""
+def test_the_interpolation_error_is_estimated():
+    """The estimate is between 0.5 and 10 times the largest error."""
     random = np.random.default_rng(1)
     told, missed = [], []
     for _ in range(200):
@@ -84,7 +84,7 @@ def test_of_two_nodes_a_quarter_of_their_difference_is_doubtful():
 
 
 @pytest.mark.parametrize("count", [3, 4])
-def test_of_few_nodes_too_the_error_is_said(count):
+def test_the_error_is_estimated_with_few_nodes(count):
     few = make_table(angles=np.linspace(0.0, 70.0, count))
     random = np.random.default_rng(2)
     told, missed = [], []
@@ -97,15 +97,15 @@ def test_of_few_nodes_too_the_error_is_said(count):
     assert told.max() < 20.0 * missed.max()
 
 
-def test_cells_are_taken_to_be_off_alike():
-    """They share paths, or random numbers: between nodes the error is no smaller than at them."""
+def test_errors_of_nodes_are_taken_as_correlated():
+    """Nodes share paths or random numbers, so errors are not smaller between nodes."""
     between = {"optical_radius_um": float(np.sqrt(SIZES[4] * SIZES[5])), "incidence_deg": 30.0}
     found = make_table(0.003).interp(**between)
     cells = np.sqrt(found.reflectance_stderr**2 - found.reflectance_interpolation_error**2)
     assert ((cells > 0.003 * (1.0 - 1e-9)) & (cells < 1.3 * 0.003)).all()
 
 
-def test_errors_of_cells_do_not_cancel():
+def test_errors_of_nodes_do_not_cancel():
     uneven = make_table(0.001, sizes=np.array([100.0, 200.0, 400.0, 800.0]))
     uneven.dataset.reflectance_stderr[:2] = 0.0003
     uneven.dataset.reflectance_stderr[2:] = 0.0013
@@ -136,12 +136,12 @@ def test_wavelengths_between_those_of_the_table():
         ),
     ],
 )
-def test_what_the_table_does_not_hold_is_refused(at, line):
+def test_points_outside_the_table_are_rejected(at, line):
     with pytest.raises(InvalidValue, match=rf"^{line}"):
         make_table().interp(**at)
 
 
-def test_a_dataset_that_is_no_table_is_refused():
+def test_a_dataset_other_than_a_table_is_rejected():
     with pytest.raises(
         InvalidValue, match=r"^table = 'a dataset': must be what splits.build_table"
     ):
@@ -158,7 +158,7 @@ def test_a_dataset_that_is_no_table_is_refused():
         ("wavelength", [400.0, 2500.0], "itself"),
     ],
 )
-def test_laws_of_axes(name, nodes, kind):
+def test_transforms_of_axes(name, nodes, kind):
     found, at = transform_axis(name, np.array(nodes))
     assert found == kind
     assert (np.diff(at) > 0.0).all()
@@ -169,14 +169,14 @@ def test_laws_of_axes(name, nodes, kind):
     ("grid", "line"),
     [
         ({}, r"grid = \{\}: must be a mapping"),
-        ({"depth_m": []}, r"grid.depth_m = \[\]: must be a row"),
+        ({"depth_m": []}, r"grid.depth_m = \[\]: must be a list"),
         ({"depth_m": [1.0, 1.0]}, r"grid.depth_m = .*different"),
         ({"depth_m": [2.0, 1.0]}, r"grid.depth_m = .*increasing"),
-        ({"depth_m": [1.0, "a"]}, r"grid.depth_m = .*numbers or texts"),
+        ({"depth_m": [1.0, "a"]}, r"grid.depth_m = .*numbers or text"),
         ({"depth_m": [1.0, np.inf]}, r"grid.depth_m = .*increasing numbers"),
         ({"depth_m": "deep"}, r"grid.depth_m = 'deep'"),
     ],
 )
-def test_axes_that_are_none_are_refused(grid, line):
+def test_invalid_axes_are_rejected(grid, line):
     with pytest.raises(InvalidValue, match=f"^{line}"):
         ParameterGrid.from_mapping(grid)

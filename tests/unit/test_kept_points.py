@@ -160,6 +160,6 @@ def test_the_last_line_says_what_to_type(tmp_path):
     _, err = process.communicate(timeout=60)
     typed = "splits run 'two points.yaml' --accuracy tiny"
     assert err.splitlines()[-2:] == [
-        "splits run: interrupted", f"to go on where it stopped, type: {typed}",
+        "splits run: interrupted", f"to resume, type: {typed}",
     ]  # fmt: skip
     assert len(list_cached_files(tmp_path)) == 1

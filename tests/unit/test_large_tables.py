@@ -1,4 +1,4 @@
-"""Tables that do not fit into memory are the same as others, in their file and read from it."""
+"""Tables larger than memory: written block by block, and read on access."""
 
 from __future__ import annotations
 

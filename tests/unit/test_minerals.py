@@ -1,4 +1,4 @@
-"""Minerals of sand: quartz, iron oxides and kaolinite, their indices and densities."""
+"""Minerals of sand: refractive indices and densities of quartz, iron oxides and kaolinite."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_quartz_follows_its_formula():
 @pytest.mark.parametrize(
     ("inside", "example"), [([500.0], "198, 2054"), ([500, 799.5], "500, 800")]
 )
-def test_outside_its_range_quartz_is_refused_like_a_table(outside, inside, example):
+def test_outside_its_range_quartz_is_rejected_like_a_table(outside, inside, example):
     message = str(
         invalid(
             "wavelength_nm",
@@ -165,7 +165,7 @@ def test_goethite_obeys_kramers_and_kronig(wavelength):
 
 
 @pytest.mark.parametrize("change", [{"energy_ev": 0.0}, {"strength": -1.0}, {"width_ev": np.nan}])
-def test_impossible_bands_are_refused(change):
+def test_impossible_bands_are_rejected(change):
     with pytest.raises(ValueError, match=next(iter(change))):
         LorentzOscillator(**{"energy_ev": 2.0, "strength": 0.1, "width_ev": 0.2, **change})
     with pytest.raises(ValueError, match="high_energy"):

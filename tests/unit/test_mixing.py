@@ -1,4 +1,4 @@
-"""Rules of mixture: Maxwell Garnett against hand computations and limits, and the linear mean."""
+"""Mixing rules: Maxwell Garnett against hand computations and limits, and the linear mean."""
 
 from __future__ import annotations
 
@@ -81,6 +81,6 @@ def test_arrays_broadcast(rule):
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("fraction", [-0.1, 1.1, np.nan, [0.5, -0.1], np.inf])
-def test_fractions_outside_0_to_1_are_refused(rule, fraction):
+def test_fractions_outside_0_to_1_are_rejected(rule, fraction):
     with pytest.raises(ValueError, match=r"fraction = .*must be in \[0, 1\]"):
         rule(QUARTZ, HEMATITE, fraction)

@@ -1,4 +1,4 @@
-"""Snow by what people measure of it: surface area, radius, liquid water; in Python and in files."""
+"""Snow by measured quantities: surface area, optical radius and liquid water content."""
 
 from __future__ import annotations
 

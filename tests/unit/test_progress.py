@@ -1,4 +1,4 @@
-"""Progress of a running simulation, and the bar that shows it."""
+"""Progress of a running simulation, and progress bars."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_nothing_and_false_show_nothing(capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_what_is_no_function_is_refused():
+def test_non_callables_are_rejected():
     with pytest.raises(ValueError, match=r"progress = 'yes': must be True for a bar, or a func"):
         report_once(progress="yes")
 

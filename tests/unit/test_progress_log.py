@@ -1,4 +1,4 @@
-"""What only says how far a run is must not end it."""
+"""Errors of progress messages must not end a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What public callables have in common: real signatures, and mistakes told beside their line."""
+"""Public callables: complete signatures, and errors raised at the line of the call."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_every_public_function_and_class_has_its_mistake():
 
 
 @pytest.mark.parametrize("name", INVALID_CALLS)
-def test_a_mistake_is_told_beside_the_line_that_holds_it(name):
+def test_an_error_is_raised_at_the_line_of_the_call(name):
     with pytest.raises((ValueError, FileNotFoundError)) as caught:
         INVALID_CALLS[name]()
     assert "\n" not in str(caught.value)

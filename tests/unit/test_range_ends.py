@@ -1,4 +1,4 @@
-"""What rounding takes beyond the end of a range is that end; what is farther off is refused."""
+"""Values outside a range by rounding are set to its limit; others are rejected."""
 
 from __future__ import annotations
 

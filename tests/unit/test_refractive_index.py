@@ -146,7 +146,7 @@ def test_a_table_as_mapping_and_as_csv_are_the_same(tmp_path, kind):
         {"wavelength_nm": [400.0], "n": [1.3], "k": [0.0]},
     ],
 )
-def test_malformed_tables_are_refused(change):
+def test_malformed_tables_are_rejected(change):
     with pytest.raises(ValueError, match=r"refractive_index(\[ice\]| \(user table for ice\))"):
         make_refractive_index("ice", {**TABLE, **change})
 
@@ -159,7 +159,7 @@ def test_malformed_tables_are_refused(change):
         {**TABLE, "n": [1.3, "dense", 1.2]}, "missing.csv",
     ],
 )  # fmt: skip
-def test_other_bad_specifications_are_refused_by_name(spec):
+def test_other_bad_specifications_are_rejected_by_name(spec):
     with pytest.raises(ValueError, match="refractive_index"):
         make_refractive_index("ice", spec)
 
@@ -204,7 +204,7 @@ def test_a_factor_alone_scales_the_default_and_a_dataset_alone_is_itself():
         ({"k_facto": 2.0}, ["refractive_index[ice] = {'k_facto': 2.0}", "k_factor"]),
     ],
 )
-def test_bad_factors_and_datasets_are_refused_with_key_value_and_range(spec, parts):
+def test_bad_factors_and_datasets_are_rejected_with_key_value_and_range(spec, parts):
     with pytest.raises(ValueError, match="must be") as caught:
         make_refractive_index("ice", spec)
     for part in parts:
@@ -212,7 +212,7 @@ def test_bad_factors_and_datasets_are_refused_with_key_value_and_range(spec, par
 
 
 @pytest.mark.parametrize("spec", [None, "quartz", 1.5, {"n": 1.5}])
-def test_an_unknown_material_is_refused_whatever_the_specification(spec):
+def test_an_unknown_material_is_rejected_whatever_the_specification(spec):
     with pytest.raises(ValueError, match=r"material = 'quarz'.*did you mean quartz"):
         make_refractive_index("quarz", spec)
 
@@ -226,7 +226,7 @@ def test_an_unknown_material_is_refused_whatever_the_specification(spec):
         "",
     ],
 )
-def test_a_csv_file_without_its_columns_is_refused(tmp_path, text):
+def test_a_csv_file_without_its_columns_is_rejected(tmp_path, text):
     path = tmp_path / "other.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=r"other\.csv.*wavelength_nm, n, k"):

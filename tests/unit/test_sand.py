@@ -1,4 +1,4 @@
-"""Sand as the user describes it: defaults, derived quantities, indices, refusals."""
+"""Sand: defaults, derived quantities, refractive indices and errors."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ INVALID_SANDS = [
 
 
 class UnusedIndex:
-    """An index that must not be asked for."""
+    """Refractive index that must not be evaluated."""
 
     name = "refuses"
     source = "nowhere"
@@ -89,7 +89,7 @@ def test_the_samples_of_table_5_are_accepted(sample):
 
 
 @pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SANDS)
-def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
+def test_bad_values_are_rejected_with_key_value_and_range(key, value, allowed):
     with pytest.raises(ValueError, match=f"^{key}") as caught:
         Sand(**{key: value})
     assert repr(value) in str(caught.value)
@@ -104,12 +104,12 @@ def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
         ("sphericity", (0.6, 0.9, 0.8, -0.1), "sd"),
     ],
 )
-def test_impossible_spreads_are_refused(key, value, part):
+def test_impossible_spreads_are_rejected(key, value, part):
     with pytest.raises(ValueError, match=rf"^{key} \({part}\) = .*: must be in \[0, 1\]"):
         Sand(**{key: value})
 
 
-def test_unknown_keywords_materials_and_readings_are_refused():
+def test_unknown_keywords_materials_and_choices_are_rejected():
     with pytest.raises(TypeError, match="porositi"):
         Sand(porositi=0.4)
     with pytest.raises(ValueError, match=r"refractive_index = 'geothite'.*did you mean goethite"):
@@ -119,7 +119,7 @@ def test_unknown_keywords_materials_and_readings_are_refused():
 
 
 @pytest.mark.parametrize("name", INTERPRETATIONS)
-def test_readings_are_checked_and_have_their_first_choice_by_default(name):
+def test_choices_are_checked_and_the_first_is_the_default(name):
     assert getattr(SandInterpretation(), name) == INTERPRETATION_CHOICES[name][0]
     with pytest.raises(ValueError, match=f"interpretation.{name} = 'neither'"):
         Sand(interpretation={name: "neither"})
@@ -240,7 +240,7 @@ def test_mean_grain_distance():
     )
 
 
-def test_meetings_with_interfaces_add_up():
+def test_collisions_with_interfaces_add_up():
     sand = Sand(**EIGHT_TYPES, saturation=0.3)
     volumes = {row["particle_type"]: row["volume_fraction"] for row in sand.composition.to_rows()}
     outer = [i for i in select_grain_interfaces(sand.list_interfaces()) if i.outer_material < 2]

@@ -26,7 +26,7 @@ STEP = 1e-2
 
 
 def make_rays(ground: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return exits and notes of made-up rays; those of a ground meet it up to three times."""
+    """Return exits and records of synthetic rays, which hit the ground up to three times."""
     rng = np.random.default_rng(5)
     exits = allocate_exits(RAYS, MATERIALS + ground)
     exits[:, EXIT_SIDE] = rng.choice([-1.0, 0.0] if ground else [-1.0, 0.0, 1.0], RAYS)

@@ -1,4 +1,4 @@
-"""Snow as the user describes it: defaults, derived quantities, refusals."""
+"""Snow: defaults, derived quantities and errors."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_porosity_is_what_ice_leaves():
     assert snow.porosity == pytest.approx(1.0 - 275 / 920.3, rel=1e-14)
 
 
-def test_semi_axis_reading_doubles_the_grains():
+def test_semi_axis_interpretation_doubles_the_grains():
     single, double = Snow(), Snow(interpretation={"size_definition": "semi_axis"})
     ratio = double.mean_grain_distance_m / single.mean_grain_distance_m
     assert ratio == pytest.approx(2.0, rel=1e-14)
@@ -101,7 +101,7 @@ def test_semi_axis_reading_doubles_the_grains():
 
 
 @pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SNOWS)
-def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
+def test_bad_values_are_rejected_with_key_value_and_range(key, value, allowed):
     with pytest.raises(ValueError, match=f"^{key}") as caught:
         Snow(**{key: value})
     assert repr(value) in str(caught.value)
@@ -109,23 +109,23 @@ def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
 
 
 @pytest.mark.parametrize("key", ["facetness", "sphericity"])
-def test_a_negative_spread_is_refused(key):
+def test_a_negative_spread_is_rejected(key):
     with pytest.raises(ValueError, match=rf"^{key} \(sd\) = -0.1: must be in \[0, 1\]"):
         Snow(**{key: (0.2, 0.8, 0.5, -0.1)})
 
 
-def test_unknown_keywords_are_refused():
+def test_unknown_keywords_are_rejected():
     with pytest.raises(TypeError, match="saturaton"):
         Snow(saturaton=0.1)
 
 
-def test_indices_of_unknown_materials_are_refused():
+def test_indices_of_unknown_materials_are_rejected():
     with pytest.raises(ValueError, match=r"refractive_index = 'sand'.*ice, water"):
         Snow(refractive_index={"sand": 1.5})
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_bad_readings_are_refused_by_name(name):
+def test_bad_interpretations_are_rejected_by_name(name):
     allowed = ", ".join(sorted(INTERPRETATION_CHOICES[name]))
     for make in (lambda r: Snow(interpretation=r), lambda r: Interpretation(**r)):
         with pytest.raises(ValueError, match=f"interpretation.{name} = 'neither': .*{allowed}"):
@@ -134,7 +134,7 @@ def test_bad_readings_are_refused_by_name(name):
         Snow(interpretation={f"{name}x": INTERPRETATION_CHOICES[name][0]})
 
 
-def test_sets_of_readings_have_names():
+def test_interpretation_sets_have_names():
     first = {name: INTERPRETATION_CHOICES[name][0] for name in NAMES}
     assert Interpretation.from_input("splits_2007").as_dict() == first
     assert Snow().interpretation == Interpretation() == Interpretation.from_input("splitsnow_2021")
@@ -148,7 +148,7 @@ def test_sets_of_readings_have_names():
         Interpretation.from_input({"set": "geo"})
 
 
-def test_readings_given_one_after_the_other():
+def test_interpretations_are_merged_in_sequence():
     assert merge_interpretations(["geometric"]) == "geometric"
     assert merge_interpretations(["geometric", {"facet_sampling": "any"}]) == {
         "set": "geometric",

@@ -1,4 +1,4 @@
-"""Sizes by soil separate: SPLITS section 4.2.6, Eqs 19-25, and refused textures."""
+"""Sizes by soil separate: SPLITS section 4.2.6, Eqs 19-25, and invalid textures."""
 
 from __future__ import annotations
 
@@ -188,13 +188,13 @@ def test_finer_soils_attenuate_more():
         ((0.1, 0.9), r"3 numbers \(clay, silt, sand\)"),
     ],
 )
-def test_textures_that_are_no_sand_are_refused(texture, message):
+def test_textures_other_than_sand_are_rejected(texture, message):
     with pytest.raises(ValueError, match=rf"^texture.*{message}") as caught:
         make_size_distribution(texture)
     assert repr(texture) in str(caught.value)
 
 
-def test_other_refusals():
+def test_other_invalid_textures_are_rejected():
     for tail in (1e-7, 0.02):
         with pytest.raises(ValueError, match=rf"^size_tail = {tail}: must be in \[1e-06, 0.01\]"):
             make_size_distribution((0.0, 0.15, 0.85), tail)

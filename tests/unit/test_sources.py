@@ -1,4 +1,4 @@
-"""What counts as physics: one list, for datasets' digests and for the workflow."""
+"""Digest of the sources of a simulation, for datasets and for the workflow."""
 
 from __future__ import annotations
 

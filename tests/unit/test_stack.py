@@ -1,4 +1,4 @@
-"""Media on top of one another: what a stack takes, refuses and tells."""
+"""Stacks: valid and invalid layers, and their description."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SAND = splits.Sand(hematite_ratio=0.5, magnetite=0.05, depth_m=0.1)
         ),
     ],
 )
-def test_what_is_no_stack_is_refused_by_its_layer(layers, message):
+def test_invalid_layers_are_rejected_by_number(layers, message):
     with pytest.raises(ValueError, match=message):
         splits.Stack(layers)
 
@@ -103,7 +103,7 @@ def test_all_inputs_stand_in_the_description():
 
 
 @pytest.mark.parametrize("above", [True, False])
-def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
+def test_wet_pores_have_a_boundary_with_the_matrix_of_particles(above):
     lid = splits.ParticleLayer(refractive_index=1.5, depth_m=0.01, bottom_albedo=None)
     snow = splits.Snow(saturation=0.25)
     stack = splits.Stack([lid, snow] if above else [snow, lid])
@@ -113,7 +113,7 @@ def test_wet_pores_have_a_face_with_what_particles_lie_in(above):
     assert (f"layers.{1 - above}.matrix", f"layers.{1 * above}.water", 0.25) in named
 
 
-def test_a_set_replaces_all_that_layers_say_of_transport():
+def test_a_set_replaces_the_transport_interpretation_of_layers():
     natural = splits.Snow.natural(optical_radius_um=100, depth_m=0.1)
     for name in INTERPRETATION_SETS:
         (layer,) = splits.Stack([natural], interpretation=name).scene_layers

@@ -96,7 +96,7 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
         ),
         (
             SNOWPACK_TEXT + "figure: {kind: points, quantity: mean_grain_distance}",
-            "stacks no single distance",
+            "stacks not one distance",
         ),
         (
             "medium: {kind: stack, layers: [{dept_m: 1}]}",

@@ -1,4 +1,4 @@
-"""Rough surfaces as users say them: refusals, correlations and slopes."""
+"""Rough surfaces: errors, correlations and slopes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ INVALID_SURFACES = [
     ("waves", True, "a whole number from 1 to 100000"),
     ("band_limit_per_m", 0.0, "at least 0.001 1/m"),
     ("band_limit_per_m", float("nan"), "at least 0.001 1/m"),
-    ("band_limit_per_m", None, "name the finest waves that light shall see, or infinity"),
+    ("band_limit_per_m", None, "give the largest wave number of the surface, or infinity"),
     ("spectrum", TABLE, 'left out unless correlation is "spectrum"'),
 ]
 INVALID_TABLES = [
@@ -36,13 +36,13 @@ INVALID_TABLES = [
     (TABLE | {"density": [1.0, "x", 2.0]}, "spectrum.density = 'x': must be numbers"),
     (TABLE | {"density": [1.0, -1.0, 2.0]}, "spectrum.density = .*0 or more"),
     (TABLE | {"density": [0.0, 0.0, 0.0]}, "spectrum.density = .*0 or more"),
-    (TABLE | {"wave_number_per_m": [1.0, 1.0, 2.0]}, "spectrum.wave_number_per_m = .*rising"),
+    (TABLE | {"wave_number_per_m": [1.0, 1.0, 2.0]}, "spectrum.wave_number_per_m = .*increasing"),
     ({"wave_number_per_m": [1.0], "density": [1.0]}, "two rows"),
 ]
 
 
 @pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SURFACES)
-def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
+def test_bad_values_are_rejected_with_key_value_and_range(key, value, allowed):
     good = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "band_limit_per_m": 10.0}
     with pytest.raises(ValueError, match=f"^{key} = ") as caught:
         RandomHeightField(**good | {key: value})
@@ -50,7 +50,7 @@ def test_bad_values_are_refused_with_key_value_and_range(key, value, allowed):
 
 
 @pytest.mark.parametrize(("table", "message"), INVALID_TABLES)
-def test_bad_spectra_are_refused(table, message):
+def test_bad_spectra_are_rejected(table, message):
     with pytest.raises(ValueError, match=message):
         RandomHeightField(0.1, correlation="spectrum", spectrum=table)
 
@@ -61,7 +61,7 @@ def test_a_spectrum_needs_no_scale_and_no_limit(key):
         RandomHeightField(**SPECTRUM | {key: 1.0})
 
 
-def test_refusals_say_which_field():
+def test_errors_name_the_field():
     with pytest.raises(ValueError, match=r"^surface\[1\]\.waves = 0"):
         RoughSurface([GAUSSIAN, GAUSSIAN | {"waves": 0}])
     with pytest.raises(ValueError, match=r"^surface\.waves = 0"):

@@ -1,4 +1,4 @@
-"""Derivatives of tables between their nodes."""
+"""Derivatives of tables between nodes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ W = np.array([500.0, 900.0])
 
 
 def evaluate_light(size, angle, water):
-    """Return light that bends along every axis, and its slopes."""
+    """Return a reflectance that is nonlinear along every axis, and its derivatives."""
     scale = np.array([0.02, 0.05])
     mu = np.cos(np.radians(angle))
     value = np.exp(-scale * np.sqrt(size) * mu) - 0.1 * scale * np.sqrt(water)
@@ -37,7 +37,7 @@ def table():
 
 
 @pytest.mark.parametrize("place", [(130.0, 30.0, 0.02), (700.0, 60.0, 0.1), (50.0, 10.0, 0.005)])
-def test_derivatives_are_those_of_the_light(table, place):
+def test_derivatives_are_those_of_the_reflectance(table, place):
     names = ["optical_radius_um", "incidence_deg", "liquid_water_content"]
     at = dict(zip(names, place, strict=True))
     found = table.derivatives(names, **at)
@@ -85,7 +85,7 @@ def test_a_table_with_covariance_knows_them_better():
 INVALID_CALLS = {
     "no axis": (["depth_m"], {}, "depth_m"),
     "text": ("optical_radius_um", {}, "a list of"),
-    "twice": (["incidence_deg"] * 2, {}, "each once"),
+    "twice": (["incidence_deg"] * 2, {}, "different names"),
     "root": (["liquid_water_content"], {"liquid_water_content": 0.0}, "is finite"),
     "outside": (["incidence_deg"], {"incidence_deg": 80.0}, "as far as the table goes"),
     "wavelength": (["incidence_deg"], {"wavelength": 500.0}, "wavelength"),
@@ -93,7 +93,7 @@ INVALID_CALLS = {
 
 
 @pytest.mark.parametrize("name", INVALID_CALLS)
-def test_bad_input_is_refused(table, name):
+def test_bad_input_is_rejected(table, name):
     names, other, message = INVALID_CALLS[name]
     at = {"optical_radius_um": 100.0, "incidence_deg": 30.0, "liquid_water_content": 0.02} | other
     with pytest.raises(InvalidValue, match=message):

@@ -1,4 +1,4 @@
-"""Tables and other results that passed through xarray and pandas: put in order, or refused."""
+"""Tables and other results converted by xarray and pandas: sorted or rejected."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ INVALID_TABLES = {
 
 
 @pytest.mark.parametrize("name", INVALID_TABLES)
-def test_what_is_no_whole_table_is_refused_when_it_is_made(name, dataset):
+def test_incomplete_tables_are_rejected_on_construction(name, dataset):
     change, line = INVALID_TABLES[name]
     with pytest.raises(InvalidValue, match=line):
         splits.Table(change(dataset))

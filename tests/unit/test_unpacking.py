@@ -1,4 +1,4 @@
-"""Archives that someone else made: refused in one line, or unpacked as they were packed."""
+"""Archives from untrusted sources: rejected in one line, or unpacked completely."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def members(packed):
 
 @pytest.fixture
 def refused(tmp_path):
-    """Return a function that asserts that a zip file is refused, and that nothing is left."""
+    """Return a function that asserts that a zip file is rejected and leaves no files."""
 
     def check(path, match):
         before = sorted(tmp_path.rglob("*"))
@@ -56,7 +56,7 @@ def refused(tmp_path):
             with pytest.raises(ArchiveError, match=match) as caught:
                 attempt(path)
             assert "\n" not in str(caught.value)
-            assert str(caught.value).startswith(f"{path}: refused, ")
+            assert str(caught.value).startswith(f"{path}: rejected, ")
         assert sorted(tmp_path.rglob("*")) == before
 
     return check
@@ -181,12 +181,12 @@ def test_unpacking_needs_no_more_than_the_core():
         ("config/.csv", "a hidden name"),
     ],
 )
-def test_names_that_lead_elsewhere_are_refused(name, why, members, tmp_path, refused):
+def test_names_that_lead_elsewhere_are_rejected(name, why, members, tmp_path, refused):
     path = write_zip(tmp_path / "bad.zip", list_members(members, {name: b"x"}))
     refused(path, why)
 
 
-def test_a_name_that_is_cut_short_is_refused(members, tmp_path, refused):
+def test_a_name_that_is_cut_short_is_rejected(members, tmp_path, refused):
     path = write_zip(tmp_path / "bad.zip", list_members(members, {"data/xy.nc": b"x"}))
     path.write_bytes(path.read_bytes().replace(b"data/xy.nc", b"data/x\0.nc"))
     refused(path, "a name with characters")
@@ -207,7 +207,7 @@ def test_a_name_that_is_cut_short_is_refused(members, tmp_path, refused):
         ((stat.S_IFREG | 0o4644) << 16, "an executable file"),
     ],
 )
-def test_what_is_no_plain_file_is_refused(attributes, why, members, tmp_path, refused):
+def test_members_other_than_regular_files_are_rejected(attributes, why, members, tmp_path, refused):
     def edit(file):
         file.NameToInfo[DATA].external_attr = attributes
 
@@ -217,19 +217,19 @@ def test_what_is_no_plain_file_is_refused(attributes, why, members, tmp_path, re
 @pytest.mark.parametrize(
     "more", [DATA, "data/A.nc", "data/a.nc/b.nc", "data/ａ.nc", "Config/config.yaml"]
 )
-def test_names_that_are_the_same_somewhere_are_refused(more, members, tmp_path, refused):
+def test_names_that_are_the_same_somewhere_are_rejected(more, members, tmp_path, refused):
     both = [*list_members(members, {more: b"x"}).items()]
     both += [(DATA, b"x")] if more == DATA else []
     why = "no file" if more.startswith("C") else "is there twice, or its name differs in case only"
     refused(write_zip(tmp_path / "bad.zip", both), why)
 
 
-def test_folders_that_differ_in_case_are_refused(members, tmp_path, refused):
+def test_folders_that_differ_in_case_are_rejected(members, tmp_path, refused):
     more = {"tables/Deep/other.csv": b"x"}
     refused(write_zip(tmp_path / "bad.zip", list_members(members, more)), "differs in case only")
 
 
-def test_bombs_are_refused(members, tmp_path, refused, monkeypatch):
+def test_bombs_are_rejected(members, tmp_path, refused, monkeypatch):
     bomb = list_members(members, {"data/bomb.nc": bytes(2**25)})
     refused(write_zip(tmp_path / "bomb.zip", bomb), r"data/bomb\.nc would unpack to too many times")
     path = write_zip(tmp_path / "large.zip", members)
@@ -246,14 +246,14 @@ def test_bombs_are_refused(members, tmp_path, refused, monkeypatch):
 
 
 @pytest.mark.parametrize("declared", [10, 10**6])
-def test_sizes_that_are_not_declared_are_refused(declared, members, tmp_path, refused):
+def test_sizes_that_are_not_declared_are_rejected(declared, members, tmp_path, refused):
     def edit(file):
         file.NameToInfo[DATA].file_size = declared
 
     refused(write_zip(tmp_path / "bad.zip", members, edit), r"data/a\.nc")
 
 
-def test_members_that_share_bytes_are_refused(members, tmp_path, refused):
+def test_members_that_share_bytes_are_rejected(members, tmp_path, refused):
     def edit(file):
         again = zipfile.ZipInfo("data/again.nc")
         first = file.NameToInfo[DATA]
@@ -266,7 +266,7 @@ def test_members_that_share_bytes_are_refused(members, tmp_path, refused):
     refused(write_zip(tmp_path / "bad.zip", more, edit), "shares bytes|no sound zip file")
 
 
-def test_encrypted_and_unusual_members_are_refused(members, tmp_path, refused):
+def test_encrypted_and_unusual_members_are_rejected(members, tmp_path, refused):
     def encrypt(file):
         file.NameToInfo[DATA].flag_bits |= 1
 
@@ -275,7 +275,7 @@ def test_encrypted_and_unusual_members_are_refused(members, tmp_path, refused):
     refused(odd, "is compressed in an unusual way")
 
 
-def test_members_missing_unlisted_or_changed_are_refused(members, tmp_path, refused):
+def test_members_missing_unlisted_or_changed_are_rejected(members, tmp_path, refused):
     path = tmp_path / "bad.zip"
     less = {name: content for name, content in members.items() if name != DATA}
     refused(write_zip(path, less), r"'data/a\.nc' is listed, but missing \(1 such\)")
@@ -327,21 +327,21 @@ def _make_set_edit(identifier, key, value):
         (_make_set_edit(DATA, "@id", "data/%61.nc"), "no part of the root dataset"),
     ],
 )
-def test_metadata_that_are_no_crate_are_refused(change, why, members, tmp_path, refused):
+def test_metadata_other_than_a_crate_are_rejected(change, why, members, tmp_path, refused):
     refused(write_zip(tmp_path / "bad.zip", list_members(members, change=change)), why)
 
 
 @pytest.mark.parametrize(
     "content", [b"", b"\xff", b"{", b"[" * 100_000, b'{"a": 1, "a": 2}', b"[]", b"9" * 5000]
 )
-def test_metadata_that_are_no_json_are_refused(content, members, tmp_path, refused):
+def test_metadata_other_than_json_are_rejected(content, members, tmp_path, refused):
     refused(
         write_zip(tmp_path / "bad.zip", members | {METADATA_FILE: content}),
         "is not JSON|no RO-Crate",
     )
 
 
-def test_what_is_no_zip_file_is_refused(packed, tmp_path, refused):
+def test_files_other_than_zip_are_rejected(packed, tmp_path, refused):
     path = tmp_path / "bad.zip"
     content = packed.read_bytes()
     for part in (b"", b"x" * 100, content[:-1], content[: len(content) // 2], content[1:]):
@@ -356,7 +356,7 @@ def test_what_is_no_zip_file_is_refused(packed, tmp_path, refused):
 
 
 def test_no_damage_gets_through(packed, members, tmp_path):
-    """One byte is changed: the archive is refused in one line, or holds the same files."""
+    """After a change of one byte the archive is rejected, or holds the same files."""
     content = packed.read_bytes()
     path = tmp_path / "damaged.zip"
     draw = random.Random(20)

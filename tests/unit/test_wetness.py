@@ -1,4 +1,4 @@
-"""Where the water of a sand is: which legs are wet, how much of them is water, films."""
+"""Distribution of water in sand: wet segments, their filled fraction, and films."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ W = np.array([700.0, 1450.0])
 
 
 @pytest.mark.parametrize("saturation", [0.01, 0.1, 0.4, 0.9])
-def test_the_shortest_legs_fill_first(saturation):
-    """Exponential legs, sorted: the first ones that together are as long as the saturation asks."""
+def test_the_shortest_segments_fill_first(saturation):
+    """Sorted exponential segments: the shortest ones with a length fraction of the saturation."""
     many = 1_000_000
     legs = np.sort(-np.log((np.arange(many) + 0.5) / many))
     share = np.searchsorted(legs.cumsum() / legs.sum(), saturation) / many
@@ -37,7 +37,7 @@ def test_narrow_pores_at_the_ends_of_the_range():
 
 
 @pytest.mark.parametrize("saturation", [0.05, 0.3, 0.8])
-def test_every_reading_holds_the_same_water(saturation):
+def test_every_water_model_holds_the_same_water(saturation):
     porosity, sphericity = 0.4, 0.8
     surface = float(surface_to_volume_ratio(sphericity))
     for reading in ("whole_pores", "narrow_pores", "film"):
@@ -80,7 +80,7 @@ def test_what_a_film_cannot_hold_fills_pores():
     assert Sand(saturation=1.0, interpretation={"water": "film"}).wet_fraction == 1.0
 
 
-def test_wet_legs_absorb_by_the_part_that_is_water():
+def test_wet_segments_absorb_in_proportion_to_their_water():
     whole, narrow = (
         Sand(saturation=0.1, interpretation={"water": reading})
         for reading in ("whole_pores", "narrow_pores")
@@ -108,7 +108,7 @@ def test_dry_and_full_sands_do_not_ask_where_water_is():
 
 
 @pytest.mark.parametrize("reading", ["narrow_pores", "film"])
-def test_other_media_in_such_pores_are_refused(reading):
+def test_other_media_in_such_pores_are_rejected(reading):
     given = {"pores": {"oil": 0.1}, "refractive_index": {"oil": 1.47}}
     with pytest.raises(ValueError, match=rf"pores = .*empty with interpretation\.water {reading}"):
         Sand(saturation=0.1, interpretation={"water": reading}, **given)

@@ -1,4 +1,4 @@
-"""Media, skies and grounds as text: on one line, in the words of their input."""
+"""Representation of media, skies and grounds as the calls that construct them."""
 
 from __future__ import annotations
 

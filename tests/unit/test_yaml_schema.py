@@ -107,5 +107,5 @@ def test_numbers_that_are_too_large_are_not_infinite(tmp_path, number):
 
 @pytest.mark.parametrize("text", ["!!int 1:15", "!!float ''", "!!bool yes", "!!int 0b1"])
 def test_tags_do_not_bring_other_schemas_back(tmp_path, text):
-    with pytest.raises(ConfigError, match=r"not YAML .* is no "):
+    with pytest.raises(ConfigError, match=r"not YAML .* is not of type "):
         read_text(tmp_path, f"key: {text}\n")

@@ -163,7 +163,7 @@ def make_retrieval_table(
                     "unit": str(own.parameter_unit.item()),
                     "median": middle,
                     "standard deviation": float(own.value_stderr),
-                    "known": reference.get(name, {}).get(one.sample, np.nan),
+                    "reference value": reference.get(name, {}).get(one.sample, np.nan),
                     "16 %": below,
                     "84 %": above,
                     "2.5 %": low,

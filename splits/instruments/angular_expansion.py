@@ -68,7 +68,7 @@ def trace_expansion(
             return (
                 ensembles,
                 result,
-                "error" if stated <= stopping_rule.relative_stderr else "detail",
+                "converged" if stated <= stopping_rule.relative_stderr else "unresolved_lobe",
             )
         # Eight times the rays should divide a statistical error by nearly three.
         idle = any(have.sum() >= 8.0 * rays and error > 0.8 * was for rays, was in reached)

@@ -79,7 +79,7 @@ def estimate_by_bins(
     runner.trace([(e, level, each) for e in paths for level in e.strata], 1.0, 0.0)
     result = estimate_bin_brdf(paths, nodes.interpolation_bound)
     return AngularResult(
-        result, "rays", count_traced_rays(paths), paths, estimate_bin_stokes(paths)
+        result, "max_rays", count_traced_rays(paths), paths, estimate_bin_stokes(paths)
     )
 
 

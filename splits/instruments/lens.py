@@ -94,7 +94,7 @@ def lens(
     check_medium(medium, SurfaceMedium)
     depths = check_screen_depths("screen_depth_m", screen_depth_m)
     radius = check_ring_radius(radius_m)
-    check_choice("over", centre_on, CENTRE_CHOICES)
+    check_choice("centre_on", centre_on, CENTRE_CHOICES)
     if half_width_m is None and centre_on != "origin":
         hint = f'half the side of the square searched for the {centre_on}; centre_on="origin" needs none'
         raise invalid("half_width_m", None, "given (m)", hint)
@@ -173,10 +173,14 @@ def _make_dataset(
         **make_variable("contraction", at, *size, "size of the image over the ring's"),
         **make_variable("concentration", at, *density, "inverse mean square size of the image"),
         **make_variable(
-            "caught", ("realisation", at), detected_fraction, None, "share of rays on the screen"
+            "detected_fraction",
+            ("realisation", at),
+            detected_fraction,
+            None,
+            "share of rays on the screen",
         ),
         **make_variable(
-            "path",
+            "surface_position",
             ("ray", "point"),
             first_realization.surface_point,
             None,
@@ -184,9 +188,14 @@ def _make_dataset(
             "m",
         ),
         **make_variable(
-            "place", by_ray, first_realization.screen_point, None, "place on the screen", "m"
+            "screen_position",
+            by_ray,
+            first_realization.screen_point,
+            None,
+            "place on the screen",
+            "m",
         ),
-        **make_variable("seen", by_ray[:2], seen, None, "whether a ray reaches it"),
+        **make_variable("detected", by_ray[:2], seen, None, "whether a ray reaches it"),
     }
     coordinates = {
         at: (at, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),

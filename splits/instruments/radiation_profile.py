@@ -31,7 +31,7 @@ OUTPUT_VARIABLES = {
     "absorptance": ("absorbed_power", "absorbed power of the interval"),
 }
 """Variables of a profile, and what becomes of them in sunlight."""
-STOP_REASONS = ("error", "bound", "rays")
+STOP_REASONS = ("converged", "interpolation_bound", "max_rays")
 """What ended a run: the error asked for was reached, or one of what kept it from that."""
 POWER_ERROR_QUANTITIES = ("absorbed_power", "irradiance")
 """Quantities that a largest error is asked of: the last stands for all of them."""

@@ -55,7 +55,7 @@ __all__ = [
 
 
 SINGLE_POINT_FUNCTIONS = {
-    "lobes": draw_lobes, "cells": draw_bin_sizes, "spread": draw_beam_spread, "surface": draw_surface, "lens": draw_lens,
+    "lobes": draw_lobes, "bins": draw_bin_sizes, "spread": draw_beam_spread, "surface": draw_surface, "lens": draw_lens,
 }  # fmt: skip
 """Kinds of figures that only need to know which point of a grid to show."""
 

@@ -174,7 +174,7 @@ def check_direction_angles(key: str, values: Any, upper_deg: float) -> np.ndarra
 def check_n_bins(n_bins: Any) -> tuple[int, int]:
     """Return numbers of cells in polar and azimuth angle, 1 to 1000 each, or refuse them."""
     try:
-        polar, azimuth = (check_integer("cells", n, 1, 1000) for n in n_bins)
+        polar, azimuth = (check_integer("n_bins", n, 1, 1000) for n in n_bins)
     except (TypeError, ValueError):
         raise invalid("n_bins", n_bins, "two whole numbers from 1 to 1000") from None
     return polar, azimuth

@@ -179,7 +179,8 @@ def make_parameter_coordinates(
         return {}
     units = [get_derivative_unit(parameter) for parameter in parameters]
     how = [
-        "paths" if name in perturbations.parameters else "finite_difference" for name in parameters
+        "shared_paths" if name in perturbations.parameters else "finite_difference"
+        for name in parameters
     ]
     return {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),

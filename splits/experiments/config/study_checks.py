@@ -84,7 +84,7 @@ def _check_keys(study: Study) -> None:
         roles = dict.fromkeys(study.inputs, StudyInput(()))
     for key, known in (
         ("inputs", roles), ("files", STUDY_FILES.get(study.kind, {})),
-        ("products", STUDY_PRODUCTS[study.kind]),
+        ("outputs", STUDY_PRODUCTS[study.kind]),
     ):  # fmt: skip
         for name in getattr(study, key):
             if not known:
@@ -145,7 +145,7 @@ def _check_bands(study: Study) -> None:
     if study.bands is not None:
         check_choice("bands", study.bands, SENSORS)
     check_range("noise", study.noise, 0.0, 1.0, open_low=True)
-    check_integer("most", study.n_bands, 1)
+    check_integer("n_bands", study.n_bands, 1)
 
 
 def _check_study_names(study: str, definition: Study, studies: Mapping[str, Study]) -> None:

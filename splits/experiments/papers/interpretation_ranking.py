@@ -53,7 +53,7 @@ LOG_INTERVAL = 24
 MAX_MISFIT = 100.0
 """Sum of squares (ten bars once) from which a combination is simulated no further."""
 
-BOUNDARIES_KEY = "boundaries"
+BOUNDARIES_KEY = "overlaps"
 PAPER_SETS = tuple(
     name for name in INTERPRETATION_SETS if Interpretation.from_input(name).grain_extent == "finite"
 )

@@ -164,7 +164,7 @@ def _make_row(
     return {
         "parameter": parameter,
         "quantity": quantity,
-        "reading": interpretation,
+        "interpretation": interpretation,
         "low": low,
         "high": high,
         "chosen": chosen,

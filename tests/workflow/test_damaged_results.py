@@ -20,7 +20,7 @@ KILLED = """
 import os, signal, sys
 from splits.core.atomic import atomic_write
 
-with whole(sys.argv[1]) as aside:
+with atomic_write(sys.argv[1]) as aside:
     aside.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
 """

@@ -32,7 +32,8 @@ def write_gallery(
     names : iterable of str
         Names of the figures, without ``.png``.
     folder : path
-        Where the copies go, WebP files of at most `MAX_WIDTH_PX` pixels and `MAX_IMAGE_BYTES` bytes.
+        Where the copies go, WebP files of at most `MAX_WIDTH_PX` pixels and `MAX_IMAGE_BYTES`
+        bytes.
 
     Returns
     -------

@@ -21,7 +21,8 @@ from splits.core.validation import invalid
 
 NUMBER_PATTERN = r"[+−]?\d+(?:\.\d+)?(?:e-?\d+|[⁰¹²³⁴⁵⁶⁷⁸⁹]+)?"
 MARK_PATTERN = re.compile(
-    rf"(?<![\d.])({NUMBER_PATTERN}(?: ± {NUMBER_PATTERN})?(?: \([a-z][a-z0-9 -]*\))?)<!--([a-z0-9_.]+)-->"
+    rf"(?<![\d.])({NUMBER_PATTERN}(?: ± {NUMBER_PATTERN})?(?: \([a-z][a-z0-9 -]*\))?)"
+    "<!--([a-z0-9_.]+)-->"
 )
 """A marked number, its text and its key."""
 COMMENT_START = "<!--"

@@ -1,7 +1,8 @@
 """Contents of experiment files, generated: what a user may mean, and what may be written instead.
 
 `valid_contents` builds contents out of known keys and mostly possible values; `broken` changes some
-places of them.  `to_flow_yaml` writes contents as YAML, flow style, so that any scalar may stand anywhere.
+places of them.  `to_flow_yaml` writes contents as YAML, flow style, so that any scalar may stand
+anywhere.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 Seeds show scatter only.  What interpolation between refractive indices may miss is the same for all
 of them, and errors hold a bound on it.  So the scenes are of one wavelength, or of two so far apart
 that each is traced by itself: there the bound is 0.  Actinic flux and the shares of materials of
-`splits.irradiance_profile` hold a bound on what large steps of absorption do, too; it is next to nothing where
-grains hardly absorb.  Of a BRDF by polynomials detail too weak for the data is dropped, and added
-to the errors: runs are held against a long one, which drops less.
+`splits.irradiance_profile` hold a bound on what large steps of absorption do, too; it is next to
+nothing where grains hardly absorb.  Of a BRDF by polynomials detail too weak for the data is
+dropped, and added to the errors: runs are held against a long one, which drops less.
 """
 
 from __future__ import annotations
@@ -140,8 +140,9 @@ SPREAD_READERS = make_readers(
 )
 PROFILE_READERS = make_readers("downward_irradiance", "upward_irradiance", "absorptance")
 GRAIN_READERS = make_readers(
-    "single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "displacement_along_incident",
-    "displacement_along_exit", "mean_square_displacement", "wet_fraction",
+    "single_scattering_albedo", "asymmetry_parameter", "legendre_moment",
+    "displacement_along_incident", "displacement_along_exit",
+    "mean_square_displacement", "wet_fraction",
 )  # fmt: skip
 LONG_RUN_SEED = 1_000_000
 """Seed of long runs."""
@@ -244,52 +245,137 @@ def run_radiation_profile(seed):
 
 _SOOT_JACOBIAN = {"jacobian": ["impurities_ng_g.black_carbon"]}
 CASES = [
-    CalibrationCase("spectrophotometer", "snow", make_spectrum_run(SNOW, DISTANT_WAVELENGTHS_NM, error=0.004), SPECTRUM_READERS),
-    CalibrationCase("spectrophotometer", "wet snow, diffuse", make_spectrum_run(WET, [600.0], "diffuse"), SPECTRUM_READERS),
-    CalibrationCase("spectrophotometer", "pack on soil", make_spectrum_run(SNOWPACK, [900.0], 60.0), SPECTRUM_READERS),
-    CalibrationCase("spectrophotometer", "sand", make_spectrum_run(SAND, [600.0]), SPECTRUM_READERS),
-    CalibrationCase("spectrophotometer", "layer", make_spectrum_run(SCATTERING_LAYER, [600.0], 30.0), SPECTRUM_READERS),
     CalibrationCase(
-        "spectrophotometer, derivatives", "sooty snow", make_spectrum_run(SOOTY, [600.0], **_SOOT_JACOBIAN),
+        "spectrophotometer",
+        "snow",
+        make_spectrum_run(SNOW, DISTANT_WAVELENGTHS_NM, error=0.004),
+        SPECTRUM_READERS,
+    ),
+    CalibrationCase(
+        "spectrophotometer",
+        "wet snow, diffuse",
+        make_spectrum_run(WET, [600.0], "diffuse"),
+        SPECTRUM_READERS,
+    ),
+    CalibrationCase(
+        "spectrophotometer",
+        "pack on soil",
+        make_spectrum_run(SNOWPACK, [900.0], 60.0),
+        SPECTRUM_READERS,
+    ),
+    CalibrationCase(
+        "spectrophotometer", "sand", make_spectrum_run(SAND, [600.0]), SPECTRUM_READERS
+    ),
+    CalibrationCase(
+        "spectrophotometer",
+        "layer",
+        make_spectrum_run(SCATTERING_LAYER, [600.0], 30.0),
+        SPECTRUM_READERS,
+    ),
+    CalibrationCase(
+        "spectrophotometer, derivatives",
+        "sooty snow",
+        make_spectrum_run(SOOTY, [600.0], **_SOOT_JACOBIAN),
         make_readers("reflectance_jacobian", "transmittance_jacobian"),
     ),
     CalibrationCase(
-        "spectrophotometer, analog", "snow",
-        make_spectrum_run(SNOW, DISTANT_WAVELENGTHS_NM, error=0.02, estimator="analog"), SPECTRUM_READERS,
+        "spectrophotometer, analog",
+        "snow",
+        make_spectrum_run(SNOW, DISTANT_WAVELENGTHS_NM, error=0.02, estimator="analog"),
+        SPECTRUM_READERS,
     ),
     CalibrationCase(
-        "spectrophotometer, analog", "layer",
-        make_spectrum_run(SCATTERING_LAYER, [600.0], 30.0, estimator="analog"), SPECTRUM_READERS,
+        "spectrophotometer, analog",
+        "layer",
+        make_spectrum_run(SCATTERING_LAYER, [600.0], 30.0, estimator="analog"),
+        SPECTRUM_READERS,
     ),
-    CalibrationCase("spectra", "snow", run_soot, SPECTRUM_READERS | {"difference of media": read_media_difference}),
+    CalibrationCase(
+        "spectra",
+        "snow",
+        run_soot,
+        SPECTRUM_READERS | {"difference of media": read_media_difference},
+    ),
     make_expansion_case("snow, 60°", SNOW, 600.0, 60.0),
     make_expansion_case("snow, 0°", SNOW, 1300.0, 0.0),
     make_expansion_case("layer, 40°", SCATTERING_LAYER, 600.0, 40.0),
-    CalibrationCase("goniophotometer, cells", "snow", make_bins_run(SNOW, 1300.0), ANGULAR_READERS),
-    CalibrationCase("goniophotometer, cells", "polarized layer", make_bins_run(POLARIZED_LAYER, 600.0), POLARIZED_READERS),
-    CalibrationCase("goniophotometer, local", "layer", make_next_event_run(SCATTERING_LAYER, 4000), ANGULAR_READERS),
-    CalibrationCase("goniophotometer, local", "polarized layer", make_next_event_run(POLARIZED_LAYER, 4000), POLARIZED_READERS),
-    CalibrationCase("beam_spread", "snow", make_spread_run(SNOW, 1300.0, 0.003), SPREAD_READERS),
-    CalibrationCase("beam_spread", "layer", make_spread_run(SCATTERING_LAYER, 600.0, 1.0), SPREAD_READERS),
-    CalibrationCase("deep_transmittance", "snow, 10 %", make_deep_run(DEEP_SNOW, 1030.0, 0.1), make_readers("transmittance")),
-    CalibrationCase("deep_transmittance", "snow, 5 %", make_deep_run(DEEP_SNOW, 1300.0, 0.05), make_readers("transmittance"), 100),
+    CalibrationCase("goniophotometer, bins", "snow", make_bins_run(SNOW, 1300.0), ANGULAR_READERS),
     CalibrationCase(
-        "profile", "snow", make_profile_run(SNOW, [500.0], error=0.01),
+        "goniophotometer, bins",
+        "polarized layer",
+        make_bins_run(POLARIZED_LAYER, 600.0),
+        POLARIZED_READERS,
+    ),
+    CalibrationCase(
+        "goniophotometer, next_event",
+        "layer",
+        make_next_event_run(SCATTERING_LAYER, 4000),
+        ANGULAR_READERS,
+    ),
+    CalibrationCase(
+        "goniophotometer, next_event",
+        "polarized layer",
+        make_next_event_run(POLARIZED_LAYER, 4000),
+        POLARIZED_READERS,
+    ),
+    CalibrationCase("beam_spread", "snow", make_spread_run(SNOW, 1300.0, 0.003), SPREAD_READERS),
+    CalibrationCase(
+        "beam_spread", "layer", make_spread_run(SCATTERING_LAYER, 600.0, 1.0), SPREAD_READERS
+    ),
+    CalibrationCase(
+        "deep_transmittance",
+        "snow, 10 %",
+        make_deep_run(DEEP_SNOW, 1030.0, 0.1),
+        make_readers("transmittance"),
+    ),
+    CalibrationCase(
+        "deep_transmittance",
+        "snow, 5 %",
+        make_deep_run(DEEP_SNOW, 1300.0, 0.05),
+        make_readers("transmittance"),
+        100,
+    ),
+    CalibrationCase(
+        "irradiance_profile",
+        "snow",
+        make_profile_run(SNOW, [500.0], error=0.01),
         PROFILE_READERS | make_readers("actinic_flux", "absorptance_of_material"),
     ),
-    CalibrationCase("profile", "pack on soil", make_profile_run(SNOWPACK, [900.0], 50.0), PROFILE_READERS),
-    CalibrationCase("single_scattering", "wet snow", make_grain_run(WET, DISTANT_WAVELENGTHS_NM), GRAIN_READERS),
+    CalibrationCase(
+        "irradiance_profile",
+        "pack on soil",
+        make_profile_run(SNOWPACK, [900.0], 50.0),
+        PROFILE_READERS,
+    ),
+    CalibrationCase(
+        "single_scattering", "wet snow", make_grain_run(WET, DISTANT_WAVELENGTHS_NM), GRAIN_READERS
+    ),
     CalibrationCase("single_scattering", "sand", make_grain_run(SAND, [600.0]), GRAIN_READERS),
     CalibrationCase("lens", "waves", run_lens, make_readers("contraction", "concentration")),
-    CalibrationCase("surface_map", "waves", run_surface_map, {"mean square height": read_mean_square_height}, 400),
-    CalibrationCase("albedo", "snow", make_albedo_run(SNOW), make_readers("albedo", "band_albedo")),
-    CalibrationCase("albedo", "pack on soil", make_albedo_run(SNOWPACK), make_readers("albedo", "band_albedo")),
     CalibrationCase(
-        "hdrf", "snow", make_hdrf_run(0.05), make_readers("reflectance_factor"), 100,
+        "surface_map",
+        "waves",
+        run_surface_map,
+        {"mean square height": read_mean_square_height},
+        400,
+    ),
+    CalibrationCase("albedo", "snow", make_albedo_run(SNOW), make_readers("albedo", "band_albedo")),
+    CalibrationCase(
+        "albedo", "pack on soil", make_albedo_run(SNOWPACK), make_readers("albedo", "band_albedo")
+    ),
+    CalibrationCase(
+        "hdrf",
+        "snow",
+        make_hdrf_run(0.05),
+        make_readers("reflectance_factor"),
+        100,
         lambda: make_hdrf_run(0.01)(LONG_RUN_SEED),
     ),
     CalibrationCase(
-        "radiation_profile", "snow", run_radiation_profile,
-        make_readers("downward_irradiance", "upward_irradiance", "absorbed_power"), 100,
+        "radiation_profile",
+        "snow",
+        run_radiation_profile,
+        make_readers("downward_irradiance", "upward_irradiance", "absorbed_power"),
+        100,
     ),
-]  # fmt: skip
+]

@@ -41,8 +41,8 @@ def draw_calibration(table: pd.DataFrame) -> Figure:
             label="one group of quantities",
         )  # fmt: skip
         axes.errorbar(
-            means.ratio, range(len(names)), xerr=BAND_SIGMA * means.ratio_stderr, fmt="o", color=shade,
-            capsize=3, label="all of an instrument",
+            means.ratio, range(len(names)), xerr=BAND_SIGMA * means.ratio_stderr, fmt="o",
+            color=shade, capsize=3, label="all of an instrument",
         )  # fmt: skip
         axes.set_yticks(range(len(names)), names)
         axes.invert_yaxis()

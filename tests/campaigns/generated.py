@@ -1,7 +1,8 @@
 """Contents of experiment files, generated: what a user may mean, and what may be written instead.
 
-`valid_contents` builds contents out of known keys and mostly possible values; `broken` changes some places
-of them.  `to_flow_yaml` writes contents as YAML, flow style, so that any scalar may stand anywhere.
+`valid_contents` builds contents out of known keys and mostly possible values; `broken` changes some
+places of them.  `to_flow_yaml` writes contents as YAML, flow style, so that any scalar may stand
+anywhere.
 """
 
 from __future__ import annotations
@@ -157,12 +158,18 @@ KEYWORDS = {
     },
 }
 LAYER_OF_STACK = st.one_of(
-    st.fixed_dictionaries({"kind": st.just("snow"), "depth_m": numbers_within(1e-4, 0.01)}, optional={
-        key: KEYWORDS["snow"][key] for key in ("grain_size_um", "density_kg_m3", "saturation")
-    }),
-    st.fixed_dictionaries({"kind": st.just("sand"), "depth_m": numbers_within(1e-3, 0.005)}, optional={
-        key: KEYWORDS["sand"][key] for key in ("iron_oxide", "partition", "saturation")
-    }),
+    st.fixed_dictionaries(
+        {"kind": st.just("snow"), "depth_m": numbers_within(1e-4, 0.01)},
+        optional={
+            key: KEYWORDS["snow"][key] for key in ("grain_size_um", "density_kg_m3", "saturation")
+        },
+    ),
+    st.fixed_dictionaries(
+        {"kind": st.just("sand"), "depth_m": numbers_within(1e-3, 0.005)},
+        optional={
+            key: KEYWORDS["sand"][key] for key in ("iron_oxide", "partition", "saturation")
+        },
+    ),
 )  # fmt: skip
 TOP_LAYER = st.fixed_dictionaries(
     {

@@ -32,7 +32,8 @@ COLLECTIONS = [
     "{wavelength_nm: [], n: [], k: []}", "{dataset: nowhere}", "{cosine: [], density: []}",
     "{cosine: [-1, 1], density: [.nan, 1]}", "{cosine: [-1, 1], density: [0, 0]}",
     "{min: 1, max: 2}", "!!set {a, b}", "!!omap [a: 1]", "!!pairs [a: 1, a: 2]",
-    "[" * NESTING_DEPTH + "]" * NESTING_DEPTH, "{a: " * NESTING_DEPTH + "1" + "}" * NESTING_DEPTH, "[" * 40 + "1" + "]" * 40,
+    "[" * NESTING_DEPTH + "]" * NESTING_DEPTH, "{a: " * NESTING_DEPTH + "1" + "}" * NESTING_DEPTH,
+    "[" * 40 + "1" + "]" * 40,
 ]  # fmt: skip
 YAML_SYNTAX = [
     "!!python/object:os.system {}", "!!python/name:os.system", "!unknown 1", "!!int a",

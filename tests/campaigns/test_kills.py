@@ -33,7 +33,8 @@ N_WORKFLOW_KILLS = max(1, N_KILLS // 5)
 RESULTS = "results/tiny"
 EXPERIMENTS = {
     "one": "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n",
-    "two": "medium: {kind: particle_layer, optical_thickness: 2}\ninstrument: {wavelength_nm: [550]}\n",
+    "two": "medium: {kind: particle_layer, optical_thickness: 2}\n"
+    "instrument: {wavelength_nm: [550]}\n",
 }
 ARCHIVE = "archive/splits-results.zip"
 ALL_OUTPUTS = [

@@ -60,7 +60,7 @@ INDICES = """
   choosing:
     kind: bands
     inputs: {my snow: grains}
-    most: 2
+    n_bands: 2
 """
 
 

@@ -109,12 +109,13 @@ CASES = {
     "trip_layer_local": A_LAYER + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
     " estimator: next_event, azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
     "grid: {optical_thickness: [1, 2]}\nfigure: {select: {optical_thickness: 2}}\n",
-    "trip_layer_polarization": "medium: {kind: particle_layer, polarized: true, phase_function: rayleigh}\n"
+    "trip_layer_polarization":
+    "medium: {kind: particle_layer, polarized: true, phase_function: rayleigh}\n"
     "instrument: {kind: goniophotometer, wavelength_nm: [550], estimator: next_event,"
     " azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
     "grid: {optical_thickness: [1, 2]}\nfigure: {kind: polarization}\n",
-    "trip_layer_spread": A_LAYER + "instrument: {kind: beam_spread, wavelength_nm: [550], rays: 5000,"
-    " half_width_m: 1}\ngrid: {optical_thickness: [1, 2]}\n"
+    "trip_layer_spread": A_LAYER + "instrument: {kind: beam_spread, wavelength_nm: [550],"
+    " rays: 5000, half_width_m: 1}\ngrid: {optical_thickness: [1, 2]}\n"
     "figure: {select: {optical_thickness: 2}}\n",
     "trip_waves_plane": WAVES + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
     " estimator: bins, n_bins: [9, 18], rays: 5000}\n"
@@ -123,7 +124,8 @@ CASES = {
     "grid: {refractive_index: [1.3, 1.5]}\nfigure: {select: {refractive_index: 1.5}}\n",
     "trip_waves_lens": WAVES + "instrument: {kind: lens, radius_m: 0.1, screen_depth_m: [1, 2],"
     " half_width_m: 1}\n"
-    "grid: {refractive_index: {ice: 1.3, glass: 1.5}}\nfigure: {select: {refractive_index: glass}}\n",
+    "grid: {refractive_index: {ice: 1.3, glass: 1.5}}\n"
+    "figure: {select: {refractive_index: glass}}\n",
 }  # fmt: skip
 
 

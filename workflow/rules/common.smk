@@ -101,7 +101,7 @@ def table_parts(name):
 
 def products(name):
     """Return all products of an experiment."""
-    suffixes = FIGURE if name in DRAWN else ()
+    suffixes = FIGURE_SUFFIXES if name in DRAWN else ()
     made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
     if EXPERIMENTS[name].fit:
         made.append(f"{RESULTS}/tables/{name}_parameters.csv")

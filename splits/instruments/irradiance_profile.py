@@ -202,7 +202,9 @@ def simulate_flux(request: FluxRequest, stopping_rule: FluxStoppingRule) -> xr.D
     runner.share_kernel(tallies)
     result = estimate_flux(runner, tallies, nodes, traced_medium, stopping_rule, request.max_rays)
     attributes = {
-        **make_run_attributes("Light inside", "irradiance_profile", medium, start_time, seed, threads),
+        **make_run_attributes(
+            "Light inside", "irradiance_profile", medium, start_time, seed, threads
+        ),
         "incidence_deg": request.incidence,
         "max_stderr": stopping_rule.max_stderr,
         "target": ERROR_QUANTITIES[0] if stopping_rule.limit_irradiance else ERROR_QUANTITIES[1],

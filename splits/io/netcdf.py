@@ -1,6 +1,6 @@
 """Datasets in netCDF files: CF attributes, provenance, schema versions, reading and writing.
 
-The layout of datasets in files has a schema version, and only files of the current version are read.
+Datasets in files have a schema version, and only files of the current version are read.
 The version increases when variables, dimensions or attributes change their name or meaning, but not
 for a new variable.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import platform
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -63,8 +63,8 @@ def check_schema(dataset: xr.Dataset, path: str | Path) -> None:
     written_by = dataset.attrs.get("splits_version", "unknown")
     if version > SCHEMA_VERSION:
         raise ValueError(
-            f"{path}: {SCHEMA_ATTRIBUTE} = {int(version)}: must be at most {SCHEMA_VERSION}; a newer "
-            f"version of the package wrote it ({written_by}): pip install --upgrade splits-optics"
+            f"{path}: {SCHEMA_ATTRIBUTE} = {int(version)}: must be at most {SCHEMA_VERSION}; "
+            f"a newer version of the package wrote it ({written_by}): pip install --upgrade splits-optics"
         )
     if version < SCHEMA_VERSION:
         raise ValueError(

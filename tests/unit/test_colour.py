@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from splits.analysis.colour import compute_tristimulus, make_colour_table, to_cielab, to_srgb
-from splits.plotting import colour
+from splits.plotting import draw_swatches
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
 

@@ -68,9 +68,7 @@ def test_a_panel_for_all_or_panels_for_the_others():
     ],
 )  # fmt: skip
 def test_figures_that_are_too_large_are_rejected_before_anything_runs(tmp_path, text, count):
-    with pytest.raises(
-        ConfigError, match=rf"figure\.select = {{}}: must be .* of {count}"
-    ) as told:
+    with pytest.raises(ConfigError, match=rf"figure\.select = {{}}: must be .* of {count}") as told:
         load_text(tmp_path, text)
     assert "\n" not in str(told.value) and "figure: none" in str(told.value)
     lines = [line for line in text.splitlines() if not line.startswith("figure")]

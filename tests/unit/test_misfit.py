@@ -1,4 +1,4 @@
-"""Misfit to the statements of a paper: differences in tolerances, effect of noise, and free choices."""
+"""Misfit to the statements of a paper: tolerances, effect of noise, and free choices."""
 
 from __future__ import annotations
 
@@ -177,7 +177,8 @@ def test_sectors_are_means_of_three_angles_with_correlated_errors():
 def test_overlaps_sets_both_overlap_fields():
     found = expand_overlaps({"entry_point": "uniform", "overlaps": "skip"})
     assert found == {
-        "entry_point": "uniform", "overlap_with_previous_segment": "skip", "overlap_with_boundary": "skip",
+        "entry_point": "uniform", "overlap_with_previous_segment": "skip",
+        "overlap_with_boundary": "skip",
     }  # fmt: skip
     assert expand_overlaps({"entry_point": "uniform"}) == {"entry_point": "uniform"}
     for choice in OVERLAP_CHOICES:

@@ -135,10 +135,12 @@ def test_a_table_with_covariance_gives_the_correlations():
 
 
 def test_unconstrained_parameters_are_reported(table):
-    found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"], 0.01,
-                            fixed={SOOT: 50.0})  # fmt: skip
+    measured = (W, evaluate_spectrum(200.0, 50.0))
+    found = splits.retrieve(measured, table, [SIZE, "incidence_deg"], 0.01, fixed={SOOT: 50.0})
     assert found.constrained == {SIZE: True, "incidence_deg": False}
-    assert any("not constrained by the measurement: incidence_deg" in line for line in found.warnings)
+    assert any(
+        "not constrained by the measurement: incidence_deg" in line for line in found.warnings
+    )
     assert "not constrained by the measurement" in repr(found)
     assert found.dataset.attrs["degrees_of_freedom"] == pytest.approx(1.0, abs=0.02)
 

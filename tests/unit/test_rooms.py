@@ -1,4 +1,4 @@
-"""The packages of `splits` form layers: each imports only those below it, and no imports are circular."""
+"""Packages of `splits` import only packages below them, and no imports are circular."""
 
 from __future__ import annotations
 
@@ -56,8 +56,10 @@ def test_every_package_has_its_layer():
     assert rooms == set(LAYERS)
 
 
-@pytest.mark.parametrize(("parent", "layers"), [("splits", LAYERS), *(
-    (f"splits.{name}", inner) for name, inner in INNER_LAYERS.items())])
+@pytest.mark.parametrize(
+    ("parent", "layers"),
+    [("splits", LAYERS), *((f"splits.{name}", inner) for name, inner in INNER_LAYERS.items())],
+)
 def test_packages_import_only_those_below(parent, layers):
     def layer(module: str) -> int | None:
         rest = module.removeprefix(f"{parent}.").split(".")

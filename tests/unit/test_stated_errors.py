@@ -29,7 +29,9 @@ CASES = {
         {"max_stderr": 0.1, "jacobian": ["impurities_ng_g.black_carbon"]},
         THEORY_CASES | {"reflectance_jacobian", "transmittance_jacobian"},
     ),
-    "spectrophotometer, several": ({"a": splits.Snow()}, ([600.0],), {"max_stderr": 0.1}, THEORY_CASES),
+    "spectrophotometer, several": (
+        {"a": splits.Snow()}, ([600.0],), {"max_stderr": 0.1}, THEORY_CASES,
+    ),
     "goniophotometer": (splits.Snow(), ([600.0], 0.0, 1), FEW_DIRECTIONS, ANGLES),
     "goniophotometer, diffuse": (
         splits.Snow(), ([600.0], "diffuse", 1), FEW_DIRECTIONS,

@@ -62,7 +62,9 @@ def test_definitions_that_documents_name_exist():
     for path in list_files():
         if path.suffix not in {".md", ".ipynb"}:
             continue
-        for file, name in re.findall(r"`(?:splits/)?([a-z_/]+\.py): (\w+)`", path.read_text("utf-8")):
+        for file, name in re.findall(
+            r"`(?:splits/)?([a-z_/]+\.py): (\w+)`", path.read_text("utf-8")
+        ):
             source = ROOT / "splits" / file
             pattern = rf"^(?:@.*\n)*(?:def|class) {name}\b|^{name}\b"
             if not source.is_file() or not re.search(pattern, source.read_text("utf-8"), re.M):

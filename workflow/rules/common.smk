@@ -194,7 +194,7 @@ def study_files(name):
     """Return the tables of numbers that a study reads, by key."""
     kind = STUDIES[name].kind
     return {
-        key: str(SETTINGS.tables[FILES[kind][key]] / file)
+        key: str(SETTINGS.table_folders[STUDY_FILES[kind][key]] / file)
         for key, file in STUDIES[name].files.items()
     }
 

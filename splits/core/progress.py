@@ -45,14 +45,14 @@ class Progress:
     @property
     def fraction_done(self) -> float:
         """Elapsed fraction of the estimated total time, 0 to 1."""
-        whole = self.seconds + self.seconds_left
-        return self.seconds / whole if whole > 0.0 else 0.0
+        total = self.seconds + self.seconds_left
+        return self.seconds / total if total > 0.0 else 0.0
 
     def __str__(self) -> str:
-        left = f"{self.seconds_left:.0f} s left"
+        remaining = f"{self.seconds_left:.0f} s left"
         if self.stderr >= 1.0:
-            return f"first round, {left}"
-        return f"error {self.stderr:.2g}, wanted {self.target:g}, {left}"
+            return f"first round, {remaining}"
+        return f"error {self.stderr:.2g}, wanted {self.target:g}, {remaining}"
 
 
 ProgressCallback = Callable[[Progress], None] | bool | None

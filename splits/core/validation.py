@@ -224,10 +224,10 @@ def snap_to_limits(values: Any, low: float, high: float) -> np.ndarray:
     x = np.asarray(values, dtype=float)
     for limit, outside in ((float(low), x < low), (float(high), x > high)):
         if outside.any():
-            near = np.abs(x - limit) <= (
+            within_rounding = np.abs(x - limit) <= (
                 ROUNDING_TOLERANCE * abs(limit) if limit else ZERO_TOLERANCE
             )
-            x = np.where(outside & near, limit, x)
+            x = np.where(outside & within_rounding, limit, x)
     return x
 
 

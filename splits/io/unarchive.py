@@ -94,9 +94,9 @@ class ArchiveReport:
 
     def __str__(self) -> str:
         """Return the report in three lines."""
-        about = ", ".join(map(format_key, (self.name, self.date, self.license)))
+        properties = ", ".join(map(format_key, (self.name, self.date, self.license)))
         counts = f"{self.n_files} files, {self.n_bytes} bytes, every one as listed"
-        return f"{self.archive}: {counts}\n{about}\nSHA-256 of the archive: {self.sha256}"
+        return f"{self.archive}: {counts}\n{properties}\nSHA-256 of the archive: {self.sha256}"
 
 
 def verify_archive(archive: str | Path) -> ArchiveReport:

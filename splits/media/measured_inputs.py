@@ -61,10 +61,10 @@ def accepts_measured_inputs(kind: type[Kind]) -> type[Kind]:
 def override_keywords(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return `base` updated by `overrides`; keywords equivalent to overrides are removed."""
     overridden = {REPLACED_FIELDS.get(name, name) for name in overrides}
-    kept = {
+    remaining = {
         name: v for name, v in base.items() if REPLACED_FIELDS.get(name, name) not in overridden
     }
-    return {**kept, **overrides}
+    return {**remaining, **overrides}
 
 
 def check_no_equivalents(keywords: dict[str, Any]) -> None:

@@ -151,7 +151,7 @@ def _check_grid_axis(name: str, values_given: Any) -> tuple[Any, ...]:
         return tuple(values)
     allowed = "different, increasing numbers"
     numbers = as_1d_array(key, values, allowed).tolist()
-    if any(one >= other for one, other in pairwise(numbers)):
+    if any(lower >= upper for lower, upper in pairwise(numbers)):
         raise invalid(key, numbers, allowed)
     return tuple(numbers)
 

@@ -192,13 +192,13 @@ def _apply_full_axis_weights(
 def _compute_lagrange_derivatives(nodes: np.ndarray, x: float) -> np.ndarray:
     """Return the weights of the derivative of the Lagrange polynomial at x."""
     weights = np.zeros(len(nodes))
-    for i, one in enumerate(nodes):
+    for i, node in enumerate(nodes):
         for omitted in range(len(nodes)):
             if omitted == i:
                 continue
-            term = 1.0 / (one - nodes[omitted])
-            for j, other in enumerate(nodes):
+            term = 1.0 / (node - nodes[omitted])
+            for j, other_node in enumerate(nodes):
                 if j not in (i, omitted):
-                    term *= (x - other) / (one - other)
+                    term *= (x - other_node) / (node - other_node)
             weights[i] += term
     return weights

@@ -39,12 +39,12 @@ def write_csv(dataset: xr.Dataset, path: str | Path) -> None:
         Output file, written atomically.
     """
     names = [str(name) for name, v in dataset.data_vars.items() if "batch" not in v.dims]
-    first, *others = dataset[names[0]].dims
+    first, *other_axes = dataset[names[0]].dims
     with atomic_write(path) as temporary:
         for number in range(dataset.sizes[first]):
             # One slice at a time: all rows together need many times the memory of the table.
-            part = dataset[names].isel({first: [number]}).to_dataframe()
-            rows = escape_cells(part.reset_index()[[first, *others, *names]])
+            frame = dataset[names].isel({first: [number]}).to_dataframe()
+            rows = escape_cells(frame.reset_index()[[first, *other_axes, *names]])
             rows.to_csv(temporary, mode="a", header=number == 0, index=False, float_format="%.6g")
 
 
@@ -88,7 +88,7 @@ def convert_to_spires(
     solar_angles=a.solar_angle.values, dust_concentrations=a.dust_concentration.values,
     grain_sizes=a.grain_size.values)`` for an array ``a``.
     """
-    part = select_at_fixed_axes(
+    subset = select_at_fixed_axes(
         dataset, ("reflectance",), [INCIDENCE, RADIUS, impurity], at
     ).reflectance
     wavelengths = dataset.wavelength.values
@@ -98,14 +98,14 @@ def convert_to_spires(
     weights = np.stack(
         [compute_response_weights(name, band, wavelengths) for name, band in band_by_name.items()]
     )
-    mean = np.einsum("bw,irdw->bidr", weights, _order_spires_axes(part, impurity))
+    mean = np.einsum("bw,irdw->bidr", weights, _order_spires_axes(subset, impurity))
     return xr.DataArray(
         mean,
         {
             "band": np.arange(1, len(band_by_name) + 1),
-            "solar_angle": part[INCIDENCE].values,
-            "dust_concentration": part[impurity].values / per_unit,
-            "grain_size": part[RADIUS].values,
+            "solar_angle": subset[INCIDENCE].values,
+            "dust_concentration": subset[impurity].values / per_unit,
+            "grain_size": subset[RADIUS].values,
         },
         ("band", "solar_angle", "dust_concentration", "grain_size"),
         "reflectances",
@@ -147,7 +147,7 @@ def select_at_fixed_axes(
     for name in free_axes:
         check_choice("axis", name, axes)
     at = check_axis_values(at, axes, free_axes=free_axes)
-    part = dataset[list(quantities)]
+    subset = dataset[list(quantities)]
     for name in axes:
         values = dataset[name].values
         if name in free_axes:
@@ -164,6 +164,6 @@ def select_at_fixed_axes(
         indices = np.flatnonzero(matches)
         if not indices.size:
             raise invalid(name, coordinate, "one of " + ", ".join(map(str, values)))
-        part = part.isel({name: int(indices[0])})
-    check_no_gaps("table", part)
-    return part
+        subset = subset.isel({name: int(indices[0])})
+    check_no_gaps("table", subset)
+    return subset

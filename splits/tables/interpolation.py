@@ -147,8 +147,8 @@ def _find_nearest_nodes(nodes: np.ndarray, x: float, n_nodes: int) -> np.ndarray
 def _compute_lagrange_weights(nodes: np.ndarray, x: float) -> np.ndarray:
     """Return the weights of the Lagrange polynomial at x."""
     weights = np.ones(len(nodes))
-    for i, one in enumerate(nodes):
-        for j, other in enumerate(nodes):
+    for i, node in enumerate(nodes):
+        for j, other_node in enumerate(nodes):
             if i != j:
-                weights[i] *= (x - other) / (one - other)
+                weights[i] *= (x - other_node) / (node - other_node)
     return weights

@@ -51,29 +51,31 @@ def convert_to_isofit(
     ValueError
         For a missing axis, or directions outside the table.
     """
-    part = select_at_fixed_axes(dataset, ("reflectance",), [INCIDENCE, RADIUS], at).reflectance
-    part = part.transpose(INCIDENCE, RADIUS, "wavelength")
+    subset = select_at_fixed_axes(dataset, ("reflectance",), [INCIDENCE, RADIUS], at).reflectance
+    subset = subset.transpose(INCIDENCE, RADIUS, "wavelength")
     if directions is None:
-        zenith = part[INCIDENCE].values
-        axes = dict(zip(ISOFIT_DIMS, (zenith, zenith, np.array([0.0, 180.0]), part[RADIUS].values,
-                               part.wavelength.values), strict=True))  # fmt: skip
+        zenith = subset[INCIDENCE].values
+        axes = dict(zip(ISOFIT_DIMS, (zenith, zenith, np.array([0.0, 180.0]), subset[RADIUS].values,
+                               subset.wavelength.values), strict=True))  # fmt: skip
         return _make_isofit_dataset(
-            {"rho_dif_dir": _broadcast_over_axes(part.values, axes)}, axes, dataset
+            {"rho_dif_dir": _broadcast_over_axes(subset.values, axes)}, axes, dataset
         )
     factor = _order_reflectance_factor(directions)
     axes = {
         "solar_zenith": factor[INCIDENCE].values,
         "observer_zenith": factor.polar.values,
         "relative_azimuth": 180.0 - factor.azimuth.values,
-        "grain_radius": _match_nodes(factor, part, RADIUS),
-        "wl": _match_nodes(factor, part, "wavelength"),
+        "grain_radius": _match_nodes(factor, subset, RADIUS),
+        "wl": _match_nodes(factor, subset, "wavelength"),
     }
-    part = part.sel({RADIUS: axes["grain_radius"], "wavelength": axes["wl"]})
+    subset = subset.sel({RADIUS: axes["grain_radius"], "wavelength": axes["wl"]})
     observer_weights = [
-        compute_interpolation_weights(INCIDENCE, part[INCIDENCE].values, x)
+        compute_interpolation_weights(INCIDENCE, subset[INCIDENCE].values, x)
         for x in axes["observer_zenith"]
     ]
-    diffuse = np.stack([np.tensordot(w.weights, part.values[w.nodes], 1) for w in observer_weights])
+    diffuse = np.stack(
+        [np.tensordot(w.weights, subset.values[w.nodes], 1) for w in observer_weights]
+    )
     variables = {"rho_dif_dir": _broadcast_over_axes(diffuse, axes), "rho_dir_dir": factor.values}
     return _make_isofit_dataset(variables, axes, dataset)
 

@@ -121,8 +121,8 @@ def _make_medium(make_medium: Callable[..., Any], point: dict[str, Any]) -> Any:
         medium = make_medium(**point)
         check_medium(medium, allow_semi_infinite=True)
     except (ValueError, TypeError) as error:
-        where = ", ".join(f"{name} = {value!r}" for name, value in point.items())
-        raise invalid("grid", where, "a medium", str(error)) from None
+        point_text = ", ".join(f"{name} = {value!r}" for name, value in point.items())
+        raise invalid("grid", point_text, "a medium", str(error)) from None
     return medium
 
 

@@ -108,13 +108,13 @@ class Table:
         wavelengths = self.dataset.wavelength.values
         targets = wavelengths
         if "wavelength" in at:
-            given = as_1d_array("wavelength", at.pop("wavelength"), "numbers in nanometres")
+            requested = as_1d_array("wavelength", at.pop("wavelength"), "numbers in nanometres")
             targets = np.array(
-                [check_within_axis("wavelength", wavelengths, value) for value in given]
+                [check_within_axis("wavelength", wavelengths, value) for value in requested]
             )
-        part, weights = self._select_stencil(at)
+        subset, weights = self._select_stencil(at)
         spectra = [
-            _InterpolatedSpectra(*(part[n].values.astype(float) for n in (q, f"{q}_stderr")))
+            _InterpolatedSpectra(*(subset[n].values.astype(float) for n in (q, f"{q}_stderr")))
             for q in self.quantities
         ]
         for axis_weights in weights:
@@ -142,8 +142,8 @@ class Table:
         float, shape (axes, wavelengths)
             Error estimates, with relative signs along the spectrum.
         """
-        part, weights = self._select_stencil(at)
-        values = part[quantity].values.astype(float)
+        subset, weights = self._select_stencil(at)
+        values = subset[quantity].values.astype(float)
         errors: list[list[np.ndarray]] = []
         for w in weights:
             errors = [[np.tensordot(w.weights, row[w.nodes], 1) for row in rows] for rows in errors]
@@ -177,8 +177,8 @@ class Table:
         name = f"{quantity}_batches"
         if name not in self.dataset:
             raise invalid("table", quantity, "a table made with covariance=True")
-        part, weights = self._select_stencil(at, [name])
-        values = part[name].transpose(*self.axes[:-1], "batch", "wavelength").values.astype(float)
+        subset, weights = self._select_stencil(at, [name])
+        values = subset[name].transpose(*self.axes[:-1], "batch", "wavelength").values.astype(float)
         for w in weights:
             values = np.tensordot(w.weights, values[w.nodes], 1)
         return values
@@ -214,16 +214,16 @@ class Table:
         batch_variables = [
             f"{q}_batches" for q in self.quantities if f"{q}_batches" in self.dataset
         ]
-        part, weights = self._select_stencil(at, self._list_variables() + batch_variables)
+        subset, weights = self._select_stencil(at, self._list_variables() + batch_variables)
         estimates: dict[str, list[DerivativeEstimate]] = {q: [] for q in self.quantities}
         for name in selected:
             axis, nodes = axes.index(name), self.dataset[name].values
-            stencil = np.searchsorted(nodes, part[name].values[weights[axis].nodes])
+            stencil = np.searchsorted(nodes, subset[name].values[weights[axis].nodes])
             derivative_weights = compute_derivative_weights(
                 name, nodes, stencil, check_within_axis(name, nodes, at.get(name, nodes[0]))
             )
             for quantity, rows in estimates.items():
-                rows.append(differentiate(part, quantity, weights, axis, derivative_weights))
+                rows.append(differentiate(subset, quantity, weights, axis, derivative_weights))
         wavelength = ("wavelength", self.dataset.wavelength.values, self.dataset.wavelength.attrs)
         return make_derivative_dataset(
             estimates, selected, wavelength, to_netcdf_attributes(dict(at))
@@ -234,7 +234,7 @@ class Table:
     ) -> tuple[xr.Dataset, list[InterpolationWeights]]:
         """Return the nodes around a point and the interpolation weights of every axis."""
         at = check_axis_values(at, self.axes[:-1])
-        part, weights = self.dataset[variables or self._list_variables()], []
+        subset, weights = self.dataset[variables or self._list_variables()], []
         for name in self.axes[:-1]:
             values = self.dataset[name].values
             if name not in at and values.size > 1:
@@ -245,8 +245,8 @@ class Table:
                 axis_weights.nodes, np.flatnonzero(axis_weights.error_weights.any(axis=0))
             )
             weights.append(axis_weights.restrict_to(needed))
-            part = part.isel({name: needed})
-        return load_selection(part), weights
+            subset = subset.isel({name: needed})
+        return load_selection(subset), weights
 
     @reject_unknown_arguments
     def to_csv(self, path: str | Path) -> None:
@@ -264,7 +264,7 @@ class Table:
         return convert_to_isofit(self.dataset, directions, **at)
 
     def _list_variables(self) -> list[str]:
-        return [f"{q}{end}" for q in self.quantities for end in ("", "_stderr")]
+        return [f"{q}{suffix}" for q in self.quantities for suffix in ("", "_stderr")]
 
     def _make_dataset(
         self, spectra: list[_InterpolatedSpectra], wavelengths: np.ndarray, at: Any
@@ -348,12 +348,12 @@ def _interpolate_wavelengths(
     """Interpolate spectra to other wavelengths."""
     points = [
         _interpolate_first_axis(
-            spectra, compute_interpolation_weights("wavelength", nodes, float(one))
+            spectra, compute_interpolation_weights("wavelength", nodes, float(point))
         )
-        for one in wavelengths
+        for point in wavelengths
     ]
     value, stderr, interpolation_error = (
-        np.array([getattr(one, name) for one in points])
+        np.array([getattr(point, name) for point in points])
         for name in ("value", "stderr", "interpolation_error")
     )
     return _InterpolatedSpectra(value, stderr, interpolation_error)

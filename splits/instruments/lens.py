@@ -94,7 +94,7 @@ def lens(
     check_medium(medium, SurfaceMedium)
     depths = check_screen_depths("screen_depth_m", screen_depth_m)
     radius = check_ring_radius(radius_m)
-    check_choice("over", centre_on, CENTRE_CHOICES)
+    check_choice("centre_on", centre_on, CENTRE_CHOICES)
     if half_width_m is None and centre_on != "origin":
         hint = f'half the side of the square searched for the {centre_on}; centre_on="origin" needs none'
         raise invalid("half_width_m", None, "given (m)", hint)

@@ -76,7 +76,7 @@ def select_bands(
     if (covariance != np.diag(np.diag(covariance))).any():
         hint = "bands are chosen one by one"
         raise invalid("noise", "errors that are alike", "standard errors, independent", hint)
-    n_bands = check_integer("most", n_bands, 1, len(names))
+    n_bands = check_integer("n_bands", n_bands, 1, len(names))
     which = StateVector.from_ranges(free, prior, get_table_ranges(table))
     model = TableForwardModel(table, measurement, which, fixed)
     random = np.random.default_rng(check_integer("seed", seed, 0))

@@ -77,7 +77,7 @@ def surface_map(
         z, slope = compute_heights_and_slopes(waves, u, v)
         rough[:, number] = np.sqrt(np.mean(z**2)), np.sqrt(np.mean(slope.x**2 + slope.y**2))
     facts = {
-        **make_run_attributes("Rough surface", "surface", medium, begun, seed),
+        **make_run_attributes("Rough surface", "surface_map", medium, begun, seed),
         "realisations": realisations,
         "rays": 0,
     }

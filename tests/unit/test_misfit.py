@@ -182,8 +182,7 @@ def test_boundaries_stand_for_both_kinds_of_grains_that_do_not_fit():
     assert expand_boundaries({"entry_point": "uniform"}) == {"entry_point": "uniform"}
     for fate in OVERLAP_CHOICES:
         assert (
-            find_choice(Interpretation(**expand_boundaries({"overlaps": fate})), "overlaps")
-            == fate
+            find_choice(Interpretation(**expand_boundaries({"overlaps": fate})), "overlaps") == fate
         )
 
 

@@ -40,17 +40,17 @@ from splits.experiments import run_points
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 signal.signal(signal.SIGINT, signal.default_int_handler)
-measure = run_points.simulate_point
+simulate_point = run_points.simulate_point
 
 def slowly(*given):
     if getattr(slowly, "again", False):
         print("begun", flush=True)
         signal.pause()
     slowly.again = True
-    return measure(*given)
+    return simulate_point(*given)
 
 run_points.simulate_point = slowly
-command.main()
+cli.main()
 """
 
 

@@ -177,7 +177,7 @@ def test_numbers_are_found_and_written(results, monkeypatch):
 @pytest.mark.parametrize(
     ("number", "message"),
     [
-        (QuotedNumber("tables/none.csv", select_cell("ours")), r"none\.csv'.*must be there .snakemake"),
+        (QuotedNumber("tables/none.csv", select_cell("ours")), r"none\.csv'.*must be an existing file .run snakemake"),
         (QuotedNumber(TABLE, select_cell("ours", interpretation="default")), "key: rows = 2: must be 1 of"),
         (QuotedNumber(TABLE, select_cell("theirs", low="0.05")), r"made\.csv: key: 'theirs'"),
         (QuotedNumber(DATA, select_point("reflectance", texture="clay")), r"made\.nc: key:"),

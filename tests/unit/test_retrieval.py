@@ -138,7 +138,9 @@ def test_unconstrained_parameters_are_reported(table):
     found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"], 0.01,
                             fixed={SOOT: 50.0})  # fmt: skip
     assert found.constrained == {SIZE: True, "incidence_deg": False}
-    assert any("not constrained by the measurement: incidence_deg" in line for line in found.warnings)
+    assert any(
+        "not constrained by the measurement: incidence_deg" in line for line in found.warnings
+    )
     assert "not constrained by the measurement" in repr(found)
     assert found.dataset.attrs["degrees_of_freedom"] == pytest.approx(1.0, abs=0.02)
 
@@ -254,7 +256,7 @@ INVALID_CALLS = {
         {"noise": pd.Series(0.01, index=W + 500.0)},
         "noise = .values at .*must be values at",
     ),
-    "counted": ({"measured": pd.Series(VALID_CALLS[1])}, "only counted.*index_col"),
+    "counted": ({"measured": pd.Series(VALID_CALLS[1])}, "default index.*index_col"),
     "texts": ({"measured": (W, ["dark"] * W.size)}, "measured = .*numbers"),
     "errors of errors": (
         {"noise": {"stderr": 1e-4 * np.eye(W.size), "correlation_nm": 100.0}},

@@ -1,4 +1,4 @@
-"""Light that snow, sand and rough layers send back: all experiments of config/, end to end.
+"""Light reflected and transmitted by snow, sand and rough layers: all experiments of config/.
 
 snakemake --cores 2                             everything
 snakemake --cores 2 fig08_grain_size            one experiment or study, by its name
@@ -12,8 +12,8 @@ from pathlib import Path
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import update_config
 
-from splits.experiments import ConfigError, load_experiments, load_settings, read_yaml
 from splits.core.interrupts import forward_interrupts
+from splits.experiments import ConfigError, load_experiments, load_settings, read_yaml
 
 # Or snakemake would wait for running jobs to complete.
 forward_interrupts()
@@ -42,7 +42,7 @@ try:
     AVAILABLE = load_experiments(
         SETTINGS.experiments_folder, SETTINGS.media_folder, SETTINGS.measured_folder
     )
-    EXPERIMENTS = SETTINGS.select(AVAILABLE)
+    EXPERIMENTS = SETTINGS.select_experiments(AVAILABLE)
 except ConfigError as error:
     raise WorkflowError(str(error)) from None
 

@@ -140,7 +140,7 @@ for NAME in of_kind("interpretation"):
             "../../environment.yml"
         threads: lambda wildcards: all_cores()
         params:
-            physics=physics_digest(),
+            physics=hash_physics_sources(),
             interpretation=STUDIES[NAME].interpretation,
             stated=STUDIES[NAME].stated,
             seed=SETTINGS.seed,
@@ -218,7 +218,7 @@ for NAME in of_kind("sobol"):
         params:
             names=list(STUDIES[NAME].inputs),
             seed=SETTINGS.seed,
-            program=files_digest(PACKAGE, RETRIEVING),
+            program=hash_files(PACKAGE_FOLDER, RETRIEVAL_SOURCES),
         message:
             "Computing Sobol indices of tables"
         script:
@@ -248,7 +248,7 @@ for NAME in of_kind("bands"):
             n_bands=STUDIES[NAME].n_bands,
             fixed=escape_param(STUDIES[NAME].fixed),
             seed=SETTINGS.seed,
-            program=files_digest(PACKAGE, RETRIEVING),
+            program=hash_files(PACKAGE_FOLDER, RETRIEVAL_SOURCES),
         message:
             "Selecting the most informative bands"
         script:
@@ -270,7 +270,7 @@ for NAME in of_kind("sand_compositions"):
             "../../environment.yml"
         threads: 1
         params:
-            physics=physics_digest(),
+            physics=hash_physics_sources(),
             experiments=escape_param(
                 {
                     name: e.dump_simulation()

@@ -1,4 +1,4 @@
-from splits.experiments.archive import list_configuration_files, get_packing_time
+from splits.experiments.archive import get_packing_time, list_configuration_files
 
 ARCHIVED = SETTINGS.select_archived()
 PACKED = EXPERIMENTS if ARCHIVED.experiments == "all" else ARCHIVED.experiments

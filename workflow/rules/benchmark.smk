@@ -38,10 +38,14 @@ rule speed_against_error:
         source=lambda wildcards: program_digest(
             "speed_against_error.py", "method_table.py", "theories.py"
         ),
-        physics=physics_digest(),
-        theories=files_digest(
-            PACKAGE / "analysis",
-            ["efficiency.py", "ordinates.py", "radiative_transfer.py"],
+        physics=hash_physics_sources(),
+        theories=hash_files(
+            PACKAGE_FOLDER,
+            [
+                "experiments/papers/performance.py",
+                "analysis/theory/discrete_ordinates.py",
+                "analysis/theory/asymptotic.py",
+            ],
         ),
     message:
         "Measuring time against error of all methods"
@@ -65,7 +69,7 @@ rule benchmark_kernels:
         program="kernels.py",
         options=QUICK,
         source=lambda wildcards: program_digest("kernels.py"),
-        physics=physics_digest(),
+        physics=hash_physics_sources(),
     message:
         "Comparing the times of the kernels"
     script:

@@ -1,8 +1,13 @@
 from splits.core.escaping import escape_json, escape_rst
-from splits.experiments.run_table import count_parts
+from splits.core.provenance import (
+    PACKAGE_FOLDER,
+    RETRIEVAL_SOURCES,
+    hash_files,
+    hash_physics_sources,
+)
 from splits.experiments.config.study import describe_missing, find_incomplete_studies
 from splits.experiments.config.study_kinds import FIGURE_SUFFIXES, STUDY_FILES
-from splits.core.provenance import PACKAGE_FOLDER, RETRIEVAL_SOURCES, hash_files, hash_physics_sources
+from splits.experiments.run_table import count_parts
 
 STUDIES = SETTINGS.studies
 # Studies of which experiments are missing, with a message each.
@@ -101,7 +106,7 @@ def table_parts(name):
 
 def products(name):
     """Return all products of an experiment."""
-    suffixes = FIGURE if name in DRAWN else ()
+    suffixes = FIGURE_SUFFIXES if name in DRAWN else ()
     made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
     if EXPERIMENTS[name].fit:
         made.append(f"{RESULTS}/tables/{name}_parameters.csv")
@@ -161,10 +166,10 @@ def threads_of(name):
     Up to four simulations run in parallel, which hides their start-up times.  A single requested
     experiment, and a fit, which is long, have all cores.
     """
-    asked = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
-    together = min(4, len(asked or EXPERIMENTS))
+    requested = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
+    n_parallel = min(4, len(requested or EXPERIMENTS))
     cores = all_cores()
-    return cores if EXPERIMENTS[name].fit else max(1, cores // together)
+    return cores if EXPERIMENTS[name].fit else max(1, cores // n_parallel)
 
 
 def of_kind(kind):
@@ -194,7 +199,7 @@ def study_files(name):
     """Return the tables of numbers that a study reads, by key."""
     kind = STUDIES[name].kind
     return {
-        key: str(SETTINGS.tables[FILES[kind][key]] / file)
+        key: str(SETTINGS.table_folders[STUDY_FILES[kind][key]] / file)
         for key, file in STUDIES[name].files.items()
     }
 

@@ -2,8 +2,8 @@ import re
 
 from snakemake.logging import logger
 
+from splits.core.atomic import remove_stale_files, rename_damaged_file
 from splits.io.integrity import find_damage
-from splits.core.atomic import rename_damaged_file, remove_stale_files
 
 DRY = any(re.fullmatch(r"-[a-zA-Z]*n[a-zA-Z]*|--dry-?run", word) for word in sys.argv)
 

@@ -14,8 +14,9 @@ rule explorer:
         labels=list(EXPLORED),
         directions=list(WHERE),
         about=[EXPERIMENTS[name].title for name in EXPLORED.values()],
-        page=files_digest(
-            PACKAGE / "explorer", ["page.py", "page.html", "page.css", "page.js"]
+        page=hash_files(
+            PACKAGE_FOLDER / "plotting" / "explorer",
+            ["page.py", "page.html", "page.css", "page.js"],
         ),
     message:
         "Writing the explorer"

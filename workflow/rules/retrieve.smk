@@ -35,7 +35,7 @@ rule retrieve:
         title=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].title),
         caption=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].caption),
         seed=SETTINGS.seed,
-        program=files_digest(PACKAGE, RETRIEVING),
+        program=hash_files(PACKAGE_FOLDER, RETRIEVAL_SOURCES),
     message:
         "Retrieving parameters for {wildcards.experiment}"
     script:

@@ -21,7 +21,7 @@ rule simulate:
         seed=SETTINGS.seed,
         kept=lambda wildcards: f"{RESULTS}/blocks/{wildcards.experiment}",
         # No inputs, since these would be recorded with the path of the package.
-        physics=lambda wildcards: physics_digest(
+        physics=lambda wildcards: hash_physics_sources(
             fit=bool(EXPERIMENTS[wildcards.experiment].fit)
         ),
     message:

@@ -19,7 +19,7 @@ rule table_part:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
-        physics=physics_digest(),
+        physics=hash_physics_sources(),
     message:
         "Simulating part {wildcards.part} of {wildcards.experiment}"
     script:
@@ -45,7 +45,7 @@ rule table:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
-        physics=physics_digest(),
+        physics=hash_physics_sources(),
     message:
         "Assembling {wildcards.experiment}"
     script:

@@ -1,4 +1,4 @@
-"""Light that snow, sand and rough layers send back: all experiments of config/, end to end.
+"""Light reflected and transmitted by snow, sand and rough layers: all experiments of config/.
 
 snakemake --cores 2                             everything
 snakemake --cores 2 fig08_grain_size            one experiment or study, by its name

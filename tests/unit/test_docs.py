@@ -78,7 +78,7 @@ def test_limits_and_defaults_of_keys_are_the_models():
     assert configuration.default(fields["rays"]) == "none"
     limits = Accuracy.model_fields["relative_stderr"]
     assert configuration.allowed(limits) == "a number, at least 0.0001, at most 0.5"
-    assert configuration.default(Accuracy.model_fields["max_stderr"]) == "needed"
+    assert configuration.default(Accuracy.model_fields["max_stderr"]) == "required"
 
 
 # --- gallery --------------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ def test_copies_of_figures_are_written_once_and_go_with_their_figures(tmp_path):
     figures.mkdir()
     for name, width in {"wide": 2 * MAX_WIDTH_PX, "narrow": 100}.items():
         image.effect_noise((width, 50), 40).save(figures / f"{name}.png")
-    with pytest.raises(ValueError, match=r"gone\.png'.*must be there"):
+    with pytest.raises(ValueError, match=r"gone\.png'.*must be an existing file"):
         write_gallery(figures, ["wide", "gone"], folder)
     assert not folder.exists()
     assert write_gallery(figures, ["wide", "narrow"], folder) == (

@@ -256,7 +256,7 @@ INVALID_CALLS = {
         {"noise": pd.Series(0.01, index=W + 500.0)},
         "noise = .values at .*must be values at",
     ),
-    "counted": ({"measured": pd.Series(VALID_CALLS[1])}, "only counted.*index_col"),
+    "counted": ({"measured": pd.Series(VALID_CALLS[1])}, "default index.*index_col"),
     "texts": ({"measured": (W, ["dark"] * W.size)}, "measured = .*numbers"),
     "errors of errors": (
         {"noise": {"stderr": 1e-4 * np.eye(W.size), "correlation_nm": 100.0}},

@@ -1,8 +1,13 @@
 from splits.core.escaping import escape_json, escape_rst
-from splits.experiments.run_table import count_parts
+from splits.core.provenance import (
+    PACKAGE_FOLDER,
+    RETRIEVAL_SOURCES,
+    hash_files,
+    hash_physics_sources,
+)
 from splits.experiments.config.study import describe_missing, find_incomplete_studies
 from splits.experiments.config.study_kinds import FIGURE_SUFFIXES, STUDY_FILES
-from splits.core.provenance import PACKAGE_FOLDER, RETRIEVAL_SOURCES, hash_files, hash_physics_sources
+from splits.experiments.run_table import count_parts
 
 STUDIES = SETTINGS.studies
 # Studies of which experiments are missing, with a message each.
@@ -161,10 +166,10 @@ def threads_of(name):
     Up to four simulations run in parallel, which hides their start-up times.  A single requested
     experiment, and a fit, which is long, have all cores.
     """
-    asked = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
-    together = min(4, len(asked or EXPERIMENTS))
+    requested = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
+    n_parallel = min(4, len(requested or EXPERIMENTS))
     cores = all_cores()
-    return cores if EXPERIMENTS[name].fit else max(1, cores // together)
+    return cores if EXPERIMENTS[name].fit else max(1, cores // n_parallel)
 
 
 def of_kind(kind):

@@ -17,7 +17,7 @@ from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import write_run
 from splits.experiments.run_fit import run_fit
 
-with open_progress_log(snakemake.log[0]) as say:
+with open_progress_log(snakemake.log[0]) as log:
     experiment = SimulationConfig.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
     settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "log": say}

@@ -127,7 +127,8 @@ def natural_settings(given: Mapping[str, Any]) -> dict[str, Any]:
         usual["saturation"] = 0.0
     if "density_kg_m3" in given:
         key, temperature = "density_kg_m3", given.get("temperature_c", -1.0)
-        ice = ice_density(in_range("temperature_c", temperature, -40.0, 0.0, "°C"))
+        temperature = in_range("temperature_c", temperature, -40.0, 0.0, "°C")
+        ice = ice_density(temperature)
         hint = f"kg/m3, not g/cm3: ice at {temperature:g} °C has {ice:g}"
         in_range(key, given[key], LIGHTEST, ice, "kg/m3", hint=hint, open_high=True)
     readings = given.get("readings", {})

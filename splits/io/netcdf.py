@@ -64,7 +64,8 @@ def check_schema(dataset: xr.Dataset, path: str | Path) -> None:
     if version > SCHEMA_VERSION:
         raise ValueError(
             f"{path}: {SCHEMA_ATTRIBUTE} = {int(version)}: must be at most {SCHEMA_VERSION}; "
-            f"a newer version of the package wrote it ({written_by}): pip install --upgrade splits-optics"
+            f"a newer version of the package wrote it ({written_by}): "
+            "pip install --upgrade splits-optics"
         )
     if version < SCHEMA_VERSION:
         raise ValueError(

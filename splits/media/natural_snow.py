@@ -10,15 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from splits.core.validation import check_range, invalid, reject_unknown_arguments
 from splits.materials import ice_density
 from splits.media.interpretations import Interpretation, merge_interpretations
 from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
-
-if TYPE_CHECKING:
-    from splits.media.snow import Snow
 
 NATURAL_FACETNESS = 0.05
 NATURAL_SPHERICITY = 0.75
@@ -49,7 +46,7 @@ NATURAL_INTERPRETATION = "radiative_transfer"
 
 @reject_unknown_arguments
 def make_natural_snow(
-    cls: type[Snow],
+    cls: type[Any],
     *,
     specific_surface_area_m2_kg: float | None = None,
     optical_radius_um: float | None = None,
@@ -68,7 +65,7 @@ def make_natural_snow(
     pores: Mapping[str, float] | None = None,
     refractive_index: Mapping[str, Any] | None = None,
     interpretation: Interpretation | str | Mapping[str, Any] | None = None,
-) -> Snow:
+) -> Any:
     """Return natural snow by its specific surface area; dry, clean and semi-infinite by default.
 
     The grains have the absorption enhancement and the asymmetry parameter measured for natural snow

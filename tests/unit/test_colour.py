@@ -62,4 +62,4 @@ def test_swatches_show_every_point_and_reject_three_parameters():
     assert len(texts) == 2 and all("L*" in t for t in texts)
     deep = dataset([0.3, 0.1]).expand_dims(x=[1, 2], y=[1, 2])
     with pytest.raises(ValueError, match="one or two parameters"):
-        colour(deep)
+        draw_swatches(deep)

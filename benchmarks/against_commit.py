@@ -29,7 +29,7 @@ import pandas as pd
 from kernels import CASES
 
 from splits.core.paths import expand_path
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 
 ROOT = Path(__file__).resolve().parents[1]
 RAYS_PROGRAM = """
@@ -155,7 +155,7 @@ def main() -> None:
     given = parser.parse_args()
     table = compare_commits(given.commit, QUICK if given.quick else CommitComparisonPlan())
     if given.table:
-        write_table(table, given.table)
+        write_data_frame(table, given.table)
 
 
 if __name__ == "__main__":

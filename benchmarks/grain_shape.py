@@ -22,7 +22,7 @@ import pandas as pd
 
 import splits
 from splits.analysis.theory.grain_shape import compute_optical_shape
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 
 SHARP_FACETS: dict[str, Any] = {"entry_point": "projected"}
 MIRRORED_INTERPRETATION = {**SHARP_FACETS, "wrong_side_ray": "mirror"}
@@ -110,7 +110,7 @@ def main() -> None:
             flush=True,
         )
     if given.table:
-        write_table(pd.DataFrame(rows), given.table)
+        write_data_frame(pd.DataFrame(rows), given.table)
 
 
 if __name__ == "__main__":

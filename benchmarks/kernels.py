@@ -34,7 +34,7 @@ import pandas as pd
 
 import splits
 from splits.core.paths import expand_path
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.kernels import vectorized
 from splits.kernels.compiler.features import Features
 from splits.kernels.grains import history
@@ -307,7 +307,7 @@ def main() -> None:
     ]
     rows = [one for part in parts for one in part(plan)]
     if given.table:
-        write_table(pd.DataFrame(rows), given.table)
+        write_data_frame(pd.DataFrame(rows), given.table)
 
 
 if __name__ == "__main__":

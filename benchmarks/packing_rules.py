@@ -38,7 +38,7 @@ import xarray as xr
 import splits
 from splits.analysis.theory.asymptotic import correct_dense_packing
 from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 
 GEOMETRIC = "geometric"
 OVERLAP_RULES: dict[str, Any] = {
@@ -199,7 +199,7 @@ def main() -> None:
     found = pd.DataFrame(rows, columns=[*KEY_COLUMNS, "value", "stderr"])
     table = make_summary_table(found)
     if given.table:
-        write_table(table, given.table)
+        write_data_frame(table, given.table)
     print(found.round(4).to_string(index=False))
     print(table.to_string(index=False))
 

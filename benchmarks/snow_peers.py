@@ -24,7 +24,7 @@ import snowoptics
 import tartes
 
 import splits
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.materials.impurities import make_impurities
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 
@@ -169,7 +169,7 @@ def main() -> None:
     tables = {name: compare_models(name, given.max_stderr) for name in CASES}
     report_soot(tables, given.max_stderr)
     if given.table:
-        write_table(pd.concat(tables.values()), given.table)
+        write_data_frame(pd.concat(tables.values()), given.table)
 
 
 if __name__ == "__main__":

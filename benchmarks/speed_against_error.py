@@ -55,7 +55,7 @@ from theories import THEORIES
 import splits
 from splits.core.paths import expand_path
 from splits.experiments.papers import performance
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.experiments.papers.performance import (
     MEASURED,
     MEASURED_PARTLY,
@@ -334,7 +334,7 @@ def main() -> None:
     folder = given.table.parent if given.table else Path("results/benchmarks")
     table = measure_all(plan, media, folder)
     if given.table:
-        write_table(table, given.table)
+        write_data_frame(table, given.table)
     print("\none core; in brackets, times as a multiple of that of lanes:")
     for name in media:
         for error in plan.errors:

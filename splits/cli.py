@@ -157,11 +157,11 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
         _run_retrieval(experiment, target, measured, seed)
         return
     if experiment.fit:
-        from splits.experiments.papers.paper_tables import write_table
+        from splits.experiments.papers.paper_tables import write_data_frame
         from splits.experiments.papers.sand_trends import make_fit_table
 
         parameters = arguments.output / f"{experiment.name}_parameters.csv"
-        write_table(make_fit_table(load(target)), parameters)
+        write_data_frame(make_fit_table(load(target)), parameters)
         _print_line(parameters)
     if has_figure:
         from splits.plotting import draw, save_figure
@@ -179,7 +179,7 @@ def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed:
     if section is None:
         return
     from splits.analysis.measured import read_spectra
-    from splits.experiments.papers.paper_tables import write_table
+    from splits.experiments.papers.paper_tables import write_data_frame
     from splits.experiments.run_retrieve import (
         combine_samples,
         make_retrieval_table,
@@ -192,7 +192,7 @@ def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed:
     measured = read_spectra(folder / section.measured, "retrieve.measured")
     results = run_retrieve(section, open_table(path), measured, seed, _log)
     table = path.with_name(f"{experiment.name}_retrieved.csv")
-    write_table(make_retrieval_table(results, section.reference_values), table)
+    write_data_frame(make_retrieval_table(results, section.reference_values), table)
     _print_line(table)
     combined = combine_samples(results, experiment.name)
     save_figure(

@@ -17,7 +17,7 @@ MAX_SHOWN_NUMBERS = 8
 
 def format_call(name: str, inputs: Mapping[str, Any]) -> str:
     """Return the text of a call with keywords, on one line."""
-    return f"{name}({', '.join(f'{key}={format_value(value)}' for key, value in inputs.items())})"
+    return f"{name}({', '.join(f'{key}={format_input(value)}' for key, value in inputs.items())})"
 
 
 def find_differences(medium: Any, reference: Any) -> dict[str, Any]:
@@ -25,29 +25,29 @@ def find_differences(medium: Any, reference: Any) -> dict[str, Any]:
     differences = {}
     for name in (field.name for field in fields(medium)):
         value, reference_value = getattr(medium, name), getattr(reference, name)
-        if format_value(value) == format_value(reference_value):
+        if format_input(value) == format_input(reference_value):
             continue
         if isinstance(value, Mapping) and isinstance(reference_value, Mapping):
             value = {
                 k: v
                 for k, v in value.items()
-                if format_value(v) != format_value(reference_value.get(k))
+                if format_input(v) != format_input(reference_value.get(k))
             }
         differences[name] = value
     return differences
 
 
-def format_value(value: Any) -> str:
+def format_input(value: Any) -> str:
     """Return the text of an input, on one line; objects are shown by their `as_input`."""
     value = as_scalar(value)
     if hasattr(value, "as_input"):
-        return format_value(value.as_input())
+        return format_input(value.as_input())
     if isinstance(value, Real) and not isinstance(value, bool):
         return f"{value:.10g}"
     if isinstance(value, Mapping):
         return (
             "{"
-            + ", ".join(f"{format_value(key)}: {format_value(item)}" for key, item in value.items())
+            + ", ".join(f"{format_input(key)}: {format_input(item)}" for key, item in value.items())
             + "}"
         )
     if isinstance(value, (np.ndarray, Sequence)) and not isinstance(value, str):
@@ -59,12 +59,12 @@ def format_value(value: Any) -> str:
 def count_digits(value: Any) -> int:
     """Return the number of digits of a number, or of the longest of several."""
     return max(
-        len(format_value(x).partition("e")[0].replace(".", "").strip("0")) for x in np.ravel(value)
+        len(format_input(x).partition("e")[0].replace(".", "").strip("0")) for x in np.ravel(value)
     )
 
 
 def _format_sequence(values: Any) -> str:
     if len(values) > MAX_SHOWN_NUMBERS:
-        return f"[{format_value(values[0])}, ..., {format_value(values[-1])}]"
-    text = ", ".join(format_value(value) for value in values)
+        return f"[{format_input(values[0])}, ..., {format_input(values[-1])}]"
+    text = ", ".join(format_input(value) for value in values)
     return f"({text})" if isinstance(values, tuple) else f"[{text}]"

@@ -16,7 +16,7 @@ from splits.core.equality import ContentEquality
 from splits.core.validation import check_number, check_range, invalid, suggest_name
 from splits.materials.csv_table import read_user_table, to_columns
 from splits.materials.refractive_index import check_wavelength_range
-from splits.media.formatting import format_value
+from splits.media.formatting import format_input
 
 OPEN = "open"
 BLACK = "black"
@@ -92,7 +92,7 @@ class Ground(ContentEquality):
 
     def __repr__(self) -> str:
         """Return the call that constructs the ground, on one line."""
-        return f"Ground.from_input({format_value(self)})"
+        return f"Ground.from_input({format_input(self)})"
 
     @property
     def is_reflecting(self) -> bool:

@@ -26,7 +26,7 @@ from splits.kernels.grains.scene import (
     SamplingRules,
 )
 from splits.materials import MIXING_RULES
-from splits.media.formatting import find_differences, format_value
+from splits.media.formatting import find_differences, format_input
 from splits.media.sand_composition import EXCESS_MAGNETITE_RULES
 from splits.media.wetness import WATER_MODELS
 
@@ -223,7 +223,7 @@ class TransportInterpretation:
 
     def __repr__(self) -> str:
         """Return the call that constructs the interpretation, on one line."""
-        return f"{type(self).__name__}.from_input({format_value(self)})"
+        return f"{type(self).__name__}.from_input({format_input(self)})"
 
 
 @reject_unknown_keywords

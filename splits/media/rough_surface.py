@@ -26,7 +26,7 @@ from splits.core.validation import (
 )
 from splits.kernels.math.rng import start_stream
 from splits.kernels.rough_surface import realization as kernels
-from splits.media.formatting import format_call, format_value
+from splits.media.formatting import format_call, format_input
 from splits.media.height_spectra import (
     CORRELATIONS,
     HEIGHT_SPECTRA,
@@ -207,7 +207,7 @@ class RoughSurface:
 
     def __repr__(self) -> str:
         """Return the call that constructs the surface, on one line."""
-        return f"RoughSurface({format_value(self)})"
+        return f"RoughSurface({format_input(self)})"
 
     @property
     def rms_height_m(self) -> float:

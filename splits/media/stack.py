@@ -19,7 +19,7 @@ from splits.core.validation import (
     suggest_name,
 )
 from splits.kernels.grains.scene import WET_PORE
-from splits.media.formatting import format_value
+from splits.media.formatting import format_input
 from splits.media.ground import Ground, describe_ground
 from splits.media.interpretations import INTERPRETATION_SETS
 from splits.media.medium import GranularMedium, Interface
@@ -121,7 +121,7 @@ class Stack:
         """Return the call that constructs the stack, with one layer per line."""
         inputs = {"ground": self.ground, "interpretation": self.interpretation}
         keywords = [
-            f", {key}={format_value(value)}" for key, value in inputs.items() if value is not None
+            f", {key}={format_input(value)}" for key, value in inputs.items() if value is not None
         ]
         lines = ["Stack([", *(f"    {layer!r}," for layer in self.layers), f"]{''.join(keywords)})"]
         return "\n".join(lines)

@@ -20,7 +20,7 @@ from splits.analysis.measured import (
     read_published,
 )
 from splits.experiments.papers.agreement import _compare_with_published
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 
 CONFIG = Path(__file__).parents[2] / "config"
 PUBLISHED = """\
@@ -193,6 +193,6 @@ def test_shipped_measurements_are_fractions_over_wavelength(name):
 
 def test_tables_are_written_whole(tmp_path):
     path = tmp_path / "new" / "table.csv"
-    write_table(pd.DataFrame({"a": [1 / 3], "b": ["x"]}), path)
+    write_data_frame(pd.DataFrame({"a": [1 / 3], "b": ["x"]}), path)
     assert path.read_text() == "a,b\n0.333333,x\n"
     assert [p.name for p in path.parent.iterdir()] == ["table.csv"]

@@ -22,7 +22,7 @@ from splits.core.escaping import (
     escape_rst,
 )
 from splits.experiments import ConfigError, load_experiments, load_settings
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.plotting import draw_sensitivity_bars, draw_spectra
 from splits.plotting.interpretation_shifts import draw_shifts
 from splits.plotting.sensitivity import draw_band_selection, draw_sobol_indices
@@ -102,7 +102,7 @@ def test_cells_are_no_formulas(value, cell):
 def test_tables_hold_no_formulas(tmp_path):
     table = pd.DataFrame({"@name": ["=1+1", "fine"], "value": [-1.0, 2.0], "mixed": ["-a", -3.0]})
     before = table.copy()
-    write_table(table, tmp_path / "a.csv")
+    write_data_frame(table, tmp_path / "a.csv")
     lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
     assert lines == ["'@name,value,mixed", "'=1+1,-1,'-a", "fine,2,-3.0"]
     pd.testing.assert_frame_equal(table, before)

@@ -16,7 +16,7 @@ import xarray as xr
 import splits
 from splits.core import atomic
 from splits.core.atomic import atomic_write, remove_stale_files
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 
 KILLED_PROGRAM = """
@@ -52,7 +52,7 @@ def test_what_a_killed_save_leaves_is_swept_by_the_next(tmp_path):
     splits.save(dataset, tmp_path / "other.nc")
     assert list_names(tmp_path) == ["other.nc"]
     kill_while_saving(tmp_path / "made.nc")
-    write_table(pd.DataFrame({"x": [1]}), tmp_path / "table.csv")
+    write_data_frame(pd.DataFrame({"x": [1]}), tmp_path / "table.csv")
     assert list_names(tmp_path) == ["other.nc", "table.csv"]
 
 
@@ -163,5 +163,5 @@ def test_a_block_that_raises_leaves_what_was_there(tmp_path):
 
 def test_names_as_long_as_a_folder_takes(tmp_path):
     name = "x" * 251 + ".csv"
-    write_table(pd.DataFrame({"x": [1]}), tmp_path / name)
+    write_data_frame(pd.DataFrame({"x": [1]}), tmp_path / name)
     assert list_names(tmp_path) == [name]

@@ -17,7 +17,7 @@ import splits
 from splits import cli
 from splits.core.atomic import check_writable
 from splits.experiments.archive import pack_archive
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.plotting.style import save_figure
 from splits.tables.storage import write_table_blockwise
@@ -50,7 +50,7 @@ def save_dataset(folder):
 
 
 def save_table(folder):
-    write_table(pd.DataFrame({"x": VALUES}), folder / "made.csv")
+    write_data_frame(pd.DataFrame({"x": VALUES}), folder / "made.csv")
 
 
 def save_drawing(folder):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 
 import splits
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.plotting.sensitivity import draw_band_selection
 from splits.plotting.style import save_figure
 from splits.tables.axes import list_numeric_axes
@@ -22,7 +22,7 @@ for name, path in zip(snakemake.params.names, snakemake.input.data, strict=True)
         seed=snakemake.params.seed,
     )  # fmt: skip
 tables = [ds.to_dataframe().reset_index().assign(table=name) for name, ds in selections.items()]
-write_table(pd.concat(tables, ignore_index=True), snakemake.output.table)
+write_data_frame(pd.concat(tables, ignore_index=True), snakemake.output.table)
 conditions = ", ".join(f"{n} {v}" for n, v in fixed_values.items())
 note = f"Noise {snakemake.params.noise:g}" + (f", at {conditions}" if conditions else "")
 save_figure(draw_band_selection(selections, note), Path(snakemake.output.figure[0]).with_suffix(""))

@@ -15,7 +15,7 @@ from splits.experiments.papers.interpretation_tables import (
     make_ranking_table,
     make_statement_table,
 )
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.plotting import draw_interpretation_shifts, save_figure
 
 with open_progress_log(snakemake.log[0]) as log:
@@ -26,7 +26,7 @@ with open_progress_log(snakemake.log[0]) as log:
     )  # fmt: skip
 names = find_differing_keys(combinations)
 table = make_statement_table(combinations, stated, names)
-write_table(make_ranking_table(combinations, stated, choices, text), snakemake.output.table)
-write_table(table, snakemake.output.statements)
-write_table(make_leave_out_table(combinations, stated, names), snakemake.output.without)
+write_data_frame(make_ranking_table(combinations, stated, choices, text), snakemake.output.table)
+write_data_frame(table, snakemake.output.statements)
+write_data_frame(make_leave_out_table(combinations, stated, names), snakemake.output.without)
 save_figure(draw_interpretation_shifts(table), Path(snakemake.output.figure[0]).with_suffix(""))

@@ -3,11 +3,11 @@
 import json
 
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.experiments.run import make_composition_table
 
 experiments = {
     name: SimulationConfig.model_validate(content)
     for name, content in json.loads(snakemake.params.experiments).items()
 }
-write_table(make_composition_table(experiments), snakemake.output[0])
+write_data_frame(make_composition_table(experiments), snakemake.output[0])

@@ -4,7 +4,7 @@ import pandas as pd
 
 from splits import load
 from splits.analysis.colour import make_colour_table
-from splits.experiments.papers.paper_tables import write_table
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
 
 roles = zip(snakemake.params.roles, snakemake.input.data, strict=True)
@@ -18,6 +18,6 @@ swatches = [
     make_colour_table(datasets[role]).assign(experiment=datasets[role].attrs["experiment"])
     for role in ("wet_colours", "colours")
 ]
-write_table(make_sand_trend_table(datasets), snakemake.output.trends)
-write_table(pd.concat(weights), snakemake.output.weights)
-write_table(pd.concat(swatches), snakemake.output.colours)
+write_data_frame(make_sand_trend_table(datasets), snakemake.output.trends)
+write_data_frame(pd.concat(weights), snakemake.output.weights)
+write_data_frame(pd.concat(swatches), snakemake.output.colours)

@@ -100,7 +100,7 @@ def check_measured_spectra(
         _check_sample_angle(name, experiment)
         fixed = section.get_fixed_values(name, list(rows))
         for axis, value in fixed.items():
-            check_within_axis(f"retrieve ({name}): {axis}", value, rows.get(axis))
+            check_on_grid(f"retrieve ({name}): {axis}", value, rows.get(axis))
         assigned = {*fixed, *section.free, *fixed_of_first.get(name, {})}
         if len(rows.get(INCIDENCE, ())) > 1 and INCIDENCE not in assigned:
             hint = f"its angle in the name, {name}@50, or retrieve.fixed.{INCIDENCE}"
@@ -140,7 +140,7 @@ def _check_reference_values(section: RetrieveSection, axes: AxisNodes) -> None:
     for first in section.prior_from:
         for name, value in first.fixed.items():
             check_choice("retrieve.prior_from.fixed", name, [*axes, SCALE])
-            check_within_axis(f"retrieve.prior_from.fixed.{name}", value, axes.get(name))
+            check_on_grid(f"retrieve.prior_from.fixed.{name}", value, axes.get(name))
         if not [n for n in section.free if n not in (*first.fixed, SCALE)]:
             hint = "at least one parameter of the first sample must be free"
             raise invalid(
@@ -148,10 +148,10 @@ def _check_reference_values(section: RetrieveSection, axes: AxisNodes) -> None:
             )
     for name, values in section.reference_values.items():
         for sample, value in values.items():
-            check_within_axis(f"retrieve.reference_values.{name}.{sample}", value, axes.get(name))
+            check_on_grid(f"retrieve.reference_values.{name}.{sample}", value, axes.get(name))
 
 
-def check_within_axis(key: str, value: Any, nodes: tuple[Any, ...] | None) -> None:
+def check_on_grid(key: str, value: Any, nodes: tuple[Any, ...] | None) -> None:
     """Reject a value outside the range of an axis."""
     if nodes is None:
         return

@@ -13,7 +13,7 @@ from splits.analysis.measured import read_measured, read_published, read_spectra
 from splits.core.validation import check_choice, check_range, invalid, unknown_key
 from splits.core.yaml import ConfigError
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
-from splits.experiments.config.retrieve_checks import check_within_axis
+from splits.experiments.config.retrieve_checks import check_on_grid
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
 from splits.experiments.config.study import SensitivityPair, Study
@@ -192,7 +192,7 @@ def _check_fixed_values(definition: Study, available: Mapping[str, ExperimentCon
     for name, value in definition.fixed.items() if tables else ():
         if name not in rows:
             raise unknown_key(f"fixed.{name}", rows)
-        check_within_axis(f"fixed.{name}", value, rows[name])
+        check_on_grid(f"fixed.{name}", value, rows[name])
     for name, row in rows.items():
         if isinstance(row[0], str) and len(row) > 1 and name not in definition.fixed:
             raise invalid(f"fixed.{name}", "nothing", f"one of {', '.join(map(str, row))}")

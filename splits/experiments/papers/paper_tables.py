@@ -23,7 +23,7 @@ TABLE1_LABELS = {
 }
 
 
-def write_table(table: pd.DataFrame, path: str | Path) -> None:
+def write_data_frame(table: pd.DataFrame, path: str | Path) -> None:
     """Write a table as CSV with six significant digits.
 
     Texts that a spreadsheet would evaluate are prefixed with an apostrophe.

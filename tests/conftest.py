@@ -1,7 +1,4 @@
-"""What all tests share: the judgement of statistics in tests/statistics/chi2.py is importable.
-
-So are the generators of experiment files in tests/campaigns.
-"""
+"""Settings of all tests, and the folders of modules that tests import from one another."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from pathlib import Path
 
 import numba
 
-for folder in ("", "statistics", "campaigns", "../docs"):
+for folder in ("", "statistics", "unit", "campaigns", "../docs"):
     sys.path.insert(0, str((Path(__file__).parent / folder).resolve()))
 
 # Compilers leave a gigabyte of objects that stay: to look through all of them again and again took

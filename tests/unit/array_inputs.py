@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from constructed_results import make_optics
 from formula_tables import W, evaluate_spectrum, make_snowlike_table
-from test_phase_functions_by_angle import make_optics
 
 import splits
 from splits.analysis.theory.phase_function import to_eradiate

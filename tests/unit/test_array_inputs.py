@@ -8,9 +8,8 @@ import pytest
 import xarray as xr
 from array_inputs import CASES, FIXED, SIZE, TABLE, retrieve_image
 from chi2 import NEEDS_JIT
+from constructed_results import AUTHOR, make_brdf, make_optics
 from formula_tables import W
-from test_bird import AUTHOR, make_brdf
-from test_phase_functions_by_angle import make_optics
 
 import splits
 from splits.core.uncertainty import compute_weighted_error

@@ -179,7 +179,7 @@ def test_numbers_are_found_and_written(results, monkeypatch):
     [
         (
             QuotedNumber("tables/none.csv", select_cell("ours")),
-            r"none\.csv'.*must be there .snakemake",
+            r"none\.csv'.*must be an existing file .run snakemake",
         ),
         (
             QuotedNumber(TABLE, select_cell("ours", interpretation="default")),

@@ -220,7 +220,7 @@ class ExperimentConfig(SimulationConfig):
                     "next_event or bins for figure.kind = 'polarization'",
                 )  # fmt: skip
         if has_no_grain_distance and "mean_grain_distance" in self.figure.quantity:
-            hint = "left out: layers have no grains, and stacks no single distance"
+            hint = "left out: a particle layer has no grains, and a stack has no single distance"
             raise invalid("figure.quantity", "mean_grain_distance", hint)
 
     def resolve_figure(self) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """Elementary functions; polynomials in single precision, which compilers can vectorize.
 
 Calls of a mathematical library prevent the vectorization of a loop over lanes, so in single
-precision the few functions needed are polynomials.  `tests/unit/test_elementary.py` compares each
-with mpmath over its range.  Double precision uses the library.
+precision the few functions needed are polynomials.  `tests/unit/kernels/test_elementary.py`
+compares each with mpmath over its range.  Double precision uses the library.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from splits.materials import ice_density
 from splits.media.interpretations import INTERPRETATION_CHOICES, merge_interpretations
 from splits.media.medium import check_thickness
 
-TABLE1 = Path(__file__).parents[2] / "config" / "media" / "splitsnow_table1.yaml"
+TABLE1 = Path(__file__).parents[3] / "config" / "media" / "splitsnow_table1.yaml"
 ORDER = "min <= mean <= max <= 1"
 INVALID_SNOWS = [
     ("grain_size_um", (750, 300), "1 <= min <= max <= 100000"),

@@ -14,7 +14,7 @@ from splits.experiments.config.load import read_yaml
 from splits.experiments.config.study import find_incomplete_studies
 from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SETTINGS_CONTENT = read_yaml(ROOT / "config" / "config.yaml")
 SETTINGS_CONTENT |= {
     f"{name}_folder": str(ROOT / "config" / name) for name in ("media", "measured", "published")

@@ -12,7 +12,7 @@ from splits.experiments import ConfigError, ExperimentConfig, load_experiment
 from splits.plotting import draw, draw_spectra, save_figure
 from splits.plotting.panels import MAX_LINES, MAX_PANELS, MAX_ROWS, choose_panel_parameters
 
-MEDIA = Path(__file__).parents[2] / "config" / "media"
+MEDIA = Path(__file__).parents[3] / "config" / "media"
 X = np.linspace(400.0, 1000.0, 13)
 
 

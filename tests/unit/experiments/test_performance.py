@@ -25,7 +25,7 @@ from splits.experiments.papers.performance import (
 )
 from splits.experiments.papers.performance_figure import draw_speed_against_error
 
-PROGRAM = Path(__file__).parents[2] / "benchmarks" / "speed_against_error.py"
+PROGRAM = Path(__file__).parents[3] / "benchmarks" / "speed_against_error.py"
 
 
 def make_row(method, how, error, seconds, **facts):

@@ -17,7 +17,7 @@ from splits.experiments.run import run
 from splits.io.netcdf import save
 from splits.plotting.style import format_parameter
 
-MEDIA = Path(__file__).parents[2] / "config" / "media"
+MEDIA = Path(__file__).parents[3] / "config" / "media"
 SNOWPACK_TEXT = """
 medium:
   kind: stack
@@ -96,7 +96,7 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
         ),
         (
             SNOWPACK_TEXT + "figure: {kind: points, quantity: mean_grain_distance}",
-            "stacks not one distance",
+            "a stack has no single distance",
         ),
         (
             "medium: {kind: stack, layers: [{dept_m: 1}]}",

@@ -16,7 +16,7 @@ from splits.experiments import ConfigError, SimulationConfig, load_experiment, l
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.run import run
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 MEDIA = ROOT / "config" / "media"
 SPECTRUM = "instrument: {wavelength_nm: [500, 600]}\n"
 GRID = "grid: {saturation: [0, 0.1]}\n"

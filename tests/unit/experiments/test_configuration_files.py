@@ -9,7 +9,7 @@ import pytest
 from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 MEDIA = ROOT / "config" / "media"
 SETTINGS = read_yaml(ROOT / "config" / "config.yaml")
 INVALID_FILES = [

@@ -17,7 +17,7 @@ from splits.media.grain_statistics import surface_to_volume_ratio
 from splits.media.interpretations import INTERPRETATION_CHOICES
 from splits.simulation.interpolation_bounds import select_grain_interfaces
 
-MEDIA = Path(__file__).parents[2] / "config" / "media"
+MEDIA = Path(__file__).parents[3] / "config" / "media"
 ORDER = "min <= mean <= max <= 1"
 INTERPRETATIONS = list(SandInterpretation.__dataclass_fields__)
 EIGHT_TYPES = {

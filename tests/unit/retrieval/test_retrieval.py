@@ -293,7 +293,7 @@ def test_bad_input_is_rejected_in_one_line(table, name):
         "model": table,
         "free": [SIZE, SOOT],
         "noise": 0.01,
-        "at": FIXED,
+        "fixed": FIXED,
     }
     with pytest.raises(InvalidValue, match=message) as caught:
         splits.retrieve(**(given | other))

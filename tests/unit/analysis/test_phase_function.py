@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
+from constructed_results import ASYMMETRY, ORDERS, make_optics
 from scipy.special import eval_legendre, j1
 
 import splits
@@ -16,35 +17,10 @@ from splits.analysis.theory.phase_function import (
 )
 from splits.core.validation import InvalidValue
 
-G = 0.6
-ORDERS = np.arange(201)
-
-
-def make_optics(albedo=0.9, noise=0.0, **attrs):
-    """Return properties whose moments are those of Henyey and Greenstein, from 16 parts of rays."""
-    w = np.array([600.0, 1300.0])
-    moments = np.broadcast_to(G**ORDERS, (2, ORDERS.size))
-    parts = moments + noise * np.random.default_rng(1).normal(size=(16, *moments.shape))
-    parts[..., 0] = 1.0
-    dims = ("wavelength", "order")
-    variables = {
-        "extinction": ("wavelength", np.full(2, 2000.0)),
-        "optical_thickness": ("wavelength", np.full(2, 20.0)),
-        "single_scattering_albedo": ("wavelength", np.full(2, albedo)),
-        "single_scattering_albedo_stderr": ("wavelength", np.full(2, 1e-3)),
-        "single_scattering_albedo_jackknife": (("batch", "wavelength"), np.full((16, 2), albedo)),
-        "legendre_moment": (dims, moments),
-        "legendre_moment_jackknife": (("batch", *dims), parts),
-        "legendre_moment_interpolation_bound": (dims, np.zeros_like(moments)),
-    }
-    facts = {"medium": "snow", "snow_optical_radius_um": 160.0, "diffraction": "none",
-             "extinction_by_grains_per_m": 2000.0} | attrs  # fmt: skip
-    return xr.Dataset(variables, {"wavelength": w, "order": ORDERS}, facts)
-
 
 def evaluate_exact(angle_deg):
     mu = np.cos(np.radians(angle_deg))
-    return (1.0 - G**2) / (4.0 * np.pi * (1.0 + G**2 - 2.0 * G * mu) ** 1.5)
+    return (1.0 - ASYMMETRY**2) / (4.0 * np.pi * (1.0 + ASYMMETRY**2 - 2.0 * ASYMMETRY * mu) ** 1.5)
 
 
 def test_a_smooth_phase_function_comes_back():
@@ -107,7 +83,7 @@ def test_diffraction_doubles_extinction_and_changes_nothing_else():
     np.testing.assert_allclose(*absorbed)
     # What is turned away, ω (1 − g), but for the width of the peak.
     turned = [ds.single_scattering_albedo * ds.extinction * (1.0 - g) for ds, g in (
-        (before, G), (after, after.asymmetry_parameter))]  # fmt: skip
+        (before, ASYMMETRY), (after, after.asymmetry_parameter))]  # fmt: skip
     np.testing.assert_allclose(*turned, rtol=5e-3)
     assert after.legendre_moment[0, 0] == 1.0
     again = splits.with_diffraction(make_optics())
@@ -146,7 +122,7 @@ def test_libradtran_finds_wavelength_extinction_albedo_and_moments(tmp_path):
     table = np.loadtxt(tmp_path / "layer.dat")
     assert table.shape == (2, 3 + ORDERS.size)
     np.testing.assert_allclose(table[:, :3], [[600.0, 2e6, 0.9], [1300.0, 2e6, 0.9]])
-    np.testing.assert_allclose(table[0, 3:], G**ORDERS, rtol=1e-6)
+    np.testing.assert_allclose(table[0, 3:], ASYMMETRY**ORDERS, rtol=1e-6)
 
 
 @NEEDS_JIT

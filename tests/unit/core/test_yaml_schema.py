@@ -12,7 +12,7 @@ import yaml
 from splits.core.yaml import MAX_NUMBER_CHARS, dump_yaml, read_yaml
 from splits.experiments import ConfigError, load_experiment
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SHIPPED_FILES = [*sorted((ROOT / "config").rglob("*.y*ml")), ROOT / "CITATION.cff"]
 NUMBERS = {
     "045": 45, "0500": 500, "08": 8, "-012": -12, "+7": 7, "0o17": 15, "0x1F": 31, "0": 0,

@@ -22,7 +22,7 @@ from splits.analysis.measured import (
 from splits.experiments.papers.agreement import _compare_with_published
 from splits.experiments.papers.paper_tables import write_data_frame
 
-CONFIG = Path(__file__).parents[2] / "config"
+CONFIG = Path(__file__).parents[3] / "config"
 PUBLISHED = """\
 # made up
 id,quantity,place,published,bar,low,high

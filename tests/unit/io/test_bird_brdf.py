@@ -6,19 +6,12 @@ import json
 
 import numpy as np
 import pytest
-import xarray as xr
 from chi2 import NEEDS_JIT
+from constructed_results import AUTHOR, make_brdf
 
 import splits
 from splits.core.validation import InvalidValue
 
-AUTHOR = {
-    "organization": "Example Institute",
-    "location": {"country": "Finland", "city": "Espoo", "street": "Maarintie",
-                 "building_nr": "8", "postal_code": "02150"},
-    "email": "ada@example.org",
-    "contact_person": "Ada Example",
-}  # fmt: skip
 METADATA = {"schema", "id", "type", "timestamp", "provenance", "license", "description", "method",
             "instrumentation", "software", "sample", "environment", "data_links", "comments",
             "adhoc_section"}  # fmt: skip
@@ -27,26 +20,6 @@ PARAMETER = {"name", "symbol", "description", "value", "unit", "uncertainty", "u
              "data_links", "comments", "adhoc_section"}  # fmt: skip
 ANGLES = {"theta_i": 90.0, "phi_i": 360.0, "theta_r": 90.0, "phi_r": 360.0}
 """Exclusive upper bounds of angles in degrees."""
-
-
-def make_brdf(incidence, **keywords):
-    """Return a small BRDF by direction, rising forwards, as a goniophotometer returns it."""
-    polar, azimuth = np.array([0.0, 40.0, 70.0]), np.array([0.0, 90.0, 180.0, 270.0])
-    shape = (2, 3, 4)
-    forward = np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
-    values = np.broadcast_to(0.3 + 0.05 * forward, shape) * (1.0 + incidence / 90.0)
-    grid = ("wavelength", "polar", "azimuth")
-    coordinates = {"wavelength": [600.0, 1300.0], "polar": polar, "azimuth": azimuth}
-    variables = {"brdf": (grid, values.copy()), "brdf_stderr": (grid, np.full(shape, 0.003))}
-    attrs = {
-        "medium": "snow", "snow_depth_m": 0.1, "snow_facetness": np.array([0.2, 0.4]),
-        "snow_asymmetry_parameter_900nm_dry": 0.678,
-        "snow_asymmetry_parameter_900nm_dry_stderr": 0.001,
-        "snow_interpretation_entry_point": "uniform",
-        "incidence_deg": incidence, "seed": 3, "physics_sources_sha256": "0123456789abcdef",
-        "date_created": "2026-11-24T12:00:00+00:00", "title": "BRDF",
-    }  # fmt: skip
-    return xr.Dataset(variables, coordinates, {**attrs, **keywords})
 
 
 def written(tmp_path, *datasets, **keywords):

@@ -41,7 +41,7 @@ FILES = {
     f"medium: {500 * '['}{500 * ']'}": "not YAML (more than 32 lists and mappings",
     ALIAS_BOMB: "not YAML (more than 50000 values)",
     "a: &a [*a]": "not YAML (an alias within its own anchor)",
-    "? [a]\n: b": "not YAML (a key that is no text)",
+    "? [a]\n: b": "not YAML (a key that is not text)",
     "".join(f"k{i}: 1\n" for i in range(20_000)): "unknown key",
     f"name: {300 * 'a'}": "name = 'aaaa",
     f"{300 * 'k'}: 1": "unknown key",

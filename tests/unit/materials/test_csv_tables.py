@@ -15,7 +15,7 @@ from splits.experiments import load_experiment
 from splits.illumination.bands import as_bands
 from splits.materials.csv_table import MAX_TABLE_BYTES, read_user_table
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SHIPPED_TABLES = sorted((ROOT / "config" / "measured").glob("*.csv"))
 
 EXPERIMENTS = {

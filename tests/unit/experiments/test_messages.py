@@ -11,7 +11,7 @@ import yaml
 from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 MEDIA = ROOT / "config" / "media"
 WAVES = {"rms_height_m": 1, "wave_number_per_m": 0.1, "waves": 8, "correlation": "gaussian"}
 ROUGH = {"medium": {"kind": "particle_layer", "depth_m": 100, "surface": WAVES}}

@@ -16,7 +16,7 @@ from splits.experiments.config.grid import make_label
 from splits.experiments.config.instrument import WavelengthGrid
 from splits.experiments.config.load import read_yaml
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
 SETTINGS = read_yaml(ROOT / "config" / "config.yaml")
 SETTINGS |= {f"{name}_folder": str(ROOT / "config" / name) for name in ("measured", "published")}

@@ -161,7 +161,7 @@ def test_bad_media_of_a_grid_are_rejected(tmp_path, text, message):
         ("figure: {quantity: mean_grain_distance}", "points for mean_grain_distance"),
         ("medium: {kind: particle_layer}\nfigure: {kind: points, quantity: mean_grain_distance}\n"
          "instrument: {wavelength_nm: [550]}",
-         "layers have no grains"),
+         "a particle layer has no grains"),
         ("figure: {kind: lobes, quantity: btdf}\ninstrument: {kind: goniophotometer}",
          "brdf for a figure of lobes"),
     ],

@@ -5,7 +5,7 @@
 Every ray has a surface of its own and is reflected and refracted there until it leaves upwards
 (`splits.kernels.particle_layer.leak_census`).  Prints, for every surface: crossings; points of legs
 found on the wrong side of the surface; rays lost; evaluations of the surface, and time on one
-thread, per crossing.  Then time per wave of an evaluation, and per crossing, of realisations that
+thread, per crossing.  Then time per wave of an evaluation, and per crossing, of realizations that
 are already drawn.
 """
 
@@ -72,7 +72,7 @@ def count_crossings(
 
 
 def time_waves() -> None:
-    """Print what an evaluation and a crossing take in realisations that are there."""
+    """Print what an evaluation and a crossing take in realizations that are there."""
     x, y = np.random.default_rng(1).uniform(-50.0, 50.0, (2, 2000))
     for waves_per_surface in (16, 64, 600):
         surface = RoughSurface(GAUSSIAN | {"rms_height_m": 0.5, "waves": waves_per_surface})

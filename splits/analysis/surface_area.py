@@ -100,7 +100,7 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
     Returns
     -------
     pandas.DataFrame
-        Per spectrum and window: ``area`` (m²/kg) and ``level`` (the scale) with their errors from
+        Per spectrum and window: ``area`` (m²/kg) and ``scale`` with their errors from
         the noise of the model, ``rmse``, and ``at_the_end``, whether the area is at the end of the
         grid.  The scale is that of all windows, since strongly absorbed wavelengths alone do not
         separate it from the area.
@@ -126,7 +126,7 @@ def retrieve_surface_areas(dataset: xr.Dataset, measured: pd.DataFrame) -> pd.Da
             area, scale, rmse = fits[0]
             is_at_end = bool(np.isclose(area, areas[[0, -1]], rtol=1e-6).any())
             rows.append((column, name, area, area_error, scale, scale_error, rmse, is_at_end))
-    names = ["spectrum", "window", "area", "area_stderr", "level", "level_stderr", "rmse",
+    names = ["spectrum", "window", "area", "area_stderr", "scale", "scale_stderr", "rmse",
                "at_the_end"]  # fmt: skip
     return pd.DataFrame(rows, columns=names)
 
@@ -154,9 +154,9 @@ def make_overlay_table(
         snow, values = _match_spectrum(dataset, measured, str(row.spectrum))
         nodes = snow[AREA].values.astype(float)
         modelled = snow.reflectance.transpose(AREA, "wavelength").values
-        model = row.level * CubicSpline(np.log(nodes), modelled)(np.log(row.area))
+        model = row.scale * CubicSpline(np.log(nodes), modelled)(np.log(row.area))
         nearest = int(np.argmin(np.abs(np.log(nodes / row.area))))
-        stderr = row.level * snow.reflectance_stderr.transpose(AREA, "wavelength").values[nearest]
+        stderr = row.scale * snow.reflectance_stderr.transpose(AREA, "wavelength").values[nearest]
         tables.append(pd.DataFrame({
             "spectrum": row.spectrum, "area": row.area, "wavelength_nm": snow.wavelength.values,
             "measured": values, "model": model, "stderr": stderr, "difference": model - values,

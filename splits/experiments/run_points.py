@@ -221,7 +221,7 @@ def simulate_point(
     common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
     keys = (
         "estimator", "target", "polar_deg", "azimuth_deg", "n_bins", "rays", "half_width_m",
-        "radius_m", "screen_depth_m", "centre_on", "realisations",
+        "radius_m", "screen_depth_m", "centre_on", "realizations",
     )  # fmt: skip
     arguments = {key: getattr(instrument, key) for key in keys}
     arguments = {key: value for key, value in arguments.items() if value is not None}

@@ -49,7 +49,7 @@ def lens(
     centre_on: str = "crest",
     half_width_m: float | None = None,
     rays: int = DEFAULT_RAYS,
-    realisations: int = 1,
+    realizations: int = 1,
     seed: int = 1,
     waves: Any = None,
 ) -> xr.Dataset:
@@ -70,12 +70,12 @@ def lens(
         Half the side of the square that is searched (m); not needed for the origin.
     rays : int
         At least 3, evenly distributed around the ring.
-    realisations : int
+    realizations : int
         Of the surface; at least 2 for standard errors.
     seed : int
     waves : array_like, shape (waves, 4), optional
         Amplitudes (m), wave numbers along x and y (1/m) and phases (radians) of cosines, instead
-        of realisations of the layer's surface.
+        of realizations of the layer's surface.
 
     Returns
     -------
@@ -83,9 +83,9 @@ def lens(
         Over ``screen_depth``: ``contraction``, the root mean square distance of the rays from their
         centre over the radius of the ring, and ``concentration``, the inverse of its mean square: 1
         without waves, otherwise the reduction in area of an image that remains a ring; over
-        realisations that transmit at least half of the ring, with standard errors.  Over
-        ``realisation``, too: ``detected_fraction``, the fraction of rays that reach the screen
-        without hitting the surface again; the others are excluded.  Of the first realisation, over
+        realizations that transmit at least half of the ring, with standard errors.  Over
+        ``realization``, too: ``detected_fraction``, the fraction of rays that reach the screen
+        without hitting the surface again; the others are excluded.  Of the first realization, over
         ``ray``: ``surface_position``, where it hits the surface, ``screen_position`` on the screens
         (m) and whether it is ``detected``.
 
@@ -104,15 +104,15 @@ def lens(
         hint += '; centre_on="origin" needs none'
         raise invalid("half_width_m", None, "given (m)", hint)
     width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
-    rays, realisations = check_ring_size(rays, realisations, depths.size)
+    rays, realizations = check_ring_size(rays, realizations, depths.size)
     seed = check_integer("seed", seed, 0)
-    plane_waves = _get_plane_waves(medium, waves, realisations)
+    plane_waves = _get_plane_waves(medium, waves, realizations)
     angles = 2.0 * np.pi * np.arange(rays) / rays
-    contraction = np.empty((realisations, depths.size))
+    contraction = np.empty((realizations, depths.size))
     detected_fraction = np.empty_like(contraction)
-    for realisation in range(realisations):
+    for realization in range(realizations):
         surface_waves = (
-            medium.surface.sample_realization(seed, realisation)
+            medium.surface.sample_realization(seed, realization)
             if plane_waves is None
             else plane_waves
         )
@@ -120,9 +120,9 @@ def lens(
         ring = (centre_x + radius * np.cos(angles), centre_y + radius * np.sin(angles))
         hits = refract_vertical_rays(surface_waves, medium.refractive_index, *ring)
         points, detected = _intersect_screens(hits, centre_z - depths)
-        detected_fraction[realisation] = detected.mean(axis=1)
-        contraction[realisation] = _compute_rms_radius(points, detected) / radius
-        if realisation == 0:
+        detected_fraction[realization] = detected.mean(axis=1)
+        contraction[realization] = _compute_rms_radius(points, detected) / radius
+        if realization == 0:
             surface_points = hits.position - (centre_x, centre_y, centre_z)
             screen_points = np.where(detected[..., np.newaxis], points - (centre_x, centre_y), 0.0)
             first_detected = detected
@@ -136,19 +136,19 @@ def lens(
     attributes = {
         **make_run_attributes("Statistical lens", "lens", medium, start_time, seed),
         "radius_m": radius, "centre_on": centre_on, "half_width_m": width,
-        "realisations": realisations, "rays": rays * realisations,
+        "realizations": realizations, "rays": rays * realizations,
     }  # fmt: skip
     first = FirstRealization(surface_points, screen_points, first_detected)
     return make_lens_dataset(contraction, detected_fraction, first, depths, attributes)
 
 
-def _get_plane_waves(medium: SurfaceMedium, waves: Any, realisations: int) -> np.ndarray | None:
-    """Return given waves, None for realisations of the medium's surface, after checking them."""
+def _get_plane_waves(medium: SurfaceMedium, waves: Any, realizations: int) -> np.ndarray | None:
+    """Return given waves, None for realizations of the medium's surface, after checking them."""
     if waves is None and medium.surface is None:
         raise invalid("surface", None, "given: a lens needs waves")
     plane_waves = None if waves is None else check_plane_waves(waves)
-    if plane_waves is not None and realisations > 1:
-        raise invalid("realisations", realisations, "1 for given waves")
+    if plane_waves is not None and realizations > 1:
+        raise invalid("realizations", realizations, "1 for given waves")
     return plane_waves
 
 
@@ -211,9 +211,9 @@ def check_ring_radius(radius_m: Any) -> float:
     return check_range("radius_m", radius_m, 0.0, 1e6, "m", open_low=True)
 
 
-def check_ring_size(rays: Any, realisations: Any, n_screens: int) -> tuple[int, int]:
-    """Return the numbers of rays and realisations, after checking that results fit into memory."""
+def check_ring_size(rays: Any, realizations: Any, n_screens: int) -> tuple[int, int]:
+    """Return the numbers of rays and realizations, after checking that results fit into memory."""
     max_value = MAX_SCREEN_POINTS // n_screens
     return check_integer("rays", rays, 3, max_value), check_integer(
-        "realisations", realisations, 1, max_value
+        "realizations", realizations, 1, max_value
     )

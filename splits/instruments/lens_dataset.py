@@ -10,11 +10,11 @@ import xarray as xr
 from splits.core.uncertainty import make_variable
 
 MIN_DETECTED_FRACTION = 0.5
-"""Fraction of a ring that must reach a screen for a realisation to be included there."""
+"""Fraction of a ring that must reach a screen for a realization to be included there."""
 
 
 class FirstRealization(NamedTuple):
-    """Rays at the first realisation of the surface, for figures.
+    """Rays at the first realization of the surface, for figures.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ def make_lens_dataset(
         ),
         **make_variable(
             "detected_fraction",
-            ("realisation", dim),
+            ("realization", dim),
             detected_fraction,
             None,
             "fraction of rays on the screen",
@@ -87,13 +87,13 @@ def make_lens_dataset(
 def _average_realizations(
     values: np.ndarray, valid: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the mean over valid realisations with its standard error, None for a single one."""
+    """Return the mean over valid realizations with its standard error, None for a single one."""
     count = valid.sum(axis=0)
     mean = np.where(valid, values, 0.0).sum(axis=0) / count
     if len(values) == 1:
         return mean, None
     square = np.where(valid, (values - mean) ** 2, 0.0).sum(axis=0)
-    # Of a single valid realisation the error is its value.
+    # Of a single valid realization the error is its value.
     stderr = np.sqrt(square / np.maximum(count - 1, 1) / count)
     return mean, np.where(count > 1, stderr, mean)
 

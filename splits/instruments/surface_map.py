@@ -1,4 +1,4 @@
-"""Height map of a realisation of a rough surface, and the roughness of realisations."""
+"""Height map of a realization of a rough surface, and the roughness of realizations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def surface_map(
     half_width_m: float,
     *,
     points: int = DEFAULT_POINTS,
-    realisations: int = 100,
+    realizations: int = 100,
     seed: int = 1,
 ) -> xr.Dataset:
     """Return the heights of a layer's surface around the origin.
@@ -37,7 +37,7 @@ def surface_map(
         Half the side of the mapped square (m).
     points : int
         Per side, at least 2.
-    realisations : int
+    realizations : int
         At least 2, from which the roughness is estimated; the first is mapped.
     seed : int
 
@@ -45,7 +45,7 @@ def surface_map(
     -------
     xarray.Dataset
         ``height`` (m) over ``x`` and ``y``; ``rms_height`` (m) and ``rms_slope`` (of the gradient)
-        of each realisation, over the square.
+        of each realization, over the square.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def surface_map(
     check_medium(medium, SurfaceMedium)
     width = check_half_width("surface_map", half_width_m)
     points = check_integer("points", points, 2, 3000)
-    realisations = check_integer("realisations", realisations, 2, MAX_REALIZATIONS)
+    realizations = check_integer("realizations", realizations, 2, MAX_REALIZATIONS)
     seed = check_integer("seed", seed, 0)
     if medium.surface is None:
         raise invalid("surface", None, "given for a map")
@@ -69,27 +69,27 @@ def surface_map(
     # Roughness needs fewer points than a map.
     coarse_line = np.linspace(-width, width, 41)
     u, v = (axis.ravel() for axis in np.meshgrid(coarse_line, coarse_line, indexing="ij"))
-    roughness = np.empty((2, realisations))
-    for realisation in range(realisations):
-        waves = medium.surface.sample_realization(seed, realisation)
-        if realisation == 0:
+    roughness = np.empty((2, realizations))
+    for realization in range(realizations):
+        waves = medium.surface.sample_realization(seed, realization)
+        if realization == 0:
             height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
         z, slope = compute_heights_and_slopes(waves, u, v)
-        roughness[:, realisation] = (
+        roughness[:, realization] = (
             np.sqrt(np.mean(z**2)),
             np.sqrt(np.mean(slope.x**2 + slope.y**2)),
         )
     attributes = {
         **make_run_attributes("Rough surface", "surface_map", medium, start_time, seed),
-        "realisations": realisations,
+        "realizations": realizations,
         "rays": 0,
     }
     variables = {
         **make_variable("height", ("x", "y"), height, None, "height of the surface", "m"),
         **make_variable(
-            "rms_height", "realisation", roughness[0], None, "rms height of the square", "m"
+            "rms_height", "realization", roughness[0], None, "rms height of the square", "m"
         ),
-        **make_variable("rms_slope", "realisation", roughness[1], None, "rms slope of the square"),
+        **make_variable("rms_slope", "realization", roughness[1], None, "rms slope of the square"),
     }
     distance_attributes = {"units": "m", "long_name": "horizontal distance"}
     return xr.Dataset(

@@ -29,9 +29,9 @@ class Interface(NamedTuple):
         Fraction of the collisions with grains; for a boundary, fraction of the light that hits it.
     outer_material, inner_material : int
         Materials on the outer and on the inner side.
-    location : {"outer", "inner", "face"}
+    location : {"outer", "inner", "boundary"}
         Between pores and grains ("outer"), within grains ("inner"), or at a horizontal boundary of
-        the sample ("face"), between wet pores and dry pores or the matrix of a particle layer.
+        the sample ("boundary"), between wet pores and dry pores or the matrix of a particle layer.
     layer : int
         Number of the layer in the sample.
     """

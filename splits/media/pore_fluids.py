@@ -50,7 +50,7 @@ class PoreFluids(NamedTuple):
     def list_boundary_interfaces(self, with_fresnel: bool) -> list[Interface]:
         """Return the interfaces of filled pores with dry pores at the boundaries."""
         return [
-            Interface(fraction, DRY_PORE, column, "face")
+            Interface(fraction, DRY_PORE, column, "boundary")
             for column, fraction in enumerate(self.fractions)
             if with_fresnel and column != DRY_PORE and fraction > 0.0
         ]

@@ -213,7 +213,7 @@ class Stack:
                 fractions[row],
                 first_columns[neighbour_number] + neighbour_row,
                 first_columns[number] + row,
-                "face",
+                "boundary",
                 number,
             )
             for row, neighbour_row in rows

@@ -85,7 +85,7 @@ _SURFACE_INSTRUMENTS = ("surface_map", "lens")
 
 
 def describe_conditions(
-    dataset: xr.Dataset, at: Mapping[str, float | str] | None = None, band: str = "bands"
+    dataset: xr.Dataset, select: Mapping[str, float | str] | None = None, band: str = "bands"
 ) -> str:
     """Return the fixed conditions of a dataset and the error reached, as one line.
 
@@ -93,7 +93,7 @@ def describe_conditions(
     ----------
     dataset : xarray.Dataset
         Dataset shown, with the attributes of an instrument or an experiment.
-    at : mapping, optional
+    select : mapping, optional
         Labels of the grid at which the dataset was selected.
     band : str
         Name of the graphical element for errors; "" for none.
@@ -104,8 +104,8 @@ def describe_conditions(
         Items contain no line breaks.  Empty for a dataset without attributes.
     """
     items = [
-        *_describe_medium(dataset.attrs, dict(at or {})),
-        _describe_light(dataset, dict(at or {})),
+        *_describe_medium(dataset.attrs, dict(select or {})),
+        _describe_light(dataset, dict(select or {})),
     ]
     if dataset.sizes.get("wavelength") == 1:
         items.append(f"{float(dataset.wavelength.values[0]):g} nm")
@@ -115,7 +115,7 @@ def describe_conditions(
     return text[:1].upper() + text[1:]
 
 
-def _describe_medium(attributes: Attributes, at: dict[str, Any]) -> list[str]:
+def _describe_medium(attributes: Attributes, select: dict[str, Any]) -> list[str]:
     """Return the descriptions of the medium and of the fixed labels."""
     kind = str(attributes.get("medium", ""))
     if kind not in FORMATTERS:
@@ -124,7 +124,7 @@ def _describe_medium(attributes: Attributes, at: dict[str, Any]) -> list[str]:
         key: attributes[f"{kind}_{key}"]
         for key in FORMATTERS[kind]
         if f"{kind}_{key}" in attributes
-    } | at
+    } | select
     opaque = attributes.get(f"{kind}_opaque") == "true"
     has_no_interior = opaque or attributes.get("instrument") in _SURFACE_INSTRUMENTS
     items = [kind.replace("_", " ")]
@@ -133,13 +133,15 @@ def _describe_medium(attributes: Attributes, at: dict[str, Any]) -> list[str]:
             items.append(formatter(values.pop(key)))
     if opaque:
         items.append("nothing below the surface")
-    values = {key: value for key, value in values.items() if key in at and key != "incidence_deg"}
+    values = {
+        key: value for key, value in values.items() if key in select and key != "incidence_deg"
+    }
     items += [f"{format_parameter(key)}: {format_value(v, key)}" for key, v in values.items()]
     return items
 
 
-def _describe_light(dataset: xr.Dataset, at: Mapping[str, Any]) -> str:
-    incidence = at.get("incidence_deg", dataset.attrs.get("incidence_deg"))
+def _describe_light(dataset: xr.Dataset, select: Mapping[str, Any]) -> str:
+    incidence = select.get("incidence_deg", dataset.attrs.get("incidence_deg"))
     if incidence is None:
         return ""
     if str(incidence) == "diffuse":

@@ -24,17 +24,19 @@ MAX_RELATIVE_ERROR = 0.25
 """Relative error above which a value is not drawn."""
 
 
-def draw_beam_spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+def draw_beam_spread(
+    dataset: xr.Dataset, select: Mapping[str, float | str] | None = None
+) -> Figure:
     """Draw the exiting light against the distance from the entry, and its map.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         Output of `splits.beam_spread`, without a grid or with one to select from.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_points(dataset, at or {})
+    dataset = select_points(dataset, select or {})
     with use_style():
         figure, (left, right) = make_subplots(
             1, 2, width=TWO_COLUMNS_INCHES, height=2.8, width_ratios=(1.15, 1.0)
@@ -74,4 +76,4 @@ def draw_beam_spread(dataset: xr.Dataset, at: Mapping[str, float | str] | None =
         right.set(xlabel="along the beam's travel (mm)", ylabel="across (mm)", aspect="equal")
         right.set_title(f"{float(first.wavelength):g} nm, reflected")
         figure.colorbar(image, ax=right, label="light leaving per area (m⁻²)", shrink=0.85)
-        return annotate_figure(figure, [left, right], describe_conditions(dataset, at))
+        return annotate_figure(figure, [left, right], describe_conditions(dataset, select))

@@ -27,14 +27,14 @@ _MAX_LABELLED_COLUMNS = 9
 """Largest number of columns of patches with numbers."""
 
 
-def draw_swatches(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+def draw_swatches(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw a patch of colour for every point of a grid of one or two parameters.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         ``reflectance`` over one grid parameter (columns), at most one more (rows), wavelength.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
 
     Raises
@@ -42,7 +42,7 @@ def draw_swatches(dataset: xr.Dataset, at: Mapping[str, float | str] | None = No
     ValueError
         For a grid with more parameters.
     """
-    dataset = select_points(dataset, at or {})
+    dataset = select_points(dataset, select or {})
     dims = [str(d) for d in dataset.reflectance.dims if d != "wavelength"]
     if not 1 <= len(dims) <= 2:
         raise ValueError(f"figure.kind = 'swatches': must have one or two parameters, not {dims}")
@@ -84,4 +84,4 @@ def draw_swatches(dataset: xr.Dataset, at: Mapping[str, float | str] | None = No
             axes.set_yticks([])
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
-        return annotate_figure(figure, [axes], describe_conditions(dataset, at, ""))
+        return annotate_figure(figure, [axes], describe_conditions(dataset, select, ""))

@@ -32,11 +32,11 @@ MAX_INSET_LINES = 4
 """Largest number of lines with a legend inside the axes."""
 
 
-def select_point(dataset: xr.Dataset, at: Mapping[str, float | str] | None) -> xr.Dataset:
+def select_point(dataset: xr.Dataset, select: Mapping[str, float | str] | None) -> xr.Dataset:
     """Return the dataset at labels of its grid, with the incidence kept as an attribute."""
-    at = at or {}
-    attributes = {key: float(at[key]) for key in ("incidence_deg",) if key in at}
-    return select_points(dataset, at).assign_attrs(attributes)
+    select = select or {}
+    attributes = {key: float(select[key]) for key in ("incidence_deg",) if key in select}
+    return select_points(dataset, select).assign_attrs(attributes)
 
 
 def extract_plane(dataset: xr.Dataset) -> xr.Dataset:

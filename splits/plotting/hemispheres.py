@@ -51,7 +51,7 @@ _MARKER_STYLE: dict[str, Any] = {
 def draw_hemispheres(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("brdf",),
-    at: Mapping[str, float | str] | None = None,
+    select: Mapping[str, float | str] | None = None,
     legend: str | None = None,
 ) -> Figure:
     """Draw a hemisphere map for every point of a grid.
@@ -63,12 +63,12 @@ def draw_hemispheres(
     quantity : sequence of str
         Keys of `splits.plotting.direction_axes.QUANTITY_LABELS`; each has a block of maps with its
         own scale.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     legend : str, optional
         Name of a single varying parameter; that of the parameter by default.
     """
-    dataset = select_point(dataset, at)
+    dataset = select_point(dataset, select)
     count = len(make_lines(dataset, quantity[0]).lines)
     columns = min(MAX_MAP_COLUMNS, count)
     rows = -(-count // columns)
@@ -82,7 +82,7 @@ def draw_hemispheres(
             grid_cells = [grid[number * rows + i // columns, i % columns] for i in range(count)]
             panels += draw_maps(figure, grid_cells, dataset, name, legend)
         return annotate_figure(
-            figure, panels, describe_conditions(dataset, at, ""), make_maps_note(quantity)
+            figure, panels, describe_conditions(dataset, select, ""), make_maps_note(quantity)
         )
 
 

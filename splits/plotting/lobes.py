@@ -44,17 +44,17 @@ def _lighten(colour: Colour) -> Colour:
     return red, green, blue
 
 
-def draw_lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+def draw_lobes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw the BRDF of every point of a grid as a surface, and its principal plane below.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         Output of an experiment with a goniophotometer.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_point(dataset, at)
+    dataset = select_point(dataset, select)
     dataset = dataset.isel(polar=dataset.polar.values <= MAX_POLAR_DEG)
     periodic = dataset.pad(azimuth=(0, 1), mode="wrap")
     azimuth = np.radians(np.append(dataset.azimuth.values, dataset.azimuth.values[0] + 360.0))
@@ -108,4 +108,4 @@ def draw_lobes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None)
             for row in (surfaces, planes)
             for axes in row[first : first + columns]
         ]
-        return annotate_figure(figure, panels, describe_conditions(dataset, at))
+        return annotate_figure(figure, panels, describe_conditions(dataset, select))

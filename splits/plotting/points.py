@@ -45,7 +45,7 @@ _MAX_STATED_VALUES = 4
 def draw_points(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("reflectance",),
-    at: Mapping[str, float | str] | None = None,
+    select: Mapping[str, float | str] | None = None,
     legend: str | None = None,
 ) -> Figure:
     """Draw quantities at the points of a grid, a panel each with one series per wavelength.
@@ -58,12 +58,12 @@ def draw_points(
     dataset : xarray.Dataset
         Output of an experiment.
     quantity : sequence of str
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     legend : str, optional
         Label of the points; by default the parameters of the grid.
     """
-    dataset = select_points(dataset, at or {})
+    dataset = select_points(dataset, select or {})
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
     combinations = list(itertools.product(*(dataset[d].values for d in dims)))
     names = [
@@ -102,7 +102,7 @@ def draw_points(
         shift_note = f"Shifts: {INDEPENDENCE_NOTE}." if dim and has_spectra else ""
         band = "bars" if has_spectra else ""
         return annotate_figure(
-            figure, panels[0], describe_conditions(dataset, at, band), shift_note
+            figure, panels[0], describe_conditions(dataset, select, band), shift_note
         )
 
 
@@ -162,7 +162,7 @@ MAX_SUMMARY_PANELS = (3, 4)
 def draw_summary(
     dataset: xr.Dataset,
     quantity: Sequence[str],
-    at: Mapping[str, Any],
+    select: Mapping[str, Any],
     legend: str | None = None,
 ) -> Figure:
     """Draw spectra of a table: lines along its longest axis, panels along the next two.
@@ -172,18 +172,18 @@ def draw_summary(
     dataset : xarray.Dataset
         Output of `splits.build_table`.
     quantity : sequence of str
-    at : mapping
+    select : mapping
         Nodes at which axes are fixed.  Remaining axes are fixed at their middle node.
     legend : str, optional
         Title of the legend.
     """
     axes = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
     # Batch deviations are not shown.
-    part = dataset.drop_dims("batch", errors="ignore").sel(dict(at))
-    free = sorted((n for n in axes if n not in at), key=lambda n: -dataset.sizes[n])
+    part = dataset.drop_dims("batch", errors="ignore").sel(dict(select))
+    free = sorted((n for n in axes if n not in select), key=lambda n: -dataset.sizes[n])
     free = [name for name in free if dataset.sizes[name] > 1]
     lines, panel_dims, rest = free[:1], free[1:3], free[3:]
-    single = [n for n in axes if n not in at and dataset.sizes[n] == 1]
+    single = [n for n in axes if n not in select and dataset.sizes[n] == 1]
     part = part.isel({n: (dataset.sizes[n] - 1) // 2 for n in (*rest, *single)})
     part = part.isel({n: _select_evenly(dataset.sizes[n], MAX_SUMMARY_LINES) for n in lines})
     max_panels = (
@@ -199,11 +199,11 @@ def draw_summary(
             for n, limit in zip(panel_dims, max_panels, strict=False)
         }
     )
-    fixed = {n: part[n].values.item() for n in (*at, *rest) if n in part.coords}
+    fixed = {n: part[n].values.item() for n in (*select, *rest) if n in part.coords}
     note = "at " + " · ".join(
         f"{format_parameter(n)} {format_value(value, n)}" for n, value in fixed.items()
     )  # fmt: skip
-    shown = part.drop_vars([n for n in (*at, *rest, *single) if n in part.coords])
+    shown = part.drop_vars([n for n in (*select, *rest, *single) if n in part.coords])
     note = note if fixed else ""
     if panel_dims:
         return draw_facets(shown, quantity, panel_dims, legend, note=note)

@@ -24,7 +24,7 @@ from splits.plotting.style import BAND_SIGMA, TWO_COLUMNS_INCHES, make_subplots,
 
 def draw_polarization(
     dataset: xr.Dataset,
-    at: Mapping[str, float | str] | None = None,
+    select: Mapping[str, float | str] | None = None,
     legend: str | None = None,
 ) -> Figure:
     """Draw the BRDF and its degree of linear polarization in the principal plane.
@@ -33,12 +33,12 @@ def draw_polarization(
     ----------
     dataset : xarray.Dataset
         Output of `splits.goniophotometer` with Stokes parameters, or of an experiment with it.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     legend : str, optional
         Title of the legend; by default the parameters of the grid.
     """
-    dataset = select_points(dataset, at or {})
+    dataset = select_points(dataset, select or {})
     plane = extract_plane(dataset)
     lines = make_lines(plane, "brdf")
     with use_style():
@@ -74,4 +74,4 @@ def draw_polarization(
             axes.set_xticks(np.arange(-90, 91, 30))
             axes.spines[["top", "right"]].set_visible(False)
         lines.add_legend(figure, [left], legend, MAX_INSET_LINES)
-        return annotate_figure(figure, [left, right], describe_conditions(dataset, at))
+        return annotate_figure(figure, [left, right], describe_conditions(dataset, select))

@@ -49,7 +49,7 @@ MAX_MAPS = 4
 def draw_principal_planes(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("brdf",),
-    at: Mapping[str, float | str] | None = None,
+    select: Mapping[str, float | str] | None = None,
     legend: str | None = None,
     ylim: tuple[float, float] | None = None,
 ) -> Figure:
@@ -65,7 +65,7 @@ def draw_principal_planes(
         Output of `splits.goniophotometer`, or of an experiment with it.
     quantity : sequence of str
         Keys of `splits.plotting.direction_axes.QUANTITY_LABELS`, each with a row of panels.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     legend : str, optional
         Title of the legend; by default the parameters of the grid.
@@ -73,9 +73,9 @@ def draw_principal_planes(
         Limits of the second panel and outer radius of the first; for shifts, limits of the panel
         of the default.
     """
-    dataset = select_point(dataset, at)
+    dataset = select_point(dataset, select)
     plane = extract_plane(dataset)
-    note = describe_conditions(dataset, at)
+    note = describe_conditions(dataset, select)
     lines = make_lines(plane, quantity[0])
     if dim := find_default_dim(plane, lines.dims):
         labels = [QUANTITY_LABELS[name] for name in quantity]
@@ -163,18 +163,18 @@ def _annotate_no_light(plane: xr.Dataset, name: str, *panels: Axes) -> None:
         axes.set_yticks([])
 
 
-def draw_bin_sizes(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+def draw_bin_sizes(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw the principal plane for angular bins of several sizes.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         Output of a goniophotometer with bins at one wavelength.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_point(dataset, at)
-    note = describe_conditions(dataset, at)
+    dataset = select_point(dataset, select)
+    note = describe_conditions(dataset, select)
     dataset = dataset.isel(wavelength=0)
     n_bins = dataset.sizes["polar"], dataset.sizes["azimuth"]
     factors = [

@@ -42,17 +42,17 @@ def _make_panels(count: int, map_panel: int, **settings: Any) -> tuple[Figure, n
     return figure, panels
 
 
-def draw_surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+def draw_surface(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw the heights of a surface in relief, and the distribution of rms slopes.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         Output of `splits.surface_map`, without a grid or with one to select from.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_points(dataset, at or {})
+    dataset = select_points(dataset, select or {})
     height = dataset.height.transpose("y", "x").values
     x, y = dataset.x.values, dataset.y.values
     with use_style():
@@ -78,10 +78,10 @@ def draw_surface(dataset: xr.Dataset, at: Mapping[str, float | str] | None = Non
             fontsize=SMALL_FONT_PT,
         )  # fmt: skip
         is_wide = slopes[-1] > 10.0 * slopes[0]
-        right.set(xlabel="rms slope of a realisation", ylim=(0.0, 1.0))
+        right.set(xlabel="rms slope of a realization", ylim=(0.0, 1.0))
         right.set_xscale("log" if is_wide else "linear")
-        right.set_ylabel("cumulative fraction of realisations")
-        return annotate_figure(figure, [left, right], describe_conditions(dataset, at, ""))
+        right.set_ylabel("cumulative fraction of realizations")
+        return annotate_figure(figure, [left, right], describe_conditions(dataset, select, ""))
 
 
 def _draw_rays(axes: Axes, dataset: xr.Dataset, max_depth: float) -> None:
@@ -96,17 +96,17 @@ def _draw_rays(axes: Axes, dataset: xr.Dataset, max_depth: float) -> None:
         axes.plot([x[0], x[0]], [z[0], 0.3 * max_depth], color="0.35", lw=0.4)
 
 
-def draw_lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) -> Figure:
+def draw_lens(dataset: xr.Dataset, select: Mapping[str, float | str] | None = None) -> Figure:
     """Draw rays below a surface, the ring on screens, and the concentration of light.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         Output of `splits.lens`, without a grid or with one to select from.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     """
-    dataset = select_points(dataset, at or {})
+    dataset = select_points(dataset, select or {})
     depth = dataset.screen_depth.values
     spot = dataset.screen_position.where(dataset.detected > 0)
     size = (spot - spot.mean("ray")).pipe(np.square).sum("axis").mean("ray").values
@@ -159,5 +159,5 @@ def draw_lens(dataset: xr.Dataset, at: Mapping[str, float | str] | None = None) 
         concentration.set_yscale("log" if value.max() > 10.0 * value.min() else "linear")
         band = "band" if "concentration_stderr" in dataset else ""
         return annotate_figure(
-            figure, [rays, screen, concentration], describe_conditions(dataset, at, band)
+            figure, [rays, screen, concentration], describe_conditions(dataset, select, band)
         )

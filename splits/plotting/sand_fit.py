@@ -27,7 +27,7 @@ MAX_SAMPLE_COLUMNS = 3
 
 
 def draw_fits(
-    dataset: xr.Dataset, at: Mapping[str, float | str] | None = None, legend: str | None = None
+    dataset: xr.Dataset, select: Mapping[str, float | str] | None = None, legend: str | None = None
 ) -> Figure:
     """Draw measured and fitted reflectance of every sample, and their difference below.
 
@@ -35,12 +35,12 @@ def draw_fits(
     ----------
     dataset : xarray.Dataset
         Output of `splits.experiments.run_fit.run_fit`.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     legend : str, optional
         Title of the legend; by default the parameters of the grid.
     """
-    dataset = select_points(dataset, at or {})
+    dataset = select_points(dataset, select or {})
     dims = [str(d) for d in dataset.rmse.dims if d != "sample"]
     lines = PlotLines(dataset, dims)
     samples = dataset.sample.values
@@ -63,7 +63,7 @@ def draw_fits(
         for row in range(blocks):
             panels[2 * row, 0].set_ylabel("reflectance")
             panels[2 * row + 1, 0].set_ylabel("model − measured")
-        return annotate_figure(figure, panels.flat, describe_conditions(dataset, at))
+        return annotate_figure(figure, panels.flat, describe_conditions(dataset, select))
 
 
 def _share_axes(dataset: xr.Dataset, tops: np.ndarray, bottoms: np.ndarray) -> None:

@@ -46,7 +46,7 @@ def draw_spectra(
     dataset: xr.Dataset,
     quantity: Sequence[str] = ("reflectance",),
     wavelength_nm: tuple[float, float] | None = None,
-    at: Mapping[str, float | str] | None = None,
+    select: Mapping[str, float | str] | None = None,
     measured: pd.DataFrame | None = None,
     legend: str | None = None,
     ylim: tuple[float, float] | None = None,
@@ -64,7 +64,7 @@ def draw_spectra(
         Quantities, one panel each.
     wavelength_nm : (low, high), optional
         Part of the spectrum to show.
-    at : mapping, optional
+    select : mapping, optional
         Grid labels to select.
     measured : pandas.DataFrame, optional
         Columns ``wavelength_nm``, ``reflectance`` and optionally its ``_min`` and ``_max``.
@@ -81,13 +81,13 @@ def draw_spectra(
     ValueError
         For too many lines, see `splits.plotting.panels.choose_panel_parameters`.
     """
-    dataset = select_points(dataset, at or {})
+    dataset = select_points(dataset, select or {})
     if wavelength_nm:
         dataset = dataset.sel(wavelength=slice(*wavelength_nm))
     dims = [str(d) for d in dataset[quantity[0]].dims if d != "wavelength"]
-    note = describe_conditions(dataset, at)
+    note = describe_conditions(dataset, select)
     if panel_dims := choose_panel_parameters(
-        {d: dataset.sizes[d] for d in dims}, len(quantity), at
+        {d: dataset.sizes[d] for d in dims}, len(quantity), select
     ):
         return draw_facets(dataset, quantity, panel_dims, legend, ylim, note)
     dim = None if measured is not None else find_default_dim(dataset, dims)

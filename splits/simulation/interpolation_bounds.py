@@ -40,7 +40,7 @@ def compute_contrasts(index: np.ndarray, interfaces: Sequence[Interface]) -> np.
 
 def select_grain_interfaces(interfaces: Sequence[Interface]) -> list[Interface]:
     """Return the interfaces of grains, without the boundaries of layers."""
-    return [interface for interface in interfaces if interface.location != "face"]
+    return [interface for interface in interfaces if interface.location != "boundary"]
 
 
 def _compute_weighted_contrasts(
@@ -104,7 +104,7 @@ def make_criteria(index: np.ndarray, interfaces: Sequence[Interface]) -> list[Cr
         Criterion(1.0, compute_contrasts(index, interfaces)),
         Criterion(1.0, compute_entering_light(index, interfaces)),
     ]
-    for boundary in (interface for interface in interfaces if interface.location == "face"):
+    for boundary in (interface for interface in interfaces if interface.location == "boundary"):
         near, far, fraction = _get_interface_indices(index, [boundary])
         values = _compute_weighted_contrasts(near, far, np.ones_like(fraction))
         weight = (

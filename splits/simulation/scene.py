@@ -102,7 +102,7 @@ def build_scene(
     boundaries = -np.cumsum([0.0, *(float(layer.depth_m) for layer in media)])
     fields = make_height_fields(medium)
     if fields is not None:
-        # Above the highest point that a realisation of the surface may have.
+        # Above the highest point that a realization of the surface may have.
         boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(fields.rms_height)
     layers = Layers(
         boundaries=boundaries,

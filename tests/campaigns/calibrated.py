@@ -124,7 +124,7 @@ def read_media_difference(dataset: xr.Dataset) -> ValuesAndErrors:
 
 
 def read_mean_square_height(dataset: xr.Dataset) -> ValuesAndErrors:
-    """Read the mean square height of all realisations, whose scatter tells its error."""
+    """Read the mean square height of all realizations, whose scatter tells its error."""
     square = dataset.rms_height.values**2
     return np.array([square.mean()]), np.array([square.std(ddof=1) / np.sqrt(square.size)])
 
@@ -215,13 +215,13 @@ def run_soot(seed):
 
 def run_lens(seed):
     return splits.lens(
-        ROUGH_LAYER, [2.0, 5.0], 0.5, centre_on="origin", realisations=100, seed=seed, rays=36
+        ROUGH_LAYER, [2.0, 5.0], 0.5, centre_on="origin", realizations=100, seed=seed, rays=36
     )
 
 
 def run_surface_map(seed):
     # A square of many wavelengths: mean squares over a smaller one are as skew as χ² of 1.
-    return splits.surface_map(ROUGH_LAYER, 100.0, points=2, realisations=100, seed=seed)
+    return splits.surface_map(ROUGH_LAYER, 100.0, points=2, realizations=100, seed=seed)
 
 
 def make_albedo_run(medium):

@@ -225,13 +225,13 @@ SETTINGS = {
     },
     "beam_spread": {"rays": st.integers(1, 5000), "half_width_m": numbers_within(1e-3, 1.0)},
     "refractive_index": {},
-    "surface_map": {"half_width_m": numbers_within(0.1, 10.0), "realisations": st.integers(2, 5)},
+    "surface_map": {"half_width_m": numbers_within(0.1, 10.0), "realizations": st.integers(2, 5)},
     "lens": {
         "radius_m": numbers_within(0.1, 3.0),
         "screen_depth_m": increasing_numbers(0.5, 50.0, 3),
         "half_width_m": numbers_within(1.0, 20.0),
         "centre_on": st.sampled_from(["crest", "trough", "origin"]),
-        "realisations": st.integers(1, 3),
+        "realizations": st.integers(1, 3),
         "rays": st.integers(3, 100),
     },
 }

@@ -181,7 +181,7 @@ def test_files_that_are_never_accepted_are_no_luck():
 def limit_rays(experiment: ExperimentConfig) -> ExperimentConfig:
     """Return an experiment that takes few rays and not the tenth part of a second a point."""
     instrument = experiment.instrument
-    most = {"rays": 1000, "realisations": 3}
+    most = {"rays": 1000, "realizations": 3}
     given = {key: getattr(instrument, key) for key in most}
     less = {key: min(value, most[key]) for key, value in given.items() if value is not None}
     if instrument.kind == "beam_spread" or instrument.estimator == "bins":

@@ -1,4 +1,4 @@
-"""Fresnel reflection and Snell refraction of unpolarised light at a plane interface.
+"""Fresnel reflection and Snell refraction of unpolarized light at a plane interface.
 
 The light arrives through a medium of real refractive index n1 and meets a medium of complex
 index n2 + i k2.  The far side may absorb, totally reflect, or both: one formula covers all of
@@ -52,10 +52,10 @@ def normal_component(m, g, k, cos_i, absorbs):
 
 @kernel
 def fraction(m, g, k, cos_i, sin2, a, b2):
-    """Return numerator and denominator of the unpolarised Fresnel reflectance.
+    """Return numerator and denominator of the unpolarized Fresnel reflectance.
 
     Born & Wolf 1999: R_s = |(cosθ_i − (a+ib)) / (cosθ_i + (a+ib))|² and R_p = R_s times
-    |(a+ib − sinθ_i tanθ_i) / (a+ib + sinθ_i tanθ_i)|²; unpolarised light sees the mean.  The
+    |(a+ib − sinθ_i tanθ_i) / (a+ib + sinθ_i tanθ_i)|²; unpolarized light sees the mean.  The
     difference in R_s is |1 − (m+ik)²| / |cosθ_i + (a+ib)|, free of cancellation.  Kept apart, the
     two can be compared with a random number without a division.
 
@@ -95,7 +95,7 @@ def interface(n1, n2, k2, cos_i):
     Returns
     -------
     reflectance : float
-        Unpolarised Fresnel reflectance in [0, 1]; exactly 1 under total internal reflection and
+        Unpolarized Fresnel reflectance in [0, 1]; exactly 1 under total internal reflection and
         exactly 0 between equal media.
     ratio : float
         Ratio by which the tangential component of the direction is scaled on refraction into

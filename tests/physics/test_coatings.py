@@ -82,7 +82,7 @@ def difference(one, other):
 
 
 def fresnel(m1, m2, i):
-    """Return unpolarised reflectance and angle of refraction, the near side by its real index."""
+    """Return unpolarized reflectance and angle of refraction, the near side by its real index."""
     m1 = complex(m1.real)
     c1, c2 = math.cos(i), cmath.sqrt(1.0 - (m1 * math.sin(i) / m2) ** 2)
     s = (m1 * c1 - m2 * c2) / (m1 * c1 + m2 * c2)

@@ -25,8 +25,8 @@ INDICES = [
 ]
 
 
-def polarised(n1, n2, k2, cos_i):
-    """Return the reflectances for s and p polarisation from complex Fresnel amplitudes."""
+def polarized(n1, n2, k2, cos_i):
+    """Return the reflectances for s and p polarization from complex Fresnel amplitudes."""
     m = complex(n2, k2) / n1
     # The root with positive imaginary part decays into the far side.
     q = np.sqrt(m * m - (1.0 - cos_i * cos_i) + 0j)
@@ -38,7 +38,7 @@ def polarised(n1, n2, k2, cos_i):
 @pytest.mark.parametrize("indices", INDICES, ids=str)
 def test_reflectance_and_direction_agree_with_complex_amplitudes(indices):
     for cos_i in COSINES:
-        s, p, q = polarised(*indices, cos_i)
+        s, p, q = polarized(*indices, cos_i)
         reflectance, ratio, cos_t = fresnel(*indices, cos_i)
         assert reflectance == pytest.approx(0.5 * (s + p), rel=1e-9, abs=1e-14)
         if s > 1.0 - 1e-15:
@@ -59,9 +59,9 @@ def test_reflectance_is_a_probability(indices):
 @pytest.mark.parametrize("n2", [1.31, 1.33, 2.4])
 def test_brewster_angle(n2):
     cos_b = 1.0 / math.sqrt(1.0 + n2 * n2)
-    s, p, _ = polarised(1.0, n2, 0.0, cos_b)
+    s, p, _ = polarized(1.0, n2, 0.0, cos_b)
     assert p < 1e-30
-    # Nothing but s polarisation is left, in closed form ((n² − 1)/(n² + 1))².
+    # Nothing but s polarization is left, in closed form ((n² − 1)/(n² + 1))².
     assert fresnel(1.0, n2, 0.0, cos_b)[0] == pytest.approx(0.5 * s, rel=1e-12)
     assert s == pytest.approx(((n2 * n2 - 1) / (n2 * n2 + 1)) ** 2, rel=1e-12)
 
@@ -125,7 +125,7 @@ def test_refracted_direction_obeys_snell(indices):
         if passage.reflectance == 1.0:
             continue
         t = np.array(refract(Vector(*d), Vector(*n), cos_i, passage))
-        _, _, q = polarised(*indices, cos_i)
+        _, _, q = polarized(*indices, cos_i)
         real_index = n1 * math.sqrt(1.0 - cos_i**2 + q.real**2)
         assert abs(t @ t - 1.0) < 1e-12
         assert t @ n <= 0.0

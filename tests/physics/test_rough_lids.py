@@ -181,7 +181,7 @@ def test_other_instruments_refuse_such_a_stack(instrument):
         instrument(splits.Stack([lid(surface=WAVES), SNOW]))
 
 
-def test_no_realisation_is_higher_than_the_scene():
+def test_no_realization_is_higher_than_the_scene():
     """53 bits: the least uniform number is 2⁻⁵³."""
     assert BOUND_SIGMA * np.sqrt(53.0 * np.log(2.0)) <= MAX_HEIGHT_SIGMA
 

@@ -58,7 +58,7 @@ def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog
 
 
 def fresnel(i, n):
-    """Return the unpolarised reflectance and the angle of refraction, from the angles."""
+    """Return the unpolarized reflectance and the angle of refraction, from the angles."""
     t = math.asin(math.sin(i) / n)
     s = (math.sin(i - t) / math.sin(i + t)) ** 2
     p = (math.tan(i - t) / math.tan(i + t)) ** 2

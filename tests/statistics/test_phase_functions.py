@@ -1,4 +1,4 @@
-"""Phase functions, their samplers, and the azimuths into which polarised light is scattered."""
+"""Phase functions, their samplers, and the azimuths into which polarized light is scattered."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def _sample_unpolarized(state, model, d):
 D = np.array([0.48, -0.64, 0.6])
 E = np.array([0.8, 0.6, 0.0])
 LIGHT = {
-    "unpolarised": (0.0, 0.0, 0.0),
+    "unpolarized": (0.0, 0.0, 0.0),
     "partly": (0.3, -0.5, 0.4),
     "linear": (-0.6, 0.8, 0.0),
     "circular": (0.0, 0.0, -1.0),
@@ -193,7 +193,7 @@ def count_directions(directions, edges):
     return np.histogram2d(mu, phi, bins=(edges, TURN))[0]
 
 
-def test_azimuths_of_polarised_light():
+def test_azimuths_of_polarized_light():
     p = {}
     levels = np.arange(1, 8) / 8
     models = {"forward": phase_function.make_henyey_greenstein(0.5, 0.9), "Rayleigh": RAYLEIGH}
@@ -207,7 +207,7 @@ def test_azimuths_of_polarised_light():
             share /= share.sum()
             p[model_name, name] = compute_p_of_counts(count_directions(out, edges), share)
         out = draw_samples(_sample_unpolarized, N_SAMPLES // 2, model, ALONG, width=3)
-        edges, share = make_joint_cells(model, LIGHT["unpolarised"], levels)
+        edges, share = make_joint_cells(model, LIGHT["unpolarized"], levels)
         p[model_name, "scalar"] = compute_p_of_counts(
             count_directions(out, edges), share / share.sum()
         )
@@ -220,7 +220,7 @@ def _sample_transmission(state, d, light, normal, n1, n2):
     return 1.0 if meeting.transmitted else 0.0
 
 
-def test_share_reflected_of_polarised_light():
+def test_share_reflected_of_polarized_light():
     z = []
     for n1, n2 in ((1.0, 1.33), (1.33, 1.0)):
         for cos_i in (0.95, 0.7, 0.3):

@@ -1,4 +1,4 @@
-"""Rough surfaces over their realisations: heights, correlation, wave numbers, slopes."""
+"""Rough surfaces over their realizations: heights, correlation, wave numbers, slopes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from splits.kernels.rough_surface import realization as kernels
 from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, KY, PHASE
 from splits.media.rough_surface import RoughSurface
 
-N_REALISATIONS = scale_sample_size(60_000)
+N_REALIZATIONS = scale_sample_size(60_000)
 K0, SIGMA = 2.0, 0.3
 K = np.linspace(0.0, 8.0, 17)
 TABLE = {"wave_number_per_m": K, "density": np.exp(-K) * (1.0 + np.sin(K) ** 2)}
@@ -57,9 +57,9 @@ def _evaluate_heights(seed, ensemble, fields, x, y, found):
 
 
 def sample_heights(name, x, y):
-    """Return heights at points in units of σ, one row per realisation; each law has its own."""
+    """Return heights at points in units of σ, one row per realization; each law has its own."""
     surface = RoughSurface.from_input(SPECTRA[name])
-    found = np.empty((N_REALISATIONS, len(x)))
+    found = np.empty((N_REALIZATIONS, len(x)))
     ensemble = list(SPECTRA).index(name)
     _evaluate_heights(
         SEED, ensemble, surface.make_height_fields(), np.asarray(x), np.asarray(y), found
@@ -79,7 +79,7 @@ def test_variance_and_correlation_of_heights(name):
     assert expected[0] == pytest.approx(1.0, abs=1e-12)
     error = products.std(axis=0) / math.sqrt(len(h))
     z = np.append((products.mean(axis=0) - expected) / error, h[:, 0].mean() * math.sqrt(len(h)))
-    # All points are of the same realisations.
+    # All points are of the same realizations.
     judge_z(z, name, independent=1)
 
 
@@ -147,7 +147,7 @@ def make_pair(correlation):
 
 
 def compute_rms_slopes(surface, count):
-    """Return the rms slope of each of many realisations."""
+    """Return the rms slope of each of many realizations."""
     found = []
     for number in range(count):
         waves = surface.sample_realization(SEED, number)

@@ -1,4 +1,4 @@
-"""Polarised light at random and its coherency tensor, for tests of Stokes vectors."""
+"""Polarized light at random and its coherency tensor, for tests of Stokes vectors."""
 
 from __future__ import annotations
 

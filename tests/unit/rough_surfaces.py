@@ -23,7 +23,7 @@ SURFACES = {
 
 
 def draw_realization(surface, number=0):
-    """Return a realisation."""
+    """Return a realization."""
     found = make_realization(RoughSurface.from_input(surface).sample_realization(7, number))
     assert found.max_height > 0.0
     return found

@@ -77,7 +77,7 @@ RESULTS = {
     "irradiance_profile": lambda: splits.irradiance_profile(snow(), PAIR, [0.01], max_stderr=0.1),
     "deep_transmittance": lambda: splits.deep_transmittance(snow(), PAIR, relative_stderr=0.5),
     "lens": lambda: splits.lens(rough(), [1.0], 0.1, centre_on="origin", rays=1000),
-    "surface_map": lambda: splits.surface_map(rough(), 1.0, points=5, realisations=2),
+    "surface_map": lambda: splits.surface_map(rough(), 1.0, points=5, realizations=2),
     "single_scattering": grains,
     "with_diffraction": lambda: splits.with_diffraction(grains()),
     "phase_function": lambda: splits.phase_function(grains(), [0, 90, 180]),

@@ -132,7 +132,7 @@ def results(tmp_path):
             "reflectance_stderr": (("texture", "wavelength"), [[0.002, 0.01]]),
         },
         {"texture": ["no clay"], "wavelength": [400.0, 500.0]},
-        {"splits_version": "0", "realisations": 300},
+        {"splits_version": "0", "realizations": 300},
     )
     splits.save(dataset, tmp_path / "data" / "made.nc")
     return tmp_path
@@ -153,7 +153,7 @@ WRITTEN_TEXT = {
     "0.12 ± 0.002": QuotedNumber(
         DATA, select_point("reflectance", texture="no clay", wavelength=400.0), ".2f"
     ),
-    "300": QuotedNumber(DATA, select_point("realisations", attribute=True), "g"),
+    "300": QuotedNumber(DATA, select_point("realizations", attribute=True), "g"),
     "0": QuotedNumber(CODE_SOURCE, lambda _: (0.0, None, ""), "+.3f"),
     "0.2": QuotedNumber(CODE_SOURCE, lambda _: (0.2, None, ""), "#.2g"),
     "32": QuotedNumber(CODE_SOURCE, lambda _: (32.2, None, ""), "#.2g"),

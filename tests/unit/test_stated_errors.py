@@ -58,10 +58,10 @@ CASES = {
     ),
     "single_scattering": (splits.Snow(), ([600.0],), {"moments": 2, "rays": 2}, GRAINS),
     "lens": (
-        WAVES, ([5.0], 0.5), {"centre_on": "origin", "realisations": 3},
+        WAVES, ([5.0], 0.5), {"centre_on": "origin", "realizations": 3},
         {"contraction", "concentration"},
     ),
-    "surface_map": (WAVES, (10.0,), {"points": 2, "realisations": 2}, set()),
+    "surface_map": (WAVES, (10.0,), {"points": 2, "realizations": 2}, set()),
 }  # fmt: skip
 
 

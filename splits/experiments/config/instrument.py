@@ -47,7 +47,7 @@ INSTRUMENTS_OF_SETTING = {
     "radius_m": ("lens",),
     "screen_depth_m": ("lens",),
     "centre_on": ("lens",),
-    "realisations": ("lens", "surface_map"),
+    "realizations": ("lens", "surface_map"),
     "quantities": ("table",),
     "covariance": ("table",),
     "blocks": ("table",),
@@ -112,7 +112,7 @@ class InstrumentSection(ConfigSection):
     radius_m: float | None = Field(default=None, gt=0)
     screen_depth_m: tuple[float, ...] | None = None
     centre_on: Literal["crest", "trough", "origin"] | None = None
-    realisations: int | None = Field(default=None, ge=1)
+    realizations: int | None = Field(default=None, ge=1)
     quantities: tuple[Literal["reflectance", "transmittance"], ...] | None = None
     covariance: Literal["keep", "leave_out"] | None = None
     blocks: int | None = Field(default=None, ge=1, le=10_000)
@@ -147,7 +147,7 @@ class InstrumentSection(ConfigSection):
         for key in REQUIRED_SETTINGS.get(self.kind, ()):
             if getattr(self, key) is None:
                 raise invalid(f"instrument.{key}", None, f"given for {self.kind}")
-        for key, low in (("rays", 1), ("seed", 0), ("realisations", 1)):
+        for key, low in (("rays", 1), ("seed", 0), ("realizations", 1)):
             if getattr(self, key) is not None:
                 check_integer(f"instrument.{key}", getattr(self, key), low)
         with key_prefix("instrument"):
@@ -170,8 +170,8 @@ class InstrumentSection(ConfigSection):
         """Reject an extent that an imaging instrument cannot measure."""
         if self.half_width_m is not None:
             check_half_width(self.kind, self.half_width_m)
-        if self.kind == "surface_map" and self.realisations is not None:
-            check_integer("realisations", self.realisations, 2, MAX_REALIZATIONS)
+        if self.kind == "surface_map" and self.realizations is not None:
+            check_integer("realizations", self.realizations, 2, MAX_REALIZATIONS)
         if self.kind == "lens":
             if self.half_width_m is None and self.centre_on != "origin":
                 hint = "range of the search for the crest; or centre_on: origin"
@@ -181,7 +181,7 @@ class InstrumentSection(ConfigSection):
                 raise invalid("half_width_m", self.half_width_m, "left out over the origin", hint)
             depths = check_screen_depths("screen_depth_m", self.screen_depth_m)
             check_ring_radius(self.radius_m)
-            check_ring_size(self.rays or DEFAULT_RAYS, self.realisations or 1, depths.size)
+            check_ring_size(self.rays or DEFAULT_RAYS, self.realizations or 1, depths.size)
 
     def _check_unused(self) -> None:
         """Reject settings that have no effect."""

@@ -79,7 +79,7 @@ def test_stated_errors_are_the_scatter_between_runs():
     ]
     for window in FIT_WINDOWS_NM:
         rows = [table[table.window == window].iloc[0] for table in found]
-        for name in ("area", "level"):
+        for name in ("area", "scale"):
             values = np.array([row[name] for row in rows])
             stated = np.sqrt(np.mean([row[f"{name}_stderr"] ** 2 for row in rows]))
             # 60 runs and 8 groups: the ratio is known to 0.1.

@@ -24,7 +24,7 @@ def test_a_flat_lens_changes_nothing():
 
 def test_crests_focus_and_troughs_spread():
     crest, trough = (
-        splits.lens(WATER, [20.0], 0.5, centre_on=over, half_width_m=50.0, realisations=20)
+        splits.lens(WATER, [20.0], 0.5, centre_on=over, half_width_m=50.0, realizations=20)
         for over in ("crest", "trough")
     )
     for ds, sign in ((crest, 1.0), (trough, -1.0)):
@@ -32,13 +32,13 @@ def test_crests_focus_and_troughs_spread():
         assert above > 3.0 * float(ds.concentration_stderr[0])
 
 
-def test_without_a_scatter_of_realisations_there_is_no_error():
+def test_without_a_scatter_of_realizations_there_is_no_error():
     ds = splits.lens(WATER, [5.0], 0.5, centre_on="origin", rays=12)
     assert "contraction_stderr" not in ds and ds.attrs["rays"] == 12
 
 
 def test_maps_show_the_surface_that_rays_meet():
-    ds = splits.surface_map(WATER, 200.0, points=81, realisations=200, seed=3)
+    ds = splits.surface_map(WATER, 200.0, points=81, realizations=200, seed=3)
     assert ds.height.shape == (81, 81)
     expected = WATER.surface.rms_slope()
     squares = ds.rms_slope.values**2
@@ -79,7 +79,7 @@ LAYER = {"kind": "particle_layer", "depth_m": 100.0, "surface": WAVES}
 @pytest.mark.parametrize(
     ("instrument", "grid"),
     [
-        ({"kind": "surface_map", "half_width_m": 50.0, "realisations": 5}, {}),
+        ({"kind": "surface_map", "half_width_m": 50.0, "realizations": 5}, {}),
         (
             {"kind": "lens", "radius_m": 1.0, "screen_depth_m": [5, 20, 40], "centre_on": "origin"},
             {"refractive_index": [1.34, 1.5]},

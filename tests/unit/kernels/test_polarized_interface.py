@@ -1,4 +1,4 @@
-"""Polarised light at smooth faces: Maxwell's boundary conditions, 50 digits, known cases."""
+"""Polarized light at smooth faces: Maxwell's boundary conditions, 50 digits, known cases."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def compute_refraction(d, e, s, n, n1, n2):
     """Return the share of light that passes a face, and what it becomes.
 
     It is put together as in `faces.reflect_or_refract_polarized`, which draws only one of both
-    ways; where nothing passes, light comes back as it went in, unpolarised.
+    ways; where nothing passes, light comes back as it went in, unpolarized.
     """
     d, n = to_vector(d), to_vector(n)
     light = faces.rotate_to_plane_of_incidence(d, to_kernel_light(e, s), n)
@@ -139,7 +139,7 @@ def test_interface_fulfils_maxwells_equations(indices):
 
 
 @pytest.mark.parametrize("indices", INDICES, ids=str)
-def test_reflectance_is_that_of_unpolarised_light(indices):
+def test_reflectance_is_that_of_unpolarized_light(indices):
     for cos_i in COSINES:
         face = faces.compute_fresnel_mueller(*indices, cos_i)
         plus, minus, real, imaginary = face.reflection
@@ -151,7 +151,7 @@ def test_reflectance_is_that_of_unpolarised_light(indices):
         assert (ratio, cos_t) == pytest.approx(expected[1:], rel=1e-14)
         assert plus + t_plus == pytest.approx(1.0, abs=4e-15)
         assert t_minus == -minus
-        # Neither reflection nor refraction depolarises: √(R_p R_s) and √(T_p T_s).
+        # Neither reflection nor refraction depolarizes: √(R_p R_s) and √(T_p T_s).
         assert real**2 + imaginary**2 == pytest.approx((plus - minus) * (plus + minus), rel=1e-13)
         assert t_root**2 == pytest.approx((t_plus - t_minus) * (t_plus + t_minus), rel=1e-13)
 
@@ -196,7 +196,7 @@ def test_brewsters_angle():
         r = (n2**2 - n1**2) / (n2**2 + n1**2)
         assert share == pytest.approx(0.5 * r * r, rel=1e-12)
         assert out == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
-        # Light polarised in the plane of incidence, at right angles to y, passes altogether.
+        # Light polarized in the plane of incidence, at right angles to y, passes altogether.
         passed, *_, out = compute_refraction(d, (0, 1, 0), (-1, 0, 0), up, n1, n2)
         assert passed == pytest.approx(1.0, abs=1e-15)
         assert out == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)

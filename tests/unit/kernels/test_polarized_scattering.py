@@ -1,4 +1,4 @@
-"""Polarised light turned and scattered: explicit rotations, dipoles, estimates against draws."""
+"""Polarized light turned and scattered: explicit rotations, dipoles, estimates against draws."""
 
 from __future__ import annotations
 
@@ -157,9 +157,9 @@ def test_scattering_is_rotation_scattering_matrix_rotation(polarizing):
         assert (q, u, out[3]) == pytest.approx(expected[1:] / expected[0], abs=1e-11)
 
 
-def test_unpolarised_light_at_90_degrees():
+def test_unpolarized_light_at_90_degrees():
     out = scatter_towards(RAYLEIGH, (0, 0, 1), (0, 1, 0), (0, 0, 0), (1, 0, 0))
-    # Polarised completely, at right angles to the plane of scattering.
+    # Polarized completely, at right angles to the plane of scattering.
     assert out[:4] == pytest.approx([3 / (16 * math.pi), -1.0, 0.0, 0.0], abs=1e-15)
     assert abs(out[4:] @ [0, 1, 0]) < 1e-15
 
@@ -229,7 +229,7 @@ def test_frames_survive_many_scatterings():
         assert np.linalg.norm(light[1:]) <= 1.0 + 1e-15
 
 
-def test_rayleigh_scattering_keeps_light_completely_polarised():
+def test_rayleigh_scattering_keeps_light_completely_polarized():
     rng = np.random.default_rng(7)
     state = start_random_stream()
     for _ in range(GEOMETRIES):

@@ -104,7 +104,7 @@ def test_a_safe_step_ends_above_what_the_bounds_allow(rate, curvature):
     assert intersection.compute_safe_step(1.0, rate, 0.1, curvature, 0.2) == math.inf
 
 
-def test_realisations_are_what_a_ray_draws():
+def test_realizations_are_what_a_ray_draws():
     surface = RoughSurface(SURFACES["two scales"])
     waves = surface.sample_realization(3, 5)
     np.testing.assert_array_equal(waves, surface.sample_realization(3, 5))

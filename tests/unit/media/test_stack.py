@@ -108,8 +108,8 @@ def test_wet_pores_have_a_boundary_with_the_matrix_of_particles(above):
     snow = splits.Snow(saturation=0.25)
     stack = splits.Stack([lid, snow] if above else [snow, lid])
     names = stack.list_materials()
-    faces = [i for i in stack.list_interfaces() if i.location == "face"]
-    named = {(names[i.outer_material], names[i.inner_material], i.fraction) for i in faces}
+    boundaries = [i for i in stack.list_interfaces() if i.location == "boundary"]
+    named = {(names[i.outer_material], names[i.inner_material], i.fraction) for i in boundaries}
     assert (f"layers.{1 - above}.matrix", f"layers.{1 * above}.water", 0.25) in named
 
 

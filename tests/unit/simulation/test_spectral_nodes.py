@@ -194,10 +194,10 @@ def test_a_face_that_hardly_reflects_asks_for_no_nodes():
     """What reflects 1e-6 of the light may double without anybody's seeing it."""
     index = np.ones((50, 2), dtype=complex)
     index[:, 0], index[:, 1] = 1.33, np.linspace(1.329, 1.331, 50)
-    faint = choose_nodes(index, [Interface(1.0, 0, 1, "face")], 0.002)
+    faint = choose_nodes(index, [Interface(1.0, 0, 1, "boundary")], 0.002)
     assert len(faint.index) <= 2
     index[:, 1] += 0.2
-    strong = choose_nodes(index, [Interface(1.0, 0, 1, "face")], 1e-5)
+    strong = choose_nodes(index, [Interface(1.0, 0, 1, "boundary")], 1e-5)
     assert len(strong.index) > len(faint.index)
 
 
@@ -241,7 +241,7 @@ def test_faces_between_layers_are_judged_wherever_indices_may_change():
         pairs = {
             (i.outer_material, i.inner_material)
             for i in stack.list_interfaces()
-            if i.location == "face"
+            if i.location == "boundary"
         }
         names = stack.list_materials()
         told = {(names[near], names[far]) for near, far in pairs}

@@ -113,14 +113,14 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     from splits.analysis.measured import read_spectra
     from splits.core.atomic import check_writable
     from splits.core.interrupts import exit_on_signals
-    from splits.core.validation import invalid
+    from splits.core.validation import check_integer, invalid
     from splits.experiments.config.load import load_experiment
     from splits.experiments.config.settings import Accuracy
     from splits.experiments.config.simulation import SimulationConfig
     from splits.experiments.run import write_run
     from splits.experiments.run_fit import run_fit
     from splits.io.netcdf import load, save
-    from splits.simulation.arguments import check_integer, check_threads
+    from splits.simulation.arguments import check_threads
 
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
     threads = check_threads(arguments.threads)

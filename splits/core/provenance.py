@@ -1,8 +1,8 @@
 """Provenance: package version, git commit and digest of the sources of a simulation.
 
 The digest covers the files that determine the numbers of a dataset.  Every dataset holds it, and
-the workflow runs a simulation again when it changes.  Plotting, tables and the reading of
-configuration files are not part of it.
+the workflow runs a simulation again when it changes.  Plotting, tables and
+the loading of configuration files are not part of it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SIMULATION_SOURCES = (
 )  # fmt: skip
 """Folders and files, relative to the package, that determine every simulation."""
 FIT_SOURCES = (
-    "retrieval/sand_fit.py",
+    "retrieval/sand_fit.py", "retrieval/sand_forward_model.py",
     "retrieval/sand_parameters.py",
     "experiments/run_fit.py",
     "tables/interpolation.py",

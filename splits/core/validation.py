@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
 from difflib import get_close_matches
-from functools import wraps
-from inspect import Parameter, signature
-from numbers import Real
+from numbers import Integral, Real
 from reprlib import Repr
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -42,10 +39,6 @@ _SHORT_REPR = _ShortRepr()
 _SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = _SHORT_REPR.maxset = _SHORT_REPR.maxdict = 8
 _SHORT_REPR.maxstring = _SHORT_REPR.maxother = 90
 _SHORT_REPR.maxlevel = 4
-
-Class = TypeVar("Class", bound=type)
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
 
 
 def short_repr(value: object) -> str:
@@ -119,44 +112,6 @@ def unknown_key(key: str, known_names: Iterable[str]) -> UnknownKey:
     return UnknownKey(key, None, f"one of {join_names(names)}", hint)
 
 
-def list_keywords(kind: Any) -> list[str]:
-    """Return the keywords of a dataclass: its fields and those in `OTHER_KEYWORDS`."""
-    return [field.name for field in fields(kind)] + list(getattr(kind, "OTHER_KEYWORDS", ()))
-
-
-def reject_unknown_keywords(kind: Class) -> Class:
-    """Decorate a dataclass to reject unknown keywords with a message that lists the known ones.
-
-    Errors are raised from here; see `reject_unknown_arguments`.
-    """
-    construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
-
-    @wraps(construct)
-    def checked(self: Any, *values: Any, **keywords: Any) -> None:
-        _call_checked(construct, list_keywords(kind), (self, *values), keywords)
-
-    kind.__init__ = checked  # type: ignore[misc]
-    return kind
-
-
-def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Given, Result]:
-    """Decorate a public function to reject unknown keywords with a list of the known ones.
-
-    Errors of invalid values and missing files are raised from here, so that the traceback shows
-    the line of the call without the internal calls between it and the check.
-    """
-    parameters = signature(function).parameters
-    takes_any = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
-    names = None if takes_any else [name for name in parameters if name not in ("self", "cls")]
-
-    @wraps(function)
-    def checked(*values: Given.args, **keywords: Given.kwargs) -> Result:
-        result: Result = _call_checked(function, names, values, keywords)
-        return result
-
-    return checked
-
-
 def to_text_keys(key: str, mapping: Mapping[Any, Any]) -> dict[str, Any]:
     """Return a mapping with keys converted to text; raise ValueError for duplicates."""
     renamed: dict[str, Any] = {}
@@ -165,22 +120,6 @@ def to_text_keys(key: str, mapping: Mapping[Any, Any]) -> dict[str, Any]:
             raise invalid(key, name, "names that differ as texts", f"{name} is given twice")
         renamed[str(name)] = value
     return renamed
-
-
-def _call_checked(
-    function: Callable[..., Any],
-    names: list[str] | None,
-    values: tuple[Any, ...],
-    keywords: Mapping[str, Any],
-) -> Any:
-    """Call a function; raise errors of unknown keywords and invalid values from here."""
-    for key in keywords:
-        if names is not None and key not in names:
-            raise TypeError(str(unknown_key(key, names)))
-    try:
-        return function(*values, **keywords)
-    except (InvalidValue, FileNotFoundError) as error:
-        raise error.with_traceback(None) from None
 
 
 @contextmanager
@@ -312,3 +251,20 @@ def suggest_name(name: object, names: Iterable[str]) -> str:
     matches = [synonym for synonym in synonyms if synonym in known]
     matches = matches or get_close_matches(str(name)[:90], known, n=1)
     return f"did you mean {matches[0]}?" if matches else ""
+
+
+MAX_INT64 = 2**63 - 1
+
+
+def check_integer(key: str, value: object, low: int, high: int = MAX_INT64) -> int:
+    """Return a whole number from `low` to `high`, by default the largest that fits into 63 bits."""
+    value = as_scalar(value)
+    if not isinstance(value, Integral) or isinstance(value, NON_NUMERIC_TYPES):
+        hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
+        raise invalid(key, value, f"a whole number of at least {low}", hint)
+    whole = int(value)
+    if not low <= whole <= high:
+        least = whole < low and high == MAX_INT64
+        allowed = f"of at least {low}" if least else f"from {low} to {high}"
+        raise invalid(key, value, f"a whole number {allowed}")
+    return whole

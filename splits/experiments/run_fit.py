@@ -19,7 +19,8 @@ from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF
-from splits.retrieval.sand_fit import Effort, FitResult, fit
+from splits.retrieval.sand_fit import FitResult, fit
+from splits.retrieval.sand_forward_model import Effort
 from splits.retrieval.sand_parameters import UnitCube
 from splits.simulation.arguments import check_wavelengths
 from splits.simulation.attributes import make_wavelength_coordinate

@@ -11,15 +11,9 @@ import numpy as np
 
 from splits.core.arrays import check_increasing, check_named_numbers, read_columns
 from splits.core.equality import ContentEquality
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
-from splits.core.validation import (
-    check_choice,
-    invalid,
-    join_names,
-    reject_unknown_arguments,
-    snap_to_limits,
-    to_text_keys,
-)
+from splits.core.validation import check_choice, invalid, join_names, snap_to_limits, to_text_keys
 from splits.materials.csv_table import read_user_table, to_columns
 
 BAND_COLUMNS = ("wavelength_nm", "response")

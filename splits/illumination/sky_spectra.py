@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
-from splits.core.validation import check_range, invalid, reject_unknown_arguments, suggest_name
+from splits.core.validation import check_range, invalid, suggest_name
 from splits.illumination.sky import MAX_ZENITH_DEG, SKY_COLUMNS, Sky
 from splits.materials.csv_table import read_user_table, to_columns
 

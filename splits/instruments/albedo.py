@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import compute_weighted_error, make_deviation_variable, make_variable
-from splits.core.validation import check_range, reject_unknown_arguments
+from splits.core.validation import check_integer, check_range
 from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.instruments.sky_mixing import (
@@ -22,7 +23,7 @@ from splits.instruments.sky_mixing import (
 )
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_integer, check_threads
+from splits.simulation.arguments import check_threads
 from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 
 

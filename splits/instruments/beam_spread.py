@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
-from splits.core.validation import check_choice, reject_unknown_arguments
+from splits.core.validation import check_choice, check_integer
 from splits.instruments.angular_tally import RAYS_PER_ROUND
 from splits.instruments.beam_spread_tally import (
     N_MAP_PIXELS,
@@ -23,7 +24,6 @@ from splits.simulation.arguments import (
     HALF_WIDTH_RANGE_M,
     check_beam_angle,
     check_half_width,
-    check_integer,
     check_medium,
     check_threads,
     check_wavelengths,

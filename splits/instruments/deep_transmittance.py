@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import Progress, ProgressCallback, with_progress
 from splits.core.uncertainty import make_variable
-from splits.core.validation import check_range, invalid, reject_unknown_arguments
+from splits.core.validation import check_integer, check_range, invalid
 from splits.instruments.single_scattering import single_scattering
 from splits.kernels.grains.scene import Optics, Scene, make_bounding_optics
 from splits.kernels.grains.splitting import trace_batch_with_splitting
@@ -18,7 +19,6 @@ from splits.media.medium import GranularMedium
 from splits.simulation import random_streams
 from splits.simulation.arguments import (
     check_incidence,
-    check_integer,
     check_medium,
     check_threads,
     check_wavelengths,

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import check_choice, check_range, invalid, reject_unknown_arguments
+from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.instruments.angular_bins import DEFAULT_N_BINS, compute_bin_centres
 from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
 from splits.instruments.angular_expansion import make_direction_mask, trace_expansion
@@ -29,7 +30,6 @@ from splits.simulation.arguments import (
     check_dataset_size,
     check_direction_angles,
     check_incidence,
-    check_integer,
     check_medium,
     check_n_bins,
     check_threads,

@@ -8,8 +8,9 @@ from typing import Any
 
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
-from splits.core.validation import reject_unknown_arguments
+from splits.core.validation import check_integer
 from splits.illumination.sky import Sky
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, goniophotometer
 from splits.instruments.sky_mixing import (
@@ -19,7 +20,7 @@ from splits.instruments.sky_mixing import (
     mix_direct_and_diffuse,
 )
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_integer, check_threads
+from splits.simulation.arguments import check_threads
 from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 
 

@@ -9,13 +9,14 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, check_array_range, check_increasing
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     check_choice,
+    check_integer,
     check_range,
     invalid,
-    reject_unknown_arguments,
 )
 from splits.instruments.flux_dataset import make_flux_dataset
 from splits.instruments.flux_estimate import estimate_flux
@@ -31,7 +32,6 @@ from splits.media.medium import (
 )
 from splits.simulation.arguments import (
     check_incidence,
-    check_integer,
     check_medium,
     check_threads,
     check_wavelengths,

@@ -19,7 +19,8 @@ from splits.core.arrays import (
     find_labels,
     match_labels,
 )
-from splits.core.validation import check_choice, check_range, invalid, reject_unknown_arguments
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.instruments.lens_dataset import (
     MIN_DETECTED_FRACTION,
     FirstRealization,
@@ -29,7 +30,7 @@ from splits.kernels.rough_surface.lens import RefractedRays, refract_vertical_ra
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, N_WAVE_LANES, PHASE, WAVE_ROWS
 from splits.media.medium import SurfaceMedium
-from splits.simulation.arguments import check_half_width, check_integer, check_medium
+from splits.simulation.arguments import check_half_width, check_medium
 from splits.simulation.attributes import make_run_attributes
 
 CENTRE_CHOICES = ("crest", "trough", "origin")

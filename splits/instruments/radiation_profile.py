@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
 from splits.core.uncertainty import Variable, compute_weighted_error, make_variable
-from splits.core.validation import check_choice, check_range, reject_unknown_arguments
+from splits.core.validation import check_choice, check_integer, check_range
 from splits.illumination.sky import Sky
 from splits.instruments.flux_stopping_rule import FluxStoppingRule
 from splits.instruments.irradiance_profile import FluxRequest, simulate_flux
@@ -22,7 +23,7 @@ from splits.instruments.sky_mixing import (
     mix_direct_and_diffuse,
 )
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_integer, check_threads
+from splits.simulation.arguments import check_threads
 from splits.simulation.attributes import make_run_attributes
 
 OUTPUT_VARIABLES = {

@@ -8,15 +8,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import check_choice, invalid, reject_unknown_arguments
+from splits.core.validation import check_choice, check_integer, invalid
 from splits.media.medium import GranularMedium
-from splits.simulation.arguments import (
-    check_integer,
-    check_medium,
-    check_threads,
-    check_wavelengths,
-)
+from splits.simulation.arguments import check_medium, check_threads, check_wavelengths
 from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.grain_optics import (
     GRAIN_RAYS_PER_CHUNK,

@@ -8,14 +8,9 @@ import numpy as np
 
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
-from splits.core.validation import check_choice, check_range, invalid
+from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.kernels.grains.scene import NO_GROUND
-from splits.simulation.arguments import (
-    check_incidence,
-    check_integer,
-    check_threads,
-    check_wavelengths,
-)
+from splits.simulation.arguments import check_incidence, check_threads, check_wavelengths
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.derivatives import NO_PERTURBATIONS, Perturbations
 from splits.simulation.estimators import ESTIMATORS, SpectralEstimate

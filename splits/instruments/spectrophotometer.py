@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
-from splits.core.validation import check_choice, invalid, reject_unknown_arguments, to_text_keys
+from splits.core.validation import check_choice, invalid, to_text_keys
 from splits.instruments.spectral_run import SIDE_QUANTITIES, TITLE, SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_medium

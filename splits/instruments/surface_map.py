@@ -7,11 +7,12 @@ import time
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import make_variable
-from splits.core.validation import invalid, reject_unknown_arguments
+from splits.core.validation import check_integer, invalid
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.media.medium import SurfaceMedium
-from splits.simulation.arguments import check_half_width, check_integer, check_medium
+from splits.simulation.arguments import check_half_width, check_medium
 from splits.simulation.attributes import make_run_attributes
 
 DEFAULT_POINTS = 201

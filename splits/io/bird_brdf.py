@@ -19,9 +19,10 @@ import xarray as xr
 
 from splits.core.arrays import check_no_gaps
 from splits.core.atomic import atomic_write
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.parameter_names import describe_parameter
 from splits.core.provenance import get_package_version
-from splits.core.validation import invalid, reject_unknown_arguments
+from splits.core.validation import invalid
 
 BRDF_SCHEMA_URL = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"
 LOCATION_KEYS = ("country", "city", "street", "building_nr", "postal_code")

@@ -17,15 +17,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.provenance import get_git_commit, get_package_version
-from splits.core.validation import (
-    check_choice,
-    check_number,
-    invalid,
-    join_names,
-    reject_unknown_arguments,
-)
+from splits.core.validation import check_choice, check_number, invalid, join_names
 from splits.io.cf_encoding import decode_from_netcdf, encode_for_netcdf
 from splits.io.integrity import (
     CHECKSUM_ATTRIBUTE,

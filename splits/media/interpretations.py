@@ -10,13 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, TypeVar
 
-from splits.core.validation import (
-    check_choice,
-    invalid,
-    join_names,
-    reject_unknown_keywords,
-    suggest_name,
-)
+from splits.core.keywords import reject_unknown_keywords
+from splits.core.validation import check_choice, invalid, join_names, suggest_name
 from splits.kernels.grains.scene import (
     ENTRY_SAMPLING,
     FACET_SAMPLING,

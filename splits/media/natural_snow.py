@@ -12,7 +12,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from splits.core.validation import check_range, invalid, reject_unknown_arguments
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.validation import check_range, invalid
 from splits.materials import ice_density
 from splits.media.interpretations import Interpretation, merge_interpretations
 from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY

@@ -14,13 +14,13 @@ import numpy as np
 
 from splits.core.arrays import read_columns
 from splits.core.equality import ContentEquality
+from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     as_scalar,
     check_choice,
     check_range,
     invalid,
-    reject_unknown_keywords,
     snap_to_limits,
 )
 from splits.kernels.optics.phase_function import (

@@ -5,164 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 
-from splits.core.arrays import as_float_array, read_columns
-from splits.core.equality import ContentEquality
+from splits.core.arrays import as_float_array
+from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import (
-    NON_NUMERIC_TYPES,
-    as_scalar,
-    check_choice,
-    check_range,
+    check_integer,
     invalid,
     key_prefix,
-    reject_unknown_keywords,
-    snap_to_limits,
     suggest_name,
 )
 from splits.kernels.math.rng import start_stream
 from splits.kernels.rough_surface import realization as kernels
-from splits.media.formatting import format_call, format_input
+from splits.media.formatting import format_input
 from splits.media.height_spectra import (
-    CORRELATIONS,
     HEIGHT_SPECTRA,
     N_QUANTILES,
-    average_bessel_j0,
-    average_over_quantiles,
-    compute_quantiles,
-    integrate_bessel_j0,
 )
-
-MAX_WAVES = 100_000
-_SPECTRUM_COLUMNS = ("wave_number_per_m", "density")
-
-
-@reject_unknown_keywords
-@dataclass(frozen=True, eq=False, repr=False)
-class RandomHeightField(ContentEquality):
-    """Random height field, Budak & Grimailo 2020, Eq 3.
-
-    Parameters
-    ----------
-    rms_height_m : float
-        Standard deviation of heights σ (m), 0 to 1e6.
-    wave_number_per_m : float, optional
-        k0 (1/m), 1e-9 to 1e9; required unless `correlation` is "spectrum".
-    correlation : {"exponential", "exponential_printed", "gaussian", "spectrum"}
-        Correlation of heights.  "exponential": exp(−k0 r).  "exponential_printed": that of the
-        distribution of wave numbers as printed, λ = k0 β/√(1 − β²), which is
-        x (I0(x) K1(x) − I1(x) K0(x)) with x = k0 r/2.  "gaussian": exp(−(k0 r)²).  "spectrum":
-        that of the tabulated spectrum.
-    waves : int
-        Number of waves M, 1 to 100 000.
-    band_limit_per_m : float, optional
-        Largest wave number (1/m), from k0/1000 to infinity; σ does not change.  It is required for
-        "exponential".  Without a limit the rms slope of "exponential" and, more slowly, that of
-        "exponential_printed" grow with the number of waves, and reflectance changes with them.
-    spectrum : mapping, optional
-        Columns ``wave_number_per_m``, increasing, and ``density``, the isotropic spectral density
-        p up to a factor, with linear interpolation.  The fraction of the variance in dλ is
-        ∝ p(λ) λ dλ.
-
-    Raises
-    ------
-    ValueError
-        For a value outside its range; the message names key, value and range.
-    """
-
-    rms_height_m: float
-    wave_number_per_m: float | None = None
-    correlation: str = "exponential"
-    waves: int = 64
-    band_limit_per_m: float | None = None
-    spectrum: Mapping[str, Any] | None = None
-
-    def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
-        put("rms_height_m", check_range("rms_height_m", self.rms_height_m, 0.0, 1e6, "m"))
-        check_choice("correlation", self.correlation, CORRELATIONS)
-        put("waves", _check_integer("waves", self.waves, MAX_WAVES))
-        if self.correlation == "spectrum":
-            for key in ("wave_number_per_m", "band_limit_per_m"):
-                if getattr(self, key) is not None:
-                    raise invalid(key, getattr(self, key), "left out", "the spectrum has its own")
-            put("spectrum", _read_spectrum(self.spectrum))
-            return
-        if self.spectrum is not None:
-            raise invalid("spectrum", self.spectrum, 'left out unless correlation is "spectrum"')
-        key, k0 = "wave_number_per_m", self.wave_number_per_m
-        if k0 is None:
-            raise invalid(key, None, "given (1/m)", "the inverse of the correlation length")
-        put(key, k0 := check_range(key, k0, 1e-9, 1e9, "1/m"))
-        key, limit = "band_limit_per_m", self.band_limit_per_m
-        if limit is None and self.correlation == "exponential":
-            raise invalid(
-                key, None, "given (1/m)",
-                "slopes, about rms_height_m √(k0 limit), grow without bound with it and change "
-                "reflectance; give the largest wave number of the surface, or infinity; only the "
-                'default correlation "exponential" needs it, "gaussian" does not',
-            )  # fmt: skip
-        if limit is None or limit == math.inf:
-            put(key, math.inf)
-        else:
-            put(key, check_range(key, limit, 1e-3 * k0, math.inf, "1/m"))
-
-    def as_input(self) -> dict[str, Any]:
-        """Return the keywords that differ from their defaults."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        # Only the exponential correlation requires a limit, so an infinite one is shown.
-        if self.band_limit_per_m == math.inf and self.correlation != "exponential":
-            del values["band_limit_per_m"]
-        defaults = {field.name: field.default for field in fields(self)}
-        return {name: value for name, value in values.items() if value != defaults[name]}
-
-    def __repr__(self) -> str:
-        """Return the call that constructs the field, on one line."""
-        return format_call("RandomHeightField", self.as_input())
-
-    @property
-    def _relative_band_limit(self) -> float:
-        """Band limit in units of k0."""
-        assert self.band_limit_per_m is not None and self.wave_number_per_m is not None
-        return self.band_limit_per_m / self.wave_number_per_m
-
-    @cached_property
-    def wave_number_quantiles(self) -> np.ndarray:
-        """Quantile function of the wave numbers (1/m) at `rng.make_table_probabilities`."""
-        assert self.spectrum is not None
-        return compute_quantiles(*(np.array(self.spectrum[key]) for key in _SPECTRUM_COLUMNS))
-
-    def compute_correlation(self, r_m: np.ndarray) -> np.ndarray:
-        """Return the expected correlation of heights at distances (m) for sampled waves."""
-        r = as_float_array("r_m", r_m, "numbers in metres")
-        if self.correlation == "spectrum":
-            return np.array(
-                [average_bessel_j0(self.wave_number_quantiles, x) for x in r.ravel()]
-            ).reshape(r.shape)
-        spectrum = HEIGHT_SPECTRA[self.correlation]
-        assert self.wave_number_per_m is not None
-        r = self.wave_number_per_m * r
-        if spectrum.cdf(self._relative_band_limit) == 1.0:
-            return spectrum.correlation(r)
-        integrals = [
-            integrate_bessel_j0(spectrum.density, self._relative_band_limit, x) for x in r.ravel()
-        ]
-        return np.array(integrals).reshape(r.shape) / spectrum.cdf(self._relative_band_limit)
-
-    def mean_square_wave_number(self) -> float:
-        """Return the mean λ² of a wave (1/m²)."""
-        if self.correlation == "spectrum":
-            return average_over_quantiles(self.wave_number_quantiles, lambda k: k * k)
-        assert self.wave_number_per_m is not None
-        return self.wave_number_per_m**2 * HEIGHT_SPECTRA[self.correlation].mean_square(
-            self._relative_band_limit
-        )
+from splits.media.random_height_field import SPECTRUM_COLUMNS, RandomHeightField
 
 
 @reject_unknown_keywords
@@ -261,8 +123,8 @@ class RoughSurface:
         The rows are those of `splits.kernels.rough_surface.realization`, which evaluates them.
         """
         seed, ray_number = (
-            _check_integer("seed", seed, low=0),
-            _check_integer("number", ray_number, low=0),
+            check_integer("seed", seed, 0),
+            check_integer("number", ray_number, 0),
         )
         state = np.zeros(1, dtype=np.uint64)
         start_stream(state, seed, 0, ray_number)
@@ -282,7 +144,7 @@ class RoughSurface:
             inputs[key] = [missing if value is None else value for value in values]
         inputs["correlation"] = ", ".join(inputs["correlation"])
         tables = [field.spectrum for field in self.fields if field.spectrum is not None]
-        for key in _SPECTRUM_COLUMNS if tables else ():
+        for key in SPECTRUM_COLUMNS if tables else ():
             inputs[f"spectrum_{key}"] = [x for table in tables for x in table[key]]
         return inputs | {"rms_slope": self.rms_slope()}
 
@@ -302,28 +164,3 @@ def _make_height_field(key: str, value: Any) -> RandomHeightField:
         raise invalid(f"{key}.rms_height_m", None, "given (m)")
     with key_prefix(key):
         return RandomHeightField(**value)
-
-
-def _check_integer(key: str, value: Any, high: int = 2**63 - 1, low: int = 1) -> int:
-    """Return a whole number within limits."""
-    value = as_scalar(value)
-    is_integer = isinstance(value, Integral) and not isinstance(value, NON_NUMERIC_TYPES)
-    if not is_integer or not low <= int(value) <= high:
-        raise invalid(key, value, f"a whole number from {low} to {high}")
-    return int(value)
-
-
-def _read_spectrum(given: Any) -> dict[str, tuple[float, ...]]:
-    """Return the validated columns of a spectrum."""
-    allowed = "a mapping of equally many numbers " + " and ".join(_SPECTRUM_COLUMNS)
-    if not isinstance(given, Mapping) or set(given) != set(_SPECTRUM_COLUMNS):
-        raise invalid("spectrum", given, allowed)
-    k, density = read_columns("spectrum", {key: given[key] for key in _SPECTRUM_COLUMNS})
-    if k.shape != density.shape or k.size < 2:
-        raise invalid("spectrum", dict(given), allowed, "two rows at least")
-    k, density = (snap_to_limits(row, 0.0, math.inf) for row in (k, density))
-    if k[0] < 0.0 or (np.diff(k) <= 0.0).any():
-        raise invalid("spectrum.wave_number_per_m", k.tolist(), "0 or more and increasing")
-    if (density < 0.0).any() or not density[k > 0.0].any():
-        raise invalid("spectrum.density", density.tolist(), "0 or more, and positive somewhere")
-    return dict(zip(_SPECTRUM_COLUMNS, (tuple(k.tolist()), tuple(density.tolist())), strict=True))

@@ -11,13 +11,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from splits.core.validation import (
-    check_choice,
-    invalid,
-    key_prefix,
-    reject_unknown_keywords,
-    suggest_name,
-)
+from splits.core.keywords import reject_unknown_keywords
+from splits.core.validation import check_choice, invalid, key_prefix, suggest_name
 from splits.kernels.grains.scene import WET_PORE
 from splits.media.formatting import format_input
 from splits.media.ground import Ground, describe_ground

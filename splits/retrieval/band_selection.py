@@ -13,14 +13,14 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.parameter_names import describe_parameter
-from splits.core.validation import invalid, reject_unknown_arguments
+from splits.core.validation import check_integer, invalid
 from splits.illumination.bands import as_bands
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
-from splits.simulation.arguments import check_integer
 from splits.tables.table import Table
 
 N_STATES = 200

@@ -10,10 +10,11 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_float_array
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.parameter_names import describe_parameter
 from splits.core.uncertainty import make_variable
-from splits.core.validation import check_choice, invalid, join_names, reject_unknown_arguments
+from splits.core.validation import check_choice, invalid, join_names
 from splits.io.netcdf import ANCILLARY_ATTRIBUTE, make_provenance, to_netcdf_attributes
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.map_minimization import project_spectra, retrieve_spectra

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
-from splits.core.validation import check_choice, invalid, reject_unknown_arguments
+from splits.core.validation import check_choice, check_integer, invalid
 from splits.retrieval import least_squares
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
@@ -36,7 +37,6 @@ from splits.retrieval.result import (
 )
 from splits.retrieval.simulation_model import SimulationForwardModel
 from splits.retrieval.state_vector import StateVector
-from splits.simulation.arguments import check_integer
 from splits.tables.table import Table
 
 

@@ -10,145 +10,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from splits.core.arrays import align_to_labels, check_array_range, find_labels
 from splits.core.optional import import_optional
-from splits.core.validation import invalid
+from splits.core.validation import check_integer, invalid
 from splits.instruments import spectrophotometer
 from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
 from splits.retrieval.least_squares import apply_priors
 from splits.retrieval.optimal_estimation import find_active_bounds
 from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF, estimate_fit_covariance
+from splits.retrieval.sand_forward_model import Effort, SandForwardModel
 from splits.retrieval.sand_parameters import FitResult, FittedParameter, UnitCube
-from splits.simulation.arguments import check_incidence, check_integer, check_wavelengths
-from splits.simulation.fixed_budget import choose_node_rows, estimate_fixed_budget
-
-JACOBIAN_STEP = 0.05
-"""Step of a coordinate for derivatives, large enough compared with uncorrelated noise."""
-N_JACOBIANS = 4
-"""Number of independent Jacobians for the errors."""
-_JACOBIAN_RAYS_DIVISOR = 8
-"""Ratio of the rays of the last stage to those of a Jacobian, whose noise causes no bias."""
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Computational effort of a fit.
-
-    Attributes
-    ----------
-    points : int
-        Number of sands in the survey, a power of 2.
-    starts : tuple of int
-        Number of the best sands from which each stage of descents starts.
-    evaluations : tuple of int
-        Largest number of simulations per descent, by stage.
-    rays : tuple of int
-        Rays per node of the survey and of every stage.
-    max_stderr : float
-        Standard error of the final spectrum, 1e-6 to 0.5.
-    """
-
-    points: int = 128
-    starts: tuple[int, ...] = (6, 3, 1)
-    evaluations: tuple[int, ...] = (40, 40, 40)
-    rays: tuple[int, ...] = (512, 512, 2048, 16_384)
-    max_stderr: float = 0.002
-
-    def __post_init__(self) -> None:
-        if not len(self.starts) == len(self.evaluations) == len(self.rays) - 1:
-            raise invalid("effort", self, "starts, evaluations and rays for the same stages")
-
-
-class SandForwardModel:
-    """Forward model of sands with a fixed number of rays, see `splits.retrieval.gauss_newton`.
-
-    Parameters
-    ----------
-    cube : UnitCube
-    wavelengths_nm : float, shape (wavelengths,)
-        In nm.
-    incidence : float or "diffuse"
-    effort : Effort
-    seed : int
-    threads : int, optional
-
-    Attributes
-    ----------
-    n_simulations : int
-        Number of sands simulated so far.
-    """
-
-    bound_margin = 0.0
-
-    def __init__(
-        self,
-        cube: UnitCube,
-        wavelengths: np.ndarray,
-        incidence: float | str,
-        effort: Effort,
-        seed: int,
-        threads: int | None,
-    ) -> None:
-        self.cube, self.state_vector = cube, cube.state_vector
-        self.wavelengths_nm, self.incidence, self.threads = wavelengths, incidence, threads
-        self.n_rays = effort.rays
-        self.n_simulations = 0
-        n_seeds = len(effort.rays) + N_JACOBIANS + 1
-        states = np.random.SeedSequence(seed).generate_state(n_seeds)
-        self.seeds = [int(state) for state in states]
-        """Seeds of the survey and every stage, of the Jacobians, and of the final spectrum."""
-        self._last_result: tuple[bytes, int, np.ndarray] = (b"", 0, np.empty(0))
-
-    def _simulate(self, state: np.ndarray, rays: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return reflectance and its batch deviations."""
-        self.n_simulations += 1
-        mean, _, batches = estimate_fixed_budget(
-            self.cube.to_sand(state), self.wavelengths_nm, self.incidence,
-            choose_node_rows(len(self.wavelengths_nm)), rays, seed, self.threads,
-        )  # fmt: skip
-        return mean[0], batches[:, 0]
-
-    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return reflectance with the rays of a stage, shape (wavelengths,)."""
-        if self._last_result[:2] != (state.tobytes(), stage):
-            reflectance = self._simulate(state, self.n_rays[stage], self.seeds[stage])[0]
-            self._last_result = state.tobytes(), stage, reflectance
-        return self._last_result[2]
-
-    def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the Jacobian by one-sided differences inside the cube."""
-        reflectance, columns = self.evaluate(state, stage), []
-        for i, coordinate in enumerate(state):
-            shifted = state.copy()
-            shifted[i] += JACOBIAN_STEP if coordinate + JACOBIAN_STEP <= 1.0 else -JACOBIAN_STEP
-            columns.append(
-                (self.evaluate(shifted, stage) - reflectance) / (shifted[i] - coordinate)
-            )
-        return np.column_stack(columns)
-
-    def noise(self, state: np.ndarray) -> np.ndarray:
-        """Return the covariance of the noise common to all simulations of the last stage."""
-        batches = self._simulate(state, self.n_rays[-1], self.seeds[len(self.n_rays) - 1])[1]
-        covariance: np.ndarray = batches.T @ batches
-        return covariance
-
-    def compute_jacobians(self, state: np.ndarray) -> list[np.ndarray]:
-        """Return independent Jacobians, each with its own random numbers."""
-        first = len(self.n_rays)
-        rays = max(self.n_rays[-1] // _JACOBIAN_RAYS_DIVISOR, 1)
-        return [
-            compute_central_differences(partial(self._simulate_reflectance, rays, stream), state)
-            for stream in self.seeds[first : first + N_JACOBIANS]
-        ]
-
-    def _simulate_reflectance(self, rays: int, seed: int, state: np.ndarray) -> np.ndarray:
-        return self._simulate(state, rays, seed)[0]
+from splits.simulation.arguments import check_incidence, check_wavelengths
 
 
 def fit(
@@ -282,19 +158,6 @@ def check_measured_reflectance(
         allowed = f"{wavelengths.size} numbers, one for each wavelength"
         raise invalid("measured", f"of shape {values.shape}", allowed)
     return check_array_range("measured", values, 0.0, 1.0)
-
-
-def compute_central_differences(
-    model: Callable[[np.ndarray], np.ndarray], x: np.ndarray
-) -> np.ndarray:
-    """Return the Jacobian by central differences, clipped to the cube."""
-    columns = []
-    for i in range(len(x)):
-        upper, lower = x.copy(), x.copy()
-        upper[i] = min(x[i] + 2.0 * JACOBIAN_STEP, 1.0)
-        lower[i] = max(x[i] - 2.0 * JACOBIAN_STEP, 0.0)
-        columns.append((model(upper) - model(lower)) / (upper[i] - lower[i]))
-    return np.column_stack(columns)
 
 
 def estimate_parameter_errors(

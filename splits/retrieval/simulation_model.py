@@ -8,18 +8,17 @@ coordinates.
 
 from __future__ import annotations
 
-import time
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.core.optional import import_optional
-from splits.core.progress import Progress, ProgressCallback
+from splits.core.progress import ProgressCallback
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, replace_parameter
 from splits.retrieval.forward_model import MeasurementOperator
-from splits.retrieval.gauss_newton import DescentStage, LocalMinimum, Objective, search_minima
+from splits.retrieval.gauss_newton import LocalMinimum, Objective, search_minima
 from splits.retrieval.linearization import (
     BOUND_MARGIN,
     Linearization,
@@ -27,26 +26,25 @@ from splits.retrieval.linearization import (
     remove_jacobian_noise,
 )
 from splits.retrieval.measurement import Measurement
-from splits.retrieval.optimal_estimation import ALTERNATIVE_CHI2, MIN_SEPARATION
+from splits.retrieval.optimal_estimation import MIN_SEPARATION
+from splits.retrieval.simulation_schedule import (
+    DESCENT_STAGES,
+    LAST_STAGE,
+    MIN_JACOBIAN_STDERR,
+    N_JACOBIANS_RANGE,
+    N_SURVEY,
+    SURVEY_STDERR,
+    ProgressTracker,
+    count_runs,
+)
 from splits.retrieval.state_vector import SCALE, StateVector
 
-N_SURVEY = 16
-"""Number of states of the survey."""
-DESCENT_STAGES = (DescentStage(2, 60), DescentStage(2, 60, ALTERNATIVE_CHI2))
-"""Stages of descents: from the best states of the survey, and with the final error."""
-LAST_STAGE = len(DESCENT_STAGES)
-SURVEY_STDERR = 0.01
-"""Standard error of simulations of the survey and of the first descents."""
 NOISE_FRACTION = 0.5
 """Ratio of the final standard error to the smallest noise of the measurement."""
 MIN_STDERR, MAX_STDERR = 1e-3, 0.01
 """Limits of the final standard error."""
 UNKNOWN_NOISE_MAX_STDERR = 2e-3
 """Final standard error for unknown noise."""
-MIN_JACOBIAN_STDERR = 0.004
-"""Smallest standard error of simulations for Jacobians, of which several are averaged."""
-N_JACOBIANS_RANGE = (2, 6)
-"""Smallest and largest number of independent Jacobians for the errors."""
 BAND_STEP_NM = 10.0
 """Step of wavelengths within bands (nm)."""
 
@@ -148,7 +146,7 @@ class SimulationForwardModel:
                 medium = replace_parameter(medium, name, float(physical[row]))
         spectrum = spectrophotometer(
             medium, self.wavelengths, incidence, max_stderr, seed, jacobian=names,
-            progress=self._progress.track_run(max_stderr, _count_runs(len(names))),
+            progress=self._progress.track_run(max_stderr, count_runs(len(names))),
         )  # fmt: skip
         return spectrum, 1.0 if self._scale_index is None else float(physical[self._scale_index])
 
@@ -242,74 +240,6 @@ class SimulationForwardModel:
             seed = self.seed + 1 + len(jacobians)
             jacobians.append(self.compute_jacobian(best.state, LAST_STAGE, seed))
         return ConvergedRuns(minima, values, noise_covariance, jacobians)
-
-
-class ProgressTracker:
-    """Progress of a retrieval over all of its simulations.
-
-    Parameters
-    ----------
-    report : callable, optional
-    max_stderr : float
-        Final standard error.
-    n_parameters : int
-    """
-
-    def __init__(self, report: ProgressCallback, max_stderr: float, n_parameters: int) -> None:
-        self.report, self.max_stderr = report, max_stderr
-        final_cost, jacobian_cost = (
-            _estimate_cost(max_stderr),
-            _count_runs(n_parameters) * _estimate_cost(max(max_stderr, MIN_JACOBIAN_STDERR)),
-        )
-        # Each descent needs about two Jacobians and a few steps; descents of the last stage mostly
-        # start at the minimum.  Jacobians for errors and the test of linearity follow.
-        survey_cost = N_SURVEY + DESCENT_STAGES[0].n_starts * 2 * (2 + _count_runs(n_parameters))
-        last_stage_cost = DESCENT_STAGES[1].n_starts * (4 * final_cost + jacobian_cost)
-        self.total_cost = (
-            survey_cost
-            + last_stage_cost
-            + float(np.mean(N_JACOBIANS_RANGE)) * jacobian_cost
-            + 2 * n_parameters * final_cost
-        )
-        self.spent_cost, self.start_time = 0.0, time.perf_counter()
-
-    def track_run(self, max_stderr: float, n_runs: int) -> ProgressCallback:
-        """Return the callback for the progress of several simulations with an error."""
-        if not callable(self.report):
-            return None
-        cost, report = n_runs * _estimate_cost(max_stderr), self.report
-        previous_cost = self.spent_cost
-        self.spent_cost += cost
-
-        def show(progress: Progress) -> None:
-            elapsed = time.perf_counter() - self.start_time
-            done = previous_cost + progress.fraction_done * cost
-            seconds_left = (
-                max(self.total_cost - done, 0.0) * elapsed / done
-                if done > 0.0
-                else progress.seconds_left
-            )
-            report(
-                Progress(
-                    progress.rays,
-                    progress.stderr,
-                    self.max_stderr,
-                    elapsed,
-                    max(seconds_left, progress.seconds_left),
-                )
-            )
-
-        return show
-
-
-def _count_runs(n_parameters: int) -> int:
-    """Return the typical number of simulations for a spectrum and its derivatives."""
-    return 1 + 5 * n_parameters
-
-
-def _estimate_cost(max_stderr: float) -> float:
-    """Return the cost of a simulation with an error, in units of those of the survey."""
-    return (SURVEY_STDERR / max_stderr) ** 2
 
 
 def select_simulation_wavelengths(measurement: Measurement) -> np.ndarray:

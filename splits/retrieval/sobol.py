@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.optional import import_optional
 from splits.core.uncertainty import make_variable as with_error
-from splits.core.validation import check_choice, invalid, reject_unknown_arguments
+from splits.core.validation import check_choice, check_integer, invalid
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, StateVector
-from splits.simulation.arguments import check_integer
 from splits.simulation.attributes import make_wavelength_coordinate
 from splits.tables.table import Table
 

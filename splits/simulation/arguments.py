@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from splits.core.arrays import as_1d_array, check_array_range, check_increasing
 from splits.core.validation import (
-    NON_NUMERIC_TYPES,
-    as_scalar,
+    check_integer,
     check_range,
     invalid,
     snap_to_limits,
@@ -31,7 +29,6 @@ from splits.simulation.threads import count_cpus
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
 HALF_WIDTH_RANGE_M = {"beam_spread": (1e-9, 1e6), "surface_map": (1e-9, 1e9), "lens": (1e-9, 1e6)}
 """Smallest and largest half edge (m) of the square that an instrument observes."""
-MAX_INT64 = 2**63 - 1
 MAX_DATASET_VALUES = 10_000_000
 """Largest number of values of a quantity over wavelength and direction: a run takes about thirty
 times their memory."""
@@ -119,20 +116,6 @@ def _suggest_incidence(given: str) -> str:
         return f"write {float(given):g}, without quotes"
     except ValueError:
         return suggest_name(given, ["diffuse"])
-
-
-def check_integer(key: str, value: object, low: int, high: int = MAX_INT64) -> int:
-    """Return a whole number from `low` to `high`, by default the largest that fits into 63 bits."""
-    value = as_scalar(value)
-    if not isinstance(value, Integral) or isinstance(value, NON_NUMERIC_TYPES):
-        hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
-        raise invalid(key, value, f"a whole number of at least {low}", hint)
-    whole = int(value)
-    if not low <= whole <= high:
-        least = whole < low and high == MAX_INT64
-        allowed = f"of at least {low}" if least else f"from {low} to {high}"
-        raise invalid(key, value, f"a whole number {allowed}")
-    return whole
 
 
 def check_half_width(instrument: str, half_width_m: Any) -> float:

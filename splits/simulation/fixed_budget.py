@@ -13,14 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from splits.core.validation import invalid
+from splits.core.validation import check_integer, invalid
 from splits.media.medium import Medium
-from splits.simulation.arguments import (
-    check_incidence,
-    check_integer,
-    check_medium,
-    check_wavelengths,
-)
+from splits.simulation.arguments import check_incidence, check_medium, check_wavelengths
 from splits.simulation.runner import Runner
 from splits.simulation.scene import compute_optical_constants
 from splits.simulation.spectral_nodes import make_nodes

@@ -12,10 +12,11 @@ import numpy as np
 import xarray as xr
 
 from splits.core.atomic import check_writable
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
 from splits.core.progress import Progress, ProgressCallback, with_progress
 from splits.core.provenance import hash_physics_sources
-from splits.core.validation import check_choice, invalid, reject_unknown_arguments
+from splits.core.validation import check_choice, invalid
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature

@@ -10,8 +10,9 @@ import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, check_no_gaps
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
-from splits.core.validation import check_choice, invalid, reject_unknown_arguments
+from splits.core.validation import check_choice, invalid
 from splits.io.integrity import NETCDF_LOCK
 from splits.io.netcdf import load, open_lazily, to_netcdf_attributes
 from splits.tables.axes import check_axis_values

@@ -12,7 +12,8 @@ from splits.core.validation import InvalidValue
 from splits.retrieval.linearization import Linearization, LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import make_medium_state_vector
-from splits.retrieval.simulation_model import ProgressTracker, select_simulation_wavelengths
+from splits.retrieval.simulation_model import select_simulation_wavelengths
+from splits.retrieval.simulation_progress import ProgressTracker
 
 W = np.arange(500.0, 1400.0, 100.0)
 SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"

@@ -11,7 +11,7 @@ from constructed_results import make_optics
 from formula_tables import W, evaluate_spectrum, make_snowlike_table
 
 import splits
-from splits.analysis.theory.phase_function import to_eradiate
+from splits.analysis.theory.phase_function_export import to_eradiate
 from splits.materials import make_refractive_index
 from splits.retrieval.sand_fit import check_measured_reflectance
 from splits.tables.axes import ParameterGrid

@@ -10,13 +10,9 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.core.validation import check_number, reject_unknown_keywords, short_repr
-from splits.simulation.arguments import (
-    check_beam_angle,
-    check_incidence,
-    check_integer,
-    check_wavelengths,
-)
+from splits.core.keywords import reject_unknown_keywords
+from splits.core.validation import check_integer, check_number, short_repr
+from splits.simulation.arguments import check_beam_angle, check_incidence, check_wavelengths
 
 
 @pytest.mark.parametrize("value", [30, 30.0, np.float32(30), np.array(30.0), xr.DataArray(30.0)])

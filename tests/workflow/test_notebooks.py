@@ -22,7 +22,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 NAMES = ("rough_layer", "sand_colour_and_water", "snow_pack")
 CODE_CELLS = range(6, 13)
 FIGURES = 5
-LAST = ("## What this does not tell", "## Try yourself")
+LAST = ("## Limitations", "## Exercises")
 EXTRAS = {
     "rough_layer": (),
     "sand_colour_and_water": ("colour", "scipy"),

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from splits.core.arrays import as_1d_array, check_array_range, check_no_gaps
-from splits.core.atomic import atomic_write
+from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import compute_jackknife_stderr, make_variable
-from splits.core.validation import check_range, invalid, reject_unknown_arguments
+from splits.core.validation import check_range, invalid
 from splits.io.netcdf import to_netcdf_attributes
 
 ALBEDO, ASYMMETRY, MOMENT = "single_scattering_albedo", "asymmetry_parameter", "legendre_moment"
@@ -53,7 +52,7 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
     (Goodman 2005, Introduction to Fourier Optics, chapter 6; Legendre polynomials are approximated
     by J_0).
     """
-    optics = _check_moments(optics)
+    optics = check_moments(optics)
     if optics.attrs["diffraction"] != "none":
         raise invalid("optics", optics.attrs["diffraction"], "without diffraction yet")
     if radius_um is None:
@@ -145,7 +144,7 @@ def phase_function(optics: xr.Dataset, angle_deg: Any = DEFAULT_ANGLES_DEG) -> x
     ValueError
         For another kind of dataset, or angles outside the range.
     """
-    optics = _check_moments(optics)
+    optics = check_moments(optics)
     angles = check_array_range("angle_deg", as_1d_array("angle_deg", angle_deg), 0.0, 180.0)
     terms = _make_legendre_terms(np.cos(np.radians(angles)), int(optics.order[-1]))
     value = optics[MOMENT].values @ terms
@@ -239,91 +238,7 @@ def choose_resolving_angles(n_moments: int) -> np.ndarray:
     return np.array(angles)
 
 
-def to_eradiate(optics: xr.Dataset, angle_deg: Any = None) -> xr.Dataset:
-    """Return single-scattering properties in the format of eradiate's particle layers ("Aer v1").
-
-    A smoothed phase function with linear interpolation between angles has a slightly smaller
-    asymmetry than its moments.  Scattering is reduced accordingly, so that transport scattering and
-    absorption per metre are conserved (similarity relation of van de Hulst).
-
-    Parameters
-    ----------
-    optics : xarray.Dataset
-        As for `phase_function`.
-    angle_deg : array_like, optional
-        Scattering angles from 0 to 180 degrees; by default enough for the moments.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``sigma_t`` (1/m) and ``albedo`` over ``w`` (nm), and ``phase`` (1/sr) over ``w``, ``mu``
-        (ascending), ``i`` and ``j``: the element of unpolarized light, normalized to 1.
-        ``optical_thickness`` over ``w`` is included for eradiate's ``tau_ref`` at ``w_ref``.
-
-    Raises
-    ------
-    ValueError
-        For angles that do not resolve a peak, so that the normalization deviates by more than 1 %.
-    """
-    optics = _check_moments(optics)
-    angles = choose_resolving_angles(int(optics.order[-1])) if angle_deg is None else angle_deg
-    function = phase_function(optics, angles).sortby("angle", ascending=False)
-    mu = np.cos(np.radians(function.angle.values))
-    phase = function.phase_function.values
-    total = 2.0 * np.pi * np.trapezoid(phase, mu, axis=1)
-    if np.abs(total - 1.0).max() > 0.01:
-        allowed = "fine enough to normalize the phase function within 1 %"
-        raise invalid("angle_deg", f"{len(mu)} angles", allowed, "leave them out")
-    phase = phase / total[:, np.newaxis]
-    forward = 2.0 * np.pi * np.trapezoid(phase * mu, mu, axis=1)
-    extinction = optics.extinction.values
-    scattered = extinction * optics[ALBEDO].values
-    absorbed = extinction - scattered
-    scattered = scattered * (1.0 - optics[MOMENT].values[:, 1]) / (1.0 - forward)
-    ratio = (scattered + absorbed) / extinction
-    thickness = optics.optical_thickness.values * ratio
-    return xr.Dataset(
-        {
-            "sigma_t": ("w", scattered + absorbed, {"units": "m^-1"}),
-            "albedo": ("w", scattered / (scattered + absorbed), {"units": "dimensionless"}),
-            "phase": (
-                ("w", "mu", "i", "j"), phase[:, :, np.newaxis, np.newaxis],
-                {"units": "steradian^-1"},
-            ),
-            "optical_thickness": ("w", thickness, {"units": "dimensionless"}),
-        },
-        {
-            "w": ("w", optics.wavelength.values, {"units": "nm"}),
-            "mu": ("mu", mu, {"units": "dimensionless"}),
-            "i": ("i", [0]),
-            "j": ("j", [0]),
-        },
-        {"title": "Particle radiative properties", "source": optics.attrs.get("source", "splits")},
-    )  # fmt: skip
-
-
-def write_libradtran(optics: xr.Dataset, path: str | Path) -> None:
-    """Write the optical properties of a layer for libRadtran's ``wc_files`` and ``ic_files``.
-
-    Each line has wavelength (nm), extinction (1/km), single-scattering albedo, moments from 0 on.
-
-    Parameters
-    ----------
-    optics : xarray.Dataset
-        As for `phase_function`.
-    path : path
-        The file is written atomically.
-    """
-    optics = _check_moments(optics)
-    columns = [optics.wavelength.values, 1e3 * optics.extinction.values, optics[ALBEDO].values]
-    table = np.column_stack([*columns, optics[MOMENT].values])
-    with atomic_write(path) as temporary_path:
-        np.savetxt(
-            temporary_path, table, fmt="%.8g", header="nm, 1/km, albedo, Legendre moments from 0 on"
-        )
-
-
-def _check_moments(optics: xr.Dataset) -> xr.Dataset:
+def check_moments(optics: xr.Dataset) -> xr.Dataset:
     """Return optics with ascending moments along the last axis; reject other datasets."""
     attrs = optics.attrs if isinstance(optics, xr.Dataset) else {"title": type(optics).__name__}
     if "diffraction" not in attrs or f"{MOMENT}_jackknife" not in optics:

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from splits.core.validation import check_range, invalid, key_prefix
+from splits.core.validation import check_integer, check_range, invalid, key_prefix
 from splits.experiments.config.grid import make_even_spacing
 from splits.experiments.config.sections import ConfigSection
 from splits.instruments.angular_bins import DEFAULT_N_BINS
@@ -28,7 +28,6 @@ from splits.simulation.arguments import (
     check_direction_angles,
     check_half_width,
     check_incidence,
-    check_integer,
     check_n_bins,
     check_wavelengths,
 )

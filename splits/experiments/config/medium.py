@@ -7,16 +7,10 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_layer_parameter
 from splits.core.paths import expand_path
-from splits.core.validation import (
-    check_choice,
-    format_key,
-    invalid,
-    key_prefix,
-    list_keywords,
-    unknown_key,
-)
+from splits.core.validation import check_choice, format_key, invalid, key_prefix, unknown_key
 from splits.media import ParticleLayer, Sand, Snow, Stack
 from splits.media.interpretations import merge_interpretations
 from splits.media.measured_inputs import override_keywords

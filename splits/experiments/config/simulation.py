@@ -16,15 +16,9 @@ from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
+from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
-from splits.core.validation import (
-    InvalidValue,
-    check_choice,
-    format_key,
-    invalid,
-    list_keywords,
-    unknown_key,
-)
+from splits.core.validation import InvalidValue, check_choice, format_key, invalid, unknown_key
 from splits.experiments.config.grid import MAX_GRID_POINTS, label_grid
 from splits.experiments.config.instrument import (
     SURFACE_INSTRUMENTS,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from splits.analysis.measured import read_measured, read_published, read_spectra
-from splits.core.validation import check_choice, check_range, invalid, unknown_key
+from splits.core.validation import check_choice, check_integer, check_range, invalid, unknown_key
 from splits.core.yaml import ConfigError
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
 from splits.experiments.config.retrieve_checks import check_on_grid
@@ -32,7 +32,6 @@ from splits.experiments.config.study_kinds import (
 )
 from splits.illumination.bands import SENSORS
 from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
-from splits.simulation.arguments import check_integer
 
 TABLE_READERS = {"published": read_published, "directions": read_measured}
 """Functions that read tables of studies other than spectra."""

@@ -10,11 +10,8 @@ from constructed_results import ASYMMETRY, ORDERS, make_optics
 from scipy.special import eval_legendre, j1
 
 import splits
-from splits.analysis.theory.phase_function import (
-    diffraction_moments,
-    to_eradiate,
-    write_libradtran,
-)
+from splits.analysis.theory.phase_function import diffraction_moments
+from splits.analysis.theory.phase_function_export import to_eradiate, write_libradtran
 from splits.core.validation import InvalidValue
 
 

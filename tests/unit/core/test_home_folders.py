@@ -15,7 +15,7 @@ from formula_tables import make_snowlike_table
 import splits
 from splits import cli
 from splits.analysis.measured import read_measured
-from splits.analysis.theory.phase_function import write_libradtran
+from splits.analysis.theory.phase_function_export import write_libradtran
 from splits.core.validation import InvalidValue
 from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
 from splits.experiments.archive import make_configuration_members, pack_archive

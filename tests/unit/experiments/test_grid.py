@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import splits
-from splits.core.validation import list_keywords
+from splits.core.keywords import list_keywords
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import MEDIUM_CLASSES

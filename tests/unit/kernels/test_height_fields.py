@@ -12,7 +12,8 @@ from scipy import integrate, special
 
 from splits.kernels.rough_surface import realization as kernels
 from splits.media.height_spectra import HEIGHT_SPECTRA
-from splits.media.rough_surface import RandomHeightField, RoughSurface
+from splits.media.random_height_field import RandomHeightField
+from splits.media.rough_surface import RoughSurface
 
 INVALID_SURFACES = [
     ("rms_height_m", -0.1, "in [0, 1e+06] m"),

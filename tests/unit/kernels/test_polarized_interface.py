@@ -1,4 +1,4 @@
-"""Polarized light at smooth faces: Maxwell's boundary conditions, 50 digits, known cases."""
+"""Polarized light at smooth interfaces: Maxwell's equations, 50 digits, analytic cases."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from polarized_light import (
     to_vector,
 )
 
-from splits.kernels.optics import polarized_interface as faces
+from splits.kernels.optics import polarized_interface as interface
 from splits.kernels.optics.fresnel import fresnel
 from splits.kernels.optics.stokes import rotate_reference_to
 
@@ -30,16 +30,16 @@ INDICES = [(1.0, 1.33), (1.33, 1.0), (1.0, 1.0 + 1e-9), (1.0 + 1e-9, 1.0), (1.0,
 
 
 def solve_maxwell(n1, n2, d, n):
-    """Return what an interface makes of a field: wave vectors and the fields per field.
+    """Return the wave vectors and fields that Maxwell's boundary conditions give.
 
-    Tangential E and H = k × E are continuous; E is perpendicular to k.  With e^(−iωt), the wave
-    beyond decays for a wave number of positive imaginary part.
+    Tangential E and H = k × E are continuous; E is perpendicular to k.  With e^(−iωt), the
+    transmitted wave decays for a wave number of positive imaginary part.
 
     Returns
     -------
     k_r, k_t : complex[3]
         Wave vectors of reflected and transmitted light, per wave number in vacuum.
-    into : callable
+    solve_fields : callable
         Fields E_r and E_t of an incident field.
     """
     k = n1 * d
@@ -57,15 +57,15 @@ def solve_maxwell(n1, n2, d, n):
     rows[2:4, :3], rows[2:4, 3:] = tangents, -tangents
     rows[4:, :3], rows[4:, 3:] = tangents @ curl(k_r), -tangents @ curl(k_t)
 
-    def into(field):
+    def solve_fields(field):
         right = np.concatenate([[0, 0], -tangents @ field, -tangents @ curl(k) @ field])
         return np.split(np.linalg.solve(rows, right), 2)
 
-    return k_r, k_t, into
+    return k_r, k_t, solve_fields
 
 
 def draw_incident_light(rng, cos_i, pure):
-    """Return random light and the normal that it meets at a given angle."""
+    """Return random light and a surface normal at a given angle of incidence."""
     d, e, s = draw_polarized_light(rng, pure)
     side = np.cross(d, draw_unit_vectors(rng, 1)[0])
     side /= np.linalg.norm(side)
@@ -73,36 +73,36 @@ def draw_incident_light(rng, cos_i, pure):
 
 
 def compute_reflection(d, e, s, n, n1, n2):
-    """Return the share of light that a face reflects, and what it becomes."""
-    share, d, out = faces.reflect_polarized(
+    """Return the reflectance of an interface and the reflected light."""
+    reflectance, d, out = interface.reflect_polarized(
         to_vector(d), to_kernel_light(e, s), to_vector(n), n1, n2
     )
-    return share, *to_arrays(d, out)
+    return reflectance, *to_arrays(d, out)
 
 
 def compute_refraction(d, e, s, n, n1, n2):
-    """Return the share of light that passes a face, and what it becomes.
+    """Return the transmittance of an interface and the transmitted light.
 
-    It is put together as in `faces.reflect_or_refract_polarized`, which draws only one of both
-    ways; where nothing passes, light comes back as it went in, unpolarized.
+    The steps are those of `sample_polarized_interface`, which samples either reflection or
+    refraction.  At total reflection the incident light is returned, unpolarized.
     """
     d, n = to_vector(d), to_vector(n)
-    light = faces.rotate_to_plane_of_incidence(d, to_kernel_light(e, s), n)
-    face = faces.compute_fresnel_mueller(n1, n2, light.cos_incidence)
-    plus, minus, _ = face.transmission
+    light = interface.rotate_to_plane_of_incidence(d, to_kernel_light(e, s), n)
+    fresnel_mueller = interface.compute_fresnel_mueller(n1, n2, light.cos_incidence)
+    plus, minus, _ = fresnel_mueller.transmission
     if plus == 0.0:
         return 0.0, np.array(d), np.array(e), np.zeros(3)
-    _, d, out = faces._refract_light(d, n, light, face)
+    _, d, out = interface._refract_light(d, n, light, fresnel_mueller)
     return plus + minus * light.q, *to_arrays(d, out)
 
 
 def to_arrays(d, stokes):
-    """Return direction, reference, and q, u, v as arrays."""
+    """Return direction, reference axis, and q, u, v as arrays."""
     return np.array(d), np.array(stokes.e), np.array(stokes[1:])
 
 
 def rotate_linear(s, e, d, t):
-    """Return q and u when the reference changes from e to t."""
+    """Return q and u after a rotation of the reference axis from e to t."""
     return rotate_reference_to(to_kernel_light(e, s), to_vector(d), to_vector(t))
 
 
@@ -113,40 +113,40 @@ def test_interface_fulfils_maxwells_equations(indices):
     for i in range(GEOMETRIES):
         cos_i = 1.0 if i % 20 == 0 else rng.random()
         d, e, s, n = draw_incident_light(rng, cos_i, pure=i % 2 == 0)
-        k_r, k_t, into = solve_maxwell(n1, n2, d, n)
-        fields = [into(side) for side in make_frame(d, e).T]
+        k_r, k_t, solve_fields = solve_maxwell(n1, n2, d, n)
+        fields = [solve_fields(side) for side in make_frame(d, e).T]
         r, t = (np.stack([f[j] for f in fields], axis=1) for j in (0, 1))
 
-        share, d2, e2, s2 = compute_reflection(d, e, s, n, n1, n2)
+        reflectance, d2, e2, s2 = compute_reflection(d, e, s, n, n1, n2)
         assert_frame(d2, e2)
         assert d2 == pytest.approx(k_r / n1, abs=1e-13)
         expected = compute_stokes(r @ make_coherency(*s) @ r.conj().T, d2, e2)
-        assert share == pytest.approx(expected[0], abs=1e-13)
-        assert share * s2 == pytest.approx(expected[1:], abs=1e-12)
+        assert reflectance == pytest.approx(expected[0], abs=1e-13)
+        assert reflectance * s2 == pytest.approx(expected[1:], abs=1e-12)
 
-        passed, d2, e2, s2 = compute_refraction(d, e, s, n, n1, n2)
-        assert passed + share == pytest.approx(1.0, abs=1e-14)
+        transmittance, d2, e2, s2 = compute_refraction(d, e, s, n, n1, n2)
+        assert transmittance + reflectance == pytest.approx(1.0, abs=1e-14)
         if k_t.imag.any():
-            assert (share, passed) == (1.0, 0.0)
+            assert (reflectance, transmittance) == (1.0, 0.0)
             assert (*d2, *e2, *s2) == (*d, *e, 0.0, 0.0, 0.0)
             continue
         assert_frame(d2, e2)
         assert d2 == pytest.approx(k_t.real / n2, abs=1e-13)
         expected = compute_stokes(t @ make_coherency(*s) @ t.conj().T, d2, e2)
         flux = (k_t @ n).real / (n1 * (d @ n))
-        assert passed == pytest.approx(flux * expected[0], abs=1e-13)
+        assert transmittance == pytest.approx(flux * expected[0], abs=1e-13)
         assert s2 == pytest.approx(expected[1:] / expected[0], abs=1e-12)
 
 
 @pytest.mark.parametrize("indices", INDICES, ids=str)
-def test_reflectance_is_that_of_unpolarized_light(indices):
+def test_mean_reflectance_matches_unpolarized_fresnel(indices):
     for cos_i in COSINES:
-        face = faces.compute_fresnel_mueller(*indices, cos_i)
-        plus, minus, real, imaginary = face.reflection
-        t_plus, t_minus, t_root = face.transmission
-        _, ratio, cos_t = face.fresnel_result
+        fresnel_mueller = interface.compute_fresnel_mueller(*indices, cos_i)
+        plus, minus, real, imaginary = fresnel_mueller.reflection
+        t_plus, t_minus, t_root = fresnel_mueller.transmission
+        _, ratio, cos_t = fresnel_mueller.fresnel_result
         expected = fresnel(*indices, 0.0, cos_i)
-        assert face.fresnel_result.reflectance == plus
+        assert fresnel_mueller.fresnel_result.reflectance == plus
         assert plus == pytest.approx(expected[0], rel=1e-14)
         assert (ratio, cos_t) == pytest.approx(expected[1:], rel=1e-14)
         assert plus + t_plus == pytest.approx(1.0, abs=4e-15)
@@ -157,7 +157,7 @@ def test_reflectance_is_that_of_unpolarized_light(indices):
 
 
 @pytest.mark.parametrize("indices", INDICES, ids=str)
-def test_amplitudes_against_50_digits(indices):
+def test_amplitudes_match_50_digit_arithmetic(indices):
     n1, n2 = indices
 
     def exact(c):
@@ -171,122 +171,129 @@ def test_amplitudes_against_50_digits(indices):
 
     with mp.workdps(50):
         for cos_i in COSINES:
-            face = faces.compute_fresnel_mueller(n1, n2, cos_i)
-            out = (*face.reflection, *face.transmission)
+            fresnel_mueller = interface.compute_fresnel_mueller(n1, n2, cos_i)
+            results = (*fresnel_mueller.reflection, *fresnel_mueller.transmission)
             values = exact(mp.mpf(cos_i))
-            moved = exact(mp.mpf(cos_i) * (1 + mp.mpf(2) ** -52))
-            for value, right, next_one in zip(
-                (*out[:5], out[6]), values, moved, strict=True
+            perturbed = exact(mp.mpf(cos_i) * (1 + mp.mpf(2) ** -52))
+            for value, expected, neighbour in zip(
+                (*results[:5], results[6]), values, perturbed, strict=True
             ):  # fmt: skip
-                if abs(right) < 1e-40:
+                if abs(expected) < 1e-40:
                     assert abs(value) < 1e-30
                     continue
-                # A thousandth of 1e-9, and what the last digit of the argument does.
-                allowed = 1e-12 * abs(right) + 4 * abs(next_one - right)
-                assert abs(value - right) < allowed, (cos_i, value, right)
+                # A relative error of 1e-12 plus the effect of one ulp of the argument.
+                allowed = 1e-12 * abs(expected) + 4 * abs(neighbour - expected)
+                assert abs(value - expected) < allowed, (cos_i, value, expected)
 
 
-def test_brewsters_angle():
+def test_no_parallel_reflection_at_brewsters_angle():
     for n1, n2 in ((1.0, 1.33), (1.33, 1.0), (1.0, 2.4)):
         d = np.array([n2, 0.0, -n1]) / math.hypot(n1, n2)
-        plus, minus, *_ = faces.compute_fresnel_mueller(n1, n2, -d[2]).reflection
+        plus, minus, *_ = interface.compute_fresnel_mueller(n1, n2, -d[2]).reflection
         assert plus + minus == pytest.approx(0.0, abs=1e-16)
         up = (0, 0, 1)
-        share, *_, out = compute_reflection(d, (0, 1, 0), (0, 0, 0), up, n1, n2)
+        reflectance, *_, out = compute_reflection(d, (0, 1, 0), (0, 0, 0), up, n1, n2)
         r = (n2**2 - n1**2) / (n2**2 + n1**2)
-        assert share == pytest.approx(0.5 * r * r, rel=1e-12)
+        assert reflectance == pytest.approx(0.5 * r * r, rel=1e-12)
         assert out == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
-        # Light polarized in the plane of incidence, at right angles to y, passes altogether.
-        passed, *_, out = compute_refraction(d, (0, 1, 0), (-1, 0, 0), up, n1, n2)
-        assert passed == pytest.approx(1.0, abs=1e-15)
+        # Light polarized in the plane of incidence, perpendicular to y, is fully transmitted.
+        transmittance, *_, out = compute_refraction(d, (0, 1, 0), (-1, 0, 0), up, n1, n2)
+        assert transmittance == pytest.approx(1.0, abs=1e-15)
         assert out == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
 
 
-def test_phase_of_total_reflection():
+def test_phase_of_total_reflection_matches_theory():
     n1, n2 = 1.5, 1.0
     n = n2 / n1
     for theta in np.linspace(math.asin(n) + 1e-9, math.pi / 2, 40):
         sine, cosine = math.sin(theta), math.cos(theta)
         delta = 2.0 * math.atan(cosine * math.sqrt(sine**2 - n**2) / sine**2)
-        out, transmission, passage = faces.compute_fresnel_mueller(n1, n2, cosine)
+        out, transmission, fresnel_result = interface.compute_fresnel_mueller(n1, n2, cosine)
         assert out[:2] == (1.0, 0.0) and transmission == (0.0,) * 3
-        assert passage == (1.0, 0.0, 0.0)
+        assert fresnel_result == (1.0, 0.0, 0.0)
         assert out[2] == pytest.approx(math.cos(delta), abs=1e-9)
         assert out[3] == pytest.approx(-math.sin(delta), abs=1e-9)
         assert math.hypot(out[2], out[3]) == pytest.approx(1.0, abs=1e-15)
 
 
-def test_phase_next_to_the_critical_angle():
+def test_phase_is_continuous_at_the_critical_angle():
     critical = math.sqrt(1.0 - (1.0 / 1.5) ** 2)
-    for away in np.logspace(-14, -3, 12):
-        for cos_i in (critical * (1 - away), critical * (1 + away)):
-            plus, minus, real, imaginary = faces.compute_fresnel_mueller(1.5, 1.0, cos_i).reflection
+    for offset in np.logspace(-14, -3, 12):
+        for cos_i in (critical * (1 - offset), critical * (1 + offset)):
+            plus, minus, real, imaginary = interface.compute_fresnel_mueller(
+                1.5, 1.0, cos_i
+            ).reflection
             amplitude = math.sqrt(plus * plus - minus * minus)
             assert math.hypot(real, imaginary) == pytest.approx(amplitude, rel=1e-13)
-            # Both sides meet in 1 as the root of the distance; 10 is beyond its factor here.
-            assert abs(complex(real, imaginary) - 1.0) < 10.0 * math.sqrt(away)
+            # Both sides approach 1 as the square root of the offset, here with a factor below 10.
+            assert abs(complex(real, imaginary) - 1.0) < 10.0 * math.sqrt(offset)
 
 
 def make_meridian_reference(d):
-    """Return the reference in the plane of d and z, upwards."""
+    """Return the upward reference axis in the plane of d and z."""
     e = np.cross(np.cross(d, [0.0, 0.0, 1.0]), d)
     return e / np.linalg.norm(e)
 
 
-def test_horizontal_surfaces_keep_the_plane_of_the_normal():
+def test_horizontal_interfaces_have_block_diagonal_mueller_matrices():
     rng = np.random.default_rng(15)
     for _ in range(GEOMETRIES):
         d, _, s = draw_polarized_light(rng)
         normal = np.array([0.0, 0.0, -math.copysign(1.0, d[2])])
-        face = faces.compute_fresnel_mueller(1.33, 1.0, abs(d[2]))
+        fresnel_mueller = interface.compute_fresnel_mueller(1.33, 1.0, abs(d[2]))
         light = np.append(1.0, s)
-        plus, minus, real, imaginary = face.reflection
-        t_plus, t_minus, root = face.transmission
-        back = [[plus, minus, 0, 0], [minus, plus, 0, 0]]
-        back += [[0, 0, real, imaginary], [0, 0, -imaginary, real]]
-        on = [[t_plus, t_minus, 0, 0], [t_minus, t_plus, 0, 0], [0, 0, root, 0], [0, 0, 0, root]]
+        plus, minus, real, imaginary = fresnel_mueller.reflection
+        t_plus, t_minus, root = fresnel_mueller.transmission
+        reflection = [[plus, minus, 0, 0], [minus, plus, 0, 0]]
+        reflection += [[0, 0, real, imaginary], [0, 0, -imaginary, real]]
+        transmission = [
+            [t_plus, t_minus, 0, 0],
+            [t_minus, t_plus, 0, 0],
+            [0, 0, root, 0],
+            [0, 0, 0, root],
+        ]
         e = make_meridian_reference(d)
         for kernel, matrix in (
-            (compute_reflection, back),
-            (compute_refraction, on),
+            (compute_reflection, reflection),
+            (compute_refraction, transmission),
         ):
-            share, d2, e2, s2 = kernel(d, e, s, normal, 1.33, 1.0)
+            fraction, d2, e2, s2 = kernel(d, e, s, normal, 1.33, 1.0)
             expected = np.array(matrix) @ light
-            assert share == pytest.approx(expected[0], abs=1e-13)
+            assert fraction == pytest.approx(expected[0], abs=1e-13)
             q, u = rotate_linear(s2, e2, d2, make_meridian_reference(d2))
-            got = [share * q, share * u, share * s2[2]]
-            assert got == pytest.approx(expected[1:], abs=1e-12)
+            actual = [fraction * q, fraction * u, fraction * s2[2]]
+            assert actual == pytest.approx(expected[1:], abs=1e-12)
 
 
-def test_fresnels_rhomb():
-    """Glass of 1.51: two reflections at 54°37′ turn light at 45° into circular light."""
+def test_fresnel_rhomb_makes_circular_light():
+    """Two reflections at 54°37′ in glass of index 1.51 turn light at 45° into circular light."""
     theta = math.radians(54 + 37 / 60)
     normal = np.array([0.0, 0.0, 1.0])
     d = np.array([math.sin(theta), 0.0, -math.cos(theta)])
     e = np.array([math.cos(theta), 0.0, math.sin(theta)])
-    share, *out = compute_reflection(d, e, (0, 1, 0), normal, 1.51, 1.0)
-    assert share == 1.0
-    # One eighth of a wave.
+    reflectance, *out = compute_reflection(d, e, (0, 1, 0), normal, 1.51, 1.0)
+    assert reflectance == 1.0
+    # A phase shift of one eighth of a wave.
     assert out[2] == pytest.approx([0.0, math.sqrt(0.5), math.sqrt(0.5)], abs=1e-3)
-    share, *out = compute_reflection(*out, -normal, 1.51, 1.0)
-    assert share == 1.0
+    reflectance, *out = compute_reflection(*out, -normal, 1.51, 1.0)
+    assert reflectance == 1.0
     assert out[0] == pytest.approx(d, abs=1e-15)
     assert out[2] == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
 
 
-def test_normal_incidence():
+def test_normal_incidence_preserves_polarization():
     rng = np.random.default_rng(9)
     r = ((1.33 - 1.0) / (1.33 + 1.0)) ** 2
     for cos_i in (1.0, 1.0 - 1e-15):
         d, e, s, n = draw_incident_light(rng, cos_i, pure=True)
-        share, d2, e2, s2 = compute_reflection(d, e, s, n, 1.0, 1.33)
-        assert share == pytest.approx(r, rel=1e-13)
+        reflectance, d2, e2, s2 = compute_reflection(d, e, s, n, 1.0, 1.33)
+        assert reflectance == pytest.approx(r, rel=1e-13)
         assert d2 == pytest.approx(-d, abs=1e-7)
-        # The light that comes back has the same lines of polarization and the other handedness.
+        # Reflection keeps the axes of polarization and reverses the handedness.
         q, u = rotate_linear(s2, e2, d2, e)
         assert (q, u, s2[2]) == pytest.approx((s[0], -s[1], -s[2]), abs=1e-6)
-        passed, d2, e2, s2 = compute_refraction(d, e, s, n, 1.0, 1.33)
-        assert passed == pytest.approx(1.0 - r, rel=1e-13)
+        transmittance, d2, e2, s2 = compute_refraction(d, e, s, n, 1.0, 1.33)
+        assert transmittance == pytest.approx(1.0 - r, rel=1e-13)
         q, u = rotate_linear(s2, e2, d2, e)
         assert (q, u, s2[2]) == pytest.approx(s, abs=1e-6)
 
@@ -295,8 +302,8 @@ def test_normal_incidence():
 def test_grazing_incidence_reflects_everything(indices):
     rng = np.random.default_rng(10)
     d, e, s, n = draw_incident_light(rng, 0.0, pure=True)
-    share, _, e2, s2 = compute_reflection(d, e, s, n, *indices)
-    assert share == pytest.approx(1.0, abs=1e-14)
+    reflectance, _, e2, s2 = compute_reflection(d, e, s, n, *indices)
+    assert reflectance == pytest.approx(1.0, abs=1e-14)
     q, u = rotate_linear(s2, e2, d, e)
     assert (q, u, s2[2]) == pytest.approx(s, abs=1e-14)
 
@@ -305,36 +312,36 @@ def test_equal_media_have_no_interface():
     rng = np.random.default_rng(11)
     for cos_i in (0.0, 1e-9, 0.5, 1.0):
         d, e, s, n = draw_incident_light(rng, cos_i, pure=True)
-        passed, d2, e2, s2 = compute_refraction(d, e, s, n, 1.33, 1.33)
-        assert passed == 1.0
+        transmittance, d2, e2, s2 = compute_refraction(d, e, s, n, 1.33, 1.33)
+        assert transmittance == 1.0
         assert d2 == pytest.approx(d, abs=1e-15)
         q, u = rotate_linear(s2, e2, d, e)
         assert (q, u, s2[2]) == pytest.approx(s, abs=1e-14)
         assert compute_reflection(d, e, s, n, 1.33, 1.33)[0] == 0.0
 
 
-def test_light_stays_possible():
+def test_stokes_vectors_stay_physical():
     rng = np.random.default_rng(12)
     for i in range(10 * GEOMETRIES):
         d, e, s, n = draw_incident_light(rng, rng.choice(COSINES), pure=i % 2 == 0)
         n1, n2 = INDICES[i % len(INDICES)]
-        shares = []
+        fractions = []
         for kernel in (compute_reflection, compute_refraction):
-            share, d2, e2, s2 = kernel(d, e, s, n, n1, n2)
-            shares.append(share)
-            assert -1e-15 <= share <= 1.0 + 1e-15
+            fraction, d2, e2, s2 = kernel(d, e, s, n, n1, n2)
+            fractions.append(fraction)
+            assert -1e-15 <= fraction <= 1.0 + 1e-15
             assert_frame(d2, e2, within=1e-14)
             assert np.linalg.norm(s2) <= 1.0 + 1e-15
-        assert sum(shares) == pytest.approx(1.0, abs=1e-14)
+        assert sum(fractions) == pytest.approx(1.0, abs=1e-14)
 
 
-def test_reflect_or_refract_returns_one_of_both():
+def test_sampled_interaction_is_reflection_or_refraction():
     rng = np.random.default_rng(13)
     state = start_random_stream()
     seen = set()
     for i in range(GEOMETRIES):
         d, e, s, n = draw_incident_light(rng, rng.random(), pure=i % 2 == 0)
-        passed, *out = faces.sample_polarized_interface(
+        passed, *out = interface.sample_polarized_interface(
             state, to_vector(d), to_kernel_light(e, s), to_vector(n), 1.33, 1.0
         )
         kernel = compute_refraction if passed else compute_reflection

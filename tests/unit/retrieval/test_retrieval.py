@@ -25,130 +25,140 @@ def table():
     return make_snowlike_table()
 
 
-def make_model(table, free, at=FIXED, noise=0.01):
+def make_model(table, free, fixed=FIXED, noise=0.01):
     measurement = Measurement.from_input((W, np.full(W.size, 0.5)), noise)
-    which = StateVector.from_ranges(free, None, get_table_ranges(table))
-    return TableForwardModel(table, measurement, which, at)
+    state_vector = StateVector.from_ranges(free, None, get_table_ranges(table))
+    return TableForwardModel(table, measurement, state_vector, fixed)
 
 
-def test_values_are_those_of_the_table(table):
+def test_model_values_equal_table_interpolation(table):
     model = make_model(table, [SIZE, SOOT], {"incidence_deg": 20.0})
-    places = np.random.default_rng(1).random((20, 2))
-    found = model.evaluate(places)
-    for place, row in zip(places, found, strict=True):
-        size, dirt = model.state_vector.to_physical(place)
-        there = table.interp(**{SIZE: size, SOOT: dirt, "incidence_deg": 20.0})
-        np.testing.assert_allclose(row, there.reflectance, rtol=1e-9)
+    states = np.random.default_rng(1).random((20, 2))
+    values = model.evaluate(states)
+    for state, row in zip(states, values, strict=True):
+        size, soot = model.state_vector.to_physical(state)
+        expected = table.interp(**{SIZE: size, SOOT: soot, "incidence_deg": 20.0})
+        np.testing.assert_allclose(row, expected.reflectance, rtol=1e-9)
 
 
-def test_slopes_are_those_of_the_values(table):
+def test_jacobian_equals_finite_differences(table):
     model = make_model(table, [SIZE, SOOT, "scale"])
-    place = np.array([0.31, 0.62, 0.4])
-    values, slopes = model.evaluate_with_jacobian(place)
-    np.testing.assert_allclose(values, model.evaluate(place[np.newaxis])[0])
+    state = np.array([0.31, 0.62, 0.4])
+    values, slopes = model.evaluate_with_jacobian(state)
+    np.testing.assert_allclose(values, model.evaluate(state[np.newaxis])[0])
     for i, step in enumerate(1e-6 * np.eye(3)):
-        both = model.evaluate(np.stack([place - step, place + step]))
-        np.testing.assert_allclose(slopes[:, i], (both[1] - both[0]) / 2e-6, rtol=1e-5, atol=1e-8)
+        pair = model.evaluate(np.stack([state - step, state + step]))
+        np.testing.assert_allclose(slopes[:, i], (pair[1] - pair[0]) / 2e-6, rtol=1e-5, atol=1e-8)
 
 
-def test_linear_models_have_the_exact_answer():
-    """Where all is linear and normal, the textbook's formulas hold (Rodgers 2000, chapter 2)."""
-    rows = np.stack([np.ones(W.size), np.linspace(-1.0, 1.0, W.size)])
+def test_linear_gaussian_case_matches_exact_solution():
+    """A linear Gaussian problem has the closed-form solution of Rodgers (2000, chapter 2)."""
+    slopes = np.stack([np.ones(W.size), np.linspace(-1.0, 1.0, W.size)])
     nodes = np.linspace(-1.0, 1.0, 6)
-    linear = make_table(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
+    linear = make_table(lambda a, b: 0.5 + 0.1 * (a * slopes[0] + b * slopes[1]),
                       {"a": nodes, "b": nodes}, 1e-8)  # fmt: skip
     noise, prior = 0.02, {"a": (0.1, 0.2), "b": (-0.1, 0.3)}
-    measured = 0.5 + 0.1 * (0.2 * rows[0] - 0.3 * rows[1])
-    found = splits.retrieve((W, measured), linear, ["a", "b"], noise, prior=prior)
-    k = 0.1 * rows.T
-    fisher, before = k.T @ k / noise**2, np.diag([1.0 / 0.2**2, 1.0 / 0.3**2])
-    after = np.linalg.inv(fisher + before)
-    exact = after @ (fisher @ [0.2, -0.3] + before @ [0.1, -0.1])
-    ds = found.dataset
+    measured = 0.5 + 0.1 * (0.2 * slopes[0] - 0.3 * slopes[1])
+    result = splits.retrieve((W, measured), linear, ["a", "b"], noise, prior=prior)
+    k = 0.1 * slopes.T
+    fisher, prior_inverse = k.T @ k / noise**2, np.diag([1.0 / 0.2**2, 1.0 / 0.3**2])
+    posterior = np.linalg.inv(fisher + prior_inverse)
+    exact = posterior @ (fisher @ [0.2, -0.3] + prior_inverse @ [0.1, -0.1])
+    ds = result.dataset
     np.testing.assert_allclose(ds.value, exact, atol=1e-6)
-    kernel = (after @ fisher) * np.array([0.2, 0.3]) / np.array([[0.2], [0.3]])
+    kernel = (posterior @ fisher) * np.array([0.2, 0.3]) / np.array([[0.2], [0.3]])
     np.testing.assert_allclose(ds.averaging_kernel, kernel, atol=1e-6)
-    assert ds.attrs["degrees_of_freedom"] == pytest.approx(np.trace(after @ fisher), rel=1e-5)
-    bits = 0.5 * np.linalg.slogdet(np.eye(2) + fisher @ np.linalg.inv(before))[1] / np.log(2.0)
+    assert ds.attrs["degrees_of_freedom"] == pytest.approx(np.trace(posterior @ fisher), rel=1e-5)
+    bits = (
+        0.5 * np.linalg.slogdet(np.eye(2) + fisher @ np.linalg.inv(prior_inverse))[1] / np.log(2.0)
+    )
     assert ds.attrs["information_bits"] == pytest.approx(bits, rel=1e-5)
-    # Of 4000 draws, a spread is known to 1 to 2 %, a mean to 2 % of it.
-    draws = ds.draws.values
-    np.testing.assert_allclose(np.cov(draws, rowvar=False), after, atol=0.08 * after.max())
-    np.testing.assert_allclose(draws.mean(axis=0), exact, atol=0.08 * np.sqrt(after.max()))
+    # With 4000 samples the standard error of a standard deviation is 1 to 2 % of it, and that of
+    # a mean 2 % of it.
+    samples = ds.draws.values
+    np.testing.assert_allclose(
+        np.cov(samples, rowvar=False), posterior, atol=0.08 * posterior.max()
+    )
+    np.testing.assert_allclose(samples.mean(axis=0), exact, atol=0.08 * np.sqrt(posterior.max()))
 
 
-def test_draws_follow_a_posterior_that_is_not_normal(table):
-    """Little dirt, which the measurement hardly tells from none, against integration."""
+def test_samples_follow_a_non_gaussian_posterior(table):
+    """A soot content near the detection limit, compared with numerical integration."""
     measured = evaluate_spectrum(200.0, 3.0)
-    found = splits.retrieve((W, measured), table, [SOOT], 0.01, fixed={**FIXED, SIZE: 200.0})
+    result = splits.retrieve((W, measured), table, [SOOT], 0.01, fixed={**FIXED, SIZE: 200.0})
     model = make_model(table, [SOOT], {**FIXED, SIZE: 200.0})
     u = np.linspace(0.0, 1.0, 20_001)
-    best = np.sqrt(found.dataset.value.values / 1600.0)
-    off = model.evaluate(u[:, np.newaxis]) - measured
+    best = np.sqrt(result.dataset.value.values / 1600.0)
+    misfit = model.evaluate(u[:, np.newaxis]) - measured
     covariance = model.measurement.covariance + model.compute_error_covariance(best)
-    chi2 = (off * np.linalg.solve(covariance, off.T).T).sum(axis=1)
-    height = np.cumsum(np.exp(-0.5 * (chi2 - chi2.min())))
-    shares = found.dataset["quantile"].values
-    places = np.sqrt(found.dataset.quantiles.values[:, 0] / 1600.0)
-    exact = np.interp(places, u, height / height[-1])
-    # Quantiles of so many draws, by four standard errors.
-    many = found.dataset.attrs["effective_sample_size"]
-    assert (np.abs(exact - shares) < 4.0 * np.sqrt(shares * (1.0 - shares) / many)).all()
+    chi2 = (misfit * np.linalg.solve(covariance, misfit.T).T).sum(axis=1)
+    cumulative = np.cumsum(np.exp(-0.5 * (chi2 - chi2.min())))
+    probabilities = result.dataset["quantile"].values
+    coordinates = np.sqrt(result.dataset.quantiles.values[:, 0] / 1600.0)
+    exact = np.interp(coordinates, u, cumulative / cumulative[-1])
+    # Four binomial standard errors of the quantiles.
+    n_samples = result.dataset.attrs["effective_sample_size"]
+    assert (
+        np.abs(exact - probabilities)
+        < 4.0 * np.sqrt(probabilities * (1.0 - probabilities) / n_samples)
+    ).all()
 
 
 @NEEDS_JIT
-def test_errors_cover_the_truth(table):
+def test_credible_intervals_cover_the_truth(table):
     random = np.random.default_rng(5)
     model = make_model(table, [SIZE, SOOT])
-    inside = np.zeros((2, 2), dtype=int)
-    misfits, many = [], 200
-    for number in range(many):
-        size, dirt = model.state_vector.to_physical(random.random(2))
-        measured = evaluate_spectrum(size, dirt) + 0.01 * random.standard_normal(W.size)
-        found = splits.retrieve((W, measured), table, [SIZE, SOOT], 0.01, fixed=FIXED, seed=number)
-        quantiles = found.dataset.quantiles.values
+    n_covered = np.zeros((2, 2), dtype=int)
+    misfits, n_fits = [], 200
+    for number in range(n_fits):
+        size, soot = model.state_vector.to_physical(random.random(2))
+        measured = evaluate_spectrum(size, soot) + 0.01 * random.standard_normal(W.size)
+        result = splits.retrieve((W, measured), table, [SIZE, SOOT], 0.01, fixed=FIXED, seed=number)
+        quantiles = result.dataset.quantiles.values
         for row, (low, high) in enumerate(((1, 3), (0, 4))):
-            inside[row] += (quantiles[low] <= [size, dirt]) & ([size, dirt] <= quantiles[high])
-        misfits.append(found.dataset.attrs["chi2"])
-    for row, share in zip(inside, (0.68, 0.95), strict=True):
-        low, high = binom.ppf([0.001, 0.999], many, share)
+            n_covered[row] += (quantiles[low] <= [size, soot]) & ([size, soot] <= quantiles[high])
+        misfits.append(result.dataset.attrs["chi2"])
+    for row, probability in zip(n_covered, (0.68, 0.95), strict=True):
+        low, high = binom.ppf([0.001, 0.999], n_fits, probability)
         assert (low <= row).all() and (row <= high).all()
-    assert np.mean(misfits) == pytest.approx(W.size - 2, abs=4.0 * np.sqrt(2.0 * 9 / many))
+    assert np.mean(misfits) == pytest.approx(W.size - 2, abs=4.0 * np.sqrt(2.0 * 9 / n_fits))
 
 
-def test_a_table_with_covariance_gives_the_correlations():
-    """One error at all wavelengths, of the shape of dirt, does not average away."""
+def test_table_batches_give_correlated_errors():
+    """A fully correlated error of the spectral shape of soot does not average out."""
     plain = make_snowlike_table(stderr=0.004)
     shape = np.linspace(2.0, 0.5, W.size) * 0.004 / np.sqrt(32.0)
     dims = ("batch", *plain.dataset.reflectance.dims)
     size = tuple(plain.dataset.reflectance.shape)
     signs = np.where(np.arange(32) % 2, 1.0, -1.0).reshape(-1, *[1] * len(size))
-    groups = (signs * np.broadcast_to(shape, size)).astype(np.float32)
-    both = plain.dataset.assign(reflectance_batches=(dims, groups))
-    model = make_model(splits.Table(both), [SIZE, SOOT], noise=0.001)
-    # In the middle of a cell, where weights of nodes are not all the same.
-    found = model.compute_error_covariance(np.array([0.4, 0.3]))
-    alike = 32.0 * np.outer(shape, shape)
-    off = ~np.eye(W.size, dtype=bool)
-    np.testing.assert_allclose(found[off], alike[off], rtol=0.02, atol=1e-7)
-    assert (np.diag(found) >= 0.99 * np.maximum(np.diag(alike), 0.25 * 0.004**2)).all()
+    batches = (signs * np.broadcast_to(shape, size)).astype(np.float32)
+    dataset = plain.dataset.assign(reflectance_batches=(dims, batches))
+    model = make_model(splits.Table(dataset), [SIZE, SOOT], noise=0.001)
+    # Between grid nodes, where the interpolation weights differ.
+    covariance = model.compute_error_covariance(np.array([0.4, 0.3]))
+    expected = 32.0 * np.outer(shape, shape)
+    off_diagonal = ~np.eye(W.size, dtype=bool)
+    np.testing.assert_allclose(
+        covariance[off_diagonal], expected[off_diagonal], rtol=0.02, atol=1e-7
+    )
+    assert (np.diag(covariance) >= 0.99 * np.maximum(np.diag(expected), 0.25 * 0.004**2)).all()
 
 
 def test_unconstrained_parameters_are_reported(table):
     measured = (W, evaluate_spectrum(200.0, 50.0))
-    found = splits.retrieve(measured, table, [SIZE, "incidence_deg"], 0.01, fixed={SOOT: 50.0})
-    assert found.constrained == {SIZE: True, "incidence_deg": False}
+    result = splits.retrieve(measured, table, [SIZE, "incidence_deg"], 0.01, fixed={SOOT: 50.0})
+    assert result.constrained == {SIZE: True, "incidence_deg": False}
     assert any(
-        "not constrained by the measurement: incidence_deg" in line for line in found.warnings
+        "not constrained by the measurement: incidence_deg" in line for line in result.warnings
     )
-    assert "not constrained by the measurement" in repr(found)
-    assert found.dataset.attrs["degrees_of_freedom"] == pytest.approx(1.0, abs=0.02)
+    assert "not constrained by the measurement" in repr(result)
+    assert result.dataset.attrs["degrees_of_freedom"] == pytest.approx(1.0, abs=0.02)
 
 
 def test_one_band_does_not_constrain_two_parameters(table):
-    found = splits.retrieve(([600.0], evaluate_spectrum(200.0, 500.0, np.array([600.0]))), table,
+    result = splits.retrieve(([600.0], evaluate_spectrum(200.0, 500.0, np.array([600.0]))), table,
                             [SIZE, SOOT], 0.01, fixed=FIXED)  # fmt: skip
-    assert not all(found.constrained.values())
+    assert not all(result.constrained.values())
 
 
 def test_a_misfit_enlarges_the_errors(table):
@@ -156,42 +166,43 @@ def test_a_misfit_enlarges_the_errors(table):
     plain = splits.retrieve(
         (W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.005, fixed={**FIXED, SOOT: 50.0}
     )
-    found = splits.retrieve((W, bumpy), table, [SIZE], 0.005, fixed={**FIXED, SOOT: 50.0})
-    assert any("does not fit" in line for line in found.warnings)
-    assert found.stderr[SIZE] > 3.0 * plain.stderr[SIZE]
+    result = splits.retrieve((W, bumpy), table, [SIZE], 0.005, fixed={**FIXED, SOOT: 50.0})
+    assert any("does not fit" in line for line in result.warnings)
+    assert result.stderr[SIZE] > 3.0 * plain.stderr[SIZE]
 
 
-def test_unknown_noise_is_found_from_the_misfit(table):
-    """Least squares, off by what their errors say, with noise that is alike over 100 nm."""
+def test_unknown_noise_is_estimated_from_the_misfit(table):
+    """Stated errors match the deviations for noise with a correlation length of 100 nm."""
     random = np.random.default_rng(11)
-    alike = 0.01**2 * np.exp(-np.abs(W[:, np.newaxis] - W) / 100.0)
-    factor = np.linalg.cholesky(alike)
-    off, stated = [], []
+    covariance = 0.01**2 * np.exp(-np.abs(W[:, np.newaxis] - W) / 100.0)
+    factor = np.linalg.cholesky(covariance)
+    deviations, stated = [], []
     for number in range(100):
         measured = evaluate_spectrum(200.0, 50.0) + factor @ random.standard_normal(W.size)
-        found = splits.retrieve(
+        result = splits.retrieve(
             (W, measured), table, [SIZE], fixed={**FIXED, SOOT: 50.0}, seed=number
         )
-        own = np.log(found.dataset.draws.values[:, 0])
-        off.append(own.mean() - np.log(200.0))
-        stated.append(own.std())
-    # 100 fits know an rms to 7 %: three of these; from few values errors are rather too large.
-    assert 0.6 < np.sqrt(np.mean((np.array(off) / np.array(stated)) ** 2)) < 1.21
-    assert "as noise is not given" in repr(found)
-    least = np.sqrt(np.mean((found.dataset.fitted - found.dataset.measured) ** 2))
-    assert found.dataset.attrs["rmse"] == pytest.approx(float(least))
+        log_sizes = np.log(result.dataset.draws.values[:, 0])
+        deviations.append(log_sizes.mean() - np.log(200.0))
+        stated.append(log_sizes.std())
+    # The rms of 100 fits has a relative standard error of 7 %: three of these; with few values
+    # the errors are overestimated.
+    assert 0.6 < np.sqrt(np.mean((np.array(deviations) / np.array(stated)) ** 2)) < 1.21
+    assert "as noise is not given" in repr(result)
+    rmse = np.sqrt(np.mean((result.dataset.fitted - result.dataset.measured) ** 2))
+    assert result.dataset.attrs["rmse"] == pytest.approx(float(rmse))
 
 
-def test_priors_count_for_unknown_noise(table):
+def test_priors_are_used_with_unknown_noise(table):
     measured = evaluate_spectrum(200.0, 50.0) + 0.01 * np.random.default_rng(12).standard_normal(
         W.size
     )
     free, at = [SIZE], {**FIXED, SOOT: 50.0}
     plain = splits.retrieve((W, measured), table, free, fixed=at)
-    held = splits.retrieve((W, measured), table, free, fixed=at, prior={SIZE: (300.0, 1.0)})
-    assert held.values[SIZE] == pytest.approx(300.0, abs=4.0)
-    assert held.stderr[SIZE] < plain.stderr[SIZE]
-    assert any("prior and measurement are" in line for line in held.warnings)
+    constrained = splits.retrieve((W, measured), table, free, fixed=at, prior={SIZE: (300.0, 1.0)})
+    assert constrained.values[SIZE] == pytest.approx(300.0, abs=4.0)
+    assert constrained.stderr[SIZE] < plain.stderr[SIZE]
+    assert any("prior and measurement are" in line for line in constrained.warnings)
 
 
 def test_too_few_values_do_not_determine_noise(table):
@@ -202,42 +213,42 @@ def test_too_few_values_do_not_determine_noise(table):
 
 
 def test_a_prior_that_excludes_the_truth_is_reported(table):
-    found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.01,
+    result = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.01,
                             fixed={**FIXED, SOOT: 50.0}, prior={SIZE: (900.0, 30.0)})  # fmt: skip
-    assert any("prior and measurement are" in line for line in found.warnings)
+    assert any("prior and measurement are" in line for line in result.warnings)
 
 
-def test_the_end_of_a_range_is_reported(table):
-    found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, {SIZE: (50.0, 150.0)}, 0.01,
+def test_a_solution_at_a_bound_is_reported(table):
+    result = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, {SIZE: (50.0, 150.0)}, 0.01,
                             fixed={**FIXED, SOOT: 50.0})  # fmt: skip
-    assert any("high end of its range, 150" in line for line in found.warnings)
+    assert any("high end of its range, 150" in line for line in result.warnings)
 
 
-def test_the_scale_of_a_panel(table):
+def test_scale_factor_is_retrieved(table):
     measured = 1.12 * evaluate_spectrum(200.0, 50.0)
-    found = splits.retrieve((W, measured), table, [SIZE, SOOT, "scale"], 0.002, fixed=FIXED)
-    assert found.values["scale"] == pytest.approx(1.12, abs=4.0 * found.stderr["scale"])
+    result = splits.retrieve((W, measured), table, [SIZE, SOOT, "scale"], 0.002, fixed=FIXED)
+    assert result.values["scale"] == pytest.approx(1.12, abs=4.0 * result.stderr["scale"])
 
 
-def test_bands(table):
+def test_band_averages_are_retrieved(table):
     bands = {"red": (600, 700), "near infrared": (800, 900), "1240": (1200, 1300)}
     w = np.linspace(500.0, 1500.0, 1001)
     fine = evaluate_spectrum(300.0, 200.0, w)
     means = [fine[(w >= low) & (w <= high)].mean() for low, high in bands.values()]
-    found = splits.retrieve(means, table, [SIZE, SOOT], 0.003, fixed=FIXED, bands=bands)
-    assert found.values[SIZE] == pytest.approx(300.0, abs=4.0 * found.stderr[SIZE])
+    result = splits.retrieve(means, table, [SIZE, SOOT], 0.003, fixed=FIXED, bands=bands)
+    assert result.values[SIZE] == pytest.approx(300.0, abs=4.0 * result.stderr[SIZE])
 
 
-def test_series_and_arrays_say_the_same(table):
+def test_all_spectrum_types_give_the_same_result(table):
     measured = evaluate_spectrum(200.0, 50.0)
-    kinds = [
+    forms = [
         (W, measured),
         pd.Series(measured, index=W),
         pd.DataFrame({"reflectance": measured}, index=W),
         xr.DataArray(measured, {"wavelength": W}, "wavelength"),
     ]
     first, *others = (
-        splits.retrieve(one, table, [SIZE], 0.01, fixed={**FIXED, SOOT: 50.0}) for one in kinds
+        splits.retrieve(form, table, [SIZE], 0.01, fixed={**FIXED, SOOT: 50.0}) for form in forms
     )
     for other in others:
         xr.testing.assert_equal(other.dataset, first.dataset)
@@ -256,45 +267,45 @@ INVALID_CALLS = {
         {"noise": pd.Series(0.01, index=W + 500.0)},
         "noise = .values at .*must be values at",
     ),
-    "counted": ({"measured": pd.Series(VALID_CALLS[1])}, "default index.*index_col"),
+    "default index": ({"measured": pd.Series(VALID_CALLS[1])}, "default index.*index_col"),
     "texts": ({"measured": (W, ["dark"] * W.size)}, "measured = .*numbers"),
     "errors of errors": (
         {"noise": {"stderr": 1e-4 * np.eye(W.size), "correlation_nm": 100.0}},
         "one standard error or 11",
     ),
-    "huge": ({"noise": 10.0 * np.eye(W.size)}, "a variance of 10"),
+    "huge covariance": ({"noise": 10.0 * np.eye(W.size)}, "a variance of 10"),
     "two angles": ({"fixed": {**FIXED, "sza": 20.0}}, "left out beside"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
-    "noise of one too few": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
+    "noise of wrong length": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
     "unknown": ({"free": ["optical_radius"]}, "did you mean"),
-    "a level only": (
+    "scale only": (
         {"free": ["scale"], "fixed": {**FIXED, SIZE: 100.0, SOOT: 10.0}},
         "at least one axis",
     ),
-    "a vague prior": ({"prior": {SIZE: (500.0, 5000.0)}}, "fits into the range"),
-    "nothing free": ({"free": []}, "names of parameters"),
-    "contradictory": ({"free": {SIZE: (300.0, 200.0), SOOT: (0.0, 10.0)}}, "low < high"),
-    "beyond the table": ({"free": {SIZE: (10.0, 200.0), SOOT: (0.0, 10.0)}}, "40 <= low"),
+    "wide prior": ({"prior": {SIZE: (500.0, 5000.0)}}, "fits into the range"),
+    "no free parameter": ({"free": []}, "names of parameters"),
+    "reversed range": ({"free": {SIZE: (300.0, 200.0), SOOT: (0.0, 10.0)}}, "low < high"),
+    "outside the table": ({"free": {SIZE: (10.0, 200.0), SOOT: (0.0, 10.0)}}, "40 <= low"),
     "angle left out": ({"fixed": {}}, "fixed.incidence_deg"),
     "free and given": ({"fixed": {**FIXED, SIZE: 100.0}}, "left out, as it is free"),
-    "prior of nothing": ({"prior": {"depth_m": (1.0, 1.0)}}, "unknown key"),
+    "prior of an unknown parameter": ({"prior": {"depth_m": (1.0, 1.0)}}, "unknown key"),
     "prior outside": ({"prior": {SIZE: (5000.0, 10.0)}}, "a mean in the range"),
-    "sure prior": ({"prior": {SIZE: (500.0, 0.0)}}, "standard deviation above 0"),
+    "prior without spread": ({"prior": {SIZE: (500.0, 0.0)}}, "standard deviation above 0"),
     "no table": ({"model": 3}, "a Table"),
     "another quantity": ({"quantity": "transmittance"}, "reflectance"),
 }
 
 
 @pytest.mark.parametrize("name", INVALID_CALLS)
-def test_bad_input_is_rejected_in_one_line(table, name):
-    other, message = INVALID_CALLS[name]
-    given = {
+def test_invalid_input_is_rejected_in_one_line(table, name):
+    arguments, message = INVALID_CALLS[name]
+    valid = {
         "measured": VALID_CALLS,
         "model": table,
         "free": [SIZE, SOOT],
         "noise": 0.01,
         "fixed": FIXED,
     }
-    with pytest.raises(InvalidValue, match=message) as caught:
-        splits.retrieve(**(given | other))
-    assert "\n" not in str(caught.value)
+    with pytest.raises(InvalidValue, match=message) as error:
+        splits.retrieve(**(valid | arguments))
+    assert "\n" not in str(error.value)

@@ -1,0 +1,69 @@
+"""Rejection of unknown keywords, with a message that lists the known ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Any, ParamSpec, TypeVar
+
+from splits.core.validation import InvalidValue, unknown_key
+
+Class = TypeVar("Class", bound=type)
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def list_keywords(kind: Any) -> list[str]:
+    """Return the keywords of a dataclass: its fields and those in `OTHER_KEYWORDS`."""
+    return [field.name for field in fields(kind)] + list(getattr(kind, "OTHER_KEYWORDS", ()))
+
+
+def reject_unknown_keywords(kind: Class) -> Class:
+    """Decorate a dataclass to reject unknown keywords with a message that lists the known ones.
+
+    Errors are raised from here; see `reject_unknown_arguments`.
+    """
+    construct: Callable[..., None] = kind.__init__  # type: ignore[misc]
+
+    @wraps(construct)
+    def checked(self: Any, *values: Any, **keywords: Any) -> None:
+        _call_checked(construct, list_keywords(kind), (self, *values), keywords)
+
+    kind.__init__ = checked  # type: ignore[misc]
+    return kind
+
+
+def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Decorate a public function to reject unknown keywords with a list of the known ones.
+
+    Errors of invalid values and missing files are raised from here, so that the traceback shows
+    the line of the call without the internal calls between it and the check.
+    """
+    parameters = signature(function).parameters
+    takes_any = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
+    names = None if takes_any else [name for name in parameters if name not in ("self", "cls")]
+
+    @wraps(function)
+    def checked(*values: Given.args, **keywords: Given.kwargs) -> Result:
+        result: Result = _call_checked(function, names, values, keywords)
+        return result
+
+    return checked
+
+
+def _call_checked(
+    function: Callable[..., Any],
+    names: list[str] | None,
+    values: tuple[Any, ...],
+    keywords: Mapping[str, Any],
+) -> Any:
+    """Call a function; raise errors of unknown keywords and invalid values from here."""
+    for key in keywords:
+        if names is not None and key not in names:
+            raise TypeError(str(unknown_key(key, names)))
+    try:
+        return function(*values, **keywords)
+    except (InvalidValue, FileNotFoundError) as error:
+        raise error.with_traceback(None) from None

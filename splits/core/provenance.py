@@ -1,8 +1,8 @@
 """Provenance: package version, git commit and digest of the sources of a simulation.
 
 The digest covers the files that determine the numbers of a dataset.  Every dataset holds it, and
-the workflow runs a simulation again when it changes.  Plotting, tables and
-the loading of configuration files are not part of it.
+the workflow runs a simulation again when it changes.  Plotting, tables and the
+loading of configuration files are not part of it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ FIT_SOURCES = (
 RETRIEVAL_SOURCES = (
     "analysis/theory/kokhanovsky_zege.py",
     "experiments/config/retrieve.py", "experiments/run_retrieve.py",
-    "tables/export.py", "tables/interpolation.py", "tables/axis_order.py", "tables/table.py",
+    "tables/export.py", "tables/interpolation.py", "tables/interpolated_spectra.py",
+    "tables/axis_order.py", "tables/table.py",
     "materials/impurities.csv", "materials/impurities.py", "media/measured_inputs.py",
     "retrieval/state_vector.py", "retrieval/cubic_interpolation.py", "retrieval/band_selection.py",
     "retrieval/optimal_estimation.py", "retrieval/forward_model.py", "retrieval/sobol.py",

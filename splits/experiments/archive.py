@@ -22,6 +22,7 @@ from splits.core.yaml import dump_yaml, read_yaml
 from splits.experiments.config.medium import list_table_paths, replace_table_paths
 from splits.experiments.config.settings import DEFAULT_LICENCE, FOLDER_KEYS, Settings
 from splits.io.citation import make_software_info, read_software_files
+from splits.io.member_names import find_name_collision, find_name_problem
 from splits.io.ro_crate import (
     METADATA_FILE,
     RO_CRATE_VERSION,
@@ -30,13 +31,7 @@ from splits.io.ro_crate import (
     Author,
     make_metadata,
 )
-from splits.io.unarchive import (
-    MAX_COMPRESSION_RATIO,
-    MIN_RATIO_CHECK_BYTES,
-    find_name_collision,
-    find_name_problem,
-    verify_archive,
-)
+from splits.io.unarchive import MAX_COMPRESSION_RATIO, MIN_RATIO_CHECK_BYTES, verify_archive
 
 LOCK_FILE = "requirements.txt"
 DATE_VARIABLE = "SOURCE_DATE_EPOCH"

@@ -12,7 +12,7 @@ import xarray as xr
 from splits.core.arrays import as_1d_array, check_no_gaps
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
-from splits.core.validation import check_choice, invalid
+from splits.core.validation import invalid
 from splits.io.integrity import NETCDF_LOCK
 from splits.io.netcdf import load, open_lazily, to_netcdf_attributes
 from splits.tables.axes import check_axis_values
@@ -25,10 +25,15 @@ from splits.tables.derivatives import (
     make_derivative_dataset,
 )
 from splits.tables.export import convert_to_spires, write_csv
+from splits.tables.interpolated_spectra import (
+    InterpolatedSpectra,
+    compute_axis_weights,
+    interpolate_first_axis,
+    interpolate_wavelengths,
+)
 from splits.tables.interpolation import (
     InterpolationWeights,
     check_within_axis,
-    compute_interpolation_weights,
 )
 from splits.tables.isofit import convert_to_isofit
 from splits.tables.storage import MAX_BYTES_IN_MEMORY
@@ -115,14 +120,14 @@ class Table:
             )
         subset, weights = self._select_stencil(at)
         spectra = [
-            _InterpolatedSpectra(*(subset[n].values.astype(float) for n in (q, f"{q}_stderr")))
+            InterpolatedSpectra(*(subset[n].values.astype(float) for n in (q, f"{q}_stderr")))
             for q in self.quantities
         ]
         for axis_weights in weights:
-            spectra = [_interpolate_first_axis(spectrum, axis_weights) for spectrum in spectra]
+            spectra = [interpolate_first_axis(spectrum, axis_weights) for spectrum in spectra]
         if not np.array_equal(targets, wavelengths):
             spectra = [
-                _interpolate_wavelengths(spectrum, wavelengths, targets) for spectrum in spectra
+                interpolate_wavelengths(spectrum, wavelengths, targets) for spectrum in spectra
             ]
         return self._make_dataset(spectra, targets, at)
 
@@ -240,7 +245,7 @@ class Table:
             values = self.dataset[name].values
             if name not in at and values.size > 1:
                 raise invalid(name, None, "given", "an axis of the table")
-            axis_weights = _compute_axis_weights(name, values, at.get(name, values[0]))
+            axis_weights = compute_axis_weights(name, values, at.get(name, values[0]))
             # Only nodes with weights are read from a table on disk.
             needed = np.union1d(
                 axis_weights.nodes, np.flatnonzero(axis_weights.error_weights.any(axis=0))
@@ -268,7 +273,7 @@ class Table:
         return [f"{q}{suffix}" for q in self.quantities for suffix in ("", "_stderr")]
 
     def _make_dataset(
-        self, spectra: list[_InterpolatedSpectra], wavelengths: np.ndarray, at: Any
+        self, spectra: list[InterpolatedSpectra], wavelengths: np.ndarray, at: Any
     ) -> xr.Dataset:
         """Return interpolated spectra as a dataset."""
         variables: dict[str, Any] = {}
@@ -299,65 +304,6 @@ def load_selection(selection: Part) -> Part:
         selection = selection.load()
     check_no_gaps("table", selection)
     return selection
-
-
-class _InterpolatedSpectra:
-    """Values, standard errors and interpolation errors over the remaining axes."""
-
-    def __init__(
-        self, value: np.ndarray, stderr: np.ndarray, interpolation_error: np.ndarray | None = None
-    ) -> None:
-        self.value, self.stderr = value, stderr
-        self.interpolation_error = (
-            np.zeros_like(value) if interpolation_error is None else interpolation_error
-        )
-
-
-def _compute_axis_weights(name: str, nodes: np.ndarray, axis_value: Any) -> InterpolationWeights:
-    """Return the interpolation weights of a position; a text value selects its node."""
-    if nodes.dtype.kind == "f":
-        return compute_interpolation_weights(name, nodes, axis_value)
-    check_choice(name, str(axis_value), nodes.tolist())
-    node = (nodes == str(axis_value)).argmax(keepdims=True)
-    return InterpolationWeights(node, np.ones(1), node[:0], np.zeros((0, nodes.size)))
-
-
-def _interpolate_first_axis(
-    spectra: _InterpolatedSpectra, axis_weights: InterpolationWeights
-) -> _InterpolatedSpectra:
-    """Interpolate spectra along the first axis."""
-    stencil = [
-        spectra.value[axis_weights.nodes],
-        spectra.stderr[axis_weights.nodes],
-        spectra.interpolation_error[axis_weights.nodes],
-    ]
-    value = np.tensordot(axis_weights.weights, stencil[0], 1)
-    # Nodes share paths or random numbers, so their correlation is between 0 and 1.
-    correlated = np.abs(np.tensordot(axis_weights.weights, stencil[1], 1))
-    stderr = np.maximum(
-        correlated, np.sqrt(np.tensordot(axis_weights.weights**2, stencil[1] ** 2, 1))
-    )
-    previous_error = np.tensordot(np.abs(axis_weights.weights), stencil[2], 1)
-    estimates = np.abs(np.tensordot(axis_weights.error_weights, spectra.value, 1))
-    axis_error = estimates.max(axis=0) if len(estimates) else np.zeros_like(value)
-    return _InterpolatedSpectra(value, stderr, np.hypot(previous_error, axis_error))
-
-
-def _interpolate_wavelengths(
-    spectra: _InterpolatedSpectra, nodes: np.ndarray, wavelengths: np.ndarray
-) -> _InterpolatedSpectra:
-    """Interpolate spectra to other wavelengths."""
-    points = [
-        _interpolate_first_axis(
-            spectra, compute_interpolation_weights("wavelength", nodes, float(point))
-        )
-        for point in wavelengths
-    ]
-    value, stderr, interpolation_error = (
-        np.array([getattr(point, name) for point in points])
-        for name in ("value", "stderr", "interpolation_error")
-    )
-    return _InterpolatedSpectra(value, stderr, interpolation_error)
 
 
 @reject_unknown_arguments

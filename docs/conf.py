@@ -48,7 +48,7 @@ myst_links_external_new_tab = False
 # Examples run while the site is built, each page in a folder of its own, and again only when it or
 # the package has changed.
 nb_execution_mode = "cache"
-# Or every kernel warns that what it is told crosses this machine unencrypted.
+# Kernels print a warning if their connections are not encrypted.
 KernelManager.transport_encryption.default_value = "auto"
 SOURCES = sorted(
     p.relative_to(PACKAGE_FOLDER).as_posix() for p in PACKAGE_FOLDER.rglob("*.[pc]*[yv]")

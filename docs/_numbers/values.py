@@ -137,8 +137,8 @@ def _list_surface_area_numbers() -> dict[str, QuotedNumber]:
             select = select_cell("area", "area_stderr", spectrum=spectrum, window=window)
             numbers[f"area.{name}.{label}"] = QuotedNumber(table, select, ".1f")
         filters: RowFilter = {"spectrum": spectrum, "window": "all"}
-        numbers[f"area.{name}.level"] = QuotedNumber(
-            table, select_cell("level", "level_stderr", **filters)
+        numbers[f"area.{name}.scale"] = QuotedNumber(
+            table, select_cell("scale", "scale_stderr", **filters)
         )
         numbers[f"area.{name}.rmse"] = QuotedNumber(table, select_cell("rmse", **filters))
     return numbers

@@ -1,8 +1,8 @@
-"""Light reflected and transmitted by snow, sand and rough layers: all experiments of config/.
+"""Workflow that runs all experiments and studies of config/ and draws their figures.
 
-snakemake --cores 2                             everything
-snakemake --cores 2 fig08_grain_size            one experiment or study, by its name
-snakemake --cores 2 --config accuracy=draft     a quick look
+snakemake --cores 2                             all results
+snakemake --cores 2 fig08_grain_size            one experiment or study
+snakemake --cores 2 --config accuracy=draft     all results at low accuracy
 """
 
 import os
@@ -15,11 +15,11 @@ from snakemake.utils import update_config
 from splits.core.interrupts import forward_interrupts
 from splits.experiments import ConfigError, load_experiments, load_settings, read_yaml
 
-# Or snakemake would wait for running jobs to complete.
+# Otherwise snakemake would wait for running jobs to complete.
 forward_interrupts()
 
-# Jobs share the cores already: linear algebra that takes all of them in every job gets many times
-# as slow.
+# Jobs already use all cores in parallel. Multithreaded linear algebra in each of them would be many
+# times slower.
 for library in ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM"):
     os.environ.setdefault(f"{library}_THREADS", "1")
 
@@ -30,7 +30,8 @@ configfile: "config/config.yaml"
 report: "workflow/report/workflow.rst"
 
 
-# Snakemake has read YAML 1.1, where 045 is 37 and 1:15 is 75: the same files again as YAML 1.2.
+# Snakemake has parsed the files as YAML 1.1, where 045 is 37 and 1:15 is 75. They are parsed again
+# as YAML 1.2.
 GIVEN = workflow.config_settings
 OWN = workflow.configfiles[len(GIVEN.configfiles) :]
 try:
@@ -63,7 +64,7 @@ include: "workflow/rules/update_docs.smk"
 
 
 onstart:
-    # Of a study that has some of its experiments, the others may have been forgotten.
+    # A study of which only some experiments are selected is reported, since this may be unintended.
     for name, line in LEFT_OUT.items():
         if set(STUDIES[name].list_experiments()) & set(EXPERIMENTS):
             logger.info(line)

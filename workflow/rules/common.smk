@@ -10,7 +10,7 @@ from splits.experiments.config.study_kinds import FIGURE_SUFFIXES, STUDY_FILES
 from splits.experiments.run_table import count_parts
 
 STUDIES = SETTINGS.studies
-# Studies of which experiments are missing, with a message each.
+# Studies with missing experiments, with a message for each.
 LEFT_OUT = find_incomplete_studies(STUDIES, EXPERIMENTS, AVAILABLE)
 for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
     raise WorkflowError(LEFT_OUT[NAME])
@@ -85,7 +85,7 @@ REPORTS = {
 
 
 def pattern(names):
-    """Return a regular expression for names of experiments; without any it has no match."""
+    """Return a regular expression that matches names of experiments, or nothing without names."""
     return "|".join(names) or "(?!)"
 
 
@@ -178,7 +178,7 @@ def of_kind(kind):
 
 
 def study_output(name):
-    """Return the products of a study by key; the first file of each is for the report."""
+    """Return the products of a study by key; the first file of each is shown in the report."""
     made = {}
     for key, paths in STUDIES[name].list_product_paths(name).items():
         first, *others = (f"{RESULTS}/{path}" for path in paths)

@@ -1,6 +1,6 @@
 rule explorer:
     input:
-        # In order, since users' names may equal those of methods of `snakemake.input`.
+        # Lists, since labels given by users may equal names of methods of `snakemake.input`.
         tables=data(EXPLORED.values()),
         directions=data(WHERE.values()),
     output:

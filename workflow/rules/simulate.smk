@@ -20,7 +20,7 @@ rule simulate:
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
         kept=lambda wildcards: f"{RESULTS}/blocks/{wildcards.experiment}",
-        # No inputs, since these would be recorded with the path of the package.
+        # Sources are not inputs, which would be recorded with the path of the package.
         physics=lambda wildcards: hash_physics_sources(
             fit=bool(EXPERIMENTS[wildcards.experiment].fit)
         ),

@@ -4,7 +4,7 @@ if "update_docs" in sys.argv and SETTINGS.accuracy != "standard":
     )
 
 
-# Documents are no outputs, because Snakemake removes outputs before a job; the rule always runs.
+# Documents are not outputs, because Snakemake removes outputs before a job; the rule always runs.
 rule update_docs:
     input:
         [products(name) for name in EXPERIMENTS],

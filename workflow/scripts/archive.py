@@ -1,4 +1,4 @@
-"""Pack results for deposit (snakemake script)."""
+"""Write the archive of results for deposit (snakemake script)."""
 
 from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.settings import Settings

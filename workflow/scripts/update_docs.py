@@ -1,4 +1,4 @@
-"""Write numbers and figures of a run into the documents (map snakemake to `splits`)."""
+"""Write numbers and figures of a run into the documents (snakemake script)."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Packages of `splits` import only packages below them, and no imports are circular."""
+"""Layers of the package: imports go downwards, none is circular, and names are defined once."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ IMPORTS = imports()
 
 
 def test_every_package_has_its_layer():
-    rooms = {module.split(".")[1] for module in module_files() if "." in module}
-    assert rooms == set(LAYERS)
+    packages = {module.split(".")[1] for module in module_files() if "." in module}
+    assert packages == set(LAYERS)
 
 
 @pytest.mark.parametrize(
@@ -79,3 +79,30 @@ def test_no_circular_imports():
         TopologicalSorter(IMPORTS).prepare()
     except CycleError as error:
         pytest.fail(f"circular: {error.args[1]}")
+
+
+KERNELS = ("grains", "particle_layer", "vectorized")
+"""Packages of `splits.kernels` that implement the same steps of a history, under the same names."""
+
+
+def definitions(kind: type[ast.stmt]) -> dict[str, list[str]]:
+    """Return the modules in which each public definition of a kind is, by its name."""
+    found = defaultdict(list)
+    for module, path in module_files().items():
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, kind) and not node.name.startswith("_"):
+                found[node.name].append(module)
+    return found
+
+
+def test_classes_are_defined_once():
+    assert not {name: modules for name, modules in definitions(ast.ClassDef).items() if modules[1:]}
+
+
+def test_functions_are_defined_once_but_for_steps_of_kernels():
+    def is_step(modules: list[str]) -> bool:
+        kernels = [module.split(".")[2] for module in modules if module.count(".") > 2]
+        return len(set(kernels)) == len(modules) and set(kernels) <= set(KERNELS)
+
+    repeated = {name: m for name, m in definitions(ast.FunctionDef).items() if m[1:]}
+    assert not {name: modules for name, modules in repeated.items() if not is_step(modules)}

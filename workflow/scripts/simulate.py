@@ -20,7 +20,7 @@ from splits.experiments.run_fit import run_fit
 with open_progress_log(snakemake.log[0]) as log:
     experiment = SimulationConfig.model_validate(snakemake.params.experiment)
     accuracy = Accuracy.model_validate(snakemake.params.accuracy)
-    settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "log": say}
+    settings = {"seed": snakemake.params.seed, "threads": snakemake.threads, "log": log}
     if experiment.fit:
         measured = read_spectra(snakemake.input.measured[0])
         save(run_fit(experiment, accuracy, measured, **settings), snakemake.output[0])

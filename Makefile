@@ -1,32 +1,32 @@
-# make run     set up .venv, run every experiment of config/ and write the report
-# make test    set up .venv and run the tests, but for comparisons that take minutes each
-# make test-long  those
-# make campaign  10 000 generated experiment files, 300 of them run, 200 kills, 30 damages of each
-#                sort, seeds against stated errors of every instrument (an hour or two)
-# make calibration  the last of these alone: docs/calibration.csv, docs/images/calibration.png
-# make setup   set up .venv and nothing else
-# make docs    set up .venv and build the documentation in docs/_build/html; its examples run
-# make draft   what make run does, quickly and roughly, into results/draft
-# make compliance  whether the datasets of make run follow the CF conventions (ACCURACY=draft: of make draft)
-# make resume  go on with make run after a crash (ACCURACY=draft if it was a draft)
+# make run         set up .venv, run every experiment of config/ and write the report
+# make draft       the same at low accuracy, into results/draft
+# make resume      continue make run after a crash (ACCURACY=draft for a draft)
+# make test        set up .venv and run the tests, except those that take minutes each
+# make test-long   run those
+# make campaign    generated experiment files, kills and damaged files at random, and the scatter of
+#                  seeds against standard errors (one to two hours)
+# make calibration the last of these only: docs/calibration.csv, docs/images/calibration.png
+# make compliance  check the datasets of make run against the CF conventions (ACCURACY=draft)
+# make docs        set up .venv, build the documentation in docs/_build/html and run its examples
+# make setup       set up .venv only
 PYTHON ?= python3
 CORES ?= 2
 ACCURACY ?= standard
 LOCKED = --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate
 REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
-# What the report shows, or is made by, and is newer than it.
+# Files that the report shows or depends on and that are newer than it.
 MADE = $(addprefix $(dir $(REPORT)),data figures tables benchmarks)
 NEWER = find Snakefile config $(MADE) -newer $(REPORT) -print -quit 2>/dev/null; \
 	find workflow splits benchmarks -name '*.*' ! -name '*.pyc' -type f -newer $(REPORT) -print -quit
 VENV := .venv
 BIN := $(VENV)/bin
 
-# Each file to whichever process is free, so that tests of a file share what they make.  Kernels that
-# physics has compiled serve the workflow, and short files come last, so that no core stands idle.
+# Tests of a file run in one process and share fixtures.  The physics tests compile the kernels that the
+# workflow tests use, and short files run last, so that all cores are busy until the end.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(CORES) --dist loadfile \
 	--no-loadscope-reorder
 TESTS = $(addprefix tests/,physics workflow campaigns kernels statistics unit)
-# Every job is a process: libraries are not to be translated to bytecode again each time.
+# Each job is a process; cached bytecode shortens its start.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run setup test test-long campaign calibration compliance resume draft docs package \
@@ -74,7 +74,7 @@ lint: $(VENV)/ready
 	$(BIN)/snakemake --lint
 	$(BIN)/mypy
 
-# A warning is an error: links that lead nowhere, formulas that are not understood, examples that fail.
+# Warnings are errors: broken links, invalid formulas, examples that fail.
 docs: $(VENV)/ready
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --fresh-env --write-all --quiet -b html docs docs/_build/html
 
@@ -94,8 +94,8 @@ benchmarks: $(VENV)/ready
 	$(BIN)/python benchmarks/packs_against_tartes.py
 	$(BIN)/python benchmarks/snow_peers.py
 
-# uv does in seconds what takes pip a minute; pip steps in where uv finds no packages, such as behind
-# a mirror that only pip's own settings name.
+# uv installs in seconds what takes pip a minute.  pip is the fallback if uv finds no packages, for
+# example behind a mirror that only the settings of pip name.
 $(VENV)/ready: pyproject.toml requirements.txt requirements-uv.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"
 	$(PYTHON) -m venv $(VENV)

@@ -26,7 +26,7 @@ extensions = [
 ]  # fmt: skip
 exclude_patterns = ["_build", "_ext", "_numbers", "_templates"]
 templates_path = ["_templates"]
-# What stands in single backticks in a docstring is a link where there is something to link to.
+# Single backticks in docstrings are links if their target exists.
 default_role = "py:obj"
 
 html_theme = "furo"
@@ -45,8 +45,8 @@ myst_heading_anchors = 3
 myst_update_mathjax = False
 myst_links_external_new_tab = False
 
-# Examples run while the site is built, each page in a folder of its own, and again only when it or
-# the package has changed.
+# Examples run while the site is built, each page in its own folder, and again only if the page or the
+# package has changed.
 nb_execution_mode = "cache"
 # Kernels print a warning if their connections are not encrypted.
 KernelManager.transport_encryption.default_value = "auto"

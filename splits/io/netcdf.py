@@ -197,15 +197,14 @@ def _check_dataset(dataset: Any, name: str) -> xr.Dataset:
 def load(path: str | Path) -> xr.Dataset:
     """Read a dataset into memory, and verify its origin and its checksums.
 
-    A dataset of an older version is converted to the current schema (see `splits.io.netcdf`).  A
-    file without checksum gives a warning.
+    A file of another schema version raises an error.  A file without checksum gives a warning.
 
     Raises
     ------
     splits.io.integrity.DamagedFileError
         A ValueError: if the file cannot be read, or its content differs from what was written.
     ValueError
-        If the file has no provenance of this package, or a newer version wrote it.
+        If the file has no provenance of this package, or another schema version.
     OSError
         If the file cannot be opened.
     """
@@ -221,12 +220,12 @@ def open_lazily(path: str | Path) -> xr.Dataset:
 
 
 def _check_origin(dataset: xr.Dataset, path: str | Path) -> xr.Dataset:
-    """Return a dataset in the current schema after checking that this package wrote it."""
+    """Return a dataset after checking that this version of the package can have written it."""
     if "splits_version" not in dataset.attrs:
         raise ValueError(f"{path}: not a dataset written by splits")
     check_schema(dataset, path)
     if CHECKSUM_ATTRIBUTE not in dataset.attrs:
-        reason = "an older version or another program wrote it"
+        reason = "another program wrote or changed it"
         warnings.warn(
             f"{path}: has no checksum, so damage cannot be detected ({reason})", stacklevel=2
         )

@@ -24,7 +24,7 @@ METHODS = {
     PAPER_ADAPTIVE: "papers' algorithm, adaptive",
     "one_by_one": "weights, single wavelengths",
     "scalar": "shared paths, scalar kernel",
-    VECTORIZED: "shared paths, lanes",
+    VECTORIZED: "shared paths, vectorized kernel",
     "discrete_ordinates": "discrete ordinates",
     "kz04": "Kokhanovsky & Zege",
 }
@@ -190,7 +190,7 @@ def find_best_row(table: pd.DataFrame, medium: str, method: str, error: float) -
 
 
 def format_headline(table: pd.DataFrame, medium: str, error: float, wavelengths: int) -> str:
-    """Return one line on the times of lanes and of the papers' algorithm at equal error."""
+    """Return one line on the times of the vectorized kernel and the papers' algorithm."""
     rows = {
         name: find_best_row(table, medium, name, error)
         for name in (VECTORIZED, PAPER_UNIFORM, PAPER_ADAPTIVE)
@@ -198,9 +198,9 @@ def format_headline(table: pd.DataFrame, medium: str, error: float, wavelengths:
     missing = [name for name, row in rows.items() if row is None]
     if missing:
         raise ValueError(f"{medium}, error {error:g}: no row of {', '.join(missing)}")
-    lanes, uniform, adaptive = (row.seconds for row in rows.values() if row is not None)
+    vectorized, uniform, adaptive = (row.seconds for row in rows.values() if row is not None)
     return (
-        f"{medium}, {wavelengths} wavelengths, error {error:g}: lanes {lanes:.3g} s, papers' "
-        f"algorithm uniform {uniform:.4g} s ({uniform / lanes:.0f}), adaptive {adaptive:.4g} s "
-        f"({adaptive / lanes:.0f})"
+        f"{medium}, {wavelengths} wavelengths, error {error:g}: vectorized kernel "
+        f"{vectorized:.3g} s, papers' algorithm uniform {uniform:.4g} s "
+        f"({uniform / vectorized:.0f}), adaptive {adaptive:.4g} s ({adaptive / vectorized:.0f})"
     )

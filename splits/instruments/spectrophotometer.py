@@ -175,7 +175,7 @@ def _simulate_medium(
     parameters: tuple[str, ...],
     progress: ProgressCallback,
 ) -> xr.Dataset:
-    """Return the dataset of one medium, with derivatives to parameters."""
+    """Return the dataset of one medium, with derivatives with respect to parameters."""
     perturbations = Perturbations.select_exact(medium, parameters, request.wavelengths)
     start_time = time.perf_counter()
     media = PathSharingMedia.from_media([medium])

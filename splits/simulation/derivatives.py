@@ -171,7 +171,7 @@ def make_jacobian_variables(
         return variables
     dims = ("parameter", "wavelength")
     for side, name in enumerate(names):
-        label = f"derivative of {name} to the parameter, in the inverse of its unit"
+        label = f"derivative of {name} with respect to the parameter, in the inverse of its unit"
         key = f"{name}_jacobian"
         variables |= make_variable(
             key, dims, derivatives.mean[side], derivatives.stderr[side], label
@@ -195,10 +195,10 @@ def make_parameter_coordinates(
     ]
     return {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),
-        "parameter_unit": ("parameter", units, {"long_name": "unit of derivatives to it"}),
+        "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),
         "parameter_method": (
             "parameter",
             methods,
-            {"long_name": "where derivatives to it are from"},
+            {"long_name": "method of its derivatives"},
         ),
     }

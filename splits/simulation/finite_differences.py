@@ -67,7 +67,7 @@ class FiniteDifference(NamedTuple):
 def compute_finite_difference(
     estimator: MediumEstimator, medium: Medium, incidence: float | str, parameter: str
 ) -> FiniteDifference:
-    """Return derivatives to a parameter.
+    """Return derivatives with respect to a parameter.
 
     The step is halved until the truncation error of the stencil is smaller than noise.  For
     one-sided stencils the error estimate of a single stencil is not sufficient, as reflectance may
@@ -182,7 +182,7 @@ class _Coordinate(NamedTuple):
         return self.endpoint + self.sign * coordinate**2 if self.sign else coordinate
 
     def to_value_derivatives(self, derivatives: Derivatives) -> Derivatives:
-        """Return derivatives to the value from those to the coordinate."""
+        """Convert derivatives with respect to the coordinate to those with respect to the value."""
         rate = 1.0 / (2.0 * self.sign * self.start) if self.sign else 1.0
         return Derivatives(
             rate * derivatives.mean,

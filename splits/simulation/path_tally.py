@@ -1,8 +1,8 @@
-"""Tallies of paths shared by several media, and of derivatives to their absorption.
+"""Tallies of paths shared by several media, and of derivatives with respect to their absorption.
 
 The lengths of a path in the materials give its weight for any absorption (SPLITSnow Eqs 5-6).  One
 path ensemble therefore gives results for every medium with the same grains, layers and refractive
-indices, and derivatives to all absorption parameters, without more tracing.
+indices, and derivatives with respect to all absorption parameters, without more tracing.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ class Derivatives(NamedTuple):
     bias_bound: np.ndarray
 
     def select(self, selection: slice) -> Derivatives:
-        """Return the derivatives to some of the parameters."""
+        """Return the derivatives with respect to some of the parameters."""
         return Derivatives(
             self.mean[:, selection],
             self.batch_deviations[:, :, selection],

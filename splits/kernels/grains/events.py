@@ -87,7 +87,7 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
         exit_status = TRANSMITTED if scene.ground_column == NO_GROUND else TO_GROUND
         status = REFLECTED if next_layer < 0 else exit_status
     if layers.particle_row[layer] != NO_PARTICLES:
-        # Light from a layer of particles always reaches new pores.
+        # The pore is sampled again, independently of the one before the layer of particles.
         pore_variate = uniform(state)
     payload = RayPayload(sample.direction, layer, pore_variate, payload.roulette)
     return Ray(
@@ -147,13 +147,15 @@ def reflect_from_ground(state, ray, scene, optics, path_lengths):
     """Return a ray after Lambertian reflection or absorption at the ground.
 
     If the lower boundary of the sample reflects it, the ray is directed to the ground again.  The
-    ground counts as one order of scattering.
+    ground counts as one order of scattering.  Its column of `path_lengths` counts the hits, and its
+    absorption coefficient is −ln(albedo), so that a hit is a segment of length 1.
     """
     roulette_state, analog = ray.payload.roulette, scene.rules.analog
     attenuation = attenuate(
         state, roulette_state, 1.0, scene.ground_column, optics, analog, path_lengths
     )
     if not attenuation.alive:
+        # Light that the ground absorbs counts as transmitted.
         return terminate(ray, TRANSMITTED)
     survival = apply_roulette(state, attenuation.roulette)
     if not survival.alive or ray.order == ray.max_order:

@@ -1,9 +1,10 @@
 """Free flights of the scalar kernel through layers of grains: next event, motion and attenuation.
 
-A boundary between layers has no interface of its own.  A flight spends one exponential optical
-distance across the layers, and a grain belongs to the layer in which the ray hits it.  The pore of
-a path segment is sampled once, so it changes at a boundary between layers only where their
-saturations differ.  Splitting a layer in two therefore leaves the results unchanged.
+A boundary between layers has no interface of its own.  A flight spends one exponential number of
+mean free paths across the layers, and a grain belongs to the layer in which the ray hits it.  The
+pore of a path segment is sampled once, so it changes at a boundary between layers only where their
+wet fractions or pore fluids differ.  Splitting a layer in two therefore leaves the results
+unchanged.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ def sample_next_event(state, geometry, payload, scene, optics):
                 boundary_distance,
             )
             if layers.particle_row[layer] != NO_PARTICLES:
-                # A rejected grain in a later layer does not repeat the passage through particles.
+                # After a rejected grain, a layer of particles that was passed is not sampled again.
                 restart_layer, geometry = next_layer, flight_geometry
             layer = next_layer
             continue

@@ -29,9 +29,9 @@ FIRST_ROULETTE_DEPTH = -math.log(ROULETTE_THRESHOLD)
 """Optical depth at which a weighted ray first plays Russian roulette.
 
 The cost of a path grows with its length, not its weight, so low-weight paths are terminated by
-roulette.  The optical depth is the minimum over the wavelengths that use the path, so its weight is
-low for all of them.  The estimate stays unbiased.  A survivor regains its initial weight and never
-exceeds it.
+roulette.  The optical depth is that of absorption, the minimum over the wavelengths that use the
+path, so its weight is low for all of them.  The estimate stays unbiased.  The product of the weight
+of a survivor and exp(−optical depth) never exceeds 1.
 """
 _NEXT_ROULETTE_STEP = float32_constant(-math.log(ROULETTE_SURVIVAL_PROBABILITY))
 _SURVIVAL_PROBABILITY = float32_constant(ROULETTE_SURVIVAL_PROBABILITY)
@@ -39,16 +39,17 @@ _SURVIVOR_WEIGHT_FACTOR = float32_constant(1.0 / ROULETTE_SURVIVAL_PROBABILITY)
 
 
 class RouletteState(NamedTuple):
-    """Statistical weight of a ray and the optical depth at which Russian roulette is next played.
+    """Statistical weight of a ray and the optical depths of Russian roulette.
 
     Attributes
     ----------
     optical_depth : float
-        Optical depth so far, the minimum over the wavelengths that use the path.
+        Absorption optical depth so far, the minimum over the wavelengths that use the path.
     next_roulette : float
         Optical depth at which roulette is next played.
     weight : float
-        Inverse probability of survival so far.
+        Statistical weight without absorption in materials: the inverse probability of survival,
+        times the single-scattering albedos of the particles hit.
     """
 
     optical_depth: float
@@ -94,7 +95,7 @@ class LayerGeometry(NamedTuple):
     Attributes
     ----------
     mean_free_path : float
-        Mean distance between grains (m).
+        Mean free path in the pore space (m).
     bottom, top : float
         Heights of the boundaries of the layer (m).
     slab_bottom, slab_top : float

@@ -99,7 +99,7 @@ def trace_through_grain(state, payload, event, scene, optics, path_lengths):
     scene, optics
         See `splits.kernels.grains.scene`.
     path_lengths : float64[materials]
-        Path lengths (m), advanced in place by those inside the grain.
+        Path lengths (m), accumulated in place by those inside the grain.
 
     Returns
     -------

@@ -77,7 +77,7 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
     scene, optics
         See `splits.kernels.grains.scene`.
     path_lengths : float64[materials]
-        Path lengths (m), advanced in place.
+        Path lengths (m), accumulated in place.
     crossings : CrossingBank or None
         Records of boundary crossings; None compiles them away.
     window : WeightWindow or None

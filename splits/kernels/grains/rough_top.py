@@ -66,7 +66,9 @@ def _compute_segment_start(geometry):
 
 @inline_only
 def stop_at_facet(geometry, event, hit, layer_bottom):
-    """Return a ray that a facet stops, and its event: no collision, in the top layer.
+    """Return a ray that stops at a facet, with its event in the top layer.
+
+    The sampled collision no longer applies.
 
     The ray is lost if the surface extends below `layer_bottom` (m), see `ParticleLayer.depth_m`.
     """

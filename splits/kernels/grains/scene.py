@@ -227,7 +227,7 @@ class Optics(NamedTuple):
 
 
 def make_bounding_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
-    """Return the `Optics` of paths that several wavelengths use.
+    """Return `Optics` with the smallest absorption over the wavelengths that use the paths.
 
     Parameters
     ----------

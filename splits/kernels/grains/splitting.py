@@ -1,10 +1,10 @@
 """Splitting and Russian roulette with weight windows, for the transmittance of deep samples.
 
 Rays that reach the bottom of a deep, absorbing sample are rare in analog tracing.  The expected
-contribution of a ray falls with its weight and grows with its depth.  If its importance,
+contribution of a ray falls with its weight and grows with its depth.  If its relative weight,
 weight · exp(κ·depth), exceeds a window, the ray is split into several of lower weight; below the
-window, Russian roulette terminates it or raises its weight.  Rays of similar importance are then
-present at all depths (weight windows; Booth & Hendricks 1984, Nucl. Technol./Fusion 5, 90-100,
+window, Russian roulette terminates it or raises its weight.  Rays of similar relative weight are
+then present at all depths (weight windows; Booth & Hendricks 1984, Nucl. Technol./Fusion 5, 90-100,
 doi:10.13182/FST84-A23082).  Neither changes the mean; κ affects the variance only.
 """
 
@@ -20,7 +20,7 @@ from splits.kernels.grains.free_path import RouletteState
 from splits.kernels.grains.history import sample_source, trace_history
 from splits.kernels.grains.scene import NO_MAX_ORDER
 from splits.kernels.grains.state import Ray, RayPayload
-from splits.kernels.grains.weight_window import WeightWindow, compute_importance
+from splits.kernels.grains.weight_window import WeightWindow, compute_relative_weight
 from splits.kernels.math.rng import mix64, start_stream, uniform
 from splits.kernels.tallies.exits import ALIVE, LOST, REFLECTED, TRANSMITTED, BatchStats
 
@@ -50,9 +50,9 @@ class HistoryScore(NamedTuple):
 
 
 @inline_allocating
-def split(state, split_ray, importance, bank):
-    """Split a ray of high importance, and store all but one of the copies in the bank."""
-    n_copies = min(int(importance + 0.5), MAX_SPLIT)
+def split(state, split_ray, relative_weight, bank):
+    """Split a ray of high relative weight, and store all but one of the copies in the bank."""
+    n_copies = min(int(relative_weight + 0.5), MAX_SPLIT)
     weight = split_ray.weight / n_copies
     for copy in range(1, n_copies):
         stream = mix64(state[0] ^ mix64(np.uint64(copy)))
@@ -80,13 +80,13 @@ def trace_history_with_splitting(state, source_ray, scene, optics, kappa, profil
             if ray.status != ALIVE:
                 break
             split_ray = SplitRay(ray, split_ray.weight, split_ray.stream)
-            importance = compute_importance(ray, scene.layers, split_ray.weight, kappa)
-            if importance < WINDOW_LOWER:
-                if uniform(state) >= importance:
+            relative_weight = compute_relative_weight(ray, scene.layers, split_ray.weight, kappa)
+            if relative_weight < WINDOW_LOWER:
+                if uniform(state) >= relative_weight:
                     break
-                split_ray = SplitRay(ray, split_ray.weight / importance, split_ray.stream)
-            elif importance > WINDOW_UPPER and len(bank) + MAX_SPLIT < BANK_SIZE:
-                split_ray = split(state, split_ray, importance, bank)
+                split_ray = SplitRay(ray, split_ray.weight / relative_weight, split_ray.stream)
+            elif relative_weight > WINDOW_UPPER and len(bank) + MAX_SPLIT < BANK_SIZE:
+                split_ray = split(state, split_ray, relative_weight, bank)
         weight = split_ray.weight * math.exp(-ray.payload.roulette.optical_depth)
         if ray.status == LOST:
             return HistoryScore(reflected, transmitted, n_segments, True)
@@ -113,9 +113,9 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
         Decay rate of the window with depth (1/m).
     moments : float64[2, 3]
         For [reflected, transmitted]: sum, sum of squares and maximum of the weights of histories,
-        advanced in place.
+        accumulated in place.
     profile : float64[2, slices]
-        See `splits.kernels.grains.weight_window.WeightWindow`; advanced in place.
+        See `splits.kernels.grains.weight_window.WeightWindow`; accumulated in place.
 
     Returns
     -------

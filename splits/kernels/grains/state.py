@@ -58,7 +58,8 @@ class Ray(NamedTuple):
     n_segments : int
         Path segments in the sample, a measure of the cost.
     order : int
-        Order of scattering: hits of grains, particles and facets of a rough surface.
+        Order of scattering: collisions with grains and particles, and hits of a rough surface and
+        of the ground.
     max_order : int
         Order after which the ray counts as absorbed.
     """
@@ -122,7 +123,7 @@ def attenuate(state, roulette_state, distance, material, optics, analog, path_le
 
     Beer-Lambert law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability of
     survival.  The distance is added to `path_lengths` (float64[materials], m).  Analog rays may be
-    absorbed; weighted rays end by roulette only.
+    absorbed; weighted rays are not absorbed here.
     """
     path_lengths[material] += distance
     depth = optics.absorption[material] * distance

@@ -11,7 +11,7 @@ from splits.kernels.compiler.jit import inline_only
 
 
 class WeightWindow(NamedTuple):
-    """Bounds of the importance of a ray, weight · exp(κ·depth).
+    """Bounds of the relative weight of a ray, weight · exp(κ·depth).
 
     Attributes
     ----------
@@ -20,9 +20,9 @@ class WeightWindow(NamedTuple):
     kappa : float
         Decay rate of the window with depth (1/m).
     lower, upper : float
-        Bounds of the importance.
+        Bounds of the relative weight.
     profile : float64[2, slices]
-        Number and total weight of the segments that start in equal slices of the depth, advanced in
+        Number and total weight of the collisions in equal slices of the depth, accumulated in
         place.
     """
 
@@ -41,8 +41,8 @@ def compute_ray_height(ray, layers):
 
 
 @inline_only
-def compute_importance(ray, layers, weight, kappa):
-    """Return the importance of a ray, proportional to its expected contribution."""
+def compute_relative_weight(ray, layers, weight, kappa):
+    """Return the weight of a ray relative to the centre of the window at its depth."""
     return weight * math.exp(
         -ray.payload.roulette.optical_depth - kappa * compute_ray_height(ray, layers)
     )
@@ -50,11 +50,11 @@ def compute_importance(ray, layers, weight, kappa):
 
 @inline_only
 def check_weight_window(window, ray, layers):
-    """Return whether a ray is outside its weight window; tally its depth."""
+    """Tally the depth of a ray, and return whether it is outside its weight window."""
     bottom = layers.boundaries[layers.boundaries.size - 1]
     slices = window.profile.shape[1]
     slice_index = min(int(compute_ray_height(ray, layers) / bottom * slices), slices - 1)
     window.profile[0, slice_index] += 1.0
     window.profile[1, slice_index] += window.weight * math.exp(-ray.payload.roulette.optical_depth)
-    importance = compute_importance(ray, layers, window.weight, window.kappa)
-    return importance < window.lower or importance > window.upper
+    relative_weight = compute_relative_weight(ray, layers, window.weight, window.kappa)
+    return relative_weight < window.lower or relative_weight > window.upper

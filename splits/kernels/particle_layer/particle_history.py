@@ -195,7 +195,7 @@ def trace_to_detectors(seed, work, scene, detectors, totals):
     detectors : Detectors
         Advanced in place.
     totals : float64[2, 2]
-        [reflected, transmitted][`TOTAL`, `UNSCATTERED`], advanced in place.
+        [reflected, transmitted][`TOTAL`, `UNSCATTERED`], accumulated in place.
     """
     n_segments = 0
     state = np.zeros(1, dtype=np.uint64)

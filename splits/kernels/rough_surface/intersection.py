@@ -24,7 +24,7 @@ from splits.kernels.rough_surface.realization import HeightAndSlope, SurfaceSlop
 from splits.kernels.rough_surface.wave_sums import TWO_PI, sum_ray_bounds, sum_waves
 
 NO_HIT = -1.0
-"""No intersection: the ray leaves the surface for good."""
+"""No intersection within the distance that matters."""
 STEP_LIMIT_REACHED = -2.0
 """Undecided after `MAX_STEPS`, as for horizontal rays."""
 MAX_STEPS = 100_000_000

@@ -1,8 +1,8 @@
 """Records of rays that cross layer boundaries or hit the ground, with their path lengths.
 
-`scene.Scene.record_crossings` says whether crossings of boundaries between layers are recorded;
-hits of the ground always are.  The records of a ray are in the order of time, those of different
-rays in any order.
+Crossings of boundaries between layers are recorded if `scene.Scene.record_crossings` is set, and
+hits of a reflecting ground unless absorption is analog.  The records of a ray are in the order of
+time, those of different rays in any order.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ CROSSING_RAY = 0
 CROSSING_EVENT = 1
 """Column of the event, see `encode_crossing`."""
 CROSSING_WEIGHT = 2
-"""Column of the inverse probability of having survived roulette."""
+"""Column of the statistical weight without absorption in materials."""
 CROSSING_LENGTH = 3
 """First of the columns of path lengths (m), one per material, and of the number of ground hits."""
 _INITIAL_CAPACITY = 64

@@ -23,6 +23,8 @@ from splits.kernels.math.elementary import exp_float32
 from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY, CROSSING_WEIGHT
 
 ABSORBED = 0
+"""The history ended without an exit: by absorption, roulette, or the maximum order of
+scattering."""
 REFLECTED = 1
 TRANSMITTED = 2
 LOST = 3
@@ -35,16 +37,14 @@ TO_GROUND = 5
 EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
 EXIT_WEIGHT = 1
-"""Column of the inverse probability of having survived roulette."""
+"""Column of the statistical weight without absorption in materials."""
 EXIT_ORDER = 2
-"""Column of the order of scattering: hits of grains, particles and facets of a rough surface.
-
-NaN if a kernel does not count them.
-"""
+"""Column of the order of scattering: collisions with grains and particles, and hits of facets of a
+rough surface and of the ground.  NaN for rays without an exit."""
 EXIT_DIRECTION = 3
 """First of three columns: direction outside the slab."""
 EXIT_POSITION = 6
-"""First of two columns: horizontal position (m); NaN if a kernel does not track it."""
+"""First of two columns: horizontal position (m); NaN for rays without an exit."""
 EXIT_LENGTH = 8
 """First of the columns of path lengths (m), one per material."""
 

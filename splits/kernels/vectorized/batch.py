@@ -171,7 +171,7 @@ def handle_boundary(lanes, lane, job, crossings, status):
 
 
 @inline_only
-def service_lanes(lanes, width, job, crossings, exits, n_segments, queue):
+def handle_waiting_lanes(lanes, width, job, crossings, exits, n_segments, queue):
     """Record finished rays, handle rays at boundaries, and launch new rays."""
     state = lanes.state
     for lane in range(width):
@@ -213,7 +213,7 @@ def service_lanes(lanes, width, job, crossings, exits, n_segments, queue):
 
 @inline_only
 def count_in_flight(state, width):
-    """Return the number of lanes in flight or waiting for the next call of `service_lanes`."""
+    """Return the number of lanes in flight or waiting for `handle_waiting_lanes`."""
     n_in_flight = 0
     for lane in range(width):
         status = state[lane_state.STATUS + lane]
@@ -271,7 +271,7 @@ def trace_batch(seed, work, scene, optics, exits, features):
         if not has_capacity(crossings, max_new_crossings):
             crossings = ensure_capacity(crossings, max_new_crossings)
         if n_finished > 0:
-            queue = service_lanes(lanes, width, job, crossings, exits, n_segments, queue)
+            queue = handle_waiting_lanes(lanes, width, job, crossings, exits, n_segments, queue)
             if queue.lost or queue.n_active == 0:
                 return BatchResult(n_segments, queue.lost, get_recorded(crossings))
             if queue.n_active <= width - lane_state.STRIDE:

@@ -39,7 +39,7 @@ class FlightVariates(NamedTuple):
 
 
 class PassCounts(NamedTuple):
-    """Number of lanes in flight, and of lanes that wait for `batch.service_lanes`."""
+    """Number of lanes in flight, and of lanes that wait for `batch.handle_waiting_lanes`."""
 
     n_in_flight: int
     n_finished: int

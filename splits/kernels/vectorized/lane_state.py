@@ -69,8 +69,8 @@ ZEROED_SIZE = 23 * N_LANES
 STATE_SIZE = 84 * N_LANES
 
 KEY_HIGH, KEY_LOW, N_DRAWN, N_SEGMENTS, ORDER, MAX_ORDER = (N_LANES * row for row in range(6))
-"""Rows of integers, uint32: key of the random stream, count of random numbers drawn; number of path
-segments; order of scattering and its maximum."""
+"""Rows of integers, uint32: key of the random stream, count of random numbers drawn; number of
+sampled grains; order of scattering and its maximum."""
 WORDS_SIZE = 6 * N_LANES
 
 (

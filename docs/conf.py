@@ -45,8 +45,8 @@ myst_heading_anchors = 3
 myst_update_mathjax = False
 myst_links_external_new_tab = False
 
-# Examples run while the site is built, each page in its own folder, and again only if the page or the
-# package has changed.
+# Examples run while the site is built, each page in its own folder, and again only if the page or
+# the package has changed.
 nb_execution_mode = "cache"
 # Kernels print a warning if their connections are not encrypted.
 KernelManager.transport_encryption.default_value = "auto"

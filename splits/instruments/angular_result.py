@@ -48,7 +48,7 @@ def make_angular_attributes(
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "rays": result.n_rays,
         "ensembles": len(nodes.index),
-        "kernel": runner.list_kernels(result.tallies) or "scalar",
+        "kernel": runner.format_kernels(result.tallies) or "scalar",
     }
 
 

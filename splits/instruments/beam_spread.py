@@ -142,7 +142,7 @@ def beam_spread(
         "rays": sum(stratum.n_rays for tally in tallies for stratum in tally.strata),
         "ensembles": len(tallies),
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
-        "kernel": runner.list_kernels(tallies),
+        "kernel": runner.format_kernels(tallies),
     }
     return make_beam_spread_dataset(
         tallies, wavelengths, half_width_m, nodes.interpolation_bound, attributes

@@ -214,7 +214,7 @@ def simulate_flux(request: FluxRequest, stopping_rule: FluxStoppingRule) -> xr.D
         "max_rays": request.max_rays,
         "rays": sum(stratum.n_rays for tally in tallies for stratum in tally.strata),
         "ensembles": len(tallies),
-        "kernel": runner.list_kernels(tallies),
+        "kernel": runner.format_kernels(tallies),
     }
     if traced_medium.semi_infinite:
         attributes["truncation_depth_m"] = float(traced_medium.planes_m[-1])

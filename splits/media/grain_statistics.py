@@ -92,7 +92,7 @@ def surface_to_volume_ratio(sphericity: np.ndarray | float) -> np.ndarray:
     return 3.0 * (1.0 + ratio / psi2)
 
 
-def size_attenuation(smallest: float, largest: float) -> float:
+def compute_size_attenuation(smallest: float, largest: float) -> float:
     """Return K1 (1/m) for major axes uniform between two lengths (m).
 
     SPLITSnow Eqs A.6-A.7 with the sign of the logarithm corrected,
@@ -103,7 +103,7 @@ def size_attenuation(smallest: float, largest: float) -> float:
 
 
 @cache
-def shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) -> float:
+def compute_shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) -> float:
     """Return K2, the mean of A(Ψ)/4 for a truncated normal sphericity (SPLITSnow Eq A.8)."""
     if sd == 0.0 or minimum == maximum:
         return float(surface_to_volume_ratio(_get_single_value(minimum, maximum, mean))) / 4.0
@@ -115,7 +115,7 @@ def shape_attenuation(minimum: float, maximum: float, mean: float, sd: float) ->
     return weighted / norm / 4.0
 
 
-def tabulate_struck_inverse_sizes(smallest: float, largest: float, weighting: str) -> np.ndarray:
+def tabulate_hit_inverse_sizes(smallest: float, largest: float, weighting: str) -> np.ndarray:
     """Return the quantile function of the inverse major axis of hit grains (1/m).
 
     Parameters
@@ -136,9 +136,7 @@ def tabulate_struck_inverse_sizes(smallest: float, largest: float, weighting: st
 
 
 @cache
-def tabulate_struck_sphericities(
-    minimum: float, maximum: float, mean: float, sd: float
-) -> np.ndarray:
+def tabulate_hit_sphericities(minimum: float, maximum: float, mean: float, sd: float) -> np.ndarray:
     """Return the quantile function of the sphericity of hit grains (SPLITS Eq 26).
 
     Density ∝ A(Ψ) times the normal density within [minimum, maximum].

@@ -211,7 +211,7 @@ class Sand(ContentEquality):
     @cached_property
     def attenuation_per_m(self) -> float:
         """K = K1 K2, cross-section per volume of particles (1/m), SPLITS Eqs 22-24."""
-        return self.size_distribution.size_attenuation_per_m * statistics.shape_attenuation(
+        return self.size_distribution.size_attenuation_per_m * statistics.compute_shape_attenuation(
             *self.sphericity
         )
 
@@ -280,8 +280,8 @@ class Sand(ContentEquality):
                 ),
                 material=material,
                 coating_thickness=thickness,
-                curvature=2.0 * self.size_distribution.tabulate_struck_inverse_sizes()[np.newaxis],
-                sphericity=statistics.tabulate_struck_sphericities(*self.sphericity)[np.newaxis],
+                curvature=2.0 * self.size_distribution.tabulate_hit_inverse_sizes()[np.newaxis],
+                sphericity=statistics.tabulate_hit_sphericities(*self.sphericity)[np.newaxis],
                 facetness=facetness[np.newaxis],
             ),
         )

@@ -225,9 +225,9 @@ class Snow(ContentEquality):
     @cached_property
     def attenuation_per_m(self) -> float:
         """K = K1 K2, cross-section per volume of ice (1/m), SPLITSnow Eq A.5."""
-        return statistics.size_attenuation(*self._diameter_limits_m) * statistics.shape_attenuation(
-            *self.sphericity
-        )
+        return statistics.compute_size_attenuation(
+            *self._diameter_limits_m
+        ) * statistics.compute_shape_attenuation(*self.sphericity)
 
     @property
     def mean_grain_distance_m(self) -> float:
@@ -256,7 +256,7 @@ class Snow(ContentEquality):
 
     def make_grain_population(self) -> GrainPopulation:
         """Return the grain population: a single type, of ice."""
-        sizes = statistics.tabulate_struck_inverse_sizes(
+        sizes = statistics.tabulate_hit_inverse_sizes(
             *self._diameter_limits_m, self.interpretation.size_sampling
         )
         return GrainPopulation(
@@ -267,7 +267,7 @@ class Snow(ContentEquality):
                 material=np.array([[self._ice_column]], dtype=np.int64),
                 coating_thickness=np.zeros((1, 1)),
                 curvature=2.0 * sizes[np.newaxis],
-                sphericity=statistics.tabulate_struck_sphericities(*self.sphericity)[np.newaxis],
+                sphericity=statistics.tabulate_hit_sphericities(*self.sphericity)[np.newaxis],
                 facetness=statistics.tabulate_truncated_normal(*self.facetness)[np.newaxis],
             ),
         )

@@ -57,7 +57,7 @@ class TruncatedLogNormal:
         """Mass-weighted mean of 1/s (1/m): the quotient of integrals in Eq 23."""
         return _compute_mean_inverse_size(self)
 
-    def compute_struck_sizes(self, probability: np.ndarray) -> np.ndarray:
+    def compute_hit_sizes(self, probability: np.ndarray) -> np.ndarray:
         """Return quantiles of the size of hit particles (m): density ∝ s⁻² f_g(s), Eq 25."""
         low, high = float(np.log(self.min_size_m)), float(np.log(self.max_size_m))
         return np.exp(
@@ -95,21 +95,21 @@ class SoilSizeDistribution:
         return max(s.max_size_m for s in self.separates)
 
     @property
-    def size_attenuation_per_m(self) -> float:
+    def compute_size_attenuation_per_m(self) -> float:
         """Volume-weighted mean of 1/s (1/m): K1 of Eq 23 without v_j."""
         return sum(s.mass_fraction * s.mean_inverse_size_per_m for s in self.separates)
 
-    def tabulate_struck_inverse_sizes(self) -> np.ndarray:
+    def tabulate_hit_inverse_sizes(self) -> np.ndarray:
         """Return the quantile function of 1/s of hit particles, shape (N_TABLE_POINTS,).
 
         The table is linear between the outermost quantiles of two separates, as within one.  For
         clay and sand without silt, about 0.1 % of the particles that are hit fall in the gap.
         """
-        return _tabulate_struck_inverse_sizes(self).copy()
+        return _tabulate_hit_inverse_sizes(self).copy()
 
 
 @lru_cache(maxsize=64)
-def _tabulate_struck_inverse_sizes(distribution: SoilSizeDistribution) -> np.ndarray:
+def _tabulate_hit_inverse_sizes(distribution: SoilSizeDistribution) -> np.ndarray:
     u = make_table_probabilities(N_TABLE_POINTS)
     weights = np.array(
         [s.mass_fraction * s.mean_inverse_size_per_m for s in distribution.separates]
@@ -120,7 +120,7 @@ def _tabulate_struck_inverse_sizes(distribution: SoilSizeDistribution) -> np.nda
     for i, separate in enumerate(reversed(distribution.separates)):
         inside = (u >= edges[i]) & (u <= edges[i + 1])
         fraction = (u[inside] - edges[i]) / (edges[i + 1] - edges[i])
-        inverse_size[inside] = 1.0 / separate.compute_struck_sizes(1.0 - fraction)
+        inverse_size[inside] = 1.0 / separate.compute_hit_sizes(1.0 - fraction)
     return inverse_size
 
 

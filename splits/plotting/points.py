@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from splits.core.escaping import escape_mathtext
 from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
-from splits.plotting.facets import draw_facets
 from splits.plotting.interpretation_shifts import (
     INDEPENDENCE_NOTE,
     compute_shift,
@@ -23,6 +22,7 @@ from splits.plotting.interpretation_shifts import (
 )
 from splits.plotting.lines import PlotLines, place_legend_beside
 from splits.plotting.panels import DEFAULT_LABEL
+from splits.plotting.small_multiples import draw_small_multiples
 from splits.plotting.spectra import draw_spectra
 from splits.plotting.style import (
     BAND_SIGMA,
@@ -206,7 +206,7 @@ def draw_summary(
     shown = part.drop_vars([n for n in (*select, *rest, *single) if n in part.coords])
     note = note if fixed else ""
     if panel_dims:
-        return draw_facets(shown, quantity, panel_dims, legend, note=note)
+        return draw_small_multiples(shown, quantity, panel_dims, legend, note=note)
     return draw_spectra(shown, quantity, None, {}, None, legend, None)
 
 

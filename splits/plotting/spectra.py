@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from splits.core.escaping import escape_mathtext
 from splits.io.netcdf import select_points
 from splits.plotting.annotations import annotate_figure, describe_conditions
-from splits.plotting.facets import draw_facets
 from splits.plotting.interpretation_shifts import draw_shifts, find_default_dim
 from splits.plotting.lines import PlotLines, place_legend_above
 from splits.plotting.nodes import draw_node_ticks, find_coarse_nodes, make_nodes_note
 from splits.plotting.panels import choose_panel_parameters
+from splits.plotting.small_multiples import draw_small_multiples
 from splits.plotting.style import (
     BAND_SIGMA,
     TWO_COLUMNS_INCHES,
@@ -89,7 +89,7 @@ def draw_spectra(
     if panel_dims := choose_panel_parameters(
         {d: dataset.sizes[d] for d in dims}, len(quantity), select
     ):
-        return draw_facets(dataset, quantity, panel_dims, legend, ylim, note)
+        return draw_small_multiples(dataset, quantity, panel_dims, legend, ylim, note)
     dim = None if measured is not None else find_default_dim(dataset, dims)
     if dim:
         labels = ("wavelength (nm)", quantity)

@@ -130,7 +130,7 @@ def estimate_spectral(
         int(stratum_rays.sum()),
         len(tallies),
         converged,
-        runner.list_kernels(tallies),
+        runner.format_kernels(tallies),
         _interpolate_derivatives(nodes, tallies),
     )
 

@@ -177,7 +177,7 @@ class Runner:
         """Let all strata of these tallies use one kernel, if possible."""
         self.tracer.share_kernel([stratum for tally in tallies for stratum in tally.strata])
 
-    def list_kernels(self, tallies: Sequence[Tally]) -> str:
+    def format_kernels(self, tallies: Sequence[Tally]) -> str:
         """Return the kernels that trace these tallies, joined by a comma."""
         used = {
             "scalar" if self.tracer.get_features(stratum) is None else "vectorized"

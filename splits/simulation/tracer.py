@@ -150,7 +150,7 @@ class GrainTracer:
         return TraceResult(result.n_segments, item_parts, self.LOST_MESSAGE if result.lost else "")
 
 
-class LayerTracer:
+class ParticleLayerTracer:
     """Tracer of rays in a layer of small particles.
 
     Parameters
@@ -236,5 +236,5 @@ def make_tracer(
 ) -> Tracer:
     """Return the tracer of a medium; see `GrainTracer` for the parameters."""
     if isinstance(medium, ParticleMedium):
-        return LayerTracer(medium, make_source(incidence_deg), seed, analog, kernel)
+        return ParticleLayerTracer(medium, make_source(incidence_deg), seed, analog, kernel)
     return GrainTracer(medium, incidence_deg, seed, analog, kernel, planes_m)

@@ -62,7 +62,7 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
         radius_um = float(medium_radius)
     radius_um = check_range("radius_um", radius_um, 0.1, 1e6)
     grains = float(optics.attrs["extinction_by_grains_per_m"])
-    peak = diffraction_moments(radius_um, optics.wavelength.values, optics.order.values)
+    peak = compute_diffraction_moments(radius_um, optics.wavelength.values, optics.order.values)
     extinction = optics.extinction.values
     scattered = optics[ALBEDO].values * extinction
 
@@ -107,7 +107,7 @@ def with_diffraction(optics: xr.Dataset, radius_um: float | None = None) -> xr.D
     return xr.Dataset(variables, optics.coords, to_netcdf_attributes(attributes))
 
 
-def diffraction_moments(
+def compute_diffraction_moments(
     radius_um: float, wavelength_nm: np.ndarray, order: np.ndarray
 ) -> np.ndarray:
     """Return Legendre moments of light diffracted by large spheres, shape (wavelengths, orders)."""

@@ -82,7 +82,7 @@ class BestMatch(NamedTuple):
 
 
 @dataclass(eq=False)
-class InterpretationSet:
+class RankedCombination:
     """An interpretation and the results of the stages simulated so far.
 
     Attributes
@@ -187,7 +187,7 @@ def rank_interpretations(
     threads: int = 1,
     stderr_scale: float = 1.0,
     log: Callable[[str], None] = lambda line: None,
-) -> tuple[list[InterpretationSet], dict[str, PublishedStatement]]:
+) -> tuple[list[RankedCombination], dict[str, PublishedStatement]]:
     """Simulate combinations of interpretations, dropping those with a large misfit.
 
     Parameters
@@ -210,7 +210,7 @@ def rank_interpretations(
 
     Returns
     -------
-    combinations : list of InterpretationSet
+    combinations : list of RankedCombination
         All combinations and the named sets, in order of increasing misfit.
     stated : dict
         All statements by name.
@@ -231,10 +231,10 @@ def rank_interpretations(
         item for item in map(Interpretation.from_input, PAPER_SETS) if item not in interpretations
     ]
     combinations = [
-        InterpretationSet(InterpretationRun(item, seed, target_errors)) for item in interpretations
+        RankedCombination(InterpretationRun(item, seed, target_errors)) for item in interpretations
     ]
 
-    def advance(item: InterpretationSet) -> None:
+    def advance(item: RankedCombination) -> None:
         stage = list(STAGES)[item.n_stages]
         item.values |= STAGES[stage](item.run)
         item.n_stages += 1

@@ -11,7 +11,7 @@ import pandas as pd
 
 from splits.experiments.papers.interpretation_ranking import (
     BestMatch,
-    InterpretationSet,
+    RankedCombination,
     find_choice,
 )
 from splits.experiments.papers.interpretation_runs import WATER_TABLES
@@ -29,7 +29,7 @@ STATEMENT_GROUPS = {
 
 
 def make_ranking_table(
-    combinations: Sequence[InterpretationSet],
+    combinations: Sequence[RankedCombination],
     stated: Mapping[str, PublishedStatement],
     choices: Mapping[str, Sequence[str]],
     stated_choices: Mapping[str, str],
@@ -63,7 +63,7 @@ def make_ranking_table(
 
 
 def _make_ranking_row(
-    combination: InterpretationSet,
+    combination: RankedCombination,
     water: int,
     match: BestMatch,
     stated: Mapping[str, PublishedStatement],
@@ -88,7 +88,7 @@ def _make_ranking_row(
 
 
 def make_statement_table(
-    combinations: Sequence[InterpretationSet],
+    combinations: Sequence[RankedCombination],
     stated: Mapping[str, PublishedStatement],
     names: Sequence[str],
 ) -> pd.DataFrame:
@@ -133,7 +133,7 @@ def make_statement_table(
 
 
 def make_leave_out_table(
-    combinations: Sequence[InterpretationSet],
+    combinations: Sequence[RankedCombination],
     stated: Mapping[str, PublishedStatement],
     names: Sequence[str],
 ) -> pd.DataFrame:
@@ -175,7 +175,7 @@ def make_leave_out_table(
     return pd.DataFrame(rows, columns=columns)
 
 
-def find_differing_keys(combinations: Sequence[InterpretationSet]) -> list[str]:
+def find_differing_keys(combinations: Sequence[RankedCombination]) -> list[str]:
     """Return the fields in which complete combinations differ, or the first field."""
     interpretations = [
         combination.run.interpretation.as_dict()

@@ -45,7 +45,7 @@ def find_adjacent_layer(layers, layer, direction):
 
 
 @inline_only
-def has_same_pore_index(layers, optics, layer, other, pore_variate):
+def has_same_refractive_index(layers, optics, layer, other, pore_variate):
     """Return whether the pores of two layers have the same complex refractive index."""
     a = refractive_index_of(optics, pore_material(layers, layer, pore_variate))
     b = refractive_index_of(optics, pore_material(layers, other, pore_variate))
@@ -79,7 +79,7 @@ def locate_layer(geometry, payload, scene, optics, path_lengths, crossings):
         boundary = layers.boundaries[layer] if step < 0 else layers.boundaries[layer + 1]
         next_layer = layer + step
         inside = 0 <= next_layer < layers.attenuation.size
-        if not inside or not has_same_pore_index(
+        if not inside or not has_same_refractive_index(
             layers, optics, layer, next_layer, payload.pore_variate
         ):
             z = boundary
@@ -128,7 +128,7 @@ def sample_next_event(state, geometry, payload, scene, optics):
         if collision.leaves_layer:
             next_layer = find_adjacent_layer(layers, layer, geometry.direction)
             inside = 0 <= next_layer < layers.attenuation.size
-            if not inside or not has_same_pore_index(
+            if not inside or not has_same_refractive_index(
                 layers, optics, layer, next_layer, payload.pore_variate
             ):
                 return NextEvent(grain_sample, collision, layer, False)

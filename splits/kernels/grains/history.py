@@ -41,7 +41,7 @@ from splits.kernels.optics.source import sample_source_direction
 from splits.kernels.rough_surface.intersection import NO_HIT
 from splits.kernels.rough_surface.realization import sample_realization_if_rough
 from splits.kernels.tallies.crossings import (
-    allocate_bank,
+    allocate_crossings,
     append_crossing,
     copy_into_row,
     encode_crossing,
@@ -78,7 +78,7 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
         See `splits.kernels.grains.scene`.
     path_lengths : float64[materials]
         Path lengths (m), accumulated in place.
-    crossings : CrossingBank or None
+    crossings : CrossingBuffer or None
         Records of boundary crossings; None compiles them away.
     window : WeightWindow or None
         None compiles splitting away.
@@ -199,7 +199,7 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
     n_segments = 0
     path_lengths = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
-    crossings = allocate_bank(optics.n.size)
+    crossings = allocate_crossings(optics.n.size)
     max_crossings, n_boundaries = 2 * scene.layers.boundaries.size, scene.layers.boundaries.size
     for number in range(work[2]):
         start_stream(state, seed, work[0], work[1] + number)

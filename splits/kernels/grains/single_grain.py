@@ -43,7 +43,7 @@ class IsolatedGrain(NamedTuple):
 
 
 @inline
-def sample_struck_grain(state, isolated_grain):
+def sample_hit_grain(state, isolated_grain):
     """Sample the grain that a ray along +z hits."""
     grain_sample = sample_grain(state, isolated_grain.scene, 0)
     variates = sample_entry_variates(state, grain_sample.size.flattening)
@@ -106,7 +106,7 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
         payload = RayPayload(
             UP, 0, 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0, roulette_state
         )
-        event = sample_struck_grain(state, isolated_grain)
+        event = sample_hit_grain(state, isolated_grain)
         transit = trace_through_grain(
             state, payload, event, isolated_grain.scene, isolated_grain.optics, path_lengths
         )

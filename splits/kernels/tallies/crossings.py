@@ -15,7 +15,7 @@ from splits.kernels.compiler.jit import inline, inline_allocating
 
 CROSSING_RAY = 0
 """Column of the ray, as its row in the exits."""
-CROSSING_EVENT = 1
+CROSSING_CODE = 1
 """Column of the event, see `encode_crossing`."""
 CROSSING_WEIGHT = 2
 """Column of the statistical weight without absorption in materials."""
@@ -25,7 +25,7 @@ _INITIAL_CAPACITY = 64
 _N_RECORDED, _CURRENT_RAY = 0, 1
 
 
-class CrossingBank(NamedTuple):
+class CrossingBuffer(NamedTuple):
     """Growing array of crossing records.
 
     Attributes
@@ -40,9 +40,9 @@ class CrossingBank(NamedTuple):
 
 
 @inline_allocating
-def allocate_bank(n_lengths):
+def allocate_crossings(n_lengths):
     """Return an empty bank of crossing records with `n_lengths` path lengths."""
-    return CrossingBank(
+    return CrossingBuffer(
         np.empty((_INITIAL_CAPACITY, CROSSING_LENGTH + n_lengths)), np.zeros(2, dtype=np.int64)
     )
 
@@ -78,7 +78,7 @@ def ensure_capacity(bank, n_new):
     rows = np.empty((2 * (count + n_new), bank.rows.shape[1]))
     for i in range(count):
         copy_into_row(rows[i], 0, bank.rows[i])
-    return CrossingBank(rows, bank.state)
+    return CrossingBuffer(rows, bank.state)
 
 
 @inline
@@ -102,14 +102,14 @@ def append_crossing(bank, event, weight, path_lengths):
 
     Parameters
     ----------
-    bank : CrossingBank
+    bank : CrossingBuffer
     event : int
     weight : float
     path_lengths : float64[columns]
         Path lengths so far (m).
     """
     row = bank.rows[bank.state[_N_RECORDED]]
-    row[CROSSING_RAY], row[CROSSING_EVENT], row[CROSSING_WEIGHT] = (
+    row[CROSSING_RAY], row[CROSSING_CODE], row[CROSSING_WEIGHT] = (
         bank.state[_CURRENT_RAY],
         event,
         weight,

@@ -14,7 +14,7 @@ import numpy as np
 from splits.kernels.compiler.jit import ONE, ZERO, entry_point, float32_constant, inline
 from splits.kernels.math.elementary import exp_float32
 from splits.kernels.tallies.crossings import (
-    CROSSING_EVENT,
+    CROSSING_CODE,
     CROSSING_LENGTH,
     CROSSING_RAY,
     CROSSING_WEIGHT,
@@ -109,7 +109,7 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
                 layer,
                 ground_column,
             )
-            boundary, upward = divmod(int(row[CROSSING_EVENT]), 2)
+            boundary, upward = divmod(int(row[CROSSING_CODE]), 2)
             _add_weighted(sums.boundary_weight[upward, boundary], light, row[CROSSING_WEIGHT])
             layer = boundary - upward
             if boundary == n_layers:

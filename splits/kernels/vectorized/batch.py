@@ -13,7 +13,7 @@ from splits.kernels.grains.free_path import LayerGeometry
 from splits.kernels.grains.scene import WRONG_SIDE_LOBE
 from splits.kernels.grains.state import make_rejection_rules
 from splits.kernels.tallies.crossings import (
-    allocate_bank,
+    allocate_crossings,
     ensure_capacity,
     get_recorded,
     has_capacity,
@@ -260,7 +260,7 @@ def trace_batch(seed, work, scene, optics, exits, features):
     lanes = allocate_lanes(optics.n.shape[1])
     n_segments = np.zeros(len(work), dtype=np.int64)
     queue = SourceQueue(0, work[:, 2].sum(), 0, 0, 0, False)
-    crossings = allocate_bank(optics.n.shape[1])
+    crossings = allocate_crossings(optics.n.shape[1])
     width = min(
         lane_state.N_LANES, max(1, -(-queue.n_rays // lane_state.STRIDE)) * lane_state.STRIDE
     )

@@ -29,7 +29,7 @@ def pore_material(lanes, lane, layers, layer):
 
 
 @inline_only
-def has_same_pore_index(lanes, lane, job, layer, other):
+def has_same_refractive_index(lanes, lane, job, layer, other):
     """Return whether the pores of two layers have the same complex refractive index."""
     layers, item = job.scene.layers, lanes.item[lane]
     a = refractive_index_of(job.optics, item, pore_material(lanes, lane, layers, layer))
@@ -132,7 +132,7 @@ def locate_layer(lanes, lane, job, crossings):
         next_layer = layer + step
         if next_layer < 0 or next_layer == boundaries.size - 1:
             break
-        if not has_same_pore_index(lanes, lane, job, layer, next_layer):
+        if not has_same_refractive_index(lanes, lane, job, layer, next_layer):
             boundary = boundaries[layer] if step < 0 else boundaries[layer + 1]
             state[lane_state.EXIT_OFFSET_Z + lane] = single(boundary) - state[lane_state.Z + lane]
             break
@@ -160,7 +160,7 @@ def cross_interface(lanes, lane, job, crossings):
     next_layer = find_adjacent_layer(layers, layer, geometry.direction)
     inside = 0 <= next_layer < layers.attenuation.size
     state[lane_state.STATUS + lane] = lane_state.IN_FLIGHT
-    if inside and has_same_pore_index(lanes, lane, job, layer, next_layer):
+    if inside and has_same_refractive_index(lanes, lane, job, layer, next_layer):
         set_layer(lanes, lane, job, next_layer)
         state[lane_state.START_DISTANCE + lane] = max(
             boundary_hit.distance, state[lane_state.START_DISTANCE + lane]

@@ -31,7 +31,7 @@ _RASTERIZED_ZORDER = -10.0
 """Drawing order of lines and bands, which SVG files contain as one image per panel."""
 
 
-def draw_facets(
+def draw_small_multiples(
     dataset: xr.Dataset,
     quantity: Sequence[str],
     panel_dims: Sequence[str],

@@ -18,14 +18,14 @@ SANDS = {
     "hematite": {"iron_oxide": 0.04, "hematite_ratio": 1.0},
     "wet goethite": {"iron_oxide": 0.02, "hematite_ratio": 0.0, "saturation": 1.0},
 }
-"""Chosen before any was run: paths at two to four refractive indices, and colours that differ."""
+"""Sands chosen before any results were known: two to four refractive indices, unlike colours."""
 
 
 @pytest.mark.long
 @NEEDS_JIT
 @pytest.mark.slow
-def test_colours_scatter_as_stated():
-    """The spread of a ratio over 40 seeds is 11 %; nine of them are judged as a family."""
+def test_errors_of_colours_agree_with_scatter():
+    """A ratio from 40 seeds is uncertain by 11 %; nine ratios are tested together."""
     freedom = len(SEEDS) - 1
     ratios, p = {}, {}
     for name, settings in SANDS.items():
@@ -35,9 +35,12 @@ def test_colours_scatter_as_stated():
         ]
         table = pd.concat([make_colour_table(run) for run in runs])
         for axis in "Lab":
-            square = table[axis].var() / (table[f"{axis}_stderr"] ** 2).mean()
-            below = chi2.cdf(freedom * square, freedom)
+            variance_ratio = table[axis].var() / (table[f"{axis}_stderr"] ** 2).mean()
+            probability = chi2.cdf(freedom * variance_ratio, freedom)
             label = f"{axis}* of {name}"
-            ratios[label], p[label] = np.sqrt(square), 2.0 * min(below, 1.0 - below)
+            ratios[label], p[label] = (
+                np.sqrt(variance_ratio),
+                2.0 * min(probability, 1.0 - probability),
+            )
     print("scatter over stated:", ", ".join(f"{k} {v:.2f}" for k, v in ratios.items()))
     judge_p(p)

@@ -1,4 +1,4 @@
-"""Packs that are cut: against the same packs traced to their end, and limits."""
+"""Truncated deep media: agreement with complete media, and limits of the diffusion substrate."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
 CLEAR = {"ice": 1.31, "water": 1.33}
 WAVELENGTHS = np.array([450.0, 700.0, 850.0, 1000.0])
 FINE = {"grain_size_um": (50.0, 100.0), "density_kg_m3": 300.0}
-PACKS = {
+MEDIA = {
     "dry": splits.Snow(**FINE, saturation=0.0, depth_m=0.03),
     "wet": splits.Snow(**FINE, saturation=0.3, depth_m=0.03),
     "soaked": splits.Snow(**FINE, saturation=1.0, depth_m=0.12),
@@ -38,52 +38,58 @@ PACKS = {
 
 
 @pytest.fixture
-def always(monkeypatch):
-    """Cut however thin a pack is."""
+def truncate_always(monkeypatch):
+    """Truncate media of any depth."""
     monkeypatch.setattr(deep_medium, "MIN_DEPTH_MFP", 0.0)
 
 
 @NEEDS_JIT
 @pytest.mark.long
-@pytest.mark.parametrize("name", PACKS)
-def test_a_cut_pack_answers_as_the_whole(always, monkeypatch, name):
-    """Cut where 2 % would be asked for, and traced far better: what is left is theory's."""
-    pack = PACKS[name]
-    cut = truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, 0.02, 1, 2)
-    assert cut is not None
-    assert cut.depth_m < 0.7 * pack.depth_m
+@pytest.mark.parametrize("name", MEDIA)
+def test_truncated_medium_agrees_with_complete_medium(truncate_always, monkeypatch, name):
+    """Truncated for 2 % but traced to a smaller error: the difference is that of theory."""
+    medium = MEDIA[name]
+    truncated = truncate_deep_medium(PathSharingMedia.from_media([medium]), WAVELENGTHS, 0.02, 1, 2)
+    assert truncated is not None
+    assert truncated.depth_m < 0.7 * medium.depth_m
     monkeypatch.setattr(deep_medium, "MIN_DEPTH_MFP", math.inf)
     for seed, incidence in ((2, 0.0), (3, "diffuse")):
-        part, whole = (
-            splits.spectrophotometer(one, WAVELENGTHS, incidence, 0.0015, seed)
-            for one in (cut.media[0], pack)
+        run, reference = (
+            splits.spectrophotometer(traced, WAVELENGTHS, incidence, 0.0015, seed)
+            for traced in (truncated.media[0], medium)
         )
-        kept = part.transmittance.values
-        doubts = {
-            "reflectance": THEORY_UNCERTAINTY * kept * cut.escape_probability[0],
-            "transmittance": THEORY_UNCERTAINTY * kept,
+        transmittance = run.transmittance.values
+        theory_errors = {
+            "reflectance": THEORY_UNCERTAINTY * transmittance * truncated.escape_probability[0],
+            "transmittance": THEORY_UNCERTAINTY * transmittance,
         }
-        guessed = {
-            "reflectance": part.reflectance.values,
-            "transmittance": kept * cut.transmitted_fraction[0],
+        estimates = {
+            "reflectance": run.reflectance.values,
+            "transmittance": transmittance * truncated.transmitted_fraction[0],
         }
-        for quantity, doubt in doubts.items():
-            noise = np.hypot(part[f"{quantity}_stderr"], whole[f"{quantity}_stderr"]).values
-            off = np.abs(guessed[quantity] - whole[quantity].values)
+        for quantity, theory_error in theory_errors.items():
+            noise = np.hypot(run[f"{quantity}_stderr"], reference[f"{quantity}_stderr"]).values
+            difference = np.abs(estimates[quantity] - reference[quantity].values)
             print(
                 name,
                 incidence,
                 quantity,
-                np.round(off / np.maximum(doubt / THEORY_UNCERTAINTY, 1e-9), 2),
+                np.round(difference / np.maximum(theory_error / THEORY_UNCERTAINTY, 1e-9), 2),
             )
-            assert (off <= doubt + 3.0 * noise).all(), (name, incidence, quantity, off, doubt)
+            assert (difference <= theory_error + 3.0 * noise).all(), (
+                name,
+                incidence,
+                quantity,
+                difference,
+                theory_error,
+            )
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("max_stderr", [0.02, 0.002])
-def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
-    """What it does not look into any further, a better look would not cut either."""
-    packs = [
+def test_pilot_run_does_not_change_the_decision(monkeypatch, max_stderr):
+    """Media that the pilot run rejects for truncation are also rejected by a larger run."""
+    media = [
         splits.Sand(),
         splits.Sand(saturation=0.5, depth_m=0.1),
         splits.Sand(iron_oxide=0.0),
@@ -91,38 +97,40 @@ def test_a_rough_look_spares_time_and_changes_nothing(monkeypatch, max_stderr):
         splits.Snow(**FINE, depth_m=0.3),
         splits.Snow(**FINE, saturation=0.0, depth_m=2.0),
     ]
-    decided = [
-        truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2)
-        for pack in packs
+    with_pilot = [
+        truncate_deep_medium(PathSharingMedia.from_media([medium]), WAVELENGTHS, max_stderr, 1, 2)
+        for medium in media
     ]
     monkeypatch.setattr(deep_medium, "PILOT_MARGIN", math.inf)
-    better = [
-        truncate_deep_medium(PathSharingMedia.from_media([pack]), WAVELENGTHS, max_stderr, 1, 2)
-        for pack in packs
+    without_pilot = [
+        truncate_deep_medium(PathSharingMedia.from_media([medium]), WAVELENGTHS, max_stderr, 1, 2)
+        for medium in media
     ]
-    assert [cut and cut.depth_m for cut in decided] == [cut and cut.depth_m for cut in better]
-    assert 0 < better.count(None) < len(packs)
-    looked = []
+    assert [truncated and truncated.depth_m for truncated in with_pilot] == [
+        truncated and truncated.depth_m for truncated in without_pilot
+    ]
+    assert 0 < without_pilot.count(None) < len(media)
+    calls = []
     monkeypatch.undo()
-    monkeypatch.setattr(deep_medium, "pool_optics_by_type", lambda *_: looked.append(1))
+    monkeypatch.setattr(deep_medium, "pool_optics_by_type", lambda *_: calls.append(1))
     assert (
         truncate_deep_medium(
             PathSharingMedia.from_media([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2
         )
         is None
     )
-    assert not looked
+    assert not calls
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("ground", [None, 0.5])
-def test_what_layers_above_a_clear_one_absorb_stays_absorbed(ground):
-    """Clear quartz below, and snow above that is black at 1500 nm."""
-    clear = {"iron_oxide": 0.0, "partition": (1, 0, 0), "saturation": 0.0}
-    found = [
+def test_absorption_above_a_transparent_layer_is_kept(ground):
+    """Transparent quartz lies below snow that absorbs almost all light at 1500 nm."""
+    transparent = {"iron_oxide": 0.0, "partition": (1, 0, 0), "saturation": 0.0}
+    runs = [
         splits.spectrophotometer(
             splits.Stack(
-                [splits.Snow(), splits.Sand(**clear, depth_m=depth)],
+                [splits.Snow(), splits.Sand(**transparent, depth_m=depth)],
                 ground=ground,
                 interpretation="splits_2007",
             ),
@@ -132,48 +140,50 @@ def test_what_layers_above_a_clear_one_absorb_stays_absorbed(ground):
         )
         for seed, depth in enumerate((1.0, 0.007), start=1)
     ]
-    assert "truncation_depth_m" in found[0].attrs
-    assert "truncation_depth_m" not in found[1].attrs
-    for one in found:
-        assert one.absorptance[1] > 0.9
-    spread = np.hypot(found[0].absorptance_stderr[1], found[1].absorptance_stderr[1])
-    assert abs(found[0].absorptance[1] - found[1].absorptance[1]) < 4.0 * spread
+    assert "truncation_depth_m" in runs[0].attrs
+    assert "truncation_depth_m" not in runs[1].attrs
+    for run in runs:
+        assert run.absorptance[1] > 0.9
+    spread = np.hypot(runs[0].absorptance_stderr[1], runs[1].absorptance_stderr[1])
+    assert abs(runs[0].absorptance[1] - runs[1].absorptance[1]) < 4.0 * spread
 
 
 @NEEDS_JIT
-def test_errors_of_cut_packs_hold(always, monkeypatch):
+def test_stated_errors_of_truncated_media(truncate_always, monkeypatch):
     light = {"wavelength_nm": WAVELENGTHS, "incidence_deg": 60.0}
-    cut = splits.spectrophotometer(PACKS["dry"], seed=4, max_stderr=0.01, **light)
-    assert cut.attrs["truncation_depth_m"] < PACKS["dry"].depth_m
+    truncated = splits.spectrophotometer(MEDIA["dry"], seed=4, max_stderr=0.01, **light)
+    assert truncated.attrs["truncation_depth_m"] < MEDIA["dry"].depth_m
     monkeypatch.setattr(deep_medium, "MIN_DEPTH_MFP", math.inf)
-    whole = splits.spectrophotometer(PACKS["dry"], seed=5, max_stderr=0.002, **light)
+    reference = splits.spectrophotometer(MEDIA["dry"], seed=5, max_stderr=0.002, **light)
     z = [
-        (cut[n] - whole[n]) / np.hypot(cut[f"{n}_stderr"], whole[f"{n}_stderr"])
+        (truncated[n] - reference[n]) / np.hypot(truncated[f"{n}_stderr"], reference[f"{n}_stderr"])
         for n in ("reflectance", "transmittance")
     ]
     judge_z(np.array(z), independent=1, bound_added=True)
-    total = cut.reflectance + cut.transmittance + cut.absorptance
+    total = truncated.reflectance + truncated.transmittance + truncated.absorptance
     assert total.values == pytest.approx(1.0, abs=1e-12)
 
 
 @NEEDS_JIT
-def test_rare_dark_grains_are_not_overlooked():
-    """One grain in 20 000 absorbs, and all light in the end: a small sample meets none."""
+def test_rare_absorbing_grains_are_included():
+    """One grain in 20 000 absorbs, and dominates absorption; a small sample contains none."""
     sand = splits.Sand(iron_oxide=0.0, magnetite=1e-4, partition=(1.0, 0.0, 0.0))
-    cut = truncate_deep_medium(PathSharingMedia.from_media([sand]), np.array([600.0]), 0.005, 1, 2)
-    assert cut is not None
-    assert cut.transmitted_fraction[0, 0] < 0.5
+    truncated = truncate_deep_medium(
+        PathSharingMedia.from_media([sand]), np.array([600.0]), 0.005, 1, 2
+    )
+    assert truncated is not None
+    assert truncated.transmitted_fraction[0, 0] < 0.5
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("depth_m", [0.5, math.inf])
-def test_clear_sand_of_several_types_absorbs_nothing(depth_m):
-    """Whatever the shares of types add up to, in floating point."""
-    clear = splits.Sand(
+def test_transparent_sand_of_several_types_absorbs_nothing(depth_m):
+    """Holds although fractions of types do not add up to 1 exactly in floating point."""
+    transparent = splits.Sand(
         iron_oxide=0.0, hematite_ratio=0.5, partition=(0.3, 0.7, 0.0), saturation=0.0,
         depth_m=depth_m,
     )  # fmt: skip
-    ds = splits.spectrophotometer(clear, [600.0], max_stderr=0.01)
+    ds = splits.spectrophotometer(transparent, [600.0], max_stderr=0.01)
     assert "truncation_depth_m" in ds.attrs
     np.testing.assert_allclose(ds.reflectance + ds.transmittance, 1.0, rtol=0.0, atol=1e-12)
     assert float(ds.absorptance[0]) == pytest.approx(0.0, abs=1e-12)
@@ -182,10 +192,10 @@ def test_clear_sand_of_several_types_absorbs_nothing(depth_m):
 
 
 @NEEDS_JIT
-def test_types_measured_one_by_one_are_the_mixture():
+def test_pooled_optics_of_types_equal_the_mixture():
     sand = splits.Sand(hematite_ratio=0.5, magnetite=0.05, saturation=0.3, texture=(0.0, 0.1, 0.9))
     light = np.array([500.0, 800.0])
-    each = pool_optics_by_type(
+    pooled = pool_optics_by_type(
         sand,
         compute_material_constants(sand, light),
         GrainOpticsRequest(1, 50 * GRAIN_RAYS_PER_CHUNK, 1, 2, "equilibrium"),
@@ -195,14 +205,14 @@ def test_types_measured_one_by_one_are_the_mixture():
     )
     z = []
     for name in ("single_scattering_albedo", "asymmetry_parameter", *WEIGHTED_MEANS):
-        # Types by themselves know a mean at least as well as a mixture.
+        # Means of single types have standard errors no larger than those of the mixture.
         error = np.sqrt(2.0) * mixed[f"{name}_stderr"]
-        z.append(((each[name].values - mixed[name]) / error).values)
+        z.append(((pooled[name].values - mixed[name]) / error).values)
     judge_z(np.array(z), independent=2, bound_added=True)
 
 
 @NEEDS_JIT
-def test_a_pack_without_end_that_absorbs_nothing_sends_all_light_back():
+def test_semi_infinite_conservative_medium_reflects_all_light():
     snow = splits.Snow(**FINE, saturation=0.2, refractive_index=CLEAR, depth_m=math.inf)
     ds = splits.spectrophotometer(snow, [500.0], 30.0, 0.01)
     assert ds.reflectance.item() == pytest.approx(1.0, abs=1e-5)
@@ -210,19 +220,19 @@ def test_a_pack_without_end_that_absorbs_nothing_sends_all_light_back():
 
 
 @NEEDS_JIT
-def test_a_pack_without_end_is_one_that_is_deep_enough():
+def test_semi_infinite_medium_agrees_with_a_deep_one():
     light = {"wavelength_nm": [800.0, 1000.0, 1300.0], "incidence_deg": 50.0, "max_stderr": 0.004}
-    endless = splits.spectrophotometer(splits.Snow(depth_m=math.inf), seed=6, **light)
-    enough = endless.attrs["semi_infinite_depth_m"]
-    finite = splits.spectrophotometer(splits.Snow(depth_m=enough), seed=7, **light)
-    error = np.hypot(endless.reflectance_stderr, finite.reflectance_stderr)
-    off = np.abs(endless.reflectance - finite.reflectance)
-    assert (off <= 0.004 + 3.0 * error).all()
-    assert (endless.transmittance == 0.0).all()
+    semi_infinite = splits.spectrophotometer(splits.Snow(depth_m=math.inf), seed=6, **light)
+    depth_m = semi_infinite.attrs["semi_infinite_depth_m"]
+    finite = splits.spectrophotometer(splits.Snow(depth_m=depth_m), seed=7, **light)
+    error = np.hypot(semi_infinite.reflectance_stderr, finite.reflectance_stderr)
+    difference = np.abs(semi_infinite.reflectance - finite.reflectance)
+    assert (difference <= 0.004 + 3.0 * error).all()
+    assert (semi_infinite.transmittance == 0.0).all()
 
 
-def test_faces_reflect_diffuse_light_as_the_closed_form_says():
-    """Walsh's integral of Fresnel's reflectance, for n > 1; reciprocity for the way back."""
+def test_diffuse_reflectance_follows_the_closed_form():
+    """Walsh's closed form of the Fresnel integral for n > 1; reciprocity for n < 1."""
     n = np.array([1.1, 1.33, 1.5, 2.0])
     square = n**2
     closed = (
@@ -237,8 +247,8 @@ def test_faces_reflect_diffuse_light_as_the_closed_form_says():
     assert diffuse_reflectance(np.array(1.0)) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_diffusion_below_a_cut_has_its_limits():
-    """Nothing absorbed: 1/(2 + h/D) through to a black bottom; a white one sends all back."""
+def test_diffusive_substrate_has_the_known_limits():
+    """Without absorption: 1/(2 + h/D) reaches a black bottom; a white one reflects all light."""
     one = np.ones(1)
     diffusion, height = 1e-4, 0.5
     rate = 1e-8
@@ -248,11 +258,13 @@ def test_diffusion_below_a_cut_has_its_limits():
     assert black.compute_transmitted_fraction() == pytest.approx(1.0, rel=1e-9)
     white = DiffusiveSubstrate(rate * diffusion * one, rate * height * one, 0.0 * one)
     assert white.compute_reflected_fraction() == pytest.approx(1.0, abs=1e-9)
-    endless = DiffusiveSubstrate(0.3 * one, math.inf * one, 0.5 * one)
-    assert endless.compute_flux_ratio() == pytest.approx(0.3)
-    assert endless.compute_transmitted_fraction() == 0.0
+    semi_infinite = DiffusiveSubstrate(0.3 * one, math.inf * one, 0.5 * one)
+    assert semi_infinite.compute_flux_ratio() == pytest.approx(0.3)
+    assert semi_infinite.compute_transmitted_fraction() == 0.0
     thick, thin = (DiffusiveSubstrate(0.3 * one, h * one, 0.5 * one) for h in (30.0, 1e-12))
-    assert thick.compute_reflected_fraction() == pytest.approx(endless.compute_reflected_fraction())
+    assert thick.compute_reflected_fraction() == pytest.approx(
+        semi_infinite.compute_reflected_fraction()
+    )
     assert thin.compute_reflected_fraction() == pytest.approx(0.0, abs=1e-9)
     assert thin.compute_transmitted_fraction() == pytest.approx(1.0)
 
@@ -266,13 +278,13 @@ def test_diffusion_below_a_cut_has_its_limits():
         lambda snow: splits.spectrophotometer(snow, [500.0], estimator="analog"),
     ],
 )
-def test_other_instruments_refuse_packs_without_end(instrument):
+def test_other_instruments_reject_semi_infinite_media(instrument):
     with pytest.raises(InvalidValue, match="depth_m = inf: must be finite"):
         instrument(splits.Snow(depth_m=math.inf))
 
 
-def test_only_the_lowest_layer_has_no_end():
-    endless = splits.Snow(depth_m=math.inf)
-    assert splits.Stack([splits.Snow(), endless]).depth_m == math.inf
+def test_only_the_lowest_layer_may_be_semi_infinite():
+    semi_infinite = splits.Snow(depth_m=math.inf)
+    assert splits.Stack([splits.Snow(), semi_infinite]).depth_m == math.inf
     with pytest.raises(InvalidValue, match=r"layers\[0\].depth_m = inf: must be finite"):
-        splits.Stack([endless, splits.Snow()])
+        splits.Stack([semi_infinite, splits.Snow()])

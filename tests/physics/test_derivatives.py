@@ -1,4 +1,4 @@
-"""Derivatives of spectra against differences of runs with random numbers of their own."""
+"""Derivatives of spectra against finite differences of independent runs."""
 
 from __future__ import annotations
 
@@ -44,55 +44,59 @@ CASES = {
 }
 
 
-def places(medium):
-    """Return the wavelengths of a medium; a layer has no colour."""
+def select_wavelengths(medium):
+    """Return the wavelengths for a medium; particle layers do not depend on wavelength."""
     return W[:1] if medium.kind == "particle_layer" else W
 
 
-def central(medium, name, step, error):
-    """Return a five-point difference of independent runs, and its error."""
-    value, square = 0.0, 0.0
-    for seed, (place, weight) in enumerate({-2: 1, -1: -8, 1: 8, 2: -1}.items(), start=100):
-        other = replace_parameter(medium, name, get_parameter(medium, name) + place * step)
-        run = splits.spectrophotometer(other, places(medium), 30, error, seed)
-        share = weight / (12.0 * step)
-        value = value + share * run.reflectance.values
-        square = square + (share * run.reflectance_stderr.values) ** 2
-    return value, np.sqrt(square)
+def compute_central_difference(medium, name, step, error):
+    """Return a five-point difference of independent runs and its standard error."""
+    value, variance = 0.0, 0.0
+    for seed, (offset, weight) in enumerate({-2: 1, -1: -8, 1: 8, 2: -1}.items(), start=100):
+        shifted = replace_parameter(medium, name, get_parameter(medium, name) + offset * step)
+        run = splits.spectrophotometer(shifted, select_wavelengths(medium), 30, error, seed)
+        coefficient = weight / (12.0 * step)
+        value = value + coefficient * run.reflectance.values
+        variance = variance + (coefficient * run.reflectance_stderr.values) ** 2
+    return value, np.sqrt(variance)
 
 
 @NEEDS_JIT
-def test_derivatives_are_those_of_independent_runs():
+def test_derivatives_agree_with_independent_runs():
     z = []
     for medium, name, step, method in CASES.values():
-        found = splits.spectrophotometer(medium, places(medium), 30, 0.004, jacobian=[name])
-        assert found.parameter_method.values.tolist() == [method]
-        value, error = central(medium, name, step, 0.004)
-        own, own_error = (found[f"reflectance_jacobian{end}"].values[0] for end in ("", "_stderr"))
-        z.append((own - value) / np.hypot(own_error, error))
-    # Wavelengths of a case share their rays: of each case one counts, the darkest.
+        run = splits.spectrophotometer(
+            medium, select_wavelengths(medium), 30, 0.004, jacobian=[name]
+        )
+        assert run.parameter_method.values.tolist() == [method]
+        value, error = compute_central_difference(medium, name, step, 0.004)
+        derivative, derivative_error = (
+            run[f"reflectance_jacobian{end}"].values[0] for end in ("", "_stderr")
+        )
+        z.append((derivative - value) / np.hypot(derivative_error, error))
+    # Wavelengths of a case use the same rays, so only the most absorbing one of each case counts.
     judge_z(np.array([row[-1] for row in z]), bound_added=True)
 
 
 @NEEDS_JIT
-def test_derivatives_stand_in_the_order_asked_for():
-    asked = ["density_kg_m3", "ground", "incidence_deg"]
-    found = splits.spectrophotometer(THIN, [850.0], 30, 0.05, jacobian=asked)
-    assert found.parameter.values.tolist() == asked
-    assert found.parameter_method.values.tolist() == [
+def test_derivatives_keep_the_requested_order():
+    names = ["density_kg_m3", "ground", "incidence_deg"]
+    run = splits.spectrophotometer(THIN, [850.0], 30, 0.05, jacobian=names)
+    assert run.parameter.values.tolist() == names
+    assert run.parameter_method.values.tolist() == [
         "finite_difference",
         "shared_paths",
         "finite_difference",
     ]
-    assert found.parameter_unit.values.tolist() == ["m3 kg-1", "1", "degree-1"]
-    for i, name in enumerate(asked):
-        alone = splits.spectrophotometer(THIN, [850.0], 30, 0.05, jacobian=[name])
-        assert float(alone.reflectance_jacobian[0, 0]) == float(found.reflectance_jacobian[i, 0])
-    assert found.attrs["finite_difference_rays"] > 0
+    assert run.parameter_unit.values.tolist() == ["m3 kg-1", "1", "degree-1"]
+    for i, name in enumerate(names):
+        single = splits.spectrophotometer(THIN, [850.0], 30, 0.05, jacobian=[name])
+        assert float(single.reflectance_jacobian[0, 0]) == float(run.reflectance_jacobian[i, 0])
+    assert run.attrs["finite_difference_rays"] > 0
 
 
 @pytest.mark.parametrize("offsets", [(-2, -1, 1, 2), (-1.5, -0.5, 1.5, 2.5), (0, 1, 3, 4)])
-def test_rules_are_exact_for_cubics(offsets):
+def test_stencils_are_exact_for_cubics(offsets):
     fine, coarse = _compute_stencil_weights(tuple(map(float, offsets)), 0.1)
     x = 0.1 * np.array(offsets)
     for power in range(4):
@@ -102,7 +106,7 @@ def test_rules_are_exact_for_cubics(offsets):
             assert coarse @ x**power == pytest.approx(exact, abs=1e-9)
 
 
-def test_weights_of_the_five_point_rule():
+def test_five_point_stencil_has_the_known_weights():
     weights = _compute_difference_weights(np.array([-2.0, -1.0, 1.0, 2.0]))
     np.testing.assert_allclose(weights, np.array([1, -8, 8, -1]) / 12.0, atol=1e-12)
 
@@ -116,7 +120,7 @@ def test_weights_of_the_five_point_rule():
         splits.Stack([splits.Snow(depth_m=0.01), splits.Snow()]),
     ],
 )
-def test_every_parameter_can_be_moved(medium):
+def test_every_parameter_can_be_replaced(medium):
     for name in list_parameters(medium):
         before = get_parameter(medium, name)
         step = -1e-3 if name in ("max_polarization",) else 1e-3
@@ -125,7 +129,7 @@ def test_every_parameter_can_be_moved(medium):
         assert isinstance(get_derivative_unit(name), str)
 
 
-def test_shares_leave_the_others_in_their_ratios():
+def test_fractions_keep_the_ratios_of_the_others():
     sand = splits.Sand(partition=(0.5, 0.3, 0.2))
     moved = replace_parameter(sand, "partition.coated", 0.6)
     assert moved.partition == pytest.approx((0.25, 0.15, 0.6))
@@ -137,7 +141,7 @@ def test_shares_leave_the_others_in_their_ratios():
         get_parameter(sand, "texture.sild")
 
 
-LAWS = {
+FUNCTIONS = {
     "falling": (lambda s: 0.5 * np.exp(-5.0 * s), -2.5),
     "steep": (lambda s: 0.5 * np.exp(-10.0 * s), -5.0),
     "root": (lambda s: 0.8 * np.exp(-1.5 * np.sqrt(0.02 + s)), -3.431),
@@ -145,61 +149,65 @@ LAWS = {
 }
 
 
-def formula(make, noise):
+def make_estimator(function, noise):
     """Return runs of a medium whose reflectance is a function of its saturation."""
 
     def measure(medium, _incidence):
-        mean = np.array([[make(medium.saturation)], [0.0], [0.0]])
-        groups = np.full((32, 2, 1), noise / np.sqrt(32.0))
-        none = np.zeros((2, 0, 1))
+        mean = np.array([[function(medium.saturation)], [0.0], [0.0]])
+        batches = np.full((32, 2, 1), noise / np.sqrt(32.0))
+        empty = np.zeros((2, 0, 1))
         return SpectralEstimate(
-            mean, noise + 0.0 * mean, 0.0 * mean, groups, 1, 1, True, "vectorized",
-            Derivatives(none, np.zeros((32, *none.shape)), none),
+            mean, noise + 0.0 * mean, 0.0 * mean, batches, 1, 1, True, "vectorized",
+            Derivatives(empty, np.zeros((32, *empty.shape)), empty),
         )  # fmt: skip
 
     return measure
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("noise", [1e-3, 1e-5])
-def test_one_sided_differences_say_how_far_they_are_off(law, noise):
-    """Where a range begins, without noise in the means: what is left is the rule's own."""
-    make, slope = LAWS[law]
-    found = compute_finite_difference(
-        formula(make, noise), splits.Snow(saturation=0.0), 0.0, "saturation"
+def test_one_sided_differences_state_their_error(name, noise):
+    """At the edge of a range and without noise in the means, the error is that of the stencil."""
+    function, slope = FUNCTIONS[name]
+    derivatives = compute_finite_difference(
+        make_estimator(function, noise), splits.Snow(saturation=0.0), 0.0, "saturation"
     ).derivatives
-    assert abs(found.mean[0, 0, 0] - slope) < 2.0 * found.stderr[0, 0, 0] + 2e-3
+    assert abs(derivatives.mean[0, 0, 0] - slope) < 2.0 * derivatives.stderr[0, 0, 0] + 2e-3
 
 
 @pytest.mark.parametrize("saturation", [1e-3, 0.01, 0.2])
-def test_a_root_has_its_slope_wherever_it_has_one(saturation):
+def test_derivative_of_a_square_root_is_found_where_finite(saturation):
     def root(s):
         return 0.5 - 0.2 * np.sqrt(2.0 * s)
 
     snow = splits.Snow(saturation=saturation)
-    found = compute_finite_difference(formula(root, 1e-4), snow, 0.0, "saturation").derivatives
+    derivatives = compute_finite_difference(
+        make_estimator(root, 1e-4), snow, 0.0, "saturation"
+    ).derivatives
     slope = -0.2 / np.sqrt(2.0 * saturation)
-    assert found.mean[0, 0, 0] == pytest.approx(slope, rel=1e-3)
+    assert derivatives.mean[0, 0, 0] == pytest.approx(slope, rel=1e-3)
     with pytest.raises(InvalidValue, match=r"saturation\) = 0\.0: must be where .* is finite"):
         compute_finite_difference(
-            formula(root, 1e-6), splits.Snow(saturation=0.0), 0.0, "saturation"
+            make_estimator(root, 1e-6), splits.Snow(saturation=0.0), 0.0, "saturation"
         )
 
 
-def test_an_albedo_near_one_has_its_slope():
-    """Reflectance of a thick layer goes as the root of what absorbs."""
+def test_derivative_near_albedo_one_is_accurate():
+    """The reflectance of a thick layer varies with the square root of 1 − albedo."""
 
-    def make(albedo):
+    def reflectance(albedo):
         return np.exp(-3.0 * np.sqrt(1.0 - albedo + 1e-4))
 
     layer = splits.ParticleLayer(single_scattering_albedo=0.999)
 
     def measure(medium, incidence):
-        known = splits.Snow(saturation=0.5)
-        value = make(medium.single_scattering_albedo)
-        return formula(lambda _: value, 1e-4)(known, incidence)
+        placeholder = splits.Snow(saturation=0.5)
+        value = reflectance(medium.single_scattering_albedo)
+        return make_estimator(lambda _: value, 1e-4)(placeholder, incidence)
 
-    found = compute_finite_difference(measure, layer, 0.0, "single_scattering_albedo").derivatives
-    exact = make(0.999) * 1.5 / np.sqrt(1e-3 + 1e-4)
-    off = abs(found.mean[0, 0, 0] - exact)
-    assert off < 2.0 * found.stderr[0, 0, 0] + 1e-2 * exact
+    derivatives = compute_finite_difference(
+        measure, layer, 0.0, "single_scattering_albedo"
+    ).derivatives
+    exact = reflectance(0.999) * 1.5 / np.sqrt(1e-3 + 1e-4)
+    deviation = abs(derivatives.mean[0, 0, 0] - exact)
+    assert deviation < 2.0 * derivatives.stderr[0, 0, 0] + 1e-2 * exact

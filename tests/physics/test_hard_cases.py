@@ -1,7 +1,7 @@
-"""Hard cases through the public interface: each finite, sound, and equal to its limit.
+"""Extreme inputs to the public interface: results are finite, valid and equal to known limits.
 
-docs/theory/hard-cases.md lists them.  `tests/physics/test_hard_paths.py` has those below the
-interface.
+docs/theory/hard-cases.md lists them.  `tests/physics/test_hard_paths.py` tests single rays and
+grains.
 """
 
 from __future__ import annotations
@@ -25,24 +25,26 @@ pytestmark = NEEDS_JIT
 KERNELS = ["scalar", "vectorized"]
 """Kernels that must pass; the first is the float64 reference."""
 
-SUM = 1e-12
-"""Largest gap of a sum of shares from 1."""
+SUM_TOLERANCE = 1e-12
+"""Largest deviation from 1 of the sum of reflectance, transmittance and absorptance."""
 MATCHED = 1.4
 WAVELENGTHS = (400.0, 700.0, 1500.0)
 
 
 def measure(medium, wavelength_nm=WAVELENGTHS, incidence_deg=0.0, stderr=0.03, seed=1, **settings):
-    """Return a sound spectrum: finite, shares within 0…1 that add up to 1, with errors."""
+    """Return a spectrum and its errors after checks: finite, within [0, 1], with a sum of 1."""
     ds = splits.spectrophotometer(
         medium, wavelength_nm, incidence_deg, max_stderr=stderr, seed=seed, **settings
     )
     names = ("reflectance", "transmittance", "absorptance")
-    shares, errors = (np.stack([ds[f"{name}{end}"] for name in names]) for end in ("", "_stderr"))
-    assert np.isfinite(shares).all() and np.isfinite(errors).all()
-    assert shares.min() >= -SUM and shares.max() <= 1.0 + SUM
-    assert np.abs(shares.sum(axis=0) - 1.0).max() < SUM
+    fractions, errors = (
+        np.stack([ds[f"{name}{end}"] for name in names]) for end in ("", "_stderr")
+    )
+    assert np.isfinite(fractions).all() and np.isfinite(errors).all()
+    assert fractions.min() >= -SUM_TOLERANCE and fractions.max() <= 1.0 + SUM_TOLERANCE
+    assert np.abs(fractions.sum(axis=0) - 1.0).max() < SUM_TOLERANCE
     assert (errors >= 0.0).all() and errors.max() <= stderr
-    return shares, errors
+    return fractions, errors
 
 
 SMOOTH = (0.0, 0.0, 0.0, 0.0)
@@ -67,90 +69,94 @@ GEOMETRIES = {
 ANGLES = (0.0, 89.9)
 
 
-def snow(geometry, saturation=0.05, **index):
+def make_snow(geometry, saturation=0.05, **index):
     settings = {"saturation": saturation, **GEOMETRIES.get(geometry, {})}
     return splits.Snow(**settings, refractive_index=index)
 
 
 @cache
-def of_ice(geometry, incidence, kernel, seed):
-    return measure(snow(geometry), incidence_deg=incidence, kernel=kernel, seed=seed)
+def measure_ice(geometry, incidence, kernel, seed):
+    return measure(make_snow(geometry), incidence_deg=incidence, kernel=kernel, seed=seed)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("geometry", GEOMETRIES)
-def test_ice_is_sound_and_kernels_agree(geometry, kernel):
+def test_ice_spectra_are_valid_and_kernels_agree(geometry, kernel):
     z = []
     for incidence in ANGLES:
-        shares, errors = of_ice(geometry, incidence, kernel, 11)
-        # Another seed of the reference: the same test also holds its stated errors to account.
-        other, other_errors = of_ice(geometry, incidence, KERNELS[0], 12)
-        # One wavelength, two quantities: the rest is correlated with them.
-        z.append((shares - other)[:2, 1] / np.hypot(errors, other_errors)[:2, 1])
+        fractions, errors = measure_ice(geometry, incidence, kernel, 11)
+        # The reference has another seed, so that its own stated errors are tested too.
+        other, other_errors = measure_ice(geometry, incidence, KERNELS[0], 12)
+        # One wavelength and two quantities only: all others are correlated with them.
+        z.append((fractions - other)[:2, 1] / np.hypot(errors, other_errors)[:2, 1])
     judge_z(z, f"{kernel}, {geometry}", independent=len(ANGLES))
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("saturation", [0.0, 1.0])
 @pytest.mark.parametrize("geometry", GEOMETRIES)
-def test_nothing_is_lost_where_nothing_absorbs(geometry, saturation, kernel):
+def test_energy_is_conserved_without_absorption(geometry, saturation, kernel):
     for incidence in ANGLES:
-        shares, _ = measure(
-            snow(geometry, saturation, ice=1.31, water=1.33), 500.0, incidence, 0.1, kernel=kernel
+        fractions, _ = measure(
+            make_snow(geometry, saturation, ice=1.31, water=1.33),
+            500.0,
+            incidence,
+            0.1,
+            kernel=kernel,
         )
-        assert abs(shares[0] + shares[1] - 1.0) < SUM
+        assert abs(fractions[0] + fractions[1] - 1.0) < SUM_TOLERANCE
 
 
-STERNER = {0.0: 0.02, 89.9: 0.001}
+MAX_STDERR = {0.0: 0.02, 89.9: 0.001}
 
 
-def plate(depth, k, incidence):
-    """Return R and T of a plane plate, index MATCHED, with incoherent multiple reflections."""
+def plate_spectrum(depth, k, incidence):
+    """Return R and T of a plane-parallel plate of index MATCHED, reflections added incoherently."""
     r, _, cos_t = fresnel(1.0, MATCHED, 0.0, math.cos(math.radians(incidence)))
-    passed = np.exp(-4.0 * math.pi * k / (np.array(WAVELENGTHS) * 1e-9) * depth / cos_t)
-    series = (1.0 - r) ** 2 * passed / (1.0 - (r * passed) ** 2)
-    return np.stack([r + series * r * passed, series])
+    attenuation = np.exp(-4.0 * math.pi * k / (np.array(WAVELENGTHS) * 1e-9) * depth / cos_t)
+    series = (1.0 - r) ** 2 * attenuation / (1.0 - (r * attenuation) ** 2)
+    return np.stack([r + series * r * attenuation, series])
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("incidence", ANGLES)
-def test_matched_indices_leave_a_plain_plate(incidence, kernel):
-    gaps, stated = [], []
+def test_matched_indices_give_a_homogeneous_plate(incidence, kernel):
+    differences, stderrs = [], []
     for seed, geometry in enumerate(GEOMETRIES):
-        medium = snow(geometry, 1.0)
+        medium = make_snow(geometry, 1.0)
         k = 700e-9 / (4.0 * math.pi * medium.depth_m)
         matched = dict.fromkeys(("ice", "water"), complex(MATCHED, k))
-        shares, errors = measure(
-            snow(geometry, 1.0, **matched), WAVELENGTHS, incidence, STERNER[incidence], seed,
-            kernel=kernel,
+        fractions, errors = measure(
+            make_snow(geometry, 1.0, **matched), WAVELENGTHS, incidence, MAX_STDERR[incidence],
+            seed, kernel=kernel,
         )  # fmt: skip
-        gaps.append((shares[:2] - plate(medium.depth_m, k, incidence))[:, 1])
-        stated.append(errors[:2, 1])
-    gaps, stated = np.array(gaps), np.array(stated)
-    judge_z(gaps[:, 0] / stated[:, 0], f"{kernel}, reflectance at {incidence}")
-    # Towards 90 degrees one ray in 20 000 gets through, hence only all of them together.
+        differences.append((fractions[:2] - plate_spectrum(medium.depth_m, k, incidence))[:, 1])
+        stderrs.append(errors[:2, 1])
+    differences, stderrs = np.array(differences), np.array(stderrs)
+    judge_z(differences[:, 0] / stderrs[:, 0], f"{kernel}, reflectance at {incidence}")
+    # Near 90 degrees one ray in 20 000 is transmitted, so only the pooled value is tested.
     if incidence == 0.0:
-        judge_z(gaps[:, 1] / stated[:, 1], f"{kernel}, transmittance at {incidence}")
-    together = gaps.sum(axis=0) / np.sqrt((stated**2).sum(axis=0))
-    judge_z(together, f"{kernel}, all geometries at {incidence}", independent=1)
+        judge_z(differences[:, 1] / stderrs[:, 1], f"{kernel}, transmittance at {incidence}")
+    pooled_z = differences.sum(axis=0) / np.sqrt((stderrs**2).sum(axis=0))
+    judge_z(pooled_z, f"{kernel}, all geometries at {incidence}", independent=1)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("geometry", GEOMETRIES)
-def test_grains_of_index_1_are_not_there(geometry, kernel):
-    shares, _ = measure(snow(geometry, 0.0, ice=1.0), 500.0, 30.0, 0.1, kernel=kernel)
-    assert shares[:, 0].tolist() == [0.0, 1.0, 0.0]
+def test_grains_of_index_1_have_no_effect(geometry, kernel):
+    fractions, _ = measure(make_snow(geometry, 0.0, ice=1.0), 500.0, 30.0, 0.1, kernel=kernel)
+    assert fractions[:, 0].tolist() == [0.0, 1.0, 0.0]
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("incidence", [0.0, 89.9])
-def test_a_beam_goes_straight_through_grains_of_index_1(incidence, kernel):
+def test_grains_of_index_1_transmit_the_direct_beam(incidence, kernel):
     medium = splits.Snow(saturation=0.0, depth_m=0.01, refractive_index={"ice": 1.0})
-    shares, _ = measure(medium, 500.0, incidence, 0.1, kernel=kernel)
-    assert shares[:, 0].tolist() == [0.0, 1.0, 0.0]
+    fractions, _ = measure(medium, 500.0, incidence, 0.1, kernel=kernel)
+    assert fractions[:, 0].tolist() == [0.0, 1.0, 0.0]
 
 
-READINGS = [
+INTERPRETATIONS = [
     {"overlap_with_boundary": "keep"},
     {"overlap_with_previous_segment": "keep"},
     {"overlap_with_boundary": "skip"},
@@ -164,12 +170,12 @@ READINGS = [
 ]
 
 
-def away_under(reading, kernel, error):
-    """Return how far a kernel is from the reference in four runs of reflectance, transmittance."""
-    # Clear and thick, where rays that lose their way at the top show; rough, wet and absorbing.
+def compare_interpretation(interpretation, kernel, error):
+    """Return z of reflectance and transmittance against the reference kernel, in four runs."""
+    # Transparent and thick, sensitive to errors at the top boundary; then rough, wet, absorbing.
     z = []
-    # Readings hardly differ: of the same seeds, so would not what is compared.
-    first = 2 * READINGS.index(reading)
+    # Interpretations hardly differ, so equal seeds would correlate their comparisons.
+    first = 2 * INTERPRETATIONS.index(interpretation)
     for seed, settings in enumerate(
         (
             {"depth_m": 0.02, "saturation": 0.0, "refractive_index": {"ice": 1.31}},
@@ -178,38 +184,38 @@ def away_under(reading, kernel, error):
         start=first,
     ):
         for incidence in (0.0, 75.0):
-            medium = splits.Snow(**settings, interpretation=reading)
-            (shares, errors), (other, other_errors) = (
+            medium = splits.Snow(**settings, interpretation=interpretation)
+            (fractions, errors), (other, other_errors) = (
                 measure(medium, 1500.0, incidence, error, seed + 100 * n, kernel=k)
                 for n, k in enumerate((kernel, KERNELS[0]))
             )
-            z.append((shares - other)[:2, 0] / np.hypot(errors, other_errors)[:2, 0])
+            z.append((fractions - other)[:2, 0] / np.hypot(errors, other_errors)[:2, 0])
     return np.array(z)
 
 
 @pytest.mark.parametrize("kernel", KERNELS[1:])
 @pytest.mark.parametrize("error", [0.003, pytest.param(0.001, marks=pytest.mark.long)])
-def test_kernels_agree_under_every_reading(kernel, error):
-    """At 0.003 a share that is off by 0.025 under one reading is seen in 99 of 100 cases.
+def test_kernels_agree_under_every_interpretation(kernel, error):
+    """At 0.003 a deviation of 0.025 under one interpretation is detected with 99 % probability.
 
-    A pair errs by 0.0042, one of eight comparisons of a reading may be off by 3.2 of these, and a
-    share is found below its mean by more than 2.3 in one case of 100.  Off by 0.0035 under every
-    reading it brings the rms of all to its upper limit.
+    The standard error of a difference is 0.0042, the largest of eight comparisons may reach 3.2 of
+    these, and a normal variate is below −2.3 in 1 % of all cases.  A deviation of 0.0035 under
+    every interpretation brings the rms of all to its upper limit.
     """
-    found = []
-    for reading in READINGS:
-        z = away_under(reading, kernel, error)
-        print(f"{kernel}, {reading}: {z.round(2).tolist()}")
-        assert np.abs(z).max() <= compute_z_bound(z.size), reading
-        found.append(z)
-    # Reflectance and transmittance of a pair of runs share paths.
-    judge_z(found, f"{kernel}, all readings", independent=4 * len(READINGS))
+    all_z = []
+    for interpretation in INTERPRETATIONS:
+        z = compare_interpretation(interpretation, kernel, error)
+        print(f"{kernel}, {interpretation}: {z.round(2).tolist()}")
+        assert np.abs(z).max() <= compute_z_bound(z.size), interpretation
+        all_z.append(z)
+    # Reflectance and transmittance of a pair of runs are estimated from the same paths.
+    judge_z(all_z, f"{kernel}, all interpretations", independent=4 * len(INTERPRETATIONS))
 
 
 # --- incidence --------------------------------------------------------------------------------
 
 
-MIRRORS = {
+SMOOTH_SPHERES = {
     "sphericity": SPHERES,
     "facetness": SMOOTH,
     "depth_m": 0.01,
@@ -217,42 +223,46 @@ MIRRORS = {
 }
 
 
-# Transmittance at 89.99 degrees by 180 000 rays of either kernel, and its error.
+# Transmittance at 89.99 degrees from 180 000 rays of each kernel, and its standard error.
 GRAZING = 0.0331, math.sqrt(0.0331 * (1.0 - 0.0331) / 360_000)
 
 
-def passed_at(medium, incidence, **settings):
+def measure_transmittance(medium, incidence, **settings):
     """Return transmittance and its standard error."""
-    shares, errors = measure(medium, 500.0, incidence, **settings)
-    return shares[1, 0], errors[1, 0]
+    fractions, errors = measure(medium, 500.0, incidence, **settings)
+    return fractions[1, 0], errors[1, 0]
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_smooth_spheres_become_a_mirror_towards_90_degrees(kernel):
-    # Only grains below the boundary are met, so a ray that skims it meets their tops, grazing.
-    medium = splits.Snow(**MIRRORS, saturation=0.0)
-    passed = [passed_at(medium, a, stderr=0.002, kernel=kernel) for a in (60, 89, 89.99)]
-    assert passed[0][0] > passed[1][0] + 0.05 > passed[2][0] + 0.1
-    value, error = passed[2]
+def test_transmittance_of_smooth_spheres_falls_towards_90_degrees(kernel):
+    # All grains lie below the boundary, so a ray along it hits their tops at grazing incidence.
+    medium = splits.Snow(**SMOOTH_SPHERES, saturation=0.0)
+    transmittances = [
+        measure_transmittance(medium, a, stderr=0.002, kernel=kernel) for a in (60, 89, 89.99)
+    ]
+    assert transmittances[0][0] > transmittances[1][0] + 0.05 > transmittances[2][0] + 0.1
+    value, error = transmittances[2]
     judge_z([(value - GRAZING[0]) / math.hypot(error, GRAZING[1])], f"{kernel}, grazing")
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("incidence", [89.9, 89.99])
-def test_water_reflects_its_fresnel_share_near_90_degrees(incidence, kernel):
+def test_water_surface_reflects_by_fresnel_near_90_degrees(incidence, kernel):
     mu = math.cos(math.radians(incidence))
-    shares, errors = measure(snow("", 1.0), 500.0, incidence, 0.002, kernel=kernel)
-    at_least = fresnel(1.0, complex(snow("").refractive_index["water"](500.0)).real, 0.0, mu)[0]
-    assert at_least - 4.0 * errors[0, 0] < shares[0, 0] <= 1.0
-    assert shares[1, 0] < 1.0 - at_least + 4.0 * errors[1, 0]
+    fractions, errors = measure(make_snow("", 1.0), 500.0, incidence, 0.002, kernel=kernel)
+    lower_bound = fresnel(
+        1.0, complex(make_snow("").refractive_index["water"](500.0)).real, 0.0, mu
+    )[0]
+    assert lower_bound - 4.0 * errors[0, 0] < fractions[0, 0] <= 1.0
+    assert fractions[1, 0] < 1.0 - lower_bound + 4.0 * errors[1, 0]
 
 
 @pytest.mark.parametrize("saturation", [0.0, 1.0])
-def test_incidence_of_89_9999_degrees(saturation, kernel="auto"):
-    # Smooth spheres, and water's surface, let less through than at 89.99 degrees.
-    # With an error of 0.007 twice as much is seen in 98 of 100 cases.
-    medium = splits.Snow(**MIRRORS, saturation=saturation)
-    value, error = passed_at(medium, 89.9999, stderr=0.007, kernel=kernel)
+def test_transmittance_at_89_9999_degrees_is_bounded(saturation, kernel="auto"):
+    # Smooth spheres and a water surface transmit less than at 89.99 degrees.
+    # With an error of 0.007, twice as much is detected with 98 % probability.
+    medium = splits.Snow(**SMOOTH_SPHERES, saturation=saturation)
+    value, error = measure_transmittance(medium, 89.9999, stderr=0.007, kernel=kernel)
     assert value < GRAZING[0] + compute_z_bound(1) * math.hypot(error, GRAZING[1])
 
 
@@ -260,29 +270,29 @@ def test_incidence_of_89_9999_degrees(saturation, kernel="auto"):
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_k_of_1e_12_absorbs_its_share_of_a_straight_path(kernel):
-    # Where n = 1 the path in ice is at most the way through the slab, here 0.12 m long.
-    shares, _ = measure(snow("", 0.0, ice=1.0 + 1e-12j), 500.0, kernel=kernel)
-    assert shares[0, 0] < 1e-20
-    assert 0.0 < shares[2, 0] < 4.0 * math.pi * 1e-12 / 500e-9 * 0.12
-    # Paths do not feel such a k: by the same numbers, the same spectrum up to this absorption.
+def test_k_of_1e_12_absorbs_in_proportion(kernel):
+    # Where n = 1 the path in ice is at most the slant path through the slab, here 0.12 m.
+    fractions, _ = measure(make_snow("", 0.0, ice=1.0 + 1e-12j), 500.0, kernel=kernel)
+    assert fractions[0, 0] < 1e-20
+    assert 0.0 < fractions[2, 0] < 4.0 * math.pi * 1e-12 / 500e-9 * 0.12
+    # Such a k does not change paths: the same seed gives the same spectrum up to this absorption.
     with_k, without = (
-        measure(snow("", 0.0, ice=1.31 + k), 500.0, kernel=kernel)[0] for k in (1e-12j, 0.0)
+        measure(make_snow("", 0.0, ice=1.31 + k), 500.0, kernel=kernel)[0] for k in (1e-12j, 0.0)
     )
     assert 0.0 < with_k[2, 0] < 1e-4
     assert np.abs(with_k - without).max() < 1e-4
 
 
-def fresnel_share(index):
-    """Return the mean reflectance of a smooth sphere struck by projected area."""
+def mean_fresnel_reflectance(index):
+    """Return the mean reflectance of a smooth sphere over its projected area."""
     return integrate.quad(
         lambda mu: 2.0 * mu * fresnel(1.0, index.real, index.imag, mu)[0], 1e-12, 1.0
     )[0]
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_opaque_grains_absorb_what_fresnel_lets_in(kernel):
-    # So few that one ray hardly ever meets two: A = (1 − exp(−depth/distance)) (1 − <R>).
+def test_absorptance_of_opaque_grains_follows_fresnel(kernel):
+    # The snow is so thin that a ray rarely hits two: A = (1 − exp(−depth/distance)) (1 − <R>).
     z = []
     for seed, index in enumerate((1.0 + 1.0j, 1.0 + 3.0j, 1.31 + 1.0j, 1.31 + 3.0j)):
         medium = splits.Snow(
@@ -290,46 +300,50 @@ def test_opaque_grains_absorb_what_fresnel_lets_in(kernel):
             refractive_index={"ice": index},
             interpretation={"entry_point": "projected", "overlap_with_boundary": "keep"},
         )  # fmt: skip
-        shares, errors = measure(medium, 500.0, 0.0, 3e-5, seed, kernel=kernel)
+        fractions, errors = measure(medium, 500.0, 0.0, 3e-5, seed, kernel=kernel)
         hit = -math.expm1(-medium.depth_m / medium.mean_grain_distance_m)
-        z.append((shares[2, 0] - hit * (1.0 - fresnel_share(index))) / errors[2, 0])
+        z.append((fractions[2, 0] - hit * (1.0 - mean_fresnel_reflectance(index))) / errors[2, 0])
     judge_z(z, "opaque spheres")
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("k", [1.0, 3.0])
-def test_opaque_grains_let_nothing_through(k, kernel):
+def test_opaque_grains_have_no_transmittance(k, kernel):
     for geometry in ("", "sphericity 0.3", "facetness 1"):
-        shares, errors = measure(snow(geometry, 0.0, ice=1.0 + 1j * k), 500.0, kernel=kernel)
-        assert shares[1, 0] < 3.0 * errors[1, 0]
+        fractions, errors = measure(
+            make_snow(geometry, 0.0, ice=1.0 + 1j * k), 500.0, kernel=kernel
+        )
+        assert fractions[1, 0] < 3.0 * errors[1, 0]
 
 
-def most_absorbed(index):
-    """Return a bound on what grains absorb that are mirrors, all together.
+def absorptance_bound(index):
+    """Return an upper bound on the absorptance of a medium of metallic grains.
 
-    Where a reflection absorbs the part a, isotropic scattering in a half-infinite medium absorbs
-    H(1) √a ≤ 2.908 √a of light from the zenith (Chandrasekhar 1960), scattering of asymmetry g up
-    to the factor 1/√(1 − g); mirrors throw light all around, g < 1/2.
+    Where a reflection absorbs the fraction a, isotropic scattering in a semi-infinite medium
+    absorbs H(1) √a ≤ 2.908 √a of light from the zenith (Chandrasekhar 1960).  An asymmetry g
+    increases this by up to 1/√(1 − g); reflection by large spheres is nearly isotropic, g < 1/2.
     """
-    return 2.908 * math.sqrt(2.0 * (1.0 - fresnel_share(index)))
+    return 2.908 * math.sqrt(2.0 * (1.0 - mean_fresnel_reflectance(index)))
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("k", [1e3, 1e7])
-def test_mirrors_absorb_hardly_anything(k, kernel):
+def test_absorptance_of_metallic_grains_is_bounded(k, kernel):
     if k > MAX_INDEX:
-        # Single precision has no room for such powers of it; "auto" takes the scalar kernel.
+        # Powers of it overflow single precision; "auto" selects the scalar kernel.
         kernel = "auto"
     for geometry in ("", "sphericity 0.3", "facetness 1"):
         index = 1.0 + 1j * k
-        shares, errors = measure(snow(geometry, 0.0, ice=index), 500.0, 0.0, 0.01, kernel=kernel)
-        assert shares[2, 0] <= most_absorbed(index) + compute_z_bound(1) * errors[2, 0]
+        fractions, errors = measure(
+            make_snow(geometry, 0.0, ice=index), 500.0, 0.0, 0.01, kernel=kernel
+        )
+        assert fractions[2, 0] <= absorptance_bound(index) + compute_z_bound(1) * errors[2, 0]
 
 
-def test_a_perfect_conductor():
-    conductor = snow("", 0.0, ice=1.0 + 1e9j)
-    shares, _ = measure(conductor, 500.0, kernel="auto")
-    assert shares[2, 0] == 0.0
+def test_perfect_conductor_absorbs_nothing():
+    conductor = make_snow("", 0.0, ice=1.0 + 1e9j)
+    fractions, _ = measure(conductor, 500.0, kernel="auto")
+    assert fractions[2, 0] == 0.0
     with pytest.raises(ValueError, match="kernel = 'vectorized'"):
         measure(conductor, 500.0, kernel="vectorized")
 
@@ -339,39 +353,39 @@ def test_a_perfect_conductor():
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("water", [1.5, 2.5])
-def test_pores_denser_than_grains_keep_energy(water, kernel):
+def test_pores_of_higher_index_conserve_energy(water, kernel):
     for geometry in ("sphericity 1", "sphericity 0.3", "facetness 1"):
-        shares, _ = measure(
-            snow(geometry, 1.0, ice=1.31, water=water), 500.0, 30.0, 0.01, kernel=kernel
+        fractions, _ = measure(
+            make_snow(geometry, 1.0, ice=1.31, water=water), 500.0, 30.0, 0.01, kernel=kernel
         )
-        assert abs(shares[0] + shares[1] - 1.0) < SUM
-        # Bubbles scatter: neither clear nor a mirror.
-        assert 0.3 < shares[0, 0] < 1.0
+        assert abs(fractions[0] + fractions[1] - 1.0) < SUM_TOLERANCE
+        # Bubbles scatter, so the slab is neither transparent nor a mirror.
+        assert 0.3 < fractions[0, 0] < 1.0
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("saturation", [0.0, 1.0])
 @pytest.mark.parametrize("water", [1.33, 2.5])
-def test_sand_dry_and_full_of_a_light_or_heavy_liquid(saturation, water, kernel):
-    clear = dict.fromkeys(("quartz", "kaolinite", "hematite", "goethite"), 1.54)
+def test_dry_and_saturated_sand_conserves_energy(saturation, water, kernel):
+    transparent = dict.fromkeys(("quartz", "kaolinite", "hematite", "goethite"), 1.54)
     medium = splits.Sand(
         saturation=saturation, depth_m=0.01, sphericity=(0.3, 1.0, 0.8, 1.0), roundness=(0.5, 1.0),
-        refractive_index={**clear, "water": water},
+        refractive_index={**transparent, "water": water},
     )  # fmt: skip
-    shares, _ = measure(medium, 700.0, 45.0, 0.05, kernel=kernel)
-    assert abs(shares[0] + shares[1] - 1.0) < SUM
+    fractions, _ = measure(medium, 700.0, 45.0, 0.05, kernel=kernel)
+    assert abs(fractions[0] + fractions[1] - 1.0) < SUM_TOLERANCE
     coloured = splits.Sand(saturation=saturation, depth_m=0.01, refractive_index={"water": water})
-    shares, _ = measure(coloured, (400.0, 700.0), 45.0, 0.03, kernel=kernel)
-    assert shares[2].min() > 0.0 and shares[0, 1] > shares[0, 0]
+    fractions, _ = measure(coloured, (400.0, 700.0), 45.0, 0.03, kernel=kernel)
+    assert fractions[2].min() > 0.0 and fractions[0, 1] > fractions[0, 0]
 
 
 # --- wavelengths ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("material", "name"), [(m, name) for m, known in _DATASET_LOADERS.items() for name in known]
+    ("material", "name"), [(m, name) for m, loaders in _DATASET_LOADERS.items() for name in loaders]
 )
-def test_tables_reach_their_very_edges(material, name):
+def test_tables_include_their_edges(material, name):
     index = load_dataset(material, name)
     table = getattr(index, "wavelength_nm", None)
     edges = getattr(index, "range_nm", None) if table is None else table[[0, -1]]
@@ -379,22 +393,22 @@ def test_tables_reach_their_very_edges(material, name):
         edges = WAVELENGTH_RANGE_NM
     else:
         for edge, outwards in zip(edges, (0.0, np.inf), strict=True):
-            # What rounding has taken beyond an edge is the edge, and no more than that.
+            # A value outside the range by no more than a rounding error counts as the edge.
             assert index([np.nextafter(edge, outwards)]) == index([edge])
-            beyond = edge * (1.0 - 1e-8 if outwards == 0.0 else 1.0 + 1e-8)
+            outside = edge * (1.0 - 1e-8 if outwards == 0.0 else 1.0 + 1e-8)
             with pytest.raises(ValueError, match="wavelength_nm"):
-                index([beyond])
-    # As a user writes it: the printed number must not lie a rounding outside.
-    at = index([float(f"{edge:.10g}") for edge in edges])
-    assert np.isfinite(at).all() and (at.real > 0.0).all() and (at.imag >= 0.0).all()
+                index([outside])
+    # A printed number, as users type it, must not fall outside the range by rounding.
+    indices = index([float(f"{edge:.10g}") for edge in edges])
+    assert np.isfinite(indices).all() and (indices.real > 0.0).all() and (indices.imag >= 0.0).all()
     if table is not None:
         assert index(edges) == pytest.approx((index.n + 1j * index.k)[[0, -1]], rel=1e-13)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_spectra_reach_the_edges_of_their_tables(kernel):
+def test_spectra_include_the_edges_of_tables(kernel):
     low, high = WAVELENGTH_RANGE_NM
-    measure(snow(""), (low, high), kernel=kernel)
-    measure(snow("", ice="warren_brandt_2008_picard_2016"), (320.0, high), kernel=kernel)
-    # From goethite's first wavelength to the last of quartz.
+    measure(make_snow(""), (low, high), kernel=kernel)
+    measure(make_snow("", ice="warren_brandt_2008_picard_2016"), (320.0, high), kernel=kernel)
+    # From the first wavelength of goethite to the last of quartz.
     measure(splits.Sand(depth_m=0.01), (300.0, 2050.5), 0.0, 0.05, kernel=kernel)

@@ -1,4 +1,4 @@
-"""Hard paths below the interface: ten million scatterings, rays along an axis or a tangent."""
+"""Extreme ray paths: ten million scatterings, rays along an axis or a tangent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scenes import make_medium_scene, make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
-from splits.kernels.grains import history, microfacet, spheroid
+from splits.kernels.grains import microfacet, spheroid
 from splits.kernels.grains.grain_path import sample_interaction
 from splits.kernels.grains.interaction import InterfaceState, relative_index
 from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Segment, Spheroid
@@ -27,9 +27,10 @@ from splits.kernels.math import vectors
 from splits.kernels.math.vectors import Vector, add_scaled, dot, scale
 from splits.kernels.optics.fresnel import FresnelResult, fresnel, refract
 from splits.kernels.optics.interface import ComplexIndex
+from splits.kernels.tallies import exits
 
-MANY = 10_000_000
-DRIFT = 1e-9
+N_SCATTERINGS = 10_000_000
+MAX_DRIFT = 1e-9
 EPS = 2.0**-52
 FIRST_LONG_RAY = 189
 RULES = splits.Interpretation().to_sampling_rules()
@@ -40,36 +41,39 @@ AXES = np.vstack([np.eye(3), -np.eye(3)])
 
 
 @njit
-def _centred(grain):
-    """Return the point at which a ray is, relative to the grain's centre (m)."""
+def _compute_position(grain):
+    """Return the position of a ray on a grain relative to its centre (m)."""
     stretch = grain.flattening / (1.0 - grain.flattening)
     return scale(grain.semi_minor, add_scaled(stretch * dot(grain.q, grain.w), grain.w, grain.q))
 
 
 @njit
-def _trapped(state, steps, size, facetness, rules):
-    """Return what drifts while a ray cannot get out of a grain.
+def _trace_total_reflections(state, steps, size, facetness, rules):
+    """Return the rounding errors of a ray that is totally reflected inside a grain.
 
-    The worst |d² − 1| and |q² − 1|, the distance in the end of the sum of all legs from the point
-    that q stands for, in semi-minor axes, and the least and the largest leg in diameters.
+    These are the largest |d² − 1|, |q² − 1| and |Q − 1|, the final distance between the sum of all
+    segments and the point of q (in semi-minor axes), the shortest and the longest segment (in
+    diameters), and the number of escapes.
     """
     d = Vector(-0.48, 0.64, -0.6)
     grain = sample_entry(state, d, size, rules.entry_sampling).grain
     minor, flattening, w = grain.semi_minor, grain.flattening, grain.w
-    p = _centred(grain)
-    # An index of 1e9 inside: every angle that occurs is beyond the critical one.
+    p = _compute_position(grain)
+    # With an index of 1e9 inside, every angle that occurs exceeds the critical angle.
     media = relative_index(ComplexIndex(1e9, 0.0), ComplexIndex(1.0, 0.0))
     norm, sphere, surface, shortest, longest, escaped = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0
     for _ in range(steps):
-        leg, grain = spheroid.compute_chord(grain, d)
-        p = add_scaled(leg, d, p)
-        stand = InterfaceState(1.0, -1.0, False, False)
+        segment, grain = spheroid.compute_chord(grain, d)
+        p = add_scaled(segment, d, p)
+        interface_state = InterfaceState(1.0, -1.0, False, False)
         while True:
-            after = sample_interaction(state, d, stand, grain, 0.5 * facetness, media, rules)
-            if after.accepted:
+            result = sample_interaction(
+                state, d, interface_state, grain, 0.5 * facetness, media, rules
+            )
+            if result.accepted:
                 break
-            stand = InterfaceState(1.0, -1.0, after.needs_lobe, after.transmitted)
-        d = after.direction
+            interface_state = InterfaceState(1.0, -1.0, result.needs_lobe, result.transmitted)
+        d = result.direction
         norm = max(norm, abs(dot(d, d) - 1.0))
         sphere = max(sphere, abs(dot(grain.q, grain.q) - 1.0))
         axial = dot(p, w)
@@ -77,71 +81,71 @@ def _trapped(state, steps, size, facetness, rules):
         axial *= 1.0 - flattening
         square = (dot(r, r) + axial * axial) / (minor * minor)
         surface = max(surface, abs(square - 1.0))
-        leg *= 0.5 * (1.0 - flattening) / minor
-        shortest, longest = min(shortest, leg), max(longest, leg)
-        escaped += after.transmitted
-    gap = add_scaled(-1.0, _centred(grain), p)
-    apart = math.sqrt(dot(gap, gap)) / minor
-    return norm, sphere, surface, apart, shortest, longest, escaped
+        segment *= 0.5 * (1.0 - flattening) / minor
+        shortest, longest = min(shortest, segment), max(longest, segment)
+        escaped += result.transmitted
+    displacement = add_scaled(-1.0, _compute_position(grain), p)
+    distance = math.sqrt(dot(displacement, displacement)) / minor
+    return norm, sphere, surface, distance, shortest, longest, escaped
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize(("psi", "facetness"), [(1.0, 0.0), (0.8, 0.3), (0.3, 1.0)])
-def test_ten_million_reflections_in_one_grain_do_not_drift(psi, facetness):
-    norm, sphere, surface, apart, shortest, longest, escaped = _trapped(
-        start_random_stream(), MANY, GrainSize(1e-4, 1.0 - psi * psi), facetness, RULES
+def test_total_reflections_in_a_grain_do_not_drift(psi, facetness):
+    norm, sphere, surface, distance, shortest, longest, escaped = _trace_total_reflections(
+        start_random_stream(), N_SCATTERINGS, GrainSize(1e-4, 1.0 - psi * psi), facetness, RULES
     )
     print(
         f"Ψ {psi}, facetness {facetness}: |d² − 1| {norm:.1e}, |q² − 1| {sphere:.1e}, "
-        f"|Q − 1| {surface:.1e}, apart {apart:.1e}"
+        f"|Q − 1| {surface:.1e}, distance {distance:.1e}"
     )
     assert escaped == 0.0
-    assert norm < DRIFT and sphere < DRIFT
-    # The sum of ten million legs still ends on the surface, where the kernel believes it to be.
-    assert surface < DRIFT and apart < DRIFT
-    assert shortest >= 0.0 and longest <= 1.0 + DRIFT
+    assert norm < MAX_DRIFT and sphere < MAX_DRIFT
+    # The sum of ten million segments ends on the surface, at the position in the kernel.
+    assert surface < MAX_DRIFT and distance < MAX_DRIFT
+    assert shortest >= 0.0 and longest <= 1.0 + MAX_DRIFT
 
 
 @NEEDS_JIT
-def test_ten_million_grains_of_index_1_leave_a_ray_as_it_was():
-    # A straight line through 10 km of snow: where it ends is known to the last digit.
+def test_grains_of_index_1_do_not_deviate_a_ray():
+    # The ray is a straight line through 10 km of snow, so its end point is known exactly.
     depth, mu = 9e3, math.cos(math.radians(30.0))
     snow = splits.Snow(saturation=0.0, depth_m=depth)
     scene = make_medium_scene(snow, 30.0)
     ray, length = trace_ray(start_random_stream(), scene, make_optics(np.ones(3)))
-    (x, y, z), d, legs = ray.geometry.position, ray.payload.direction, ray.n_segments
-    assert legs >= MANY
-    assert ray.order == legs - 1
-    assert (ray.status, z) == (history.TRANSMITTED, -depth)
+    (x, y, z), d, n_segments = ray.geometry.position, ray.payload.direction, ray.n_segments
+    assert n_segments >= N_SCATTERINGS
+    assert ray.order == n_segments - 1
+    assert (ray.status, z) == (exits.TRANSMITTED, -depth)
     sine = math.sqrt(1.0 - mu * mu)
-    assert np.abs(np.subtract(d, (sine, 0.0, -mu))).max() < DRIFT
-    assert abs(math.hypot(*d) - 1.0) < DRIFT
-    assert x == pytest.approx(depth * sine / mu, rel=DRIFT)
-    assert abs(y) < DRIFT * depth
-    assert length.sum() == pytest.approx(depth / mu, rel=DRIFT)
-    # Grains are met at random, with the mean distance stated: exponential, sd equal to the mean.
-    z = (length[0] / legs / snow.mean_grain_distance_m - 1.0) * math.sqrt(legs)
+    assert np.abs(np.subtract(d, (sine, 0.0, -mu))).max() < MAX_DRIFT
+    assert abs(math.hypot(*d) - 1.0) < MAX_DRIFT
+    assert x == pytest.approx(depth * sine / mu, rel=MAX_DRIFT)
+    assert abs(y) < MAX_DRIFT * depth
+    assert length.sum() == pytest.approx(depth / mu, rel=MAX_DRIFT)
+    # Distances between collisions are exponential with the stated mean, which is also their sd.
+    z = (length[0] / n_segments / snow.mean_grain_distance_m - 1.0) * math.sqrt(n_segments)
     judge_z([z], "distance between grains")
 
 
 @NEEDS_JIT
-def test_ten_million_scatterings_between_boundaries_that_let_nothing_out():
-    # Bubbles in a liquid of index 60: once inside, light meets a boundary thousands of times.
+def test_long_paths_between_reflecting_boundaries_stay_valid():
+    # Bubbles in a liquid of index 60: light inside hits the boundaries thousands of times.
     snow = splits.Snow(saturation=1.0, facetness=(0.0,) * 4, sphericity=(1.0, 1.0, 1.0, 0.0))
     scene, optics = make_medium_scene(snow), make_optics([1.0, 60.0, 1.31])
-    # The first of these rays is long enough today; with other random numbers a later one is.
+    # The first of these rays is long enough; with another generator a later one would be.
     for number in range(FIRST_LONG_RAY, FIRST_LONG_RAY + 300):
         ray, length = trace_ray(start_random_stream(number), scene, optics)
-        if ray.n_segments >= MANY:
+        if ray.n_segments >= N_SCATTERINGS:
             break
-    print(f"ray {number} has {ray.n_segments} legs")
-    assert ray.n_segments >= MANY
-    assert ray.status in (history.REFLECTED, history.TRANSMITTED)
-    place, d = ray.geometry.position, ray.payload.direction
-    assert place.z == (0.0 if ray.status == history.REFLECTED else -snow.depth_m)
-    assert (d.z > 0.0) == (ray.status == history.REFLECTED)
-    assert abs(math.hypot(*d) - 1.0) < DRIFT
-    assert np.isfinite([*place, *length]).all() and length.min() >= 0.0
+    print(f"ray {number} has {ray.n_segments} segments")
+    assert ray.n_segments >= N_SCATTERINGS
+    assert ray.status in (exits.REFLECTED, exits.TRANSMITTED)
+    position, d = ray.geometry.position, ray.payload.direction
+    assert position.z == (0.0 if ray.status == exits.REFLECTED else -snow.depth_m)
+    assert (d.z > 0.0) == (ray.status == exits.REFLECTED)
+    assert abs(math.hypot(*d) - 1.0) < MAX_DRIFT
+    assert np.isfinite([*position, *length]).all() and length.min() >= 0.0
 
 
 # --- along an axis, along a tangent -----------------------------------------------------------
@@ -150,53 +154,55 @@ def test_ten_million_scatterings_between_boundaries_that_let_nothing_out():
 AIR_TO_ICE = ComplexIndex(1.0, 0.0), ComplexIndex(1.31, 0.0)
 
 
-def grain_of(psi):
-    """Return semi-minor axis, flattening and the semi-major axis that these two stand for."""
+def make_axes(psi):
+    """Return semi-minor axis, flattening and the semi-major axis computed from these."""
     minor, flattening = 1e-4 * psi * psi, 1.0 - psi * psi
     return minor, flattening, minor / (1.0 - flattening)
 
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
 @pytest.mark.parametrize("psi", [1.0, 0.8, 0.3, 0.1])
-def test_rays_along_the_axes_of_a_grain(axis, psi):
-    c, flattening, a = grain_of(psi)
+def test_chords_and_overlaps_along_the_axes(axis, psi):
+    c, flattening, a = make_axes(psi)
     assert a == pytest.approx(1e-4, rel=1e-14)
     for d in AXES:
         semi = a if abs(d @ axis) == 1.0 else c
         grain = Spheroid(Vector(*-d), Vector(*axis), flattening, c)
-        chord, there = spheroid.compute_chord(grain, Vector(*d))
+        chord, exit_grain = spheroid.compute_chord(grain, Vector(*d))
         assert chord == pytest.approx(2.0 * semi, rel=2e-12)
-        assert there.q == pytest.approx(d, abs=2e-14)
+        assert exit_grain.q == pytest.approx(d, abs=2e-14)
         assert spheroid.compute_outward_normal(grain) == pytest.approx(-d, abs=1e-15)
-        # Struck at this pole: it reaches over the boundary when it is a hair too near.
+        # Hit at this pole, the grain crosses the boundary if it is closer by a relative 1e-15.
         height = a if abs(axis[2]) == 1.0 else c
-        entered = EntryPoint(grain, Vector(*-d), float(-d @ axis), a)
-        up = -semi * d[2]
-        for hair, over in ((-1e-15, False), (1e-15, True)):
-            at_top = up - height * (1.0 - hair)
-            assert spheroid.overlaps_boundary(entered, at_top, -1.0, 0.0) == over
-        # Four semi-axes below, heights have fewer digits left.
+        entry = EntryPoint(grain, Vector(*-d), float(-d @ axis), a)
+        pole_height = -semi * d[2]
+        for excess, overlaps in ((-1e-15, False), (1e-15, True)):
+            at_top = pole_height - height * (1.0 - excess)
+            assert spheroid.overlaps_boundary(entry, at_top, -1.0, 0.0) == overlaps
+        # Four semi-axes below, heights are less accurate.
         depth = 4.0 * a
-        for hair, over in ((-1e-12, False), (1e-12, True)):
-            at_bottom = up + height * (1.0 - hair) - depth
-            assert spheroid.overlaps_boundary(entered, at_bottom, -depth, 0.0) == over
-        # Seen from afar, straight at the centre and past it by a hair more than the semi-axis.
+        for excess, overlaps in ((-1e-12, False), (1e-12, True)):
+            at_bottom = pole_height + height * (1.0 - excess) - depth
+            assert spheroid.overlaps_boundary(entry, at_bottom, -depth, 0.0) == overlaps
+        # Segments from a distance, through the centre and just inside and outside the semi-axis.
         side = np.roll(d, 1)
         half = a if abs(side @ axis) == 1.0 else c
-        for away, hit in ((0.0, True), (1.0 - 1e-9, True), (1.0 + 1e-9, False)):
-            o = -10.0 * a * d + away * half * side
+        for offset, hit in ((0.0, True), (1.0 - 1e-9, True), (1.0 + 1e-9, False)):
+            o = -10.0 * a * d + offset * half * side
             for pole in AXES:
                 p = pole * (a if abs(pole @ axis) == 1.0 else c)
                 end = o + 20.0 * a * d - p
                 grain = Spheroid(Vector(*pole), Vector(*axis), flattening, c)
-                cut = spheroid.overlaps_segment(grain, Segment(Vector(*end), Vector(*d), 20.0 * a))
-                assert cut == hit, (d, away, pole)
+                overlaps_segment = spheroid.overlaps_segment(
+                    grain, Segment(Vector(*end), Vector(*d), 20.0 * a)
+                )
+                assert overlaps_segment == hit, (d, offset, pole)
 
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
 @pytest.mark.parametrize("psi", [1.0, 0.3])
-def test_rays_tangent_to_a_grain(axis, psi):
-    c, flattening, _ = grain_of(psi)
+def test_rays_tangent_to_a_grain_stay_valid(axis, psi):
+    c, flattening, _ = make_axes(psi)
     for n in AXES:
         d = np.roll(n, 1)
         grain = Spheroid(Vector(*n), Vector(*axis), flattening, c)
@@ -205,7 +211,7 @@ def test_rays_tangent_to_a_grain(axis, psi):
         for facetness in (0.0, 0.5, 1.0):
             for ray in range(20):
                 for d_on in (d, (d - 1e-17 * n), (d + 1e-17 * n)):
-                    passed, out = resolve_interaction(
+                    transmitted, out = resolve_interaction(
                         start_random_stream(ray),
                         Vector(*d_on),
                         Vector(*n),
@@ -215,10 +221,10 @@ def test_rays_tangent_to_a_grain(axis, psi):
                     )
                     assert np.isfinite(out).all()
                     assert abs(math.hypot(*out) - 1.0) < 1e-11
-                    assert (np.dot(out, n) < 0.0) == passed
+                    assert (np.dot(out, n) < 0.0) == transmitted
                     if facetness == 0.0:
-                        # At 1e-12 of a right angle all light is reflected, and stays grazing.
-                        assert not passed
+                        # Within 1e-12 of a right angle all light is reflected.
+                        assert not transmitted
 
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
@@ -226,57 +232,59 @@ def test_rays_tangent_to_a_grain(axis, psi):
 @pytest.mark.parametrize(
     "rule", [microfacet.PROJECTED_FACETS, microfacet.UNWEIGHTED_FACETS, microfacet.ANY_FACETS]
 )
-def test_facets_struck_exactly_along_the_normal(axis, facetness, rule):
+def test_facets_at_exactly_normal_incidence(axis, facetness, rule):
     rules = splits.Interpretation().to_sampling_rules()._replace(facet_sampling=rule)
     n, d = Vector(*axis), Vector(*-axis)
     for ray in range(50):
         facet = sample_facet(start_random_stream(ray), d, n, facetness, rule)
         assert 0.0 < facet.cos_facet <= 1.0
         assert facet.cos_facet == pytest.approx(abs(facet.tilt.cos), rel=1e-9)
-        passed, out = resolve_interaction(
+        transmitted, out = resolve_interaction(
             start_random_stream(ray), d, n, facetness, *AIR_TO_ICE, rules
         )
         assert abs(math.hypot(*out) - 1.0) < 1e-14
-        assert (np.dot(out, axis) < 0.0) == passed
+        assert (np.dot(out, axis) < 0.0) == transmitted
 
 
-def tilted(sine):
-    """Return a normal and a direction against it, off by this sine."""
+def make_tilted_direction(sine):
+    """Return a normal and a direction at a given sine from its opposite."""
     n, t = np.array([0.48, -0.64, 0.6]), np.array([0.8, 0.6, 0.0])
     return Vector(*n), Vector(*-(math.sqrt(1.0 - sine * sine) * n + sine * t))
 
 
-def worst_norm(sine):
-    n, d = tilted(sine)
-    drawn = (
+def find_worst_norm(sine):
+    n, d = make_tilted_direction(sine)
+    facets = (
         sample_facet(start_random_stream(ray), d, n, 1.0, microfacet.PROJECTED_FACETS)
         for ray in range(300)
     )
-    return max(abs(math.hypot(*compute_facet_normal(d, facet)) - 1.0) for facet in drawn)
+    return max(abs(math.hypot(*compute_facet_normal(d, facet)) - 1.0) for facet in facets)
 
 
 @pytest.mark.parametrize("sine", [1e-9, 1e-6, 1e-3])
 def test_facet_normals_have_unit_length_near_the_normal(sine):
-    # In units of the sine, directions have only so many digits left.
-    assert worst_norm(sine) < 2.0 * EPS / sine
+    # Relative to the sine, directions are accurate to EPS / sine.
+    assert find_worst_norm(sine) < 2.0 * EPS / sine
 
 
-def test_facet_normals_have_unit_length_a_hair_off_the_normal():
+def test_facet_normals_have_unit_length_very_near_the_normal():
     for sine in np.logspace(-9.9, -7.0, 30):
-        assert worst_norm(sine) < 2.0 * EPS / sine
+        assert find_worst_norm(sine) < 2.0 * EPS / sine
 
 
 @pytest.mark.parametrize("sine", [0.0, 1e-17, 1e-15, 1e-12, 1e-11, 1e-10, 1e-9, 1e-6, 1e-3])
 def test_directions_have_unit_length_near_the_normal(sine):
-    n, d = tilted(sine)
+    n, d = make_tilted_direction(sine)
     for ray in range(300):
-        passed, out = resolve_interaction(start_random_stream(ray), d, n, 1.0, *AIR_TO_ICE, RULES)
+        transmitted, out = resolve_interaction(
+            start_random_stream(ray), d, n, 1.0, *AIR_TO_ICE, RULES
+        )
         assert abs(math.hypot(*out) - 1.0) < 1e-14
-        assert (np.dot(out, n) < 0.0) == passed
+        assert (np.dot(out, n) < 0.0) == transmitted
 
 
 @pytest.mark.parametrize("indices", [(1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.0, 1.31, 3.0)], ids=str)
-def test_an_interface_towards_grazing_incidence(indices):
+def test_interface_near_grazing_incidence(indices):
     for cos_i in (1e-12, 1e-100, 1e-150):
         reflectance, ratio, cos_t = fresnel(*indices, cos_i)
         assert reflectance == pytest.approx(1.0, abs=1e-10)
@@ -285,24 +293,24 @@ def test_an_interface_towards_grazing_incidence(indices):
 
 @pytest.mark.xfail(strict=True, reason="transport: 2e-16 below 1; docs/theory/hard-cases.md")
 @pytest.mark.parametrize("cos_i", [0.0, 5e-324, 1e-200])
-def test_an_interface_at_exactly_grazing_incidence(cos_i):
+def test_interface_at_exactly_grazing_incidence(cos_i):
     assert fresnel(1.0, 1.31, 0.0, cos_i)[0] == 1.0
 
 
 @pytest.mark.parametrize("cos_i", [0.0, 5e-324, 1e-200])
 @pytest.mark.parametrize("indices", [(1.0, 1.31, 0.0), (1.0, 1.0, 1e-3), (1.0, 1.31, 3.0)], ids=str)
-def test_an_interface_at_grazing_incidence_but_for_the_last_digit(indices, cos_i):
+def test_interface_at_grazing_incidence_within_rounding(indices, cos_i):
     reflectance, ratio, cos_t = fresnel(*indices, cos_i)
     assert reflectance == pytest.approx(1.0, abs=4e-16) and reflectance <= 1.0
     assert 0.0 < ratio <= 1.0 and 0.0 < cos_t < 1.0
 
 
-def test_an_interface_whose_contrast_underflows():
+def test_interface_of_underflowing_contrast():
     assert fresnel(1.0, 1.0, 1e-170, 1e-12)[0] == pytest.approx(0.0, abs=1e-100)
 
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
-def test_frames_mirrors_and_refraction_along_the_axes(axis):
+def test_tangents_reflection_and_refraction_along_axes(axis):
     n, d = Vector(*axis), Vector(*-axis)
     basis = np.array([*vectors.make_tangents(n), n])
     assert basis @ basis.T == pytest.approx(np.eye(3), abs=0.0)
@@ -314,28 +322,30 @@ def test_frames_mirrors_and_refraction_along_the_axes(axis):
 
 
 @njit
-def _bubble(state, scene, optics, length):
+def _sample_bubble(state, scene, optics, length):
     d = Vector(0.0, 0.0, -1.0)
-    walk, _ = trace_grain(state, d, GrainSize(1e-4, 0.0), 0.0, True, scene, optics, length)
-    return -walk.payload.direction.z, length[2]
+    grain_path, _ = trace_grain(state, d, GrainSize(1e-4, 0.0), 0.0, True, scene, optics, length)
+    return -grain_path.payload.direction.z, length[2]
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("pore", [1.33, 2.0])
-def test_bubbles_scatter_as_spheres_with_total_reflection_outside(pore):
-    # A beam along −z on bubbles, struck by projected area: sums over orders, by quadrature.
+def test_bubbles_scatter_with_external_total_reflection(pore):
+    # Bubbles hit by a beam along −z over their projected area: sums over orders, by quadrature.
     rules = splits.Interpretation(entry_point="projected").to_sampling_rules()
     scene = make_scene(splits.Snow().make_grain_population(), saturation=1.0, rules=rules)
-    out = draw_samples(_bubble, 300_000, scene, make_optics([1.0, pore, 1.0]), np.zeros(3), width=2)
+    out = draw_samples(
+        _sample_bubble, 300_000, scene, make_optics([1.0, pore, 1.0]), np.zeros(3), width=2
+    )
 
     def orders(i):
         r, _, cos_t = fresnel(pore, 1.0, 0.0, math.cos(i))
         t = math.acos(cos_t)
-        through, inside = 0.0, 0.0
+        transmitted, inside = 0.0, 0.0
         if r < 1.0:
             series = np.exp(2j * (i - t)) / (1.0 - r * np.exp(1j * (math.pi - 2.0 * t)))
-            through, inside = (1.0 - r) ** 2 * series.real, cos_t
-        return math.sin(2.0 * i) * np.array([through - r * math.cos(2.0 * i), inside])
+            transmitted, inside = (1.0 - r) ** 2 * series.real, cos_t
+        return math.sin(2.0 * i) * np.array([transmitted - r * math.cos(2.0 * i), inside])
 
     critical = math.asin(1.0 / pore)
     expected = sum(

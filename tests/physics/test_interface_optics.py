@@ -1,4 +1,4 @@
-"""Fresnel and Snell at one interface, against an independent computation in complex numbers."""
+"""Fresnel and Snell equations at an interface against complex arithmetic."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ INDICES = [
 ]
 
 
-def polarized(n1, n2, k2, cos_i):
+def compute_polarized_reflectance(n1, n2, k2, cos_i):
     """Return the reflectances for s and p polarization from complex Fresnel amplitudes."""
     m = complex(n2, k2) / n1
-    # The root with positive imaginary part decays into the far side.
+    # The wave of the root with positive imaginary part decays into the far medium.
     q = np.sqrt(m * m - (1.0 - cos_i * cos_i) + 0j)
     r_s = (cos_i - q) / (cos_i + q)
     r_p = (m * m * cos_i - q) / (m * m * cos_i + q)
@@ -38,13 +38,13 @@ def polarized(n1, n2, k2, cos_i):
 @pytest.mark.parametrize("indices", INDICES, ids=str)
 def test_reflectance_and_direction_agree_with_complex_amplitudes(indices):
     for cos_i in COSINES:
-        s, p, q = polarized(*indices, cos_i)
+        s, p, q = compute_polarized_reflectance(*indices, cos_i)
         reflectance, ratio, cos_t = fresnel(*indices, cos_i)
         assert reflectance == pytest.approx(0.5 * (s + p), rel=1e-9, abs=1e-14)
         if s > 1.0 - 1e-15:
             assert (ratio, cos_t) == (0.0, 0.0)
             continue
-        # Planes of constant real phase: tangential wave number sinθ, normal Re q.
+        # Planes of constant phase have the tangential wave number sinθ and the normal Re q.
         wave = math.hypot(math.sqrt(1.0 - cos_i * cos_i), q.real)
         assert ratio == pytest.approx(1.0 / wave, rel=1e-9)
         assert cos_t == pytest.approx(q.real / wave, rel=1e-7, abs=1e-12)
@@ -57,17 +57,17 @@ def test_reflectance_is_a_probability(indices):
 
 
 @pytest.mark.parametrize("n2", [1.31, 1.33, 2.4])
-def test_brewster_angle(n2):
+def test_p_reflectance_is_zero_at_brewster_angle(n2):
     cos_b = 1.0 / math.sqrt(1.0 + n2 * n2)
-    s, p, _ = polarized(1.0, n2, 0.0, cos_b)
+    s, p, _ = compute_polarized_reflectance(1.0, n2, 0.0, cos_b)
     assert p < 1e-30
-    # Nothing but s polarization is left, in closed form ((n² − 1)/(n² + 1))².
+    # Only s polarization is reflected, by ((n² − 1)/(n² + 1))².
     assert fresnel(1.0, n2, 0.0, cos_b)[0] == pytest.approx(0.5 * s, rel=1e-12)
     assert s == pytest.approx(((n2 * n2 - 1) / (n2 * n2 + 1)) ** 2, rel=1e-12)
 
 
 @pytest.mark.parametrize(("n2", "k2"), [(1.31, 0.0), (1.2, 0.4), (0.3, 3.0)])
-def test_normal_incidence(n2, k2):
+def test_reflectance_at_normal_incidence(n2, k2):
     expected = ((n2 - 1) ** 2 + k2**2) / ((n2 + 1) ** 2 + k2**2)
     reflectance, _, cos_t = fresnel(1.0, n2, k2, 1.0)
     assert reflectance == pytest.approx(expected, rel=1e-13)
@@ -79,7 +79,7 @@ def test_grazing_incidence_reflects_everything():
         assert fresnel(*indices, 1e-9)[0] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_total_internal_reflection():
+def test_total_internal_reflection_below_critical_cosine():
     n1 = 1.31
     critical = math.sqrt(1.0 - 1.0 / n1**2)
     for cos_i in np.linspace(1e-6, critical * (1.0 - 1e-9), 20):
@@ -87,12 +87,12 @@ def test_total_internal_reflection():
     assert fresnel(n1, 1.0, 0.0, critical * (1.0 + 1e-6))[0] < 1.0
 
 
-def test_an_absorbing_far_side_frustrates_total_reflection():
+def test_absorbing_far_medium_frustrates_total_reflection():
     assert fresnel(1.31, 1.0, 1e-3, 0.3)[0] < 1.0
 
 
 @pytest.mark.parametrize("n", [1.0, 1.31, 2.4])
-def test_equal_media_do_not_show(n):
+def test_equal_media_do_not_reflect(n):
     d = Vector(0.48, -0.64, -0.6)
     for cos_i in COSINES:
         assert fresnel(n, n, 0.0, cos_i) == (0.0, 1.0, cos_i)
@@ -101,12 +101,12 @@ def test_equal_media_do_not_show(n):
 
 
 @pytest.mark.parametrize(("n1", "n2"), [(1.0, 1.31), (1.31, 1.33), (1.0, 2.4)])
-def test_reversal(n1, n2):
+def test_refraction_is_reversible(n1, n2):
     for cos_i in COSINES[COSINES > 0.005]:
         forward, ratio, cos_t = fresnel(n1, n2, 0.0, cos_i)
-        back, back_ratio, cos_back = fresnel(n2, n1, 0.0, cos_t)
-        # 1 − R, not R: near the grazing angle R has few digits left of either.
-        assert 1.0 - back == pytest.approx(1.0 - forward, rel=1e-8)
+        reverse, back_ratio, cos_back = fresnel(n2, n1, 0.0, cos_t)
+        # 1 − R is compared, since R is close to 1 near grazing incidence.
+        assert 1.0 - reverse == pytest.approx(1.0 - forward, rel=1e-8)
         assert cos_back == pytest.approx(cos_i, rel=1e-9)
         assert ratio * back_ratio == pytest.approx(1.0, rel=1e-12)
 
@@ -121,15 +121,15 @@ def test_refracted_direction_obeys_snell(indices):
         d /= np.linalg.norm(d)
         d = -d if d @ n > 0.0 else d
         cos_i = float(-d @ n)
-        passage = fresnel(*indices, cos_i)
-        if passage.reflectance == 1.0:
+        result = fresnel(*indices, cos_i)
+        if result.reflectance == 1.0:
             continue
-        t = np.array(refract(Vector(*d), Vector(*n), cos_i, passage))
-        _, _, q = polarized(*indices, cos_i)
+        t = np.array(refract(Vector(*d), Vector(*n), cos_i, result))
+        _, _, q = compute_polarized_reflectance(*indices, cos_i)
         real_index = n1 * math.sqrt(1.0 - cos_i**2 + q.real**2)
         assert abs(t @ t - 1.0) < 1e-12
         assert t @ n <= 0.0
-        # Tangential wave numbers on both sides are one and the same vector.
+        # Tangential wave vectors on both sides are equal.
         assert np.abs(n1 * np.cross(d, n) - real_index * np.cross(t, n)).max() < 1e-9
         if indices[2] == 0.0:
             assert real_index == pytest.approx(indices[1], rel=1e-12)
@@ -137,15 +137,15 @@ def test_refracted_direction_obeys_snell(indices):
 
 @pytest.mark.parametrize("n1", [1.56, 2.3, 2.6])
 @pytest.mark.parametrize("far", [(1.0, 0.0), (1.33, 1e-8), (1.55, 0.0), (1.56, 0.01)], ids=str)
-def test_no_surface_outshines_a_black_body(n1, far):
-    # Etendue: what diffuse light inside sends out cannot exceed n2²/n1² of it.
+def test_diffuse_transmittance_is_limited_by_etendue(n1, far):
+    # By étendue, diffuse transmittance cannot exceed n2²/n1².
     cosines = (np.arange(4000) + 0.5) / 4000
-    passed = [1.0 - fresnel(n1, *far, c)[0] for c in cosines]
-    transmittance = 2.0 * cosines @ passed / len(cosines)
+    transmittances = [1.0 - fresnel(n1, *far, c)[0] for c in cosines]
+    transmittance = 2.0 * cosines @ transmittances / len(cosines)
     assert transmittance <= min(1.0, (far[0] / n1) ** 2) + 1e-3
 
 
-def test_interfaces_between_equal_media_do_not_exist():
+def test_equal_absorbing_media_do_not_reflect():
     for k in (0.0, 1e-3, 0.3):
         assert fresnel_between(1.56, k, 1.56, k, 0.3) == (0.0, 1.0, 0.3)
     assert fresnel_between(1.31, 1e-3, 1.0, 0.0, 0.9) == fresnel(1.31, 1.0, 0.0, 0.9)

@@ -1,4 +1,4 @@
-"""The lane kernel against the scalar one, and against itself in other orders and jobs."""
+"""The vectorized kernel against the scalar one, and reproducibility across lanes and jobs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from splits.simulation.tally import PathTally, TransportTraits
 pytestmark = NEEDS_JIT
 
 RAYS = 50_000
-"""Per wavelength and kernel: a million for each medium."""
+"""Number of rays per wavelength and kernel; 20 wavelengths give a million for each medium."""
 SNOW = np.linspace(400.0, 2500.0, 20)
 SAND = np.linspace(400.0, 1000.0, 20)
 MEDIA = {
@@ -41,8 +41,8 @@ MEDIA = {
 }  # fmt: skip
 
 
-def ensembles(medium, wavelengths, attenuation):
-    """Return an ensemble of paths for each wavelength by itself."""
+def make_ensembles(medium, wavelengths, attenuation):
+    """Return a separate ensemble of paths for each wavelength."""
     index = medium.compute_refractive_indices(wavelengths)
     absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
     one = np.ones(1, dtype=bool)
@@ -54,63 +54,79 @@ def ensembles(medium, wavelengths, attenuation):
     ]
 
 
-def spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
-    """Return R and T, their standard errors, and the seconds that it took on two threads."""
+def trace_spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
+    """Return R and T, their standard errors, and the seconds elapsed on two threads."""
     runner = Runner(medium, incidence, seed, 2, False, kernel)
-    work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
-    begun = time.perf_counter()
-    runner.trace([(e, e.strata[0], rays) for e in work], 1.0, 0.0)
-    seconds = time.perf_counter() - begun
-    mean = np.stack([e.compute_means()[:, 0] for e in work], axis=1)
-    error = np.stack([np.sqrt(e.compute_variances()[:2, 0] / e.n_rays[0]) for e in work], axis=1)
+    ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+    start = time.perf_counter()
+    runner.trace([(e, e.strata[0], rays) for e in ensembles], 1.0, 0.0)
+    seconds = time.perf_counter() - start
+    mean = np.stack([e.compute_means()[:, 0] for e in ensembles], axis=1)
+    error = np.stack(
+        [np.sqrt(e.compute_variances()[:2, 0] / e.n_rays[0]) for e in ensembles], axis=1
+    )
     return mean, error, seconds
 
 
 @pytest.mark.long
-def test_lanes_agree_with_the_scalar_kernel():
-    found = {"reflectance": [], "transmittance": []}
+def test_vectorized_kernel_agrees_with_scalar_kernel():
+    samples = {"reflectance": [], "transmittance": []}
     for number, (name, (medium, incidence, wavelengths)) in enumerate(MEDIA.items()):
-        plain, plain_error, slow = spectrum(medium, incidence, wavelengths, "scalar", 100 + number)
-        wide, wide_error, fast = spectrum(
+        scalar, scalar_error, scalar_seconds = trace_spectrum(
+            medium, incidence, wavelengths, "scalar", 100 + number
+        )
+        vector, vector_error, vector_seconds = trace_spectrum(
             medium, incidence, wavelengths, "vectorized", 200 + number
         )
-        print(f"{name}: scalar {slow:.1f} s, lanes {fast:.1f} s, ratio {slow / fast:.1f}")
-        # Where hardly any ray gets through, its number is not normally distributed.  Rays that are
-        # not judged say where.
-        other, _, _ = spectrum(
+        print(
+            f"{name}: scalar {scalar_seconds:.1f} s, vectorized {vector_seconds:.1f} s, "
+            f"ratio {scalar_seconds / vector_seconds:.1f}"
+        )
+        # Counts of very few transmitted rays are not normally distributed.  A separate run selects
+        # the wavelengths with enough rays, so that the selection does not bias the test.
+        selection, _, _ = trace_spectrum(
             medium, incidence, wavelengths, "vectorized", 300 + number, RAYS // 5
         )
-        seen = other > 100.0 / RAYS
-        error = np.hypot(plain_error, wide_error)
-        for row, quantity in enumerate(found):
-            part = [a[row, seen[row]] for a in (wide - plain, error, 0.5 * (wide + plain))]
-            found[quantity].append(part)
-            if seen[row].any():
-                judge_z(part[0] / part[1], f"{quantity} of {name}")
+        well_counted = selection > 100.0 / RAYS
+        error = np.hypot(scalar_error, vector_error)
+        for row, quantity in enumerate(samples):
+            columns = [
+                a[row, well_counted[row]] for a in (vector - scalar, error, 0.5 * (vector + scalar))
+            ]
+            samples[quantity].append(columns)
+            if well_counted[row].any():
+                judge_z(columns[0] / columns[1], f"{quantity} of {name}")
     pooled = []
-    for quantity, parts in found.items():
-        away, error, value = (np.concatenate(column) for column in zip(*parts, strict=True))
-        judge_z(away / error, f"{quantity}, lanes against scalar")
-        # One per wavelength, each with rays of its own: a bias of one sign, alike or in proportion.
-        pooled += [compute_pooled_z(away, error), compute_pooled_z(away, error, value)]
-        known = 1.0 / np.sqrt(((value / error) ** 2).sum())
-        print(f"{quantity}: lanes over scalar 1 {pooled[-1] * known:+.1e} ± {known:.0e}")
-    # Reflectance and transmittance of a run are correlated, and so are both means of one of them.
-    judge_z(pooled, "signed means, lanes against scalar", independent=1)
+    for quantity, parts in samples.items():
+        difference, error, value = (np.concatenate(column) for column in zip(*parts, strict=True))
+        judge_z(difference / error, f"{quantity}, vectorized against scalar")
+        # Wavelengths use separate rays.  Both means detect a common bias, absolute or relative.
+        pooled += [compute_pooled_z(difference, error), compute_pooled_z(difference, error, value)]
+        relative_error = 1.0 / np.sqrt(((value / error) ** 2).sum())
+        print(
+            f"{quantity}: vectorized over scalar 1 {pooled[-1] * relative_error:+.1e} "
+            f"± {relative_error:.0e}"
+        )
+    # Reflectance and transmittance of a run are correlated, as are both means of either.
+    judge_z(pooled, "signed means, vectorized against scalar", independent=1)
 
 
-def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
+def test_paths_are_independent_of_other_ensembles():
     runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "vectorized")
-    work = ensembles(splits.Snow(), np.array([500.0, 800.0]), runner.tracer.traits.attenuation)
-    each = [e.strata[0].optics for e in work]
-    features = runner.tracer.get_features(work[0].strata[0])
+    ensembles = make_ensembles(
+        splits.Snow(), np.array([500.0, 800.0]), runner.tracer.traits.attenuation
+    )
+    ensemble_optics = [e.strata[0].optics for e in ensembles]
+    features = runner.tracer.get_features(ensembles[0].strata[0])
     scene = runner.tracer.scene
 
-    def exits(items, optics):
+    def trace_exits(items, optics):
         rows = allocate_exits(sum(rays for *_, rays, _ in items), 3)
-        legs, lost, _ = vectorized.trace_batch(3, np.array(items), scene, optics, rows, features)
-        assert not lost and legs.min() > 0
-        return rows, legs
+        n_segments, lost, _ = vectorized.trace_batch(
+            3, np.array(items), scene, optics, rows, features
+        )
+        assert not lost and n_segments.min() > 0
+        return rows, n_segments
 
     items = [
         (0, 0, 101, NO_MAX_ORDER),
@@ -118,21 +134,23 @@ def test_a_path_does_not_depend_on_the_company_of_other_ensembles():
         (4, 7, 300, NO_MAX_ORDER),
         (0, 200, 33, NO_MAX_ORDER),
     ]
-    optics = [each[0], each[1], each[1], each[0]]
-    together, legs = exits(items, Optics(*map(np.stack, zip(*optics, strict=True))))
-    apart = [exits([item], to_single_item(one)) for item, one in zip(items, optics, strict=True)]
-    assert np.array_equal(together, np.concatenate([rows for rows, _ in apart]), equal_nan=True)
-    assert legs.tolist() == [int(count[0]) for _, count in apart]
+    optics = [ensemble_optics[0], ensemble_optics[1], ensemble_optics[1], ensemble_optics[0]]
+    joint, n_segments = trace_exits(items, Optics(*map(np.stack, zip(*optics, strict=True))))
+    separate = [
+        trace_exits([item], to_single_item(one)) for item, one in zip(items, optics, strict=True)
+    ]
+    assert np.array_equal(joint, np.concatenate([rows for rows, _ in separate]), equal_nan=True)
+    assert n_segments.tolist() == [int(count[0]) for _, count in separate]
 
 
-def test_a_path_does_not_depend_on_lane_or_batch():
+def test_paths_are_independent_of_lane_and_batch():
     medium = splits.Snow(depth_m=0.02)
     runner = Runner(medium, 30.0, 3, 1, False, "vectorized")
-    (ensemble,) = ensembles(medium, np.array([900.0]), runner.tracer.traits.attenuation)
+    (ensemble,) = make_ensembles(medium, np.array([900.0]), runner.tracer.traits.attenuation)
     optics = ensemble.strata[0].optics
     features = runner.tracer.get_features(ensemble.strata[0])
 
-    def exits(first, rays):
+    def trace_exits(first, rays):
         rows = allocate_exits(rays, 3)
         work = np.array([[0, first, rays, NO_MAX_ORDER]])
         _, lost, _ = vectorized.trace_batch(
@@ -142,53 +160,53 @@ def test_a_path_does_not_depend_on_lane_or_batch():
         return rows
 
     count = 5 * N_LANES + 7
-    together = exits(0, count)
-    apart = np.concatenate([exits(ray, 1) for ray in range(count)])
-    assert np.array_equal(together, apart, equal_nan=True)
+    joint = trace_exits(0, count)
+    separate = np.concatenate([trace_exits(ray, 1) for ray in range(count)])
+    assert np.array_equal(joint, separate, equal_nan=True)
 
 
 @pytest.mark.parametrize("kernel", ["vectorized", "scalar"])
 @pytest.mark.parametrize("medium", [splits.Snow(depth_m=0.03), splits.Sand()], ids=["snow", "sand"])
-def test_bits_do_not_depend_on_threads_or_jobs(medium, kernel):
+def test_results_are_independent_of_threads_and_jobs(medium, kernel):
     wavelengths = np.array([650.0, 900.0])
     batches = 12
 
-    def moments(threads=None):
+    def trace_moments(threads=None):
         runner = Runner(medium, 10.0, 4, threads, False, kernel)
-        work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
-        runner.share_kernel(work)
-        runner.trace([(e, e.strata[0], batches * RAYS_PER_CHUNK) for e in work], 1.0, 0.0)
-        return np.stack([e.moments for e in work])
+        ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+        runner.share_kernel(ensembles)
+        runner.trace([(e, e.strata[0], batches * RAYS_PER_CHUNK) for e in ensembles], 1.0, 0.0)
+        return np.stack([e.moments for e in ensembles])
 
-    def merged(jobs):
-        """Let jobs of their own trace every seventh batch, in any order; add up in order."""
-        parts = {}
+    def merge_jobs(jobs):
+        """Return the ordered sum of the moments of jobs that trace every `jobs`-th batch."""
+        tallies = {}
         for job in random.Random(1).sample(range(jobs), jobs):
             runner = Runner(medium, 10.0, 4, 1, False, kernel)
-            work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
-            runner.share_kernel(work)
-            for number, e in enumerate(work):
+            ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+            runner.share_kernel(ensembles)
+            for number, e in enumerate(ensembles):
                 for batch in range(job, batches, jobs):
                     ((tally,), _), *_ = runner.trace_job(
                         [(e, e.strata[0], batch * RAYS_PER_CHUNK, 1)]
                     )
-                    parts[number, batch] = tally
-        work = ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
-        for (number, _), tally in sorted(parts.items(), key=lambda item: item[0]):
-            work[number].add_scores(work[number].strata[0], [tally])
-        return np.stack([e.moments for e in work])
+                    tallies[number, batch] = tally
+        ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+        for (number, _), tally in sorted(tallies.items(), key=lambda item: item[0]):
+            ensembles[number].add_scores(ensembles[number].strata[0], [tally])
+        return np.stack([e.moments for e in ensembles])
 
-    expected = moments(1)
-    for other in (moments(2), moments(4), merged(1), merged(7)):
+    expected = trace_moments(1)
+    for other in (trace_moments(2), trace_moments(4), merge_jobs(1), merge_jobs(7)):
         assert (other == expected).all()
 
 
-def test_light_is_neither_lost_nor_made():
+def test_vectorized_kernel_conserves_energy():
     medium = splits.Snow(
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
     runner = Runner(medium, 60.0, 5, 1, False, "vectorized")
-    (ensemble,) = ensembles(medium, np.array([600.0]), runner.tracer.traits.attenuation)
+    (ensemble,) = make_ensembles(medium, np.array([600.0]), runner.tracer.traits.attenuation)
     optics = ensemble.strata[0].optics
     features = runner.tracer.get_features(ensemble.strata[0])
     rows = allocate_exits(3000, 3)
@@ -205,16 +223,16 @@ def test_light_is_neither_lost_nor_made():
     assert np.isfinite(rows[:, EXIT_POSITION : EXIT_POSITION + 2]).all()
 
 
-def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
-    # Just within total reflection, where every ray stays: its angle may only lead out.
+def test_rounding_does_not_drift_into_total_reflection():
+    # Just within total reflection all rays stay inside; rounding may only drift outwards.
     passes, cosine = 20_000, 0.64
     state = np.zeros(lane_state.STATE_SIZE, dtype=np.float32)
     words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
     table = state.reshape(-1, N_LANES)
-    random = np.random.default_rng(1)
-    q = random.normal(size=(3, N_LANES))
+    generator = np.random.default_rng(1)
+    q = generator.normal(size=(3, N_LANES))
     q /= np.linalg.norm(q, axis=0)
-    t = np.cross(q.T, random.normal(size=(N_LANES, 3))).T
+    t = np.cross(q.T, generator.normal(size=(N_LANES, 3))).T
     t /= np.linalg.norm(t, axis=0)
     d = cosine * q + np.sqrt(1.0 - cosine**2) * t
 
@@ -229,18 +247,21 @@ def test_rays_in_smooth_spheres_do_not_creep_into_total_reflection():
     scene = get_vectorized_scene(make_medium_scene(splits.Snow(saturation=0.0)))
 
     def cosines():
-        q, d = (table[np.array(which) // N_LANES].astype(float) for which in (AT, ALONG))
+        q, d = (
+            table[np.array(which) // N_LANES].astype(float)
+            for which in (POINT_ROWS, DIRECTION_ROWS)
+        )
         return (q * d).sum(axis=0) / np.linalg.norm(q, axis=0) / np.linalg.norm(d, axis=0)
 
     before = cosines()
     for _ in range(passes):
         run_surface_pass(state, words, N_LANES, Features(*[None] * len(Features._fields)), scene)
     assert (table[lane_state.SHELL // N_LANES] == 1.0).all()
-    creep = (cosines() - before) / passes
-    error = creep.std(ddof=1) / np.sqrt(N_LANES)
-    print(f"creep of the cosine per reflection {creep.mean():.1e} ± {error:.0e}")
-    assert -3.0 * error < creep.mean() < 1e-7
+    drift = (cosines() - before) / passes
+    error = drift.std(ddof=1) / np.sqrt(N_LANES)
+    print(f"drift of the cosine per reflection {drift.mean():.1e} ± {error:.0e}")
+    assert -3.0 * error < drift.mean() < 1e-7
 
 
-AT = (lane_state.UNIT_POINT_X, lane_state.UNIT_POINT_Y, lane_state.UNIT_POINT_Z)
-ALONG = (lane_state.DIR_X, lane_state.DIR_Y, lane_state.DIR_Z)
+POINT_ROWS = (lane_state.UNIT_POINT_X, lane_state.UNIT_POINT_Y, lane_state.UNIT_POINT_Z)
+DIRECTION_ROWS = (lane_state.DIR_X, lane_state.DIR_Y, lane_state.DIR_Z)

@@ -1,4 +1,4 @@
-"""Layers of particles where the answer is known without a table."""
+"""Particle layers against analytical results, and agreement of estimators."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ import splits
 from splits.kernels.optics.fresnel import fresnel
 
 NM = [550.0]
-MIRROR = {"single_scattering_albedo": 1.0, "bottom_albedo": 1.0}
+CONSERVATIVE = {"single_scattering_albedo": 1.0, "bottom_albedo": 1.0}
 
 
-def share(ds, name: str) -> tuple[float, float]:
+def get_value(ds, name: str) -> tuple[float, float]:
     """Return a quantity and its standard error."""
     return float(ds[name][0]), float(ds[f"{name}_stderr"][0])
 
 
-def slab_of_faces(index: float, cosine: float) -> tuple[float, float]:
-    """Return what a clear plate reflects and lets through, by the geometric series."""
+def plate_fluxes(index: float, cosine: float) -> tuple[float, float]:
+    """Return R and T of a transparent plate, by the geometric series of its reflections."""
     r = fresnel(1.0, index, 0.0, cosine)[0]
     return 2.0 * r / (1.0 + r), (1.0 - r) / (1.0 + r)
 
 
 @pytest.mark.parametrize("incidence", [0.0, 60.0, 89.9])
 @pytest.mark.parametrize("index", [1.0, 1.5])
-def test_a_layer_without_particles_is_a_plate(index, incidence):
+def test_layer_without_particles_is_a_plate(index, incidence):
     plate = splits.ParticleLayer(optical_thickness=0.0, refractive_index=index, bottom_albedo=None)
     ds = splits.spectrophotometer(plate, NM, incidence, 0.01)
-    expected = slab_of_faces(index, math.cos(math.radians(incidence)))
-    (value, stderr), (exact, passed) = share(ds, "reflectance"), expected
-    assert float(ds.transmittance[0]) - passed == pytest.approx(exact - value, abs=1e-12)
+    expected = plate_fluxes(index, math.cos(math.radians(incidence)))
+    (value, stderr), (exact, transmitted) = get_value(ds, "reflectance"), expected
+    assert float(ds.transmittance[0]) - transmitted == pytest.approx(exact - value, abs=1e-12)
     if index == 1.0:
         assert value == 0.0
     else:
@@ -53,15 +53,15 @@ def test_a_layer_without_particles_is_a_plate(index, incidence):
         {"optical_thickness": math.inf, "asymmetry": 0.5},
     ],
 )
-def test_nothing_absorbed_all_comes_back(settings, polarized):
-    layer = splits.ParticleLayer(**MIRROR, polarized=polarized, **settings)
+def test_conservative_layer_on_white_bottom_reflects_all(settings, polarized):
+    layer = splits.ParticleLayer(**CONSERVATIVE, polarized=polarized, **settings)
     ds = splits.spectrophotometer(layer, NM, 30.0, 0.5)
     assert float(ds.reflectance[0]) == pytest.approx(1.0, abs=1e-12)
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("error", [0.002, pytest.param(0.001, marks=pytest.mark.long)])
-def test_a_thick_white_layer_follows_diffusion(error):
+def test_thick_conservative_layer_follows_diffusion_theory(error):
     # T = 4/3 K0(1)/((1 − g) τ + 2 × 0.7104) of a thick conservative slab, exact for isotropic
     # scattering with K0(1) = √3/4 H(1) = 1.2591; for other phase functions 1.26 to 1.28
     # (van de Hulst 1980), hence 2 %.
@@ -70,42 +70,42 @@ def test_a_thick_white_layer_follows_diffusion(error):
         refractive_index=1.0, bottom_albedo=None,
     )  # fmt: skip
     ds = splits.spectrophotometer(layer, NM, 0.0, error)
-    value, stderr = share(ds, "transmittance")
+    value, stderr = get_value(ds, "transmittance")
     expected = 4.0 / 3.0 * 1.2591 / (100.0 + 2.0 * 0.7104)
     assert abs(value - expected) < 0.02 * expected + compute_z_bound(1) * stderr
     assert float(ds.reflectance[0]) + value == pytest.approx(1.0, abs=1e-12)
 
 
-def test_black_particles_leave_the_face_and_the_beam():
+def test_black_particles_transmit_only_the_direct_beam():
     layer = splits.ParticleLayer(
         optical_thickness=1.0, single_scattering_albedo=0.0, refractive_index=1.0,
         bottom_albedo=None,
     )  # fmt: skip
     ds = splits.spectrophotometer(layer, NM, 60.0, 0.01)
-    value, stderr = share(ds, "transmittance")
+    value, stderr = get_value(ds, "transmittance")
     judge_z([(value - math.exp(-2.0)) / stderr], "black particles")
     assert float(ds.reflectance[0]) == 0.0
 
 
-def test_coin_tosses_agree_with_weights():
+def test_spectral_and_analog_estimators_agree():
     layer = splits.ParticleLayer(optical_thickness=3.0, single_scattering_albedo=0.8)
-    by_weight, by_toss = (
+    spectral, analog = (
         splits.spectrophotometer(layer, NM, 40.0, 0.005, seed, estimator=estimator)
         for seed, estimator in ((1, "spectral"), (2, "analog"))
     )
     z = []
     for name in ("reflectance", "transmittance", "absorptance"):
-        (a, s), (b, t) = share(by_weight, name), share(by_toss, name)
+        (a, s), (b, t) = get_value(spectral, name), get_value(analog, name)
         z.append((a - b) / math.hypot(s, t))
-    judge_z(z, "coin tosses against weights", independent=1)
+    judge_z(z, "analog against spectral", independent=1)
 
 
-def test_polarization_without_polarizing_particles_or_faces_changes_nothing():
-    plain = {"optical_thickness": 2.0, "refractive_index": 1.0, "max_polarization": 0.0}
+def test_polarization_has_no_effect_without_polarizers():
+    settings = {"optical_thickness": 2.0, "refractive_index": 1.0, "max_polarization": 0.0}
     polar = np.array([0.0, 30.0, 60.0])
     pair = [
         splits.goniophotometer(
-            splits.ParticleLayer(**plain, polarized=polarized), NM, 40.0, seed=seed,
+            splits.ParticleLayer(**settings, polarized=polarized), NM, 40.0, seed=seed,
             polar_deg=polar, azimuth_deg=[0.0, 90.0, 180.0], estimator="next_event",
             relative_stderr=0.01,
         )
@@ -118,7 +118,7 @@ def test_polarization_without_polarizing_particles_or_faces_changes_nothing():
 
 
 @pytest.mark.parametrize("polarized", [False, True])
-def test_helmholtz_reciprocity(polarized):
+def test_brdf_obeys_helmholtz_reciprocity(polarized):
     layer = splits.ParticleLayer(
         optical_thickness=3.0, single_scattering_albedo=0.95, asymmetry=0.6, polarized=polarized,
         bottom_albedo=0.3,
@@ -126,23 +126,23 @@ def test_helmholtz_reciprocity(polarized):
     pairs = [(0.0, 60.0, 0.0), (20.0, 70.0, 180.0), (35.0, 55.0, 90.0), (10.0, 80.0, 45.0)]
     z = []
     for number, (one, other, azimuth) in enumerate(pairs):
-        there, back = (
+        forward, reverse = (
             splits.goniophotometer(
                 layer, NM, a, seed=10 * number + seed, polar_deg=[b], azimuth_deg=[azimuth],
                 estimator="next_event", relative_stderr=0.005,
             )
             for seed, (a, b) in enumerate(((one, other), (other, one)))
         )  # fmt: skip
-        gap = there.brdf.item() - back.brdf.item()
-        z.append(gap / math.hypot(there.brdf_stderr.item(), back.brdf_stderr.item()))
+        difference = forward.brdf.item() - reverse.brdf.item()
+        z.append(difference / math.hypot(forward.brdf_stderr.item(), reverse.brdf_stderr.item()))
     judge_z(z, f"reciprocity, polarized {polarized}")
     assert np.abs(z).max() < 3.0
 
 
-def test_local_estimation_collectors_and_polynomials_agree():
+def test_local_estimation_agrees_with_expansion():
     layer = splits.ParticleLayer(optical_thickness=2.0, asymmetry=0.5, bottom_albedo=None)
     polar, azimuth = np.arange(0.0, 85.0, 10.0), [0.0, 90.0, 180.0]
-    heard, expanded = (
+    local, expansion = (
         splits.goniophotometer(
             layer, NM, 40.0, seed=seed, polar_deg=polar, azimuth_deg=azimuth, estimator=name
         )
@@ -150,15 +150,15 @@ def test_local_estimation_collectors_and_polynomials_agree():
     )
     z = []
     for name in ("brdf", "btdf"):
-        stderr = np.hypot(heard[f"{name}_stderr"], expanded[f"{name}_stderr"])
-        z.append(((heard[name] - expanded[name]) / stderr).values.ravel())
+        stderr = np.hypot(local[f"{name}_stderr"], expansion[f"{name}_stderr"])
+        z.append(((local[name] - expansion[name]) / stderr).values.ravel())
     for name in ("reflectance", "transmittance", "specular_reflectance", "direct_transmittance"):
-        (a, s), (b, t) = share(heard, name), share(expanded, name)
+        (a, s), (b, t) = get_value(local, name), get_value(expansion, name)
         z.append(np.array([(a - b) / math.hypot(s, t)]))
     judge_z(np.concatenate(z), "local estimation against expansion", independent=1)
 
 
-def test_local_estimation_scatters_as_it_states_from_few_batches():
+def test_errors_of_local_estimation_from_few_batches():
     layer = splits.ParticleLayer(optical_thickness=2.0, asymmetry=0.5, bottom_albedo=None)
     runs = [
         splits.goniophotometer(
@@ -172,29 +172,27 @@ def test_local_estimation_scatters_as_it_states_from_few_batches():
 
 
 @NEEDS_JIT
-def test_collectors_and_local_estimation_see_the_same_polarization():
-    # Two faces: local estimation adds up the reflections between them, collectors wait for rays.
+def test_bins_and_local_estimation_agree_on_polarization():
+    # With two interfaces, local estimation sums their multiple reflections; bins record rays only.
     layer = splits.ParticleLayer(
         optical_thickness=1.0, single_scattering_albedo=0.9, refractive_index=1.5,
         bottom_albedo=None, phase_function="rayleigh", polarized=True,
     )  # fmt: skip
-    counted = splits.goniophotometer(
-        layer, NM, 50.0, estimator="bins", n_bins=(40, 36), rays=500_000
-    )
-    counted = counted.isel(polar=counted.polar.values < 75.0)
-    heard = splits.goniophotometer(
+    bins = splits.goniophotometer(layer, NM, 50.0, estimator="bins", n_bins=(40, 36), rays=500_000)
+    bins = bins.isel(polar=bins.polar.values < 75.0)
+    local = splits.goniophotometer(
         layer, NM, 50.0, estimator="next_event", seed=2, relative_stderr=0.014,
-        polar_deg=counted.polar.values, azimuth_deg=[0.0, 30.0, 90.0, 150.0, 180.0, 270.0],
+        polar_deg=bins.polar.values, azimuth_deg=[0.0, 30.0, 90.0, 150.0, 180.0, 270.0],
     )  # fmt: skip
-    counted = counted.sel(azimuth=heard.azimuth)
+    bins = bins.sel(azimuth=local.azimuth)
     for name in ("brdf", "brdf_q", "brdf_u", "brdf_v", "btdf", "btdf_q", "btdf_u", "btdf_v"):
-        gap = (counted[name] - heard[name]).values
-        # Cells, which share no rays, have by far the larger errors.
-        judge_z(gap / np.hypot(counted[f"{name}_stderr"], heard[f"{name}_stderr"]).values, name)
+        difference = (bins[name] - local[name]).values
+        # The errors of bins, which use separate rays, dominate.
+        judge_z(difference / np.hypot(bins[f"{name}_stderr"], local[f"{name}_stderr"]).values, name)
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ({"optical_thickness": -1.0}, "optical_thickness = -1.0"),
         ({"single_scattering_albedo": 1.1}, "single_scattering_albedo = 1.1"),
@@ -210,12 +208,12 @@ def test_collectors_and_local_estimation_see_the_same_polarization():
         ({"phase_function": {"cosine": [-1, 1], "density": [1e308, 1e308]}}, "0 to 1e100"),
     ],
 )
-def test_bad_layers_are_refused(settings, told):
-    with pytest.raises(ValueError, match=re.escape(told)):
+def test_invalid_layers_are_rejected(settings, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
         splits.ParticleLayer(**settings)
 
 
-def test_instruments_that_count_on_grains_refuse_layers():
+def test_instruments_for_grains_reject_particle_layers():
     for instrument in (splits.single_scattering, splits.deep_transmittance):
         with pytest.raises(ValueError, match="medium = 'particle_layer'"):
             instrument(splits.ParticleLayer(), NM)
@@ -225,8 +223,8 @@ def test_instruments_that_count_on_grains_refuse_layers():
         splits.goniophotometer(splits.Snow(), NM, estimator="next_event")
 
 
-def test_what_was_not_heard_is_not_certain():
-    # Hardly a ray enters at 89.9999 degrees, and hardly one meets a particle at 1e-6.
+def test_rare_events_have_nonzero_errors():
+    # Very few rays enter at 89.9999 degrees, and very few hit a particle at a thickness of 1e-6.
     for layer, incidence in (
         (splits.ParticleLayer(), 89.9999),
         (
@@ -249,7 +247,7 @@ def test_what_was_not_heard_is_not_certain():
     assert float(ds.absorptance_stderr[0]) > 0.0
 
 
-def test_a_bottom_hears_light_that_local_estimation_does_not_tell_of():
+def test_local_estimation_above_a_bottom_has_no_btdf():
     directions = {"polar_deg": [0.0], "azimuth_deg": [0.0], "estimator": "next_event"}
     with pytest.raises(ValueError, match="target = 'btdf'"):
         splits.goniophotometer(splits.ParticleLayer(), NM, 0.0, target="btdf", **directions)
@@ -257,13 +255,13 @@ def test_a_bottom_hears_light_that_local_estimation_does_not_tell_of():
     assert "btdf" not in ds and "brdf" in ds
 
 
-def test_lobes_too_narrow_for_polynomials_are_told():
+def test_lobes_too_narrow_for_the_expansion_are_reported():
     layer = splits.ParticleLayer(
         optical_thickness=1.0, asymmetry=0.9, single_scattering_albedo=1.0, bottom_albedo=None
     )
     ds = splits.goniophotometer(layer, NM, 0.0, target="btdf")
     assert ds.attrs["stop_reason"] == "max_degree"
-    cells = splits.goniophotometer(layer, NM, 0.0, rays=400_000, estimator="bins", n_bins=(60, 8))
-    top = cells.btdf.isel(wavelength=0, polar=0).mean("azimuth")
-    gap = abs(float(ds.btdf.isel(wavelength=0, polar=0)[0] - top))
-    assert gap < 3.0 * float(ds.btdf_stderr.isel(wavelength=0, polar=0)[0])
+    bins = splits.goniophotometer(layer, NM, 0.0, rays=400_000, estimator="bins", n_bins=(60, 8))
+    top = bins.btdf.isel(wavelength=0, polar=0).mean("azimuth")
+    difference = abs(float(ds.btdf.isel(wavelength=0, polar=0)[0] - top))
+    assert difference < 3.0 * float(ds.btdf_stderr.isel(wavelength=0, polar=0)[0])

@@ -1,4 +1,4 @@
-"""Local estimation of phase functions with a narrow peak, against discrete ordinates."""
+"""Local estimation for phase functions with a narrow peak, against discrete ordinates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ POLAR = [30.0, 60.0, 82.0, 87.0]
 STREAMS = 192
 
 
-def cloud() -> dict[str, list[float]]:
+def read_cloud_phase_function() -> dict[str, list[float]]:
     """Return the phase function of cloud C.1, which exceeds 130/sr within half a degree."""
     file = Path(__file__).with_name("reference") / "cloud_c1.csv"
     table = pd.read_csv(file, comment="#").sort_values("angle_deg", ascending=False)
@@ -31,7 +31,7 @@ def cloud() -> dict[str, list[float]]:
     return {"cosine": cosine.tolist(), "density": table.density_per_sr.tolist()}
 
 
-def moments_of(layer: splits.ParticleLayer, count: int = 1000) -> np.ndarray:
+def compute_legendre_moments(layer: splits.ParticleLayer, count: int = 1000) -> np.ndarray:
     """Return Legendre moments of the phase function, which is linear between its nodes."""
     if isinstance(layer.phase_function, str):
         return layer.asymmetry ** np.arange(count)
@@ -42,18 +42,21 @@ def moments_of(layer: splits.ParticleLayer, count: int = 1000) -> np.ndarray:
     )
     x = (0.5 * (high + low) + 0.5 * (high - low) * nodes).ravel()
     density = np.interp(x, layer.kernel_phase_function.cosines, layer.kernel_phase_function.density)
-    share = math.pi * ((high - low) * weights).ravel() * density
-    before, last, moments = np.ones_like(x), x, [share.sum(), share @ x]
+    weighted_density = math.pi * ((high - low) * weights).ravel() * density
+    previous, current, moments = np.ones_like(x), x, [weighted_density.sum(), weighted_density @ x]
     for order in range(2, count):
-        before, last = last, ((2 * order - 1) * x * last - (order - 1) * before) / order
-        moments.append(share @ last)
+        previous, current = (
+            current,
+            ((2 * order - 1) * x * current - (order - 1) * previous) / order,
+        )
+        moments.append(weighted_density @ current)
     return np.array(moments) / moments[0]
 
 
-def exact(layer: splits.ParticleLayer) -> dict[str, np.ndarray]:
+def solve_discrete_ordinates(layer: splits.ParticleLayer) -> dict[str, np.ndarray]:
     """Return BRDF and BTDF under light from the zenith by discrete ordinates."""
     ordinates = pytest.importorskip("PythonicDISORT")
-    moments = moments_of(layer)
+    moments = compute_legendre_moments(layer)
     with pytest.warns(UserWarning, match="close to 1"):
         solution = ordinates.pydisort(
             layer.optical_thickness, 1.0 - 1e-9, STREAMS, moments[np.newaxis], 1.0 - 1e-9, 1.0, 0.0,
@@ -67,8 +70,8 @@ def exact(layer: splits.ParticleLayer) -> dict[str, np.ndarray]:
     }
 
 
-def layer_of(phase: dict | float, thickness: float) -> splits.ParticleLayer:
-    """Return a cloud that absorbs nothing, of a table or an asymmetry."""
+def make_cloud(phase: dict | float, thickness: float) -> splits.ParticleLayer:
+    """Return a conservative cloud with a tabulated phase function or an asymmetry."""
     kind = {"phase_function": phase} if isinstance(phase, dict) else {"asymmetry": phase}
     return splits.ParticleLayer(
         optical_thickness=thickness, single_scattering_albedo=1.0, refractive_index=1.0,
@@ -77,36 +80,36 @@ def layer_of(phase: dict | float, thickness: float) -> splits.ParticleLayer:
 
 
 def judge_seeds(layer: splits.ParticleLayer, rays: int) -> None:
-    """Fail if seeds are not around the exact answer as their errors say, or medians are off."""
+    """Fail if the scatter of seeds or their medians disagree with the exact result."""
     runs = [
         splits.goniophotometer(
             layer, NM, 0.0, rays, seed, estimator="next_event", polar_deg=POLAR, azimuth_deg=[0.0]
         )
         for seed in range(SEEDS)
     ]
-    right = np.concatenate(list(exact(layer).values()))
+    expected = np.concatenate(list(solve_discrete_ordinates(layer).values()))
     value, stderr = (
         np.array(
             [np.concatenate([run[name + end].values.ravel() for name in SIDES]) for run in runs]
         )
         for end in ("", "_stderr")
     )
-    z = (value - right) / stderr
-    rms, median = np.sqrt((z**2).mean(axis=0)), np.median(value, axis=0) / right
+    z = (value - expected) / stderr
+    rms, median = np.sqrt((z**2).mean(axis=0)), np.median(value, axis=0) / expected
     report = f"{SIDES} at {POLAR}: rms z {rms.round(2)}, medians {median.round(3)}"
     print(report)
-    # Directions share paths: each by itself, at a level that all of them together pass in 99 %.
-    each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / right.size)
-    low, high = np.sqrt(stats.chi2.ppf([0.5 * each, 1.0 - 0.5 * each], SEEDS) / SEEDS)
+    # Directions use the same paths, so each is tested at a level that keeps 1 % for all.
+    level = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / expected.size)
+    low, high = np.sqrt(stats.chi2.ppf([0.5 * level, 1.0 - 0.5 * level], SEEDS) / SEEDS)
     assert low <= rms.min() and rms.max() <= high, report
     assert np.abs(z).max() <= compute_z_bound(z.size), report
-    below = (value < right).sum(axis=0)
-    assert min(stats.binomtest(int(n), SEEDS).pvalue for n in below) >= each, report
+    n_below = (value < expected).sum(axis=0)
+    assert min(stats.binomtest(int(n), SEEDS).pvalue for n in n_below) >= level, report
 
 
 @NEEDS_JIT
-def test_errors_under_a_thin_cloud_are_those_stated():
-    judge_seeds(layer_of(cloud(), 4.0), 12_000)
+def test_stated_errors_of_a_thin_cloud():
+    judge_seeds(make_cloud(read_cloud_phase_function(), 4.0), 12_000)
 
 
 @pytest.mark.long
@@ -115,8 +118,10 @@ def test_errors_under_a_thin_cloud_are_those_stated():
     ("phase", "thickness", "rays"),
     [("cloud", 64.0, 20_000), (0.85, 8.0, 40_000), (0.95, 8.0, 40_000)],
 )
-def test_errors_under_clouds_are_those_stated(phase, thickness, rays):
-    judge_seeds(layer_of(cloud() if phase == "cloud" else phase, thickness), rays)
+def test_stated_errors_of_thick_clouds(phase, thickness, rays):
+    judge_seeds(
+        make_cloud(read_cloud_phase_function() if phase == "cloud" else phase, thickness), rays
+    )
 
 
 @NEEDS_JIT
@@ -131,7 +136,7 @@ def test_errors_under_clouds_are_those_stated(phase, thickness, rays):
         {"optical_thickness": math.inf, "single_scattering_albedo": 0.9, "asymmetry": 0.8},
     ],
 )
-def test_faces_bottoms_and_polarization_do_not_depend_on_where_a_peak_begins(settings, monkeypatch):
+def test_results_are_independent_of_the_peak_threshold(settings, monkeypatch):
     layer = splits.ParticleLayer(**{"optical_thickness": 1.0, **settings})
     runs = []
     for seed, limits in enumerate(((math.inf, 1.0), (0.0, 0.1))):
@@ -145,27 +150,25 @@ def test_faces_bottoms_and_polarization_do_not_depend_on_where_a_peak_begins(set
         )  # fmt: skip
     for name in (name for name in runs[0] if name.startswith(("brdf", "btdf"))):
         if not name.endswith("_stderr"):
-            gap = (runs[0][name] - runs[1][name]).values.ravel()
+            difference = (runs[0][name] - runs[1][name]).values.ravel()
             error = np.hypot(*(run[f"{name}_stderr"].values.ravel() for run in runs))
-            judge_z(gap[error > 0.0] / error[error > 0.0], name, independent=1)
+            judge_z(difference[error > 0.0] / error[error > 0.0], name, independent=1)
 
 
-def test_peaks_take_what_is_above_a_limit_and_nothing_else():
+def test_peak_is_the_part_above_the_base():
     cosine = np.linspace(-1.0, 1.0, 4001)
     functions = [
-        splits.ParticleLayer(phase_function=cloud()),
+        splits.ParticleLayer(phase_function=read_cloud_phase_function()),
         *(splits.ParticleLayer(asymmetry=g) for g in (0.95, -0.95)),
     ]
     for layer in functions:
-        narrow = forward_peak.separate_peak(layer.kernel_phase_function)
+        peak = forward_peak.separate_peak(layer.kernel_phase_function)
         total = np.array([evaluate_phase_function(layer.kernel_phase_function, x) for x in cosine])
-        above = narrow.fraction * np.array(
-            [evaluate_phase_function(narrow.phase, x) for x in cosine]
-        )
+        above = peak.fraction * np.array([evaluate_phase_function(peak.phase, x) for x in cosine])
         np.testing.assert_allclose(
             above, np.maximum(total - forward_peak.PEAK_BASE_PER_SR, 0.0), rtol=0.02, atol=0.02
         )
-        assert 0.4 < narrow.fraction < 0.7
+        assert 0.4 < peak.fraction < 0.7
     for layer in (
         splits.ParticleLayer(asymmetry=0.9),
         splits.ParticleLayer(phase_function="rayleigh"),
@@ -174,7 +177,7 @@ def test_peaks_take_what_is_above_a_limit_and_nothing_else():
 
 
 @pytest.mark.parametrize("rest", [0.0, 1e-9])
-def test_peaks_that_hold_nearly_all_light_are_refused(rest):
+def test_peaks_with_nearly_all_light_are_rejected(rest):
     narrow = {"cosine": [-1.0, 0.99999, 1.0], "density": [rest, rest, 1.0]}
     layer = splits.ParticleLayer(phase_function=narrow)
     with pytest.raises(ValueError, match=r"estimator = 'next_event'.*more than 99%"):

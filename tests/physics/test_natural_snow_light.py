@@ -1,4 +1,4 @@
-"""Light from natural snow: its grains' optical shape, the law of small absorption, and its BRDF."""
+"""Reflection of natural snow: optical shape of grains, weak absorption, density, and BRDF."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ DENSITIES = (10.0, 100.0, 300.0, 550.0)
 """kg/m³"""
 
 
-def faint(index, absorption):
-    """Return a material of an index that absorbs so much (1/m) at 1000 nm."""
+def make_weak_absorber(index, absorption):
+    """Return a material of an index and an absorption coefficient (1/m) at 1000 nm."""
     k = absorption * 1e-6 / (4.0 * np.pi)
     return {"wavelength_nm": [900.0, 1100.0], "n": [index, index], "k": [k, k]}
 
 
-def snow(area=20.0, **settings):
+def make_snow(area=20.0, **settings):
     """Return natural snow."""
     return splits.Snow.natural(specific_surface_area_m2_kg=area, **settings)
 
@@ -37,9 +37,9 @@ def snow(area=20.0, **settings):
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.parametrize("area", [5.0, 20.0, 60.0])
-def test_grains_have_the_shape_of_natural_snow(area):
-    shape = compute_optical_shape(snow(area), rays=131_072)
-    for found, measured, kept, error in (
+def test_grains_have_the_optical_shape_of_natural_snow(area):
+    shape = compute_optical_shape(make_snow(area), rays=131_072)
+    for estimate, measurement, stored, error in (
         (
             shape.absorption_enhancement,
             B,
@@ -53,106 +53,120 @@ def test_grains_have_the_shape_of_natural_snow(area):
             NATURAL_GRAIN_SHAPE.asymmetry_parameter_stderr,
         ),
     ):
-        assert abs(found.value - measured[0]) < measured[1] + 3.0 * found.stderr
-        # A coarse grain absorbs a little of what it is met by, which is beyond "little".
-        assert abs(found.value - kept) < 3.0 * math.hypot(found.stderr, error) + 0.003
+        assert abs(estimate.value - measurement[0]) < measurement[1] + 3.0 * estimate.stderr
+        # Absorption by a coarse grain slightly exceeds the limit of weak absorption.
+        assert abs(estimate.value - stored) < 3.0 * math.hypot(estimate.stderr, error) + 0.003
 
 
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.parametrize("area", [5.0, 20.0, 60.0])
-def test_deep_snow_follows_the_law_of_small_absorption(area):
-    """Diffuse albedo exp(-4 √(2Bγ/(3 ρ SSA (1 - g)))), g with diffraction (Kokhanovsky & Zege)."""
+def test_deep_snow_follows_the_weak_absorption_limit(area):
+    """The diffuse albedo is exp(-4 √(2Bγ/(3 ρ SSA (1 - g)))) after Kokhanovsky and Zege.
+
+    The asymmetry parameter g includes diffraction.
+    """
     wavelengths = np.array([700.0, 800.0, 900.0])
-    deep = snow(area)
+    deep = make_snow(area)
     k = deep.refractive_index["ice"](wavelengths).imag
     gamma = 4.0 * np.pi * k / (wavelengths * 1e-9)
     diffracted = 0.5 * (1.0 + NATURAL_GRAIN_SHAPE.asymmetry_parameter)
     absorbed = 2.0 * NATURAL_GRAIN_SHAPE.absorption_enhancement * gamma / (ice_density(-1.0) * area)
     expected = np.exp(-4.0 * np.sqrt(absorbed / (3.0 * (1.0 - diffracted))))
-    found = splits.spectrophotometer(deep, wavelengths, "diffuse", 0.0015)
-    away = found.reflectance.values - expected
-    assert (np.abs(away) < 3.0 * found.reflectance_stderr.values + 0.004).all(), away
+    spectrum = splits.spectrophotometer(deep, wavelengths, "diffuse", 0.0015)
+    difference = spectrum.reflectance.values - expected
+    assert (np.abs(difference) < 3.0 * spectrum.reflectance_stderr.values + 0.004).all(), difference
 
 
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.parametrize("wavelength", [600.0, 1000.0])
-def test_snow_is_brighter_forwards(wavelength):
-    found = splits.goniophotometer(
-        snow(depth_m=0.05), [wavelength], 60.0, relative_stderr=0.015, azimuth_deg=[0.0, 180.0],
-        polar_deg=[0.0, 45.0, 60.0, 75.0],
+def test_brdf_is_larger_in_forward_directions(wavelength):
+    brdf = splits.goniophotometer(
+        make_snow(depth_m=0.05), [wavelength], 60.0, relative_stderr=0.015,
+        azimuth_deg=[0.0, 180.0], polar_deg=[0.0, 45.0, 60.0, 75.0],
     )  # fmt: skip
-    plane = select_principal_plane(found).isel(wavelength=0)
+    plane = select_principal_plane(brdf).isel(wavelength=0)
     for angle in (45.0, 60.0, 75.0):
-        ahead, back = plane.sel(angle=angle), plane.sel(angle=-angle)
-        gap = float(ahead.brdf - back.brdf)
-        assert gap > 3.0 * math.hypot(float(ahead.brdf_stderr), float(back.brdf_stderr)), angle
+        forward, backward = plane.sel(angle=angle), plane.sel(angle=-angle)
+        difference = float(forward.brdf - backward.brdf)
+        assert difference > 3.0 * math.hypot(
+            float(forward.brdf_stderr), float(backward.brdf_stderr)
+        ), angle
 
 
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.parametrize("incidence", [0.0, 60.0, 75.0, 80.0, "diffuse"])
-def test_a_half_space_does_not_depend_on_its_density(incidence):
-    """All lengths grow with the distance between grains, and no light comes from below."""
-    found = [
-        splits.spectrophotometer(snow(density_kg_m3=density), [1300.0], incidence, 0.002)
+def test_semi_infinite_albedo_is_independent_of_density(incidence):
+    """All lengths scale with the distance between grains, and no boundary below sets a scale."""
+    spectra = [
+        splits.spectrophotometer(make_snow(density_kg_m3=density), [1300.0], incidence, 0.002)
         for density in DENSITIES
     ]
-    assert np.ptp([one.reflectance.item() for one in found]) < 2e-4
+    assert np.ptp([one.reflectance.item() for one in spectra]) < 2e-4
 
 
 @NEEDS_JIT
 @pytest.mark.slow
-def test_dense_snow_obeys_discrete_ordinates():
-    """Half-spaces and layers over a ground, whatever their density, with the grains' own optics."""
+def test_dense_snow_agrees_with_discrete_ordinates():
+    """Semi-infinite and finite layers of two densities agree, with the optics of their grains."""
     pytest.importorskip("PythonicDISORT")
     z = []
     wavelengths = [600.0, 1030.0, 1300.0]
     for number, (density, depth, ground) in enumerate(
         ((550.0, 1.0, None), (550.0, 0.02, 0.5), (100.0, 0.05, None))
     ):
-        layer = snow(density_kg_m3=density, depth_m=depth, ground=ground)
+        layer = make_snow(density_kg_m3=density, depth_m=depth, ground=ground)
         optics = correct_dense_packing(
             splits.single_scattering(layer, wavelengths, rays=400_000, seed=number + 3)
         )
         for incidence in (75.0, "diffuse"):
             expected = solve_discrete_ordinates(optics, incidence, ground=ground)
-            found = splits.spectrophotometer(layer, wavelengths, incidence, 0.001, number)
+            spectrum = splits.spectrophotometer(layer, wavelengths, incidence, 0.001, number)
             for name in ("reflectance", "transmittance"):
-                error = np.hypot(expected[f"{name}_stderr"], found[f"{name}_stderr"])
-                z.append(((found[name] - expected[name]) / np.maximum(error, 1e-5)).values)
+                error = np.hypot(expected[f"{name}_stderr"], spectrum[f"{name}_stderr"])
+                z.append(((spectrum[name] - expected[name]) / np.maximum(error, 1e-5)).values)
     judge_z(np.array(z), independent=6, bound_added=True)
 
 
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.parametrize("density", [100.0, 550.0])
-def test_dense_snow_is_in_ice_for_as_much_of_the_path_as_the_laws_say(density):
-    """Mass along a straight line, and the mean path in a white slab under diffuse light."""
+def test_mean_path_in_ice_of_dense_snow(density):
+    """Straight paths follow the ice mass; the mean path in a white slab follows its theorem."""
     alpha, depth, rays = 0.03, 0.02, 200_000
 
-    def absorbed(index, light, scale=1.0, air=1.0):
-        tables = {"ice": faint(index, scale * alpha), "air": faint(1.0, air * scale * alpha)}
-        made = snow(density_kg_m3=density, depth_m=depth, refractive_index=tables)
-        run = splits.spectrophotometer(made, [1000.0], light, 1e-6, max_rays=rays)
+    def absorbed_path(index, light, scale=1.0, air=1.0):
+        tables = {
+            "ice": make_weak_absorber(index, scale * alpha),
+            "air": make_weak_absorber(1.0, air * scale * alpha),
+        }
+        layer = make_snow(density_kg_m3=density, depth_m=depth, refractive_index=tables)
+        run = splits.spectrophotometer(layer, [1000.0], light, 1e-6, max_rays=rays)
         return run.absorptance.item() / alpha, run.absorptance_stderr.item() / alpha
 
-    fraction = snow(density_kg_m3=density).ice_fraction
-    ice, error = absorbed(1.0, 0.0, air=0.0)
+    fraction = make_snow(density_kg_m3=density).ice_fraction
+    ice, error = absorbed_path(1.0, 0.0, air=0.0)
     assert abs(ice - fraction * depth) < 3.0 * error + 1e-3 * fraction * depth
-    # <L> α − <L²> α²/2 at one and at two times α, by the same paths.
-    (once, error), (twice, _) = absorbed(1.31, "diffuse"), absorbed(1.31, "diffuse", 2.0)
+    # <L> α − <L²> α²/2 at α and at 2α, from the same paths.
+    (once, error), (twice, _) = absorbed_path(1.31, "diffuse"), absorbed_path(1.31, "diffuse", 2.0)
     path = 2.0 * once - 0.5 * twice
     optics = splits.single_scattering(
-        snow(density_kg_m3=density, depth_m=depth, refractive_index={"ice": faint(1.31, alpha)}),
+        make_snow(
+            density_kg_m3=density, depth_m=depth,
+            refractive_index={"ice": make_weak_absorber(1.31, alpha)},
+        ),
         [1000.0], moments=1, rays=400_000,
     ).isel(wavelength=0)  # fmt: skip
-    per_path = snow().attenuation_per_m / alpha
+    per_path = make_snow().attenuation_per_m / alpha
     enhancement = per_path * (1.0 - optics.single_scattering_albedo.item())
-    own = per_path * optics.single_scattering_albedo_stderr.item()
-    law = 2.0 * depth * (1.0 - fraction + enhancement * fraction)
-    assert abs(path - law) < 3.0 * math.hypot(error, 2.0 * depth * fraction * own) + 1e-3 * law
+    enhancement_error = per_path * optics.single_scattering_albedo_stderr.item()
+    expected = 2.0 * depth * (1.0 - fraction + enhancement * fraction)
+    assert (
+        abs(path - expected)
+        < 3.0 * math.hypot(error, 2.0 * depth * fraction * enhancement_error) + 1e-3 * expected
+    )
 
 
 @pytest.mark.long
@@ -164,7 +178,7 @@ def test_packed_natural_snow_is_reciprocal(density):
     angles = sorted({angle for pair in pairs for angle in pair[:2]})
     runs = {
         angle: splits.goniophotometer(
-            snow(depth_m=0.05, density_kg_m3=density), [1000.0], angle, seed=angle,
+            make_snow(depth_m=0.05, density_kg_m3=density), [1000.0], angle, seed=angle,
             relative_stderr=0.015, polar_deg=angles,
             azimuth_deg=sorted({float(pair[2]) for pair in pairs}),
         ).isel(wavelength=0)
@@ -172,26 +186,29 @@ def test_packed_natural_snow_is_reciprocal(density):
     }  # fmt: skip
     z = []
     for one, other, azimuth in pairs:
-        there = runs[one].sel(polar=other, azimuth=azimuth)
-        back = runs[other].sel(polar=one, azimuth=azimuth)
-        error = math.hypot(float(there.brdf_stderr), float(back.brdf_stderr))
-        z.append(float(there.brdf - back.brdf) / error)
+        forward = runs[one].sel(polar=other, azimuth=azimuth)
+        reverse = runs[other].sel(polar=one, azimuth=azimuth)
+        error = math.hypot(float(forward.brdf_stderr), float(reverse.brdf_stderr))
+        z.append(float(forward.brdf - reverse.brdf) / error)
     judge_z(z, "reciprocity", bound_added=True)
 
 
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.parametrize("density", [50.0, 550.0])
-def test_light_inside_white_snow_is_as_much_as_its_mean_path_says(density):
+def test_actinic_flux_of_white_snow_equals_mean_path(density):
     """The mean actinic flux of a white slab under diffuse light is its mean path over its depth."""
     white = {"ice": 1.31, "water": 1.33}
-    layer = snow(density_kg_m3=density, depth_m=0.02, refractive_index=white)
+    layer = make_snow(density_kg_m3=density, depth_m=0.02, refractive_index=white)
     halves = splits.irradiance_profile(layer, [1000.0], [0.01], "diffuse", 0.01).isel(wavelength=0)
     flux, stderr = halves.actinic_flux.mean().item(), halves.actinic_flux_stderr.mean().item()
     optics = splits.single_scattering(
-        snow(density_kg_m3=density, depth_m=0.02, refractive_index={"ice": faint(1.31, 0.03)}),
+        make_snow(
+            density_kg_m3=density, depth_m=0.02,
+            refractive_index={"ice": make_weak_absorber(1.31, 0.03)},
+        ),
         [1000.0], moments=1, rays=400_000,
     ).isel(wavelength=0)  # fmt: skip
     enhancement = layer.attenuation_per_m / 0.03 * (1.0 - optics.single_scattering_albedo.item())
-    law = 2.0 * (1.0 - layer.ice_fraction + enhancement * layer.ice_fraction)
-    assert abs(flux - law) < 3.0 * math.hypot(stderr, 0.005)
+    expected = 2.0 * (1.0 - layer.ice_fraction + enhancement * layer.ice_fraction)
+    assert abs(flux - expected) < 3.0 * math.hypot(stderr, 0.005)

@@ -1,4 +1,4 @@
-"""Layers of small particles in stacks: the layer's own kernel, cuts, ground, coin tosses."""
+"""Particle layers in stacks: particle-layer kernel, subdivision, ground, analog estimator."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ LAYERS = {
     "rayleigh": {"optical_thickness": 2.0, "phase_function": "rayleigh", "refractive_index": 1.0},
     "table": {"optical_thickness": 1.0, "phase_function": TABLE, "refractive_index": 1.5,
               "single_scattering_albedo": 0.6},
-    "dark": {"optical_thickness": 3.0, "single_scattering_albedo": 0.0, "refractive_index": 1.33},
+    "absorbing": {"optical_thickness": 3.0, "single_scattering_albedo": 0.0,
+                  "refractive_index": 1.33},
 }  # fmt: skip
-LID = splits.ParticleLayer(
+TOP = splits.ParticleLayer(
     optical_thickness=1.0, refractive_index=1.31, bottom_albedo=None, depth_m=0.01
 )
 SNOW = splits.Snow(depth_m=0.006, saturation=0.0)
@@ -25,148 +26,148 @@ SAND = splits.Sand(depth_m=0.004, interpretation="splitsnow_2021")
 WAVELENGTHS = [500.0, 900.0]
 
 
-def measured(medium, incidence, seed, **settings):
-    """Return R, T and A, and their errors, shape (2, 3, wavelengths)."""
+def measure(medium, incidence, seed, **settings):
+    """Return R, T and A and their standard errors, shape (2, 3, wavelengths)."""
     wavelengths = settings.pop("wavelengths", [550.0])
     ds = splits.spectrophotometer(medium, wavelengths, incidence, 0.002, seed, **settings)
     names = ("reflectance", "transmittance", "absorptance")
     return np.array([[ds[name] for name in names], [ds[f"{name}_stderr"] for name in names]])
 
 
-def apart(one, other):
-    """Return the differences of two measurements in units of their errors, where these can err."""
+def compute_z(one, other):
+    """Return the differences of two measurements in standard errors, where these are positive."""
     error = np.hypot(one[1], other[1])
-    told = error > 0.0
-    assert (one[0][~told] == other[0][~told]).all()
-    return ((one[0] - other[0])[told] / error[told]).ravel()
+    uncertain = error > 0.0
+    assert (one[0][~uncertain] == other[0][~uncertain]).all()
+    return ((one[0] - other[0])[uncertain] / error[uncertain]).ravel()
 
 
-def cut(settings, pieces):
-    """Return a layer of particles in so many unequal pieces."""
-    shares = np.geomspace(1.0, 20.0, pieces)
-    shares /= shares.sum()
+def subdivide(settings, n_sublayers):
+    """Return a particle layer subdivided into unequal sublayers."""
+    fractions = np.geomspace(1.0, 20.0, n_sublayers)
+    fractions /= fractions.sum()
     thickness = settings["optical_thickness"]
     return splits.Stack(
         [
             splits.ParticleLayer(
-                **{**settings, "optical_thickness": share * thickness}, bottom_albedo=None,
-                depth_m=share,
+                **{**settings, "optical_thickness": fraction * thickness}, bottom_albedo=None,
+                depth_m=fraction,
             )
-            for share in shares
+            for fraction in fractions
         ]
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", LAYERS)
-def test_a_layer_in_a_stack_is_that_layer(name):
-    """Whole, and cut."""
+def test_layer_in_stack_equals_the_layer(name):
+    """Stacks of 1, 2, 3 and 7 sublayers agree with the particle-layer kernel."""
     layer = splits.ParticleLayer(**LAYERS[name], bottom_albedo=None)
     z = []
     for number, incidence in enumerate((0.0, 60.0, "diffuse")):
-        own = measured(layer, incidence, 10 * number)
-        for pieces in (1, 2, 3, 7):
-            stack = cut(LAYERS[name], pieces)
-            z.append(apart(measured(stack, incidence, 10 * number + pieces), own))
+        reference = measure(layer, incidence, 10 * number)
+        for n_sublayers in (1, 2, 3, 7):
+            stack = subdivide(LAYERS[name], n_sublayers)
+            z.append(compute_z(measure(stack, incidence, 10 * number + n_sublayers), reference))
     judge_z(np.concatenate(z), name, independent=3, bound_added=True)
 
 
-def test_a_cut_layer_has_the_brdf_of_the_whole():
+def test_brdf_of_subdivided_layer_equals_that_of_the_layer():
     view = {"polar_deg": [15.0, 45.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0], "rays": 200_000}
     layer = splits.ParticleLayer(**LAYERS["forward"], bottom_albedo=None)
-    whole = splits.goniophotometer(layer, 550.0, 40.0, **view)
+    reference = splits.goniophotometer(layer, 550.0, 40.0, **view)
     z = []
-    for pieces in (2, 3, 7):
-        part = splits.goniophotometer(
-            cut(LAYERS["forward"], pieces), 550.0, 40.0, seed=pieces, **view
+    for n_sublayers in (2, 3, 7):
+        subdivided = splits.goniophotometer(
+            subdivide(LAYERS["forward"], n_sublayers), 550.0, 40.0, seed=n_sublayers, **view
         )
-        error = np.hypot(part.brdf_stderr, whole.brdf_stderr)
-        z.append(((part.brdf - whole.brdf) / error).values.ravel())
+        error = np.hypot(subdivided.brdf_stderr, reference.brdf_stderr)
+        z.append(((subdivided.brdf - reference.brdf) / error).values.ravel())
     judge_z(np.concatenate(z), independent=3, bound_added=True)
 
 
-def test_light_goes_to_and_fro_between_a_lid_on_snow_on_sand_and_the_ground():
-    pack = [LID, SNOW, SAND]
+def test_ground_reflections_follow_the_adding_series():
+    layers = [TOP, SNOW, SAND]
     light = {"wavelengths": WAVELENGTHS}
-    (r, t, _), (dr, dt, _) = measured(splits.Stack(pack), 40.0, 1, **light)
-    (r2, t2, _), (dr2, dt2, _) = measured(splits.Stack(pack[::-1]), "diffuse", 2, **light)
+    (r, t, _), (dr, dt, _) = measure(splits.Stack(layers), 40.0, 1, **light)
+    (r2, t2, _), (dr2, dt2, _) = measure(splits.Stack(layers[::-1]), "diffuse", 2, **light)
     z = []
     for seed, albedo in enumerate((0.1, 0.5, 0.9, 1.0), start=3):
-        found = measured(splits.Stack(pack, ground=albedo), 40.0, seed, **light)
+        measurement = measure(splits.Stack(layers, ground=albedo), 40.0, seed, **light)
         series = 1.0 / (1.0 - albedo * r2)
         expected = r + t * albedo * t2 * series
         one, other = dr + dt * albedo * t2 * series, dt2 * albedo * t * series
         error = np.hypot(one, other + dr2 * t * t2 * (albedo * series) ** 2)
-        z.append((found[0, 0] - expected) / np.hypot(error, found[1, 0]))
+        z.append((measurement[0, 0] - expected) / np.hypot(error, measurement[1, 0]))
     judge_z(np.concatenate(z), independent=4, bound_added=True)
 
 
-def test_nothing_is_lost_where_nothing_absorbs():
-    clear = splits.Snow(
+def test_energy_is_conserved_without_absorption():
+    transparent = splits.Snow(
         depth_m=0.003, saturation=0.2, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    white = splits.ParticleLayer(
+    conservative = splits.ParticleLayer(
         optical_thickness=4.0, single_scattering_albedo=1.0, refractive_index=1.4,
         bottom_albedo=None, depth_m=0.01,
     )  # fmt: skip
     for ground in (None, 1.0):
-        stack = splits.Stack([clear, white, clear], ground=ground)
-        found = measured(stack, 70.0, 4)[0]
-        assert found[:2].sum() == pytest.approx(1.0, abs=1e-12)
-        assert found[2] == pytest.approx(0.0, abs=1e-12)
+        stack = splits.Stack([transparent, conservative, transparent], ground=ground)
+        balance = measure(stack, 70.0, 4)[0]
+        assert balance[:2].sum() == pytest.approx(1.0, abs=1e-12)
+        assert balance[2] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_coin_tosses_and_weights_agree():
-    stack = splits.Stack([LID, SNOW], ground=0.3)
+def test_spectral_and_analog_estimators_agree():
+    stack = splits.Stack([TOP, SNOW], ground=0.3)
     light = {"wavelengths": WAVELENGTHS}
     one, other = (
-        measured(stack, 30.0, 5, **light),
-        measured(stack, 30.0, 6, estimator="analog", **light),
+        measure(stack, 30.0, 5, **light),
+        measure(stack, 30.0, 6, estimator="analog", **light),
     )
-    judge_z(apart(one, other), independent=1, bound_added=True)
+    judge_z(compute_z(one, other), independent=1, bound_added=True)
 
 
-def test_particles_in_a_matrix_like_the_pores_obey_beer():
-    """Light may go on into the snow below without a face; grains refused there change nothing."""
+def test_matrix_of_pore_index_needs_no_interface():
+    """Rays enter the snow below with and without an interface; rejected grains have no effect."""
     haze = {"optical_thickness": 0.7, "bottom_albedo": None, "depth_m": 0.005}
     thin = splits.Snow(saturation=0.0, depth_m=0.0008)
     z = []
     for incidence in (0.0, 60.0):
-        without_face, with_face = (
-            measured(
+        without_interface, with_interface = (
+            measure(
                 splits.Stack([splits.ParticleLayer(**haze, refractive_index=n), thin]),
                 incidence,
                 seed,
             )
             for seed, n in ((21, 1.0), (22, 1.0 + 1e-9))
         )
-        z.append(apart(without_face, with_face))
+        z.append(compute_z(without_interface, with_interface))
     judge_z(np.concatenate(z), independent=2, bound_added=True)
 
 
 @pytest.mark.parametrize("thickness", [0.0, 1e-6])
-def test_light_gets_out_of_a_clear_plate_on_wet_snow(thickness):
-    """Steep light comes in from wet pores; dry ones, and the air, would keep it for ever."""
+def test_transparent_plate_on_wet_snow_conserves_energy(thickness):
+    """Light enters the plate from wet pores at angles that dry pores and air reflect totally."""
     plate = splits.ParticleLayer(
         optical_thickness=thickness, refractive_index=1.5, bottom_albedo=None, depth_m=0.01
     )
-    clear = {"refractive_index": {"ice": 1.31, "water": 1.33}}
-    snow = splits.Snow(depth_m=0.004, saturation=0.3, **clear)
-    one = measured(splits.Stack([plate, snow]), 30.0, 40)
+    transparent = {"refractive_index": {"ice": 1.31, "water": 1.33}}
+    snow = splits.Snow(depth_m=0.004, saturation=0.3, **transparent)
+    one = measure(splits.Stack([plate, snow]), 30.0, 40)
     assert one[0, 2] == pytest.approx(0.0, abs=1e-12)
-    other = measured(splits.Stack([plate, snow]), 30.0, 41, estimator="analog")
-    judge_z(apart(one, other), independent=1, bound_added=True)
+    other = measure(splits.Stack([plate, snow]), 30.0, 41, estimator="analog")
+    judge_z(compute_z(one, other), independent=1, bound_added=True)
 
 
-def test_a_matrix_has_faces_whatever_the_pores_reading():
-    """Dry snow has no face of its own, so that the reading says nothing about it."""
+def test_matrix_interfaces_ignore_boundary_fresnel_of_pores():
+    """Dry snow has no interface of its own, so `boundary_fresnel` does not apply."""
     plate = splits.ParticleLayer(
         optical_thickness=0.1, refractive_index=1.5, bottom_albedo=None, depth_m=0.01
     )
     z = []
     for number, interpretation in enumerate(({}, {"boundary_fresnel": "no"})):
         snow = splits.Snow(depth_m=0.004, saturation=0.0, interpretation=interpretation)
-        z.append(measured(splits.Stack([plate, snow], ground=0.1), 30.0, 30 + number))
-    judge_z(apart(*z), independent=1, bound_added=True)
+        z.append(measure(splits.Stack([plate, snow], ground=0.1), 30.0, 30 + number))
+    judge_z(compute_z(*z), independent=1, bound_added=True)
 
 
 @pytest.mark.parametrize(
@@ -178,19 +179,19 @@ def test_a_matrix_has_faces_whatever_the_pores_reading():
         ({"bottom_albedo": None, "optical_thickness": np.inf}, "must be finite"),
     ],
 )  # fmt: skip
-def test_what_a_layer_of_a_stack_cannot_have_is_refused(settings, message):
+def test_invalid_settings_of_stacked_layers_are_rejected(settings, message):
     with pytest.raises(ValueError, match=message):
         splits.Stack([splits.ParticleLayer(**settings)])
 
 
-def test_only_the_top_of_a_stack_is_rough():
+def test_only_the_top_layer_may_be_rough():
     waves = {"rms_height_m": 1e-3, "wave_number_per_m": 1.0, "waves": 4, "correlation": "gaussian"}
     rough = splits.ParticleLayer(bottom_albedo=None, surface=waves)
-    assert splits.Stack([rough, LID]).depth_m == 1.01
+    assert splits.Stack([rough, TOP]).depth_m == 1.01
     with pytest.raises(ValueError, match=r"layers\[1\].surface = .*: must be left out"):
-        splits.Stack([LID, rough])
+        splits.Stack([TOP, rough])
 
 
-def test_lanes_know_no_particles():
+def test_vectorized_kernel_rejects_particle_layers():
     with pytest.raises(ValueError, match="not for particle layers"):
-        splits.spectrophotometer(splits.Stack([LID, SNOW]), 500.0, kernel="vectorized")
+        splits.spectrophotometer(splits.Stack([TOP, SNOW]), 500.0, kernel="vectorized")

@@ -1,4 +1,4 @@
-"""Points of a grid that need the same paths: one ensemble, and the answers of each alone."""
+"""Grid points that share paths: one ensemble, and agreement with single runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SIZES = [5.0, 20.0]
 SOOT = [0.0, 200.0]
 
 
-def experiment(**changes):
+def make_config(**changes):
     return SimulationConfig.model_validate(
         {
             "name": "deep",
@@ -39,72 +39,77 @@ ACCURACY = Accuracy(max_stderr=ERROR, relative_stderr=0.2)
 
 
 @pytest.fixture(scope="module")
-def together():
+def shared_run():
     lines = []
-    found = run(experiment(), ACCURACY, seed=5, threads=2, log=lines.append)
-    return found, lines
+    dataset = run(make_config(), ACCURACY, seed=5, threads=2, log=lines.append)
+    return dataset, lines
 
 
-def test_paths_are_traced_once_for_each_incidence(together):
-    found, lines = together
+def test_paths_are_traced_once_per_incidence(shared_run):
+    dataset, lines = shared_run
     assert lines[0] == "deep: 2 sets of paths for 8 points"
-    served = found.rays.values
-    assert (served == served[0, :, 0][np.newaxis, :, np.newaxis]).all()
-    assert found.attrs["rays"] == served[0, :, 0].sum()
-    assert found.attrs["max_stderr_reached"] <= ERROR
+    rays = dataset.rays.values
+    assert (rays == rays[0, :, 0][np.newaxis, :, np.newaxis]).all()
+    assert dataset.attrs["rays"] == rays[0, :, 0].sum()
+    assert dataset.attrs["max_stderr_reached"] <= ERROR
 
 
-def test_each_point_is_what_it_is_alone(together):
-    found, _ = together
+def test_points_agree_with_single_runs(shared_run):
+    dataset, _ = shared_run
     z = []
     for area in SIZES:
-        for beam in (0.0, 60.0):
+        for incidence in (0.0, 60.0):
             for soot in SOOT:
                 snow = splits.Snow.natural(
                     specific_surface_area_m2_kg=area,
                     density_kg_m3=300,
                     impurities_ng_g={"black_carbon": soot} if soot else {},
                 )
-                alone = splits.spectrophotometer(snow, WAVELENGTHS, beam, ERROR / 3, seed=77)
-                here = found.sel(
+                single = splits.spectrophotometer(snow, WAVELENGTHS, incidence, ERROR / 3, seed=77)
+                shared = dataset.sel(
                     {"specific_surface_area_m2_kg": area, "impurities_ng_g.black_carbon": soot}
-                ).isel(incidence_deg=int(beam > 0))
-                off = here.reflectance.values - alone.reflectance.values
-                z += list(off / np.hypot(here.reflectance_stderr, alone.reflectance_stderr))
+                ).isel(incidence_deg=int(incidence > 0))
+                difference = shared.reflectance.values - single.reflectance.values
+                z += list(
+                    difference / np.hypot(shared.reflectance_stderr, single.reflectance_stderr)
+                )
     z = np.array(z)
-    # Points of one ensemble are off together.
-    print(f"{z.size} values against runs of their own: rms z {np.sqrt((z**2).mean()):.2f}")
+    # Points of one ensemble are correlated.
+    print(f"{z.size} values against single runs: rms z {np.sqrt((z**2).mean()):.2f}")
     assert np.abs(z).max() < compute_z_bound(z.size)
 
 
-def test_a_point_by_itself_is_measured_as_the_instrument_does(together):
+def test_single_point_equals_the_instrument(shared_run):
     snow = {"kind": "natural_snow", "density_kg_m3": 300, "specific_surface_area_m2_kg": 20}
-    alone = experiment(medium=snow, grid={"depth_m": [0.02, 0.05]})
-    found = simulate_points(alone, ACCURACY, 5, 2, lambda line: None)
-    one = splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=300, depth_m=0.05)
-    ds = splits.spectrophotometer(one, WAVELENGTHS, 0.0, ERROR, seed=5)
-    np.testing.assert_array_equal(found.datasets[1].reflectance, ds.reflectance)
-    assert found.rays == sum(one.attrs["rays"] for one in found.datasets)
+    config = make_config(medium=snow, grid={"depth_m": [0.02, 0.05]})
+    points = simulate_points(config, ACCURACY, 5, 2, lambda line: None)
+    medium = splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=300, depth_m=0.05)
+    reference = splits.spectrophotometer(medium, WAVELENGTHS, 0.0, ERROR, seed=5)
+    np.testing.assert_array_equal(points.datasets[1].reflectance, reference.reflectance)
+    assert points.rays == sum(ds.attrs["rays"] for ds in points.datasets)
 
 
-def test_datasets_look_alike_however_they_were_measured(together):
-    shared = simulate_points(experiment(), ACCURACY, 5, 2, lambda line: None).datasets[0]
-    alone = splits.spectrophotometer(
+def test_datasets_have_equal_structure_with_and_without_sharing(shared_run):
+    shared = simulate_points(make_config(), ACCURACY, 5, 2, lambda line: None).datasets[0]
+    single = splits.spectrophotometer(
         splits.Snow.natural(specific_surface_area_m2_kg=5, density_kg_m3=300), WAVELENGTHS,
         max_stderr=ERROR,
     )  # fmt: skip
-    assert set(shared.data_vars) == set(alone.data_vars)
-    own = [{key for key in one.attrs if not key.startswith("snow_")} for one in (shared, alone)]
-    assert own[0] == own[1]
-    for name in alone.data_vars:
-        assert (shared[name].dims, shared[name].attrs) == (alone[name].dims, alone[name].attrs)
+    assert set(shared.data_vars) == set(single.data_vars)
+    attributes = [
+        {key for key in dataset.attrs if not key.startswith("snow_")}
+        for dataset in (shared, single)
+    ]
+    assert attributes[0] == attributes[1]
+    for name in single.data_vars:
+        assert (shared[name].dims, shared[name].attrs) == (single[name].dims, single[name].attrs)
 
 
-def test_points_that_are_the_same_to_light_keep_what_is_theirs():
-    """Below a pack without end the ground does not matter."""
+def test_optically_equal_points_keep_their_attributes():
+    """The ground has no effect below a semi-infinite snowpack."""
     grounds = {"a": {"ground": 0.1}, "b": {"ground": 0.9}}
     snow = {"kind": "natural_snow", "specific_surface_area_m2_kg": 20}
-    found = run(experiment(medium=snow, grid={"medium": grounds}), ACCURACY, seed=5, threads=2)
-    assert "snow_ground" not in found.attrs
-    assert found.attrs["snow_specific_surface_area_m2_kg"] == pytest.approx(20.0)
-    np.testing.assert_array_equal(found.reflectance[0], found.reflectance[1])
+    dataset = run(make_config(medium=snow, grid={"medium": grounds}), ACCURACY, seed=5, threads=2)
+    assert "snow_ground" not in dataset.attrs
+    assert dataset.attrs["snow_specific_surface_area_m2_kg"] == pytest.approx(20.0)
+    np.testing.assert_array_equal(dataset.reflectance[0], dataset.reflectance[1])

@@ -1,4 +1,4 @@
-"""Light inside: balance, Beer's law, discrete ordinates, decay with depth, kernels, refusals."""
+"""Irradiance profiles: energy, Beer's law, discrete ordinates, decay, kernels, validation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import splits
 WAVELENGTHS = [500.0, 1000.0, 1300.0]
 NAMES = ("downward_irradiance", "upward_irradiance", "absorptance", "actinic_flux")
 WET = splits.Snow(depth_m=0.02, saturation=0.3)
-PACK = splits.Stack(
+STACK = splits.Stack(
     [
         splits.Snow(grain_size_um=(50, 100), density_kg_m3=120, saturation=0.0, depth_m=0.004),
         splits.Snow(depth_m=0.006, saturation=0.2),
@@ -20,26 +20,29 @@ PACK = splits.Stack(
     ],
     ground=0.5,
 )
-NARROW = [500.0, 700.0, 900.0]
-"""Within the tables of sand's minerals."""
+SAND_WAVELENGTHS = [500.0, 700.0, 900.0]
+"""Wavelengths within the range of the optical constants of sand."""
 
 
-def net(ds):
+def net_flux(ds):
     return ds.downward_irradiance - ds.upward_irradiance
 
 
-@pytest.mark.parametrize("most", [0.01, pytest.param(0.005, marks=pytest.mark.long)])
+@pytest.mark.parametrize("max_stderr", [0.01, pytest.param(0.005, marks=pytest.mark.long)])
 @pytest.mark.parametrize("kernel", ["vectorized", "scalar"])
 @pytest.mark.parametrize(
     ("medium", "wavelengths", "depths"),
-    [(WET, WAVELENGTHS, [0.001, 0.005, 0.01]), (PACK, NARROW, [0.002, 0.004, 0.0095, 0.0115])],
+    [
+        (WET, WAVELENGTHS, [0.001, 0.005, 0.01]),
+        (STACK, SAND_WAVELENGTHS, [0.002, 0.004, 0.0095, 0.0115]),
+    ],
 )
-def test_what_comes_in_goes_somewhere(medium, wavelengths, depths, kernel, most):
-    ds = splits.irradiance_profile(medium, wavelengths, depths, 40.0, most, kernel=kernel)
-    whole = splits.spectrophotometer(medium, wavelengths, 40.0, 0.003, seed=2)
-    reflected, kept = ds.upward_irradiance.isel(depth=0), net(ds).isel(depth=-1)
+def test_profile_conserves_energy(medium, wavelengths, depths, kernel, max_stderr):
+    ds = splits.irradiance_profile(medium, wavelengths, depths, 40.0, max_stderr, kernel=kernel)
+    spectrum = splits.spectrophotometer(medium, wavelengths, 40.0, 0.003, seed=2)
+    reflected, transmitted = ds.upward_irradiance.isel(depth=0), net_flux(ds).isel(depth=-1)
     absorbed = ds.absorptance.sum("interval")
-    np.testing.assert_allclose(reflected + kept + absorbed, 1.0, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(reflected + transmitted + absorbed, 1.0, rtol=0.0, atol=1e-12)
     by_material = ds.absorptance_of_material.sum("material")
     np.testing.assert_allclose(by_material, ds.absorptance, rtol=0.0, atol=1e-9)
     z = []
@@ -47,15 +50,15 @@ def test_what_comes_in_goes_somewhere(medium, wavelengths, depths, kernel, most)
         ds.upward_irradiance_stderr.isel(depth=0),
         np.sqrt((ds.absorptance_stderr**2).sum("interval")),
     ]
-    for found, error, name in zip(
+    for actual, error, name in zip(
         (reflected, absorbed), errors, ("reflectance", "absorptance"), strict=True
     ):
-        z.append(((found - whole[name]) / np.hypot(error, whole[f"{name}_stderr"])).values)
+        z.append(((actual - spectrum[name]) / np.hypot(error, spectrum[f"{name}_stderr"])).values)
     judge_z(np.array(z), independent=1, bound_added=True)
 
 
 @pytest.mark.parametrize("incidence", [0.0, 60.0, "diffuse"])
-def test_an_absorber_without_grains_obeys_beer(incidence):
+def test_absorber_without_grains_follows_beers_law(incidence):
     k = 2e-6
     water = {"water": complex(1.0, k), "ice": 1.31}
     pores = splits.Snow(density_kg_m3=1e-8, saturation=1.0, refractive_index=water, depth_m=0.1)
@@ -63,31 +66,31 @@ def test_an_absorber_without_grains_obeys_beer(incidence):
     ds = splits.irradiance_profile(pores, 500.0, depths, incidence, 0.003)
     x = 4.0 * np.pi * k / 500e-9 * np.array([0.0, *depths, 0.1])
     if incidence == "diffuse":
-        # Of irradiance and of path, where radiance is the same in all directions above.
-        light, path = 2.0 * expn(3, x), -2.0 * np.diff(expn(3, x)) / np.diff(x)
+        # Irradiance and mean path under isotropic radiance.
+        irradiance, path = 2.0 * expn(3, x), -2.0 * np.diff(expn(3, x)) / np.diff(x)
     else:
         mu = np.cos(np.radians(incidence))
-        light = np.exp(-x / mu)
-        path = -np.diff(light) / np.diff(x)
+        irradiance = np.exp(-x / mu)
+        path = -np.diff(irradiance) / np.diff(x)
     z = [
-        (ds.downward_irradiance[0] - light)[1:] / ds.downward_irradiance_stderr[0, 1:],
-        (ds.absorptance[0] + np.diff(light)) / ds.absorptance_stderr[0],
+        (ds.downward_irradiance[0] - irradiance)[1:] / ds.downward_irradiance_stderr[0, 1:],
+        (ds.absorptance[0] + np.diff(irradiance)) / ds.absorptance_stderr[0],
         (ds.actinic_flux[0] - path) / ds.actinic_flux_stderr[0],
     ]
     assert not ds.upward_irradiance.values.any()
     if incidence == "diffuse":
         judge_z(np.concatenate(z), independent=1, bound_added=True)
     else:
-        # Rays are alike: single precision is all that errs.
-        np.testing.assert_allclose(ds.downward_irradiance[0], light, rtol=2e-6)
-        np.testing.assert_allclose(ds.absorptance[0], -np.diff(light), rtol=2e-5)
+        # All rays are equal, so the only error is that of single precision.
+        np.testing.assert_allclose(ds.downward_irradiance[0], irradiance, rtol=2e-6)
+        np.testing.assert_allclose(ds.absorptance[0], -np.diff(irradiance), rtol=2e-5)
         np.testing.assert_allclose(ds.actinic_flux[0], path, rtol=2e-5)
 
 
 @pytest.mark.parametrize("error", [0.012, pytest.param(0.004, marks=pytest.mark.long)])
-def test_both_kernels_see_the_same_inside(error):
+def test_kernels_agree_on_profiles(error):
     z = []
-    for medium, wavelengths, seed in ((WET, WAVELENGTHS, 5), (PACK, NARROW, 7)):
+    for medium, wavelengths, seed in ((WET, WAVELENGTHS, 5), (STACK, SAND_WAVELENGTHS, 7)):
         one, other = (
             splits.irradiance_profile(
                 medium, wavelengths, [0.001, 0.0045, 0.011], 20.0, error, seed + i, kernel=kernel
@@ -95,14 +98,14 @@ def test_both_kernels_see_the_same_inside(error):
             for i, kernel in enumerate(("vectorized", "scalar"))
         )  # fmt: skip
         for name in NAMES:
-            both = np.hypot(one[f"{name}_stderr"], other[f"{name}_stderr"])
-            away = (one[name] - other[name]).values
-            told = both.values > 1e-9
-            z.append((away[told] / both.values[told]).ravel())
+            stderr = np.hypot(one[f"{name}_stderr"], other[f"{name}_stderr"])
+            difference = (one[name] - other[name]).values
+            uncertain = stderr.values > 1e-9
+            z.append((difference[uncertain] / stderr.values[uncertain]).ravel())
     judge_z(np.concatenate(z), independent=6, bound_added=True)
 
 
-def test_a_dilute_layer_has_the_fluxes_of_discrete_ordinates():
+def test_sparse_layer_agrees_with_discrete_ordinates():
     pydisort = pytest.importorskip("PythonicDISORT").pydisort
     ice = {"wavelength_nm": [400.0, 2000.0], "n": [1.31, 1.31], "k": [1e-7, 1e-4]}
     common = {
@@ -114,8 +117,8 @@ def test_a_dilute_layer_has_the_fluxes_of_discrete_ordinates():
     thickness, streams, mu = 6.0, 32, 0.5
     depth = thickness * splits.Snow(**common, depth_m=1e4).mean_grain_distance_m
     snow = splits.Snow(**common, depth_m=depth)
-    at = np.linspace(0.05, 0.95, 10)
-    ds = splits.irradiance_profile(snow, WAVELENGTHS, at * depth, 60.0, 0.0025)
+    fractions = np.linspace(0.05, 0.95, 10)
+    ds = splits.irradiance_profile(snow, WAVELENGTHS, fractions * depth, 60.0, 0.0025)
     runs = []
     for seed in range(1, 7):
         optics = splits.single_scattering(snow, WAVELENGTHS, rays=100_000, seed=seed)
@@ -128,18 +131,18 @@ def test_a_dilute_layer_has_the_fluxes_of_discrete_ordinates():
                 thickness, albedo, streams, chi[np.newaxis], mu, 1.0 / mu, 0.0,
                 only_flux=True, f_arr=max(chi[streams], 0.0),
             )  # fmt: skip
-            fluxes.append([up(at * thickness), np.sum(down(at * thickness), axis=0)])
+            fluxes.append([up(fractions * thickness), np.sum(down(fractions * thickness), axis=0)])
         runs.append(fluxes)
     expected = np.mean(runs, axis=0)
     error = np.std(runs, axis=0, ddof=1) / np.sqrt(len(runs))
     z = []
     for column, name in enumerate(("upward_irradiance", "downward_irradiance")):
-        away = ds[name].values[:, 1:-1] - expected[:, column]
-        z.append(away / np.hypot(ds[f"{name}_stderr"].values[:, 1:-1], error[:, column]))
+        difference = ds[name].values[:, 1:-1] - expected[:, column]
+        z.append(difference / np.hypot(ds[f"{name}_stderr"].values[:, 1:-1], error[:, column]))
     judge_z(np.array(z), independent=2, bound_added=True)
 
 
-def test_what_no_ray_has_reached_is_not_certain():
+def test_depths_that_no_ray_reaches_have_nonzero_errors():
     deep = splits.Snow(depth_m=0.05)
     ds = splits.irradiance_profile(deep, 1500.0, [0.04, 0.045], max_stderr=0.05)
     assert not ds.downward_irradiance[0, 2:].values.any()
@@ -148,10 +151,10 @@ def test_what_no_ray_has_reached_is_not_certain():
 
 
 OIL = {"pores": {"oil": 0.05}, "refractive_index": {"oil": 1.33 + 1e-3j}}
-STEEP = {
+ABSORBING = {
     "opaque grains": (splits.Snow(saturation=0.0, depth_m=0.02), 3000.0),
     "wet pores": (splits.Snow(saturation=0.3, depth_m=0.02), 1450.0),
-    "dark pores": (
+    "absorbing pores": (
         splits.Snow(
             grain_size_um=(50, 100), density_kg_m3=100, saturation=0.0, depth_m=0.01, **OIL
         ),
@@ -161,45 +164,47 @@ STEEP = {
 
 
 @pytest.mark.parametrize("kernel", ["auto", "scalar"])
-@pytest.mark.parametrize("name", STEEP)
-def test_errors_hold_where_weights_fall_in_large_steps(name, kernel):
-    """Against planes so close together that hardly a grain lies between two of them."""
-    medium, wavelength = STEEP[name]
+@pytest.mark.parametrize("name", ABSORBING)
+def test_errors_cover_large_steps_of_weights(name, kernel):
+    """Compare with planes so close that few grains lie between two of them."""
+    medium, wavelength = ABSORBING[name]
     depth = 0.25 * medium.depth_m
-    fine = np.linspace(0.0, depth, 101)[1:]
-    rough, close = (
-        splits.irradiance_profile(medium, [wavelength], at, 0.0, 0.01, seed, kernel=kernel)
-        for seed, at in ((5, [depth]), (6, fine))
+    fine_depths = np.linspace(0.0, depth, 101)[1:]
+    coarse, fine = (
+        splits.irradiance_profile(medium, [wavelength], depths, 0.0, 0.01, seed, kernel=kernel)
+        for seed, depths in ((5, [depth]), (6, fine_depths))
     )
-    top = close.isel(interval=slice(100))
+    upper = fine.isel(interval=slice(100))
     for quantity, sums in (
-        ("actinic_flux", top.actinic_flux.mean("interval")),
-        ("absorptance_of_material", top.absorptance_of_material.sum("interval")),
+        ("actinic_flux", upper.actinic_flux.mean("interval")),
+        ("absorptance_of_material", upper.absorptance_of_material.sum("interval")),
     ):
-        first = rough.isel(interval=0)
+        first = coarse.isel(interval=0)
         error = first[f"{quantity}_stderr"]
-        off = np.abs(first[quantity] - sums)
-        assert (off <= 2.0 * error + 0.01).all(), (quantity, off.values, error.values)
+        difference = np.abs(first[quantity] - sums)
+        assert (difference <= 2.0 * error + 0.01).all(), (quantity, difference.values, error.values)
 
 
 @pytest.mark.long
-def test_light_decays_with_depth_as_deep_transmittance_does():
-    """Far from both boundaries, where radiance keeps its shape."""
+def test_decay_agrees_with_deep_transmittance():
+    """Far from both boundaries the angular distribution is constant, and decay exponential."""
     snow = {"grain_size_um": (100, 200), "saturation": 0.0}
     depths = [0.01, 0.02]
     ds = splits.irradiance_profile(
         splits.Snow(**snow, depth_m=0.05), 1000.0, depths, max_stderr=0.002
     )
-    inside = ds.downward_irradiance.sel(depth=depths)[0]
-    relative = (ds.downward_irradiance_stderr.sel(depth=depths)[0] / inside).values
-    rate = -np.log(inside.values[1] / inside.values[0]) / np.diff(depths)[0]
+    irradiance = ds.downward_irradiance.sel(depth=depths)[0]
+    relative = (ds.downward_irradiance_stderr.sel(depth=depths)[0] / irradiance).values
+    rate = -np.log(irradiance.values[1] / irradiance.values[0]) / np.diff(depths)[0]
     thin, thick = (
         splits.deep_transmittance(splits.Snow(**snow, depth_m=d), 1000.0, relative_stderr=0.03)
         for d in (0.03, 0.04)
     )
     slope = -np.log(thick.transmittance[0] / thin.transmittance[0]) / 0.01
-    far = [float(one.transmittance_stderr[0] / one.transmittance[0]) for one in (thin, thick)]
-    error = np.hypot(np.hypot(*relative) / np.diff(depths)[0], np.hypot(*far) / 0.01)
+    relative_errors = [
+        float(one.transmittance_stderr[0] / one.transmittance[0]) for one in (thin, thick)
+    ]
+    error = np.hypot(np.hypot(*relative) / np.diff(depths)[0], np.hypot(*relative_errors) / 0.01)
     judge_z(np.array([(rate - float(slope)) / error]), bound_added=True)
 
 
@@ -213,6 +218,6 @@ def test_light_decays_with_depth_as_deep_transmittance_does():
         (np.linspace(1e-5, 0.019, 300), "300 depths"),
     ],
 )
-def test_depths_lie_inside(depths, message):
+def test_depths_outside_the_medium_are_rejected(depths, message):
     with pytest.raises(ValueError, match=message):
         splits.irradiance_profile(WET, WAVELENGTHS, depths)

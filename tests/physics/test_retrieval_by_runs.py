@@ -1,4 +1,4 @@
-"""Retrieval from a medium itself, without a table."""
+"""Retrieval by direct simulation of a medium, without a table."""
 
 from __future__ import annotations
 
@@ -13,132 +13,146 @@ from splits.retrieval.linearization import Linearization, LinearizedModel, estim
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import make_medium_state_vector
 from splits.retrieval.simulation_model import select_simulation_wavelengths
-from splits.retrieval.simulation_progress import ProgressTracker
+from splits.retrieval.simulation_schedule import ProgressTracker
 
 W = np.arange(500.0, 1400.0, 100.0)
-SIZE, DIRT = "optical_radius_um", "impurities_ng_g.black_carbon"
+SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 
 
-def snow(radius, soot=0.0):
+def make_snow(radius, soot=0.0):
     """Return deep natural snow."""
     return splits.Snow.natural(optical_radius_um=radius, impurities_ng_g={"black_carbon": soot})
 
 
-def measured(medium, seed, w=W, noise=0.02):
-    """Return a noisy spectrum of a medium, and its noise."""
+def simulate_measurement(medium, seed, w=W, noise=0.02):
+    """Return a noisy spectrum of a medium and the standard deviation of its noise."""
     random = np.random.default_rng(seed)
     truth = splits.spectrophotometer(medium, w, 0.0, 0.003, seed + 100).reflectance.values
     return (w, truth + noise * random.standard_normal(w.size)), np.full(w.size, noise)
 
 
 @NEEDS_JIT
-def test_snow_is_found_within_its_errors():
+def test_retrieved_snow_agrees_within_errors():
     z = []
     for seed, (radius, soot) in enumerate([(120.0, 40.0), (600.0, 300.0)]):
-        spectrum, noise = measured(snow(radius, soot), seed)
-        free = {SIZE: (50.0, 1500.0), DIRT: (0.0, 1000.0)}
-        found = splits.retrieve(spectrum, snow(200.0), free, noise, max_stderr=0.006)
-        places = found.dataset.draws.values
-        for i, (name, truth) in enumerate(((SIZE, radius), (DIRT, soot))):
-            own = np.log(places[:, i]) if name == SIZE else np.sqrt(places[:, i])
-            there = np.log(truth) if name == SIZE else np.sqrt(truth)
-            z.append((own.mean() - there) / own.std())
-        assert found.constrained[SIZE]
+        spectrum, noise = simulate_measurement(make_snow(radius, soot), seed)
+        free = {SIZE: (50.0, 1500.0), SOOT: (0.0, 1000.0)}
+        result = splits.retrieve(spectrum, make_snow(200.0), free, noise, max_stderr=0.006)
+        draws = result.dataset.draws.values
+        for i, (name, truth) in enumerate(((SIZE, radius), (SOOT, soot))):
+            samples = np.log(draws[:, i]) if name == SIZE else np.sqrt(draws[:, i])
+            transformed_truth = np.log(truth) if name == SIZE else np.sqrt(truth)
+            z.append((samples.mean() - transformed_truth) / samples.std())
+        assert result.constrained[SIZE]
     judge_z(np.array(z), bound_added=True)
 
 
 @NEEDS_JIT
-def test_runs_and_a_table_say_the_same():
-    spectrum, noise = measured(snow(200.0), 5)
-    table = splits.build_table(snow, {"radius": np.geomspace(50, 1000, 7)}, W, max_stderr=0.003)
-    of_table = splits.retrieve(spectrum, splits.Table(table), {"radius": (50.0, 1000.0)}, noise)
-    # By default half the noise of the measurement is added by runs; here a fifth is.
-    of_runs = splits.retrieve(
-        spectrum, snow(100.0), {SIZE: (50.0, 1000.0)}, noise, max_stderr=0.004
+def test_simulation_and_table_give_the_same_retrieval():
+    spectrum, noise = simulate_measurement(make_snow(200.0), 5)
+    table = splits.build_table(
+        make_snow, {"radius": np.geomspace(50, 1000, 7)}, W, max_stderr=0.003
     )
-    both = np.hypot(0.006 * 200.0, 0.3 * of_table.stderr["radius"])
-    assert abs(of_runs.values[SIZE] - of_table.values["radius"]) < 4.0 * both
-    assert of_runs.stderr[SIZE] == pytest.approx(of_table.stderr["radius"], rel=0.25)
+    from_table = splits.retrieve(spectrum, splits.Table(table), {"radius": (50.0, 1000.0)}, noise)
+    # By default simulations add half the noise of the measurement; here they add a fifth.
+    from_runs = splits.retrieve(
+        spectrum, make_snow(100.0), {SIZE: (50.0, 1000.0)}, noise, max_stderr=0.004
+    )
+    tolerance = np.hypot(0.006 * 200.0, 0.3 * from_table.stderr["radius"])
+    assert abs(from_runs.values[SIZE] - from_table.values["radius"]) < 4.0 * tolerance
+    assert from_runs.stderr[SIZE] == pytest.approx(from_table.stderr["radius"], rel=0.25)
 
 
 @NEEDS_JIT
-def test_runs_tell_errors_where_noise_is_not_known():
-    spectrum, noise = measured(snow(200.0), 5)
-    told = []
-    found = splits.retrieve(spectrum, snow(100.0), {SIZE: (50.0, 1000.0)}, progress=told.append)
-    known = splits.retrieve(spectrum, snow(100.0), {SIZE: (50.0, 1000.0)}, noise)
-    assert abs(found.values[SIZE] - 200.0) < 4.0 * found.stderr[SIZE]
-    # Nine values know their noise to 25 %; how alike they are, not so well.
-    assert 0.4 < found.stderr[SIZE] / known.stderr[SIZE] < 3.0
-    assert told[-1].target == pytest.approx(0.002)
+def test_unknown_noise_is_estimated():
+    spectrum, noise = simulate_measurement(make_snow(200.0), 5)
+    reports = []
+    estimated = splits.retrieve(
+        spectrum, make_snow(100.0), {SIZE: (50.0, 1000.0)}, progress=reports.append
+    )
+    known = splits.retrieve(spectrum, make_snow(100.0), {SIZE: (50.0, 1000.0)}, noise)
+    assert abs(estimated.values[SIZE] - 200.0) < 4.0 * estimated.stderr[SIZE]
+    # Nine values determine their noise to 25 %, its correlation less accurately.
+    assert 0.4 < estimated.stderr[SIZE] / known.stderr[SIZE] < 3.0
+    assert reports[-1].target == pytest.approx(0.002)
 
 
-def test_time_left_is_foretold_from_what_runs_took(monkeypatch):
-    """On a clock that every rough run moves by a second."""
-    clock, told = [0.0], []
-    monkeypatch.setattr("splits.retrieval.simulation_model.time.perf_counter", lambda: clock[0])
-    way = ProgressTracker(told.append, 0.005, 2)
+def test_time_left_is_predicted_from_previous_runs(monkeypatch):
+    """Predictions are proportional to costs on a clock that advances by one second per run."""
+    clock, reports = [0.0], []
+    monkeypatch.setattr("splits.retrieval.simulation_schedule.time.perf_counter", lambda: clock[0])
+    tracker = ProgressTracker(reports.append, 0.005, 2)
     for _ in range(4):
-        show = way.track_run(0.01, 1)
-        for half in (0.5, 1.0):
+        report = tracker.track_run(0.01, 1)
+        for completed in (0.5, 1.0):
             clock[0] += 0.5
-            show(Progress(100, 0.01, 0.01, half, 1.0 - half))
-    assert [one.seconds + one.seconds_left for one in told] == pytest.approx([way.total_cost] * 8)
-    assert told[-1].seconds == 4.0 and told[-1].target == 0.005
-    # Beyond what was foretold, a run tells its own.
-    way.track_run(0.001, 10)
-    way.track_run(0.01, 1)(Progress(100, 0.01, 0.01, 0.5, 0.25))
-    assert told[-1].seconds_left == 0.25
+            report(Progress(100, 0.01, 0.01, completed, 1.0 - completed))
+    assert [progress.seconds + progress.seconds_left for progress in reports] == pytest.approx(
+        [tracker.total_cost] * 8
+    )
+    assert reports[-1].seconds == 4.0 and reports[-1].target == 0.005
+    # A run outside the plan reports its own time left.
+    tracker.track_run(0.001, 10)
+    tracker.track_run(0.01, 1)(Progress(100, 0.01, 0.01, 0.5, 0.25))
+    assert reports[-1].seconds_left == 0.25
 
 
 @NEEDS_JIT
-def test_layers_of_a_stack_can_be_free():
-    def stack(depth):
+def test_parameters_of_layers_can_be_free():
+    def make_stack(depth):
         top = splits.Snow.natural(optical_radius_um=80, depth_m=depth)
-        return splits.Stack([top, snow(600.0)])
+        return splits.Stack([top, make_snow(600.0)])
 
-    spectrum, noise = measured(stack(0.01), 7, np.array([900.0, 1050.0, 1250.0]), 0.01)
+    spectrum, noise = simulate_measurement(
+        make_stack(0.01), 7, np.array([900.0, 1050.0, 1250.0]), 0.01
+    )
     free = {"layers.0.depth_m": (0.002, 0.05)}
-    found = splits.retrieve(spectrum, stack(0.004), free, noise, max_stderr=0.006)
-    own = np.log(found.dataset.draws.values[:, 0])
-    assert abs(own.mean() - np.log(0.01)) < 4.0 * own.std()
-    assert found.dataset.parameter_unit.values.tolist() == ["m"]
+    result = splits.retrieve(spectrum, make_stack(0.004), free, noise, max_stderr=0.006)
+    samples = np.log(result.dataset.draws.values[:, 0])
+    assert abs(samples.mean() - np.log(0.01)) < 4.0 * samples.std()
+    assert result.dataset.parameter_unit.values.tolist() == ["m"]
 
 
-def test_a_straight_line_is_read_as_one():
-    free = make_medium_state_vector(snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0)
-    seen = Linearization(np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3))
-    line = LinearizedModel(free, seen)
-    place = np.array([0.4, 0.5])
-    value, slopes = line.evaluate_with_jacobian(place)
-    np.testing.assert_allclose(value, 1.0 + seen.jacobian @ [0.1, -0.1])
-    np.testing.assert_array_equal(slopes, seen.jacobian)
-    np.testing.assert_array_equal(line.evaluate(place[np.newaxis])[0], value)
-    assert free.transforms == ("logarithm", "itself")
+def test_linearized_model_is_linear():
+    state_vector = make_medium_state_vector(
+        make_snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0
+    )
+    linearization = Linearization(
+        np.array([0.3, 0.6]), np.ones(3), np.arange(6.0).reshape(3, 2), np.eye(3)
+    )
+    model = LinearizedModel(state_vector, linearization)
+    state = np.array([0.4, 0.5])
+    value, slopes = model.evaluate_with_jacobian(state)
+    np.testing.assert_allclose(value, 1.0 + linearization.jacobian @ [0.1, -0.1])
+    np.testing.assert_array_equal(slopes, linearization.jacobian)
+    np.testing.assert_array_equal(model.evaluate(state[np.newaxis])[0], value)
+    assert state_vector.transforms == ("logarithm", "itself")
 
 
-def test_how_far_light_is_off_a_straight_line_is_told_in_its_noise():
-    """By the square of a standard deviation along any way, over the noise."""
-    free = make_medium_state_vector(snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0)
-    place, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.25]), np.array([0.02, 0.02, 0.01])
-    line = LinearizedModel(
-        free, Linearization(place, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3)))
+def test_nonlinearity_is_measured_in_units_of_noise():
+    """It is the quadratic term at one standard deviation in any direction, over the noise."""
+    state_vector = make_medium_state_vector(
+        make_snow(100.0), {SIZE: (50, 200), "scale": (0.5, 2.0)}, None, 0.0
+    )
+    state, spread, noise = np.array([0.4, 0.5]), np.array([0.1, 0.25]), np.array([0.02, 0.02, 0.01])
+    model = LinearizedModel(
+        state_vector, Linearization(state, np.zeros(3), np.ones((3, 2)), np.zeros((3, 3)))
     )
 
     def curved(x):
-        return (x - place).sum() + np.array([0.0, 0.0, 3.0]) * (x[0] - place[0]) ** 2
+        return (x - state).sum() + np.array([0.0, 0.0, 3.0]) * (x[0] - state[0]) ** 2
 
     covariance = np.diag(spread**2), np.diag(noise**2)
-    assert estimate_nonlinearity(curved, line, place, *covariance) == pytest.approx(
+    assert estimate_nonlinearity(curved, model, state, *covariance) == pytest.approx(
         3.0 * spread[0] ** 2 / noise[2]
     )
     assert (
-        estimate_nonlinearity(lambda x: line.evaluate(x[np.newaxis])[0], line, place, *covariance)
+        estimate_nonlinearity(lambda x: model.evaluate(x[np.newaxis])[0], model, state, *covariance)
         < 1e-12
     )
 
 
-WRONG = {
+INVALID = {
     "names alone": ({"free": [SIZE]}, r"free = .*\(low, high\) by name"),
     "no such parameter": ({"free": {"depth": (1, 2)}}, "depth"),
     "no such medium": ({"free": {SIZE: (-5, 100)}}, rf"free\.{SIZE} = -5"),
@@ -157,16 +171,16 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
-def test_bad_input_is_refused(name):
-    other, message = WRONG[name]
-    given = {"measured": (W, np.full(W.size, 0.5)), "model": snow(100.0),
+@pytest.mark.parametrize("name", INVALID)
+def test_invalid_input_is_rejected(name):
+    changes, message = INVALID[name]
+    arguments = {"measured": (W, np.full(W.size, 0.5)), "model": make_snow(100.0),
              "free": {SIZE: (50, 200)}, "noise": 0.01}  # fmt: skip
     with pytest.raises(InvalidValue, match=message):
-        splits.retrieve(**(given | other))
+        splits.retrieve(**(arguments | changes))
 
 
-def test_wavelengths_of_bands_cover_them():
+def test_simulation_wavelengths_cover_the_bands():
     bands = {"a": (500.0, 540.0), "b": (800.0, 1003.0)}
     w = select_simulation_wavelengths(Measurement.from_input([0.5, 0.5], 0.01, bands))
     assert w[0] == 500.0 and w[-1] == 1003.0 and np.diff(w).max() <= 10.0

@@ -1,4 +1,4 @@
-"""A rough surface on top of a stack: the layer's own kernel, cuts, energy, reciprocal light."""
+"""Stacks with a rough top: particle-layer kernel, subdivision, energy balance, reciprocity."""
 
 from __future__ import annotations
 
@@ -26,96 +26,101 @@ WET = splits.Snow(depth_m=0.006, saturation=0.3)
 SAND = splits.Sand(depth_m=0.004, interpretation="splitsnow_2021")
 
 
-def lid(share=1.0, surface=None, **settings):
-    """Return a part of the layer, of that share of its depth."""
+def make_layer(fraction=1.0, surface=None, **settings):
+    """Return a particle layer with a fraction of the optical thickness and of the depth."""
     settings = {**SETTINGS, **settings}
-    thickness = settings.pop("optical_thickness") * share
+    thickness = settings.pop("optical_thickness") * fraction
     return splits.ParticleLayer(
-        **settings, optical_thickness=thickness, bottom_albedo=None, depth_m=DEPTH * share,
+        **settings, optical_thickness=thickness, bottom_albedo=None, depth_m=DEPTH * fraction,
         surface=surface,
     )  # fmt: skip
 
 
-def measured(medium, incidence, seed, max_stderr=0.002, **settings):
-    """Return R, T and A, and their errors, shape (2, 3)."""
+def measure(medium, incidence, seed, max_stderr=0.002, **settings):
+    """Return R, T and A and their standard errors, shape (2, 3)."""
     ds = splits.spectrophotometer(medium, [550.0], incidence, max_stderr, seed, **settings)
     names = ("reflectance", "transmittance", "absorptance")
     return np.array([[ds[n][0] for n in names], [ds[f"{n}_stderr"][0] for n in names]])
 
 
-def apart(one, other):
-    """Return the differences of two measurements in units of their errors."""
+def compute_z(one, other):
+    """Return the differences of two measurements in units of their standard errors."""
     return (one[0] - other[0]) / np.hypot(one[1], other[1])
 
 
 @pytest.mark.parametrize("incidence", [0.0, 70.0, "diffuse"])
-def test_a_rough_layer_in_a_stack_is_that_layer(incidence):
-    """Against the kernel of layers, which shares nothing of a ray's way; whole, and cut in two."""
-    own = measured(lid(surface=WAVES), incidence, 1)
-    whole = splits.Stack([lid(surface=WAVES)])
-    cut = splits.Stack([lid(0.6, WAVES), lid(0.4)])
-    z = [apart(measured(whole, incidence, 2), own), apart(measured(cut, incidence, 3), own)]
+def test_rough_layer_in_stack_equals_the_layer(incidence):
+    """Stacks of one and of two sublayers agree with the independent particle-layer kernel."""
+    reference = measure(make_layer(surface=WAVES), incidence, 1)
+    undivided = splits.Stack([make_layer(surface=WAVES)])
+    subdivided = splits.Stack([make_layer(0.6, WAVES), make_layer(0.4)])
+    z = [
+        compute_z(measure(undivided, incidence, 2), reference),
+        compute_z(measure(subdivided, incidence, 3), reference),
+    ]
     judge_z(np.concatenate(z), independent=2)
 
 
-def test_its_brdf_is_that_of_the_layer():
+def test_brdf_of_stack_equals_that_of_the_layer():
     view = {"polar_deg": [15.0, 45.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0], "rays": 200_000}
     one, other = (
         splits.goniophotometer(medium, 550.0, 45.0, seed=seed, **view)
-        for seed, medium in enumerate((lid(surface=WAVES), splits.Stack([lid(surface=WAVES)])))
+        for seed, medium in enumerate(
+            (make_layer(surface=WAVES), splits.Stack([make_layer(surface=WAVES)]))
+        )
     )
     error = np.hypot(one.brdf_stderr, other.brdf_stderr)
     judge_z(((one.brdf - other.brdf) / error).values.ravel(), independent=4, bound_added=True)
 
 
-def test_waves_without_height_change_nothing():
-    flat = splits.Stack([lid(surface={**WAVES, "rms_height_m": 0.0}), SNOW])
-    assert (measured(flat, 30.0, 4) == measured(splits.Stack([lid(), SNOW]), 30.0, 4)).all()
+def test_waves_of_zero_height_have_no_effect():
+    flat = splits.Stack([make_layer(surface={**WAVES, "rms_height_m": 0.0}), SNOW])
+    assert (measure(flat, 30.0, 4) == measure(splits.Stack([make_layer(), SNOW]), 30.0, 4)).all()
 
 
 @pytest.mark.parametrize("ground", [None, 1.0])
-def test_nothing_is_lost_where_nothing_absorbs(ground):
-    clear = splits.Snow(
+def test_energy_is_conserved_without_absorption(ground):
+    transparent = splits.Snow(
         depth_m=0.003, saturation=0.2, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    white = lid(surface=WAVES, single_scattering_albedo=1.0)
-    found = measured(splits.Stack([white, clear], ground=ground), 70.0, 5)[0]
-    assert found[:2].sum() == pytest.approx(1.0, abs=1e-12)
-    assert found[2] == pytest.approx(0.0, abs=1e-12)
+    conservative = make_layer(surface=WAVES, single_scattering_albedo=1.0)
+    balance = measure(splits.Stack([conservative, transparent], ground=ground), 70.0, 5)[0]
+    assert balance[:2].sum() == pytest.approx(1.0, abs=1e-12)
+    assert balance[2] == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("incidence", [0.0, 70.0, "diffuse"])
-def test_a_flattening_surface_becomes_the_flat_one(incidence):
-    """Over wet snow, sand and a ground: all that a rough surface touches, without its slopes."""
+def test_small_roughness_approaches_the_flat_surface(incidence):
+    """Small slopes over wet snow, sand and a ground: all code paths of a rough top are used."""
     waves = {**WAVES, "rms_height_m": 1e-4 * WAVES["rms_height_m"]}
     thin = {"optical_thickness": 1.0}
     rough, smooth = (
-        measured(
-            splits.Stack([lid(surface=s, **thin), WET, SAND], ground=0.3),
+        measure(
+            splits.Stack([make_layer(surface=s, **thin), WET, SAND], ground=0.3),
             incidence,
             seed,
         )
         for seed, s in ((20, waves), (21, None))
     )
-    judge_z(apart(rough, smooth), independent=1)
+    judge_z(compute_z(rough, smooth), independent=1)
 
 
-def test_a_rough_lid_of_nothing_changes_nothing():
-    """Rays fly from high above through it into the snow in one leg."""
+def test_rough_layer_of_zero_thickness_has_no_effect():
+    """Rays start high above the layer and cross it into the snow in a single segment."""
     tall = {**WAVES, "rms_height_m": 0.03}
-    nothing = lid(1.0, tall, optical_thickness=0.0, refractive_index=1.0)
-    # A grain that reaches into the lid is kept, so those that reach above the snow are, too.
-    kept = {"interpretation": {"set": "splitsnow_2021", "overlap_with_boundary": "keep"}}
-    below = [splits.Snow(depth_m=0.006, **kept), splits.Sand(depth_m=0.004, **kept)]
-    with_lid, without = (
-        measured(splits.Stack(layers, ground=0.3), 0.0, seed)
-        for seed, layers in ((32, [nothing, *below]), (33, below))
+    empty = make_layer(1.0, tall, optical_thickness=0.0, refractive_index=1.0)
+    # Grains that reach into the top layer are kept, so the reference keeps those above z = 0 too.
+    settings = {"interpretation": {"set": "splitsnow_2021", "overlap_with_boundary": "keep"}}
+    below = [splits.Snow(depth_m=0.006, **settings), splits.Sand(depth_m=0.004, **settings)]
+    with_layer, without = (
+        measure(splits.Stack(layers, ground=0.3), 0.0, seed)
+        for seed, layers in ((32, [empty, *below]), (33, below))
     )
-    judge_z(apart(with_lid, without), independent=1)
+    judge_z(compute_z(with_layer, without), independent=1)
 
 
-def test_grains_below_a_rough_lid_do_not_reach_above_its_mean_height():
-    """A lid thinner than grains: those that cross z = 0 are refused, however rough it is."""
+def test_grains_below_a_rough_layer_are_bounded_by_z_0():
+    """Grains that cross z = 0 are rejected below a thinner top layer, whether rough or not."""
     waves = {**WAVES, "rms_height_m": 1e-6}
     thin = splits.ParticleLayer(
         refractive_index=1.0, optical_thickness=0.01, bottom_albedo=None, depth_m=2e-5,
@@ -124,42 +129,45 @@ def test_grains_below_a_rough_lid_do_not_reach_above_its_mean_height():
     plain = replace(thin, surface=None)
     coarse = splits.Snow(grain_size_um=(300, 750), saturation=0.0, depth_m=0.004)
     rough, smooth = (
-        measured(splits.Stack([top, coarse]), 50.0, seed) for seed, top in ((22, thin), (23, plain))
+        measure(splits.Stack([top, coarse]), 50.0, seed) for seed, top in ((22, thin), (23, plain))
     )
-    judge_z(apart(rough, smooth), independent=1)
+    judge_z(compute_z(rough, smooth), independent=1)
 
 
-def test_light_goes_to_and_fro_between_a_rough_stack_and_the_ground():
-    """R(ρ) = R + T ρ T′/(1 − ρ R′); in diffuse light reciprocity makes T′ = T, with air around.
+def test_ground_reflections_follow_the_adding_series():
+    """R(ρ) = R + T ρ T′/(1 − ρ R′); under diffuse light in air, T′ = T by reciprocity.
 
-    Light cannot come from below here, where a rough surface is a stack's top: R′ is found from
-    what three grounds add, which leaves two of these as checks.
+    A stack with a rough top cannot be lit from below, so R′ is estimated from three ground
+    albedos, which leaves two degrees of freedom for the check.
     """
-    pack = [lid(1.0, WAVES, optical_thickness=1.0), lid(0.3, asymmetry=0.2)]
-    found = [
-        measured(splits.Stack(pack, ground=albedo), "diffuse", seed)
+    layers = [make_layer(1.0, WAVES, optical_thickness=1.0), make_layer(0.3, asymmetry=0.2)]
+    measurements = [
+        measure(splits.Stack(layers, ground=albedo), "diffuse", seed)
         for seed, albedo in enumerate((0.0, 0.3, 0.6, 0.9), start=7)
     ]
-    (dark, through, _), (dark_error, through_error, _) = found[0]
+    (reflectance, transmittance, _), (reflectance_error, transmittance_error, _) = measurements[0]
     albedo = np.array([0.3, 0.6, 0.9])
-    gain = np.array([one[0, 0] for one in found[1:]]) - dark
-    error = np.hypot([one[1, 0] for one in found[1:]], dark_error)
-    # R′ = 1/ρ − T²/gain, and its error by those of T and of the gain.
-    back = 1.0 / albedo - through**2 / gain
-    slope = through**2 / gain**2
-    off = slope * error
-    weight = off**-2 / (off**-2).sum()
-    mean = (weight * back).sum()
-    common = 2.0 * through * through_error / gain
-    z = (back - mean) / np.hypot(off, common - (weight * common).sum())
+    gain = np.array([one[0, 0] for one in measurements[1:]]) - reflectance
+    error = np.hypot([one[1, 0] for one in measurements[1:]], reflectance_error)
+    # R′ = 1/ρ − T²/gain; the errors of T and of the gain propagate to it.
+    reflectance_below = 1.0 / albedo - transmittance**2 / gain
+    slope = transmittance**2 / gain**2
+    gain_error = slope * error
+    weight = gain_error**-2 / (gain_error**-2).sum()
+    mean = (weight * reflectance_below).sum()
+    common = 2.0 * transmittance * transmittance_error / gain
+    z = (reflectance_below - mean) / np.hypot(gain_error, common - (weight * common).sum())
     judge_z(z, "grounds", independent=2)
     assert 0.0 < mean < 1.0
 
 
-def test_light_leaves_as_far_from_the_entry_as_from_the_layer():
+def test_beam_spread_equals_that_of_the_layer():
     one, other = (
         splits.beam_spread(medium, [550.0], 30.0, rays=100_000, seed=seed)
-        for seed, medium in ((30, lid(surface=WAVES)), (31, splits.Stack([lid(surface=WAVES)])))
+        for seed, medium in (
+            (30, make_layer(surface=WAVES)),
+            (31, splits.Stack([make_layer(surface=WAVES)])),
+        )
     )
     error = np.hypot(one.quantile_radius_stderr, other.quantile_radius_stderr)
     z = ((one.quantile_radius - other.quantile_radius) / error).values[error.values > 0.0]
@@ -176,17 +184,17 @@ def test_light_leaves_as_far_from_the_entry_as_from_the_layer():
         lambda stack: splits.goniophotometer(stack, [550.0], estimator="next_event"),
     ],
 )
-def test_other_instruments_refuse_such_a_stack(instrument):
+def test_other_instruments_reject_a_rough_top(instrument):
     with pytest.raises(InvalidValue, match="must be"):
-        instrument(splits.Stack([lid(surface=WAVES), SNOW]))
+        instrument(splits.Stack([make_layer(surface=WAVES), SNOW]))
 
 
-def test_no_realization_is_higher_than_the_scene():
-    """53 bits: the least uniform number is 2⁻⁵³."""
+def test_bound_of_realizations_fits_into_the_scene():
+    """The smallest uniform number has 53 bits: 2⁻⁵³."""
     assert BOUND_SIGMA * np.sqrt(53.0 * np.log(2.0)) <= MAX_HEIGHT_SIGMA
 
 
-def test_coin_tosses_and_weights_agree():
-    stack = splits.Stack([lid(surface=WAVES), SNOW, SAND], ground=0.3)
-    one, other = measured(stack, 30.0, 12), measured(stack, 30.0, 13, estimator="analog")
-    judge_z(apart(one, other), independent=1, bound_added=True)
+def test_spectral_and_analog_estimators_agree():
+    stack = splits.Stack([make_layer(surface=WAVES), SNOW, SAND], ground=0.3)
+    one, other = measure(stack, 30.0, 12), measure(stack, 30.0, 13, estimator="analog")
+    judge_z(compute_z(one, other), independent=1, bound_added=True)

@@ -1,4 +1,4 @@
-"""Sand whose answer is known: that of snow, of no absorption, of another estimator; trends."""
+"""Sand of known reflectance: as snow, without absorption, by both estimators; trends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from splits.media.sand_composition import IRON_OXIDES
 pytestmark = NEEDS_JIT
 
 WAVELENGTHS = np.linspace(400.0, 1000.0, 6)
-# Ice absorbs from nothing to almost all here; quartz has no say.
+# At these wavelengths the absorption of ice ranges from negligible to almost complete.
 ICE_WAVELENGTHS = np.array([500.0, 900.0, 1030.0, 1250.0, 1500.0])
 MINERALS = ("quartz", "hematite", "goethite", "magnetite", "kaolinite")
 TEC_10039240 = {"iron_oxide": 0.05, "hematite_ratio": 0.359, "partition": (0.5, 0.0, 0.5)}
@@ -33,7 +33,7 @@ ALL_TYPES = {
     "partition": (0.4, 0.35, 0.25),
 }
 ONE_TYPE = {"iron_oxide": 0.0, "partition": (1.0, 0.0, 0.0)}
-# Eight types; the coatings are so thin that they hide no more than this iron oxide and no light.
+# Eight types; coatings are so thin that they hold only this iron oxide and absorb no light.
 EIGHT_TYPES = {
     "iron_oxide": 1e-6,
     "hematite_ratio": 0.5,
@@ -44,31 +44,31 @@ EIGHT_TYPES = {
 SAMPLES = {
     "thin and dry": {"depth_m": 0.004},
     "thin and wet": {"depth_m": 0.004, "saturation": 0.3},
-    "shapely": {"depth_m": 0.01, "saturation": 0.1, "sphericity": (0.3, 0.7, 0.5, 0.1)},
+    "low sphericity": {"depth_m": 0.01, "saturation": 0.1, "sphericity": (0.3, 0.7, 0.5, 0.1)},
 }
 
 
 class UniformSizes:
-    """Snow's sizes, uniform from 300 to 750 µm, in place of a soil's."""
+    """Size distribution of snow, uniform from 300 to 750 µm, in place of that of a soil."""
 
     limits = (3e-4, 7.5e-4)
     largest_m = limits[1]
-    size_attenuation_per_m = grain_statistics.size_attenuation(*limits)
+    size_attenuation_per_m = grain_statistics.compute_size_attenuation(*limits)
 
-    def tabulate_struck_inverse_sizes(self):
-        return grain_statistics.tabulate_struck_inverse_sizes(*self.limits, "cross_section")
+    def tabulate_hit_inverse_sizes(self):
+        return grain_statistics.tabulate_hit_inverse_sizes(*self.limits, "cross_section")
 
 
 class IcySand(splits.Sand):
-    """Sand of snow's sizes."""
+    """Sand with the size distribution of snow."""
 
     @cached_property
     def size_distribution(self):
         return UniformSizes()
 
 
-def pair(types, settings):
-    """Return snow and the sand that is the same, with any number of types of particle."""
+def make_snow_and_sand(types, settings):
+    """Return snow and an optically equal sand of one or several particle types."""
     snow = splits.Snow(
         **{"saturation": 0.0, **settings},
         facetness=(0.0, 1.0, 0.3, 0.072),
@@ -85,22 +85,27 @@ def pair(types, settings):
     return snow, sand
 
 
-def both_sides(ds, what=""):
-    return np.concatenate([ds[f"reflectance{what}"].values, ds[f"transmittance{what}"].values])
+def concatenate_fluxes(ds, suffix=""):
+    return np.concatenate([ds[f"reflectance{suffix}"].values, ds[f"transmittance{suffix}"].values])
 
 
-def difference(one, other):
-    error = np.hypot(both_sides(one, "_stderr"), both_sides(other, "_stderr"))
-    return (both_sides(one) - both_sides(other)) / error
+def compute_z(one, other):
+    error = np.hypot(concatenate_fluxes(one, "_stderr"), concatenate_fluxes(other, "_stderr"))
+    return (concatenate_fluxes(one) - concatenate_fluxes(other)) / error
 
 
-def test_one_type_of_ice_has_the_tables_of_snow():
+def test_sand_of_ice_has_the_grain_population_of_snow():
     for settings in SAMPLES.values():
-        snow, sand = pair(ONE_TYPE, settings)
+        snow, sand = make_snow_and_sand(ONE_TYPE, settings)
         assert sand.list_materials() == ("air", "water", "quartz")
-        ours, theirs = sand.make_grain_population(), snow.make_grain_population()
+        sand_population, snow_population = (
+            sand.make_grain_population(),
+            snow.make_grain_population(),
+        )
         for one, other in zip(
-            [*ours[:-1], *ours.types], [*theirs[:-1], *theirs.types], strict=True
+            [*sand_population[:-1], *sand_population.types],
+            [*snow_population[:-1], *snow_population.types],
+            strict=True,
         ):
             np.testing.assert_allclose(one, other, rtol=1e-12)
         np.testing.assert_array_equal(
@@ -110,16 +115,16 @@ def test_one_type_of_ice_has_the_tables_of_snow():
 
 
 @pytest.mark.parametrize("types", [ONE_TYPE, EIGHT_TYPES], ids=["one type", "eight types"])
-def test_sand_of_ice_is_snow(types):
+def test_sand_of_ice_has_the_spectrum_of_snow(types):
     z = []
     for number, settings in enumerate(SAMPLES.values()):
-        snow, sand = pair(types, settings)
+        snow, sand = make_snow_and_sand(types, settings)
         assert sand.make_grain_population().type_cdf.size == (1 if types is ONE_TYPE else 8)
-        measured = [
+        spectra = [
             splits.spectrophotometer(medium, ICE_WAVELENGTHS, 30.0, max_stderr=0.005, seed=seed)
             for medium, seed in ((snow, 10 + number), (sand, 20 + number))
         ]
-        z.append(difference(*measured))
+        z.append(compute_z(*spectra))
     judge_z(
         z,
         f"sand against snow, types {sand.make_grain_population().type_cdf.size}",
@@ -128,8 +133,8 @@ def test_sand_of_ice_is_snow(types):
     assert np.abs(z).max() < 3.0
 
 
-def test_types_that_are_alike_may_be_split():
-    """Mixed and coated grains of one index are pure ones: soil's sizes, coins and weights."""
+def test_identical_types_may_be_split():
+    """Mixed and coated grains of one index equal pure ones, for both estimators."""
     common = {"depth_m": 0.004, "saturation": 0.2}
     index = dict.fromkeys(MINERALS, 1.55 + 2e-6j)
     z = []
@@ -144,13 +149,13 @@ def test_types_that_are_alike_may_be_split():
             )
             for types, seed in ((ONE_TYPE, 30), (EIGHT_TYPES, 40))
         )
-        z.append(difference(pure, split))
+        z.append(compute_z(pure, split))
     judge_z(z, "identical types", independent=2)
 
 
 @pytest.mark.parametrize("estimator", ["spectral", "analog"])
 @pytest.mark.parametrize("saturation", [0.0, 0.4])
-def test_nothing_is_lost_without_absorption(estimator, saturation):
+def test_energy_is_conserved_without_absorption(estimator, saturation):
     index = dict(zip(MINERALS, (1.55, 2.9, 2.3, 2.5, 1.56), strict=True))
     sand = splits.Sand(
         **ALL_TYPES, depth_m=0.005, saturation=saturation, refractive_index={**index, "water": 1.33}
@@ -162,60 +167,63 @@ def test_nothing_is_lost_without_absorption(estimator, saturation):
     assert np.abs(ds.absorptance).max() < 1e-12
 
 
-def test_coins_agree_with_weights():
+def test_spectral_and_analog_estimators_agree():
     z = []
     for number, settings in enumerate((TEC_10039240, {**TEC_13J9823, "saturation": 0.3})):
         sand = splits.Sand(**settings)
-        coins, shared = (
+        analog, spectral = (
             splits.spectrophotometer(
                 sand, WAVELENGTHS, max_stderr=0.004, seed=seed + number, estimator=estimator
             )
             for estimator, seed in (("analog", 50), ("spectral", 60))
         )
-        assert coins.attrs["stop_reason"] == shared.attrs["stop_reason"] == "converged"
-        error = np.hypot(coins.reflectance_stderr, shared.reflectance_stderr)
-        z.append(((coins.reflectance - shared.reflectance) / error).values)
+        assert analog.attrs["stop_reason"] == spectral.attrs["stop_reason"] == "converged"
+        error = np.hypot(analog.reflectance_stderr, spectral.reflectance_stderr)
+        z.append(((analog.reflectance - spectral.reflectance) / error).values)
     judge_z(z, "analog against spectral", independent=2)
 
 
-def reflectance(seed=7, wavelengths=WAVELENGTHS, **settings):
+def simulate_reflectance(seed=7, wavelengths=WAVELENGTHS, **settings):
     """Return reflectance and its standard error."""
     ds = splits.spectrophotometer(splits.Sand(**settings), wavelengths, max_stderr=0.006, seed=seed)
     return ds.reflectance.values, ds.reflectance_stderr.values
 
 
-def judge_darker(bright, dark):
-    """Fail unless the spectrum is darker beyond doubt, and nowhere brighter beyond error."""
-    z = (bright[0] - dark[0]) / np.hypot(bright[1], dark[1])
+def judge_darker(brighter, darker):
+    """Fail unless the second spectrum is darker in total and nowhere significantly brighter."""
+    z = (brighter[0] - darker[0]) / np.hypot(brighter[1], darker[1])
     assert z.min() > -2.0 and z.sum() / np.sqrt(z.size) > 10.0, z
 
 
 @pytest.mark.parametrize("ratio", [0.0, 1.0], ids=reversed(IRON_OXIDES))
-def test_more_iron_oxide_darkens(ratio):
-    """SPLITS section 5.2 and Fig 8."""
+def test_iron_oxide_reduces_reflectance(ratio):
+    """The trend is that of SPLITS section 5.2 and Fig 8."""
     little, more = (
-        reflectance(iron_oxide=iron, hematite_ratio=ratio, seed=seed)
+        simulate_reflectance(iron_oxide=iron, hematite_ratio=ratio, seed=seed)
         for iron, seed in ((0.005, 7), (0.05, 8))
     )
     judge_darker(little, more)
 
 
-def test_magnetite_darkens():
-    little, more = (reflectance(magnetite=m, seed=int(10 + 10 * m)) for m in (0.0, 0.3))
+def test_magnetite_reduces_reflectance():
+    little, more = (simulate_reflectance(magnetite=m, seed=int(10 + 10 * m)) for m in (0.0, 0.3))
     judge_darker(little, more)
 
 
-def test_wet_sand_is_darker():
-    """SPLITS section 2.1.2 and Fig 10."""
-    dry, wet = (reflectance(**TEC_10039240, saturation=s, seed=int(20 + s)) for s in (0.0, 1.0))
+def test_water_reduces_reflectance():
+    """The trend is that of SPLITS section 2.1.2 and Fig 10."""
+    dry, wet = (
+        simulate_reflectance(**TEC_10039240, saturation=s, seed=int(20 + s)) for s in (0.0, 1.0)
+    )
     judge_darker(dry, wet)
 
 
-def test_hematite_for_goethite_reddens():
-    """SPLITS section 5.2: reflectance moves to the red end of the spectrum."""
+def test_hematite_instead_of_goethite_reddens():
+    """Reflectance shifts to the red end of the spectrum (SPLITS section 5.2)."""
     ends = [450.0, 700.0]
     goethite, hematite = (
-        reflectance(hematite_ratio=r, wavelengths=ends, seed=int(30 + 10 * r)) for r in (0.0, 0.9)
+        simulate_reflectance(hematite_ratio=r, wavelengths=ends, seed=int(30 + 10 * r))
+        for r in (0.0, 0.9)
     )
     redder = np.log(hematite[0][1] / hematite[0][0] / (goethite[0][1] / goethite[0][0]))
     error = np.sqrt(sum(((end[1] / end[0]) ** 2).sum() for end in (goethite, hematite)))

@@ -1,4 +1,4 @@
-"""Single-scattering properties: spheres that are known, grains that nothing happens at, errors."""
+"""Single-scattering properties: smooth spheres, index-matched grains, errors, pores."""
 
 from __future__ import annotations
 
@@ -22,22 +22,24 @@ PROJECTED = {"entry_point": "projected"}
 RAYS = 100_000
 
 
-def dry(ice, **settings):
+def make_dry_snow(ice, **settings):
     return splits.Snow(saturation=0.0, refractive_index={"ice": ice}, **settings)
 
 
-def test_smooth_ice_sphere_has_the_known_asymmetry():
-    from test_sphere_scattering import mean_cosine, over_impacts, projected
+def test_asymmetry_of_a_smooth_ice_sphere():
+    from test_sphere_scattering import integrate_impacts, mean_cosine, projected_density
 
-    ds = single_scattering(dry(1.31, **SPHERES, interpretation=PROJECTED), 500.0, rays=400_000)
-    known = over_impacts(lambda i: mean_cosine(i, 1.31), projected)
+    ds = single_scattering(
+        make_dry_snow(1.31, **SPHERES, interpretation=PROJECTED), 500.0, rays=400_000
+    )
+    expected = integrate_impacts(lambda i: mean_cosine(i, 1.31), projected_density)
     error = float(ds.asymmetry_parameter_stderr[0])
     assert 0.0 < error < 0.002
-    judge_z([(float(ds.asymmetry_parameter[0]) - known) / error], "asymmetry")
+    judge_z([(float(ds.asymmetry_parameter[0]) - expected) / error], "asymmetry")
 
 
 @pytest.mark.parametrize("saturation", [0.0, 0.3])
-def test_without_absorption_the_albedo_is_exactly_one(saturation):
+def test_albedo_is_one_without_absorption(saturation):
     snow = splits.Snow(saturation=saturation, refractive_index={"ice": 1.31, "water": 1.33})
     ds = single_scattering(snow, [400.0, 1500.0], rays=RAYS)
     assert (ds.single_scattering_albedo == 1.0).all()
@@ -45,42 +47,45 @@ def test_without_absorption_the_albedo_is_exactly_one(saturation):
 
 
 def test_matched_grain_scatters_forward_only():
-    ds = single_scattering(dry(1.0, facetness=(0.5, 1.0, 0.8, 0.1)), 500.0, rays=RAYS)
+    ds = single_scattering(make_dry_snow(1.0, facetness=(0.5, 1.0, 0.8, 0.1)), 500.0, rays=RAYS)
     assert np.abs(ds.legendre_moment - 1.0).max() < 1e-10
     assert np.abs(ds.legendre_moment_stderr).max() < 1e-6
 
 
 def test_matched_grain_absorbs_along_its_chord():
-    # Struck by projected area, a convex grain has a mean chord of volume over projected area.
+    # Over its projected area, a convex grain has the mean chord volume / projected area.
     alpha = 1.0
-    snow = dry(complex(1.0, alpha * 500e-9 / (4.0 * math.pi)), interpretation=PROJECTED)
+    snow = make_dry_snow(complex(1.0, alpha * 500e-9 / (4.0 * math.pi)), interpretation=PROJECTED)
     chord = 1.0 / snow.attenuation_per_m
     runs = [single_scattering(snow, 500.0, rays=400_000, seed=seed) for seed in range(1, 5)]
-    lost = np.array([1.0 - float(ds.single_scattering_albedo[0]) for ds in runs])
+    absorbed = np.array([1.0 - float(ds.single_scattering_albedo[0]) for ds in runs])
     error = np.array([float(ds.single_scattering_albedo_stderr[0]) for ds in runs])
-    # Second order in αl, of which <l²> < 3 <l>² leaves 1e-6.
+    # The second-order term in αl is at most 1e-6, as <l²> < 3 <l>².
     second = 1.5 * (alpha * chord) ** 2
-    judge_z((lost - alpha * chord) / np.hypot(error, second), "each seed")
+    judge_z((absorbed - alpha * chord) / np.hypot(error, second), "each seed")
     mean_error = np.hypot(error.mean() / len(runs) ** 0.5, second)
-    judge_z([(lost.mean() - alpha * chord) / mean_error], "their mean")
-    way = np.array([float(ds.displacement_along_incident[0]) for ds in runs])
-    assert abs(way.mean() - chord) < stats.t.isf(0.005, 3) * way.std(ddof=1) / len(runs) ** 0.5
+    judge_z([(absorbed.mean() - alpha * chord) / mean_error], "mean over seeds")
+    displacements = np.array([float(ds.displacement_along_incident[0]) for ds in runs])
+    assert (
+        abs(displacements.mean() - chord)
+        < stats.t.isf(0.005, 3) * displacements.std(ddof=1) / len(runs) ** 0.5
+    )
 
 
-def test_smooth_spheres_have_their_known_shape_factors():
-    # B = n² (1 − (1 − 1/n²)^(3/2)): path within a sphere over its mean chord, weak absorption.
-    snow = dry(1.31 + 1e-8j, **SPHERES, interpretation=PROJECTED)
+def test_shape_factors_of_smooth_spheres():
+    # B = n² (1 − (1 − 1/n²)^(3/2)): path in a weakly absorbing sphere over its mean chord.
+    snow = make_dry_snow(1.31 + 1e-8j, **SPHERES, interpretation=PROJECTED)
     ds = single_scattering(snow, 1000.0, rays=400_000, seed=2)
     enhancement, asymmetry = compute_shape_factors(ds, snow.specific_surface_area_m2_kg, 1e-8)
     density = ice_density(snow.temperature_c)
     expected = 1.31**2 * (1.0 - (1.0 - 1.31**-2) ** 1.5) * 917.0 / density
-    # The error of 1 − ω, to which the enhancement is in proportion.
+    # The enhancement is proportional to 1 − ω, whose error is known.
     albedo, error = (float(ds[f"single_scattering_albedo{end}"][0]) for end in ("", "_stderr"))
     judge_z([(enhancement[0] / expected - 1.0) / (error / (1.0 - albedo))], "enhancement")
     assert asymmetry[0] == pytest.approx(0.89, abs=0.003)
 
 
-def test_first_moment_is_the_asymmetry_and_zeroth_is_one():
+def test_first_legendre_moments_are_one_and_asymmetry():
     ds = single_scattering(splits.Snow(), [500.0, 1030.0, 1500.0], rays=RAYS, moments=8)
     first = ds.legendre_moment.sel(order=1)
     assert (first == ds.asymmetry_parameter).all()
@@ -91,7 +96,7 @@ def test_first_moment_is_the_asymmetry_and_zeroth_is_one():
 
 
 @pytest.mark.parametrize("medium", [splits.Snow(), splits.Sand()])
-def test_same_numbers_on_one_and_two_threads(medium):
+def test_results_are_independent_of_threads(medium):
     runs = [
         single_scattering(medium, [500.0, 900.0], rays=5 * GRAIN_RAYS_PER_CHUNK, seed=4, threads=n)
         for n in (1, 2)
@@ -101,7 +106,7 @@ def test_same_numbers_on_one_and_two_threads(medium):
     assert not runs[0].equals(other)
 
 
-def test_standard_errors_are_the_scatter_of_seeds():
+def test_stated_errors_agree_with_scatter():
     names = ("single_scattering_albedo", "legendre_moment", "displacement_along_incident")
     names += ("displacement_along_exit", "mean_square_displacement", "wet_fraction")
     wet = splits.Snow(saturation=0.3, refractive_index={"ice": 1.31 + 1e-4j, "water": 1.33})
@@ -114,26 +119,26 @@ def test_standard_errors_are_the_scatter_of_seeds():
         judge_scatter(values, stated, name)
 
 
-def test_interpolation_between_indices_is_within_the_errors():
+def test_interpolation_between_indices_is_within_errors():
     snow = splits.Snow()
     wavelengths = check_wavelengths([500.0, 800.0, 1100.0, 1400.0, 1600.0, 1900.0, 2300.0])
-    together = single_scattering(snow, wavelengths, moments=16, rays=400_000)
-    assert together.attrs["ensembles"] < len(wavelengths)
+    shared = single_scattering(snow, wavelengths, moments=16, rays=400_000)
+    assert shared.attrs["ensembles"] < len(wavelengths)
     z = {"single_scattering_albedo": [], "legendre_moment": []}
     for seed, wavelength in enumerate(wavelengths, start=2):
-        alone = single_scattering(snow, wavelength, moments=16, rays=400_000, seed=seed)
-        part = together.sel(wavelength=[wavelength])
-        for name, found in z.items():
-            error = np.hypot(alone[f"{name}_stderr"], part[f"{name}_stderr"])
-            away = ((alone[name] - part[name]) / error).values
+        single = single_scattering(snow, wavelength, moments=16, rays=400_000, seed=seed)
+        selected = shared.sel(wavelength=[wavelength])
+        for name, values in z.items():
+            error = np.hypot(single[f"{name}_stderr"], selected[f"{name}_stderr"])
+            deviations = ((single[name] - selected[name]) / error).values
             # Moment 0 is 1.
-            found.append(away[..., 1:] if name == "legendre_moment" else away)
-    for name, found in z.items():
-        # Errors hold a bound of what interpolation misses, and moments share their paths.
-        judge_z(found, name, independent=len(wavelengths), bound_added=True)
+            values.append(deviations[..., 1:] if name == "legendre_moment" else deviations)
+    for name, values in z.items():
+        # Errors include the interpolation bound, and moments use the same paths.
+        judge_z(values, name, independent=len(wavelengths), bound_added=True)
 
 
-def test_extinction_is_grains_met_plus_absorption_by_pores():
+def test_extinction_is_grain_attenuation_plus_pore_absorption():
     alpha = 200.0
     water = complex(1.33, alpha * 1500e-9 / (4.0 * math.pi))
     snow = splits.Snow(saturation=0.25, refractive_index={"ice": 1.31, "water": water})
@@ -141,18 +146,19 @@ def test_extinction_is_grains_met_plus_absorption_by_pores():
     grains = snow.make_grain_population().attenuation
     assert float(ds.extinction[0]) == pytest.approx(grains + 0.25 * alpha, rel=1e-12)
     assert float(ds.optical_thickness[0]) == pytest.approx(float(ds.extinction[0]) * snow.depth_m)
-    # Ice and reflections absorb nothing: what is lost is lost between the grains.
+    # Neither ice nor reflection absorbs, so all absorption occurs between grains.
     assert float(ds.single_scattering_albedo[0]) == pytest.approx(
         grains / (grains + 0.25 * alpha), rel=1e-12
     )
-    deep = single_scattering(snow, 1500.0, rays=RAYS, moments=2, wet_pores="equilibrium")
-    share = 0.25 * 1.33**2 / (0.25 * 1.33**2 + 0.75)
-    assert float(deep.extinction[0]) == pytest.approx(grains + share * alpha, rel=1e-12)
+    equilibrium = single_scattering(snow, 1500.0, rays=RAYS, moments=2, wet_pores="equilibrium")
+    fraction = 0.25 * 1.33**2 / (0.25 * 1.33**2 + 0.75)
+    assert float(equilibrium.extinction[0]) == pytest.approx(grains + fraction * alpha, rel=1e-12)
 
 
-def test_light_in_equilibrium_between_pores_stays_so():
-    # By étendue, n² of each pore by its volume; exact only for smooth grains struck by projected
-    # area: even entry makes it 0.40, facets 0.35 instead of 0.37.
+def test_equilibrium_between_pores_is_preserved():
+    # By étendue the fraction is proportional to n² times the volume of a pore medium.  This is
+    # exact only for smooth grains with projected entry, 0.37; uniform entry gives 0.40, facets
+    # give 0.35.
     index = {"ice": 1.31, "water": 1.33}
     snow = splits.Snow(
         saturation=0.25,
@@ -161,9 +167,9 @@ def test_light_in_equilibrium_between_pores_stays_so():
         refractive_index=index,
     )
     ds = single_scattering(snow, 1500.0, rays=RAYS, moments=2, wet_pores="equilibrium")
-    share = 0.25 * 1.33**2 / (0.25 * 1.33**2 + 0.75)
-    error = math.sqrt(share * (1.0 - share) / RAYS)
-    judge_z([(float(ds.wet_fraction[0]) - share) / error], "wet share")
+    fraction = 0.25 * 1.33**2 / (0.25 * 1.33**2 + 0.75)
+    error = math.sqrt(fraction * (1.0 - fraction) / RAYS)
+    judge_z([(float(ds.wet_fraction[0]) - fraction) / error], "wet fraction")
 
 
 @pytest.mark.parametrize(
@@ -176,6 +182,6 @@ def test_light_in_equilibrium_between_pores_stays_so():
         ({"wet_pores": "dry"}, "wet_pores = 'dry'"),
     ],
 )
-def test_bad_settings_are_refused_by_name(settings, message):
+def test_invalid_settings_are_rejected_by_name(settings, message):
     with pytest.raises(ValueError, match=message):
         single_scattering(splits.Snow(), 500.0, **settings)

@@ -1,4 +1,4 @@
-"""Media whose answer is known: a plain plate, opaque grains, no grains, no absorption."""
+"""Media with analytical results: a homogeneous plate, opaque grains, no grains, no absorption."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ import splits
 from splits.kernels.grains import history
 from splits.kernels.grains.scene import NO_GROUND, NO_MAX_ORDER
 from splits.kernels.optics.fresnel import fresnel
-from splits.kernels.tallies.exits import allocate_exits, tally_weights
+from splits.kernels.tallies.exits import TRANSMITTED, allocate_exits, tally_weights
 
 pytestmark = NEEDS_JIT
 
 DEPTH = 2.0
 N = 1.4
 WAVELENGTHS = np.array([400.0, 700.0, 1500.0])
-# Optical thickness 1 at 700 nm.  Large grains in a deep sample keep k small, so that Fresnel's
-# reflection at the grains, of order k², is far below the noise.
+# Optical thickness 1 at 700 nm.  Large grains in a deep sample keep k small, so that Fresnel
+# reflection at grains, of order k², is far below the noise.
 K = 700e-9 / (4.0 * math.pi * DEPTH)
 PLATES = {
     "Table 1, a hundredfold": {},
@@ -33,26 +33,26 @@ PLATES = {
 ANGLES = (0.0, 60.0, "diffuse")
 
 
-def plate(mu):
-    """Return R and T of a plane plate of index N + iK with incoherent multiple reflections."""
+def plate_spectrum(mu):
+    """Return R and T of a plane-parallel plate of index N + iK, reflections added incoherently."""
     r, _, cos_t = fresnel(1.0, N, 0.0, mu)
-    passed = np.exp(-4.0 * math.pi * K / (WAVELENGTHS * 1e-9) * DEPTH / cos_t)
-    series = (1.0 - r) ** 2 * passed / (1.0 - (r * passed) ** 2)
-    return np.concatenate([r + series * r * passed, series])
+    attenuation = np.exp(-4.0 * math.pi * K / (WAVELENGTHS * 1e-9) * DEPTH / cos_t)
+    series = (1.0 - r) ** 2 * attenuation / (1.0 - (r * attenuation) ** 2)
+    return np.concatenate([r + series * r * attenuation, series])
 
 
-def plate_under(incidence):
+def plate_spectrum_under(incidence):
     if incidence != "diffuse":
-        return plate(math.cos(math.radians(incidence)))
-    return integrate.quad_vec(lambda mu: 2.0 * mu * plate(mu), 1e-9, 1.0)[0]
+        return plate_spectrum(math.cos(math.radians(incidence)))
+    return integrate.quad_vec(lambda mu: 2.0 * mu * plate_spectrum(mu), 1e-9, 1.0)[0]
 
 
-def both_sides(ds, what=""):
-    return np.concatenate([ds[f"reflectance{what}"].values, ds[f"transmittance{what}"].values])
+def concatenate_fluxes(ds, suffix=""):
+    return np.concatenate([ds[f"reflectance{suffix}"].values, ds[f"transmittance{suffix}"].values])
 
 
 @pytest.mark.parametrize("estimator", ["spectral", "analog"])
-def test_grains_in_pores_of_their_own_index_are_invisible(estimator):
+def test_index_matched_grains_give_a_homogeneous_plate(estimator):
     z = []
     for seed, (incidence, settings) in enumerate(
         (angle, settings) for angle in ANGLES for settings in PLATES.values()
@@ -64,13 +64,16 @@ def test_grains_in_pores_of_their_own_index_are_invisible(estimator):
         ds = splits.spectrophotometer(
             snow, WAVELENGTHS, incidence, max_stderr=0.006, seed=100 + seed, estimator=estimator
         )
-        z.append((both_sides(ds) - plate_under(incidence)) / both_sides(ds, "_stderr"))
+        z.append(
+            (concatenate_fluxes(ds) - plate_spectrum_under(incidence))
+            / concatenate_fluxes(ds, "_stderr")
+        )
     judge_z(z, f"plate, {estimator}", independent=len(z))
 
 
 @pytest.mark.parametrize("entry", ["uniform", "projected"])
-def test_opaque_grains_leave_the_unscattered_beam(entry):
-    # Grains of index 1 do not reflect and nothing that enters one leaves it: Beer and Lambert.
+def test_opaque_grains_transmit_by_beer_lambert(entry):
+    # Grains of index 1 do not reflect and absorb all light that enters them: Beer-Lambert law.
     interpretation = {"entry_point": entry, "overlap_with_boundary": "keep"}
     snow = splits.Snow(saturation=0.0, interpretation=interpretation)
     absorption = np.array([0.0, 0.0, 1e15])
@@ -88,12 +91,12 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
                 mu,
             )
             work = np.array([ensemble, 0, rays, NO_MAX_ORDER])
-            told = history.trace_batch(seed + 10 * analog, work, scene, optics, exits, None, None)
-            assert not told.lost
-            moments, least, _ = tally_weights(
-                exits, told.crossings, absorption[np.newaxis], not analog, NO_GROUND
+            batch = history.trace_batch(seed + 10 * analog, work, scene, optics, exits, None, None)
+            assert not batch.lost
+            moments, min_weights, _ = tally_weights(
+                exits, batch.crossings, absorption[np.newaxis], not analog, NO_GROUND
             )
-            assert least[0] == 0.0
+            assert min_weights[0] == 0.0
             assert moments[0].max() < 1e-9
             expected = math.exp(-depth / mu / snow.mean_grain_distance_m)
             error = math.sqrt(expected * (1.0 - expected) / rays)
@@ -105,8 +108,8 @@ def test_opaque_grains_leave_the_unscattered_beam(entry):
     ("estimator", "depth_m"),
     [*(("spectral", d) for d in (0.001, 0.12, 2.0)), *(("analog", d) for d in (0.001, 0.12, 0.5))],
 )
-def test_nothing_is_lost_without_absorption(depth_m, estimator):
-    # Coin tosses trace every wavelength by itself, and all are the same here.
+def test_energy_is_conserved_without_absorption(depth_m, estimator):
+    # The analog estimator traces wavelengths separately, and all are equal here.
     light = [300.0, 2500.0] if estimator == "spectral" else [500.0]
     snow = splits.Snow(
         depth_m=depth_m, saturation=0.2, refractive_index={"ice": 1.31, "water": 1.33}
@@ -118,7 +121,7 @@ def test_nothing_is_lost_without_absorption(depth_m, estimator):
 
 
 @pytest.mark.parametrize("incidence", [0.0, 75.0, "diffuse"])
-def test_hardly_any_grains_let_everything_through(incidence):
+def test_very_sparse_grains_transmit_everything(incidence):
     snow = splits.Snow(density_kg_m3=1e-6, saturation=0.0)
     ds = splits.spectrophotometer(snow, [500.0, 2000.0], incidence, max_stderr=0.05)
     assert (ds.transmittance == 1.0).all()
@@ -126,44 +129,44 @@ def test_hardly_any_grains_let_everything_through(incidence):
 
 
 @pytest.mark.parametrize("mu", [1.0, 0.5, 0.1])
-def test_a_ray_that_meets_no_grain_goes_straight(mu):
+def test_ray_without_collisions_is_straight(mu):
     snow = splits.Snow(density_kg_m3=1e-9, saturation=0.0)
     scene = make_scene(
         snow.make_grain_population(), 0.12, rules=snow.interpretation.to_sampling_rules(), cos=mu
     )
     ray, length = trace_ray(start_random_stream(), scene, make_optics([1.0, 1.0, 1.31]))
-    place, d = ray.geometry.position, ray.payload.direction
+    position, d = ray.geometry.position, ray.payload.direction
     sine = math.sqrt(1.0 - mu * mu)
-    assert (ray.status, ray.payload.roulette.weight, place.y, d.y) == (
-        history.TRANSMITTED,
+    assert (ray.status, ray.payload.roulette.weight, position.y, d.y) == (
+        TRANSMITTED,
         1.0,
         0.0,
         0.0,
     )
-    assert (d.x, d.z, place.z) == (pytest.approx(sine, rel=1e-15), -mu, -0.12)
+    assert (d.x, d.z, position.z) == (pytest.approx(sine, rel=1e-15), -mu, -0.12)
     assert (ray.n_segments, ray.order) == (1, 0)
-    assert place.x == pytest.approx(0.12 * sine / mu, rel=1e-14)
+    assert position.x == pytest.approx(0.12 * sine / mu, rel=1e-14)
     assert length == pytest.approx([0.12 / mu, 0.0, 0.0], rel=1e-14)
 
 
-def test_dry_snow_never_asks_for_water():
-    class Refuse:
-        name = "refuses"
+def test_dry_snow_does_not_evaluate_water_index():
+    class ForbiddenIndex:
+        name = "forbidden"
 
         def __call__(self, _wavelength_nm):
-            raise AssertionError("asked for the index of water")
+            raise AssertionError("evaluated the index of water")
 
     snow = splits.Snow(saturation=0.0)
-    snow.refractive_index["water"] = Refuse()
+    snow.refractive_index["water"] = ForbiddenIndex()
     ds = splits.spectrophotometer(snow, [500.0, 1500.0], max_stderr=0.05)
     assert np.isfinite(ds.reflectance).all()
     wet = splits.Snow(saturation=0.01)
-    wet.refractive_index["water"] = Refuse()
+    wet.refractive_index["water"] = ForbiddenIndex()
     with pytest.raises(AssertionError, match="index of water"):
         splits.spectrophotometer(wet, 500.0, max_stderr=0.05)
 
 
-def test_more_absorption_or_larger_grains_darken_snow():
+def test_reflectance_falls_with_absorption_and_grain_size():
     def reflectance(k, size):
         snow = splits.Snow(
             grain_size_um=(size, size), saturation=0.0, refractive_index={"ice": 1.31 + k * 1j}

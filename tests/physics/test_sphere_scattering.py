@@ -1,4 +1,4 @@
-"""One grain alone: a smooth sphere scatters as geometric optics says, in closed form per order."""
+"""Scattering by single grains: smooth spheres against geometric optics in closed form."""
 
 from __future__ import annotations
 
@@ -28,17 +28,19 @@ DIRECTION = Vector(0.48, -0.64, 0.6)
 
 @njit
 def _scatter(state, psi, facetness, scene, optics, length):
-    """Return cosθ of scattering, path inside, survival, entry, axis, way to the exit, direction."""
+    """Return cosθ of scattering, path inside, survival, entry, axis, displacement, direction."""
     size = GrainSize(RADIUS, 1.0 - psi * psi)
-    walk, entry = trace_grain(state, DIRECTION, size, facetness, False, scene, optics, length)
-    q, w, g, e = entry.grain.q, entry.grain.w, walk.displacement, walk.payload.direction
+    grain_path, entry = trace_grain(state, DIRECTION, size, facetness, False, scene, optics, length)
+    q, w, g, e = entry.grain.q, entry.grain.w, grain_path.displacement, grain_path.payload.direction
     return (
-        dot(DIRECTION, e), length[2], 1.0 if walk.alive else 0.0,
+        dot(DIRECTION, e), length[2], 1.0 if grain_path.alive else 0.0,
         q.x, q.y, q.z, w.x, w.y, w.z, g.x, g.y, g.z, e.x, e.y, e.z,
     )  # fmt: skip
 
 
-def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog=False, ray=0):
+def sample_scattering(
+    n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog=False, ray=0
+):
     rules = splits.Interpretation(entry_point=entry).to_sampling_rules(analog)
     scene = make_scene(splits.Snow().make_grain_population(), rules=rules)
     optics = make_optics([1.0, 1.33, n], absorption=[0.0, 0.0, absorption])
@@ -46,10 +48,10 @@ def scatter(n, psi=1.0, facetness=0.0, entry="projected", absorption=0.0, analog
         _scatter, COUNT, psi, facetness, scene, optics, np.zeros(3), width=15, ray=ray
     )
     alive = out[:, 2] == 1.0
-    # Rays leave at a point of the surface, outwards.
-    q, w, way, direction = (out[alive, i : i + 3] for i in (3, 6, 9, 12))
+    # Rays exit at a point of the surface in an outward direction.
+    q, w, displacement, direction = (out[alive, i : i + 3] for i in (3, 6, 9, 12))
     minor, flattening = RADIUS * psi * psi, 1.0 - psi * psi
-    exit_point = to_real_space(q, w, minor, flattening) + way
+    exit_point = to_real_space(q, w, minor, flattening) + displacement
     assert np.abs(evaluate_quadratic(exit_point, w, minor, flattening) - 1.0).max() < 1e-9
     normal = compute_normal(exit_point, w, minor, flattening)
     assert (direction * normal).sum(axis=1).min() > 0.0
@@ -65,19 +67,19 @@ def fresnel(i, n):
     return 0.5 * (s + p), t
 
 
-def over_impacts(value, weight):
+def integrate_impacts(value, weight):
     """Return the mean of value(i) over angles of incidence i with the density `weight`."""
     return integrate.quad(lambda i: weight(i) * value(i), 1e-9, 0.5 * math.pi - 1e-9, limit=400)[0]
 
 
-def projected(i):
+def projected_density(i):
     return math.sin(2.0 * i)
 
 
 def mean_cosine(i, n):
     """Return <cosθ> at one angle of incidence: reflected, transmitted, all internal orders.
 
-    Order q leaves deviated by 2(i − t) + q(π − 2t) with share (1 − r)² r^q: a geometric series.
+    Order q is deviated by 2(i − t) + q(π − 2t), with fraction (1 − r)² r^q: a geometric series.
     """
     r, t = fresnel(i, n)
     series = np.exp(2j * (i - t)) / (1.0 - r * np.exp(1j * (math.pi - 2.0 * t)))
@@ -85,64 +87,68 @@ def mean_cosine(i, n):
 
 
 def mean_escape(i, n, depth):
-    """Return the share that is not absorbed in a sphere of optical thickness `depth`."""
+    """Return the fraction that is not absorbed in a sphere of optical thickness `depth`."""
     r, t = fresnel(i, n)
-    passed = math.exp(-depth * math.cos(t))
-    return r + (1.0 - r) ** 2 * passed / (1.0 - r * passed)
+    transmission = math.exp(-depth * math.cos(t))
+    return r + (1.0 - r) ** 2 * transmission / (1.0 - r * transmission)
 
 
 def mean_path(i, n):
-    """Return the path inside per diameter: 1 − r get in, for 1/(1 − r) legs of cos t each."""
+    """Return the path inside per diameter: 1 − r enters, for 1/(1 − r) segments of cos t each."""
     _, t = fresnel(i, n)
     return math.cos(t)
 
 
 @pytest.mark.parametrize("entry", ["projected", "uniform"])
 def test_mean_cosine_and_path_of_a_smooth_sphere(entry):
-    weight = projected if entry == "projected" else math.sin
+    weight = projected_density if entry == "projected" else math.sin
     z = []
     for ray, n in enumerate((1.1, 1.31, 1.6)):
-        cosine, path, alive = scatter(n, entry=entry, ray=ray)
+        cosine, path, alive = sample_scattering(n, entry=entry, ray=ray)
         assert alive.all()
         for sample, expected in (
-            (cosine, over_impacts(lambda i, n=n: mean_cosine(i, n), weight)),
-            (path / (2 * RADIUS), over_impacts(lambda i, n=n: mean_path(i, n), weight)),
+            (cosine, integrate_impacts(lambda i, n=n: mean_cosine(i, n), weight)),
+            (path / (2 * RADIUS), integrate_impacts(lambda i, n=n: mean_path(i, n), weight)),
         ):
             z.append((sample.mean() - expected) / (sample.std() / math.sqrt(COUNT)))
-    # A sample has a cosine and a path each.
+    # Cosine and path of a sample count as one.
     judge_z(z, f"smooth sphere, {entry}", independent=3)
     assert np.abs(z).max() < 3.0
 
 
-def test_asymmetry_of_an_ice_sphere_is_the_known_one():
-    expected = over_impacts(lambda i: mean_cosine(i, 1.31), projected)
+def test_asymmetry_of_an_ice_sphere():
+    expected = integrate_impacts(lambda i: mean_cosine(i, 1.31), projected_density)
     assert abs(expected - 0.78) < 0.005
-    cosine, _, _ = scatter(1.31, ray=3)
+    cosine, _, _ = sample_scattering(1.31, ray=3)
     judge_z([(cosine.mean() - expected) / (cosine.std() / math.sqrt(COUNT))], "asymmetry")
 
 
 def test_absorption_in_a_smooth_sphere():
-    # Both ways to absorb, weights and coins, against the sum over internal orders.
+    # Weighted and analog absorption against the sum over internal orders.
     z = []
     for number, depth in enumerate((0.1, 1.0, 5.0)):
         absorption = depth / (2.0 * RADIUS)
-        expected = over_impacts(lambda i, depth=depth: mean_escape(i, 1.31, depth), projected)
-        _, path, _ = scatter(1.31, ray=10 + 2 * number)
+        expected = integrate_impacts(
+            lambda i, depth=depth: mean_escape(i, 1.31, depth), projected_density
+        )
+        _, path, _ = sample_scattering(1.31, ray=10 + 2 * number)
         weight = np.exp(-absorption * path)
-        _, _, alive = scatter(1.31, absorption=absorption, analog=True, ray=11 + 2 * number)
+        _, _, alive = sample_scattering(
+            1.31, absorption=absorption, analog=True, ray=11 + 2 * number
+        )
         z.append((weight.mean() - expected) / (weight.std() / math.sqrt(COUNT)))
         z.append((alive.mean() - expected) / math.sqrt(expected * (1 - expected) / COUNT))
     judge_z(z, "absorbing sphere")
 
 
-def test_matched_grain_does_not_deviate():
+def test_matched_grain_does_not_deviate_rays():
     for psi, facetness in ((1.0, 0.0), (0.5, 0.0), (0.7, 1.0)):
         for entry in ("uniform", "projected"):
-            cosine, path, _ = scatter(1.0, psi, facetness, entry)
+            cosine, path, _ = sample_scattering(1.0, psi, facetness, entry)
             assert np.abs(cosine - 1.0).max() < 1e-12
             assert path.min() > 0.0
 
 
-def test_rough_grain_loses_forward_scattering():
-    means = [scatter(1.31, 0.8, f)[0].mean() for f in (0.0, 0.3, 1.0)]
+def test_roughness_reduces_forward_scattering():
+    means = [sample_scattering(1.31, 0.8, f)[0].mean() for f in (0.0, 0.3, 1.0)]
     assert means[0] > means[1] + 0.01 > means[2] + 0.02

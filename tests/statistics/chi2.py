@@ -1,9 +1,9 @@
-"""How tests draw samples from kernels and how they judge families of comparisons.
+"""Samples from kernels, and significance tests of sets of comparisons.
 
-A family of comparisons fails when its worst member is less likely than 1 % for the family as a
-whole (Šidák): one comparison among n may then have p as low as 1 − 0.99^(1/n).  It fails, too, when
-the rms of its z is outside the two-sided 99 % of χ²: stated errors may be neither too small nor too
-large.  tests/statistics/test_judge.py shows what that finds.
+A set of comparisons fails if its worst member has a probability below 1 % for the whole set
+(Šidák): one of n comparisons may have p as low as 1 − 0.99^(1/n).  It also fails if the rms of its
+z is outside the two-sided 99 % interval of χ²: stated errors may be neither too small nor too
+large.  tests/statistics/test_judge.py measures the power of these tests.
 """
 
 from __future__ import annotations
@@ -23,16 +23,14 @@ NEEDS_JIT = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow withou
 SEED = 20_240_611
 
 
-CELL_PROBABILITIES = np.arange(1, 53) / 53
+BIN_PROBABILITIES = np.arange(1, 53) / 53
 TAIL_PROBABILITIES = np.array([1e-4, 5e-4, 2e-3])
-CELL_EDGES = np.concatenate(
-    [TAIL_PROBABILITIES, CELL_PROBABILITIES, 1.0 - TAIL_PROBABILITIES[::-1]]
-)
-"""Cells of a probability, finer in both tails."""
+BIN_EDGES = np.concatenate([TAIL_PROBABILITIES, BIN_PROBABILITIES, 1.0 - TAIL_PROBABILITIES[::-1]])
+"""Bin edges in probability, finer in both tails."""
 
 
 def uniform_cdf(u):
-    """Return the cumulative probability of numbers that are uniform."""
+    """Return the cumulative distribution of uniform numbers on [0, 1]."""
     return u
 
 
@@ -75,10 +73,9 @@ def draw_samples(sampler, count: int, *args, width: int = 0, ray: int = 0) -> np
 
 
 def compute_p_of_counts(counts, probabilities) -> float:
-    """Return the chi-square p-value of counts in cells of known probability.
+    """Return the chi-square p-value of counts in bins of known probability.
 
-    Cells where fewer than ten counts are expected are pooled; a cell of probability 0 must be
-    empty.
+    Bins with fewer than ten expected counts are pooled; a bin of probability 0 must be empty.
     """
     counts = np.asarray(counts, dtype=float).ravel()
     probabilities = np.asarray(probabilities, dtype=float).ravel()
@@ -101,7 +98,7 @@ def compute_p_of_counts(counts, probabilities) -> float:
 def compute_p_of_values(values, cdf, edges=53) -> float:
     """Return the chi-square p-value of a sample against a continuous distribution.
 
-    `edges` are probabilities between cells, or the number of cells of equal probability.
+    `edges` are probabilities between bins, or the number of bins of equal probability.
     """
     u = np.asarray(cdf(np.asarray(values)), dtype=float)
     if np.isscalar(edges):
@@ -113,7 +110,7 @@ def compute_p_of_values(values, cdf, edges=53) -> float:
 
 
 def tabulate_cdf(density, low: float, high: float, points: int = 20_001):
-    """Return the cumulative of a density on [low, high] by the trapezoidal rule."""
+    """Return the cumulative distribution of a density on [low, high] by the trapezoidal rule."""
     x = np.linspace(low, high, points)
     y = density(x)
     cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]))])
@@ -122,7 +119,7 @@ def tabulate_cdf(density, low: float, high: float, points: int = 20_001):
 
 
 def judge_p(p_values: dict) -> None:
-    """Fail if the smallest p-value of a family is below Šidák's bound."""
+    """Fail if the smallest p-value of a set is below Šidák's bound."""
     bound = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / len(p_values))
     worst = min(p_values, key=p_values.get)
     report = f"{len(p_values)} chi-square tests, smallest p {p_values[worst]:.3g} at {worst}"
@@ -132,20 +129,20 @@ def judge_p(p_values: dict) -> None:
 
 @cache
 def compute_z_bound(count: int) -> float:
-    """Return the |z| that the largest of `count` comparisons exceeds in 1 % of all families."""
+    """Return the |z| that the largest of `count` comparisons exceeds with a probability of 1 %."""
     return float(stats.norm.isf(0.5 * (1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / count))))
 
 
 @cache
 def compute_rms_limits(independent: int) -> tuple[float, float]:
-    """Return the limits within which the rms z of independent comparisons is in 99 % of cases."""
+    """Return the limits that contain the rms z of independent comparisons in 99 % of cases."""
     ends = np.array([0.5 * SIGNIFICANCE, 1.0 - 0.5 * SIGNIFICANCE])
     low, high = np.sqrt(stats.chi2.ppf(ends, independent) / independent)
     return float(low), float(high)
 
 
 def judge_z(z, label: str = "", independent: int | None = None, bound_added: bool = False) -> None:
-    """Fail if the largest |z| of a family, or its rms, is less likely than 1 %.
+    """Fail if the largest |z| of a set, or its rms, has a probability below 1 %.
 
     Parameters
     ----------
@@ -153,13 +150,13 @@ def judge_z(z, label: str = "", independent: int | None = None, bound_added: boo
         Differences in units of their standard error.
     label : str
     independent : int, optional
-        Number of independent comparisons where several share paths, default: all of them.  The
-        rms of z² of fully correlated ones scatters as that of one, so one per run is on the safe
-        side; correlation only makes Šidák's bound wider than it need be.
+        Number of independent comparisons, default: all of them.  The mean of z² of fully
+        correlated comparisons scatters as that of one, so one per run is conservative where
+        comparisons share paths; for Šidák's bound correlation is conservative.
     bound_added : bool
-        Errors hold the bound of a bias besides the statistical part (interpolation between
-        refractive indices, what an expansion leaves out), so that they are too large by design:
-        only the upper limit counts.
+        Errors include the bound of a bias besides the statistical part (interpolation between
+        refractive indices, truncation of an expansion), so that they are too large by design:
+        only the upper limit applies.
     """
     z = np.asarray(z, dtype=float)
     flat = z.ravel()
@@ -178,14 +175,14 @@ def judge_z(z, label: str = "", independent: int | None = None, bound_added: boo
 
 
 def compute_pooled_z(differences, errors, values=None) -> float:
-    """Return the signed mean of many differences, weighted by inverse variance, in its own error.
+    """Return the mean of differences, weighted by inverse variance, in units of its error.
 
     Parameters
     ----------
     differences, errors : array_like
-        Independent ones.
+        Independent differences and their standard errors.
     values : array_like, optional
-        Makes the differences relative: what they are differences of.
+        Reference values; if given, differences are relative to these.
     """
     d, s = np.ravel(differences), np.ravel(errors)
     v = np.ones_like(d) if values is None else np.ravel(values)
@@ -194,13 +191,13 @@ def compute_pooled_z(differences, errors, values=None) -> float:
 
 
 def judge_scatter(samples, stated, label: str = "", bound_added: bool = False) -> None:
-    """Fail if the scatter of repeated runs is not what they state: both sides, at 1 % together.
+    """Fail if the scatter of repeated runs is above or below their stated errors, at 1 %.
 
     Parameters
     ----------
     samples, stated : array_like, shape (runs, …)
         Values of independent runs and their standard errors.  Quantities of a run may share
-        paths: each by itself is judged by the quantiles of χ², by Šidák's bound for all.
+        paths: each is tested against quantiles of χ², with Šidák's bound for all.
     label : str
     bound_added : bool
         See `judge_z`.
@@ -210,10 +207,10 @@ def judge_scatter(samples, stated, label: str = "", bound_added: bool = False) -
     mean_square = (np.asarray(stated, dtype=float) ** 2).mean(axis=0).ravel()
     square = ((samples - samples.mean(axis=0)) ** 2).sum(axis=0).ravel()
     assert (square[mean_square == 0.0] == 0.0).all()
-    known = mean_square > 0.0
-    chi2 = square[known] / mean_square[known]
-    each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / chi2.size)
-    low, high = np.sqrt(stats.chi2.ppf([0.5 * each, 1.0 - 0.5 * each], runs - 1) / (runs - 1))
+    positive = mean_square > 0.0
+    chi2 = square[positive] / mean_square[positive]
+    level = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / chi2.size)
+    low, high = np.sqrt(stats.chi2.ppf([0.5 * level, 1.0 - 0.5 * level], runs - 1) / (runs - 1))
     low = 0.0 if bound_added else low
     ratio = np.sqrt(chi2 / (runs - 1))
     report = (

@@ -1,7 +1,7 @@
-"""Single events in a ray's life, drawn as the kernels draw them: for tests to look at.
+"""Single events of a ray history, sampled by the functions of the kernels.
 
-Each comes in double precision, as the scalar kernel has it, and where its name ends in `_by_lane`
-in single precision, with the random numbers of a lane.
+Functions work in double precision like the scalar kernel, and those whose names end in `_by_lane`
+in single precision, with the random numbers of a lane of the vectorized kernel.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ single = np.float32
 def sample_unit_sphere(state):
     """Return a direction uniform on the sphere (Marsaglia 1972)."""
     z = 2.0 * rng.uniform(state) - 1.0
-    turn = rng.sample_azimuth(state)
+    azimuth = rng.sample_azimuth(state)
     r = np.sqrt((1.0 - z) * (1.0 + z))
-    return Vector(r * turn.cos, r * turn.sin, z)
+    return Vector(r * azimuth.cos, r * azimuth.sin, z)
 
 
 @njit
@@ -47,7 +47,7 @@ def to_single_precision(v):
 
 
 def make_lane_words(ray=0):
-    """Return the whole numbers of lanes whose rays have drawn nothing yet."""
+    """Return the integer state of lanes at the start of their random streams."""
     words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
     for lane in range(lane_state.N_LANES):
         start = int(start_random_stream(ray + lane)[0])
@@ -63,32 +63,32 @@ def make_lane_words(ray=0):
 
 @njit
 def sample_entry(state, d, size, entry_rule):
-    """Return where a ray along d strikes a grain."""
-    aim = sample_entry_variates(state, size.flattening)
-    return spheroid.sample_entry_point(d, size, aim, entry_rule)
+    """Return a sampled entry point of a ray along d into a grain."""
+    variates = sample_entry_variates(state, size.flattening)
+    return spheroid.sample_entry_point(d, size, variates, entry_rule)
 
 
 @njit
 def trace_grain(state, d, size, facetness, wet, scene, optics, length):
-    """Return a ray after a grain of the first type, as the kernel has it, and the point of entry.
+    """Return the path of a ray through a grain of the first type, and its entry point.
 
-    Lengths are set.
+    `length` is overwritten with the path lengths in the materials.
     """
     length[:] = 0.0
     entry = sample_entry(state, d, size, scene.rules.entry_sampling)
     limit = math.inf if scene.rules.analog else FIRST_ROULETTE_DEPTH
-    candidate = GrainSample(0, size, 0.5 * facetness)
-    found = NextEvent(candidate, Collision(0.0, 0.0, entry, False, True, 0.0), 0, False)
+    grain_sample = GrainSample(0, size, 0.5 * facetness)
+    event = NextEvent(grain_sample, Collision(0.0, 0.0, entry, False, True, 0.0), 0, False)
     return trace_through_grain(
-        state, make_beam_state(d, wet, limit), found, scene, optics, length
+        state, make_beam_state(d, wet, limit), event, scene, optics, length
     ), entry
 
 
 @njit
 def play_roulette(state, grain_path):
-    """Return the weight of a ray after a grain and the roulette that follows it, 0 for none."""
-    payment = history.apply_roulette(state, grain_path.payload.roulette)
-    return payment.roulette.weight if grain_path.alive and payment.alive else 0.0
+    """Return the weight of a ray after a grain and roulette, 0 if it is terminated."""
+    result = history.apply_roulette(state, grain_path.payload.roulette)
+    return result.roulette.weight if grain_path.alive and result.alive else 0.0
 
 
 # --- surfaces ---------------------------------------------------------------------------------
@@ -96,7 +96,7 @@ def play_roulette(state, grain_path):
 
 @njit
 def make_flat_surface(normal):
-    """Return a grain, and where on it its outward normal is `normal`."""
+    """Return a sphere at the point where its outward normal is `normal`."""
     return Spheroid(normal, UP, 0.0, 1.0)
 
 
@@ -107,33 +107,33 @@ def make_flat_surface_by_lane(normal):
 
 @njit
 def sample_facet(state, d, normal, facetness, rule):
-    """Return the facet that a ray strikes on a surface, drawn as `walk.sample_interaction` does."""
+    """Return a sampled facet of a surface, as `grain_path.sample_interaction` samples it."""
     smooth = microfacet.make_smooth_facet(d, make_flat_surface(normal), 1.0)
     while True:
         azimuth = rng.sample_azimuth(state)
         azimuth = Angle(abs(azimuth.cos), azimuth.sin)
-        numbers = InteractionVariates(
+        variates = InteractionVariates(
             rng.uniform(state), 0.5, 0.0, rng.sample_half_normal(state), azimuth
         )
-        facet = microfacet.sample_microfacet(d, smooth, 0.5 * facetness, numbers, False, rule)
+        facet = microfacet.sample_microfacet(d, smooth, 0.5 * facetness, variates, False, rule)
         if facet.accepted:
             return facet
 
 
 @njit
 def sample_facet_by_lane(words, d, normal, sigma, rule):
-    """Return the facet that a ray strikes, drawn as the lanes' `sample_interaction` does."""
+    """Return a sampled facet of a surface, as the vectorized surface pass samples it."""
     smooth = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), single(1.0))
     while True:
-        numbers = draw_interaction_variates(words, 0, True, True)
-        facet = microfacet.sample_microfacet(d, smooth, sigma, numbers, False, rule)
+        variates = draw_interaction_variates(words, 0, True, True)
+        facet = microfacet.sample_microfacet(d, smooth, sigma, variates, False, rule)
         if facet.accepted:
             return facet
 
 
 @njit
 def compute_facet_normal(d, facet):
-    """Return a facet's normal on the side of the ray, as `surface.outcome` takes it."""
+    """Return the normal of a facet on the side of the ray, as `reflect_or_refract` uses it."""
     normal = interaction.compute_facet_normal(
         d, facet.normal, facet.cos_i, facet.tilt, facet.azimuth
     )
@@ -143,7 +143,7 @@ def compute_facet_normal(d, facet):
 
 @njit
 def attempt_interaction(state, d, interface_state, normal, facetness, media, rules):
-    """Return what a trial at a surface leads to."""
+    """Return the result of one sampling attempt at a surface."""
     return sample_interaction(
         state, d, interface_state, make_flat_surface(normal), 0.5 * facetness, media, rules
     )
@@ -151,39 +151,39 @@ def attempt_interaction(state, d, interface_state, normal, facetness, media, rul
 
 @njit
 def attempt_interaction_by_lane(words, d, interface_state, normal, sigma, media, rules):
-    """Return what a trial at a surface leads to, drawn as the lanes' `sample_interaction` does."""
-    numbers = draw_interaction_variates(words, 0, True, True)
+    """Return the result of one sampling attempt, as the vectorized surface pass makes it."""
+    variates = draw_interaction_variates(words, 0, True, True)
     facet = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), interface_state.side)
     if sigma > single(0.0):
         facet = microfacet.sample_microfacet(
-            d, facet, sigma, numbers, interface_state.in_lobe, rules.facet_sampling
+            d, facet, sigma, variates, interface_state.in_lobe, rules.facet_sampling
         )
     mirrored = rules.wrong_side != WRONG_SIDE_LOBE
     return interaction.reflect_or_refract(
-        d, interface_state, facet, media, numbers.u_fresnel, mirrored, ALL_FEATURES
+        d, interface_state, facet, media, variates.u_fresnel, mirrored, ALL_FEATURES
     )
 
 
 @njit
 def resolve_interaction(state, d, normal, facetness, near, far, rules):
-    """Return what becomes of a ray at a surface whose normal is against it."""
-    stand = InterfaceState(0.0, 1.0, False, False)
+    """Return the accepted interaction of a ray with a surface whose normal points against it."""
+    interface_state = InterfaceState(0.0, 1.0, False, False)
     media = interaction.relative_index(near, far)
     while True:
-        after = attempt_interaction(state, d, stand, normal, facetness, media, rules)
-        if after.accepted:
-            return InterfaceSample(after.transmitted, after.direction)
-        stand = InterfaceState(0.0, 1.0, after.needs_lobe, after.transmitted)
+        result = attempt_interaction(state, d, interface_state, normal, facetness, media, rules)
+        if result.accepted:
+            return InterfaceSample(result.transmitted, result.direction)
+        interface_state = InterfaceState(0.0, 1.0, result.needs_lobe, result.transmitted)
 
 
 @njit
 def resolve_interaction_by_lane(words, d, normal, sigma, near, far, rules):
-    """Return what becomes of a ray at a surface, by the numbers of a lane."""
+    """Return the accepted interaction of a ray with a surface, by random numbers of a lane."""
     zero, one = single(0.0), single(1.0)
-    stand = InterfaceState(zero, one, False, False)
+    interface_state = InterfaceState(zero, one, False, False)
     media = interaction.relative_index(near, far)
     while True:
-        after = attempt_interaction_by_lane(words, d, stand, normal, sigma, media, rules)
-        if after.accepted:
-            return InterfaceSample(after.transmitted, after.direction)
-        stand = InterfaceState(zero, one, after.needs_lobe, after.transmitted)
+        result = attempt_interaction_by_lane(words, d, interface_state, normal, sigma, media, rules)
+        if result.accepted:
+            return InterfaceSample(result.transmitted, result.direction)
+        interface_state = InterfaceState(zero, one, result.needs_lobe, result.transmitted)

@@ -1,4 +1,4 @@
-"""Scenes and optics for tests: the one place that knows what kernels are told, and how."""
+"""Scenes, optics and rays of tests in the form that the kernels take."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from numba import njit
 from oracle import scene as oracle_scene
 
 import splits
-from splits.kernels.grains import history, state
+from splits.kernels.grains import history
+from splits.kernels.grains import state as ray_state
 from splits.kernels.grains.free_path import RayGeometry, RouletteState
 from splits.kernels.grains.scene import (
     NO_GROUND,
@@ -51,7 +52,7 @@ def make_coated_grains(thickness, materials, facetness=0.0):
 
 
 def make_scene(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0.0):
-    """Return a slab of grains under a beam, or diffuse light, and how the papers are read."""
+    """Return a slab of grains under a beam or diffuse light, with sampling rules."""
     rules = splits.Interpretation().to_sampling_rules() if rules is None else rules
     layers = Layers(
         np.array([0.0, -depth]), np.array([grains.attenuation]), np.array([float(saturation)]),
@@ -70,7 +71,7 @@ def make_scene(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0
 
 
 def make_medium_scene(medium, incidence=0.0, analog=False, depth=None, saturation=None):
-    """Return the scene that instruments make of a medium, or one of other depth or saturation."""
+    """Return the scene of a medium, optionally with another depth or saturation."""
     scene = build_scene(medium, incidence, analog)
     layers = scene.layers
     if depth is not None:
@@ -81,7 +82,7 @@ def make_medium_scene(medium, incidence=0.0, analog=False, depth=None, saturatio
 
 
 def make_oracle_slab(medium, incidence):
-    """Return grains, slab and rules of a medium as the oracle wants them."""
+    """Return grains, slab and rules of a medium in the form that the oracle takes."""
     grains, rules = medium.make_grain_population(), medium.interpretation.to_sampling_rules(False)
     cos = make_medium_scene(medium, incidence).source.cos_incidence
     slab = oracle_scene.Slab(medium.depth_m, medium.saturation, cos, incidence == "diffuse")
@@ -89,7 +90,7 @@ def make_oracle_slab(medium, incidence):
 
 
 def make_optics(n, k=None, absorption=None):
-    """Return the optics of materials of given indices; what is not given is 0."""
+    """Return the optics of materials of given indices; defaults are 0."""
     n, k, absorption = (
         np.zeros(len(n)) if x is None else np.array(x, dtype=float) for x in (n, k, absorption)
     )
@@ -103,17 +104,17 @@ def compute_optics(medium, wavelength_nm):
 
 
 def to_single_item(optics):
-    """Return the optics of work on lanes of a single item."""
+    """Return optics with a leading axis for a single work item of the vectorized kernel."""
     return Optics(*(values[np.newaxis] for values in optics))
 
 
 def get_vectorized_scene(scene):
-    """Return what the passes over lanes need to know of a scene, in the precision they take."""
+    """Return the constants of a scene for the passes of the vectorized kernel."""
     return make_pass_constants(scene)
 
 
 def keep_all_grains(scene):
-    """Return a scene in which every grain fits."""
+    """Return a scene in which no grain is rejected for overlap."""
     return scene._replace(
         rules=scene.rules._replace(segment_overlap=OVERLAP_KEEP, boundary_overlap=OVERLAP_KEEP)
     )
@@ -121,39 +122,39 @@ def keep_all_grains(scene):
 
 @njit
 def get_pore_space(scene):
-    """Return the pore space between the boundaries of a scene."""
-    return state.get_layer_geometry(scene.layers, 0)
+    """Return the geometry of the first layer of a scene."""
+    return ray_state.get_layer_geometry(scene.layers, 0)
 
 
 @njit
 def sample_pore(u, scene):
-    """Return the material of the pores that a number stands for."""
-    return state.pore_material(scene.layers, 0, u)
+    """Return the pore material that a uniform number selects."""
+    return ray_state.pore_material(scene.layers, 0, u)
 
 
 @njit
 def make_beam_state(d, wet=False, limit=math.inf):
-    """Return what a ray carries, through wet pores where there are any, or through dry ones."""
+    """Return the payload of a new ray in wet pores, or in dry ones."""
     return RayPayload(d, 0, 0.0 if wet else 1.0, RouletteState(0.0, limit, 1.0))
 
 
 @njit
 def make_new_ray(z, d):
-    """Return a ray at a height that has not travelled yet."""
-    return RayGeometry(Vector(0.0, 0.0, z), ORIGIN, d, state.NO_SEGMENT, 0.0)
+    """Return a ray at a height, without a previous segment."""
+    return RayGeometry(Vector(0.0, 0.0, z), ORIGIN, d, ray_state.NO_SEGMENT, 0.0)
 
 
 @njit
 def make_ray_after_segment(z, displacement, d, direction_back, length):
-    """Return a ray at a height, some way from the end of the leg that it travelled last."""
-    place = Vector(-displacement.x, -displacement.y, z - displacement.z)
-    return RayGeometry(place, displacement, d, Segment(ORIGIN, direction_back, length), 0.0)
+    """Return a ray at a height, displaced from the end of its previous segment."""
+    position = Vector(-displacement.x, -displacement.y, z - displacement.z)
+    return RayGeometry(position, displacement, d, Segment(ORIGIN, direction_back, length), 0.0)
 
 
 @njit
-def find_next_event(state, flier, scene, optics):
-    """Return what a ray meets next."""
-    return history.sample_next_event(state, flier, make_beam_state(flier.direction), scene, optics)
+def find_next_event(state, ray, scene, optics):
+    """Return the next sampled event of a ray."""
+    return history.sample_next_event(state, ray, make_beam_state(ray.direction), scene, optics)
 
 
 @njit
@@ -166,6 +167,6 @@ def _trace(state, scene, optics, length, max_order):
 
 
 def trace_ray(state, scene, optics, max_order=NO_MAX_ORDER):
-    """Return a ray at its end, and the lengths of its paths in all materials (m)."""
+    """Return a ray at the end of its history, and its path lengths in all materials (m)."""
     length = np.zeros(optics.n.size)
     return _trace(state, scene, optics, length, max_order), length

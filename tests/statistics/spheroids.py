@@ -1,6 +1,6 @@
-"""Grains in real space, for tests: kernels keep them as points on the unit sphere.
+"""Geometry of spheroids in real space; kernels represent points on the unit sphere.
 
-Written down independently of `kernels/grains/spheroid.py`; all functions take stacks of vectors.
+It is independent of `kernels/grains/spheroid.py`; all functions take arrays of vectors.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ def dot_product(a, b):
 
 
 def to_real_space(q, w, minor, flattening):
-    """Return the point relative to the grain's centre: the unit sphere stretched along w."""
+    """Return the point relative to the centre of the grain: the unit sphere scaled along w."""
     q, w = np.asarray(q), np.asarray(w)
     minor, flattening = np.asarray(minor)[..., None], np.asarray(flattening)[..., None]
     along = dot_product(q, w) * w
@@ -49,7 +49,7 @@ def compute_normal(p, w, minor, flattening):
 
 def find_closest_approach(start, end, w, minor, flattening, steps=500):
     """Return the least `evaluate_quadratic` along a segment; positions from the centre."""
-    part = np.linspace(0.0, 1.0, steps)
+    fractions = np.linspace(0.0, 1.0, steps)
     return np.min(
-        [evaluate_quadratic(start + t * (end - start), w, minor, flattening) for t in part], 0
+        [evaluate_quadratic(start + t * (end - start), w, minor, flattening) for t in fractions], 0
     )

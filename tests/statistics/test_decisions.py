@@ -1,4 +1,4 @@
-"""Coins that kernels toss: free paths, reflect or refract, air or water, diffuse light."""
+"""Random decisions of the kernels: free paths, reflection, pore medium, source direction."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ from scenes import (
 from spheroids import compute_normal, dot_product, find_closest_approach, to_real_space
 
 import splits
-from splits.kernels.grains import history, state
+from splits.kernels.grains import history
+from splits.kernels.grains import state as ray_state
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import ORIGIN, UP, Vector
@@ -46,8 +47,8 @@ from splits.kernels.optics.source import Source, sample_source_direction
 from splits.media import grain_statistics
 
 N_SAMPLES = scale_sample_size(200_000)
-# Way from the end of the last leg, its direction, its length.
-NO_SEGMENT = (ORIGIN, state.NO_SEGMENT.direction, state.NO_SEGMENT.length)
+# Displacement from the end of the previous segment, direction back along it, its length.
+NO_SEGMENT = (ORIGIN, ray_state.NO_SEGMENT.direction, ray_state.NO_SEGMENT.length)
 TRANSPARENT_OPTICS = make_optics([1.0, 1.0, 1.0])
 # Semi-major axes of SPLITSnow Table 1 (m).
 MIN_SEMI_AXIS_M, MAX_SEMI_AXIS_M = 1.5e-4, 3.75e-4
@@ -56,34 +57,34 @@ DEEP_SLAB = {"depth": 1e4, "saturation": 0.0}
 
 
 def compute_binomial_z(hits, p):
-    """Return how many standard errors a share of hits lies from p, in a list.
+    """Return a list with the deviation of a binomial fraction from p in standard errors.
 
-    What is certain, p = 0 or 1, must be so, and is no comparison.
+    For p = 0 or 1 the fraction must be exact, and the list is empty.
     """
-    share = np.mean(hits)
+    fraction = np.mean(hits)
     if p in (0.0, 1.0):
-        assert share == p
+        assert fraction == p
         return []
-    return [(share - p) / math.sqrt(p * (1.0 - p) / np.size(hits))]
+    return [(fraction - p) / math.sqrt(p * (1.0 - p) / np.size(hits))]
 
 
 @njit
 def _sample_next_grain(state, z, d, scene, optics, displacement, direction_back, length):
-    """Return leg, semi-minor axis, flattening, entry point, major axis and normal."""
-    flier = make_ray_after_segment(z, displacement, d, direction_back, length)
-    found = find_next_event(state, flier, scene, optics)
-    met = found.collision
-    grain, n = met.entry.grain, met.entry.normal
+    """Return distance, semi-minor axis, flattening, entry point, major axis and normal."""
+    ray = make_ray_after_segment(z, displacement, d, direction_back, length)
+    event = find_next_event(state, ray, scene, optics)
+    collision = event.collision
+    grain, n = collision.entry.grain, collision.entry.normal
     q, w = grain.q, grain.w
-    outside = 1.0 if met.leaves_layer else 0.0
+    outside = 1.0 if collision.leaves_layer else 0.0
     return (
-        met.distance, grain.semi_minor, grain.flattening, q.x, q.y, q.z, w.x, w.y, w.z,
+        collision.distance, grain.semi_minor, grain.flattening, q.x, q.y, q.z, w.x, w.y, w.z,
         n.x, n.y, n.z, outside,
     )  # fmt: skip
 
 
 def sample_next_grains(count, z, d, snow, slab=None, previous_segment=NO_SEGMENT):
-    """Draw next grains; vectors as (count, 3).  Rays that reach a boundary first are left out."""
+    """Return samples of the next grain, vectors as (count, 3), except at a boundary."""
     scene = make_medium_scene(snow, **(slab or DEEP_SLAB))
     out = draw_samples(
         _sample_next_grain,
@@ -99,23 +100,25 @@ def sample_next_grains(count, z, d, snow, slab=None, previous_segment=NO_SEGMENT
     return *out[:, :3].T, out[:, 3:6], out[:, 6:9], out[:, 9:12]
 
 
-def test_free_path_and_grain_in_a_deep_medium():
+def test_free_paths_and_grains_follow_their_distributions():
     p = {}
     for entry in ("uniform", "projected"):
         snow = splits.Snow(depth_m=1e4, saturation=0.0, interpretation={"entry_point": entry})
         d = (0.48, -0.64, 0.6)
-        leg, minor, flattening, q, w, n = sample_next_grains(
+        distance, minor, flattening, q, w, n = sample_next_grains(
             scale_sample_size(100_000), -5e3, d, snow
         )
-        # A grain that the ray strikes from outside, with the normal of the point it strikes.
+        # The ray enters the grain from outside, and the normal is that of the entry point.
         assert np.abs((q * q).sum(axis=1) - 1.0).max() < 1e-12
         assert np.abs((w * w).sum(axis=1) - 1.0).max() < 1e-12
         at = to_real_space(q, w, minor, flattening)
         assert np.abs(compute_normal(at, w, minor, flattening) - n).max() < 1e-11
         assert dot_product(n, d).max() < 0.0
         b, psi = minor / (1.0 - flattening), np.sqrt(1.0 - flattening)
-        distance = snow.mean_grain_distance_m
-        p[entry, "distance"] = compute_p_of_values(leg, lambda x, d=distance: -np.expm1(-x / d))
+        mean_free_path = snow.mean_grain_distance_m
+        p[entry, "distance"] = compute_p_of_values(
+            distance, lambda x, d=mean_free_path: -np.expm1(-x / d)
+        )
         p[entry, "size"] = compute_p_of_values(
             b, lambda s: (1 / MIN_SEMI_AXIS_M - 1 / s) / (1 / MIN_SEMI_AXIS_M - 1 / MAX_SEMI_AXIS_M)
         )
@@ -129,80 +132,80 @@ def test_free_path_and_grain_in_a_deep_medium():
     judge_p(p)
 
 
-def test_grain_is_forgotten_when_the_boundary_comes_first():
+def test_rays_stop_at_a_boundary_before_the_grain():
     snow = splits.Snow(depth_m=1e4, interpretation={"overlap_with_boundary": "keep"})
-    ahead = snow.mean_grain_distance_m
+    mean_free_path = snow.mean_grain_distance_m
     out = draw_samples(
         _sample_next_segment,
         scale_sample_size(50_000),
-        -ahead,
+        -mean_free_path,
         make_medium_scene(snow, **DEEP_SLAB),
         TRANSPARENT_OPTICS,
         width=4,
     )
-    legs, heights, reached, lost = out.T
-    # The boundary lies one mean distance ahead: e^-1 of all rays get there.
+    lengths, heights, reached, lost = out.T
+    # The boundary is one mean free path ahead: e^-1 of all rays reach it.
     reached = reached == 1.0
     assert not lost.any()
-    assert (legs[reached] == ahead).all() and (heights[reached] == 0.0).all()
-    assert legs.max() == ahead and heights[~reached].max() < 0.0
+    assert (lengths[reached] == mean_free_path).all() and (heights[reached] == 0.0).all()
+    assert lengths.max() == mean_free_path and heights[~reached].max() < 0.0
     judge_z(compute_binomial_z(reached, math.exp(-1.0)), "boundary first")
 
 
 @njit
 def _sample_next_segment(state, z, scene, optics):
-    """Return where the leg of a ray straight up ends, and whether at the boundary."""
-    flier = make_ray_after_segment(z, Vector(0.0, 0.0, 0.0), UP, UP, -1.0)
-    found = find_next_event(state, flier, scene, optics)
-    there = history.move_to_event(flier, found, get_pore_space(scene))
-    outside = 1.0 if found.collision.leaves_layer else 0.0
-    return there.previous_segment.length, there.position.z, outside, 1.0 if found.lost else 0.0
+    """Return where the segment of a vertical ray ends, and whether at the boundary."""
+    ray = make_ray_after_segment(z, Vector(0.0, 0.0, 0.0), UP, UP, -1.0)
+    event = find_next_event(state, ray, scene, optics)
+    moved = history.move_to_event(ray, event, get_pore_space(scene))
+    outside = 1.0 if event.collision.leaves_layer else 0.0
+    return moved.previous_segment.length, moved.position.z, outside, 1.0 if event.lost else 0.0
 
 
 @njit
 def _sample_crossing(state, mu, n1, n2):
     d = Vector(math.sqrt(1.0 - mu * mu), 0.0, mu)
     near, far = ComplexIndex(n1, 0.0), ComplexIndex(n2, 0.0)
-    passed, d = interface.sample_interface(
+    transmitted, d = interface.sample_interface(
         d, interface.orient_horizontal_normal(d), near, far, rng.uniform(state)
     )
-    return 1.0 if passed else 0.0, d.x, d.y, d.z
+    return 1.0 if transmitted else 0.0, d.x, d.y, d.z
 
 
-def test_share_reflected_at_an_extended_boundary():
+def test_reflected_fraction_at_a_plane_interface():
     z = []
     for n1, n2 in ((1.0, 1.33), (1.33, 1.0), (1.0, 1.0), (1.0, 3.0)):
         for mu in (1.0, 0.7, 0.3, 0.05, -0.9, -0.2):
             out = draw_samples(_sample_crossing, N_SAMPLES // 4, mu, n1, n2, width=4)
-            passed, dx, dy, dz = out.T
+            transmitted, dx, dy, dz = out.T
             sine_t = n1 / n2 * math.sqrt(1.0 - mu * mu)
             reflectance = fresnel.fresnel(n1, n2, 0.0, abs(mu)).reflectance
-            z += compute_binomial_z(passed, 1.0 - reflectance)
-            went = passed == 1.0
-            assert (dz[~went] == -mu).all() and (dy == 0.0).all()
-            assert (np.sign(dz[went]) == np.sign(mu)).all()
-            assert not went.any() or np.abs(dx[went] - sine_t).max() < 1e-12
+            z += compute_binomial_z(transmitted, 1.0 - reflectance)
+            crossed = transmitted == 1.0
+            assert (dz[~crossed] == -mu).all() and (dy == 0.0).all()
+            assert (np.sign(dz[crossed]) == np.sign(mu)).all()
+            assert not crossed.any() or np.abs(dx[crossed] - sine_t).max() < 1e-12
     judge_z(z, "boundary")
 
 
 @njit
 def _sample_interaction(state, cos_i, near, far, facetness, rules):
     d = Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i)
-    passed, d = resolve_interaction(state, d, UP, facetness, near, far, rules)
-    return 1.0 if passed else 0.0, d.x, d.y, d.z
+    transmitted, d = resolve_interaction(state, d, UP, facetness, near, far, rules)
+    return 1.0 if transmitted else 0.0, d.x, d.y, d.z
 
 
 @njit
 def _sample_interaction_by_lane(state, words, cos_i, near, far, sigma, rules):
     d = to_single_precision(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
-    passed, d = resolve_interaction_by_lane(
+    transmitted, d = resolve_interaction_by_lane(
         words, d, to_single_precision(UP), sigma, near, far, rules
     )
-    return 1.0 if passed else 0.0, np.float64(d.x), np.float64(d.y), np.float64(d.z)
+    return 1.0 if transmitted else 0.0, np.float64(d.x), np.float64(d.y), np.float64(d.z)
 
 
 def sample_interactions(precision, count, cos_i, n1, n2, k2, facetness, rules, ray=0):
-    """Draw what becomes of rays at a surface: whether they passed, and their directions."""
+    """Return samples of the interaction with a surface: transmitted or not, and directions."""
     if precision == "double":
         near, far = ComplexIndex(n1, 0.0), ComplexIndex(n2, k2)
         return draw_samples(
@@ -219,21 +222,23 @@ PRECISIONS = ["double", pytest.param("single", marks=NEEDS_JIT)]
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_share_reflected_at_a_smooth_grain(precision):
+def test_reflected_fraction_at_a_smooth_grain(precision):
     rules = splits.Interpretation().to_sampling_rules()
     z = []
     for n1, n2, k2 in ((1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.31, 1.33, 1e-3), (1.0, 1.3, 0.5)):
         for cos_i in (1.0, 0.8, 0.5, 0.1):
             out = sample_interactions(precision, N_SAMPLES // 4, cos_i, n1, n2, k2, 0.0, rules)
-            passed, _, _, dz = out.T
-            z += compute_binomial_z(passed, 1.0 - fresnel.fresnel(n1, n2, k2, cos_i).reflectance)
-            assert ((dz < 0.0) == (passed == 1.0)).all()
+            transmitted, _, _, dz = out.T
+            z += compute_binomial_z(
+                transmitted, 1.0 - fresnel.fresnel(n1, n2, k2, cos_i).reflectance
+            )
+            assert ((dz < 0.0) == (transmitted == 1.0)).all()
     judge_z(z, "grain")
 
 
 @njit
 def _sample_reflectance(state, cos_i, n1, n2, facetness, rules):
-    """Return the reflectance at a facet that a ray strikes."""
+    """Return the reflectance of a sampled facet."""
     d = Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i)
     facet = sample_facet(state, d, UP, facetness, rules.facet_sampling)
     return fresnel.fresnel(n1, n2, 0.0, facet.cos_facet).reflectance
@@ -247,7 +252,7 @@ def _sample_reflectance_by_lane(state, words, cos_i, n1, n2, sigma, rules):
 
 
 def sample_reflectances(precision, count, cos_i, n1, n2, facetness, rules, ray):
-    """Draw reflectances at facets."""
+    """Return samples of the reflectance of facets."""
     if precision == "double":
         return draw_samples(_sample_reflectance, count, cos_i, n1, n2, facetness, rules, ray=ray)
     words, sigma = make_lane_words(ray), single(0.5 * facetness)
@@ -255,25 +260,27 @@ def sample_reflectances(precision, count, cos_i, n1, n2, facetness, rules, ray):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_share_reflected_at_a_rough_grain(precision):
-    # Reflectance averaged over facets against the share of rays reflected; whatever facet is
-    # met, a ray ends up on the side of the macroscopic surface that it was sent to.
+def test_reflected_fraction_at_a_rough_grain(precision):
+    # Reflectance averaged over facets against the fraction of reflected rays.  Whichever facet is
+    # hit, the ray leaves on the side of the mean surface that was sampled.
     z = []
     ray = 0
     for wrong_side in ("cosine_lobe", "mirror"):
         for rule in ("projected", "unweighted", "any"):
-            read = splits.Interpretation(facet_sampling=rule, wrong_side_ray=wrong_side)
-            rules = read.to_sampling_rules()
+            interpretation = splits.Interpretation(facet_sampling=rule, wrong_side_ray=wrong_side)
+            rules = interpretation.to_sampling_rules()
             for n1, n2 in ((1.0, 1.31), (1.31, 1.0)):
                 for cos_i in (0.9, 0.3):
-                    how = cos_i, n1, n2
-                    expected = sample_reflectances(precision, N_SAMPLES // 8, *how, 0.8, rules, ray)
-                    out = sample_interactions(
-                        precision, N_SAMPLES // 8, *how, 0.0, 0.8, rules, ray + 1
+                    geometry = cos_i, n1, n2
+                    expected = sample_reflectances(
+                        precision, N_SAMPLES // 8, *geometry, 0.8, rules, ray
                     )
-                    passed, dz = out[:, 0], out[:, 3]
-                    reflected = 1.0 - passed
-                    assert ((dz < 0.0) == (passed == 1.0)).all()
+                    out = sample_interactions(
+                        precision, N_SAMPLES // 8, *geometry, 0.0, 0.8, rules, ray + 1
+                    )
+                    transmitted, dz = out[:, 0], out[:, 3]
+                    reflected = 1.0 - transmitted
+                    assert ((dz < 0.0) == (transmitted == 1.0)).all()
                     assert np.abs((out[:, 1:] ** 2).sum(axis=1) - 1.0).max() < 1e-6
                     error = math.sqrt((expected.var() + reflected.var()) / len(out))
                     z.append((expected.mean() - reflected.mean()) / error)
@@ -300,76 +307,81 @@ def test_pore_medium_follows_saturation():
 
 
 @njit
-def _launch(state, light):
+def _sample_source_direction(state, light):
     return sample_source_direction(light, rng.uniform(state))
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_light_comes_as_a_beam_or_by_lamberts_law_or_both(share):
+@pytest.mark.parametrize("diffuse_fraction", [0.0, 0.3, 1.0])
+def test_source_mixes_beam_and_lambertian_light(diffuse_fraction):
     beam = 0.8
-    d = draw_samples(_launch, N_SAMPLES, Source(beam, share), width=3)
+    d = draw_samples(_sample_source_direction, N_SAMPLES, Source(beam, diffuse_fraction), width=3)
     assert np.abs((d * d).sum(axis=1) - 1.0).max() < 1e-14
     assert d[:, 2].max() < 0.0 and d[:, 0].min() >= 0.0 and (d[:, 1] == 0.0).all()
     from_beam = d[:, 2] == -beam
-    z = compute_binomial_z(from_beam, 1.0 - share)
+    z = compute_binomial_z(from_beam, 1.0 - diffuse_fraction)
     if z:
         judge_z(z, "beam")
-    if share > 0.0:
-        # Of equal radiance, flux through a horizontal face has density 2μ.
-        judge_p({share: compute_p_of_values(-d[~from_beam, 2], lambda mu: mu * mu, 101)})
+    if diffuse_fraction > 0.0:
+        # For isotropic radiance, the flux through a horizontal plane has density 2μ.
+        judge_p({diffuse_fraction: compute_p_of_values(-d[~from_beam, 2], lambda mu: mu * mu, 101)})
 
 
 PREVIOUS_SEGMENTS = {
-    # Straight on from where the last leg ended, and some way through a grain from there.
+    # Directly from the end of the previous segment, and displaced through a grain from there.
     "reversal": (Vector(0.0, 0.0, 0.0), Vector(0.0, 0.0, -1.0), 2e-3),
-    "beyond a grain": (Vector(1e-4, -5e-5, 2e-4), Vector(-0.28, 0.0, -0.96), 3e-3),
+    "through a grain": (Vector(1e-4, -5e-5, 2e-4), Vector(-0.28, 0.0, -0.96), 3e-3),
 }
 
 
 @pytest.mark.parametrize("name", PREVIOUS_SEGMENTS)
-def test_no_grain_lies_on_the_last_leg_unless_kept(name):
-    last_leg = PREVIOUS_SEGMENTS[name]
-    g, back, length = np.array(last_leg[0]), np.array(last_leg[1]), last_leg[2]
+def test_grains_do_not_overlap_the_previous_segment_unless_kept(name):
+    previous_segment = PREVIOUS_SEGMENTS[name]
+    displacement, back, length = (
+        np.array(previous_segment[0]),
+        np.array(previous_segment[1]),
+        previous_segment[2],
+    )
     d = np.array([0.1, 0.0, math.sqrt(0.99)])
-    least = {}
-    for fate in ("reject", "keep", "skip"):
-        snow = splits.Snow(depth_m=1e4, interpretation={"overlap_with_previous_segment": fate})
-        leg, minor, flattening, q, w, _ = sample_next_grains(
-            scale_sample_size(20_000), -5e3, d, snow, previous_segment=last_leg
+    closest = {}
+    for rule in ("reject", "keep", "skip"):
+        snow = splits.Snow(depth_m=1e4, interpretation={"overlap_with_previous_segment": rule})
+        distance, minor, flattening, q, w, _ = sample_next_grains(
+            scale_sample_size(20_000), -5e3, d, snow, previous_segment=previous_segment
         )
-        # Both ends of the last leg as seen from the grain's centre.
-        end = to_real_space(q, w, minor, flattening) - leg[:, None] * d - g
-        least[fate] = find_closest_approach(end - length * back, end, w, minor, flattening)
-    assert min(least["reject"].min(), least["skip"].min()) >= 1.0
-    assert (least["keep"] < 1.0).mean() > {"reversal": 0.5, "beyond a grain": 0.3}[name]
+        # Both ends of the previous segment, relative to the centre of the grain.
+        end = to_real_space(q, w, minor, flattening) - distance[:, None] * d - displacement
+        closest[rule] = find_closest_approach(end - length * back, end, w, minor, flattening)
+    assert min(closest["reject"].min(), closest["skip"].min()) >= 1.0
+    assert (closest["keep"] < 1.0).mean() > {"reversal": 0.5, "through a grain": 0.3}[name]
 
 
 @pytest.mark.parametrize("z", [-1e-4, -9e-4])
-def test_no_grain_crosses_a_boundary_unless_kept(z):
+def test_grains_do_not_cross_a_boundary_unless_kept(z):
     slab = {"depth": 1e-3, "saturation": 0.0}
     d = np.array([0.8, 0.0, 0.6])
-    share = {}
-    for fate in ("reject", "keep", "skip"):
-        snow = splits.Snow(depth_m=1e-3, interpretation={"overlap_with_boundary": fate})
-        # Close below the boundary, one ray in 75 finds a grain that fits before it gets there.
-        leg, minor, flattening, q, w, _ = sample_next_grains(
+    fraction = {}
+    for rule in ("reject", "keep", "skip"):
+        snow = splits.Snow(depth_m=1e-3, interpretation={"overlap_with_boundary": rule})
+        # Close below the boundary, one ray in 75 hits a grain that fits before it reaches it.
+        distance, minor, flattening, q, w, _ = sample_next_grains(
             scale_sample_size(400_000), z, d, snow, slab
         )
-        assert leg.size > 50 and leg.max() <= -z / d[2]
-        centre = z + leg * d[2] - to_real_space(q, w, minor, flattening)[:, 2]
-        # Where the gradient is vertical: c² + (b² − c²) w_z² is the square of the half height.
+        assert distance.size > 50 and distance.max() <= -z / d[2]
+        centre = z + distance * d[2] - to_real_space(q, w, minor, flattening)[:, 2]
+        # The surface normal is vertical where the half height squared is c² + (b² − c²) w_z².
         major = minor / (1.0 - flattening)
         half = np.sqrt(minor**2 + (major**2 - minor**2) * w[:, 2] ** 2)
-        share[fate] = ((centre + half > 1e-15) | (centre - half < -1e-3 - 1e-15)).mean()
-    assert share["reject"] == share["skip"] == 0.0
-    assert share["keep"] > 0.2
+        fraction[rule] = ((centre + half > 1e-15) | (centre - half < -1e-3 - 1e-15)).mean()
+    assert fraction["reject"] == fraction["skip"] == 0.0
+    assert fraction["keep"] > 0.2
 
 
-def test_skipped_grains_thin_the_process_of_grains():
-    """Spheres of radius a whose poles lie a (1 − n_z) above their points of entry.
+def test_skipped_grains_thin_the_poisson_process():
+    """Free paths below a boundary where spheres that cross it are skipped.
 
-    With n_z uniform, or its square for projected entry, they fit at depth s < a with probability
-    s/a, or 1 − (1 − s/a)²; the integral of that is the optical thickness of the way down.
+    Spheres of radius a have their poles a (1 − n_z) above their entry points.  With n_z uniform, or
+    its square for projected entry, they fit at depth s < a with probability s/a, or 1 − (1 − s/a)²;
+    the integral of that is the optical thickness down to s.
     """
     a, depth = 2e-4, 1e4
     p = {}
@@ -379,13 +391,13 @@ def test_skipped_grains_thin_the_process_of_grains():
             density_kg_m3=450,
             interpretation={"overlap_with_boundary": "skip", "entry_point": entry},
         )  # fmt: skip
-        leg = sample_next_grains(N_SAMPLES, 0.0, np.array([0.0, 0.0, -1.0]), snow)[0]
+        distance = sample_next_grains(N_SAMPLES, 0.0, np.array([0.0, 0.0, -1.0]), snow)[0]
 
-        def law(s, entry=entry, per_metre=1.0 / snow.mean_grain_distance_m):
+        def cdf(s, entry=entry, per_metre=1.0 / snow.mean_grain_distance_m):
             x = np.minimum(s / a, 1.0)
             within = x**2 / 2.0 if entry == "uniform" else x**2 - x**3 / 3.0
-            beyond = np.maximum(s - a, 0.0)
-            return -np.expm1(-per_metre * (a * within + beyond))
+            below = np.maximum(s - a, 0.0)
+            return -np.expm1(-per_metre * (a * within + below))
 
-        p[entry] = compute_p_of_values(leg, law)
+        p[entry] = compute_p_of_values(distance, cdf)
     judge_p(p)

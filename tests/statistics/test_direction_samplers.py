@@ -1,4 +1,4 @@
-"""Half-normal numbers, directions on circle, sphere and in lobes, and the frames around them."""
+"""Half-normal numbers, directions on circle, sphere and in lobes, and local frames."""
 
 from __future__ import annotations
 
@@ -53,16 +53,16 @@ def compute_azimuth_fraction(x, y):
     return (np.arctan2(y, x) / (2.0 * np.pi)) % 1.0
 
 
-def compute_p_of_unit_square(a, b, cells=12):
-    """Return the chi-square p-value of pairs that should fill the unit square evenly."""
-    counts = np.histogram2d(a, b, bins=cells, range=((0, 1), (0, 1)))[0]
+def compute_p_of_unit_square(a, b, bins=12):
+    """Return the chi-square p-value of pairs that should be uniform on the unit square."""
+    counts = np.histogram2d(a, b, bins=bins, range=((0, 1), (0, 1)))[0]
     assert counts.sum() == a.size
-    return compute_p_of_counts(counts, np.full(cells * cells, 1.0 / cells**2))
+    return compute_p_of_counts(counts, np.full(bins * bins, 1.0 / bins**2))
 
 
-def test_half_normal():
+def test_half_normal_numbers_follow_their_distribution():
     x = draw_samples(rng.sample_half_normal, N_SAMPLES)
-    # Cells far out in the tail as well as cells of equal probability.
+    # Bins far in the tail as well as bins of equal probability.
     edges = np.concatenate([np.arange(1, 50) / 50, 1.0 - np.array([1e-2, 3e-3, 1e-3, 3e-4])])
     p = {
         "half normal": compute_p_of_values(x, stats.halfnorm.cdf, edges),
@@ -73,7 +73,7 @@ def test_half_normal():
     judge_p(p)
 
 
-def test_unit_circle():
+def test_azimuths_are_uniform():
     points = draw_samples(rng.sample_azimuth, N_SAMPLES, width=2)
     assert np.abs((points**2).sum(axis=1) - 1.0).max() < 1e-15 * 4
     judge_p({"azimuth": compute_p_of_values(compute_azimuth_fraction(*points.T), uniform_cdf, 101)})
@@ -89,13 +89,13 @@ def _sample_half_circle(state):
     return elementary.sample_half_circle(rng.uniform(state))
 
 
-def test_circle():
+def test_circle_directions_are_uniform():
     points = draw_samples(_sample_circle, N_SAMPLES, width=2)
     assert np.abs((points**2).sum(axis=1) - 1.0).max() < 1e-15 * 4
     judge_p({"azimuth": compute_p_of_values(compute_azimuth_fraction(*points.T), uniform_cdf, 101)})
 
 
-def test_half_circle():
+def test_half_circle_directions_are_uniform():
     points = draw_samples(_sample_half_circle, N_SAMPLES, width=2)
     assert np.abs((points**2).sum(axis=1) - 1.0).max() < 1e-15 * 4
     assert points[:, 0].min() > 0.0
@@ -103,11 +103,11 @@ def test_half_circle():
     judge_p({"angle": compute_p_of_values(angle / np.pi + 0.5, uniform_cdf, 101)})
 
 
-def test_unit_sphere():
+def test_sphere_directions_are_uniform():
     points = draw_samples(sample_unit_sphere, N_SAMPLES, width=3)
     assert np.abs((points**2).sum(axis=1) - 1.0).max() < 1e-14
     x, y, z = points.T
-    # Archimedes: every coordinate is uniform, and independent of the azimuth around it.
+    # By Archimedes' theorem every coordinate is uniform and independent of the azimuth around it.
     judge_p(
         {
             "around z": compute_p_of_unit_square(0.5 * (1 + z), compute_azimuth_fraction(x, y)),
@@ -124,8 +124,8 @@ def _sample_lobe(state, x, y, z):
 
 @njit
 def _sample_single_precision_lobe(state, x, y, z):
-    u, turn = np.float32(rng.uniform(state)), np.float32(rng.uniform(state))
-    d = vectors.sample_cosine_lobe(to_single_precision(Vector(x, y, z)), u, turn)
+    u, u_azimuth = np.float32(rng.uniform(state)), np.float32(rng.uniform(state))
+    d = vectors.sample_cosine_lobe(to_single_precision(Vector(x, y, z)), u, u_azimuth)
     return float(d.x), float(d.y), float(d.z)
 
 
@@ -135,7 +135,7 @@ def judge_lobe(sampler, rounding, *args, sign=1.0):
     for normal in NORMALS:
         points = sign * draw_samples(sampler, N_SAMPLES, *normal, *args, width=3)
         assert np.abs((points**2).sum(axis=1) - 1.0).max() < rounding
-        # An independent frame: any two vectors that complete the normal.
+        # The frame around the normal is independent of that of the kernel.
         u = np.cross(normal, [0.267, 0.535, 0.802])
         u /= np.linalg.norm(u)
         v = np.cross(normal, u)
@@ -148,12 +148,12 @@ def judge_lobe(sampler, rounding, *args, sign=1.0):
     judge_p(p)
 
 
-def test_lobe():
+def test_cosine_lobe_follows_its_density():
     judge_lobe(_sample_lobe, 1e-14)
 
 
 @NEEDS_JIT
-def test_lobe_in_single_precision():
+def test_cosine_lobe_in_single_precision():
     judge_lobe(_sample_single_precision_lobe, 1e-6)
 
 
@@ -162,47 +162,49 @@ RULES = splits.Interpretation().to_sampling_rules()
 
 
 @njit
-def _sample_grain_lobe(state, x, y, z, through):
-    """Return where a rough grain sends a ray that was to go to the wrong side of its surface."""
+def _sample_grain_lobe(state, x, y, z, transmitted):
+    """Return the lobe direction of a ray that a facet of a grain sent to the wrong side."""
     normal = Vector(x, y, z)
     # Any direction against the normal.
     t = vectors.make_tangents(normal)
     d = vectors.linear_combination(0.6, t.u, -0.8, normal)
-    after = attempt_interaction(
-        state, d, InterfaceState(0.0, 1.0, True, through), normal, 0.5, MEDIA, RULES
+    result = attempt_interaction(
+        state, d, InterfaceState(0.0, 1.0, True, transmitted), normal, 0.5, MEDIA, RULES
     )
     return (
-        after.direction
-        if after.accepted and after.transmitted == through
+        result.direction
+        if result.accepted and result.transmitted == transmitted
         else Vector(0.0, 0.0, 0.0)
     )
 
 
 @njit
-def _sample_grain_lobe_by_lane(state, x, y, z, words, through):
+def _sample_grain_lobe_by_lane(state, x, y, z, words, transmitted):
     normal = Vector(x, y, z)
     t = vectors.make_tangents(normal)
     d = to_single_precision(vectors.linear_combination(0.6, t.u, -0.8, normal))
-    stand = InterfaceState(np.float32(0.0), np.float32(1.0), True, through)
+    interface_state = InterfaceState(np.float32(0.0), np.float32(1.0), True, transmitted)
     zero, one = np.float32(0.0), np.float32(1.0)
     media = relative_index(ComplexIndex(one, zero), ComplexIndex(np.float32(1.31), zero))
-    after = attempt_interaction_by_lane(
-        words, d, stand, to_single_precision(normal), np.float32(0.25), media, RULES
+    result = attempt_interaction_by_lane(
+        words, d, interface_state, to_single_precision(normal), np.float32(0.25), media, RULES
     )
-    sound = after.accepted and after.transmitted == through
-    return after.direction if sound else to_single_precision(Vector(0.0, 0.0, 0.0))
+    valid = result.accepted and result.transmitted == transmitted
+    return result.direction if valid else to_single_precision(Vector(0.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("through", [False, True])
-def test_lobe_of_a_grain(through):
-    judge_lobe(_sample_grain_lobe, 1e-14, through, sign=-1.0 if through else 1.0)
+@pytest.mark.parametrize("transmitted", [False, True])
+def test_lobe_of_a_grain_follows_the_cosine(transmitted):
+    judge_lobe(_sample_grain_lobe, 1e-14, transmitted, sign=-1.0 if transmitted else 1.0)
 
 
 @NEEDS_JIT
-@pytest.mark.parametrize("through", [False, True])
-def test_lobe_of_a_grain_in_single_precision(through):
+@pytest.mark.parametrize("transmitted", [False, True])
+def test_lobe_of_a_grain_in_single_precision(transmitted):
     words = make_lane_words()
-    judge_lobe(_sample_grain_lobe_by_lane, 1e-6, words, through, sign=-1.0 if through else 1.0)
+    judge_lobe(
+        _sample_grain_lobe_by_lane, 1e-6, words, transmitted, sign=-1.0 if transmitted else 1.0
+    )
 
 
 @njit
@@ -214,7 +216,7 @@ def _make_bases(normals, out):
             out[i, 3 + j] = t.v[j]
 
 
-def test_tangents():
+def test_tangents_are_orthonormal():
     random = draw_samples(sample_unit_sphere, scale_sample_size(20_000), width=3)
     near_pole = np.array([[1e-8, 1e-8, 1.0], [1e-8, -1e-8, -1.0], [0.0, 1.0, 0.0]])
     normals = np.concatenate([NORMALS, near_pole, random])
@@ -227,7 +229,7 @@ def test_tangents():
     assert np.abs(np.linalg.det(frame) - 1.0).max() < 1e-14
 
 
-def test_around_keeps_the_polar_angle():
+def test_rotate_around_keeps_the_polar_angle():
     for cosine in (-1.0, -0.3, 0.0, 0.4, 1.0):
         sine = np.sqrt(1.0 - cosine**2)
         for normal in NORMALS[:6]:
@@ -238,7 +240,7 @@ def test_around_keeps_the_polar_angle():
             assert abs(d @ d - 1.0) < 1e-14
 
 
-def test_mirrored():
+def test_reflect_reverses_the_normal_component():
     for normal in NORMALS[:6]:
         d = np.array([0.36, -0.48, 0.8])
         m = np.array(vectors.reflect(Vector(*d), Vector(*normal)))

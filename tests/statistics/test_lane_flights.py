@@ -1,4 +1,4 @@
-"""The grains that the pass `flight` gives to lanes, against the laws they must follow."""
+"""Grains sampled by the flight pass of the vectorized kernel against their distributions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from chi2 import (
-    CELL_EDGES,
+    BIN_EDGES,
     NEEDS_JIT,
     compute_p_of_counts,
     compute_p_of_values,
@@ -37,7 +37,7 @@ DEPTH_M = 1e4
 
 
 def make_deep_scene(medium):
-    """Return a scene without boundaries within reach, tables and shares, as `batch` makes them."""
+    """Return a scene with distant boundaries, features, tables and the distribution of types."""
     scene = keep_all_grains(make_medium_scene(medium, depth=DEPTH_M, saturation=0.0))
     types = scene.types
     tables = (
@@ -52,11 +52,11 @@ def make_deep_scene(medium):
 
 
 @njit
-def _sample_flights(state, words, features, scene, tables, share, out):
-    """Fill `out` with the grains that lanes get, one after the other in every lane."""
+def _sample_flights(state, words, features, scene, tables, type_cdf, out):
+    """Fill `out` with the grains that the rays of all lanes hit successively."""
     filled = 0
     while filled < out.shape[0]:
-        sampling.draw_grain_properties(state, words, N_LANES, features, tables, share)
+        sampling.draw_grain_properties(state, words, N_LANES, features, tables, type_cdf)
         flight.run_flight_pass(state, words, N_LANES, features, scene)
         for lane in range(N_LANES):
             if state[lane_state.STATUS + lane] == lane_state.AT_SURFACE:
@@ -71,8 +71,8 @@ def _sample_flights(state, words, features, scene, tables, share, out):
 
 
 def sample_collisions(medium, count=N_SAMPLES):
-    """Return the rows of the state of lanes that have just met a grain, by row."""
-    scene, features, tables, share = make_deep_scene(medium)
+    """Return a function that gives rows of the state of lanes after a collision with a grain."""
+    scene, features, tables, type_cdf = make_deep_scene(medium)
     state = np.zeros(lane_state.STATE_SIZE, dtype=single)
     words = make_lane_words()
     for lane in range(N_LANES):
@@ -85,7 +85,7 @@ def sample_collisions(medium, count=N_SAMPLES):
         ):  # fmt: skip
             state[row + lane] = value
     out = np.empty((count, COLUMN_COUNTS), dtype=single)
-    _sample_flights(state, words, features, scene, tables, share, out)
+    _sample_flights(state, words, features, scene, tables, type_cdf, out)
     return lambda *which: out[:, [row // N_LANES for row in which]].astype(float).squeeze()
 
 
@@ -94,7 +94,7 @@ RAY = np.array([0.48, -0.64, 0.6])
 
 @pytest.mark.parametrize("entry", ["uniform", "projected"])
 @pytest.mark.parametrize("psi", [0.3, 0.6, 0.95, 1.0])
-def test_flight_strikes_grains_as_the_laws_say(psi, entry):
+def test_flight_pass_follows_the_entry_distributions(psi, entry):
     from spheroids import dot_product
     from test_struck_grains import (
         compute_area_below,
@@ -121,7 +121,7 @@ def test_flight_strikes_grains_as_the_laws_say(psi, entry):
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     facing = np.clip(-n @ RAY, 0.0, 1.0)
     v = np.cross(n, RAY)
-    turn = (
+    axis_azimuth = (
         np.arctan2(dot_product(w, v)[:, 0], dot_product(w, np.cross(n, v))[:, 0])
         / (2 * np.pi)
         % 1.0
@@ -129,11 +129,11 @@ def test_flight_strikes_grains_as_the_laws_say(psi, entry):
     u = np.cross(RAY, [1.0, 0.0, 0.0])
     u /= np.linalg.norm(u)
     azimuth = np.arctan2(n @ np.cross(RAY, u), n @ u) / (2 * np.pi) % 1.0
-    cells = np.histogram2d(
+    counts = np.histogram2d(
         compute_area_below(np.clip(z, -1, 1), psi), compute_facing_cdf(facing, entry), bins=10,
         range=((0, 1), (0, 1)),
     )[0]  # fmt: skip
-    side = int((w @ RAY > 0.0).sum())
+    n_forward = int((w @ RAY > 0.0).sum())
     curvature = (1.0 - flattening) / rows_of(lane_state.SEMI_MINOR)
     scale = medium.mean_grain_distance_m
     judge_p(
@@ -142,13 +142,13 @@ def test_flight_strikes_grains_as_the_laws_say(psi, entry):
             "axis": compute_p_of_values(
                 np.clip(np.abs(w @ RAY), 0, 1), compute_axis_cdf(psi, entry)
             ),
-            "axis side": compute_p_of_counts([side, N_SAMPLES - side], [0.5, 0.5]),
+            "axis side": compute_p_of_counts([n_forward, N_SAMPLES - n_forward], [0.5, 0.5]),
             "facing": compute_p_of_values(facing, lambda x: compute_facing_cdf(x, entry)),
-            "joint": compute_p_of_counts(cells, np.full(100, 0.01)),
-            "turn": compute_p_of_values(turn, uniform_cdf),
+            "joint": compute_p_of_counts(counts, np.full(100, 0.01)),
+            "turn": compute_p_of_values(axis_azimuth, uniform_cdf),
             "azimuth": compute_p_of_values(azimuth, uniform_cdf),
             "distance": compute_p_of_values(
-                rows_of(lane_state.PREV_LENGTH), stats.expon(scale=scale).cdf, CELL_EDGES
+                rows_of(lane_state.PREV_LENGTH), stats.expon(scale=scale).cdf, BIN_EDGES
             ),
             "size": compute_p_of_values(
                 curvature,
@@ -158,8 +158,8 @@ def test_flight_strikes_grains_as_the_laws_say(psi, entry):
     )
 
 
-def test_shapes_that_are_drawn_again_keep_their_law():
-    """A shape is kept until an axial position fits: as often as it is struck, not more often."""
+def test_rejection_preserves_the_shape_distribution():
+    """Rejection of an axial position keeps the shape, so that its distribution is unchanged."""
     from chi2 import tabulate_cdf
 
     limits = (0.3, 1.0, 0.5, 0.3)
@@ -174,14 +174,14 @@ def test_shapes_that_are_drawn_again_keep_their_law():
     psi = np.sqrt(1.0 - flattening)
     curvature = (1.0 - flattening) / rows_of(lane_state.SEMI_MINOR)
     facetness = 2.0 * rows_of(lane_state.ROUGHNESS)
-    law = stats.truncnorm(-0.1 / 0.072, 0.1 / 0.072, loc=0.3, scale=0.072)
+    distribution = stats.truncnorm(-0.1 / 0.072, 0.1 / 0.072, loc=0.3, scale=0.072)
     p = {
         "shape": compute_p_of_values(psi, tabulate_cdf(density, *limits[:2])),
         "size": compute_p_of_values(
             curvature, lambda x: np.clip((x - 1 / 3.75e-4) / (1 / 1.5e-4 - 1 / 3.75e-4), 0, 1)
         ),
         "roughness": compute_p_of_values(
-            facetness, lambda x: np.clip(law.cdf(x), 0, 1), CELL_EDGES
+            facetness, lambda x: np.clip(distribution.cdf(x), 0, 1), BIN_EDGES
         ),
     }
     judge_p(p)
@@ -195,18 +195,24 @@ def test_shapes_that_are_drawn_again_keep_their_law():
     judge_z(z, "shape, size, distance, roughness")
 
 
-def test_types_of_sand_are_met_by_their_shares():
+def test_sand_types_are_hit_by_their_fractions():
     sand = splits.Sand(
         iron_oxide=0.04, hematite_ratio=0.4, magnetite=0.1, partition=(0.4, 0.35, 0.25)
     )
-    shares = np.diff([0.0, *sand.make_grain_population().type_cdf])
+    fractions = np.diff([0.0, *sand.make_grain_population().type_cdf])
     rows_of = sample_collisions(sand)
-    kind = rows_of(lane_state.TYPE)
+    grain_type = rows_of(lane_state.TYPE)
     psi = np.sqrt(1.0 - rows_of(lane_state.FLATTENING))
-    halves = np.histogram2d(
-        kind, psi > np.median(psi), bins=[np.arange(shares.size + 1) - 0.5, [-0.5, 0.5, 1.5]]
+    counts = np.histogram2d(
+        grain_type,
+        psi > np.median(psi),
+        bins=[np.arange(fractions.size + 1) - 0.5, [-0.5, 0.5, 1.5]],
     )[0]
-    p = {"types": compute_p_of_counts(np.bincount(kind.astype(int), minlength=shares.size), shares)}
-    # All types have one shape: it is kept together with the type.
-    p["types and shapes"] = stats.chi2_contingency(halves).pvalue
+    p = {
+        "types": compute_p_of_counts(
+            np.bincount(grain_type.astype(int), minlength=fractions.size), fractions
+        )
+    }
+    # All types have the same shape distribution: a rejection keeps type and shape together.
+    p["types and shapes"] = stats.chi2_contingency(counts).pvalue
     judge_p(p)

@@ -1,4 +1,4 @@
-"""What lanes draw, in single precision, against the laws it must follow: single functions."""
+"""Samplers of the vectorized kernel, in single precision, against their distributions."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 import pytest
 from chi2 import (
-    CELL_EDGES,
-    CELL_PROBABILITIES,
+    BIN_EDGES,
+    BIN_PROBABILITIES,
     NEEDS_JIT,
     TAIL_PROBABILITIES,
     compute_p_of_counts,
@@ -60,8 +60,8 @@ def _to_unit_interval(bits):
     return lane_rng.to_uniform_31(np.uint64(bits))
 
 
-def test_the_largest_numbers_are_below_one():
-    """Rounded to 1, a number would choose a type of grain beyond the last."""
+def test_uniform_numbers_are_below_one():
+    """Numbers rounded to 1 would select a grain type after the last."""
     assert max(_to_unit_interval(2**31 - 1 - i) for i in range(200)) == 1.0 - 2.0**-24
     assert _to_unit_interval(0) == 2.0**-32
     assert _to_unit_interval(2**30) == 0.5
@@ -91,34 +91,34 @@ def set_lane_key(words, lane, start):
 
 
 @pytest.mark.parametrize("lane", [0, 1, lane_state.N_LANES - 1])
-def test_a_lane_draws_the_stream_of_its_ray(lane):
+def test_lanes_use_the_random_stream_of_their_ray(lane):
     words = np.full(lane_state.WORDS_SIZE, 0xDEADBEEF, dtype=np.uint32)
     for ray in (0, 1, 12_345, 2**40):
         state = start_random_stream(ray)
         set_lane_key(words, lane, int(state[0]))
-        expected, found = (np.empty(1000, dtype=np.uint64) for _ in range(2))
+        expected, actual = (np.empty(1000, dtype=np.uint64) for _ in range(2))
         _draw_stream_words(state, expected)
-        # A fresh ray has drawn none: its count starts at 1.
-        _draw_words(words, lane, 1, found)
-        np.testing.assert_array_equal(found, expected)
-        _draw_words(words, lane, 101, found[:900])
-        np.testing.assert_array_equal(found[:900], expected[100:])
+        # A new ray has drawn no numbers: its count starts at 1.
+        _draw_words(words, lane, 1, actual)
+        np.testing.assert_array_equal(actual, expected)
+        _draw_words(words, lane, 101, actual[:900])
+        np.testing.assert_array_equal(actual[:900], expected[100:])
         doubles, uniforms = np.empty(1000), np.empty(1000)
         _draw_doubles(expected, doubles)
         _draw_uniforms(start_random_stream(ray), uniforms)
         np.testing.assert_array_equal(doubles, uniforms)
 
 
-def test_numbers_continue_past_two_to_the_31():
+def test_streams_continue_after_2_to_the_31_numbers():
     words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
     start = start_random_stream(5)
     set_lane_key(words, 3, int(start[0]))
-    found, expected = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
+    actual, expected = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
     for first in (2**31 - 32, 2**32 - 64):
-        _draw_words(words, 3, first, found)
+        _draw_words(words, 3, first, actual)
         ahead = (int(start[0]) + (first - 1) * int(rng.GOLDEN_GAMMA)) % 2**64
         _draw_stream_words(np.array([ahead], dtype=np.uint64), expected)
-        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(actual, expected)
 
 
 # --- uniform numbers --------------------------------------------------------------------------
@@ -145,21 +145,21 @@ def _to_uniform(word):
 def test_three_numbers_are_uniform_and_independent():
     out = draw_samples(_draw_three, N_SAMPLES, width=3)
     assert out.min() > 0.0 and out.max() < 1.0
-    p = {i: compute_p_of_values(out[:, i], uniform_cdf, CELL_EDGES) for i in range(3)}
+    p = {i: compute_p_of_values(out[:, i], uniform_cdf, BIN_EDGES) for i in range(3)}
     for i, j in ((0, 1), (0, 2), (1, 2)):
-        cells = np.histogram2d(out[:, i], out[:, j], bins=12, range=((0, 1), (0, 1)))[0]
-        p[i, j] = compute_p_of_counts(cells, np.full(144, 1 / 144))
-    cube = np.histogramdd(out, bins=6, range=[(0, 1)] * 3)[0]
-    p["all"] = compute_p_of_counts(cube, np.full(216, 1 / 216))
-    # From one draw to the next, and in the lowest of the 21 bits.
-    pairs = np.histogram2d(out[:-1, 2], out[1:, 0], bins=12, range=((0, 1), (0, 1)))[0]
-    p["successive"] = compute_p_of_counts(pairs, np.full(144, 1 / 144))
+        counts = np.histogram2d(out[:, i], out[:, j], bins=12, range=((0, 1), (0, 1)))[0]
+        p[i, j] = compute_p_of_counts(counts, np.full(144, 1 / 144))
+    cube_counts = np.histogramdd(out, bins=6, range=[(0, 1)] * 3)[0]
+    p["all"] = compute_p_of_counts(cube_counts, np.full(216, 1 / 216))
+    # Independence of successive numbers, and uniformity of the lowest of the 21 bits.
+    pair_counts = np.histogram2d(out[:-1, 2], out[1:, 0], bins=12, range=((0, 1), (0, 1)))[0]
+    p["successive"] = compute_p_of_counts(pair_counts, np.full(144, 1 / 144))
     for i in range(3):
         p["low bits", i] = compute_p_of_values(np.modf(out[:, i] * 2.0**15)[0], uniform_cdf, 16)
     judge_p(p)
 
 
-def test_numbers_of_the_extreme_words():
+def test_extreme_random_words_give_valid_numbers():
     ends = [np.array(_to_uniform(np.uint64(word))) for word in (0, 2**64 - 1)]
     assert ends[0] == pytest.approx([2.0**-22] * 3 + [2.0**-47, 2.0**-53], rel=1e-7)
     assert ends[1][:3] == pytest.approx([1.0 - 2.0**-22] * 3, abs=1e-9)
@@ -170,32 +170,32 @@ def test_numbers_of_the_extreme_words():
 
 @njit
 def _draw_fine_uniform(state, zeros):
-    """Return a number drawn with so many leading zero bits, times 2^zeros."""
+    """Return a number sampled with `zeros` leading zero bits, times 2^zeros."""
     word = draw_bits(state) >> np.uint64(zeros)
     return float(lane_rng.to_uniform_46(word)) * 2.0**zeros
 
 
 @njit
 def _draw_path_remainder(state, zeros):
-    """Return −ln u of such a number beyond the part that the zeros stand for."""
+    """Return −ln u of a number with `zeros` leading zero bits, less zeros · ln 2."""
     word = draw_bits(state) >> np.uint64(zeros)
     return -float(log(lane_rng.to_uniform_46(word))) - zeros * math.log(2.0)
 
 
-def test_fine_numbers_are_uniform_down_to_their_lower_tail():
-    """Among numbers below 2^-k, hardly ever drawn, the law is the same after scaling."""
+def test_fine_numbers_are_uniform_in_the_lower_tail():
+    """Numbers below 2^-k, which are rare, have the same distribution after scaling."""
     p = {}
     for zeros in (0, 1, 10, 22, 23, 24, 30, 36):
         u = draw_samples(_draw_fine_uniform, N_SAMPLES, zeros, ray=zeros)
         assert u.min() > 0.0 and u.max() <= 1.0
-        # Cells of 2^-46: enough of them below 2^-36 to fill 64 cells of equal probability.
+        # The resolution of 2^-46 suffices below 2^-36 for 64 bins of equal probability.
         p["uniform", zeros] = compute_p_of_values(np.minimum(u, 1.0 - 1e-12), uniform_cdf, 64)
         if zeros <= 30:
-            tail = np.concatenate([CELL_PROBABILITIES, 1.0 - TAIL_PROBABILITIES[::-1]])
-            # Less than the smallest number's own cell is not resolved: 6e-8 in the logarithm.
-            flown = draw_samples(_draw_path_remainder, N_SAMPLES, zeros, ray=100 + zeros)
+            tail = np.concatenate([BIN_PROBABILITIES, 1.0 - TAIL_PROBABILITIES[::-1]])
+            # The logarithm is not resolved below 6e-8, the width of the smallest number.
+            remainder = draw_samples(_draw_path_remainder, N_SAMPLES, zeros, ray=100 + zeros)
             p["exponential", zeros] = compute_p_of_values(
-                np.maximum(flown, 0.0), stats.expon.cdf, tail
+                np.maximum(remainder, 0.0), stats.expon.cdf, tail
             )
     judge_p(p)
 
@@ -215,7 +215,7 @@ def test_azimuths_are_uniform():
     )
 
 
-# --- leaning facets ---------------------------------------------------------------------------
+# --- tilted facets ----------------------------------------------------------------------------
 
 
 @njit
@@ -229,7 +229,7 @@ def _sample_half_circle(state, words):
     return float(azimuth.cos), float(azimuth.sin)
 
 
-def test_numbers_of_a_trial():
+def test_variates_of_an_interaction_follow_their_distributions():
     far = np.concatenate([np.arange(1, 50) / 50, 1.0 - np.array([1e-2, 3e-3, 1e-3, 3e-4])])
     normal = draw_samples(_sample_half_normal, N_SAMPLES, make_lane_words())
     cos, sin = draw_samples(_sample_half_circle, N_SAMPLES, make_lane_words(), width=2).T
@@ -238,11 +238,11 @@ def test_numbers_of_a_trial():
         "normal": compute_p_of_values(normal, stats.halfnorm.cdf, far),
         "azimuth": compute_p_of_values(np.arctan2(sin, cos) / np.pi + 0.5, uniform_cdf, 101),
     }
-    cells = np.histogram2d(
+    counts = np.histogram2d(
         stats.halfnorm.cdf(normal), np.arctan2(sin, cos) / np.pi + 0.5, bins=12,
         range=((0, 1), (0, 1)),
     )[0]  # fmt: skip
-    p["both"] = compute_p_of_counts(cells, np.full(144, 1 / 144))
+    p["both"] = compute_p_of_counts(counts, np.full(144, 1 / 144))
     judge_p(p)
 
 
@@ -254,7 +254,7 @@ def _sample_tilt(state, words, sigma):
     return float(single(1.0) - facet.tilt.cos)
 
 
-def test_leaning_is_half_normal():
+def test_tilt_is_half_normal():
     p = {}
     for facetness in (0.1, 0.3, 1.0):
         sigma = 0.5 * facetness
@@ -262,41 +262,41 @@ def test_leaning_is_half_normal():
             _sample_tilt, N_SAMPLES, make_lane_words(int(100 * facetness)), single(sigma)
         )
         assert x.min() >= 0.0 and x.max() < 1.0
-        law = stats.truncnorm(0.0, 1.0 / sigma, scale=sigma)
-        p[facetness] = compute_p_of_values(x, law.cdf, CELL_EDGES)
+        distribution = stats.truncnorm(0.0, 1.0 / sigma, scale=sigma)
+        p[facetness] = compute_p_of_values(x, distribution.cdf, BIN_EDGES)
         p[facetness, "far"] = compute_p_of_values(
-            x, law.cdf, 1.0 - 10.0 ** -np.arange(1.0, 4.5, 0.5)
+            x, distribution.cdf, 1.0 - 10.0 ** -np.arange(1.0, 4.5, 0.5)
         )
     judge_p(p)
 
 
-def test_a_smooth_facet_does_not_lean():
+def test_smooth_facets_have_no_tilt():
     assert (draw_samples(_sample_tilt, 1000, make_lane_words(), single(0.0)) == 0.0).all()
 
 
-NORMAL = single(1e-4)
-"""Least sine of incidence for which facets are turned exactly (`arithmetic.Precision`)."""
+MIN_SINE = single(1e-4)
+"""Smallest sine of incidence for which facets are rotated exactly (`arithmetic.Precision`)."""
 
 
 @njit
 def _sample_facet(state, words, sigma, cos_i, sin_i, rule):
-    """Return lean and azimuth of a facet, and of incidence the cosine on it."""
+    """Return tilt and azimuth of a sampled facet, and the cosine of incidence on it."""
     zero = single(0.0)
     d = Vector(sin_i, zero, -cos_i)
     facet = sample_facet_by_lane(words, d, to_single_precision(UP), sigma, rule)
     cos_facet = -facet.cos_facet if facet.back_side else facet.cos_facet
-    lean = single(1.0) - facet.tilt.cos
-    sine = facet.tilt.sin * max(sin_i, NORMAL)
-    return float(lean), float(sine), float(facet.azimuth.sin), float(facet.azimuth.cos), cos_facet
+    tilt = single(1.0) - facet.tilt.cos
+    sine = facet.tilt.sin * max(sin_i, MIN_SINE)
+    return float(tilt), float(sine), float(facet.azimuth.sin), float(facet.azimuth.cos), cos_facet
 
 
 @pytest.mark.parametrize("rule", ["projected", "unweighted", "any"])
-def test_facets_are_chosen_as_the_density_says(rule):
+def test_facets_follow_their_density(rule):
     from test_facets import (
-        AZIMUTH_CELLS,
+        N_AZIMUTH_BINS,
+        N_TILT_BINS,
         RULES,
-        TILT_CELLS,
-        compute_cell_probabilities,
+        compute_bin_probabilities,
         make_tilt_distribution,
     )
 
@@ -308,19 +308,19 @@ def test_facets_are_chosen_as_the_density_says(rule):
             single(cos_i), single(sin_i), RULES[rule], width=5,
         )  # fmt: skip
         x, tilt_sine, sine, cosine, cos_facet = out.T
-        # Of the lean itself, 1 − cos has lost the last digits.
+        # 1 − cos of the tilt has lost its last digits.
         assert np.abs(tilt_sine**2 - x * (2.0 - x)).max() < 1e-6
-        expected = (1.0 - x) * cos_i + tilt_sine * max(sin_i, NORMAL) * cosine
+        expected = (1.0 - x) * cos_i + tilt_sine * max(sin_i, MIN_SINE) * cosine
         assert np.abs(cos_facet - expected).max() < 1e-6
         assert rule == "any" or cos_facet.min() >= 0.0
-        turn = np.arctan2(sine, cosine) / (2.0 * np.pi) % 1.0
+        azimuth = np.arctan2(sine, cosine) / (2.0 * np.pi) % 1.0
         counts = np.histogram2d(
-            make_tilt_distribution(facetness).cdf(x), turn, bins=(TILT_CELLS, AZIMUTH_CELLS),
+            make_tilt_distribution(facetness).cdf(x), azimuth, bins=(N_TILT_BINS, N_AZIMUTH_BINS),
             range=((0, 1), (0, 1)),
         )[0]  # fmt: skip
         assert counts.sum() == N_SAMPLES
         p[facetness, cos_i] = compute_p_of_counts(
-            counts, compute_cell_probabilities(facetness, cos_i, rule)
+            counts, compute_bin_probabilities(facetness, cos_i, rule)
         )
     judge_p(p)
 
@@ -330,7 +330,7 @@ def test_facets_are_chosen_as_the_density_says(rule):
 
 @njit
 def _look_up(table, row, x):
-    """Return what a lane reads in a table."""
+    """Return the value that a lane interpolates in a table."""
     state = np.zeros(3 * lane_state.VECTOR_WIDTH, dtype=single)
     state[0], state[lane_state.VECTOR_WIDTH] = row, x
     gather_interpolate(table, state, 0, lane_state.VECTOR_WIDTH, 2 * lane_state.VECTOR_WIDTH)
@@ -339,7 +339,7 @@ def _look_up(table, row, x):
 
 @njit
 def _sample_quantile(state, table):
-    """Return a quantile as `draw_types` does: 31 bits, and a position in single precision."""
+    """Return a quantile from 31 bits, interpolated at a single-precision position."""
     u = (single(np.int32(draw_bits(state) >> np.uint64(33))) + single(0.5)) * single(2.0**-31)
     return float(
         _look_up(table, 0, sampling.compute_quantile_position(u, single(table.shape[1] - 1)))
@@ -356,11 +356,11 @@ def _look_up_exact(table, exact, u, out):
 
 TABLES = {
     "sizes": (
-        grain_statistics.tabulate_struck_inverse_sizes(3e-4, 7.5e-4, "cross_section"),
+        grain_statistics.tabulate_hit_inverse_sizes(3e-4, 7.5e-4, "cross_section"),
         lambda x: (x - 1 / 7.5e-4) / (1 / 3e-4 - 1 / 7.5e-4),
     ),
     "sizes 1000 : 1": (
-        grain_statistics.tabulate_struck_inverse_sizes(1e-5, 1e-2, "cross_section"),
+        grain_statistics.tabulate_hit_inverse_sizes(1e-5, 1e-2, "cross_section"),
         lambda x: (x - 1e2) / (1e5 - 1e2),
     ),
     "facetness": (
@@ -375,14 +375,14 @@ TABLES = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_tables_are_read_as_their_quantile_function(name):
+def test_tables_sample_their_quantile_function(name):
     values, cdf = TABLES[name]
     table = np.ascontiguousarray(values, dtype=single)[np.newaxis]
     sample = draw_samples(_sample_quantile, N_SAMPLES, table)
     far = 10.0 ** np.arange(-4.0, -1.0, 0.5)
     judge_p(
         {
-            "cells": compute_p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), CELL_EDGES),
+            "bins": compute_p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), BIN_EDGES),
             "low": compute_p_of_values(sample, lambda x: np.clip(cdf(x), 0.0, 1.0), far),
             "high": compute_p_of_values(
                 sample, lambda x: np.clip(cdf(x), 0.0, 1.0), 1.0 - far[::-1]
@@ -392,20 +392,20 @@ def test_tables_are_read_as_their_quantile_function(name):
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_tables_are_read_as_in_double_precision(name):
+def test_table_lookup_agrees_with_double_precision(name):
     exact = np.ascontiguousarray(TABLES[name][0])[np.newaxis]
     near = np.logspace(-9.3, -0.4, 200_000)
     u = np.concatenate([near, 1.0 - near, np.linspace(0.0, 1.0, 200_001)]).astype(single)
-    found = np.empty((u.size, 2))
-    _look_up_exact(exact.astype(single), exact, u, found)
-    # A position is off by a few of its last digits, near the upper end 1e-4 of a cell.
+    actual = np.empty((u.size, 2))
+    _look_up_exact(exact.astype(single), exact, u, actual)
+    # Positions have rounding errors, near the upper end 1e-4 of an interval.
     steps = np.abs(np.diff(exact[0])).max()
-    error = np.abs(found[:, 0] - found[:, 1])
-    assert (error <= 3e-7 * np.abs(found[:, 1]) + 4e-4 * steps).all()
-    assert found.min() >= exact.min() * (1 - 1e-7) and found.max() <= exact.max() * (1 + 1e-7)
+    error = np.abs(actual[:, 0] - actual[:, 1])
+    assert (error <= 3e-7 * np.abs(actual[:, 1]) + 4e-4 * steps).all()
+    assert actual.min() >= exact.min() * (1 - 1e-7) and actual.max() <= exact.max() * (1 + 1e-7)
 
 
-def test_every_type_reads_its_own_row_unless_there_is_only_one():
+def test_types_use_their_own_row_of_a_table():
     table = np.array([[0.0, 1.0, 2.0], [10.0, 12.0, 16.0]], dtype=single)
     assert [_look_up(table, row, 1.5) for row in (0, 1)] == [1.5, 14.0]
     assert [_look_up(table[:1].copy(), row, 1.5) for row in (0, 1, 7)] == [1.5] * 3

@@ -1,4 +1,4 @@
-"""A lobe that is cut short by noise: the errors stated where it is, against what is known."""
+"""Stated errors of a BRDF lobe whose expansion is truncated by noise, against exact values."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ SEEDS = 40
 
 
 class SyntheticExits:
-    """Groups of coefficients as rays yield them that leave with a given BRDF.
+    """Batches of expansion coefficients with the noise of rays that exit with a given BRDF.
 
-    Their covariance is that of single exits, ∫ f B_i B_j over projected solid angle, by rays.
-    Every class has an equal part of the light.
+    Their covariance is that of single exits, ∫ f B_i B_j over projected solid angle, divided by
+    the number of rays.  Every class has an equal fraction of the light.
     """
 
     def __init__(self, mean, root, rays, rng, classes=1):
         self.basis, self.wavelength_rows = BASIS, {0: 0}
         self.rays = rays
         noise = rng.standard_normal((N_ANGULAR_BATCHES, classes, 1, mean.size)) @ root.T
-        groups = mean / classes + noise * np.sqrt(N_ANGULAR_BATCHES / rays / classes)
-        self.groups = np.repeat(groups, 2, axis=2)
+        batches = mean / classes + noise * np.sqrt(N_ANGULAR_BATCHES / rays / classes)
+        self.batches = np.repeat(batches, 2, axis=2)
 
     def compute_coefficients(self, _):
-        return self.groups
+        return self.batches
 
     def compute_unscattered(self, _):
         return np.zeros((N_ANGULAR_BATCHES, 2))
 
     def count_rays(self):
-        return np.full(self.groups.shape[1], self.rays)
+        return np.full(self.batches.shape[1], self.rays)
 
 
 def evaluate_forward_lobe(polar, azimuth, width):
-    """Return a BRDF (1/sr) with a forward lobe about 76° of so many degrees, of snow's height."""
+    """Return a BRDF (1/sr) with a forward lobe about 76° of given width in degrees, as of snow."""
     theta, phi, peak = np.radians(polar), np.radians(azimuth), np.radians(76.0)
     cosine = np.cos(theta) * np.cos(peak) + np.sin(theta) * np.sin(peak) * np.cos(phi)
-    away = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return 0.06 + 0.15 * np.exp(-0.5 * (away / width) ** 2)
+    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return 0.06 + 0.15 * np.exp(-0.5 * (angle / width) ** 2)
 
 
 def project_lobe(width):
@@ -60,51 +60,51 @@ def project_lobe(width):
     light = weight * evaluate_forward_lobe(polar[:, np.newaxis], azimuth, width).ravel()
     mean = values.T @ light
     covariance = (values.T * light) @ values - np.outer(mean, mean)
-    share, vectors = np.linalg.eigh(covariance)
-    # The symmetric root: eigenvectors of equal values are another set on every machine.
-    return mean, (vectors * np.sqrt(np.maximum(share, 0.0))) @ vectors.T
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    # The symmetric root is unique, whereas eigenvectors of equal values depend on the machine.
+    return mean, (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ vectors.T
 
 
 def compare_errors(width, rays, classes):
-    """Return how far results are off, over the errors stated, and their bias so."""
+    """Return the rms deviation and the bias of results, both in units of stated errors."""
     mean, root = project_lobe(width)
     truth = ANGLES.polynomials @ mean
     rng = np.random.default_rng(7)
     counted = np.ones(truth.size, dtype=bool)
-    found = []
+    results = []
     for _ in range(SEEDS):
         exits = SyntheticExits(mean, root, rays, rng, classes)
         result, _ = estimate_brdf([exits], np.zeros(1), ANGLES, False, 0, counted)
-        found.append((result.mean[0, 0], result.stderr[0, 0]))
-    value, stated = np.array(found).transpose(1, 0, 2).reshape(2, SEEDS, *LOBE.shape)
-    off = value - truth.reshape(LOBE.shape)
-    error = np.sqrt((stated**2).mean(axis=0))
-    z = np.sqrt((off**2).mean(axis=0)) / error
-    bias = np.abs(off.mean(axis=0)) / error
+        results.append((result.mean[0, 0], result.stderr[0, 0]))
+    value, stderr = np.array(results).transpose(1, 0, 2).reshape(2, SEEDS, *LOBE.shape)
+    deviation = value - truth.reshape(LOBE.shape)
+    error = np.sqrt((stderr**2).mean(axis=0))
+    z = np.sqrt((deviation**2).mean(axis=0)) / error
+    bias = np.abs(deviation.mean(axis=0)) / error
     lobe, elsewhere = compute_rms(z[LOBE]), compute_rms(z[~LOBE])
-    print(f"off over stated: lobe {lobe:.2f}, elsewhere {elsewhere:.2f}, at most")
+    print(f"deviation over stated error: lobe {lobe:.2f}, elsewhere {elsewhere:.2f}, at most")
     print(f"{z.max():.2f}; bias over stated at most {bias.max():.2f}")
-    # 40 values know a root mean square to 11 %, and a mean to 16 % of their scatter.
+    # 40 values determine a root mean square to 11 %, and a mean to 16 % of their scatter.
     assert 0.6 < compute_rms(z[LOBE]) < 1.2 and 0.6 < compute_rms(z[~LOBE]) < 1.2
     return z, bias
 
 
 @pytest.mark.parametrize(("width", "rays"), [(12.0, 30_000), (15.0, 60_000), (10.0, 100_000)])
-def test_a_lobe_cut_by_noise_is_within_its_errors(width, rays):
+def test_lobe_truncated_by_noise_is_within_errors(width, rays):
     z, bias = compare_errors(width, rays, 1)
     assert z.max() < 1.0 + 4.0 * 0.11
     assert bias.max() < 1.0 + 2.0 * 0.16
 
 
 @pytest.mark.parametrize(("width", "rays"), [(10.0, 30_000), (12.0, 100_000), (15.0, 200_000)])
-def test_so_is_a_lobe_that_classes_share(width, rays):
-    # Every class for itself sees little of it: the slope of the lobe may still be off by more.
+def test_lobe_split_among_classes_is_within_errors(width, rays):
+    # In every class the lobe is less significant, so its slope may deviate by more.
     z, _ = compare_errors(width, rays, 4)
     assert z.max() < 2.0
 
 
 class FewRays(SyntheticExits):
-    """A few rays that left as from a Lambertian surface, 100 000 having been traced."""
+    """A few of 100 000 traced rays that exit as from a Lambertian surface."""
 
     def __init__(self, number, rng):
         polar, azimuth = (
@@ -112,26 +112,26 @@ class FewRays(SyntheticExits):
             360.0 * rng.random(number),
         )
         self.basis, self.wavelength_rows, self.rays = BASIS, {0: 0}, 100_000
-        self.groups = np.zeros((N_ANGULAR_BATCHES, 1, 2, BASIS.norms.size))
-        for at, around, group in zip(
+        self.batches = np.zeros((N_ANGULAR_BATCHES, 1, 2, BASIS.norms.size))
+        for theta, phi, batch in zip(
             polar, azimuth, rng.integers(0, N_ANGULAR_BATCHES, number), strict=True
         ):
-            values = make_direction_grid(np.array([at]), np.array([around]), BASIS).polynomials[0]
-            self.groups[group, 0] += values * N_ANGULAR_BATCHES / self.rays
+            values = make_direction_grid(np.array([theta]), np.array([phi]), BASIS).polynomials[0]
+            self.batches[batch, 0] += values * N_ANGULAR_BATCHES / self.rays
 
 
 @pytest.mark.parametrize("number", [1, 2, 4, 8, 32])
-def test_few_rays_do_not_know_their_own_error(number):
+def test_errors_from_few_rays_are_conservative(number):
     rng = np.random.default_rng(number)
     counted = np.ones(len(ANGLES.polynomials), dtype=bool)
     z = []
-    for seen in rng.poisson(number, SEEDS):
-        result, _ = estimate_brdf([FewRays(seen, rng)], np.zeros(1), ANGLES, False, 0, counted)
+    for n_rays in rng.poisson(number, SEEDS):
+        result, _ = estimate_brdf([FewRays(n_rays, rng)], np.zeros(1), ANGLES, False, 0, counted)
         z.append((result.mean[0, 0] - number / 1e5 / np.pi) / result.stderr[0, 0])
-        # No light went straight, which 100 000 rays cannot rule out.
+        # No unscattered ray was recorded; 100 000 rays leave an uncertainty of one ray.
         assert result.hemispherical[3] == pytest.approx(1e-5)
     print(f"{number} rays: rms z {compute_rms(np.array(z)):.2f}, largest {np.abs(z).max():.1f}")
-    # Directions share their rays, so that one run of 40 may be 40 values: an rms known to 11 %.
+    # Directions of a run are correlated, so 40 runs count as 40 values: the rms is known to 11 %.
     assert compute_rms(np.array(z)) < 1.0 + 4.0 * 0.11
 
 
@@ -139,8 +139,8 @@ def compute_rms(values):
     return float(np.sqrt((values**2).mean()))
 
 
-def test_noise_of_what_was_dropped_does_not_raise_errors_of_a_plain_surface():
-    # Lambert's law: all but the constant coefficient is noise.
+def test_truncation_does_not_enlarge_errors_of_a_lambertian_surface():
+    # For a Lambertian surface all coefficients but the constant are noise.
     mean, root = project_lobe(0.01)
     rng = np.random.default_rng(3)
     counted = np.ones(len(ANGLES.polynomials), dtype=bool)
@@ -149,26 +149,26 @@ def test_noise_of_what_was_dropped_does_not_raise_errors_of_a_plain_surface():
         exits = SyntheticExits(mean, root, 30_000, rng, 4)
         result, _ = estimate_brdf([exits], np.zeros(1), ANGLES, False, 0, counted)
         z.append((result.mean[0, 0] - ANGLES.polynomials @ mean) / result.stderr[0, 0])
-    print(f"plain surface: rms z {compute_rms(np.array(z)):.2f}")
+    print(f"Lambertian surface: rms z {compute_rms(np.array(z)):.2f}")
     assert 0.8 < compute_rms(np.array(z)) < 1.2
 
 
 @pytest.mark.parametrize("count", [2, 8, 40])
-def test_noise_is_hardly_ever_taken_for_detail(count):
-    draws = 40_000
+def test_noise_is_rarely_significant(count):
+    n_samples = 40_000
     generator = np.random.default_rng(count)
-    found = 0
+    n_significant = 0
     for _ in range(10):
-        groups = generator.normal(size=(N_ANGULAR_BATCHES, draws // 10, count)) * np.linspace(
+        batches = generator.normal(size=(N_ANGULAR_BATCHES, n_samples // 10, count)) * np.linspace(
             1.0, 2.0, count
         )
-        mean, variance = groups.mean(axis=0), groups.var(axis=0, ddof=1) / N_ANGULAR_BATCHES
-        found += int(is_significant(mean, variance).sum())
-    # A normal variable lies 4 of its deviations above its mean in 3 of 100 000 cases; few groups
-    # know their variance to 18 % and make it up to five times as many.
-    print(f"{count} coefficients: {found} of {draws}")
-    assert found <= 12
-    one = np.zeros((1, count))
-    assert not is_significant(one, one).any()
-    one[0, 0] = 1.0
-    assert is_significant(10.0 * one, np.ones_like(one)).all()
+        mean, variance = batches.mean(axis=0), batches.var(axis=0, ddof=1) / N_ANGULAR_BATCHES
+        n_significant += int(is_significant(mean, variance).sum())
+    # A normal variable exceeds 4 standard deviations in 3 of 100 000 cases; the few batches
+    # determine their variance to 18 %, which makes this up to five times as frequent.
+    print(f"{count} coefficients: {n_significant} of {n_samples}")
+    assert n_significant <= 12
+    single = np.zeros((1, count))
+    assert not is_significant(single, single).any()
+    single[0, 0] = 1.0
+    assert is_significant(10.0 * single, np.ones_like(single)).all()

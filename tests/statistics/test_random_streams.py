@@ -1,4 +1,4 @@
-"""Uniform numbers: even, serially independent, independent across neighbouring streams."""
+"""Uniform random numbers: distribution, serial independence, independence of streams."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _fill_first_numbers(state, seeds, ensembles, rays, out):
 
 
 def draw_first_numbers(count, seed=None, ensemble=None, ray=None, width=4):
-    """Return the first draws of `count` streams; what is not given counts 0, 1, 2, …"""
+    """Return the first numbers of `count` streams; arguments that are None run over 0, 1, 2, …"""
     numbers = np.arange(count)
     fixed = [numbers if x is None else np.full(count, x) for x in (seed, ensemble, ray)]
     out = np.empty((count, width))
@@ -49,7 +49,7 @@ def compute_correlation_z(a, b):
     return ((a - 0.5) * (b - 0.5)).sum() * 12.0 / np.sqrt(a.size)
 
 
-def test_uniform_in_one_dimension_and_in_pairs():
+def test_numbers_are_uniform_singly_and_in_pairs():
     u = draw_samples(rng.uniform, N_STREAMS)
     p = {"one": compute_p_of_values(u, lambda x: x, 128)}
     for lag in (1, 2, 3):
@@ -58,13 +58,13 @@ def test_uniform_in_one_dimension_and_in_pairs():
     judge_p(p)
 
 
-def test_serial_correlation():
+def test_numbers_have_no_serial_correlation():
     u = draw_samples(rng.uniform, N_STREAMS)
     judge_z([compute_correlation_z(u[:-lag], u[lag:]) for lag in (1, 2, 3, 4, 5, 8, 16, 64)])
 
 
-def test_low_bits_are_random_too():
-    # Of the 53 bits, those beyond the 40th: a weak finaliser would leave them patterned.
+def test_low_bits_are_uniform():
+    # The last 13 of the 53 bits: a weak finaliser would leave patterns in them.
     u = draw_samples(rng.uniform, N_STREAMS)
     low = np.modf(u * 2.0**40)[0]
     judge_p({"low bits": compute_p_of_values(low, lambda x: x, 64)})
@@ -84,24 +84,24 @@ def test_neighbouring_streams_are_independent():
     for fixed in NEIGHBOURS.values():
         out = draw_first_numbers(N_STREAMS // 4, **fixed)
         for j in range(out.shape[1]):
-            # Stream i against stream i + 1: the same draw, and one draw later (a shifted copy).
+            # Stream i against stream i + 1: the same number, and the next one (a shifted copy).
             z.append(compute_correlation_z(out[:-1, j], out[1:, j]))
             z.append(compute_correlation_z(out[:-1, j], out[1:, (j + 1) % out.shape[1]]))
         z.append(compute_correlation_z(out[:, 0], out[:, 1]))
     judge_z(z)
 
 
-def test_neighbouring_streams_fill_the_square():
+def test_neighbouring_streams_are_uniform_in_pairs():
     p = {}
     for name, fixed in NEIGHBOURS.items():
         first = draw_first_numbers(N_STREAMS // 2, width=1, **fixed)[:, 0]
-        cells = np.histogram2d(first[::2], first[1::2], bins=12, range=((0, 1), (0, 1)))[0]
-        p[name] = compute_p_of_counts(cells, np.full(144, 1 / 144))
+        counts = np.histogram2d(first[::2], first[1::2], bins=12, range=((0, 1), (0, 1)))[0]
+        p[name] = compute_p_of_counts(counts, np.full(144, 1 / 144))
     judge_p(p)
 
 
-def test_seed_ensemble_and_ray_do_not_trade_places():
-    # (1, 2, 3) and its permutations, and (seed, ray) sums alike, must all differ.
+def test_streams_differ_for_all_seeds_ensembles_and_rays():
+    # (1, 2, 3), its permutations and tuples of equal sums must all give different states.
     names = [(a, b, c) for a in range(6) for b in range(6) for c in range(6)]
     starts = set()
     for name in names:
@@ -134,8 +134,8 @@ def invert_generator(word):
     return np.array([(z - 0x9E3779B97F4A7C15) & MASK], dtype=np.uint64)
 
 
-def test_largest_and_smallest_uniform_stay_inside_the_open_interval():
-    # The finaliser is a bijection: the states before the extreme words exist and can be named.
+def test_extreme_numbers_lie_in_the_open_interval():
+    # The finaliser is a bijection, so the states before the extreme words can be computed.
     smallest = rng.uniform(invert_generator(0))
     largest = rng.uniform(invert_generator(MASK))
     assert 0.0 < smallest < 1e-15

@@ -1,4 +1,4 @@
-"""Tables of struck sizes and shapes, and the point at which a ray strikes a grain."""
+"""Sizes and shapes of grains that rays hit, and entry points of rays into grains."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from chi2 import (
     scale_sample_size,
     tabulate_cdf,
 )
-from events import sample_entry as strike
+from events import sample_entry
 from numba import njit
 from scipy import integrate, stats
 from spheroids import compute_normal, dot_product, evaluate_quadratic, to_real_space
@@ -27,7 +27,7 @@ from splits.media import grain_statistics
 
 N_SAMPLES = scale_sample_size(200_000)
 SPHERICITIES = (0.3, 0.6, 0.798, 0.95, 1.0)
-# Cells of equal probability that do not fall on the table's own knots, and both tails.
+# Bins of equal probability whose edges are no nodes of the table, and both tails.
 TAILS = np.array([1e-4, 5e-4, 2e-3])
 EDGES = np.concatenate([TAILS, np.arange(1, 53) / 53, 1.0 - TAILS[::-1]])
 LIMITED_NORMALS = {
@@ -57,46 +57,46 @@ def compute_area_per_volume(sphericity):
 
 
 @pytest.mark.parametrize("limits", [(3e-4, 7.5e-4), (5e-5, 2e-3)], ids=str)
-def test_struck_sizes(limits):
+def test_sizes_of_hit_grains_follow_their_distribution(limits):
     low, high = limits
     attenuation = 1 / sample_table(
-        grain_statistics.tabulate_struck_inverse_sizes(low, high, "cross_section")
+        grain_statistics.tabulate_hit_inverse_sizes(low, high, "cross_section")
     )
-    uniform = 1 / sample_table(grain_statistics.tabulate_struck_inverse_sizes(low, high, "uniform"))
+    uniform = 1 / sample_table(grain_statistics.tabulate_hit_inverse_sizes(low, high, "uniform"))
     judge_p(
         {
             "s^-2": compute_p_of_values(
                 attenuation, lambda s: (1 / low - 1 / s) / (1 / low - 1 / high), EDGES
             ),
-            "even": compute_p_of_values(uniform, lambda s: (s - low) / (high - low), EDGES),
+            "uniform": compute_p_of_values(uniform, lambda s: (s - low) / (high - low), EDGES),
         }
     )
 
 
 @pytest.mark.parametrize("limits", [(300.0, 750.0), (50.0, 2000.0), (10.0, 1e4)], ids=str)
-def test_mean_struck_size_belongs_to_the_attenuation(limits):
-    # The mean over density s^-2 P(s) is 1/K1; 1/s is linear in each cell of the table, so the
-    # mean of s over a cell is the logarithmic mean of its ends.
-    table = grain_statistics.tabulate_struck_inverse_sizes(*limits, "cross_section")
-    cells = np.diff(make_table_probabilities(table.size)) * np.diff(np.log(table)) / np.diff(table)
-    assert cells.sum() * grain_statistics.size_attenuation(*limits) == pytest.approx(1.0, rel=1e-9)
+def test_mean_size_of_hit_grains_is_consistent_with_attenuation(limits):
+    # The mean over the density s^-2 P(s) is 1/K1; 1/s is linear in each interval of the table, so
+    # the mean of s over an interval is the logarithmic mean of its ends.
+    table = grain_statistics.tabulate_hit_inverse_sizes(*limits, "cross_section")
+    means = np.diff(make_table_probabilities(table.size)) * np.diff(np.log(table)) / np.diff(table)
+    assert means.sum() * grain_statistics.compute_size_attenuation(*limits) == pytest.approx(1.0, rel=1e-9)
 
 
 @pytest.mark.parametrize("sd", [0.05, 1e-3, 3e-4, 1e-5, 1e-9])
-def test_narrow_sphericities_have_the_attenuation_of_their_mean(sd):
-    value = grain_statistics.shape_attenuation(0.6, 0.95, 0.798, sd)
+def test_narrow_sphericities_attenuate_as_their_mean(sd):
+    value = grain_statistics.compute_shape_attenuation(0.6, 0.95, 0.798, sd)
     limit = grain_statistics.surface_to_volume_ratio(0.798) / 4.0
-    # Second-order Taylor: A bends by less than 40 per unit of sphericity squared.
+    # Second-order Taylor expansion: the curvature of A is below 40.
     assert value == pytest.approx(limit, abs=10.0 * sd**2 + 1e-12)
-    table = grain_statistics.tabulate_struck_sphericities(0.6, 0.95, 0.798, sd)
+    table = grain_statistics.tabulate_hit_sphericities(0.6, 0.95, 0.798, sd)
     assert np.isfinite(table).all()
     assert abs(table[table.size // 2] - 0.798) <= sd
 
 
-def test_struck_sphericities():
+def test_sphericities_of_hit_grains_follow_their_distribution():
     p = {}
     for name, (low, high, mean, sd) in LIMITED_NORMALS.items():
-        values = sample_table(grain_statistics.tabulate_struck_sphericities(low, high, mean, sd))
+        values = sample_table(grain_statistics.tabulate_hit_sphericities(low, high, mean, sd))
 
         def density(psi, mean=mean, sd=sd):
             return compute_area_per_volume(np.minimum(psi, 1.0 - 1e-9)) * stats.norm.pdf(
@@ -107,7 +107,7 @@ def test_struck_sphericities():
     judge_p(p)
 
 
-def test_truncated_normal():
+def test_truncated_normal_table_follows_its_distribution():
     p = {}
     for name, (low, high, mean, sd) in LIMITED_NORMALS.items():
         exact = stats.truncnorm((low - mean) / sd, (high - mean) / sd, loc=mean, scale=sd)
@@ -130,7 +130,7 @@ def _sample_axial(state, flattening):
     return 2.0 * sample_entry_variates(state, flattening).u_axial - 1.0
 
 
-def test_axial_position():
+def test_axial_positions_follow_the_surface_area():
     p = {}
     for psi in SPHERICITIES:
         z = draw_samples(_sample_axial, N_SAMPLES, 1.0 - psi * psi, ray=1)
@@ -145,7 +145,7 @@ ENTRIES = {"uniform": spheroid.UNIFORM_ENTRY, "projected": spheroid.PROJECTED_EN
 
 @njit
 def _sample_entry(state, x, y, z, size, rule):
-    entry = strike(state, Vector(x, y, z), size, rule)
+    entry = sample_entry(state, Vector(x, y, z), size, rule)
     q, w, n = entry.grain.q, entry.grain.w, entry.normal
     return (
         q.x,
@@ -176,7 +176,7 @@ def sample_entries(psi, entry):
         ray=1,
     )
     q, axis, normal = out[:, :3], out[:, 3:6], out[:, 6:9]
-    # What the kernel needs later, to see whether the grain fits.
+    # Quantities that the kernel uses in its overlap tests.
     assert np.abs((q * axis).sum(axis=1) - out[:, 9]).max() < 1e-13
     assert (out[:, 10] == SEMI_AXIS_M).all() and np.abs(
         out[:, 11] - SEMI_AXIS_M * psi * psi
@@ -186,16 +186,16 @@ def sample_entries(psi, entry):
 
 
 def compute_facing_cdf(x, entry):
-    """Return the cumulative of −d·n.
+    """Return the cumulative distribution of −d·n.
 
-    Turning the grain at random turns the normal at any fixed point of it at random, so −d·n is
-    uniform on (0, 1) for the half that faces the ray; weighting by projected area adds a factor x.
+    A random orientation of the grain makes the normal at any of its points isotropic, so −d·n is
+    uniform on (0, 1) on the half that faces the ray; projected area adds a weight of x.
     """
     return x if entry == "uniform" else x * x
 
 
 def compute_axis_cdf(psi, entry):
-    """Return the cumulative of |d·w|: even, or weighted by the outline's area along d."""
+    """Return the cumulative distribution of |d·w|: uniform, or weighted by projected area."""
     if entry == "uniform":
         return lambda x: x
     c2 = psi**4
@@ -203,10 +203,10 @@ def compute_axis_cdf(psi, entry):
 
 
 def compute_axial_cdf(psi, entry):
-    """Return the cumulative of the entry point's axial coordinate, by quadrature.
+    """Return the cumulative distribution of the axial coordinate of entry points, by quadrature.
 
-    At height z of the body the normal makes the angle with cosine q to the axis; the weight is
-    the mean of |d·n| (projected) or 1 (uniform) over all orientations d of the ray.
+    At axial coordinate z the normal has the cosine q to the axis; the weight is the mean of |d·n|
+    (projected) or 1 (uniform) over all directions d of the ray.
     """
     c = psi * psi
 
@@ -229,7 +229,7 @@ def compute_axial_cdf(psi, entry):
 
 
 @pytest.mark.parametrize("entry", ENTRIES)
-def test_struck_point(entry):
+def test_entry_points_follow_their_distributions(entry):
     p = {}
     for psi in SPHERICITIES:
         point, axis, normal = sample_entries(psi, entry)
@@ -237,33 +237,35 @@ def test_struck_point(entry):
         assert facing.min() > 0.0
         p[psi, "facing"] = compute_p_of_values(facing, lambda x: compute_facing_cdf(x, entry))
         p[psi, "axis"] = compute_p_of_values(np.abs(axis @ RAY), compute_axis_cdf(psi, entry))
-        side = int((axis @ RAY > 0.0).sum())
-        p[psi, "axis side"] = compute_p_of_counts([side, N_SAMPLES - side], [0.5, 0.5])
+        n_forward = int((axis @ RAY > 0.0).sum())
+        p[psi, "axis side"] = compute_p_of_counts([n_forward, N_SAMPLES - n_forward], [0.5, 0.5])
         z = (point * axis).sum(axis=1) / SEMI_AXIS_M
         p[psi, "axial"] = compute_p_of_values(z, compute_axial_cdf(psi, entry))
-        # Height on the body and angle to the ray are independent under both rules.
-        cells = np.histogram2d(
+        # Axial coordinate and angle to the ray are independent under both rules.
+        counts = np.histogram2d(
             compute_area_below(z, psi),
             compute_facing_cdf(facing, entry),
             bins=10,
             range=((0, 1), (0, 1)),
         )[0]
-        p[psi, "joint"] = compute_p_of_counts(cells, np.full(100, 0.01))
-        # Around the ray nothing distinguishes one azimuth from another.
+        p[psi, "joint"] = compute_p_of_counts(counts, np.full(100, 0.01))
+        # The azimuth around the ray is uniform.
         u = np.cross(RAY, [1.0, 0.0, 0.0])
         u /= np.linalg.norm(u)
-        turn = np.arctan2(point @ np.cross(RAY, u), point @ u) / (2 * np.pi) % 1.0
-        p[psi, "azimuth"] = compute_p_of_values(turn, lambda x: x)
-        # Nor around the normal: the grain is turned at random.
+        azimuth = np.arctan2(point @ np.cross(RAY, u), point @ u) / (2 * np.pi) % 1.0
+        p[psi, "azimuth"] = compute_p_of_values(azimuth, lambda x: x)
+        # The azimuth of the axis around the normal is uniform: grains are randomly oriented.
         v = np.cross(normal, RAY)
-        turn = np.arctan2(dot_product(axis, v)[:, 0], dot_product(axis, np.cross(normal, v))[:, 0])
-        turn = turn / (2 * np.pi) % 1.0
-        p[psi, "turn"] = compute_p_of_values(turn, lambda x: x)
+        azimuth = np.arctan2(
+            dot_product(axis, v)[:, 0], dot_product(axis, np.cross(normal, v))[:, 0]
+        )
+        azimuth = azimuth / (2 * np.pi) % 1.0
+        p[psi, "turn"] = compute_p_of_values(azimuth, lambda x: x)
     judge_p(p)
 
 
 @pytest.mark.parametrize("entry", ENTRIES)
-def test_struck_point_lies_on_the_grain_with_its_normal(entry):
+def test_entry_points_lie_on_the_grain(entry):
     for psi in SPHERICITIES:
         point, axis, normal = sample_entries(psi, entry)
         c, flattening = SEMI_AXIS_M * psi * psi, 1.0 - psi * psi
@@ -272,8 +274,8 @@ def test_struck_point_lies_on_the_grain_with_its_normal(entry):
         assert np.abs(compute_normal(point, axis, c, flattening) - normal).max() < 1e-12
 
 
-def test_sphericity_limits_of_the_area_formula():
-    # An independent check of the weight used above, by numerical integration of the area.
+def test_surface_to_volume_ratio_agrees_with_quadrature():
+    # The weight used above is checked independently by numerical integration of the area.
     for psi in (0.3, 0.7, 0.95):
         c = psi * psi
         area = integrate.quad(

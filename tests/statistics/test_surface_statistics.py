@@ -1,4 +1,4 @@
-"""Rough surfaces over their realizations: heights, correlation, wave numbers, slopes."""
+"""Statistics of rough-surface realizations: heights, correlation, wave numbers, slopes."""
 
 from __future__ import annotations
 
@@ -46,31 +46,31 @@ LAGS = np.array([0.2, 0.5, 1.0, 2.0, 4.0]) / K0
 
 
 @njit
-def _evaluate_heights(seed, ensemble, fields, x, y, found):
+def _evaluate_heights(seed, ensemble, fields, x, y, heights):
     state = np.zeros(1, dtype=np.uint64)
-    room = kernels.allocate_realization(fields)
-    for i in range(found.shape[0]):
+    buffer = kernels.allocate_realization(fields)
+    for i in range(heights.shape[0]):
         rng.start_stream(state, seed, ensemble, i)
-        waves = kernels.sample_realization(state, fields, room).waves
+        waves = kernels.sample_realization(state, fields, buffer).waves
         for j in range(x.size):
-            found[i, j] = kernels.compute_height_and_slope(waves, x[j], y[j]).height
+            heights[i, j] = kernels.compute_height_and_slope(waves, x[j], y[j]).height
 
 
 def sample_heights(name, x, y):
-    """Return heights at points in units of σ, one row per realization; each law has its own."""
+    """Return heights at points in units of σ, one row per realization."""
     surface = RoughSurface.from_input(SPECTRA[name])
-    found = np.empty((N_REALIZATIONS, len(x)))
+    heights = np.empty((N_REALIZATIONS, len(x)))
     ensemble = list(SPECTRA).index(name)
     _evaluate_heights(
-        SEED, ensemble, surface.make_height_fields(), np.asarray(x), np.asarray(y), found
+        SEED, ensemble, surface.make_height_fields(), np.asarray(x), np.asarray(y), heights
     )
-    return found / surface.rms_height_m
+    return heights / surface.rms_height_m
 
 
 @pytest.mark.parametrize("name", SPECTRA)
-def test_variance_and_correlation_of_heights(name):
+def test_heights_have_the_given_correlation(name):
     surface = RoughSurface.from_input(SPECTRA[name])
-    # Away from the origin, so that wrong phases or directions would show; five lags either way.
+    # Points away from the origin reveal wrong phases or directions; five lags in each direction.
     x = 3.0 + np.concatenate([[0.0], LAGS, 0.0 * LAGS])
     y = -7.0 + np.concatenate([[0.0], 0.0 * LAGS, LAGS])
     h = sample_heights(name, x, y)
@@ -79,11 +79,11 @@ def test_variance_and_correlation_of_heights(name):
     assert expected[0] == pytest.approx(1.0, abs=1e-12)
     error = products.std(axis=0) / math.sqrt(len(h))
     z = np.append((products.mean(axis=0) - expected) / error, h[:, 0].mean() * math.sqrt(len(h)))
-    # All points are of the same realizations.
+    # All points use the same realizations.
     judge_z(z, name, independent=1)
 
 
-def test_heights_are_normal_however_few_the_waves():
+def test_heights_are_normal_for_any_number_of_waves():
     p = {}
     for name in SPECTRA:
         p[name] = compute_p_of_values(sample_heights(name, [11.0], [2.0])[:, 0], stats.norm.cdf)
@@ -91,29 +91,29 @@ def test_heights_are_normal_however_few_the_waves():
 
 
 def compute_spectrum_cdf(name):
-    """Return the probability of wave numbers below λ, by the densities of the correlations."""
+    """Return the cumulative distribution of wave numbers from the density of the correlation."""
     field = RoughSurface.from_input(SPECTRA[name]).fields[0]
     if field.correlation == "spectrum":
         k = np.linspace(K[0], K[-1], 160_001)
         mass = np.interp(k, K, TABLE["density"]) * k
         total = np.concatenate([[0.0], np.cumsum(0.5 * (mass[1:] + mass[:-1]))])
         return lambda x: np.interp(x, k, total / total[-1])
-    share = {
+    cdf = {
         "exponential": lambda k: 1.0 - 1.0 / np.sqrt(1.0 + k * k),
         "exponential_printed": lambda k: 1.0 / np.sqrt(1.0 + 1.0 / (k * k)),
         "gaussian": lambda k: 1.0 - np.exp(-0.25 * k * k),
     }[field.correlation]
-    return lambda x: share(x / K0) / share(field.band_limit_per_m / K0)
+    return lambda x: cdf(x / K0) / cdf(field.band_limit_per_m / K0)
 
 
 @pytest.mark.parametrize("name", [name for name in SPECTRA if name != "two fields"])
-def test_waves_have_the_laws_that_they_are_drawn_from(name):
+def test_waves_follow_their_distributions(name):
     count = scale_sample_size(100_000)
-    law = SPECTRA[name] | {"waves": count}
-    waves = RoughSurface(law).sample_realization(SEED, list(SPECTRA).index(name))
+    settings = SPECTRA[name] | {"waves": count}
+    waves = RoughSurface(settings).sample_realization(SEED, list(SPECTRA).index(name))
     waves = waves[:, waves[AMPLITUDE] > 0.0]
     assert waves.shape[1] == count
-    # Amplitudes are Rayleigh distributed: their squares have mean 2 σ²/M.
+    # Amplitudes are Rayleigh distributed, so their squares have the mean 2 σ²/M.
     square = waves[AMPLITUDE] ** 2 / (2.0 * SIGMA**2 / count)
     judge_p(
         {
@@ -136,7 +136,7 @@ PAIR = ((500, 11.25, 0.025), (100, 0.2, 3.0))
 
 
 def make_pair(correlation):
-    """Return the pair as a surface without band limit."""
+    """Return the surface of Budak & Grimailo without a band limit."""
     return RoughSurface([
         {
             "waves": waves, "rms_height_m": sigma, "wave_number_per_m": k0,
@@ -148,47 +148,55 @@ def make_pair(correlation):
 
 def compute_rms_slopes(surface, count):
     """Return the rms slope of each of many realizations."""
-    found = []
+    rms_slopes = []
     for number in range(count):
         waves = surface.sample_realization(SEED, number)
         k2 = waves[KX] ** 2 + waves[KY] ** 2
-        found.append(2.0 * np.pi * math.sqrt(0.5 * (waves[AMPLITUDE] ** 2 * k2).sum()))
-    return np.sort(found)
+        rms_slopes.append(2.0 * np.pi * math.sqrt(0.5 * (waves[AMPLITUDE] ** 2 * k2).sum()))
+    return np.sort(rms_slopes)
 
 
-def compute_rms_slopes_numpy(law, count):
-    """Return the same in plain NumPy, by the laws as they are written down."""
+def compute_rms_slopes_numpy(wave_number_ratio, count):
+    """Return rms slopes from an independent NumPy implementation of the published formulas."""
     generator = np.random.default_rng(SEED)
-    square = np.zeros(count)
+    mean_square = np.zeros(count)
     for waves, sigma, k0 in PAIR:
         u, beta = generator.random((2, count, waves))
         # ⟨|∇Ψ|²⟩ of a wave is half of (a λ)², and a² = −2 ln u σ²/M.
-        square -= sigma**2 / waves * (np.log(u) * (k0 * law(beta)) ** 2).sum(axis=1)
-    return np.sqrt(square)
+        mean_square -= (
+            sigma**2 / waves * (np.log(u) * (k0 * wave_number_ratio(beta)) ** 2).sum(axis=1)
+        )
+    return np.sqrt(mean_square)
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize(
-    ("correlation", "law", "median"),
+    ("correlation", "wave_number_ratio", "median"),
     [
         ("exponential_printed", lambda b: b / np.sqrt(1.0 - b * b), 1.09),
         ("exponential", lambda b: np.sqrt(1.0 / (1.0 - b) ** 2 - 1.0), 20.0),
     ],
 )
-def test_rms_slope_of_the_pair_without_band_limit(correlation, law, median):
+def test_median_rms_slope_without_band_limit(correlation, wave_number_ratio, median):
     surface = make_pair(correlation)
     assert surface.rms_slope() == math.inf
     count = 1000
-    found, by_hand = compute_rms_slopes(surface, count), compute_rms_slopes_numpy(law, 2000)
-    # The mean does not exist; order statistics hold the median with a probability of 99 %.
+    rms_slopes, reference = (
+        compute_rms_slopes(surface, count),
+        compute_rms_slopes_numpy(wave_number_ratio, 2000),
+    )
+    # The mean does not exist; order statistics bracket the median with a probability of 99 %.
     low, high = stats.binom.ppf([0.005, 0.995], count, 0.5).astype(int)
-    print(f"median {np.median(found):.3f}, 99 % within {found[low]:.3f} to {found[high]:.3f}")
-    assert found[low] <= median <= found[high]
-    assert stats.ks_2samp(found, by_hand).pvalue > 0.01
+    print(
+        f"median {np.median(rms_slopes):.3f}, "
+        f"99 % within {rms_slopes[low]:.3f} to {rms_slopes[high]:.3f}"
+    )
+    assert rms_slopes[low] <= median <= rms_slopes[high]
+    assert stats.ks_2samp(rms_slopes, reference).pvalue > 0.01
 
 
 @pytest.mark.parametrize("name", ["exponential, limit", "printed, limit", "gaussian", "spectrum"])
-def test_rms_slope_with_a_band_limit(name):
+def test_rms_slope_with_band_limit(name):
     surface = RoughSurface.from_input(SPECTRA[name])
     squares = compute_rms_slopes(surface, scale_sample_size(20_000)) ** 2
     error = squares.std() / math.sqrt(squares.size)

@@ -95,7 +95,7 @@ class SoilSizeDistribution:
         return max(s.max_size_m for s in self.separates)
 
     @property
-    def compute_size_attenuation_per_m(self) -> float:
+    def size_attenuation_per_m(self) -> float:
         """Volume-weighted mean of 1/s (1/m): K1 of Eq 23 without v_j."""
         return sum(s.mass_fraction * s.mean_inverse_size_per_m for s in self.separates)
 

@@ -1,17 +1,17 @@
-"""Derivatives of spectra: against differences of long runs, and what each way to them costs.
+"""Derivatives of spectra: accuracy against differences of long runs, and cost of each method.
 
     python benchmarks/derivatives.py [--max-stderr 0.002] [--seeds 1] [--media "natural snow" sand]
 
-1. Every parameter of five media at six wavelengths, against five-point differences of runs with
-   random numbers of their own to half the error, for each of so many seeds.  Wavelengths share
-   rays, so rms z of one parameter scatters; that of all is what counts.
-2. What those that leave the paths as they are cost beside the spectrum alone.
-3. Of the others: variance times seconds of one core, for runs that share random numbers, and,
-   where attenuation is all that changes, for likelihood ratios (a path of n legs of total length l
-   has d ln p / d ln μ = n − μ l).  In units of that of independent runs twice: with five points, a
-   step so small that the rule is off by less than noise; and at their best, the better of two
-   rules at the best of some steps, which is known afterwards only: what these are off by, from
-   noise and from the step, in as much time.
+1. Every parameter of five media at six wavelengths, against five-point differences of independent
+   runs with half the error, for each seed.  Wavelengths use the same rays, so the rms z of one
+   parameter scatters; the criterion is that of all parameters.
+2. Cost of derivatives from the same paths, relative to the spectrum alone.
+3. For the other parameters, variance times seconds of one core of common random numbers, and, where
+   only attenuation changes, of likelihood ratios (a path of n segments of total length l has
+   d ln p / d ln μ = n − μ l).  It is divided by that of differences of independent runs, for two
+   choices: five points with a step whose truncation error is below the noise; and the best of two
+   rules and several steps, which is known only afterwards, with noise and truncation error in the
+   same time.
 """
 
 from __future__ import annotations
@@ -79,15 +79,15 @@ MEDIA: dict[str, Any] = {
          "layers.0.optical_radius_um": 10, "layers.1.optical_radius_um": 50},
     ),
 }  # fmt: skip
-"""Media, and steps of the differences of long runs."""
+"""Media, and for each parameter the step of the differences of long runs."""
 STEP_FACTORS = (0.5, 1.0, 2.0, 4.0)
-"""Of these steps, for differences of independent runs."""
+"""Factors of these steps for differences of independent runs."""
 SEEDS = range(101, 109)
-"""Of what these are off by."""
+"""Seeds from which the error of these differences is estimated."""
 DIFFERENCE_RULES = {2: {-1: -0.5, 1: 0.5}, 5: {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}}
-"""Weights of central differences, by distance in steps, for rules of so many points."""
+"""Weights of central differences by distance in steps, for each number of points."""
 KEEP_OVERLAPS = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}
-"""Legs as likelihood ratios take them: exponential, whatever fits."""
+"""Interpretation with exponential segments, as likelihood ratios assume."""
 EXACT_PARAMETERS = {
     "natural snow": [SOOT, "algae_cells_ml.snow_algae", "ground"],
     "deep snow": [SOOT, "algae_cells_ml.snow_algae", "optical_radius_um"],
@@ -96,80 +96,87 @@ EXACT_PARAMETERS = {
 
 
 def select_wavelengths(medium: Any) -> list[float]:
-    """Return the wavelengths of a medium; a layer has no colour."""
+    """Return the wavelengths of a medium, only one for a particle layer."""
     return WAVELENGTHS_NM[:1] if medium.kind == "particle_layer" else WAVELENGTHS_NM
 
 
 def time_spectrum(
-    medium: Any, error: float, seed: int, incidence: float = INCIDENCE_DEG, **more: Any
+    medium: Any, error: float, seed: int, incidence: float = INCIDENCE_DEG, **settings: Any
 ) -> Any:
-    """Return a spectrum and the seconds of processors that it took."""
-    begun = time.process_time()
-    found = splits.spectrophotometer(
-        medium, select_wavelengths(medium), incidence, error, seed, **more
+    """Return a spectrum and its processor time (s)."""
+    start = time.process_time()
+    result = splits.spectrophotometer(
+        medium, select_wavelengths(medium), incidence, error, seed, **settings
     )
-    return found, time.process_time() - begun
+    return result, time.process_time() - start
 
 
 def shift_parameter(medium: Any, name: str, change: float) -> tuple[Any, float]:
-    """Return a medium and an incidence with a parameter moved."""
+    """Return a medium and an angle of incidence with a changed parameter."""
     if name == INCIDENCE_KEY:
         return medium, INCIDENCE_DEG + change
     return replace_parameter(medium, name, get_parameter(medium, name) + change), INCIDENCE_DEG
 
 
 def compute_long_difference(medium: Any, name: str, step: float, error: float, seed: int) -> Any:
-    """Return a five-point difference of runs with random numbers of their own, and its error."""
+    """Return a five-point difference of independent runs, and its standard error."""
     value, square = 0.0, 0.0
-    for number, (place, weight) in enumerate(DIFFERENCE_RULES[5].items()):
-        other, incidence = shift_parameter(medium, name, place * step)
-        run, _ = time_spectrum(other, error, seed + number, incidence)
+    for number, (distance, weight) in enumerate(DIFFERENCE_RULES[5].items()):
+        changed_medium, incidence = shift_parameter(medium, name, distance * step)
+        run, _ = time_spectrum(changed_medium, error, seed + number, incidence)
         value = value + weight / step * run.reflectance.values
         square = square + (weight / step * run.reflectance_stderr.values) ** 2
     return value, np.sqrt(square)
 
 
 def compare_derivatives(labels: list[str], error: float, seeds: int) -> None:
-    """Hold all derivatives against differences of long runs."""
-    every = []
+    """Compare all derivatives with differences of long runs."""
+    all_z = []
     for label in labels:
         medium, steps = MEDIA[label]
         for number, (name, step) in enumerate(steps.items()):
-            some = []
+            parameter_z = []
             for seed in range(1, seeds + 1):
-                found, _ = time_spectrum(medium, error, seed, jacobian=[name])
+                result, _ = time_spectrum(medium, error, seed, jacobian=[name])
                 first = 1000 * seed + 10 * number
-                value, stderr = compute_long_difference(medium, name, step, 0.5 * error, first)
-                own = found.reflectance_jacobian.values[0]
-                own_error = found.reflectance_jacobian_stderr.values[0]
-                some.append((own - value) / np.hypot(own_error, stderr))
-            every.append(np.concatenate(some))
+                difference, stderr = compute_long_difference(medium, name, step, 0.5 * error, first)
+                derivative = result.reflectance_jacobian.values[0]
+                derivative_stderr = result.reflectance_jacobian_stderr.values[0]
+                parameter_z.append((derivative - difference) / np.hypot(derivative_stderr, stderr))
+            all_z.append(np.concatenate(parameter_z))
             print(
-                f"{label:13} {name:32} {found.parameter_method.values[0]:12} rms z "
-                f"{np.sqrt((every[-1] ** 2).mean()):.2f}, at {select_wavelengths(medium)[0]:g} nm "
-                f"{own[0]:.4g} ± {own_error[0]:.2g}, long runs {value[0]:.4g} ± {stderr[0]:.2g}",
+                f"{label:13} {name:32} {result.parameter_method.values[0]:12} rms z "
+                f"{np.sqrt((all_z[-1] ** 2).mean()):.2f}, at {select_wavelengths(medium)[0]:g} nm "
+                f"{derivative[0]:.4g} ± {derivative_stderr[0]:.2g}, "
+                f"long runs {difference[0]:.4g} ± {stderr[0]:.2g}",
                 flush=True,
             )
-    z = np.concatenate(every)
+    z = np.concatenate(all_z)
     bound = statistics.NormalDist().inv_cdf(0.5 + 0.5 * 0.99 ** (1.0 / z.size))
     print(f"{z.size} derivatives: rms z {np.sqrt((z**2).mean()):.3f}, largest {abs(z).max():.2f} "
           f"(99 % bound {bound:.2f})")  # fmt: skip
 
 
 def report_exact_cost(error: float) -> None:
-    """Print what derivatives from the same paths cost beside the spectrum alone."""
+    """Print the cost of derivatives from the same paths, relative to the spectrum alone."""
     for label, names in EXACT_PARAMETERS.items():
         medium = MEDIA[label][0]
         pairs = [
-            [time_spectrum(medium, error, seed, jacobian=some)[1] for some in ([], names)]
+            [
+                time_spectrum(medium, error, seed, jacobian=names_of_run)[1]
+                for names_of_run in ([], names)
+            ]
             for seed in range(1, 8)
         ]
-        alone, both = np.median(pairs, axis=0)
-        print(f"{label}: {', '.join(names)} cost {both / alone:.2f} times the spectrum alone")
+        spectrum_s, with_derivatives_s = np.median(pairs, axis=0)
+        print(
+            f"{label}: {', '.join(names)} cost {with_derivatives_s / spectrum_s:.2f} times "
+            "the spectrum alone"
+        )
 
 
 class ScoreTally(PathTally):
-    """Reflected weights times the score of attenuation, ray by ray."""
+    """Sums of reflected weights times the score function of attenuation."""
 
     sums: np.ndarray
     attenuation: float
@@ -181,50 +188,50 @@ class ScoreTally(PathTally):
         lengths = exits[:, EXIT_LENGTH:]
         weight = exits[:, EXIT_WEIGHT, None] * np.exp(-lengths @ self.absorption.T)
         score = exits[:, EXIT_ORDER] - self.attenuation * lengths[:, 0]
-        # Rows of rays that ended inside hold nothing.
-        out = exits[:, EXIT_SIDE] == REFLECTED - 1
-        both = np.where(out[:, None], weight * score[:, None], 0.0)
-        return np.stack([both.sum(axis=0), (both**2).sum(axis=0)]), len(exits)
+        # Rows of rays that ended inside are invalid.
+        reflected = exits[:, EXIT_SIDE] == REFLECTED - 1
+        scores = np.where(reflected[:, None], weight * score[:, None], 0.0)
+        return np.stack([scores.sum(axis=0), (scores**2).sum(axis=0)]), len(exits)
 
     def add_scores(self, stratum: Any, scores: Any) -> None:
-        """Add batches up."""
+        """Add the sums of batches."""
         for sums, rays in scores:
             self.sums = self.sums + sums
             stratum.n_rays += rays
 
 
 def compute_likelihood_ratio(medium: Any, rays: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the derivative to the logarithm of attenuation, its variance, and seconds."""
-    begun = time.process_time()
+    """Return the derivative by the logarithm of attenuation, its variance, and the time (s)."""
+    start = time.process_time()
     index, absorption = compute_optical_constants(medium, np.array(WAVELENGTHS_NM))
     runner = Runner(medium, INCIDENCE_DEG, 1, None, False)
-    one = ScoreTally(
+    tally = ScoreTally(
         0, index[len(WAVELENGTHS_NM) // 2], absorption, np.ones(len(WAVELENGTHS_NM), bool),
         runner.tracer.traits, bounds=SINGLE_STRATUM,
     )  # fmt: skip
-    one.sums, one.attenuation = (
+    tally.sums, tally.attenuation = (
         np.zeros((2, len(WAVELENGTHS_NM))),
         1.0 / compute_mean_free_path_m(medium),
     )
-    runner.trace([(one, level, rays) for level in one.strata], 1.0, 0.0)
-    count = one.strata[0].n_rays
-    mean = one.sums[0] / count
-    variance = (one.sums[1] / count - mean**2) / count
-    return mean, variance, time.process_time() - begun
+    runner.trace([(tally, stratum, rays) for stratum in tally.strata], 1.0, 0.0)
+    n_rays = tally.strata[0].n_rays
+    mean = tally.sums[0] / n_rays
+    variance = (tally.sums[1] / n_rays - mean**2) / n_rays
+    return mean, variance, time.process_time() - start
 
 
 class IndependentDifferences(NamedTuple):
-    """Differences of independent runs, at their best.
+    """Best differences of independent runs.
 
     Attributes
     ----------
-    square : float, shape (wavelengths,)
-        Mean square of what they are off by.
-    points : int
-        Of the rule.
+    mean_square : float, shape (wavelengths,)
+        Mean square error.
+    n_points : int
+        Number of points of the rule.
     step : float
-    cautious : float, shape (wavelengths,)
-        The same with five points at the step first thought of.
+    default_mean_square : float, shape (wavelengths,)
+        Mean square error of five points with the default step.
     """
 
     mean_square: np.ndarray
@@ -233,46 +240,51 @@ class IndependentDifferences(NamedTuple):
     default_mean_square: np.ndarray
 
     def format_ratio(self, square: np.ndarray) -> str:
-        """Return how large another mean square is, beside both."""
-        best, cautious = (
-            np.median(square / own) for own in (self.mean_square, self.default_mean_square)
+        """Return the ratios of another mean square error to both, as text."""
+        best_ratio, default_ratio = (
+            np.median(square / reference)
+            for reference in (self.mean_square, self.default_mean_square)
         )
-        return f"{cautious:.2f} ({best:.2f})"
+        return f"{default_ratio:.2f} ({best_ratio:.2f})"
 
 
 def optimize_independent(
-    medium: Any, name: str, step: float, error: float, spent: float
+    medium: Any, name: str, step: float, error: float, time_s: float
 ) -> IndependentDifferences:
-    """Return what differences of independent runs are off by, after so many seconds.
+    """Return the error of differences of independent runs for a given processor time.
 
-    What a step is off by comes from runs that share random numbers with a derivative, of several
-    seeds: products of different seeds' estimates of it are right on average where squares are not.
+    The truncation error of a step is estimated from runs that use the same random numbers as a
+    derivative.  Products of estimates with different seeds are unbiased for its square.
     """
     around = [_simulate_around(medium, name, step, error, seed) for seed in SEEDS]
-    truth = [
+    derivatives = [
         time_spectrum(medium, error, seed, jacobian=[name])[0].reflectance_jacobian.values[0]
         for seed in SEEDS
     ]
-    every, cautious = [], np.empty(0)
+    candidates, default_mean_square = [], np.empty(0)
     for factor, (points, rule) in itertools.product(STEP_FACTORS, DIFFERENCE_RULES.items()):
-        if not all(factor * place in around[0] for place in rule):
+        if not all(factor * distance in around[0] for distance in rule):
             continue
         terms = [[(runs[factor * x], w / (factor * step)) for x, w in rule.items()]
                  for runs in around]  # fmt: skip
-        off = np.stack([sum(w * run.values for run, w in term) for term in terms]) - truth
-        apart = (off.sum(axis=0) ** 2 - (off**2).sum(axis=0)) / (len(SEEDS) * (len(SEEDS) - 1))
+        deviation = (
+            np.stack([sum(w * run.values for run, w in term) for term in terms]) - derivatives
+        )
+        truncation_square = (deviation.sum(axis=0) ** 2 - (deviation**2).sum(axis=0)) / (
+            len(SEEDS) * (len(SEEDS) - 1)
+        )
         noise = np.mean([sum((w * run.stderr) ** 2 for run, w in term) for term in terms], axis=0)
         seconds = np.mean([sum(run.seconds for run, _ in term) for term in terms])
-        square = noise * seconds / spent + np.maximum(apart, 0.0)
-        every.append(IndependentDifferences(square, points, factor * step, square))
+        mean_square = noise * seconds / time_s + np.maximum(truncation_square, 0.0)
+        candidates.append(IndependentDifferences(mean_square, points, factor * step, mean_square))
         if factor == 1.0 and points == 5:
-            cautious = noise * seconds / spent
-    best = min(every, key=lambda one: float(np.median(one.mean_square)))
-    return best._replace(default_mean_square=cautious)
+            default_mean_square = noise * seconds / time_s
+    best = min(candidates, key=lambda one: float(np.median(one.mean_square)))
+    return best._replace(default_mean_square=default_mean_square)
 
 
 class TimedSpectrum(NamedTuple):
-    """A spectrum, its standard errors, and the seconds that it took."""
+    """A spectrum, its standard errors, and its processor time (s)."""
 
     values: np.ndarray
     stderr: np.ndarray
@@ -282,61 +294,62 @@ class TimedSpectrum(NamedTuple):
 def _simulate_around(
     medium: Any, name: str, step: float, error: float, seed: int
 ) -> dict[float, TimedSpectrum]:
-    """Return runs around a value, by distance in steps, as far as its range goes."""
-    found = {}
+    """Return runs around a value within its range, by distance in steps."""
+    spectra = {}
     for distance in sorted(
         {f * x for f in STEP_FACTORS for rule in DIFFERENCE_RULES.values() for x in rule}
     ):
         try:
-            other, incidence = shift_parameter(medium, name, distance * step)
-            run, seconds = time_spectrum(other, error, seed, incidence)
+            changed_medium, incidence = shift_parameter(medium, name, distance * step)
+            run, seconds = time_spectrum(changed_medium, error, seed, incidence)
         except ValueError:
             continue
-        found[distance] = TimedSpectrum(
+        spectra[distance] = TimedSpectrum(
             run.reflectance.values, run.reflectance_stderr.values, seconds
         )
-    return found
+    return spectra
 
 
 def compare_methods(labels: list[str], error: float) -> None:
-    """Print variance times seconds of every way beside independent runs, these at best in ()."""
+    """Print the cost of each method relative to independent runs, the best of these in brackets."""
     for label in labels:
         medium, steps = MEDIA[label]
         for name, step in steps.items():
-            found, seconds = time_spectrum(medium, error, 1, jacobian=[name])
-            if found.parameter_method.values[0] == "shared_paths":
+            result, seconds = time_spectrum(medium, error, 1, jacobian=[name])
+            if result.parameter_method.values[0] == "shared_paths":
                 continue
-            spent = seconds - time_spectrum(medium, error, 1)[1]
-            own = found.reflectance_jacobian_stderr.values[0] ** 2
-            other = optimize_independent(medium, name, step, error, spent)
+            time_s = seconds - time_spectrum(medium, error, 1)[1]
+            variance = result.reflectance_jacobian_stderr.values[0] ** 2
+            independent = optimize_independent(medium, name, step, error, time_s)
             print(
-                f"{label:13} {name:28} common random numbers {other.format_ratio(own)}, "
-                f"the best: {other.n_points} points, step {other.step:g}", flush=True,
+                f"{label:13} {name:28} common random numbers {independent.format_ratio(variance)}, "
+                f"the best: {independent.n_points} points, step {independent.step:g}", flush=True,
             )  # fmt: skip
     report_attenuation_cost(error)
     report_similarity_cost(error)
 
 
 def report_similarity_cost(error: float) -> None:
-    """Print what similarity costs: r ∂R/∂r is a sum over paths less D ∂R/∂D, D the depth."""
+    """Print the cost of similarity: r ∂R/∂r is a sum over paths minus D ∂R/∂D, D the depth."""
     medium, steps = MEDIA["natural snow"]
     size, depth = "optical_radius_um", "depth_m"
     ratio = get_parameter(medium, depth) / get_parameter(medium, size)
-    alone = time_spectrum(medium, error, 1)[1]
-    found, seconds = time_spectrum(medium, error, 1, jacobian=[size])
-    of_depth, seconds_depth = time_spectrum(medium, error, 1, jacobian=[depth])
-    other = optimize_independent(medium, size, steps[size], error, seconds - alone)
-    own = found.reflectance_jacobian_stderr.values[0] ** 2
-    similar = (ratio * of_depth.reflectance_jacobian_stderr.values[0]) ** 2
-    similar *= (seconds_depth - alone) / (seconds - alone)
+    spectrum_s = time_spectrum(medium, error, 1)[1]
+    result, seconds = time_spectrum(medium, error, 1, jacobian=[size])
+    depth_result, depth_s = time_spectrum(medium, error, 1, jacobian=[depth])
+    independent = optimize_independent(medium, size, steps[size], error, seconds - spectrum_s)
+    variance = result.reflectance_jacobian_stderr.values[0] ** 2
+    similarity_variance = (ratio * depth_result.reflectance_jacobian_stderr.values[0]) ** 2
+    similarity_variance *= (depth_s - spectrum_s) / (seconds - spectrum_s)
     print(
-        f"natural snow, size: common random numbers {other.format_ratio(own)}, similarity "
-        f"at least {other.format_ratio(similar)}: its depth alone"
+        f"natural snow, size: common random numbers {independent.format_ratio(variance)}, "
+        f"similarity at least {independent.format_ratio(similarity_variance)}, from the derivative "
+        "by depth alone"
     )
 
 
 def report_attenuation_cost(error: float) -> None:
-    """Print what likelihood ratios cost, where attenuation is all that changes."""
+    """Print the cost of likelihood ratios, where only attenuation changes."""
     for label, depth in (("2 cm of snow", 0.02), ("30 cm of snow", 0.3)):
         soot = {"black_carbon": 100}
         medium = splits.Snow.natural(
@@ -344,40 +357,41 @@ def report_attenuation_cost(error: float) -> None:
             interpretation=KEEP_OVERLAPS,
         )  # fmt: skip
         time_spectrum(medium, 0.02, 1)
-        found, seconds = time_spectrum(medium, error, 1, jacobian=["density_kg_m3"])
-        spent = seconds - time_spectrum(medium, error, 1)[1]
-        long, stderr = compute_long_difference(medium, "density_kg_m3", 20.0, error, 100)
-        other = optimize_independent(medium, "density_kg_m3", 20.0, error, spent)
-        # Grains stay as they are: attenuation is that of the mean leg.
-        legs = [
+        result, seconds = time_spectrum(medium, error, 1, jacobian=["density_kg_m3"])
+        time_s = seconds - time_spectrum(medium, error, 1)[1]
+        difference, stderr = compute_long_difference(medium, "density_kg_m3", 20.0, error, 100)
+        independent = optimize_independent(medium, "density_kg_m3", 20.0, error, time_s)
+        # Grains do not change, so attenuation is the inverse of the mean free path.
+        attenuations = [
             1.0 / compute_mean_free_path_m(replace_parameter(medium, "density_kg_m3", x))
             for x in (199.0, 201.0)
         ]
-        rate = 0.5 * np.log(legs[1] / legs[0])
-        mean, variance, took = compute_likelihood_ratio(medium, 100_000)
-        own = found.reflectance_jacobian_stderr.values[0] ** 2
-        ratio = rate**2 * variance * took / spent
-        z = (rate * mean - long) / np.hypot(rate * np.sqrt(variance), stderr)
+        rate = 0.5 * np.log(attenuations[1] / attenuations[0])
+        mean, variance, ratio_s = compute_likelihood_ratio(medium, 100_000)
+        common_variance = result.reflectance_jacobian_stderr.values[0] ** 2
+        ratio_variance = rate**2 * variance * ratio_s / time_s
+        z = (rate * mean - difference) / np.hypot(rate * np.sqrt(variance), stderr)
         print(
-            f"{label}, density: common random numbers {other.format_ratio(own)}, likelihood ratio "
-            f"{other.format_ratio(ratio)}, rms z of it {np.sqrt((z**2).mean()):.2f}"
+            f"{label}, density: common random numbers {independent.format_ratio(common_variance)}, "
+            f"likelihood ratio {independent.format_ratio(ratio_variance)}, "
+            f"its rms z {np.sqrt((z**2).mean()):.2f}"
         )
 
 
 def main() -> None:
-    """Print all three."""
+    """Print all three parts."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--max-stderr", type=float, default=0.002)
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--ways-only", action="store_true", help="part 3 alone")
+    parser.add_argument("--methods-only", action="store_true", help="part 3 only")
     parser.add_argument("--media", nargs="+", default=list(MEDIA), choices=list(MEDIA))
-    given = parser.parse_args()
-    for label in given.media:
+    arguments = parser.parse_args()
+    for label in arguments.media:
         time_spectrum(MEDIA[label][0], 0.05, 1)
-    if not given.ways_only:
-        compare_derivatives(given.media, given.max_stderr, given.seeds)
-        report_exact_cost(given.max_stderr)
-    compare_methods(given.media, given.max_stderr)
+    if not arguments.methods_only:
+        compare_derivatives(arguments.media, arguments.max_stderr, arguments.seeds)
+        report_exact_cost(arguments.max_stderr)
+    compare_methods(arguments.media, arguments.max_stderr)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Expansion against cells: variance in the principal plane at equal time, and the bias.
+"""Expansion compared with angular bins: variance in the principal plane at equal time, and bias.
 
     python benchmarks/goniophotometer.py [--quick]
 
-For every case both estimators trace one wavelength on one thread. Variances are those stated,
-times the seconds spent; the ratio is the cells' over the expansion's, averaged over the principal
-plane up to 80 degrees. Cells are 18 × 72 of equal solid angle, as many as 5° × 5° would be. Scatter
-is that between seeds. At the end of a line stands how far the mean of all expansions is from the
-cells, in units of the error of that difference.
+For every case both estimators trace one wavelength on one thread.  The printed ratio is the stated
+variance times the computing time of bins over that of the expansion, averaged over the principal
+plane up to 80 degrees.  There are 18 × 72 bins of equal solid angle, as many as bins of 5° × 5°.
+Scatter is that between seeds.  The rms z is the difference between the mean of all expansions and
+the bins, in units of its standard error.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ CASES = {
 
 
 def time_call(call):
-    """Return a dataset and the seconds it took."""
-    begun = time.perf_counter()
+    """Return the dataset of a call and its time (s)."""
+    start = time.perf_counter()
     dataset = call()
-    return dataset, time.perf_counter() - begun
+    return dataset, time.perf_counter() - start
 
 
 def compute_cost(dataset: xr.Dataset, seconds: float) -> float:
-    """Return the mean relative variance in the principal plane, times the seconds."""
+    """Return the mean relative variance in the principal plane, times the time."""
     plane = select_principal_plane(dataset).isel(wavelength=0)
     plane = plane.isel(angle=np.abs(plane.angle.values) <= MAX_POLAR_DEG)
     mean = float(plane.brdf.mean())
@@ -57,10 +57,10 @@ def main() -> None:
     for name, (medium, wavelength, incidence) in CASES.items():
         scene = (medium, [wavelength], incidence)
         grid = {"polar_deg": polar, "azimuth_deg": azimuth, "threads": 1}
-        # Once for the compiler.
+        # The first calls compile.
         splits.goniophotometer(*scene, 1, **grid)
         splits.goniophotometer(*scene, 1, estimator="bins", **grid)
-        cells, cells_s = time_call(
+        bins, bins_s = time_call(
             lambda scene=scene: splits.goniophotometer(
                 *scene, rays, estimator="bins", n_bins=DEFAULT_N_BINS, threads=1
             )
@@ -71,21 +71,21 @@ def main() -> None:
                 for seed in range(repeats)
             ]
         )
-        ratio = compute_cost(cells, cells_s) / compute_cost(runs[0], run_s / repeats)
+        ratio = compute_cost(bins, bins_s) / compute_cost(runs[0], run_s / repeats)
         mean = np.mean([run.brdf[0].values for run in runs], axis=0)
         stated = np.sqrt(np.sum([run.brdf_stderr[0].values ** 2 for run in runs], axis=0)) / repeats
         scatter = np.std([run.brdf[0].values for run in runs], axis=0, ddof=1)
-        one = np.sqrt(np.mean([run.brdf_stderr[0].values ** 2 for run in runs], axis=0))
+        stated_once = np.sqrt(np.mean([run.brdf_stderr[0].values ** 2 for run in runs], axis=0))
         low = polar <= MAX_POLAR_DEG
-        known = cells.brdf[0].values > 5.0 * cells.brdf_stderr[0].values
-        z = (mean - cells.brdf[0].values) / np.hypot(stated, cells.brdf_stderr[0].values)
-        z = z[low][known[low]]
+        significant = bins.brdf[0].values > 5.0 * bins.brdf_stderr[0].values
+        z = (mean - bins.brdf[0].values) / np.hypot(stated, bins.brdf_stderr[0].values)
+        z = z[low][significant[low]]
         print(
-            f"{name}: cells {cells_s:.1f} s, expansion {run_s / repeats:.1f} s to "
-            f"{100.0 * error:g} %; variance at equal time {ratio:.0f} times below cells; "
-            f"scatter over stated error {(scatter / one)[low].mean():.2f}; "
-            f"against cells rms z {np.sqrt((z**2).mean()):.2f}; "
-            f"least BRDF {min(float(run.brdf.min()) for run in runs):.3g}",
+            f"{name}: bins {bins_s:.1f} s, expansion {run_s / repeats:.1f} s to "
+            f"{100.0 * error:g} %; variance at equal time {ratio:.0f} times below bins; "
+            f"scatter over stated error {(scatter / stated_once)[low].mean():.2f}; "
+            f"against bins rms z {np.sqrt((z**2).mean()):.2f}; "
+            f"smallest BRDF {min(float(run.brdf.min()) for run in runs):.3g}",
             flush=True,
         )
 

@@ -1,10 +1,10 @@
-"""Processor time of every instrument at its default error, for a scene of ordinary use.
+"""Processor time of every instrument at its default error, for a typical scene.
 
     python benchmarks/instrument_costs.py [TABLE.csv]
 
 Each case runs twice: the first run, with large errors, compiles the kernels and is not measured.
-The time is that of the processor on all threads, so that the table does not depend on their number.
-The column `scene` names what is simulated, the column `error` the criterion that ends the run.
+The time is that of all threads, so that the table does not depend on their number.
+The column `scene` describes the simulation, the column `error` the stopping criterion.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ SPECTRUM_NM = range(400, 2501, 10)
 SKY = "midlatitude_winter"
 DEPTHS_M = [0.0, 0.02, 0.05, 0.1, 0.2]
 LARGE_ERRORS = {"max_stderr": 0.1, "relative_stderr": 0.5, "rays": 1000}
-"""Settings of the run that compiles, by keyword."""
+"""Accuracy of the first run, by keyword."""
 
 
 class CostCase(NamedTuple):
-    """An instrument, the keyword of its accuracy, what is simulated, and the call."""
+    """An instrument, the keyword of its accuracy, a description of the scene, and the call."""
 
     instrument: str
     keyword: str
@@ -37,7 +37,7 @@ class CostCase(NamedTuple):
 
 
 def make_cases() -> list[CostCase]:
-    """Return the cases, one a row of the table."""
+    """Return the cases, one for each row of the table."""
     deep = splits.Snow.natural(specific_surface_area_m2_kg=20)
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.5)
     sand, layer = splits.Sand(), splits.ParticleLayer()
@@ -72,9 +72,9 @@ def measure(case: CostCase) -> dict[str, Any]:
     """Return the row of a case."""
     error = inspect.signature(getattr(splits, case.instrument)).parameters[case.keyword].default
     case.run(**{case.keyword: LARGE_ERRORS[case.keyword]})
-    begun = time.process_time()
+    start = time.process_time()
     case.run()
-    seconds = time.process_time() - begun
+    seconds = time.process_time() - start
     return {
         "instrument": f"`{case.instrument}`",
         "scene": case.scene,
@@ -84,18 +84,18 @@ def measure(case: CostCase) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Print the rows, and write the table if a path is given."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("table", nargs="?")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     rows = []
     for case in make_cases():
         rows.append(measure(case))
         print(*rows[-1].values(), sep="  ", flush=True)
-    if given.table:
-        write_data_frame(pd.DataFrame(rows), given.table)
+    if arguments.table:
+        write_data_frame(pd.DataFrame(rows), arguments.table)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""How much reflectance moves and bends with refractive index: what bounds interpolation's error.
+"""Derivatives of reflectance by refractive index, which bound the error of interpolation.
 
-The spectral estimator interpolates linearly between index nodes and bounds what this misses by
-SLOPE times the relative distance of the contrasts from the chord, and CURVATURE/2 times the mean
-square of the relative distances from the nodes.  This program measures the first and the second
-derivative of reflectance and transmittance by ln c from three contrasts c with absorption fixed,
-for snow and sand, dry and wet, and prints them with their standard errors; for sands, what
-interpolated spectra miss of spectra traced at every wavelength; and, for snow of Table 1, what few
-nodes miss of many at 211 wavelengths.
+The spectral estimator interpolates linearly between index nodes.  Its error bound is MAX_LOG_SLOPE
+times the relative distance of the contrasts from the chord, and MAX_LOG_CURVATURE/2 times the mean
+square of the relative distances from the nodes.  This program estimates the first and the second
+derivative of reflectance and transmittance by ln c from three contrasts c at fixed absorption, for
+dry and wet snow and sand, and prints them with their standard errors; for sands, the deviation of
+interpolated spectra from spectra traced at every wavelength; and, for snow of Table 1, that of few
+nodes from many at 211 wavelengths.
 
     python benchmarks/interpolation.py
 """
@@ -23,8 +23,8 @@ from splits.simulation.runner import Runner
 from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.tally import PathTally
 
-# Wider apart than any spectrum spreads them, so that the bend shows beyond the noise.
-SOLIDS = {
+# Wider apart than in any spectrum, so that the curvature is larger than the noise.
+MATERIALS = {
     "snow, dry": (0.0, (1.42, 1.31, 1.233), (1.0, 1.0, 1.0)),
     "snow, S = 0.05": (0.05, (1.42, 1.31, 1.233), (1.44, 1.33, 1.253)),
     "snow, S = 0.3": (0.3, (1.42, 1.31, 1.233), (1.44, 1.33, 1.253)),
@@ -32,8 +32,8 @@ SOLIDS = {
     "sand, dry": (0.0, (2.0, 1.7, 1.49), (1.0, 1.0, 1.0)),
     "sand, water-filled": (1.0, (1.65, 1.55, 1.48), (1.33, 1.33, 1.33)),
 }
-MANY_NODES_RAYS = 3e-5
-"""Interpolation error allowed where many nodes stand for the truth."""
+REFERENCE_TOLERANCE = 3e-5
+"""Interpolation error of the reference with many nodes."""
 SEEDS = 8
 BIAS_RAYS = 100_000
 ABSORPTION = {"snow": (1e-9, 1e-6, 1e-5), "sand": (1e-6, 1e-5, 1e-3)}
@@ -58,7 +58,7 @@ def compute_derivatives(mediums: list[object], x: np.ndarray) -> tuple[np.ndarra
         ds = splits.spectrophotometer(medium, [1000], max_stderr=0.002, seed=seed)
         values.append([float(ds.reflectance[0]), float(ds.transmittance[0])])
         errors.append([float(ds.reflectance_stderr[0]), float(ds.transmittance_stderr[0])])
-    # The parabola through three points, by Lagrange.
+    # Derivatives of the Lagrange parabola through three points.
     d = np.array([(x[i] - x[i - 1]) * (x[i] - x[i - 2]) for i in range(3)])
     other = np.array([2 * x[1] - x[i - 1] - x[i - 2] for i in range(3)])
     first, second = (other / d)[:, np.newaxis], (2.0 / d)[:, np.newaxis]
@@ -83,70 +83,74 @@ RAYS = 40_000
 
 
 def print_interpolation_errors() -> None:
-    """Print what interpolated reflectance of sands misses of that traced at every wavelength."""
+    """Print deviations of interpolated reflectance of sands from that at every wavelength."""
     wavelengths = np.arange(400.0, 1001.0, 50.0)
     for name, sand in SANDS.items():
         index = sand.compute_refractive_indices(wavelengths)
         nodes = choose_nodes(index, sand.list_interfaces(), TOLERANCE)
         rows = [int(np.flatnonzero((index == node).all(axis=1))[0]) for node in nodes.index]
         few, few_error, _ = estimate_fixed_budget(sand, wavelengths, 0.0, rows, RAYS, 1)
-        every, error, _ = estimate_fixed_budget(
+        traced, traced_error, _ = estimate_fixed_budget(
             sand, wavelengths, 0.0, range(len(wavelengths)), RAYS, 2
         )
-        off, noise = few[0] - every[0], np.hypot(few_error[0], error[0])
-        between = np.setdiff1d(np.arange(len(wavelengths)), rows)
-        z = off[between] / noise[between]
+        deviation, noise = few[0] - traced[0], np.hypot(few_error[0], traced_error[0])
+        off_nodes = np.setdiff1d(np.arange(len(wavelengths)), rows)
+        z = deviation[off_nodes] / noise[off_nodes]
         print(
-            f"{name}, {len(rows)} nodes for {len(wavelengths)} wavelengths: largest miss between "
-            f"nodes {np.abs(off[between]).max(initial=0.0):.4f} ± {noise.max():.4f}, mean "
-            f"{off[between].mean():+.4f}, rms z {np.sqrt(np.mean(z**2)):.2f}, largest bound "
-            f"{nodes.interpolation_bound.max():.4f}",
+            f"{name}, {len(rows)} nodes for {len(wavelengths)} wavelengths: largest deviation "
+            f"between nodes {np.abs(deviation[off_nodes]).max(initial=0.0):.4f} "
+            f"± {noise.max():.4f}, mean {deviation[off_nodes].mean():+.4f}, rms z "
+            f"{np.sqrt(np.mean(z**2)):.2f}, largest bound {nodes.interpolation_bound.max():.4f}",
             flush=True,
         )
 
 
 def print_bias() -> None:
-    """Compare interpolation as a spectrum of error 0.001 does it with many nodes, for snow.
+    """Print the deviation of the nodes of a spectrum of error 0.001 from many nodes, for snow.
 
-    Both take their nodes' values from the same paths, so that most of the noise cancels, and
-    every wavelength is held against the error that such a dataset states.
+    Both use the same paths, so that most of the noise cancels.  Deviations are compared with the
+    stated error at every wavelength.
     """
     snow, wavelengths = splits.Snow(), np.arange(400.0, 2501.0, 10.0)
     stated = splits.spectrophotometer(snow, wavelengths, max_stderr=0.001, seed=9)
     index = snow.compute_refractive_indices(wavelengths)
     few = choose_nodes(index, snow.list_interfaces(), 0.4 * 0.001)
-    many = choose_nodes(index, snow.list_interfaces(), MANY_NODES_RAYS)
+    many = choose_nodes(index, snow.list_interfaces(), REFERENCE_TOLERANCE)
     rows = {tuple(node): i for i, node in enumerate(many.index)}
     extra = [node for node in few.index if tuple(node) not in rows]
-    every = np.concatenate([many.index, np.array(extra).reshape(-1, index.shape[1])])
-    rows = {tuple(node): i for i, node in enumerate(every)}
-    weights = np.zeros((2, len(every), len(wavelengths)))
+    all_nodes = np.concatenate([many.index, np.array(extra).reshape(-1, index.shape[1])])
+    rows = {tuple(node): i for i, node in enumerate(all_nodes)}
+    weights = np.zeros((2, len(all_nodes), len(wavelengths)))
     for row, nodes in enumerate((few, many)):
         for node, weight in zip(nodes.index, nodes.weights, strict=True):
             weights[row, rows[tuple(node)]] += weight
-    off = []
+    deviations = []
     for seed in range(SEEDS):
         runner = Runner(snow, 0.0, seed, None, False)
         absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
-        # One number for all: the same random streams at every node.
+        # All nodes have the same ensemble number, and so the same random streams.
         ensembles = [
             PathTally(0, node, absorption, w > 0.0, runner.tracer.traits)
-            for node, w in zip(every, weights.max(axis=0), strict=True)
+            for node, w in zip(all_nodes, weights.max(axis=0), strict=True)
         ]
-        runner.trace([(e, level, BIAS_RAYS) for e in ensembles for level in e.strata], 1.0, 0.0)
-        means = np.stack([e.compute_means() for e in ensembles])
-        off.append(np.einsum("jw,jqw->qw", weights[0] - weights[1], means))
-    miss = np.mean(off, axis=0)
-    noise = np.std(off, axis=0, ddof=1) / np.sqrt(SEEDS)
+        runner.trace(
+            [(tally, stratum, BIAS_RAYS) for tally in ensembles for stratum in tally.strata],
+            1.0,
+            0.0,
+        )
+        means = np.stack([tally.compute_means() for tally in ensembles])
+        deviations.append(np.einsum("jw,jqw->qw", weights[0] - weights[1], means))
+    mean_deviation = np.mean(deviations, axis=0)
+    noise = np.std(deviations, axis=0, ddof=1) / np.sqrt(SEEDS)
     error = np.stack([stated.reflectance_stderr, stated.transmittance_stderr])
-    share = np.abs(miss) / error
+    ratio = np.abs(mean_deviation) / error
     print(
-        f"Table 1, {len(few.index)} nodes against {len(many.index)} (bound {MANY_NODES_RAYS:g}), "
-        f"{len(wavelengths)} wavelengths: reflectance off by rms "
-        f"{np.sqrt(np.mean(miss[0] ** 2)):.1e}, "
-        f"at most {np.abs(miss[0]).max():.1e} (noise up to {noise[0].max():.1e}); "
-        f"at most {share[0].max():.2f} of the error stated, {(share[0] > 1.0).sum()} wavelengths "
-        f"beyond it; transmittance at most {np.abs(miss[1]).max():.1e}",
+        f"Table 1, {len(few.index)} nodes against {len(many.index)} (bound "
+        f"{REFERENCE_TOLERANCE:g}), {len(wavelengths)} wavelengths: reflectance deviation rms "
+        f"{np.sqrt(np.mean(mean_deviation[0] ** 2)):.1e}, "
+        f"at most {np.abs(mean_deviation[0]).max():.1e} (noise up to {noise[0].max():.1e}); "
+        f"at most {ratio[0].max():.2f} of the stated error, larger at {(ratio[0] > 1.0).sum()} "
+        f"wavelengths; transmittance at most {np.abs(mean_deviation[1]).max():.1e}",
         flush=True,
     )
 
@@ -155,7 +159,7 @@ def main() -> None:
     """Print all three comparisons."""
     print_bias()
     print_interpolation_errors()
-    for name, (saturation, solids, waters) in SOLIDS.items():
+    for name, (saturation, solids, waters) in MATERIALS.items():
         kind = name[:4]
         pore = np.array(waters) if saturation == 1.0 else np.ones(3)
         x = np.log(np.abs(np.array(solids) / pore - 1.0))
@@ -164,12 +168,12 @@ def main() -> None:
                 make_medium(kind, saturation, complex(solid, k), complex(water, k))
                 for solid, water in zip(solids, waters, strict=True)
             ]
-            slope, slope_error, bend, bend_error = compute_derivatives(mediums, x)
+            slope, slope_error, curvature, curvature_error = compute_derivatives(mediums, x)
             print(
                 f"{name}, k {k:g}: slope R {slope[0]:+.2f} ± {slope_error[0]:.2f}, "
                 f"T {slope[1]:+.2f} ± {slope_error[1]:.2f} (bound {MAX_LOG_SLOPE:g}); "
-                f"bend R {bend[0]:+.2f} ± {bend_error[0]:.2f}, "
-                f"T {bend[1]:+.2f} ± {bend_error[1]:.2f} (bound {MAX_LOG_CURVATURE:g})",
+                f"curvature R {curvature[0]:+.2f} ± {curvature_error[0]:.2f}, "
+                f"T {curvature[1]:+.2f} ± {curvature_error[1]:.2f} (bound {MAX_LOG_CURVATURE:g})",
                 flush=True,
             )
 

@@ -1,24 +1,25 @@
-"""What the lane kernel is worth: against the scalar one, on two cores, and feature by feature.
+"""Speed of the vectorized kernel: against the scalar kernel, on two cores, and by feature.
 
-Everything is measured in this one run, after warm-ups that compile; rivals take turns and the
-least time of each counts, because whatever else the machine does can only add to it.
+All times are from one run, after warm-ups that compile.  The compared cases alternate, and the
+shortest time of each is reported, because other load of the machine only adds to a time.
 
 vectorized_against_scalar
-    Time per ray through the same medium with the same optics, one core, as many rays at a time as
-    the instruments trace in a long run.  Paths are long at 500 nm and short in the near infrared;
-    lanes suffer from stragglers.  `events_per_ray` are legs through the pore space.
+    Time per ray through the same medium with the same optics, on one core, with as many rays per
+    call as in a long run of an instrument.  Paths are long at 500 nm and short in the near
+    infrared; long paths leave lanes idle.  `events_per_ray` is the number of segments through the
+    pore space.
 two_cores
-    211 wavelengths on two cores and on one; the smaller the error asked for, the less the ends of
-    rounds matter, where one core waits for the other.
+    211 wavelengths on two cores and on one.  At the end of a round one core waits for the other,
+    which costs less for smaller errors.
 features
-    Time per grain drawn at 500 nm, in dry snow of smooth grains as 1.  "unused" has the feature
-    compiled in but nothing to do in the scene: the price of its instructions.  Facets, and the last
-    scenes, are in use, which is work besides.
+    Time per sampled grain at 500 nm, relative to dry snow of smooth grains.  "unused" features are
+    compiled in but not needed in the scene, which gives the cost of their instructions.  Facets and
+    the features of the last scenes are used, which adds to the work.
 
     python benchmarks/kernels.py [TABLE.csv]
 
-`against_commit.py` compares the package with itself as of another commit.  With --quick, few rays
-and one round, to see that everything works; its times are no result.
+`against_commit.py` compares the package with another commit.  With --quick, few rays and one round
+test that the program runs; its times are not meaningful.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ CASES: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {
         (500.0, 900.0),
     ),
 }  # fmt: skip
-"""Media: kind, parameters and two wavelengths (nm), of long paths and of short ones."""
+"""Media: kind, parameters and two wavelengths (nm), with long and with short paths."""
 SMOOTH_GRAINS = {"facetness": (0, 0, 0, 0), "saturation": 0}
 ROUGH_GRAINS = SMOOTH_GRAINS | {"facetness": (0.2, 0.4, 0.3, 0.072)}
 OPTIONAL_FEATURES = {
@@ -73,8 +74,8 @@ OPTIONAL_FEATURES = {
     "extinction in reflection": "absorbing",
     "mixed types, coatings": "mixed",
 }
-"""Features that can be on in a scene without them.  Facets cannot: without roughness, near-grazing
-rays would be refused about 1/cosine times."""
+"""Features that can be compiled for a scene without them.  Facets cannot: without roughness,
+near-grazing rays would be rejected about 1/cosine times."""
 FEATURE_MEDIA = {
     "facets, S = 0.3": splits.Snow(**ROUGH_GRAINS | {"saturation": 0.3}),
     "facets, entry projected": splits.Snow(
@@ -87,7 +88,7 @@ FEATURE_MEDIA = {
 
 @dataclass(frozen=True)
 class KernelBenchmarkPlan:
-    """How much to measure: rounds, rays per call, seconds per timing, error and spectra."""
+    """Size of the benchmark: rounds, rays per call, seconds per timing, errors and spectra."""
 
     n_rounds: int = 7
     n_rays: int = 16_384
@@ -100,7 +101,7 @@ QUICK = KernelBenchmarkPlan(1, 512, 0.05, (0.01,), 1)
 
 
 class KernelTimer:
-    """One kernel in one scene.
+    """Timer of one kernel in one scene.
 
     Parameters
     ----------
@@ -120,38 +121,40 @@ class KernelTimer:
         self.segments_per_ray = np.nan
 
     def trace(self, seed: int, first: int) -> int:
-        """Trace rays from one of that number on and return their legs."""
+        """Trace rays from number `first` on, and return the number of their segments."""
         work = np.array([[0, first, self.n_rays, NO_MAX_ORDER]])
         if self.features is None:
-            told = history.trace_batch(
+            result = history.trace_batch(
                 seed, work[0], self.scene, self.optics, self.exits, None, None
             )
         else:
             optics = Optics(*(values[np.newaxis] for values in self.optics))
-            told = vectorized.trace_batch(seed, work, self.scene, optics, self.exits, self.features)
-        if told.lost:
+            result = vectorized.trace_batch(
+                seed, work, self.scene, optics, self.exits, self.features
+            )
+        if result.lost:
             raise RuntimeError("a ray was lost")
-        return int(np.sum(told.n_segments))
+        return int(np.sum(result.n_segments))
 
     def prepare(self, plan: KernelBenchmarkPlan) -> None:
-        """Compile, and choose how many calls make a timing of the length planned."""
+        """Compile, and choose the number of calls of a timing."""
         self.n_rays = plan.n_rays if self.features else plan.n_rays // 8
         self.exits = allocate_exits(self.n_rays, self.optics.n.size)
         self.trace(0, 0)
-        begun = time.perf_counter()
+        start = time.perf_counter()
         self.trace(0, self.n_rays)
-        spent = time.perf_counter() - begun
-        self.n_calls = max(1, round(plan.seconds / spent))
+        time_s = time.perf_counter() - start
+        self.n_calls = max(1, round(plan.seconds / time_s))
 
     def time_calls(self, seed: int) -> None:
-        """Time all calls once and keep the least times."""
-        begun = time.perf_counter()
-        legs = sum(self.trace(seed, number * self.n_rays) for number in range(self.n_calls))
-        spent = time.perf_counter() - begun
+        """Time all calls once and keep the shortest times."""
+        start = time.perf_counter()
+        n_segments = sum(self.trace(seed, number * self.n_rays) for number in range(self.n_calls))
+        time_s = time.perf_counter() - start
         rays = self.n_calls * self.n_rays
-        self.time_per_ray_s = min(self.time_per_ray_s, spent / rays)
-        self.time_per_segment_s = min(self.time_per_segment_s, spent / legs)
-        self.segments_per_ray = legs / rays
+        self.time_per_ray_s = min(self.time_per_ray_s, time_s / rays)
+        self.time_per_segment_s = min(self.time_per_segment_s, time_s / n_segments)
+        self.segments_per_ray = n_segments / rays
 
 
 def compute_optics(medium: Any, wavelength_nm: float) -> Optics:
@@ -161,22 +164,22 @@ def compute_optics(medium: Any, wavelength_nm: float) -> Optics:
 
 
 def get_features(medium: Any, wavelength_nm: float) -> Features:
-    """Return what lanes need for a medium."""
+    """Return the features of the vectorized kernel that a medium needs."""
     features = select_features(
         build_scene(medium, 0.0, False), compute_optics(medium, wavelength_nm)
     )
     if features is None:
-        raise RuntimeError("lanes do not serve this medium")
+        raise RuntimeError("the vectorized kernel does not support this medium")
     return features
 
 
 def time_in_turn(timers: Mapping[str, KernelTimer], plan: KernelBenchmarkPlan) -> None:
-    """Time all benches in turn, for all rounds."""
-    for bench in timers.values():
-        bench.prepare(plan)
+    """Time all cases alternately, for all rounds."""
+    for timer in timers.values():
+        timer.prepare(plan)
     for seed in range(1, plan.n_rounds + 1):
-        for bench in timers.values():
-            bench.time_calls(seed)
+        for timer in timers.values():
+            timer.time_calls(seed)
 
 
 def make_row(
@@ -204,8 +207,8 @@ def make_row(
 
 
 def compare_with_scalar(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
-    """Return lanes against the scalar kernel, time per ray."""
-    print("lanes against scalar, one core, the same medium and optics", flush=True)
+    """Compare times per ray of the vectorized and the scalar kernel, and return the rows."""
+    print("vectorized against scalar kernel, one core, same medium and optics", flush=True)
     rows = []
     for name, (kind, settings, wavelengths) in CASES.items():
         medium = getattr(splits, kind)(**settings)
@@ -215,10 +218,10 @@ def compare_with_scalar(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
                 "vectorized": KernelTimer(medium, wavelength, get_features(medium, wavelength)),
             }
             time_in_turn(pair, plan)
-            scalar, lane = pair["scalar"], pair["vectorized"]
+            scalar, fast = pair["scalar"], pair["vectorized"]
             rows.append(
                 make_row(
-                    "vectorized_against_scalar", name, "s per ray", lane.time_per_ray_s, "scalar",
+                    "vectorized_against_scalar", name, "s per ray", fast.time_per_ray_s, "scalar",
                     scalar.time_per_ray_s, wavelength_nm=wavelength,
                     events_per_ray=scalar.segments_per_ray,
                 )
@@ -227,18 +230,18 @@ def compare_with_scalar(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
                 f"  {name}, {wavelength:g} nm: {scalar.segments_per_ray:.0f} events per ray; "
                 f"scalar {1e6 * scalar.time_per_ray_s:.3g} µs per ray, "
                 f"{1e9 * scalar.time_per_segment_s:.0f} ns per event; "
-                f"lanes {1e6 * lane.time_per_ray_s:.3g} µs per ray, "
-                f"{1e9 * lane.time_per_ray_s / scalar.segments_per_ray:.0f} ns per event; "
-                f"{scalar.time_per_ray_s / lane.time_per_ray_s:.2f} times as fast",
+                f"vectorized {1e6 * fast.time_per_ray_s:.3g} µs per ray, "
+                f"{1e9 * fast.time_per_ray_s / scalar.segments_per_ray:.0f} ns per event; "
+                f"{scalar.time_per_ray_s / fast.time_per_ray_s:.2f} times as fast",
                 flush=True,
             )
     return rows
 
 
 def compare_two_cores(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
-    """Return two cores against one, for a spectrum by lanes."""
+    """Compare two cores with one for a spectrum by the vectorized kernel, and return the rows."""
     if count_cpus() < 2:
-        print("two cores against one: left out, there is one core", flush=True)
+        print("two cores against one: skipped, there is one core", flush=True)
         return []
     rows = []
     splits.spectrophotometer(splits.Snow(), WAVELENGTHS_NM, kernel="vectorized", max_rays=1)
@@ -246,12 +249,12 @@ def compare_two_cores(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
         best = {1: np.inf, 2: np.inf}
         for seed in range(plan.n_spectra):
             for threads in best:
-                begun = time.perf_counter()
+                start = time.perf_counter()
                 splits.spectrophotometer(
                     splits.Snow(), WAVELENGTHS_NM, max_stderr=error, kernel="vectorized",
                     threads=threads, seed=seed,
                 )  # fmt: skip
-                best[threads] = min(best[threads], time.perf_counter() - begun)
+                best[threads] = min(best[threads], time.perf_counter() - start)
         print(
             f"two cores against one, {WAVELENGTHS_NM.size} wavelengths, error {error:g}, best of "
             f"{plan.n_spectra}: {best[1]:.2f} s on one, {best[2]:.2f} s on two, "
@@ -264,50 +267,50 @@ def compare_two_cores(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
 
 
 def compare_features(plan: KernelBenchmarkPlan) -> list[dict[str, Any]]:
-    """Return what each feature of the lane kernel costs per grain drawn."""
-    benches = {}
+    """Compare times per sampled grain by feature of the vectorized kernel, and return the rows."""
+    timers = {}
     for name, settings in (("smooth", SMOOTH_GRAINS), ("facets", ROUGH_GRAINS)):
         medium = splits.Snow(**settings)
-        bare = get_features(medium, 500.0)
-        benches[name] = KernelTimer(medium, 500.0, bare)
+        features = get_features(medium, 500.0)
+        timers[name] = KernelTimer(medium, 500.0, features)
         for feature, field in OPTIONAL_FEATURES.items():
-            with_it = bare._replace(**{field: True})
-            benches[f"{name}, {feature} unused"] = KernelTimer(medium, 500.0, with_it)
-        everything = bare._replace(**dict.fromkeys(OPTIONAL_FEATURES.values(), True))
-        benches[f"{name}, all of them unused"] = KernelTimer(medium, 500.0, everything)
+            extended = features._replace(**{field: True})
+            timers[f"{name}, {feature} unused"] = KernelTimer(medium, 500.0, extended)
+        all_features = features._replace(**dict.fromkeys(OPTIONAL_FEATURES.values(), True))
+        timers[f"{name}, all of them unused"] = KernelTimer(medium, 500.0, all_features)
     for name, medium in FEATURE_MEDIA.items():
-        benches[name] = KernelTimer(medium, 500.0, get_features(medium, 500.0))
-    time_in_turn(benches, plan)
-    one = benches["smooth"].time_per_segment_s
-    print(f"features, time per grain drawn: smooth {1e9 * one:.1f} ns", flush=True)
-    for name, bench in list(benches.items())[1:]:
-        print(f"  {name}: {bench.time_per_segment_s / one:.2f}", flush=True)
+        timers[name] = KernelTimer(medium, 500.0, get_features(medium, 500.0))
+    time_in_turn(timers, plan)
+    smooth_s = timers["smooth"].time_per_segment_s
+    print(f"features, time per sampled grain: smooth {1e9 * smooth_s:.1f} ns", flush=True)
+    for name, timer in list(timers.items())[1:]:
+        print(f"  {name}: {timer.time_per_segment_s / smooth_s:.2f}", flush=True)
     return [
         make_row(
-            "features", name, "s per grain drawn", bench.time_per_segment_s, "smooth", one,
+            "features", name, "s per sampled grain", timer.time_per_segment_s, "smooth", smooth_s,
             wavelength_nm=500.0,
         )
-        for name, bench in benches.items()
+        for name, timer in timers.items()
     ]  # fmt: skip
 
 
 def main() -> None:
-    """Measure and print, and write the table if a path is given."""
+    """Print all parts, and write the table if a path is given."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("table", nargs="?", type=expand_path, help="CSV to write")
-    parser.add_argument("--quick", action="store_true", help="a trial: few rays, one round")
-    given = parser.parse_args()
-    plan = QUICK if given.quick else KernelBenchmarkPlan()
+    parser.add_argument("--quick", action="store_true", help="test run: few rays, one round")
+    arguments = parser.parse_args()
+    plan = QUICK if arguments.quick else KernelBenchmarkPlan()
     parts: list[Callable[[KernelBenchmarkPlan], list[dict[str, Any]]]] = [
         compare_with_scalar,
         compare_two_cores,
         compare_features,
     ]
-    rows = [one for part in parts for one in part(plan)]
-    if given.table:
-        write_data_frame(pd.DataFrame(rows), given.table)
+    rows = [row for part in parts for row in part(plan)]
+    if arguments.table:
+        write_data_frame(pd.DataFrame(rows), arguments.table)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The table of `speed_against_error.py`: what a way to a spectrum took, and how far off it is."""
+"""Table of `speed_against_error.py`: time and deviation of each method for a spectrum."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NUMBER_COLUMNS = (
 
 
 class MethodTable:
-    """Rows of the result, printed as they come.
+    """Rows of the result, printed when they are added.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ class MethodTable:
         rays: float,
         error: float = np.nan,
         spectra: Sequence[xr.Dataset] = (),
-        **facts: float,
+        **statistics: float,
     ) -> None:
-        """Add a method; of several spectra, the root mean square or largest of each number."""
-        facts |= performance.combine_runs(
+        """Add a method, with the root mean square or maximum of each number over spectra."""
+        statistics |= performance.combine_runs(
             [
-                performance.compute_deviations(one, self.reference)
-                | performance.summarize_stated_errors(one)
-                for one in spectra
+                performance.compute_deviations(spectrum, self.reference)
+                | performance.summarize_stated_errors(spectrum)
+                for spectrum in spectra
             ]
         )
         row = {
@@ -58,7 +58,7 @@ class MethodTable:
             "error": error,
             "seconds": seconds,
             "rays": round(rays),
-            **{key: facts.get(key, np.nan) for key in NUMBER_COLUMNS},
+            **{key: statistics.get(key, np.nan) for key in NUMBER_COLUMNS},
             "reference_stderr": float(
                 performance.summarize_stated_errors(self.reference)["stderr_largest"]
             ),

@@ -1,10 +1,10 @@
-"""Helmholtz reciprocity of packed grains: f(i → r) against f(r → i), for the papers' readings.
+"""Helmholtz reciprocity of dense media: f(i → r) against f(r → i), by interpretation.
 
     python benchmarks/reciprocity.py [--quick]
 
-Prints, for every medium and reading, the relative difference of six pairs of directions and its
-standard error, both in per cent. Grains far apart are reciprocal (tests/physics); packed ones are
-not where a grain that does not fit is drawn again, and nearly so where it is skipped.
+Prints, for every medium and interpretation, the relative difference of six pairs of directions and
+its standard error, both in per cent.  Dilute grains are reciprocal (tests/physics).  Dense ones are
+not if a grain that overlaps is rejected, and nearly so if it is skipped.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ MEDIA = {
 
 
 def main() -> None:
-    """Print one line per medium and reading."""
+    """Print one line per medium and interpretation."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a larger error")
+    parser.add_argument("--quick", action="store_true", help="larger error")
     error = 0.05 if parser.parse_args().quick else 0.012
     angles = sorted({angle for pair in ANGLE_PAIRS for angle in pair[:2]})
     azimuths = sorted({float(pair[2]) for pair in ANGLE_PAIRS})
     print("pairs (incidence, view, azimuth):", *ANGLE_PAIRS)
     for name, (kind, settings, wavelength) in MEDIA.items():
-        for reading, interpretation in INTERPRETATIONS.items():
+        for label, interpretation in INTERPRETATIONS.items():
             medium = kind(**settings, interpretation={"set": "splits_2007", **interpretation})
             runs = {
                 angle: splits.goniophotometer(
@@ -63,15 +63,15 @@ def main() -> None:
                 )
                 for angle in angles
             }
-            cells = []
-            for one, other, azimuth in ANGLE_PAIRS:
-                there = runs[one].sel(polar=other, azimuth=azimuth).isel(wavelength=0)
-                back = runs[other].sel(polar=one, azimuth=azimuth).isel(wavelength=0)
-                mean = 0.5 * float(there.brdf + back.brdf)
-                gap = float(there.brdf - back.brdf) / mean
-                stderr = float(np.hypot(there.brdf_stderr, back.brdf_stderr)) / mean
-                cells.append(f"{100.0 * gap:+.1f} ± {100.0 * stderr:.1f}")
-            print(f"{name}, {reading}: {', '.join(cells)}", flush=True)
+            results = []
+            for incidence, view, azimuth in ANGLE_PAIRS:
+                forward = runs[incidence].sel(polar=view, azimuth=azimuth).isel(wavelength=0)
+                reverse = runs[view].sel(polar=incidence, azimuth=azimuth).isel(wavelength=0)
+                mean = 0.5 * float(forward.brdf + reverse.brdf)
+                difference = float(forward.brdf - reverse.brdf) / mean
+                stderr = float(np.hypot(forward.brdf_stderr, reverse.brdf_stderr)) / mean
+                results.append(f"{100.0 * difference:+.1f} ± {100.0 * stderr:.1f}")
+            print(f"{name}, {label}: {', '.join(results)}", flush=True)
 
 
 if __name__ == "__main__":

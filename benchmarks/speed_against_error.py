@@ -1,31 +1,31 @@
-"""Time and error of every way to a spectrum: the papers' algorithm, weights, lanes, two theories.
+"""Time and error of all methods for a spectrum: the papers' algorithm, weights, and two theories.
 
-One thread measures spectra of 211 wavelengths, 400-2500 nm, of four media in one run, after
-warm-ups that compile every kernel used.  Methods (`splits.experiments.papers.performance.METHODS`):
+Spectra of 211 wavelengths, 400-2500 nm, of four media are computed on one thread in one run, after
+warm-ups that compile all kernels.  Methods (`splits.experiments.papers.performance.METHODS`):
 
-papers_uniform      the papers' algorithm, absorption by coin toss, the same number of rays at
-                    every wavelength, as many as the noisiest one needs: our reading of the papers,
-                    which do not say how rays are shared among wavelengths
-papers_adaptive     the same, but every wavelength stops by itself as soon as it has the error
-one_by_one          weights instead of tosses, but still every wavelength with paths of its own
-scalar              paths shared by all wavelengths, scalar kernel
-lanes               the same with the lane kernel
-discrete_ordinates  PythonicDISORT and
-kz04                Kokhanovsky & Zege with the single-scattering properties of our own grains; for
-                    orientation: their deviation is a difference of models
+papers_uniform      the papers' algorithm with analog absorption and the same number of rays at
+                    every wavelength, that of the noisiest one; this is an interpretation, because
+                    the papers do not state the number of rays per wavelength
+papers_adaptive     the same, but every wavelength stops when it reaches the error
+one_by_one          weights instead of analog absorption, with separate paths for every wavelength
+scalar              the same paths for all wavelengths, scalar kernel
+vectorized          the same paths for all wavelengths, vectorized kernel
+discrete_ordinates  PythonicDISORT with the single-scattering properties of the grains
+kz04                Kokhanovsky & Zege with the single-scattering properties of the grains
 
-The first three are timed at every tenth wavelength and multiplied up to all.  The papers' algorithm
-is run to the largest error and scaled to the others, time with 1/error²; for the first medium it is
-also run to the smallest, to see how well that holds.  Its uniform form is never run: its time is
-the time per ray at each wavelength, times the rays of the noisiest.
+The deviation of the two theories is a difference between models.  The first three methods are
+timed at every tenth wavelength, and the times scaled to all.  The papers' algorithm is run to the
+largest error, and its time scaled to the others with 1/error²; for the first medium it is also run
+to the smallest error, to test this scaling.  Its uniform form is never run: its time is the time
+per ray at each wavelength, times the rays of the noisiest.
 
-A reference of many more rays with another seed shows actual errors.  It is kept beside the table
-as reference_*.nc until a source of the physics or the medium changes.
+Actual errors are deviations from a reference with many more rays and another seed.  It is kept
+beside the table as reference_*.nc until a source of the physics or the medium changes.
 
     python benchmarks/speed_against_error.py [TABLE.csv]
 
-With --quick: 22 wavelengths, large errors, and a rough reference, to see that everything works;
-its times are no result.
+With --quick, 22 wavelengths, large errors and a rough reference test that the program runs; its
+times are not meaningful.
 """
 
 # ruff: noqa: E402
@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import os
 
-# Theories would solve their equations on all cores.
+# The solvers of the theories would use all cores.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"
 
@@ -80,18 +80,18 @@ PHYSICS_FOLDERS = ("materials", "media", "kernels", "simulation", "instruments")
 
 @dataclass(frozen=True)
 class SpeedPlan:
-    """How much to measure.
+    """Size of the benchmark.
 
     Attributes
     ----------
     step_nm : int
     errors : tuple of float
-        Largest standard errors asked for, in falling order.
+        Requested largest standard errors, decreasing.
     reference_stderr : float
     property_rays : int
-        Rays per index node from which theories take single-scattering properties.
-    repeats : int
-        Runs of the methods that trace all wavelengths together, with other seeds.
+        Rays per index node for the single-scattering properties.
+    n_repeats : int
+        Runs with other seeds of the methods that trace all wavelengths together.
     """
 
     step_nm: int = 10
@@ -115,27 +115,27 @@ QUICK = SpeedPlan(100, (0.02, 0.01, 0.005), 0.002, 4_000, 1)
 
 
 def time_call(
-    function: Callable[..., xr.Dataset], *given: Any, **named: Any
+    function: Callable[..., xr.Dataset], *positional: Any, **keywords: Any
 ) -> tuple[xr.Dataset, float]:
-    """Return what a function returns and the time (s) it took."""
-    begun = time.perf_counter()
-    result = function(*given, **named)
-    return result, time.perf_counter() - begun
+    """Return the result of a function and its time (s)."""
+    start = time.perf_counter()
+    result = function(*positional, **keywords)
+    return result, time.perf_counter() - start
 
 
 def simulate_spectrum(
-    medium: splits.Snow, wavelengths: Sequence[float] | np.ndarray, error: float, **named: Any
+    medium: splits.Snow, wavelengths: Sequence[float] | np.ndarray, error: float, **keywords: Any
 ) -> xr.Dataset:
-    """Return a spectrum that has reached an error, by default on one thread."""
-    settings = {"threads": 1, "seed": SEED, "max_rays": UNLIMITED_RAYS} | named
+    """Return a spectrum of a given error, by default on one thread."""
+    settings = {"threads": 1, "seed": SEED, "max_rays": UNLIMITED_RAYS} | keywords
     dataset = splits.spectrophotometer(medium, wavelengths, max_stderr=error, **settings)
     if dataset.attrs["stop_reason"] != "converged":
-        raise RuntimeError(f"{error:g} was not reached")
+        raise RuntimeError(f"error {error:g} was not reached")
     return dataset
 
 
 def compute_source_digest(medium: splits.Snow) -> str:
-    """Return a digest of everything that a reference depends on."""
+    """Return a digest of the medium and the sources that a reference depends on."""
     digest = hashlib.sha256(repr(medium.describe()).encode())
     package = Path(splits.__file__).parent
     for folder in PHYSICS_FOLDERS:
@@ -147,13 +147,13 @@ def compute_source_digest(medium: splits.Snow) -> str:
 def load_or_compute_reference(
     name: str, medium: splits.Snow, plan: SpeedPlan, folder: Path
 ) -> xr.Dataset:
-    """Return the reference spectrum of a medium, from a file if one is there that still holds."""
+    """Return the reference spectrum of a medium, from a file if that is up to date."""
     slug = name.replace(" ", "_")
     path = folder / f"reference_{slug}_{plan.step_nm}nm_{plan.reference_stderr:g}.nc"
-    wanted = compute_source_digest(medium)
+    digest = compute_source_digest(medium)
     if path.exists():
         dataset = splits.load(path)
-        if dataset.attrs.get("sources_sha256") == wanted:
+        if dataset.attrs.get("sources_sha256") == digest:
             return dataset
     dataset = simulate_spectrum(
         medium,
@@ -163,13 +163,13 @@ def load_or_compute_reference(
         seed=REFERENCE_SEED,
         threads=None,
     )
-    dataset.attrs["sources_sha256"] = wanted
+    dataset.attrs["sources_sha256"] = digest
     splits.save(dataset, path)
     return dataset
 
 
 def warm_up(medium: splits.Snow, plan: SpeedPlan) -> None:
-    """Compile whatever the methods need, by their first rounds."""
+    """Compile the kernels of all methods."""
     for error in plan.errors:
         for kernel in ("scalar", "vectorized"):
             splits.spectrophotometer(
@@ -179,12 +179,12 @@ def warm_up(medium: splits.Snow, plan: SpeedPlan) -> None:
 
 
 def simulate_one_by_one(
-    medium: splits.Snow, wavelengths: np.ndarray, error: float, **named: Any
+    medium: splits.Snow, wavelengths: np.ndarray, error: float, **keywords: Any
 ) -> tuple[xr.Dataset, np.ndarray, np.ndarray]:
     """Return the spectrum of separate runs per wavelength, their times (s) and rays."""
-    # Seeds of their own, or all wavelengths would share their random numbers.
+    # Different seeds, so that wavelengths have independent random numbers.
     runs = [
-        time_call(simulate_spectrum, medium, [wavelength], error, seed=SEED + number, **named)
+        time_call(simulate_spectrum, medium, [wavelength], error, seed=SEED + number, **keywords)
         for number, wavelength in enumerate(wavelengths)
     ]
     spectrum = xr.concat([dataset for dataset, _ in runs], "wavelength", combine_attrs="drop")
@@ -195,29 +195,29 @@ def simulate_one_by_one(
 def time_papers(
     table: MethodTable, medium: splits.Snow, plan: SpeedPlan, include_smallest: bool
 ) -> None:
-    """Add the papers' algorithm, run to the largest error, and to the smallest if `fully`."""
+    """Add the papers' algorithm, run to the largest and, if wanted, to the smallest error."""
     scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
-    first = plan.errors[0]
+    largest = plan.errors[0]
     spectrum, seconds, rays = simulate_one_by_one(
-        medium, plan.sparse_wavelengths, first, estimator="analog"
+        medium, plan.sparse_wavelengths, largest, estimator="analog"
     )
-    add_papers(table, first, spectrum, seconds, rays, scale)
+    add_papers(table, largest, spectrum, seconds, rays, scale)
     stderr = compute_largest_stderr(spectrum)
     for error in plan.errors[1:]:
         uniform_s, uniform_rays, adaptive_s, adaptive_rays = performance.scale_paper_times(
             seconds, rays, stderr, error, ANALOG_PILOT_RAYS
         )
-        for method, spent, count in (
+        for method, total_s, count in (
             (PAPER_UNIFORM, uniform_s, uniform_rays),
             (PAPER_ADAPTIVE, adaptive_s, adaptive_rays),
         ):
-            table.add(method, SCALED, scale * spent, scale * count, error, stderr_largest=error)
+            table.add(method, SCALED, scale * total_s, scale * count, error, stderr_largest=error)
     if include_smallest:
-        last = plan.errors[-1]
+        smallest = plan.errors[-1]
         add_papers(
             table,
-            last,
-            *simulate_one_by_one(medium, plan.sparse_wavelengths, last, estimator="analog"),
+            smallest,
+            *simulate_one_by_one(medium, plan.sparse_wavelengths, smallest, estimator="analog"),
             scale,
         )
 
@@ -230,15 +230,15 @@ def add_papers(
     rays: np.ndarray,
     scale: float,
 ) -> None:
-    """Add both forms of the papers' algorithm from runs that stopped by themselves."""
-    shared = spectrum * xr.DataArray(np.sqrt(rays / rays.max()), dims="wavelength")
+    """Add both forms of the papers' algorithm from runs that stopped at each wavelength."""
+    uniform_spectrum = spectrum * xr.DataArray(np.sqrt(rays / rays.max()), dims="wavelength")
     table.add(
         PAPER_UNIFORM,
         MEASURED_PARTLY,
         scale * float((seconds / rays).sum() * rays.max()),
         scale * float(rays.max() * len(rays)),
         error,
-        **performance.summarize_stated_errors(shared),
+        **performance.summarize_stated_errors(uniform_spectrum),
     )
     table.add(
         PAPER_ADAPTIVE,
@@ -256,7 +256,7 @@ def compute_largest_stderr(spectrum: xr.Dataset) -> np.ndarray:
 
 
 def time_weights(table: MethodTable, medium: splits.Snow, plan: SpeedPlan) -> None:
-    """Add weights wavelength by wavelength, together, and together on lanes."""
+    """Add weights for single wavelengths, and for all with the scalar and vectorized kernel."""
     scale = len(plan.wavelengths) / len(plan.sparse_wavelengths)
     for error in plan.errors:
         spectrum, seconds, rays = simulate_one_by_one(
@@ -283,26 +283,26 @@ def time_weights(table: MethodTable, medium: splits.Snow, plan: SpeedPlan) -> No
                 )
                 for number in range(plan.n_repeats)
             ]
-            spent = float(np.median([seconds for _, seconds in runs]))
+            time_s = float(np.median([seconds for _, seconds in runs]))
             spectra = [dataset for dataset, _ in runs]
             rays = float(np.mean([dataset.attrs["rays"] for dataset in spectra]))
-            table.add(kernel, MEASURED, spent, rays, error, spectra)
+            table.add(kernel, MEASURED, time_s, rays, error, spectra)
 
 
 def time_theories(table: MethodTable, medium: splits.Snow, plan: SpeedPlan) -> None:
-    """Add both theories; their time contains the walks through single grains."""
+    """Add both theories; their time includes that of the single-scattering properties."""
     for method, theory in THEORIES.items():
         try:
             theory(medium, plan.sparse_wavelengths, 2)
         except ImportError as error:
-            print(f"{method} left out: {error}", flush=True)
+            print(f"{method} skipped: {error}", flush=True)
             continue
         spectrum, seconds = time_call(theory, medium, plan.wavelengths, plan.property_rays)
         table.add(method, MEASURED, seconds, plan.property_rays, spectra=[spectrum])
 
 
 def measure_all(plan: SpeedPlan, media: Sequence[str], folder: Path) -> pd.DataFrame:
-    """Measure, print and return the table of all media."""
+    """Compute, print and return the table of all media."""
     rows = []
     for name in media:
         medium = MEDIA[name]
@@ -316,31 +316,33 @@ def measure_all(plan: SpeedPlan, media: Sequence[str], folder: Path) -> pd.DataF
 
 
 def main() -> None:
-    """Measure and print the table, and write it if a path is given."""
+    """Print the table, and write it if a path is given."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("table", nargs="?", type=expand_path, help="CSV to write")
-    parser.add_argument("--quick", action="store_true", help="a trial: coarse and rough")
-    parser.add_argument("--medium", action="append", choices=MEDIA, help="these only")
+    parser.add_argument(
+        "--quick", action="store_true", help="test run: few wavelengths, large errors"
+    )
+    parser.add_argument("--medium", action="append", choices=MEDIA, help="only these media")
     parser.add_argument(
         "--reference-stderr", type=float, help=f"default: {SpeedPlan.reference_stderr:g}"
     )
-    given = parser.parse_args()
-    plan = QUICK if given.quick else SpeedPlan()
-    if given.reference_stderr:
-        plan = replace(plan, reference_stderr=given.reference_stderr)
-    media = given.medium or list(MEDIA)
-    folder = given.table.parent if given.table else Path("results/benchmarks")
+    arguments = parser.parse_args()
+    plan = QUICK if arguments.quick else SpeedPlan()
+    if arguments.reference_stderr:
+        plan = replace(plan, reference_stderr=arguments.reference_stderr)
+    media = arguments.medium or list(MEDIA)
+    folder = arguments.table.parent if arguments.table else Path("results/benchmarks")
     table = measure_all(plan, media, folder)
-    if given.table:
-        write_data_frame(table, given.table)
-    print("\none core; in brackets, times as a multiple of that of lanes:")
+    if arguments.table:
+        write_data_frame(table, arguments.table)
+    print("\none core; in brackets, times relative to the vectorized kernel:")
     for name in media:
         for error in plan.errors:
             print(performance.format_headline(table, name, error, len(plan.wavelengths)))
     merits = table[table.method.isin(("one_by_one", "scalar", VECTORIZED)) & table.error.notna()]
-    print("\nfigures of merit, 1/(error² time), over those of the papers' algorithm:")
+    print("\nfigures of merit, 1/(error² time), relative to those of the papers' algorithm:")
     for row in merits.itertuples():
         print(
             f"{row.medium}, {performance.METHODS[row.method]}, error {row.error:g}: "

@@ -1,8 +1,8 @@
-"""What stopping does: runs end on the error of their own rays, which may draw dark values low.
+"""Bias of the stopping rule: runs stop on their own estimated error, which biases low values.
 
-Snow of SPLITSnow Table 1 at 211 wavelengths, many seeds at one error, against a reference of a
-fifth of that error.  Printed by band: the mean deviation over seeds in units of the stated errors,
-with its own error, and the scatter between seeds over the stated error.
+Snow of SPLITSnow Table 1 at 211 wavelengths, many seeds at one error, compared with a reference of
+a fifth of that error.  Printed by band: the mean deviation over seeds in units of the stated error,
+with its standard error, and the ratio of the scatter between seeds to the stated error.
 
     python benchmarks/stopping.py [--seeds 200] [--max-stderr 0.003]
 """
@@ -26,33 +26,37 @@ SENSOR_BANDS = {
 
 
 def main() -> None:
-    """Measure and print."""
+    """Print one line per band."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--max-stderr", type=float, default=0.003)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     snow = splits.Snow()
 
     def run(error: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
         spectrum = splits.spectrophotometer(snow, WAVELENGTHS_NM, max_stderr=error, seed=seed)
         return spectrum.reflectance.values, spectrum.reflectance_stderr.values
 
-    truth, its_error = run(0.2 * given.max_stderr, 1_000_000)
-    runs = [run(given.max_stderr, seed) for seed in range(given.seeds)]
+    reference, reference_error = run(0.2 * arguments.max_stderr, 1_000_000)
+    runs = [run(arguments.max_stderr, seed) for seed in range(arguments.seeds)]
     values, errors = (np.stack([one[row] for one in runs]) for row in (0, 1))
     stated = np.sqrt((errors**2).mean(axis=0))
-    shift = (values.mean(axis=0) - truth) / stated
-    noise = np.hypot(values.std(axis=0) / np.sqrt(given.seeds), its_error) / stated
+    bias = (values.mean(axis=0) - reference) / stated
+    noise = np.hypot(values.std(axis=0) / np.sqrt(arguments.seeds), reference_error) / stated
     scatter = values.std(axis=0, ddof=1) / stated
-    print(f"{given.seeds} seeds, largest error {given.max_stderr:g}; in units of stated errors")
+    print(
+        f"{arguments.seeds} seeds, largest error {arguments.max_stderr:g}; "
+        "in units of stated errors"
+    )
     for band, (low, high) in SENSOR_BANDS.items():
         inside = (low <= WAVELENGTHS_NM) & (high >= WAVELENGTHS_NM)
         print(
-            f"  {band}: reflectance {truth[inside].mean():.3f}, shift {shift[inside].mean():+.2f} "
-            f"± {noise[inside].mean():.2f} (most {np.abs(shift[inside]).max():.2f}), scatter "
-            f"{scatter[inside].mean():.2f} (most {scatter[inside].max():.2f})",
+            f"  {band}: reflectance {reference[inside].mean():.3f}, "
+            f"bias {bias[inside].mean():+.2f} ± {noise[inside].mean():.2f} (largest "
+            f"{np.abs(bias[inside]).max():.2f}), scatter {scatter[inside].mean():.2f} "
+            f"(largest {scatter[inside].max():.2f})",
             flush=True,
         )
 

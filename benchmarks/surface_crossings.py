@@ -1,12 +1,12 @@
-"""A hundred million crossings of rough surfaces: do rays leak or get lost, and how long they take.
+"""Leaked and lost rays, and time, of a hundred million crossings of rough surfaces.
 
     python benchmarks/surface_crossings.py [--quick]
 
-Every ray has a surface of its own and is reflected and refracted there until it leaves upwards
-(`splits.kernels.particle_layer.leak_census`).  Prints, for every surface: crossings; points of legs
-found on the wrong side of the surface; rays lost; evaluations of the surface, and time on one
-thread, per crossing.  Then time per wave of an evaluation, and per crossing, of realizations that
-are already drawn.
+Every ray has its own realization of the surface, and is reflected and refracted there until it
+leaves upwards (`splits.kernels.particle_layer.missed_intersections`).  Prints, for every surface:
+crossings; points of segments on the wrong side of the surface; lost rays; evaluations of the
+surface, and time on one thread, per crossing.  Then, for given realizations, the time per wave of
+an evaluation, and per crossing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from splits.kernels.math.vectors import Vector
-from splits.kernels.particle_layer.leak_census import (
+from splits.kernels.particle_layer.missed_intersections import (
     EVALUATIONS,
     INTERSECTIONS,
     LEAKS,
@@ -40,7 +40,7 @@ PAIR = [
 ]
 SMALL_PAIR = [field | {"waves": waves} for field, waves in zip(PAIR, (20, 12), strict=True)]
 EXPONENTIAL = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "waves": 32, "band_limit_per_m": 100}
-# Surface, refractive index, angle of incidence, share of the crossings.
+# Surface, refractive index, angle of incidence, fraction of the crossings.
 CASES = {
     "water, rms slope 0.2": (GAUSSIAN | {"rms_height_m": 0.1}, 1.34, 40.0, 0.3),
     "water, rms slope 0.2, grazing": (GAUSSIAN | {"rms_height_m": 0.1}, 1.34, 89.9, 0.1),
@@ -55,41 +55,43 @@ CASES = {
 def count_crossings(
     pool: ThreadPoolExecutor, surface: object, index: float, mu: float, min_crossings: float
 ):
-    """Return counts of at least so many crossings, and the seconds they took."""
+    """Return the counts of at least `min_crossings` crossings, and the time (s)."""
     fields = RoughSurface.from_input(surface).make_height_fields()
 
     def batch(number: int) -> np.ndarray:
         return count_leaks(1, number * RAYS_PER_BATCH, RAYS_PER_BATCH, fields, index, mu).counts
 
-    total, done, begun = np.zeros(5, dtype=np.int64), 0, time.perf_counter()
+    total, n_done, start = np.zeros(5, dtype=np.int64), 0, time.perf_counter()
     while total[INTERSECTIONS] < min_crossings:
-        # As many batches as are likely to be missing, so that threads rarely wait.
-        per_batch = total[INTERSECTIONS] / done if done else 3.0 * RAYS_PER_BATCH
-        more = THREADS * math.ceil((min_crossings - total[INTERSECTIONS]) / per_batch / THREADS)
-        total += sum(pool.map(batch, range(done, done + more)))
-        done += more
-    return total, time.perf_counter() - begun
+        # The expected number of missing batches, so that threads rarely wait.
+        per_batch = total[INTERSECTIONS] / n_done if n_done else 3.0 * RAYS_PER_BATCH
+        n_missing = THREADS * math.ceil(
+            (min_crossings - total[INTERSECTIONS]) / per_batch / THREADS
+        )
+        total += sum(pool.map(batch, range(n_done, n_done + n_missing)))
+        n_done += n_missing
+    return total, time.perf_counter() - start
 
 
 def time_waves() -> None:
-    """Print what an evaluation and a crossing take in realizations that are there."""
+    """Print the times of an evaluation and of a crossing for given realizations."""
     x, y = np.random.default_rng(1).uniform(-50.0, 50.0, (2, 2000))
     for waves_per_surface in (16, 64, 600):
         surface = RoughSurface(GAUSSIAN | {"rms_height_m": 0.5, "waves": waves_per_surface})
-        drawn = make_realization(surface.sample_realization(1))
-        places = [Vector(x[i], y[i], drawn.max_height) for i in range(200)]
+        realization = make_realization(surface.sample_realization(1))
+        positions = [Vector(x[i], y[i], realization.max_height) for i in range(200)]
         d = Vector(0.6, 0.0, -0.8)
         evaluation = crossing = math.inf
         for _ in range(20):
-            begun = time.perf_counter()
-            compute_heights_and_slopes(drawn.waves, x, y)
-            evaluation = min(evaluation, time.perf_counter() - begun)
-            begun = time.perf_counter()
-            for place in places:
-                find_first_intersection(drawn, place, d, 1.0)
-            crossing = min(crossing, time.perf_counter() - begun)
+            start = time.perf_counter()
+            compute_heights_and_slopes(realization.waves, x, y)
+            evaluation = min(evaluation, time.perf_counter() - start)
+            start = time.perf_counter()
+            for position in positions:
+                find_first_intersection(realization, position, d, 1.0)
+            crossing = min(crossing, time.perf_counter() - start)
         per_wave = evaluation / x.size / waves_per_surface
-        per_crossing = crossing / len(places)
+        per_crossing = crossing / len(positions)
         print(
             f"{waves_per_surface} waves: {1e9 * per_wave:.2f} ns per wave, "
             f"{1e6 * per_crossing:.1f} µs per crossing from above"
@@ -100,20 +102,20 @@ def main() -> None:
     """Print one line per surface."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a million crossings")
-    wanted = 1e6 if parser.parse_args().quick else 1e8
+    n_crossings = 1e6 if parser.parse_args().quick else 1e8
     total, seconds = np.zeros(5, dtype=np.int64), 0.0
     with ThreadPoolExecutor(THREADS) as pool:
         count_crossings(pool, GAUSSIAN | {"rms_height_m": 0.1}, 1.34, 1.0, 1)
-        for name, (surface, index, angle, share) in CASES.items():
+        for name, (surface, index, angle, fraction) in CASES.items():
             mu = math.cos(math.radians(angle))
-            counts, took = count_crossings(pool, surface, index, mu, share * wanted)
+            counts, time_s = count_crossings(pool, surface, index, mu, fraction * n_crossings)
             total += counts
-            seconds += took
+            seconds += time_s
             print(
                 f"{name}: {counts[INTERSECTIONS]} crossings, {counts[LEAKS]} leaks, "
                 f"{counts[LOST_RAYS]} lost, "
                 f"{counts[EVALUATIONS] / counts[INTERSECTIONS]:.1f} evaluations "
-                f"and {1e6 * THREADS * took / counts[INTERSECTIONS]:.2f} µs per crossing",
+                f"and {1e6 * THREADS * time_s / counts[INTERSECTIONS]:.2f} µs per crossing",
                 flush=True,
             )
     print(

@@ -1,4 +1,4 @@
-"""Spectra by theory, from the single-scattering properties of a medium's own grains."""
+"""Spectra by theory, from the single-scattering properties of the grains of a medium."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ N_STREAMS = 32
 def compute_discrete_ordinates(
     medium: splits.Snow, wavelengths: np.ndarray, rays: int
 ) -> xr.Dataset:
-    """Return the spectrum by discrete ordinates, from the medium's own grains."""
+    """Return the spectrum by discrete ordinates, for the grains of the medium."""
     optics = splits.single_scattering(
         medium, wavelengths, N_STREAMS, rays, threads=1, wet_pores="equilibrium"
     )
@@ -28,15 +28,15 @@ def compute_discrete_ordinates(
 
 
 def compute_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.Dataset:
-    """Return the spectrum by asymptotic theory, with B and g of the medium's own grains, dry."""
+    """Return the spectrum by asymptotic theory, with B and g of the dry grains of the medium."""
     optics = splits.single_scattering(
         replace(medium, saturation=0.0), wavelengths, 1, rays, threads=1
     )
     area = medium.specific_surface_area_m2_kg
     k = medium.refractive_index["ice"](wavelengths).imag
 
-    def theory(part: xr.Dataset) -> np.ndarray:
-        enhancement, asymmetry = compute_shape_factors(part, area, k)
+    def theory(properties: xr.Dataset) -> np.ndarray:
+        enhancement, asymmetry = compute_shape_factors(properties, area, k)
         spectrum = kz04(
             wavelengths,
             area,
@@ -46,8 +46,8 @@ def compute_kz04(medium: splits.Snow, wavelengths: np.ndarray, rays: int) -> xr.
             density_kg_m3=medium.density_kg_m3,
             depth_m=medium.depth_m,
         )
-        reflected, passed = spectrum.reflectance.values, spectrum.transmittance.values
-        return np.stack([reflected, passed, 1.0 - reflected - passed])
+        reflectance, transmittance = spectrum.reflectance.values, spectrum.transmittance.values
+        return np.stack([reflectance, transmittance, 1.0 - reflectance - transmittance])
 
     values, stderr = theory(optics), propagate_errors(theory, optics)
     variables: dict[str, Variable] = {}

@@ -3,7 +3,7 @@
 A set of comparisons fails if its worst member has a probability below 1 % for the whole set
 (Šidák): one of n comparisons may have p as low as 1 − 0.99^(1/n).  It also fails if the rms of its
 z is outside the two-sided 99 % interval of χ²: stated errors may be neither too small nor too
-large.  tests/statistics/test_judge.py measures the power of these tests.
+large.  tests/statistics/test_significance.py measures the power of these tests.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ RAY = np.array([0.48, -0.64, 0.6])
 @pytest.mark.parametrize("psi", [0.3, 0.6, 0.95, 1.0])
 def test_flight_pass_follows_the_entry_distributions(psi, entry):
     from spheroids import dot_product
-    from test_struck_grains import (
+    from test_hit_grains import (
         compute_area_below,
         compute_axial_cdf,
         compute_axis_cdf,

@@ -83,7 +83,7 @@ def compute_rmse(
 
     Notes
     -----
-    ----- δ rmse = Σ d δd / (n rmse).  Noise additionally increases rmse by half its mean square
+    δ rmse = Σ d δd / (n rmse).  Noise additionally increases rmse by half its mean square
     over rmse. The root mean square of the errors is an upper bound for any correlation.
     """
     difference, stderr = (np.asarray(x, dtype=float) for x in (difference, stderr))

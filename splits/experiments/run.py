@@ -215,8 +215,8 @@ def make_composition_table(experiments: Mapping[str, SimulationConfig]) -> pd.Da
     Returns
     -------
     pandas.DataFrame
-        Columns experiment, sample, iron_oxide, hematite_ratio, magnetite, density_kg_m3 of all
-        particles, and those of `splits.media.sand_composition.SandComposition.to_rows`.
+        Columns experiment, sample, iron_oxide, hematite_ratio, magnetite, sand_density_kg_m3, and
+        those of `splits.media.sand_composition.SandComposition.to_rows`.
     """
     rows: list[dict[str, object]] = []
     for name, experiment in experiments.items():

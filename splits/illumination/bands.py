@@ -39,9 +39,9 @@ class SpectralBand(ContentEquality):
     wavelength_nm : float, shape (n,)
         Strictly increasing (nm).
     response : float, shape (n,)
-        Linear in between, 0 outside.
+        Relative response, linear between the wavelengths and 0 outside.
     sha256 : str
-        Of a user's file.
+        SHA-256 of a user's file, otherwise empty.
     """
 
     wavelength_nm: np.ndarray

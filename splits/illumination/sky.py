@@ -35,7 +35,7 @@ class Sky(ContentEquality):
     relative : bool
         Whether irradiances are in arbitrary units.
     sha256 : str
-        Of a user's file.
+        SHA-256 of a user's file, otherwise empty.
     """
 
     name: str

@@ -73,11 +73,11 @@ def sky(
         Polar angle of the sun, 0 to 89 degrees.  Skies of SNICAR have 60 by default, and
         ``astm_g173`` is for 48.19 only; other skies with direct light require it.
     pressure_pa, precipitable_water_cm, ozone_atm_cm : float, optional
-        Of the air, for ``"clear"`` only (Bird & Riordan 1986); `ATMOSPHERE_PARAMETERS` holds their
-        defaults and ranges.
+        State of the atmosphere, for ``"clear"`` only (Bird & Riordan 1986); `ATMOSPHERE_PARAMETERS`
+        contains the defaults and ranges.
     turbidity_500nm, ground_albedo : float, optional
-        Likewise: optical thickness of aerosol, and albedo of the ground, whose light the sky
-        scatters back; 0.8 by default, for snow.
+        For ``"clear"`` only: optical thickness of the aerosol, and albedo of the ground, whose
+        light the sky scatters back; 0.8 by default, for snow.
 
     Raises
     ------

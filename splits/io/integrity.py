@@ -113,7 +113,7 @@ def verify_checksums(path: str | Path) -> dict[str, Any]:
         has_trailer
         and mark[len(_TRAILER_MARK) :] != _hash_bytes(path, size - _TRAILER_SIZE).encode()
     ):
-        raise _make_damaged_error(path, "its bytes have another checksum")
+        raise _make_damaged_error(path, "the checksum of its bytes differs")
     if not size:
         raise _make_damaged_error(path, "the file is empty")
     # The HDF5 superblock (versions 2 and 3) holds the length of the file.
@@ -131,7 +131,7 @@ def verify_checksums(path: str | Path) -> dict[str, Any]:
         problem = " ".join(text.split()) or type(error).__name__
         raise _make_damaged_error(path, f"cannot be read: {problem}") from None
     if not has_trailer and attributes.get(CHECKSUM_ATTRIBUTE, digest) != digest:
-        raise _make_damaged_error(path, "its content has another checksum")
+        raise _make_damaged_error(path, "the checksum of its content differs")
     return attributes
 
 

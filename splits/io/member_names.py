@@ -49,11 +49,11 @@ def find_name_problem(name: str) -> str:
     if len(name) > MAX_NAME_LENGTH or max(len(p.encode()) for p in parts) > MAX_NAME_PART_BYTES:
         return "too long a name"
     if parts[0] not in FOLDER_SUFFIXES if len(parts) > 1 else name not in ROOT_MEMBERS:
-        return "no file that archives have"
+        return "not a file of an archive"
     if any(part.startswith(".") for part in parts):
         return "a hidden name"
     if len(parts) > 1 and not name.lower().endswith(FOLDER_SUFFIXES[parts[0]]):
-        return f"no kind of file that archives have in {parts[0]}/"
+        return f"not a file type of {parts[0]}/ in an archive"
     return ""
 
 

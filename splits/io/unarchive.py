@@ -158,7 +158,7 @@ def _convert_errors(archive: Path) -> Iterator[None]:
     ) as error:  # fmt: skip
         problem = " ".join(str(error).split()) or type(error).__name__
         raise ArchiveError(
-            f"{archive}: rejected, no sound zip file ({format_key(problem)})"
+            f"{archive}: rejected, not a valid zip file ({format_key(problem)})"
         ) from None
 
 
@@ -170,14 +170,16 @@ def _list_members(file: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     for info in infos:
         # zipfile truncates names at a zero byte and normalizes separators.
         name = info.orig_filename
-        problem = find_name_problem(name) or (name != info.filename and "a name of two sorts")
+        problem = find_name_problem(name) or (
+            name != info.filename and "a name with a null byte or a backslash"
+        )
         problem = problem or _find_kind_problem(info)
         if problem:
             raise ArchiveError(f"{short_repr(name)} is {problem}")
     collision = find_name_collision(info.filename for info in infos)
     if collision:
         raise ArchiveError(
-            f"{short_repr(collision)} is there twice, or its name differs in case only"
+            f"{short_repr(collision)} occurs twice, or its name differs in case only"
         )
     _check_sizes(file, infos)
     if METADATA_FILE not in file.NameToInfo:
@@ -207,7 +209,7 @@ def _check_sizes(file: zipfile.ZipFile, infos: list[zipfile.ZipInfo]) -> None:
         raise ArchiveError(f"it would unpack to more than {MAX_UNPACKED_BYTES // 2**30} GiB")
     end_of_previous = 0
     if infos and min(info.header_offset for info in infos) != 0:
-        raise ArchiveError("no sound zip file (its first member is not at its beginning)")
+        raise ArchiveError("not a valid zip file (its first member is not at its beginning)")
     for info in sorted(infos, key=lambda info: info.header_offset):
         if info.file_size > max(MIN_RATIO_CHECK_BYTES, MAX_COMPRESSION_RATIO * info.compress_size):
             raise ArchiveError(f"{info.filename} would unpack to too many times its size")
@@ -216,7 +218,7 @@ def _check_sizes(file: zipfile.ZipFile, infos: list[zipfile.ZipInfo]) -> None:
         name = len(info.orig_filename)
         end_of_previous = info.header_offset + _LOCAL_HEADER_BYTES + name + info.compress_size
     if end_of_previous > (file.start_dir or 0):
-        raise ArchiveError("no sound zip file (a member is longer than the file)")
+        raise ArchiveError("not a valid zip file (a member is longer than the file)")
 
 
 def _read_metadata(file: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo]) -> bytes:
@@ -242,7 +244,7 @@ def _copy_member(
             digest.update(chunk)
             copy.write(chunk)
     if size != info.file_size:
-        raise ArchiveError(f"{info.filename} has another size than it says")
+        raise ArchiveError(f"{info.filename} has a size that differs from its header")
     return size, digest.hexdigest()
 
 
@@ -253,4 +255,4 @@ def _check_listing(present: set[str], listed: set[str]) -> None:
         (present - listed, "not listed"),
     ):
         if names:
-            raise ArchiveError(f"{short_repr(min(names))} is {problem} ({len(names)} such)")
+            raise ArchiveError(f"{short_repr(min(names))} is {problem} ({len(names)} files)")

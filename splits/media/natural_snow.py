@@ -85,13 +85,15 @@ def make_natural_snow(
     depth_m : float
         Thickness (m).  Infinite depths are for spectra, albedos and profiles; other instruments
         require a finite depth.
-    others
-        As for `Snow`; by default the snow is dry and clean.
 
     Raises
     ------
     ValueError
         If no size is given, or for a value outside its range.
+
+    Notes
+    -----
+    The other keywords are those of `Snow`; by default the snow is dry and clean.
 
     Examples
     --------

@@ -217,7 +217,7 @@ class Sand(ContentEquality):
 
     @property
     def mean_grain_distance_m(self) -> float:
-        """Mean free path between particles of any type (m), SPLITS Eq 21."""
+        """Mean distance between the grains that a ray hits (m), SPLITS Eq 21."""
         solid = (
             1.0 - self.porosity
             if self.interpretation.attenuation_factor == "solid_fraction"

@@ -231,7 +231,7 @@ class Snow(ContentEquality):
 
     @property
     def mean_grain_distance_m(self) -> float:
-        """Mean free path between grains (m), SPLITSnow Eq A.3."""
+        """Mean distance between the grains that a ray hits (m), SPLITSnow Eq A.3."""
         return 1.0 / (self.ice_fraction * self.attenuation_per_m)
 
     @property

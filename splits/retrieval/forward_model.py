@@ -21,7 +21,7 @@ from splits.tables.table import Table, load_selection
 ERROR_CORRELATION_NM = 400.0
 """Correlation length (nm) assumed for errors of table nodes."""
 SCALE_RANGE = (0.2, 5.0)
-"""Widest range of the scale factor of a measurement."""
+"""Widest range of the scale factor."""
 
 
 class ForwardModel(Protocol):
@@ -244,7 +244,7 @@ def get_grid_ranges(grid: ParameterGrid) -> dict[str, ParameterRange]:
         if len(row) > 1 and not isinstance(row[0], str):
             transform, _ = transform_axis(name, np.array(row, dtype=float))
             ranges[name] = ParameterRange(float(row[0]), float(row[-1]), transform)
-    return ranges | {SCALE: ParameterRange(*SCALE_RANGE, "itself")}
+    return ranges | {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
 
 
 def _check_fixed_axes(

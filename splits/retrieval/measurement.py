@@ -142,7 +142,7 @@ def _read_spectrum(measured: Any) -> tuple[np.ndarray, np.ndarray]:
     values = align_to_labels("measured", pair[1], wavelength, find_labels(pair[0]), allow_gaps=True)
     if values.shape != wavelength.shape:
         sizes = f"{wavelength.size} wavelengths, {values.size} values"
-        raise invalid("measured", sizes, "as many of both")
+        raise invalid("measured", sizes, "the same number of wavelengths and values")
     return wavelength, values
 
 

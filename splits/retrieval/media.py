@@ -46,7 +46,7 @@ def make_medium_state_vector(
         raise invalid("free", ranges, "(low, high) by name", hint)
     with key_prefix("free"):
         check_no_equivalents({str(name): pair for name, pair in ranges.items()})
-    allowed_ranges: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "itself")}
+    allowed_ranges: dict[str, ParameterRange] = {SCALE: ParameterRange(*SCALE_RANGE, "identity")}
     for name, pair in ranges.items():
         if name == SCALE:
             continue

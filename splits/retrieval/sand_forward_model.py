@@ -48,8 +48,8 @@ class SandForwardModel:
     Parameters
     ----------
     cube : UnitCube
-    wavelengths_nm : float, shape (wavelengths,)
-        In nm.
+    wavelengths : float, shape (wavelengths,)
+        Wavelengths (nm).
     incidence : float or "diffuse"
     effort : Effort
     seed : int

@@ -75,9 +75,11 @@ class UnitCube:
     """
 
     def __init__(
-        self, base: Mapping[str, Any], ranges: Mapping[str, tuple[float, float]] | None = None
+        self,
+        fixed_keywords: Mapping[str, Any],
+        ranges: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
-        self.fixed_keywords = dict(base)
+        self.fixed_keywords = dict(fixed_keywords)
         for key in self.fixed_keywords:
             if key in FITTED_KEYWORDS:
                 raise invalid(
@@ -85,7 +87,7 @@ class UnitCube:
                 )
         self.ranges = resolve_ranges(ranges or {})
         self.names = tuple(self.ranges)
-        unit = ParameterRange(0.0, 1.0, "itself")
+        unit = ParameterRange(0.0, 1.0, "identity")
         self.state_vector = StateVector.from_ranges(
             self.names, None, dict.fromkeys(self.names, unit)
         )

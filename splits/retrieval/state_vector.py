@@ -16,7 +16,7 @@ from splits.core.validation import invalid, snap_to_limits, unknown_key
 from splits.tables.interpolation import apply_axis_transform
 
 SCALE = "scale"
-"""Name of the factor of the measurement, such as that of a reference panel."""
+"""Name of the factor of the modelled reflectance, such as that of a reference panel."""
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of a coordinate with a uniform prior."""
 
@@ -162,7 +162,11 @@ def _invert_axis_transform(transform: str, transformed: np.ndarray) -> np.ndarra
         return np.degrees(np.arccos(np.clip(-transformed, -1.0, 1.0)))
     if transform == "logarithm":
         return np.exp(transformed)
-    return np.square(transformed) if transform == "root" else np.asarray(transformed, dtype=float)
+    return (
+        np.square(transformed)
+        if transform == "square_root"
+        else np.asarray(transformed, dtype=float)
+    )
 
 
 def _check_ranges(

@@ -120,7 +120,7 @@ def check_axis_values(
                 else next(alias for alias in AXIS_ALIASES if AXIS_ALIASES[alias] == axis)
             )
             raise invalid(
-                f"{prefix}{name}", value, f"left out beside {prefix}{other_name}, the same"
+                f"{prefix}{name}", value, f"left out, because {prefix}{other_name} sets it"
             )
         if axis in free_axes:
             raise invalid(f"{prefix}{name}", value, "left out, as it is free")

@@ -58,11 +58,11 @@ def compute_derivative_weights(
         raise invalid(f"derivatives ({name})", len(nodes), "an axis of at least two nodes")
     kind, coordinates = transform_axis(name, nodes)
     x = float(apply_axis_transform(kind, np.array(value)))
-    if kind == "root" and value <= _TINY:
+    if kind == "square_root" and value <= _TINY:
         hint = "reflectance varies as a square root there: use a larger value"
         raise invalid(f"derivatives ({name})", value, "where the derivative is finite", hint)
     rate = {
-        "logarithm": lambda: 1.0 / value, "root": lambda: 0.5 / x, "itself": lambda: 1.0,
+        "logarithm": lambda: 1.0 / value, "square_root": lambda: 0.5 / x, "identity": lambda: 1.0,
         "cosine": lambda: float(np.radians(1.0) * np.sin(np.radians(value))),
     }[kind]()  # fmt: skip
     derivative_weights = rate * _compute_lagrange_derivatives(coordinates[stencil], x)

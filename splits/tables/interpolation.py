@@ -62,8 +62,8 @@ def transform_axis(name: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
     if name != "wavelength" and nodes[0] > 0.0 and nodes[-1] >= 3.0 * nodes[0]:
         return "logarithm", apply_axis_transform("logarithm", nodes)
     if name != "wavelength" and nodes[0] == 0.0 and nodes.size > 2:
-        return "root", apply_axis_transform("root", nodes)
-    return "itself", apply_axis_transform("itself", nodes)
+        return "square_root", apply_axis_transform("square_root", nodes)
+    return "identity", apply_axis_transform("identity", nodes)
 
 
 def apply_axis_transform(transform: str, values: np.ndarray) -> np.ndarray:
@@ -73,7 +73,7 @@ def apply_axis_transform(transform: str, values: np.ndarray) -> np.ndarray:
         return -np.cos(np.radians(values))
     if transform == "logarithm":
         return np.log(values)
-    return np.sqrt(values) if transform == "root" else values
+    return np.sqrt(values) if transform == "square_root" else values
 
 
 def check_within_axis(name: str, nodes: np.ndarray, value: object) -> float:

@@ -80,7 +80,7 @@ class TablePlan(NamedTuple):
             For an invalid point; the message names it.
         """
         if INCIDENCE in grid.names and incidence_deg != 0.0:
-            allowed = f"left out beside grid.{INCIDENCE}, the same"
+            allowed = f"left out, because grid.{INCIDENCE} sets it"
             raise invalid(INCIDENCE, incidence_deg, allowed)
         media_axes = grid.drop(INCIDENCE)
         media = [_make_medium(make_medium, point) for point in media_axes.iterate_points()]

@@ -31,13 +31,13 @@ def make_grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Co
     Parameters
     ----------
     grid : mapping
-        Per parameter its values by label.
+        Values by label, for each parameter.
 
     Returns
     -------
     dict
-        Per parameter numbers in the parameter's unit where all values are numbers, and labels
-        otherwise, with the unit in their long name.  Labels of ranges and distributions have
+        For each parameter its numbers, with their unit, if all values are numbers, otherwise labels
+        with the unit in their long name.  Labels of ranges and distributions have
         additional coordinates ``…_mean``, which allow interpolation.
     """
     coordinates = {}

@@ -82,7 +82,7 @@ def check_grid_layers(
     base : mapping
         Settings of the stack.
     grid : mapping
-        Per parameter its values by label.
+        Values by label, for each parameter.
     sample : str
         Name of the parameter whose values are settings of whole stacks.
     """

@@ -178,7 +178,7 @@ class SimulationConfig(ConfigSection):
                 f"left out for {instrument.kind}",
             )  # fmt: skip
         if "incidence_deg" in self.grid and instrument.incidence_deg != 0.0:
-            allowed = "left out beside grid.incidence_deg, the same"
+            allowed = "left out, because grid.incidence_deg sets it"
             raise invalid("instrument.incidence_deg", instrument.incidence_deg, allowed)
         if instrument.kind == "beam_spread" and self.grid and instrument.half_width_m is None:
             raise invalid(

@@ -24,7 +24,7 @@ def compute_forward_peak(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     Parameters
     ----------
     plane : xarray.Dataset
-        From `splits.analysis.directions.principal_plane`, of one wavelength.
+        From `splits.analysis.directions.select_principal_plane`, of one wavelength.
     """
     ratio, error = _normalize_by_nadir(*_find_forward_maximum(plane), plane)
     return ratio - 1.0, error

@@ -51,7 +51,7 @@ def make_sensitivity_table(
     datasets : mapping
         Experiments by name.
     pairs : mapping
-        Per parameter ``experiment``, ``interpretation`` (experiment or None), ``parameter``
+        For each parameter ``experiment``, ``interpretation`` (experiment or None), ``parameter``
         (grid dimension), ``low`` and ``high``.
 
     Returns
@@ -133,7 +133,7 @@ def describe_ranges(pairs: Mapping[str, Mapping[str, Any]]) -> str:
     Parameters
     ----------
     pairs : mapping
-        Per parameter ``low``, ``high`` and ``source``, ``"paper"`` or ``"ours"``.
+        For each parameter ``low``, ``high`` and ``source``, ``"paper"`` or ``"ours"``.
     """
     parts = []
     for origin, description in (

@@ -14,8 +14,8 @@ for (const table of tables) {
 const laws = {
   cosine: [(x) => -Math.cos(x * Math.PI / 180), (y) => Math.acos(Math.min(1, Math.max(-1, -y))) * 180 / Math.PI],
   logarithm: [Math.log, Math.exp],
-  root: [Math.sqrt, (y) => y * y],
-  itself: [(x) => x, (y) => y],
+  square_root: [Math.sqrt, (y) => y * y],
+  identity: [(x) => x, (y) => y],
 };
 const STENCIL_SIZE = 4;
 

@@ -82,7 +82,7 @@ benchmarks: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) benchmarks
 	$(BIN)/python benchmarks/interpolation.py
 	$(BIN)/python benchmarks/deep_transmittance.py
-	$(BIN)/python benchmarks/deep_packs.py
+	$(BIN)/python benchmarks/truncation_depth.py
 	$(BIN)/python benchmarks/stopping.py
 	$(BIN)/python benchmarks/goniophotometer.py
 	$(BIN)/python benchmarks/grain_shape.py
@@ -90,9 +90,9 @@ benchmarks: $(VENV)/ready
 	$(BIN)/python benchmarks/exact_layers.py
 	$(BIN)/python benchmarks/local_estimation.py
 	$(BIN)/python benchmarks/surface_crossings.py
-	$(BIN)/python benchmarks/light_inside.py
-	$(BIN)/python benchmarks/packs_against_tartes.py
-	$(BIN)/python benchmarks/snow_peers.py
+	$(BIN)/python benchmarks/irradiance_profile_cost.py
+	$(BIN)/python benchmarks/snowpacks_against_tartes.py
+	$(BIN)/python benchmarks/snow_albedo_models.py
 
 # uv installs in seconds what takes pip a minute.  pip is the fallback if uv finds no packages, for
 # example behind a mirror that only the settings of pip name.

@@ -1,9 +1,9 @@
-"""Whether datasets follow the CF conventions, as the IOOS compliance checker judges them.
+"""Compliance of datasets with the CF conventions, by the IOOS compliance checker.
 
-python tests/compliance.py results/data     every dataset of a run, and how many of them are good
+    python tests/compliance.py results/data
 
-Every remark counts, be it an error, a warning or a recommendation.  The checker reads its own
-table of standard names and needs no network.
+checks every dataset of a run.  Errors, warnings and recommendations all count as remarks.  The
+checker uses its own table of standard names and needs no network.
 """
 
 from __future__ import annotations
@@ -15,39 +15,41 @@ from pathlib import Path
 CHECKER = "cf:1.11"
 
 
-def remarks(paths):
-    """Return what the checker says against each dataset, by path."""
+def collect_remarks(paths):
+    """Return the remarks of the checker on each dataset, by path."""
     from compliance_checker.suite import CheckSuite
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of other checkers than ours
+        warnings.simplefilter("ignore", DeprecationWarning)  # of other checkers
         CheckSuite.load_all_available_checkers()
     suite = CheckSuite()
-    found = {}
+    remarks = {}
     for path in paths:
         dataset = suite.load_dataset(str(path))
-        results, failures = suite.run_all(dataset, [CHECKER])[CHECKER]
+        results, errors = suite.run_all(dataset, [CHECKER])[CHECKER]
         dataset.close()
-        # A check that breaks off is none that is passed.
-        found[path] = [f"{name}: {error}" for name, (error, _) in failures.items()]
+        # A check that raises an error counts as failed.
+        remarks[path] = [f"{name}: {error}" for name, (error, _) in errors.items()]
         for result in results:
-            passed, of = result.value if isinstance(result.value, tuple) else (result.value, True)
-            # What is passed may have messages, too, of what was found.
-            if passed != of:
-                found[path] += result.msgs or [f"{result.name}: {passed} of {of}"]
-    return found
+            passed, total = (
+                result.value if isinstance(result.value, tuple) else (result.value, True)
+            )
+            # A passed check may also have messages.
+            if passed != total:
+                remarks[path] += result.msgs or [f"{result.name}: {passed} of {total}"]
+    return remarks
 
 
 def main(folders):
-    """Print what is wrong with the datasets of folders, and return whether anything is."""
+    """Print the remarks on the datasets of folders, and return whether there are any."""
     paths = sorted(path for folder in folders for path in Path(folder).rglob("*.nc"))
-    found = remarks(paths)
-    for path, lines in found.items():
+    remarks = collect_remarks(paths)
+    for path, lines in remarks.items():
         for line in lines:
             print(f"{path}: {line}")
-    wrong = sum(bool(lines) for lines in found.values())
-    print(f"{CHECKER}: {len(paths)} datasets, {wrong} with remarks")
-    return wrong > 0 or not paths
+    n_failed = sum(bool(lines) for lines in remarks.values())
+    print(f"{CHECKER}: {len(paths)} datasets, {n_failed} with remarks")
+    return n_failed > 0 or not paths
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Settings of all tests, and the folders of modules that tests import from one another."""
+"""Import paths, garbage collection and warning filters of all tests."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numba
 for folder in ("", "statistics", "unit", "campaigns", "../docs"):
     sys.path.insert(0, str((Path(__file__).parent / folder).resolve()))
 
-# Compilers leave a gigabyte of objects that stay: to look through all of them again and again took
-# a tenth of the time.
+# Compilation leaves a gigabyte of live objects; repeated collection of all generations took a tenth
+# of the time.
 gc.set_threshold(50_000, 20, 20)
 
 

@@ -1,11 +1,12 @@
-"""Scenes of every instrument in which repeated runs show whether stated errors are right.
+"""Cases of every instrument for comparing stated errors with the scatter of repeated runs.
 
-Seeds show scatter only.  What interpolation between refractive indices may miss is the same for all
-of them, and errors hold a bound on it.  So the scenes are of one wavelength, or of two so far apart
-that each is traced by itself: there the bound is 0.  Actinic flux and the shares of materials of
-`splits.irradiance_profile` hold a bound on what large steps of absorption do, too; it is next to
-nothing where grains hardly absorb.  Of a BRDF by polynomials detail too weak for the data is
-dropped, and added to the errors: runs are held against a long one, which drops less.
+Repeated seeds show statistical scatter only.  The error of interpolation between refractive indices
+is the same for all seeds, and stated errors include a bound on it.  So the cases have one
+wavelength, or two so far apart that each is traced alone, for which the bound is 0.  Actinic flux
+and the absorptance of materials of `splits.irradiance_profile` also include a bound for large steps
+of absorption, which is negligible for weakly absorbing grains.  The truncation error of a BRDF
+expansion is included in the stated errors; those runs are compared with a long run, which truncates
+less.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import splits
 from splits.core.uncertainty import compute_error_parts
 
 ValuesAndErrors = tuple[np.ndarray, np.ndarray]
-"""Values and the errors that are stated of them, of one shape."""
+"""Values and their stated errors, of one shape."""
 Reader = Callable[[xr.Dataset], ValuesAndErrors]
 
 ONE_THREAD = {"threads": 1}
@@ -53,20 +54,20 @@ FEW_DIRECTIONS = {"polar_deg": [0.0, 40.0, 70.0], "azimuth_deg": [0.0, 90.0, 180
 
 
 class CalibrationCase(NamedTuple):
-    """An instrument over a medium, many times.
+    """Repeated runs of an instrument over a medium.
 
     Attributes
     ----------
     instrument, medium : str
-        As tables and figures name them.
+        Labels in tables and figures.
     run : callable
-        Takes a seed, returns a dataset.
-    groups : mapping
-        From the name of a group of quantities to what reads values and errors.
-    seeds : int
-        How often it is run.
-    reference : callable, optional
-        Returns a dataset to hold the others against, instead of their mean.
+        Returns the dataset of a seed.
+    readers : mapping
+        For each set of quantities, a function that returns its values and errors.
+    n_seeds : int
+        Number of runs.
+    reference_run : callable, optional
+        Returns a dataset with which runs are compared, instead of their mean.
     """
 
     instrument: str
@@ -77,13 +78,13 @@ class CalibrationCase(NamedTuple):
     reference_run: Callable[[], xr.Dataset] | None = None
 
 
-def read_stated(*names: str, **at: object) -> Reader:
-    """Return what reads variables and their ``…_stderr``, at labels if there are any."""
+def read_stated(*names: str, **selection: object) -> Reader:
+    """Return a reader of variables and their ``…_stderr``, at the labels of a selection."""
 
     def read(dataset: xr.Dataset) -> ValuesAndErrors:
-        found = dataset.sel(at) if at else dataset
+        selected = dataset.sel(selection) if selection else dataset
         values, errors = (
-            np.concatenate([found[name + end].values.ravel() for name in names])
+            np.concatenate([selected[name + end].values.ravel() for name in names])
             for end in ("", "_stderr")
         )
         return values, errors
@@ -92,12 +93,12 @@ def read_stated(*names: str, **at: object) -> Reader:
 
 
 def make_readers(*names: str, **at: object) -> dict[str, Reader]:
-    """Return readers of variables by their names."""
+    """Return a reader for each variable, by its name."""
     return {name.replace("_", " "): read_stated(name, **at) for name in names}
 
 
 def read_combined(*names: str) -> Reader:
-    """Return what reads means and differences over wavelengths, by groups of rays."""
+    """Return a reader of means and differences over wavelengths, with correlated errors."""
 
     def read(dataset: xr.Dataset) -> ValuesAndErrors:
         values, errors = [], []
@@ -105,26 +106,26 @@ def read_combined(*names: str) -> Reader:
             count = dataset.sizes["wavelength"]
             for weights in (np.full(count, 1.0 / count), np.resize([1.0, -1.0], count)):
                 weight = xr.DataArray(weights, dims="wavelength")
-                scatter, missed = compute_error_parts(dataset, name, weight)
+                scatter, bound = compute_error_parts(dataset, name, weight)
                 values.append((dataset[name] * weight).sum("wavelength").values.ravel())
-                errors.append(np.hypot(scatter, missed).values.ravel())
+                errors.append(np.hypot(scatter, bound).values.ravel())
         return np.concatenate(values), np.concatenate(errors)
 
     return read
 
 
 def read_media_difference(dataset: xr.Dataset) -> ValuesAndErrors:
-    """Read differences between two media, by groups of rays."""
+    """Return differences between two media, with errors from batches of rays."""
     first, second = dataset.isel(medium=0), dataset.isel(medium=1)
-    groups = first.reflectance_batches.astype(float) - second.reflectance_batches.astype(float)
+    batches = first.reflectance_batches.astype(float) - second.reflectance_batches.astype(float)
     return (
         (first.reflectance - second.reflectance).values,
-        ((groups**2).sum("batch") ** 0.5).values,
+        ((batches**2).sum("batch") ** 0.5).values,
     )
 
 
 def read_mean_square_height(dataset: xr.Dataset) -> ValuesAndErrors:
-    """Read the mean square height of all realizations, whose scatter tells its error."""
+    """Return the mean square height over realizations, with the standard error of the mean."""
     square = dataset.rms_height.values**2
     return np.array([square.mean()]), np.array([square.std(ddof=1) / np.sqrt(square.size)])
 
@@ -145,7 +146,7 @@ GRAIN_READERS = make_readers(
     "mean_square_displacement", "wet_fraction",
 )  # fmt: skip
 LONG_RUN_SEED = 1_000_000
-"""Seed of long runs."""
+"""Seed of the long reference runs."""
 
 
 def make_spectrum_run(medium, wavelengths, incidence=0.0, error=0.01, **settings):
@@ -167,7 +168,7 @@ def make_angular_run(medium, wavelength, incidence, error=0.05):
 
 
 def make_expansion_case(name, *scene):
-    """Return the case of a BRDF by polynomials."""
+    """Return the case of a BRDF by expansion."""
     run, long_run = make_angular_run(*scene), make_angular_run(*scene, error=0.01)
     return CalibrationCase(
         "goniophotometer", name, run, ANGULAR_READERS, 100, lambda: long_run(LONG_RUN_SEED)
@@ -220,12 +221,12 @@ def run_lens(seed):
 
 
 def run_surface_map(seed):
-    # A square of many wavelengths: mean squares over a smaller one are as skew as χ² of 1.
+    # A square of many wavelengths: the mean square over a small one has a skewed distribution.
     return splits.surface_map(ROUGH_LAYER, 100.0, points=2, realizations=100, seed=seed)
 
 
 def make_albedo_run(medium):
-    # Diffuse light takes the next seed.
+    # Diffuse light uses the next seed.
     return lambda seed: splits.albedo(
         medium, SKY, DISTANT_WAVELENGTHS_NM, 0.005, 2 * seed, **ONE_THREAD
     )
@@ -259,7 +260,7 @@ CASES = [
     ),
     CalibrationCase(
         "spectrophotometer",
-        "pack on soil",
+        "snowpack on soil",
         make_spectrum_run(SNOWPACK, [900.0], 60.0),
         SPECTRUM_READERS,
     ),
@@ -291,7 +292,7 @@ CASES = [
         SPECTRUM_READERS,
     ),
     CalibrationCase(
-        "spectra",
+        "spectrophotometer, several media",
         "snow",
         run_soot,
         SPECTRUM_READERS | {"difference of media": read_media_difference},
@@ -343,7 +344,7 @@ CASES = [
     ),
     CalibrationCase(
         "irradiance_profile",
-        "pack on soil",
+        "snowpack on soil",
         make_profile_run(SNOWPACK, [900.0], 50.0),
         PROFILE_READERS,
     ),
@@ -361,7 +362,10 @@ CASES = [
     ),
     CalibrationCase("albedo", "snow", make_albedo_run(SNOW), make_readers("albedo", "band_albedo")),
     CalibrationCase(
-        "albedo", "pack on soil", make_albedo_run(SNOWPACK), make_readers("albedo", "band_albedo")
+        "albedo",
+        "snowpack on soil",
+        make_albedo_run(SNOWPACK),
+        make_readers("albedo", "band_albedo"),
     ),
     CalibrationCase(
         "hdrf",

@@ -1,4 +1,4 @@
-"""Scatter of seeds over the errors that instruments state."""
+"""Figure of the ratio of the scatter between seeds to stated errors."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ ALL_LABEL = "all"
 
 
 def draw_calibration(table: pd.DataFrame) -> Figure:
-    """Draw the ratio of each instrument with its error bar, and faintly those it is a mean of.
+    """Draw the ratio of each instrument with its error bar, and faintly its single ratios.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        Columns ``instrument``, ``medium``, ``quantity``, ``ratio`` and ``ratio_stderr``; rows whose
-        medium is "all" are means over all media and quantities of an instrument, of others those
-        whose quantity is not "all" are shown.
+        Columns ``instrument``, ``medium``, ``quantity``, ``ratio`` and ``ratio_stderr``.  Rows with
+        medium "all" are means over all media and quantities of an instrument; of the others, rows
+        with quantity "all" are not shown.
     """
     means = table[table.medium == ALL_LABEL]
     names = list(means.instrument)
-    parts = table[(table.medium != ALL_LABEL) & (table.quantity != ALL_LABEL)]
-    shade, faint = pick_colours(2, "sample")
+    single_rows = table[(table.medium != ALL_LABEL) & (table.quantity != ALL_LABEL)]
+    marker_colour, faint_colour = pick_colours(2, "sample")
     with use_style():
         figure, axes = make_subplots(height=1.3 + 0.3 * len(names), width=TWO_COLUMNS_INCHES)
         axes.axvspan(*SHADED_RATIOS, color="0.92", zorder=0)
         axes.axvline(1.0, color="0.5", lw=0.8, zorder=1)
         axes.plot(
-            parts.ratio, parts.instrument.map(names.index), "|", color=faint, ms=8, ls="none",
-            label="one group of quantities",
+            single_rows.ratio, single_rows.instrument.map(names.index), "|", color=faint_colour,
+            ms=8, ls="none", label="one group of quantities",
         )  # fmt: skip
         axes.errorbar(
             means.ratio, range(len(names)), xerr=BAND_SIGMA * means.ratio_stderr, fmt="o",
-            color=shade, capsize=3, label="all of an instrument",
+            color=marker_colour, capsize=3, label="all of an instrument",
         )  # fmt: skip
         axes.set_yticks(range(len(names)), names)
         axes.invert_yaxis()

@@ -1,4 +1,4 @@
-"""What campaigns share: projects of the workflow, counts, and how to repeat a case that failed."""
+"""Fixtures of campaigns: workflow projects, counts, and the command that repeats a failed case."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 SIZES = ("CALIBRATION", "CAMPAIGN", "DAMAGES", "KILLS")
-"""Environment variables that say how large campaigns are."""
+"""Environment variables that set the size of campaigns."""
 
-_place = Path(__file__).parents[1] / "workflow" / "conftest.py"
-_spec = importlib.util.spec_from_file_location("projects", _place)
+_path = Path(__file__).parents[1] / "workflow" / "conftest.py"
+_spec = importlib.util.spec_from_file_location("projects", _path)
 _projects = importlib.util.module_from_spec(_spec)
 sys.modules[_spec.name] = _projects
 _spec.loader.exec_module(_projects)
@@ -22,8 +22,8 @@ environment, make_project = _projects.environment, _projects.make_project
 
 
 @pytest.fixture(scope="session")
-def counted():
-    """Return a function that counts outcomes of numbered cases by campaign, and print them."""
+def counter():
+    """Return a function that counts outcomes of numbered cases; print the counts at the end."""
     outcomes, numbers = defaultdict(Counter), defaultdict(list)
 
     def count(campaign, number, outcome):
@@ -31,10 +31,10 @@ def counted():
         numbers[campaign].append(number)
 
     yield count
-    for campaign, found in outcomes.items():
-        told = ", ".join(f"{many} {outcome}" for outcome, many in found.items())
+    for campaign, counts in outcomes.items():
+        summary = ", ".join(f"{n} {outcome}" for outcome, n in counts.items())
         first, last = min(numbers[campaign]), max(numbers[campaign])
-        print(f"\n{campaign}: {len(numbers[campaign])}, seeds {first} to {last}: {told}")
+        print(f"\n{campaign}: {len(numbers[campaign])}, seeds {first} to {last}: {summary}")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -43,5 +43,5 @@ def pytest_runtest_makereport(item, call):
     if report.failed:
         sizes = [f"{name}={os.environ[name]}" for name in SIZES if name in os.environ]
         command = " ".join([*sizes, "python -m pytest -s", f"'{item.nodeid}'"])
-        report.sections.append(("to repeat this alone", command))
+        report.sections.append(("to repeat this case alone", command))
     return report

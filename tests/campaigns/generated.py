@@ -1,8 +1,8 @@
-"""Contents of experiment files, generated: what a user may mean, and what may be written instead.
+"""Hypothesis strategies for the contents of experiment files.
 
-`valid_contents` builds contents out of known keys and mostly possible values; `broken` changes some
-places of them.  `to_flow_yaml` writes contents as YAML, flow style, so that any scalar may stand
-anywhere.
+`valid_contents` builds contents from known keys and mostly possible values; module `odd` makes
+invalid ones of them.  `to_flow_yaml` writes contents as YAML in flow style, in which any scalar may
+stand anywhere.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from splits.experiments.config.sections import FIGURE_KINDS, KINDS_OF_SETTING, S
 
 
 class RawText(str):
-    """Text that stands in a file as it is."""
+    """Text that is written to a file unchanged."""
 
     __slots__ = ()
 
@@ -38,7 +38,7 @@ def to_flow_yaml(value: Any) -> str:
 
 
 def to_file_text(content: Any) -> str:
-    """Return the text of a file: one section a line where there are sections."""
+    """Return the text of a file, with one line per section if there are sections."""
     if not isinstance(content, dict) or not content:
         return to_flow_yaml(content)
     return "".join(
@@ -54,7 +54,7 @@ OFTEN = st.sampled_from([True] * 9 + [False])
 
 
 def numbers_within(low: float, high: float) -> st.SearchStrategy:
-    """Return numbers of a range, its ends and a few digits more often than others."""
+    """Return numbers of a range, with its ends and short decimals more often than others."""
     return (
         st.floats(low, high, allow_subnormal=False)
         | st.floats(low, high, allow_subnormal=False).map(lambda x: float(f"{x:.3g}"))
@@ -76,7 +76,7 @@ def optional_keys(**strategies: st.SearchStrategy) -> st.SearchStrategy:
 def limited_normals(low: float, high: float) -> st.SearchStrategy:
     """Return (min, max, mean, sd) of a limited normal."""
     return st.tuples(increasing_numbers(low, high, 3), numbers_within(0.001, 0.5)).map(
-        lambda drawn: [drawn[0][0], drawn[0][2], drawn[0][1], drawn[1]]
+        lambda sampled: [sampled[0][0], sampled[0][2], sampled[0][1], sampled[1]]
     )
 
 
@@ -182,7 +182,7 @@ TOP_LAYER = st.fixed_dictionaries(
         for key in ("single_scattering_albedo", "asymmetry", "refractive_index", "surface")
     },
 )
-"""A layer of particles; its surface is refused but on top."""
+"""A particle layer; its surface is only valid on top of a stack."""
 GRAIN_LAYERS = st.lists(LAYER_OF_STACK, min_size=1, max_size=3)
 KEYWORDS["stack"] = {
     "layers": GRAIN_LAYERS
@@ -259,7 +259,7 @@ def mediums(draw, kind: str, rough: bool) -> dict[str, Any]:
     medium = draw(optional_keys(**KEYWORDS[kind]))
     if rough and draw(OFTEN):
         medium["surface"] = draw(KEYWORDS["particle_layer"]["surface"])
-    if kind == "sand":  # its own is a metre: light that nothing absorbs stays there for minutes
+    if kind == "sand":  # the default of a metre takes minutes without absorption
         medium.setdefault("depth_m", draw(KEYWORDS["sand"]["depth_m"]))
     if kind == "stack":
         medium.setdefault("layers", draw(KEYWORDS["stack"]["layers"]))
@@ -269,7 +269,7 @@ def mediums(draw, kind: str, rough: bool) -> dict[str, Any]:
 
 
 @st.composite
-def instruments(draw, kind: str, of: str) -> dict[str, Any]:
+def instruments(draw, kind: str, medium_kind: str) -> dict[str, Any]:
     known = SETTINGS[kind]
     always = {
         "surface_map": ["half_width_m"],
@@ -279,9 +279,9 @@ def instruments(draw, kind: str, of: str) -> dict[str, Any]:
     others = {key: values for key, values in known.items() if key not in needed}
     instrument = draw(st.fixed_dictionaries(needed, optional=others))
     if kind not in ("surface_map", "lens"):
-        # By coin toss every wavelength takes rays of its own: not the hundreds of snow's default.
+        # Analog absorption traces every wavelength alone, so not the hundreds of the default.
         analog = instrument.get("estimator") == "analog"
-        if of != "snow" or analog or draw(st.booleans()):
+        if medium_kind != "snow" or analog or draw(st.booleans()):
             instrument["wavelength_nm"] = draw(WAVELENGTHS)
         if kind != "refractive_index" and draw(st.booleans()):
             diffuse = st.just("diffuse") if kind == "spectrophotometer" else st.nothing()
@@ -299,7 +299,7 @@ def instruments(draw, kind: str, of: str) -> dict[str, Any]:
 
 @st.composite
 def grids(draw, kind: str) -> dict[str, Any]:
-    """Return up to two parameters with up to three values, in a list or under labels."""
+    """Return up to two parameters with up to three values, listed or labelled."""
     values = {
         **KEYWORDS[kind],
         "incidence_deg": numbers_within(0.0, 80.0),
@@ -350,7 +350,7 @@ def figures(draw, kind: str, grid: dict[str, Any]) -> dict[str, Any]:
 
 @st.composite
 def valid_contents(draw) -> dict[str, Any]:
-    """Return the contents of an experiment file out of known keys."""
+    """Return the contents of an experiment file with known keys."""
     kind = draw(st.sampled_from(sorted(KEYWORDS)))
     instrument = draw(st.sampled_from(INSTRUMENTS_OF_MEDIUM[kind]))
     content: dict[str, Any] = {
@@ -358,7 +358,7 @@ def valid_contents(draw) -> dict[str, Any]:
         "instrument": draw(instruments(instrument, kind)),
     }
     grid = {} if instrument == "refractive_index" else draw(grids(kind))
-    # What the grid replaces at every point is refused.
+    # A value that the grid replaces at every point is invalid.
     for parameter in set(grid) - {"layers"}:
         content["medium"].pop(parameter, None)
         if parameter == "incidence_deg":

@@ -1,6 +1,6 @@
-"""What is killed: the work of the workflow's jobs in one process, each step where its file lacks.
+"""The process that is killed: all steps of the workflow, each run if its output is missing.
 
-Processes come from a server that has all libraries, so that a kill costs a second.
+Processes are forked from a server that has imported all libraries, which makes a kill cheap.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PROCESSES.set_forkserver_preload([__name__, "splits.instruments.surface_map"])
 
 
 def make_missing_outputs(results: Path, cache: Path) -> None:
-    """Make what is missing in a folder of results, with kernels of a private cache."""
+    """Make the missing outputs of a folder of results, with kernels of a private cache."""
     os.environ["XDG_CACHE_HOME"] = str(cache)
     numba.config.CACHE_DIR = ""
     kernels.list_cache_folders.cache_clear()
@@ -57,7 +57,7 @@ def make_missing_outputs(results: Path, cache: Path) -> None:
 
 
 def start_worker(results: Path, cache: Path) -> multiprocessing.Process:
-    """Return a process that works."""
+    """Start a process that makes missing outputs, and return it."""
     process = PROCESSES.Process(target=make_missing_outputs, args=(results, cache))
     process.start()
     return process

@@ -1,4 +1,4 @@
-"""What goes wrong in files: odd values, misspelt and missing keys, YAML that is none."""
+"""Hypothesis strategies for invalid experiment files: odd values, wrong keys, invalid YAML."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from generated import RawText, to_file_text, valid_contents
 from hypothesis import strategies as st
 
 NESTING_DEPTH = 300
-"""Levels of nesting of which a reader may have had enough."""
+"""Depth of nesting that a reader may reject."""
 
 NUMBERS = [
     ".nan", ".inf", "-.inf", "1e400", "-1e400", "9223372036854775808", "-1", "0", "-0.0",
@@ -75,7 +75,7 @@ UNKNOWN_KEYS = st.sampled_from(ODD_KEYS) | ODD_VALUES
 
 
 def list_paths(content: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Return the paths to all that stands in mappings and lists."""
+    """Return the paths of all items of nested mappings and lists."""
     if isinstance(content, RawText):
         return []
     inner = content.items() if isinstance(content, dict) else enumerate(content)
@@ -88,7 +88,7 @@ def list_paths(content: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]
 
 
 def change_at(content: Any, path: tuple[Any, ...], change: Any) -> Any:
-    """Return contents with `change(container, key)` in place of what holds the end of a path."""
+    """Return contents with `change(container, key)` applied at the end of a path."""
     copied = dict(content) if isinstance(content, dict) else list(content)
     key, *rest = path
     if not rest:
@@ -99,7 +99,7 @@ def change_at(content: Any, path: tuple[Any, ...], change: Any) -> Any:
 
 @st.composite
 def invalid_contents(draw) -> Any:
-    """Return contents with one to three places changed."""
+    """Return contents with one to three changed items."""
     content = draw(valid_contents())
     for _ in range(draw(st.integers(1, 3))):
         known = list_paths(content)
@@ -126,7 +126,7 @@ def invalid_contents(draw) -> Any:
 
 @st.composite
 def damaged_texts(draw) -> str:
-    """Return the text of a file with a piece cut out, doubled or replaced."""
+    """Return the text of a file with a piece removed, inserted or replaced."""
     text = to_file_text(draw(valid_contents()))
     start, length = draw(st.integers(0, len(text))), draw(st.integers(0, 20))
     pieces = ["", "\t", "\x00", "\n", ": ", "{", "&a ", "*a", "\ufeff", "é", text[:50]]
@@ -135,7 +135,7 @@ def damaged_texts(draw) -> str:
 
 
 def file_texts() -> st.SearchStrategy:
-    """Return the texts of files of every sort."""
+    """Return valid and invalid texts of files."""
     return (
         invalid_contents().map(to_file_text)
         | invalid_contents().map(to_file_text)

@@ -1,10 +1,10 @@
-"""Seeds against stated errors: every instrument scatters as it says.
+"""Agreement of the scatter between seeds with the stated errors of every instrument.
 
 A few seeds of each by default.  The campaign proper is ``make campaign``, or
 
     CALIBRATION=all python -m pytest -s tests/campaigns/test_calibration.py
 
-and ``make calibration`` makes table and figure of the same runs for the docs.
+and ``make calibration`` makes the table and the figure of the documentation from the same runs.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ from splits import instruments
 FULL_CAMPAIGN = os.environ.get("CALIBRATION") == "all"
 FEW_SEEDS = 6
 INSTRUMENTS = {case.instrument: case for case in reversed(CASES)}
-"""The first case of each."""
+"""The first case of each instrument."""
 
 
 @NEEDS_JIT
 @pytest.mark.slow
-@pytest.mark.skipif(FULL_CAMPAIGN, reason="all seeds are judged below")
+@pytest.mark.skipif(FULL_CAMPAIGN, reason="all seeds are tested below")
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
-def test_few_seeds_are_not_off_by_more_than_they_may_be(instrument):
-    """Quantities of a seed share its rays: they count as one."""
-    found = compute_mean_squares(
+def test_few_seeds_scatter_within_stated_errors(instrument):
+    """Quantities of a seed use the same rays, so they count as one degree of freedom."""
+    mean_squares = compute_mean_squares(
         INSTRUMENTS[instrument], range(1, FEW_SEEDS + 1), use_reference=False
     )
-    assert found
-    each = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / len(INSTRUMENTS) / len(found))
-    most = float(stats.chi2.isf(each, FEW_SEEDS - 1) / (FEW_SEEDS - 1))
-    for name, square in found.items():
-        print(f"{instrument}, {name}: {square.mean() ** 0.5:.2f}, allowed {most**0.5:.2f}")
-        assert square.mean() <= most, name
+    assert mean_squares
+    significance = 1.0 - (1.0 - SIGNIFICANCE) ** (1.0 / len(INSTRUMENTS) / len(mean_squares))
+    bound = float(stats.chi2.isf(significance, FEW_SEEDS - 1) / (FEW_SEEDS - 1))
+    for name, square in mean_squares.items():
+        print(f"{instrument}, {name}: {square.mean() ** 0.5:.2f}, allowed {bound**0.5:.2f}")
+        assert square.mean() <= bound, name
 
 
 @NEEDS_JIT
-@pytest.mark.skipif(not FULL_CAMPAIGN, reason="minutes: make campaign")
+@pytest.mark.skipif(not FULL_CAMPAIGN, reason="takes minutes: make campaign")
 def test_all_seeds_scatter_as_stated():
     table = run_calibration(CASES)
     assert table.seeds.min() >= 30
@@ -65,31 +65,31 @@ def test_all_seeds_scatter_as_stated():
     assert bad.empty, "\n".join(again.format(name) for name in bad.instrument)
 
 
-def test_no_instrument_is_left_out():
-    judged = {case.instrument.partition(",")[0] for case in CASES}
-    assert judged == set(instruments.__all__)
-    assert judged <= set(dir(splits))
+def test_cases_cover_all_instruments():
+    instrument_names = {case.instrument.partition(",")[0] for case in CASES}
+    assert instrument_names == set(instruments.__all__)
+    assert instrument_names <= set(dir(splits))
 
 
 @pytest.mark.parametrize("stated", [0.5, 1.0, 2.0])
-@pytest.mark.parametrize("known", [True, False])
-def test_the_ratio_finds_errors_that_are_wrong(stated, known):
-    chance = np.random.default_rng(5)
-    values = 100.0 + chance.standard_normal((400, 3))
+@pytest.mark.parametrize("with_reference", [True, False])
+def test_ratio_detects_wrong_errors(stated, with_reference):
+    rng = np.random.default_rng(5)
+    values = 100.0 + rng.standard_normal((400, 3))
     runs = [(value, np.full(3, stated)) for value in values]
-    reference = (np.full(3, 100.0), np.zeros(3)) if known else None
+    reference = (np.full(3, 100.0), np.zeros(3)) if with_reference else None
     ratio = np.sqrt((compute_deviations(runs, reference) ** 2).mean())
-    # 1200 values know it to 2 %.
+    # 1200 values determine it to 2 %.
     assert abs(ratio * stated - 1.0) < 0.08
 
 
-def test_what_few_rays_see_is_left_out():
-    seen = np.array([0.9, 1.1]) * MIN_SIGNAL_SIGMA
-    runs = [(seen + 0.1 * step, np.ones(2)) for step in (-1.0, 0.0, 1.0)]
+def test_quantities_with_large_errors_are_excluded():
+    means = np.array([0.9, 1.1]) * MIN_SIGNAL_SIGMA
+    runs = [(means + 0.1 * step, np.ones(2)) for step in (-1.0, 0.0, 1.0)]
     assert compute_deviations(runs).shape == (3, 1)
 
 
-def test_means_of_instruments_are_over_their_media():
+def test_instrument_rows_are_means_over_media():
     case = CASES[0]
     rows = [
         row
@@ -103,7 +103,7 @@ def test_means_of_instruments_are_over_their_media():
     last = table.iloc[-1]
     assert (last.instrument, last.medium, last.seeds) == (case.instrument, ALL_LABEL, 4)
     assert last.ratio == pytest.approx(2.5**0.5)
-    # Both groups together hold no scatter.
+    # The mean of both sets has no scatter.
     assert last.ratio_stderr == 0.0
     first = table.iloc[0]
     assert first.ratio == 1.0 and first.ratio_stderr == pytest.approx(0.5**0.5 / 2**0.5 / 2.0)
@@ -113,7 +113,7 @@ def test_means_of_instruments_are_over_their_media():
     assert axes.lines[1].get_xdata().tolist() == [1.0, 1.0, 2.0, 2.0]
 
 
-def test_the_table_of_the_docs_is_of_every_instrument_and_holds(pytestconfig):
+def test_documented_calibration_covers_all_instruments(pytestconfig):
     table = pd.read_csv(pytestconfig.rootpath / "docs" / "calibration.csv")
     means = table[table.medium == ALL_LABEL]
     assert list(means.instrument) == list(dict.fromkeys(case.instrument for case in CASES))

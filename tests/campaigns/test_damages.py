@@ -1,10 +1,10 @@
-"""Random damage to datasets, archives, kernels and configuration: noticed, and told in one line.
+"""Random damage to datasets, archives, kernels and configuration is reported in one line.
 
 A few by default.  The campaign proper is ``make campaign``, or
 
     DAMAGES=30 python -m pytest -s tests/campaigns/test_damages.py
 
-with so many of each sort.
+with that number of each kind.
 """
 
 from __future__ import annotations
@@ -28,53 +28,51 @@ from splits.io.unarchive import ArchiveError, unpack_archive
 N_DAMAGES = int(os.environ.get("DAMAGES", "4"))
 CONFIG = Path(__file__).parents[2] / "config"
 SHIPPED_FILES = sorted((CONFIG / "experiments").rglob("*.yaml"))
-WORK_PROGRAM = """
+PROGRAM = """
 import splits
 dataset = splits.spectrophotometer(splits.ParticleLayer(), [500], max_stderr=0.3, seed=1, threads=1)
 print(dataset.reflectance.values[0].hex())
 """
 
 
-def flip_bit(content: bytes, chance: random.Random) -> bytes:
-    """Return the content with one bit the other way."""
-    place = chance.randrange(len(content))
-    return (
-        content[:place] + bytes([content[place] ^ 1 << chance.randrange(8)]) + content[place + 1 :]
-    )
+def flip_bit(content: bytes, rng: random.Random) -> bytes:
+    """Return the content with one bit inverted."""
+    i = rng.randrange(len(content))
+    return content[:i] + bytes([content[i] ^ 1 << rng.randrange(8)]) + content[i + 1 :]
 
 
-def truncate(content: bytes, chance: random.Random) -> bytes:
-    """Return the beginning of the content."""
-    return content[: chance.randrange(len(content))]
+def truncate(content: bytes, rng: random.Random) -> bytes:
+    """Return the content, truncated at a random position."""
+    return content[: rng.randrange(len(content))]
 
 
-def zero_range(content: bytes, chance: random.Random) -> bytes:
-    """Return the content with a stretch of zeros, as a lost sector leaves it."""
-    place = chance.randrange(len(content))
-    length = min(512, len(content) - place)
-    other = bytes(length) if any(content[place : place + length]) else b"\xff" * length
-    return content[:place] + other + content[place + length :]
+def zero_range(content: bytes, rng: random.Random) -> bytes:
+    """Return the content with a range of zeros, as after the loss of a sector."""
+    i = rng.randrange(len(content))
+    length = min(512, len(content) - i)
+    other = bytes(length) if any(content[i : i + length]) else b"\xff" * length
+    return content[:i] + other + content[i + length :]
 
 
-def insert_noise(content: bytes, chance: random.Random) -> bytes:
-    """Return the content with noise within."""
-    place = chance.randrange(len(content))
-    return content[:place] + chance.randbytes(16) + content[place:]
+def insert_noise(content: bytes, rng: random.Random) -> bytes:
+    """Return the content with inserted random bytes."""
+    i = rng.randrange(len(content))
+    return content[:i] + rng.randbytes(16) + content[i:]
 
 
 DAMAGE_FUNCTIONS = (flip_bit, truncate, zero_range, insert_noise)
 
 
 def damage_content(content: bytes, number: int) -> bytes:
-    """Return a content that is not the same."""
-    chance = random.Random(number)
-    found = DAMAGE_FUNCTIONS[number % len(DAMAGE_FUNCTIONS)](content, chance)
-    assert found != content
-    return found
+    """Return a damaged content, which differs from the original."""
+    rng = random.Random(number)
+    damaged = DAMAGE_FUNCTIONS[number % len(DAMAGE_FUNCTIONS)](content, rng)
+    assert damaged != content
+    return damaged
 
 
 def read_contents(folder: Path) -> dict[Path, bytes]:
-    """Return what the files of a folder hold."""
+    """Return the contents of all files of a folder, by relative path."""
     files = (path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder): path.read_bytes() for path in files}
 
@@ -89,7 +87,7 @@ def dataset(tmp_path_factory):
 
 
 @pytest.mark.parametrize("number", range(N_DAMAGES))
-def test_a_damaged_dataset_is_named(dataset, tmp_path, number):
+def test_damaged_dataset_is_reported(dataset, tmp_path, number):
     path = tmp_path / "made.nc"
     path.write_bytes(damage_content(dataset.read_bytes(), number))
     with pytest.raises(DamagedFileError) as caught:
@@ -106,8 +104,8 @@ def archive(dataset):
 
 
 @pytest.mark.parametrize("number", range(N_DAMAGES))
-def test_a_damaged_archive_is_refused_or_unpacks_to_the_same(archive, tmp_path, number, counted):
-    """A zip file has bytes that nothing reads, such as the time of a member."""
+def test_damaged_archive_is_rejected_or_unpacks_unchanged(archive, tmp_path, number, counter):
+    """A zip file has bytes that are not used, such as the time of a member."""
     path, whole, target = (tmp_path / name for name in ("made.zip", "whole", "target"))
     path.write_bytes(damage_content(archive.read_bytes(), number))
     unpack_archive(archive, whole)
@@ -117,16 +115,16 @@ def test_a_damaged_archive_is_refused_or_unpacks_to_the_same(archive, tmp_path, 
         line = str(error)
         assert line.startswith(f"{path}: rejected, ") and line.isprintable()
         assert not target.exists()
-        counted("damaged archives", number, "refused")
+        counter("damaged archives", number, "rejected")
     else:
         assert read_contents(target) == read_contents(whole)
-        counted("damaged archives", number, "the same")
+        counter("damaged archives", number, "unchanged")
     assert sorted(tmp_path.iterdir()) == sorted(p for p in (path, whole, target) if p.exists())
 
 
 @pytest.fixture(scope="module")
 def kernels(tmp_path_factory):
-    """Return a folder of kept kernels, and what a process prints that uses them."""
+    """Return a folder of cached kernels, and the output of a process that uses them."""
     folder = tmp_path_factory.mktemp("kernels")
     return folder, run_simulation(folder).stdout
 
@@ -135,7 +133,7 @@ def run_simulation(folder):
     """Run a small simulation with the kernels of a folder."""
     variables = {k: v for k, v in os.environ.items() if k != "NUMBA_DISABLE_JIT"}
     return subprocess.run(
-        [sys.executable, "-c", WORK_PROGRAM], env=variables | {"NUMBA_CACHE_DIR": str(folder)},
+        [sys.executable, "-c", PROGRAM], env=variables | {"NUMBA_CACHE_DIR": str(folder)},
         capture_output=True, text=True, check=True,
     )  # fmt: skip
 
@@ -143,7 +141,7 @@ def run_simulation(folder):
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(N_DAMAGES))
-def test_a_damaged_kernel_is_compiled_again(kernels, tmp_path, number):
+def test_damaged_kernel_is_compiled_again(kernels, tmp_path, number):
     folder, printed = kernels
     copy = tmp_path / "kernels"
     shutil.copytree(folder, copy)
@@ -152,7 +150,7 @@ def test_a_damaged_kernel_is_compiled_again(kernels, tmp_path, number):
     path.write_bytes(damage_content(path.read_bytes(), number))
     done = run_simulation(copy)
     assert done.stdout == printed
-    # A kernel that others have taken in is not read by itself.
+    # A kernel that is inlined in others is not read on its own.
     lines = done.stderr.splitlines()
     assert len(lines) <= 1 and all(str(copy) in line for line in lines)
     again = run_simulation(copy)
@@ -160,7 +158,7 @@ def test_a_damaged_kernel_is_compiled_again(kernels, tmp_path, number):
 
 
 @pytest.mark.parametrize("number", range(N_DAMAGES))
-def test_damaged_configuration_is_read_or_refused_in_one_line(tmp_path, number):
+def test_damaged_configuration_is_read_or_rejected_in_one_line(tmp_path, number):
     path = tmp_path / "made.yaml"
     source = random.Random(number).choice(SHIPPED_FILES)
     path.write_bytes(damage_content(source.read_bytes(), number))

@@ -1,7 +1,7 @@
-"""Kills: whatever a run was at, nothing is half, nothing is lost, and the next leaves nothing.
+"""Killed runs leave only complete files, and the next run completes and removes leftovers.
 
-One of five kills hits a whole workflow, the others one process that does what its jobs do,
-compiling included.  Five by default.  The campaign proper is ``make campaign``, or
+One of five kills is of a whole workflow, the others of one process that runs the same steps,
+compilation included.  Five by default.  The campaign proper is ``make campaign``, or
 
     KILLS=200 python -m pytest -s tests/campaigns/test_kills.py
 """
@@ -49,7 +49,7 @@ WORKFLOW_STAGES = {
     "archive": (ARCHIVE, "archive/.aside.*"),
     "any moment": ("data/one.nc", None),
 }
-"""For each stage what is missing when a run starts, and what appears when it is there."""
+"""For each stage the output that is missing at the start, and a file that marks the stage."""
 PROCESS_STEPS = {
     "any moment": (killed.ALL_OUTPUTS, None),
     "compiling": (("cache", *killed.ALL_OUTPUTS), None),
@@ -62,12 +62,12 @@ PROCESS_STEPS = {
     "archive": (killed.ALL_OUTPUTS[-2:], "results/archive/.aside.*"),
     "unpack": (killed.ALL_OUTPUTS[-1:], "results/.aside.*"),
 }
-"""The same for the steps of one process; "cache" are all kernels, "waves" those of one file."""
+"""The same for steps of one process; "cache" is all kernels, "waves" those of one module."""
 _MAX_WAIT_S = 300.0
 
 
 def check_files_complete(folder):
-    """Assert that every file that is there under its own name, as are its folders, is whole."""
+    """Assert that every file that is not hidden is complete."""
     for path in folder.rglob("*"):
         if any(part.startswith(".") for part in path.relative_to(folder).parts):
             continue
@@ -90,7 +90,7 @@ def check_files_complete(folder):
 
 
 def read_contents(folder):
-    """Return all files of a folder and what they hold."""
+    """Return the contents of all files of a folder, by path."""
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -99,7 +99,7 @@ def list_leftovers(folder):
 
 
 def wait_for_file(running, folder, pattern, pause_s):
-    """Wait until a file appears, if any is waited for, and so long; tell if it did."""
+    """Wait for a file, if a pattern is given, and a pause; return whether it still runs."""
     end = time.monotonic() + _MAX_WAIT_S
     seen = pattern is None
     while running() and not seen and time.monotonic() < end:
@@ -110,14 +110,14 @@ def wait_for_file(running, folder, pattern, pause_s):
 
 
 def kill_workflow(project, pattern, pause_s):
-    """Start the workflow, kill all of its processes at a moment, and tell if that was in time."""
+    """Start the workflow, kill all of its processes, and return whether it was still running."""
     command = project.command("all", "archive", "--cores", 2)
     process = subprocess.Popen(
         command, env=project.environment, cwd=project.folder,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     hit = wait_for_file(lambda: process.poll() is None, project.folder / RESULTS, pattern, pause_s)
-    # Jobs are in the session of their snakemake.
+    # Jobs belong to the session of their Snakemake process.
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -126,19 +126,19 @@ def kill_workflow(project, pattern, pause_s):
 
 @pytest.fixture(scope="module")
 def finished_project(make_project, tmp_path_factory):
-    """Return a project whose archive is there, and how long it took (s)."""
+    """Return a project with its archive, and the time of the run (s)."""
     project = make_project(tmp_path_factory.mktemp("finished"))
     for name, text in EXPERIMENTS.items():
         project.put(name, text)
-    begun = time.monotonic()
+    start = time.monotonic()
     run = project.snakemake("all", "archive", "--cores", 2)
     assert run.code == 0, run.text
-    return project, time.monotonic() - begun
+    return project, time.monotonic() - start
 
 
 @pytest.mark.parametrize("number", range(N_WORKFLOW_KILLS))
-def test_a_killed_workflow_leaves_nothing_half(finished_project, tmp_path, number, counted):
-    chance = random.Random(number)
+def test_killed_workflow_leaves_only_complete_files(finished_project, tmp_path, number, counter):
+    rng = random.Random(number)
     stage = list(WORKFLOW_STAGES)[number % len(WORKFLOW_STAGES)]
     missing, appears = WORKFLOW_STAGES[stage]
     before, whole_run = finished_project
@@ -150,9 +150,9 @@ def test_a_killed_workflow_leaves_nothing_half(finished_project, tmp_path, numbe
         (results / missing).unlink()
     shutil.rmtree(results / "logs")
     longest = {"simulation": 0.5, "any moment": 0.8 * whole_run}.get(stage, 0.02)
-    pause = chance.uniform(0.0, longest)
+    pause = rng.uniform(0.0, longest)
     hit = kill_workflow(project, appears, pause)
-    counted("kills of workflows", number, f"{stage} {'hit' if hit else 'too late'}")
+    counter("kills of workflows", number, f"{stage} {'hit' if hit else 'too late'}")
     check_files_complete(results)
     unlocked = project.snakemake("--unlock")
     assert unlocked.code == 0, unlocked.text
@@ -170,28 +170,28 @@ def test_a_killed_workflow_leaves_nothing_half(finished_project, tmp_path, numbe
 
 @pytest.fixture(scope="module")
 def finished_folder(tmp_path_factory):
-    """Return a folder in which all steps are done, and how long they and compiling take (s)."""
+    """Return a folder with all outputs, and the times of a run with and without compiling (s)."""
     folder = tmp_path_factory.mktemp("worked")
     times = []
     for missing in ("cache", "results"):
         shutil.rmtree(folder / missing, ignore_errors=True)
         shutil.rmtree(folder / "results", ignore_errors=True)
-        begun = time.monotonic()
+        start = time.monotonic()
         run_all_steps(folder)
-        times.append(time.monotonic() - begun)
+        times.append(time.monotonic() - start)
     return folder, {"compiling": times[0], "any moment": times[1]}
 
 
 def run_all_steps(folder):
-    """Do all steps in a process of their own."""
+    """Run all steps in a separate process."""
     process = killed.start_worker(folder / "results", folder / "cache")
     process.join(_MAX_WAIT_S)
     assert process.exitcode == 0
 
 
 @pytest.mark.parametrize("number", range(N_KILLS - N_WORKFLOW_KILLS))
-def test_a_killed_process_leaves_nothing_half(finished_folder, tmp_path, number, counted):
-    chance = random.Random(number)
+def test_killed_process_leaves_only_complete_files(finished_folder, tmp_path, number, counter):
+    rng = random.Random(number)
     step = list(PROCESS_STEPS)[number % len(PROCESS_STEPS)]
     missing, appears = PROCESS_STEPS[step]
     before, longest = finished_folder
@@ -207,15 +207,15 @@ def test_a_killed_process_leaves_nothing_half(finished_folder, tmp_path, number,
             shutil.rmtree(folder / "results" / name)
         else:
             (folder / "results" / name).unlink()
-    there = read_contents(folder)
+    contents = read_contents(folder)
     process = killed.start_worker(folder / "results", folder / "cache")
     hit = wait_for_file(
-        process.is_alive, folder, appears, chance.uniform(0.0, longest.get(step, 0.005))
+        process.is_alive, folder, appears, rng.uniform(0.0, longest.get(step, 0.005))
     )
     process.kill()
     process.join()
-    counted("kills of processes", number, f"{step} {'hit' if hit else 'too late'}")
-    assert read_contents(folder).items() >= there.items()
+    counter("kills of processes", number, f"{step} {'hit' if hit else 'too late'}")
+    assert read_contents(folder).items() >= contents.items()
     check_files_complete(folder)
     run_all_steps(folder)
     assert list_leftovers(folder) == []

@@ -1,5 +1,5 @@
-"""The scalar kernel of grains as it was before the transport core was rebuilt, frozen.
+"""An independent, earlier version of the scalar kernel of grains, used as a reference.
 
-It shares no code with `splits.kernels`, so that what both agree on does not rest on one source.
-Nothing here is to be changed when the package changes.
+It shares no code with `splits.kernels`, so that agreement with it is independent evidence.  The
+numbers that it computes must not change when the package changes.
 """

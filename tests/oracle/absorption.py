@@ -1,7 +1,7 @@
-"""Absorption along a leg: a coin toss, or a length to be turned into weights later.
+"""Absorption along a path segment: analog, or path lengths that become weights later.
 
-A weighted ray plays Russian roulette once it has become light for every wavelength that listens
-to it, so that opaque grains end it early and nothing is lost on average.
+A weighted ray is subject to Russian roulette once its weight is low at every wavelength that it
+serves, so that paths in opaque grains end early.  The estimate stays unbiased.
 """
 
 from __future__ import annotations
@@ -11,55 +11,55 @@ import math
 from oracle.jit import kernel
 from oracle.rng import uniform
 
-DEPTH = 0
-"""Least optical depth passed so far, over the wavelengths served."""
-LIMIT = 1
+OPTICAL_DEPTH = 0
+"""Least optical depth of the path so far, over the wavelengths served."""
+NEXT_ROULETTE_DEPTH = 1
 """Optical depth at which roulette is played next."""
 WEIGHT = 2
 """Inverse probability of having survived roulette."""
 
-ROULETTE_BELOW = 0.1
-ROULETTE_SURVIVAL = 0.3
-FIRST_ROULETTE = -math.log(ROULETTE_BELOW)
-NEXT_ROULETTE = -math.log(ROULETTE_SURVIVAL)
+ROULETTE_THRESHOLD = 0.1
+SURVIVAL_PROBABILITY = 0.3
+FIRST_ROULETTE_DEPTH = -math.log(ROULETTE_THRESHOLD)
+NEXT_ROULETTE_STEP = -math.log(SURVIVAL_PROBABILITY)
 
 
 @kernel
-def start_purse(purse):
-    """Set `purse` (float64[3]) for a fresh ray."""
-    purse[DEPTH] = 0.0
-    purse[LIMIT] = FIRST_ROULETTE
-    purse[WEIGHT] = 1.0
+def start_roulette(roulette_state):
+    """Set `roulette_state` (float64[3]) for a new ray."""
+    roulette_state[OPTICAL_DEPTH] = 0.0
+    roulette_state[NEXT_ROULETTE_DEPTH] = FIRST_ROULETTE_DEPTH
+    roulette_state[WEIGHT] = 1.0
 
 
 @kernel
-def survives(state, leg, material, optics, rules, length, purse):
-    """Take a leg through a material, and tell whether the ray goes on.
+def attenuate_segment(state, distance, material, optics, rules, length, roulette_state):
+    """Attenuate a ray along a segment through a material, and return whether it survives.
 
-    Lambert's law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability to
-    pass.  Weighted rays add the leg to `length`, and end only by roulette.
+    Lambert's law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability of
+    transmission.  Weighted rays add the segment to `length`, and end only by roulette.
 
     Parameters
     ----------
     state : uint64[1]
-    leg : float
-        Metres.
+    distance : float
+        Length of the segment (m).
     material : int
     optics, rules
         See `splits.kernels.grains.scene`.
     length : float64[materials]
         Path lengths (m), advanced in place.
-    purse : float64[3]
-        `DEPTH`, `LIMIT` and `WEIGHT`, advanced in place.
+    roulette_state : float64[3]
+        `OPTICAL_DEPTH`, `NEXT_ROULETTE_DEPTH` and `WEIGHT`, advanced in place.
     """
-    length[material] += leg
-    depth = optics.absorption[material] * leg
+    length[material] += distance
+    depth = optics.absorption[material] * distance
     if rules.analog:
         return depth == 0.0 or uniform(state) < math.exp(-depth)
-    purse[DEPTH] += depth
-    while purse[DEPTH] > purse[LIMIT]:
-        if uniform(state) > ROULETTE_SURVIVAL:
+    roulette_state[OPTICAL_DEPTH] += depth
+    while roulette_state[OPTICAL_DEPTH] > roulette_state[NEXT_ROULETTE_DEPTH]:
+        if uniform(state) > SURVIVAL_PROBABILITY:
             return False
-        purse[LIMIT] += NEXT_ROULETTE
-        purse[WEIGHT] /= ROULETTE_SURVIVAL
+        roulette_state[NEXT_ROULETTE_DEPTH] += NEXT_ROULETTE_STEP
+        roulette_state[WEIGHT] /= SURVIVAL_PROBABILITY
     return True

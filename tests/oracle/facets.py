@@ -1,9 +1,9 @@
-"""Microfacets: the normal that a ray meets on a rough grain surface.
+"""Microfacets: sampling of the normal on a rough grain surface.
 
 SPLITS section 4.2.3, Eq 3 and section 4.3.4; SPLITSnow section 3.3, Eqs 3-4: the facet normal n'
-leans from the macroscopic normal n by n·n' = 1 − |ξ|, ξ normal with standard deviation
-facetness/2 and n·n' > 0, at a uniform azimuth.  Facets have equal area, so a ray along d strikes
-one with probability proportional to its projected area |n'·d|, among those facing the ray.
+is tilted from the macroscopic normal n by n·n' = 1 − |ξ|, ξ normal with standard deviation
+facetness/2 and n·n' > 0, at a uniform azimuth.  Facets have equal area, so a ray along d hits one
+with probability proportional to its projected area |n'·d|, among those facing the ray.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from oracle.jit import ONE, TWO, ZERO, kernel
 from oracle.rng import half_normal, uniform, unit_circle
 
 PROJECTED = 0
-"""Facets facing the ray, struck in proportion to their projected area (SPLITS 4.3.4)."""
+"""Facets facing the ray, hit in proportion to their projected area (SPLITS 4.3.4)."""
 UNWEIGHTED = 1
 """Facets facing the ray, each with the same probability."""
 ANY = 2
-"""Any facet; one that faces away acts through its opposite side."""
+"""Any facet; one that faces away is used with the opposite normal."""
 
 
 @kernel
-def lean(state, facetness):
+def sample_tilt(state, facetness):
     """Return 1 − n·n' = |ξ| < 1 for ξ ~ N(0, facetness/2) (SPLITSnow Eqs 3-4)."""
     while True:
         x = 0.5 * facetness * half_normal(state)
@@ -33,18 +33,18 @@ def lean(state, facetness):
 
 
 @kernel
-def tilt_sine(leaning):
-    """Return the sine of the angle whose cosine is 1 − `leaning`, without cancellation."""
-    return root(leaning * (TWO - leaning))
+def compute_tilt_sine(tilt):
+    """Return the sine of the angle whose cosine is 1 − `tilt`, without cancellation."""
+    return root(tilt * (TWO - tilt))
 
 
 @kernel
-def projected_choice(c, s, cos_azimuth, cos_i, sin_i, u):
-    """Accept or reject a facet in proportion to its projected area, and settle its azimuth.
+def accept_projected_facet(c, s, cos_azimuth, cos_i, sin_i, u):
+    """Accept or reject a facet in proportion to its projected area, and sample its azimuth.
 
     Exact rejection sampling of two mirror azimuths at once: for φ and π − φ the weights are
     max(0, A ± B), A = cosτ cosθ, B = sinτ sinθ |cosφ|; their sum never exceeds max(2 cosθ, 1),
-    and the share of the second decides the sign of cosφ.
+    and the fraction of the second determines the sign of cosφ.
 
     Parameters
     ----------
@@ -69,13 +69,13 @@ def projected_choice(c, s, cos_azimuth, cos_i, sin_i, u):
     b = s * sin_i * cos_azimuth
     opposite = max(ZERO, a - b)
     variate = u * max(TWO * cos_i, ONE)
-    mirror = variate < opposite
-    cos_facet = a - b if mirror else a + b
-    return variate < a + b + opposite, -cos_azimuth if mirror else cos_azimuth, cos_facet
+    takes_opposite = variate < opposite
+    cos_facet = a - b if takes_opposite else a + b
+    return variate < a + b + opposite, -cos_azimuth if takes_opposite else cos_azimuth, cos_facet
 
 
 @kernel
-def facet_normal(dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cos_azimuth, sin_azimuth):
+def compute_facet_normal(dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cos_azimuth, sin_azimuth):
     """Return the facet's normal, its azimuth counted from the tangential part of −d.
 
     c n + (s / sinθ) (cosφ t + sinφ d×n), t = −d − cosθ n: both tangents have length sinθ, of
@@ -93,8 +93,8 @@ def facet_normal(dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cos_azimuth, sin_
 
 
 @kernel
-def facet_angles(state, facetness, cos_i, rule):
-    """Draw a facet in the frame whose polar axis is n and whose azimuth 0 faces the ray.
+def sample_facet_angles(state, facetness, cos_i, rule):
+    """Sample a facet in the frame whose polar axis is n and whose azimuth 0 faces the ray.
 
     Parameters
     ----------
@@ -115,12 +115,14 @@ def facet_angles(state, facetness, cos_i, rule):
     """
     sin_i = math.sqrt(max(0.0, 1.0 - cos_i * cos_i))
     while True:
-        x = lean(state, facetness)
+        x = sample_tilt(state, facetness)
         c = 1.0 - x
-        s = tilt_sine(x)
+        s = compute_tilt_sine(x)
         cp, sp = unit_circle(state)
         if rule == PROJECTED:
-            accepted, cp, cos_facet = projected_choice(c, s, abs(cp), cos_i, sin_i, uniform(state))
+            accepted, cp, cos_facet = accept_projected_facet(
+                c, s, abs(cp), cos_i, sin_i, uniform(state)
+            )
             if accepted:
                 return c, s, cp, sp, cos_facet
         else:
@@ -130,28 +132,28 @@ def facet_angles(state, facetness, cos_i, rule):
 
 
 @kernel
-def struck_facet(state, dx, dy, dz, nx, ny, nz, facetness, rule):
-    """Return the unit normal of the facet struck along d on a surface of normal n (d·n < 0).
+def sample_facet(state, dx, dy, dz, nx, ny, nz, facetness, rule):
+    """Sample the facet hit along d on a surface of normal n (d·n < 0), and return its unit normal.
 
     The facet's normal is returned on the side of the ray, so that d·n' < 0, together with the
     cosine of incidence on it.
     """
-    # Rounding may turn a grazing ray to the far side; at 1e-12 all light is reflected anyway.
+    # Rounding may move a grazing ray to the far side; at 1e-12 all light is reflected.
     cos_i = max(-dot(dx, dy, dz, nx, ny, nz), 1e-12)
     if facetness == 0.0:
         return nx, ny, nz, cos_i
-    c, s, cp, sp, _ = facet_angles(state, facetness, cos_i, rule)
+    c, s, cp, sp, _ = sample_facet_angles(state, facetness, cos_i, rule)
     # The sine from the tangential part itself: 1 − cos² has no digits left at normal incidence.
     tx = -dx - cos_i * nx
     ty = -dy - cos_i * ny
     tz = -dz - cos_i * nz
     sin2 = dot(tx, ty, tz, tx, ty, tz)
     if sin2 < 1e-20:
-        # At exactly normal incidence every azimuth is alike.
+        # At exactly normal incidence all azimuths are equivalent.
         mx, my, mz = around(nx, ny, nz, c, s, cp, sp)
     else:
         per_sin = 1.0 / math.sqrt(sin2)
-        mx, my, mz = facet_normal(dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cp, sp)
+        mx, my, mz = compute_facet_normal(dx, dy, dz, nx, ny, nz, cos_i, per_sin, c, s, cp, sp)
         mx, my, mz = normalized(mx, my, mz)
     cos_facet = -dot(dx, dy, dz, mx, my, mz)
     if cos_facet < 0.0:

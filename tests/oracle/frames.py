@@ -1,4 +1,4 @@
-"""Directions and the frames they are drawn in; every function serves both precisions."""
+"""Vectors, directions, and local frames."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def around(nx, ny, nz, cos_polar, sin_polar, cos_azimuth, sin_azimuth):
 
 
 @kernel
-def cosine_lobe(state, nx, ny, nz):
+def sample_cosine_lobe(state, nx, ny, nz):
     """Return a direction around the unit vector n with density cosθ/π (Lambert)."""
     u = uniform(state)
     c, s = unit_circle(state)
@@ -62,7 +62,7 @@ def cosine_lobe(state, nx, ny, nz):
 
 
 @kernel
-def mirrored(dx, dy, dz, nx, ny, nz):
+def mirror(dx, dy, dz, nx, ny, nz):
     """Return the direction d mirrored in the plane with unit normal n."""
     k = TWO * dot(dx, dy, dz, nx, ny, nz)
     return dx - k * nx, dy - k * ny, dz - k * nz

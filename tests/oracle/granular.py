@@ -1,9 +1,8 @@
-"""A slab of grains generated on the fly: the path of a ray and the tally of many.
+"""A slab of grains generated on the fly: the path of one ray, and batches of rays.
 
-SPLITS section 4.3 and SPLITSnow section 3.1: only the grain that the ray meets exists.  Distance,
-type, size, shape, orientation and entry point are drawn; a grain that crosses a boundary or
-lies on the leg just travelled is drawn again; between its two extended
-boundaries the slab reaches to infinity sideways.
+SPLITS section 4.3 and SPLITSnow section 3.1: only the grain that the ray hits exists.  Distance,
+type, size, shape, orientation and entry point are sampled; a grain that overlaps a boundary or the
+previous segment is sampled again.  The slab is bounded by two horizontal planes.
 """
 
 from __future__ import annotations
@@ -13,38 +12,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oracle.absorption import DEPTH, WEIGHT, start_purse, survives
-from oracle.fresnel import interface, refracted
-from oracle.grain import draw_pore, grain_walk
+from oracle.absorption import OPTICAL_DEPTH, WEIGHT, attenuate_segment, start_roulette
+from oracle.fresnel import compute_interface, refract
+from oracle.grain import sample_pore, trace_through_grain
 from oracle.jit import entry, kernel
-from oracle.rng import from_table, pick, start_stream, uniform, unit_circle
-from oracle.scene import DRY_PORE, KEPT, SKIPPED, WET_PORE
+from oracle.rng import sample_table, sample_type, start_stream, uniform, unit_circle
+from oracle.scene import DRY_PORE, OVERLAP_KEEP, OVERLAP_SKIP, WET_PORE
 from oracle.spheroid import (
     PROJECTED,
-    axial_position,
-    crosses,
-    cuts_segment,
-    entry_point,
+    compute_entry_point,
+    overlaps_boundary,
+    overlaps_segment,
+    sample_axial_position,
 )
-from oracle.tally import EXIT_LENGTH, record
+from oracle.tally import EXIT_LENGTH, record_exit
 
 ABSORBED = 0
 REFLECTED = 1
 TRANSMITTED = 2
 LOST = 3
-"""No grain was found that fits; never expected, counted so that it cannot pass unseen."""
-TRAVELS = 4
+"""No sampled grain was accepted, which is an error that the batch reports."""
+IN_FLIGHT = 4
 
 MAX_REJECTIONS = 10_000_000
-"""Grains refused in a row from which a ray counts as lost.  At grazing incidence the first grain
-that fits below the boundary is rare: 3e5 are refused on average at 89.9999 degrees."""
+"""Number of consecutive rejections after which a ray is lost.  At grazing incidence few grains fit
+below the boundary: 3e5 are rejected on average at 89.9999 degrees."""
 
-NO_LEG = (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, -1.0)
-"""In place of the leg travelled last, for a ray that has not travelled yet."""
+NO_SEGMENT = (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, -1.0)
+"""The previous segment of a ray at its start."""
 
 
 @kernel
-def cross_boundary(state, dx, dy, dz, n1, n2, k2):
+def cross_interface(state, dx, dy, dz, n1, n2, k2):
     """Reflect or refract a ray at a smooth horizontal boundary from index n1 to n2 + i k2.
 
     Returns
@@ -54,27 +53,27 @@ def cross_boundary(state, dx, dy, dz, n1, n2, k2):
     """
     up = math.copysign(1.0, -dz)
     cos_i = max(abs(dz), 1e-12)
-    reflectance, ratio, cos_t = interface(n1, n2, k2, cos_i)
+    reflectance, ratio, cos_t = compute_interface(n1, n2, k2, cos_i)
     if uniform(state) < reflectance:
         return False, dx, dy, -dz
-    dx, dy, dz = refracted(dx, dy, dz, 0.0, 0.0, up, cos_i, ratio, cos_t)
+    dx, dy, dz = refract(dx, dy, dz, 0.0, 0.0, up, cos_i, ratio, cos_t)
     return True, dx, dy, dz
 
 
-class Window(NamedTuple):
-    """Bounds on what a ray is worth, weight · exp(κ·depth) (see `splits.kernels.grains.splitting`).
+class WeightWindow(NamedTuple):
+    """Bounds on the importance of a ray, weight · exp(κ·depth) (`splits.kernels.grains.splitting`).
 
     Attributes
     ----------
     weight : float
-        Of the ray, absorption not counted.
+        Of the ray, without absorption.
     kappa : float
         1/m.
     lower, upper : float
     depth : float
         Of the slab (m).
     profile : float64[2, slices]
-        For equal slices of the depth, number and total weight of the legs that began there,
+        Number and total weight of the segments that start in each of equal slices of the depth,
         advanced in place.
     """
 
@@ -87,30 +86,30 @@ class Window(NamedTuple):
 
 
 @kernel
-def left_window(window, z, purse):
-    """Tell whether a ray's worth lies outside its window, and note where it is."""
+def leaves_weight_window(window, z, roulette_state):
+    """Return whether the importance is outside the window, and tally the ray in its slice."""
     slices = window.profile.shape[1]
-    place = min(int(-z / window.depth * slices), slices - 1)
-    window.profile[0, place] += 1.0
-    window.profile[1, place] += window.weight * math.exp(-purse[DEPTH])
-    worth = window.weight * math.exp(-purse[DEPTH] - window.kappa * z)
-    return worth < window.lower or worth > window.upper
+    i_slice = min(int(-z / window.depth * slices), slices - 1)
+    window.profile[0, i_slice] += 1.0
+    window.profile[1, i_slice] += window.weight * math.exp(-roulette_state[OPTICAL_DEPTH])
+    importance = window.weight * math.exp(-roulette_state[OPTICAL_DEPTH] - window.kappa * z)
+    return importance < window.lower or importance > window.upper
 
 
 @kernel
-def no_grain(leg):
-    """Return what `next_grain` returns when there is none."""
-    return leg, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+def make_no_collision(distance):
+    """Return the result of `sample_collision` when the ray hits no grain."""
+    return distance, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 @kernel
-def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules):
-    """Draw the next grain on a ray, or find that the ray reaches a boundary first.
+def sample_collision(state, z, dx, dy, dz, to_boundary, previous_segment, grains, slab, rules):
+    """Sample the next grain on a ray, unless the ray reaches a boundary first.
 
     SPLITS 4.3.3: distance from Eq 21 (SPLITSnow Eq 1), then size, shape and entry point; a grain
-    that crosses an extended boundary or lies on the last leg is replaced by a new draw, distance
-    included, from the same origin.  Skipping such grains instead, which is not in the papers, thins
-    the Poisson process of grains along the ray.
+    that overlaps a boundary or the previous segment is sampled again, distance included, from the
+    same origin.  Skipping such grains instead, which is not in the papers, thins the Poisson
+    process of grains along the ray.
 
     Parameters
     ----------
@@ -119,68 +118,68 @@ def next_grain(state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules)
     dx, dy, dz : float
         Direction of the ray.
     to_boundary : float
-        Distance to the extended boundary ahead (m), or infinity.
-    last_leg : 7 float
-        Way from the end of the leg just travelled to the origin of this one, direction and length
-        of that leg; length −1 when there is none.
+        Distance to the boundary ahead (m), or infinity.
+    previous_segment : 7 float
+        Vector from the end of the previous segment to the origin of this one, and direction and
+        length of the previous segment; length −1 when there is none.
 
     Returns
     -------
-    leg : float
-        Distance to the grain; `to_boundary` when no grain comes first; −1 when none ever fits.
+    distance : float
+        Distance to the grain; `to_boundary` when no grain comes first; −1 when none is accepted.
     kind, minor, flattening : int, float, float
     q, w, n : 3 float each
         Entry point, major axis, outward normal, see `splits.kernels.grains.spheroid`.
     """
-    g1, g2, g3, lx, ly, lz, last = last_leg
-    skipped = 0.0
+    g1, g2, g3, lx, ly, lz, last_length = previous_segment
+    skipped_distance = 0.0
     for _ in range(MAX_REJECTIONS):
-        leg = skipped - math.log(uniform(state)) / grains.attenuation
-        if leg >= to_boundary:
-            return no_grain(to_boundary)
+        distance = skipped_distance - math.log(uniform(state)) / grains.attenuation
+        if distance >= to_boundary:
+            return make_no_collision(to_boundary)
         kind = 0
-        if grains.share.size > 1:
-            kind = pick(grains.share, uniform(state))
-        curvature = from_table(grains.curvature, kind, uniform(state))
-        sphericity = from_table(grains.sphericity, kind, uniform(state))
+        if grains.type_cdf.size > 1:
+            kind = sample_type(grains.type_cdf, uniform(state))
+        curvature = sample_table(grains.curvature, kind, uniform(state))
+        sphericity = sample_table(grains.sphericity, kind, uniform(state))
         ratio = sphericity * sphericity
         flattening = 1.0 - ratio
         major = 1.0 / curvature
         minor = ratio * major
-        axial = axial_position(state, flattening)
-        facing = uniform(state)
+        axial = sample_axial_position(state, flattening)
+        cos_incidence = uniform(state)
         if rules.entry_sampling == PROJECTED:
-            facing = math.sqrt(facing)
+            cos_incidence = math.sqrt(cos_incidence)
         ca, sa = unit_circle(state)
         ct, st = unit_circle(state)
-        q1, q2, q3, w1, w2, w3, n1, n2, n3 = entry_point(
-            dx, dy, dz, facing, ca, sa, axial, ct, st, flattening
+        q1, q2, q3, w1, w2, w3, n1, n2, n3 = compute_entry_point(
+            dx, dy, dz, cos_incidence, ca, sa, axial, ct, st, flattening
         )
-        if rules.boundary_overlap != KEPT and crosses(
-            z + leg * dz, q3, w3, axial, minor, major, slab.depth
+        if rules.boundary_overlap != OVERLAP_KEEP and overlaps_boundary(
+            z + distance * dz, q3, w3, axial, minor, major, slab.depth
         ):
-            if rules.boundary_overlap == SKIPPED:
-                skipped = leg
+            if rules.boundary_overlap == OVERLAP_SKIP:
+                skipped_distance = distance
             continue
-        if rules.segment_overlap != KEPT and last > 0.0 and cuts_segment(
+        if rules.segment_overlap != OVERLAP_KEEP and last_length > 0.0 and overlaps_segment(
             q1, q2, q3, w1, w2, w3, minor, flattening,
-            -g1 - leg * dx, -g2 - leg * dy, -g3 - leg * dz, lx, ly, lz, last,
+            -g1 - distance * dx, -g2 - distance * dy, -g3 - distance * dz, lx, ly, lz, last_length,
         ):  # fmt: skip
-            if rules.segment_overlap == SKIPPED:
-                skipped = leg
+            if rules.segment_overlap == OVERLAP_SKIP:
+                skipped_distance = distance
             continue
-        return leg, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3
-    return no_grain(-1.0)
+        return distance, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3
+    return make_no_collision(-1.0)
 
 
 @kernel
-def launch(state, slab, rules, optics):
-    """Start a ray at the slab's top.
+def sample_source(state, slab, rules, optics):
+    """Start a ray at the top of the slab.
 
     Returns
     -------
-    fate : int
-        `TRAVELS`, or `REFLECTED` by the boundary of a wet pore.
+    status : int
+        `IN_FLIGHT`, or `REFLECTED` by the boundary of a wet pore.
     d : 3 float
         Direction.
     pore : int
@@ -188,110 +187,112 @@ def launch(state, slab, rules, optics):
     """
     mu = math.sqrt(uniform(state)) if slab.diffuse else slab.cos_incidence
     dx, dy, dz = math.sqrt(max(0.0, 1.0 - mu * mu)), 0.0, -mu
-    pore = draw_pore(state, slab.saturation)
+    pore = sample_pore(state, slab.saturation)
     if pore == WET_PORE and rules.boundary_fresnel:
-        passed, dx, dy, dz = cross_boundary(
+        passed, dx, dy, dz = cross_interface(
             state, dx, dy, dz, optics.n[DRY_PORE], optics.n[pore], optics.k[pore]
         )
         if not passed:
             return REFLECTED, dx, dy, dz, pore
-    return TRAVELS, dx, dy, dz, pore
+    return IN_FLIGHT, dx, dy, dz, pore
 
 
 @kernel
-def follow(
-    state, x, y, z, dx, dy, dz, last_leg, pore,
-    grains, slab, rules, optics, length, purse, window, most,
+def trace_history(
+    state, x, y, z, dx, dy, dz, previous_segment, pore,
+    grains, slab, rules, optics, path_lengths, roulette_state, window, max_order,
 ):  # fmt: skip
-    """Follow a ray until it leaves the slab or is absorbed, or until its worth wants a decision.
+    """Trace a ray until it leaves the slab, is absorbed, or leaves its weight window.
 
     Parameters
     ----------
     state, grains, slab, rules, optics
-        See `trace`.
+        See `trace_ray`.
     x, y, z, dx, dy, dz : float
         Origin and direction.
-    last_leg : 7 float
-        See `next_grain`.
+    previous_segment : 7 float
+        See `sample_collision`.
     pore : int
-        Material of the leg to come.
-    length, purse : float64[materials], float64[3]
+        Material of the next segment.
+    path_lengths, roulette_state : float64[materials], float64[3]
         Advanced in place.
-    window : Window or None
-        None asks for no decisions, at no cost.
-    most : int
-        Grains met after which a ray counts as absorbed.
+    window : WeightWindow or None
+        None disables the weight window at compile time.
+    max_order : int
+        Order of scattering after which a ray counts as absorbed.
 
     Returns
     -------
-    fate : int
-        `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `TRAVELS` where the window is left.
-    x, y, z, dx, dy, dz, last_leg, pore
-        Where the ray then is.
-    legs, order : int
-        Legs through the pore space and grains met.
+    status : int
+        `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `IN_FLIGHT` outside the weight window.
+    x, y, z, dx, dy, dz, previous_segment, pore
+        State of the ray at the end.
+    n_segments, order : int
+        Number of segments through the pore space, and order of scattering.
     """
-    g1, g2, g3, lx, ly, lz, last = last_leg
-    legs = 0
+    g1, g2, g3, lx, ly, lz, last_length = previous_segment
+    n_segments = 0
     order = 0
     while True:
-        legs += 1
+        n_segments += 1
         to_boundary = math.inf
         if dz > 0.0:
             to_boundary = -z / dz
         elif dz < 0.0:
             to_boundary = (-slab.depth - z) / dz
-        last_leg = (g1, g2, g3, lx, ly, lz, last)
-        leg, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3 = next_grain(
-            state, z, dx, dy, dz, to_boundary, last_leg, grains, slab, rules
+        previous_segment = (g1, g2, g3, lx, ly, lz, last_length)
+        distance, kind, minor, flattening, q1, q2, q3, w1, w2, w3, n1, n2, n3 = sample_collision(
+            state, z, dx, dy, dz, to_boundary, previous_segment, grains, slab, rules
         )
-        if leg < 0.0:
-            return LOST, x, y, z, dx, dy, dz, last_leg, pore, legs, order
-        met_boundary = leg >= to_boundary
-        if met_boundary:
-            leg = to_boundary
-        if not survives(state, leg, pore, optics, rules, length, purse):
-            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs, order
-        lx, ly, lz, last = dx, dy, dz, leg
-        x += leg * dx
-        y += leg * dy
-        z += leg * dz
-        if met_boundary:
+        if distance < 0.0:
+            return LOST, x, y, z, dx, dy, dz, previous_segment, pore, n_segments, order
+        hits_boundary = distance >= to_boundary
+        if hits_boundary:
+            distance = to_boundary
+        if not attenuate_segment(
+            state, distance, pore, optics, rules, path_lengths, roulette_state
+        ):
+            return ABSORBED, x, y, z, dx, dy, dz, previous_segment, pore, n_segments, order
+        lx, ly, lz, last_length = dx, dy, dz, distance
+        x += distance * dx
+        y += distance * dy
+        z += distance * dz
+        if hits_boundary:
             z = 0.0 if dz > 0.0 else -slab.depth
             g1, g2, g3 = 0.0, 0.0, 0.0
             passed = True
             if pore == WET_PORE and rules.boundary_fresnel:
-                passed, dx, dy, dz = cross_boundary(
+                passed, dx, dy, dz = cross_interface(
                     state, dx, dy, dz, optics.n[pore], optics.n[DRY_PORE], 0.0
                 )
             if passed:
-                fate = REFLECTED if dz > 0.0 else TRANSMITTED
-                return fate, x, y, z, dx, dy, dz, last_leg, pore, legs, order
+                status = REFLECTED if dz > 0.0 else TRANSMITTED
+                return status, x, y, z, dx, dy, dz, previous_segment, pore, n_segments, order
             continue
-        if order == most:
-            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs, order
+        if order == max_order:
+            return ABSORBED, x, y, z, dx, dy, dz, previous_segment, pore, n_segments, order
         order += 1
-        facetness = from_table(grains.facetness, kind, uniform(state))
-        alive, g1, g2, g3, dx, dy, dz, pore = grain_walk(
+        facetness = sample_table(grains.facetness, kind, uniform(state))
+        alive, g1, g2, g3, dx, dy, dz, pore = trace_through_grain(
             state, q1, q2, q3, dx, dy, dz, w1, w2, w3, n1, n2, n3,
             minor, flattening, facetness, kind, pore, slab.saturation,
-            grains, optics, rules, length, purse,
+            grains, optics, rules, path_lengths, roulette_state,
         )  # fmt: skip
         if not alive:
-            return ABSORBED, x, y, z, dx, dy, dz, last_leg, pore, legs, order
-        # Only a grain kept across a boundary, or rounding, ends a walk out there: the ray counts
-        # as standing on that boundary.
+            return ABSORBED, x, y, z, dx, dy, dz, previous_segment, pore, n_segments, order
+        # The ray is outside the slab only if overlap with a boundary is ignored, or by rounding.
+        # It is then placed on that boundary.
         z = min(max(z + g3, -slab.depth), 0.0)
         x += g1
         y += g2
-        if window is not None and left_window(window, z, purse):
-            last_leg = (g1, g2, g3, lx, ly, lz, last)
-            return TRAVELS, x, y, z, dx, dy, dz, last_leg, pore, legs, order
+        if window is not None and leaves_weight_window(window, z, roulette_state):
+            previous_segment = (g1, g2, g3, lx, ly, lz, last_length)
+            return IN_FLIGHT, x, y, z, dx, dy, dz, previous_segment, pore, n_segments, order
 
 
 @kernel
-def trace(state, grains, slab, rules, optics, length, purse, most):
-    """Follow one ray from the light source until it leaves the slab or is absorbed.
+def trace_ray(state, grains, slab, rules, optics, path_lengths, roulette_state, max_order):
+    """Trace one ray from the light source until it leaves the slab or is absorbed.
 
     Parameters
     ----------
@@ -299,73 +300,74 @@ def trace(state, grains, slab, rules, optics, length, purse, most):
         The ray's random stream.
     grains, slab, rules, optics
         See `splits.kernels.grains.scene`.
-    length : float64[materials]
+    path_lengths : float64[materials]
         Set to the path length in each material (m).
-    purse : float64[3]
-        Set to the roulette's account, see `splits.kernels.absorption`.
-    most : int
-        Grains met after which the ray counts as absorbed, or `UNLIMITED`.
+    roulette_state : float64[3]
+        Set to the roulette state, see `oracle.absorption`.
+    max_order : int
+        Order of scattering after which the ray counts as absorbed, or `NO_MAX_ORDER`.
 
     Returns
     -------
-    fate : int
+    status : int
         `ABSORBED`, `REFLECTED`, `TRANSMITTED` or `LOST`.
     x, y, z, dx, dy, dz : float
         Point and direction of exit, the latter outside the slab.
-    legs : int
-        Legs through the pore space: what the ray cost.
+    n_segments : int
+        Number of segments through the pore space, which measures the cost of the ray.
     order : int
-        Grains met.
+        Order of scattering.
     """
-    length[:] = 0.0
-    start_purse(purse)
-    fate, dx, dy, dz, pore = launch(state, slab, rules, optics)
-    if fate != TRAVELS:
-        return fate, 0.0, 0.0, 0.0, dx, dy, dz, 0, 0
-    fate, x, y, z, dx, dy, dz, _, _, legs, order = follow(
-        state, 0.0, 0.0, 0.0, dx, dy, dz, NO_LEG, pore,
-        grains, slab, rules, optics, length, purse, None, most,
+    path_lengths[:] = 0.0
+    start_roulette(roulette_state)
+    status, dx, dy, dz, pore = sample_source(state, slab, rules, optics)
+    if status != IN_FLIGHT:
+        return status, 0.0, 0.0, 0.0, dx, dy, dz, 0, 0
+    status, x, y, z, dx, dy, dz, _, _, n_segments, order = trace_history(
+        state, 0.0, 0.0, 0.0, dx, dy, dz, NO_SEGMENT, pore,
+        grains, slab, rules, optics, path_lengths, roulette_state, None, max_order,
     )  # fmt: skip
-    return fate, x, y, z, dx, dy, dz, legs, order
+    return status, x, y, z, dx, dy, dz, n_segments, order
 
 
 @entry
-def batch(seed, work, grains, slab, rules, optics, exits):
-    """Trace rays and record how they leave.
+def trace_batch(seed, work, grains, slab, rules, optics, exits):
+    """Trace a batch of rays and record their exits.
 
     Parameters
     ----------
     seed : int
     work : int64[4]
-        Ensemble, first ray, number of rays, and grains met after which a ray counts as absorbed.
-        Seed, ensemble and number name a ray's random stream: it is the same whoever traces it.
+        Ensemble, first ray, number of rays, and order of scattering after which a ray counts as
+        absorbed.  Seed, ensemble and number of a ray determine its random stream.
     grains, slab, rules, optics
         See `splits.kernels.grains.scene`.
     exits : float64[rays, columns]
-        A row for each ray, see `splits.kernels.tallies.exits`; must come from `exit_rows`.
+        A row for each ray, see `oracle.tally`; must come from `allocate_exits`.
 
     Returns
     -------
-    legs : int
-        Legs traced.
+    n_segments : int
+        Number of segments traced.
     lost : bool
-        Whether a ray found no grain that fits; the batch then ends early.
+        Whether a ray was lost, which ends the batch early.
     """
-    legs = 0
+    n_segments = 0
     materials = optics.n.size
-    length = np.zeros(materials)
-    purse = np.zeros(3)
+    path_lengths = np.zeros(materials)
+    roulette_state = np.zeros(3)
     state = np.zeros(1, dtype=np.uint64)
     for ray in range(work[2]):
         start_stream(state, seed, work[0], work[1] + ray)
-        fate, x, y, _, dx, dy, dz, spent, order = trace(
-            state, grains, slab, rules, optics, length, purse, work[3]
+        status, x, y, _, dx, dy, dz, n_ray_segments, order = trace_ray(
+            state, grains, slab, rules, optics, path_lengths, roulette_state, work[3]
         )
-        legs += spent
-        if fate == LOST:
-            return legs, True
-        if fate == ABSORBED:
+        n_segments += n_ray_segments
+        if status == LOST:
+            return n_segments, True
+        if status == ABSORBED:
             continue
-        record(exits[ray], fate == REFLECTED, x, y, dx, dy, dz, purse[WEIGHT], order)
-        exits[ray, EXIT_LENGTH : EXIT_LENGTH + materials] = length
-    return legs, False
+        weight = roulette_state[WEIGHT]
+        record_exit(exits[ray], status == REFLECTED, x, y, dx, dy, dz, weight, order)
+        exits[ray, EXIT_LENGTH : EXIT_LENGTH + materials] = path_lengths
+    return n_segments, False

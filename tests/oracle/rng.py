@@ -1,11 +1,11 @@
 """Counter-based random numbers: one independent stream per (seed, ensemble, ray).
 
-A ray's numbers depend on nothing but those three integers, so results are bit-identical for any
-number of threads and any split of the rays over batches or jobs.  The generator is SplitMix64
+The numbers of a ray depend only on those three integers, so results are bit-identical for any
+number of threads and any division of the rays into batches or jobs.  The generator is SplitMix64
 (Steele, Lea & Flood 2014, OOPSLA, doi:10.1145/2660193.2660195): a Weyl counter followed by a
 64-bit finaliser; the start of the counter is itself a hash of (seed, ensemble, ray).
 
-A stream's state is a ``uint64`` array of one element that the draws advance in place.
+The state of a stream is a ``uint64`` array of one element, advanced in place by each number.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def start_stream(state, seed, ensemble, ray):
 def uniform(state):
     """Return the next number of the stream, uniform on the open interval (0, 1).
 
-    52 random bits, centred in their cells: the sum below is exact, so that neither 0 nor 1 can
-    occur, a logarithm of the result is finite, and a free flight is capped only at 36 mean paths.
+    52 random bits, centred in their intervals: the sum below is exact, so that neither 0 nor 1 can
+    occur and the logarithm is finite.  A free path has at most 36 mean free paths.
     """
     state[0] += GOLDEN
     return (float(mix64(state[0]) >> _S12) + 0.5) * _TO_UNIT
@@ -82,7 +82,7 @@ def unit_sphere(state):
 
 
 @kernel
-def from_table(table, row, u):
+def sample_table(table, row, u):
     """Return the quantile `u` of the distribution tabulated in a row, or the only row.
 
     Parameters
@@ -101,10 +101,10 @@ def from_table(table, row, u):
 
 
 @kernel
-def pick(share, u):
-    """Return the first type whose cumulative share exceeds u."""
+def sample_type(cdf, u):
+    """Return the first type whose cumulative probability exceeds u."""
     i = 0
-    while u >= share[i] and i < share.size - 1:
+    while u >= cdf[i] and i < cdf.size - 1:
         i += 1
     return i
 
@@ -112,8 +112,8 @@ def pick(share, u):
 def table_probabilities(points):
     """Return the probabilities of a quantile table, float64[points], dense at both ends.
 
-    u = 2x² below one half and its mirror image above, x equidistant: the outermost cell of 1025
-    points holds 2e-6 of the probability, so that tails of distributions survive.
+    u = 2x² below one half and its mirror image above, x equidistant: the outermost interval of
+    1025 points has a probability of 2e-6, so that tails of distributions are resolved.
     """
     x = np.linspace(0.0, 1.0, points)
     return np.where(x < 0.5, 2.0 * x**2, 1.0 - 2.0 * (1.0 - x) ** 2)

@@ -1,7 +1,7 @@
-"""What a kernel is told: plain numbers and arrays, in SI units.
+"""Input of the kernel: plain numbers and arrays, in SI units.
 
 These named tuples are the contract between media and kernels.  Materials are rows of the index
-arrays: row 0 fills the dry pores, row 1 the wet ones, the following rows are cores and coatings.
+arrays: row 0 fills dry pores, row 1 wet pores; the following rows are cores and coatings.
 """
 
 from __future__ import annotations
@@ -15,38 +15,38 @@ from oracle import facets, spheroid
 DRY_PORE = 0
 WET_PORE = 1
 
-UNLIMITED = 2**31 - 1
-"""Grains met after which a ray is given up, where it may meet any number."""
+NO_MAX_ORDER = 2**31 - 1
+"""Order of scattering at which rays are ended where there is no limit."""
 
 LOBE = 0
-"""A ray sent to the wrong side of the macroscopic surface leaves in a cosine lobe."""
-MIRRORED = 1
-"""A ray sent to the wrong side of the macroscopic surface is mirrored in that surface."""
+"""A ray on the wrong side of the macroscopic surface leaves in a cosine lobe."""
+MIRROR = 1
+"""A ray on the wrong side of the macroscopic surface is mirrored in that surface."""
 
-KEPT = 0
-"""A grain that does not fit is taken as it is."""
-REDRAWN = 1
-"""A grain that does not fit is drawn again from the ray's origin, distance included."""
-SKIPPED = 2
-"""A grain that does not fit is left out: the next distance counts from its place."""
+OVERLAP_KEEP = 0
+"""Overlap of a sampled grain is ignored."""
+OVERLAP_REJECT = 1
+"""A grain that overlaps is sampled again from the ray's origin, distance included."""
+OVERLAP_SKIP = 2
+"""A grain that overlaps is skipped: the next distance counts from its position."""
 
-ENTRY = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
-FACETS = {"projected": facets.PROJECTED, "unweighted": facets.UNWEIGHTED, "any": facets.ANY}
-WRONG_SIDE = {"cosine_lobe": LOBE, "mirror": MIRRORED}
-FATE = {"reject": REDRAWN, "keep": KEPT, "skip": SKIPPED}
+ENTRY_SAMPLING = {"uniform": spheroid.UNIFORM, "projected": spheroid.PROJECTED}
+FACET_SAMPLING = {"projected": facets.PROJECTED, "unweighted": facets.UNWEIGHTED, "any": facets.ANY}
+WRONG_SIDE_RULE = {"cosine_lobe": LOBE, "mirror": MIRROR}
+OVERLAP_RULE = {"reject": OVERLAP_REJECT, "keep": OVERLAP_KEEP, "skip": OVERLAP_SKIP}
 
 
 class Grains(NamedTuple):
     """Table of particle types; distributions are quantile functions (`rng.table_probabilities`).
 
-    A table of distributions has one row per type, or a single row that holds for all of them.
+    A table of distributions has one row per type, or a single row for all of them.
 
     Attributes
     ----------
     attenuation : float
-        Expected number of grains met per metre of pore-space path, all types together.
-    share : float64[types]
-        Cumulative probability that the grain met is of type 0…i; the last entry is 1.
+        Expected number of collisions per metre of path through the pore space, over all types.
+    type_cdf : float64[types]
+        Cumulative probability that the grain hit is of type 0…i; the last entry is 1.
     layers : int64[types]
         Number of coatings plus one, the core.
     material : int64[types, deepest]
@@ -54,15 +54,15 @@ class Grains(NamedTuple):
     thickness : float64[types, deepest]
         Thickness of the coatings as a fraction of the major axis; unused for the core.
     curvature : float64[rows, m]
-        Inverse semi-major axis of struck grains (1/m): the inverse, because it is what cross
-        sections make uniform, and is exact in a table whatever the range of sizes.
+        Inverse semi-major axis of the grains hit (1/m).  Weighted by cross section, the inverse is
+        uniform, and hence exact in a table for any range of sizes.
     sphericity : float64[rows, m]
-        Inscribed-circle sphericity of struck grains.
+        Inscribed-circle sphericity of the grains hit.
     facetness : float64[rows, m]
     """
 
     attenuation: float
-    share: np.ndarray
+    type_cdf: np.ndarray
     layers: np.ndarray
     material: np.ndarray
     thickness: np.ndarray
@@ -79,11 +79,11 @@ class Slab(NamedTuple):
     depth : float
         Metres.
     saturation : float
-        Probability that a leg through the pore space runs in the wet medium.
+        Probability that a segment through the pore space is in the wet medium.
     cos_incidence : float
         Cosine of the angle of incidence, in (0, 1]; ignored under diffuse light.
     diffuse : bool
-        Illumination of equal radiance from the whole hemisphere instead of a beam.
+        Illumination of equal radiance from the whole hemisphere instead of a collimated beam.
     """
 
     depth: float
@@ -93,10 +93,10 @@ class Slab(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Named readings of the papers as the numbers that kernels branch on (see `ENTRY` etc.).
+    """Interpretation of the papers as integers that kernels branch on (`ENTRY_SAMPLING` etc.).
 
-    `analog` turns absorption into a coin toss on every leg; otherwise path lengths are kept and
-    turned into weights when the ray leaves.
+    `analog` samples absorption on every segment; otherwise path lengths are kept and turned into
+    weights when the ray leaves.
     """
 
     entry_sampling: int
@@ -114,10 +114,10 @@ class Optics(NamedTuple):
     Attributes
     ----------
     n, k : float64[materials]
-        Complex refractive index n + i k that decides reflection and refraction.
+        Complex refractive index n + i k of reflection and refraction.
     absorption : float64[materials]
-        Absorption coefficients (1/m).  An analog run tosses its coins with them; a weighted run
-        takes them as lower bounds over the wavelengths it serves, for Russian roulette.
+        Absorption coefficients (1/m).  An analog run samples absorption with them; a weighted run
+        uses them as lower bounds over the wavelengths served, for Russian roulette.
     """
 
     n: np.ndarray
@@ -125,13 +125,13 @@ class Optics(NamedTuple):
     absorption: np.ndarray
 
 
-def shared_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
-    """Return what paths take that serve several wavelengths.
+def make_bounding_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
+    """Return the optics of paths that serve several wavelengths.
 
     Parameters
     ----------
     index : complex, shape (materials,)
     absorption : float, shape (wavelengths, materials)
-        Roulette may only use what holds for every wavelength that listens.
+        Roulette uses the minimum over the wavelengths served.
     """
     return Optics(index.real.copy(), index.imag.copy(), absorption.min(axis=0))

@@ -1,10 +1,10 @@
-"""Prolate spheroids: where a ray meets a grain, and what lies on the way through it.
+"""Prolate spheroids: entry points of rays, chords, and overlap with boundaries and segments.
 
 A grain has semi-major axis b along the unit vector w and two equal semi-minor axes c = Ψ² b
-(SPLITSnow Eq 2, Ψ the inscribed-circle sphericity); f = 1 − c/b is its flattening.  Squeezing
-space along w by c/b turns it into a sphere.  Points on the surface are kept as unit vectors q of
-that sphere, lengths in units of c, and directions stay those of real space: neither the grain's
-centre nor a rotation into its frame is needed.  Every function serves both precisions.
+(SPLITSnow Eq 2, Ψ the inscribed-circle sphericity); f = 1 − c/b is its flattening.  Scaling space
+along w by c/b turns it into a sphere.  Points on the surface are unit vectors q of that sphere,
+lengths are in units of c, and directions are those of real space: neither the centre of the grain
+nor a rotation into its frame is needed.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from oracle.jit import HALF, ONE, THREE, TWO, ZERO, kernel
 from oracle.rng import uniform, unit_circle
 
 UNIFORM = 0
-"""Entry point uniform over the surface that faces the ray (SPLITS 4.3.3, SPLITSnow 3.2)."""
+"""Entry point uniform over the surface facing the ray (SPLITS 4.3.3, SPLITSnow 3.2)."""
 PROJECTED = 1
-"""Entry point (and orientation) weighted by area projected along the ray: geometry's own law."""
+"""Entry point and orientation weighted by area projected along the ray, the geometric law."""
 
 
 @kernel
-def squeezed(x1, x2, x3, w1, w2, w3, flattening):
-    """Return the vector x squeezed along w by the ratio of the axes, x − f (x·w) w."""
+def scale_along_axis(x1, x2, x3, w1, w2, w3, flattening):
+    """Return the vector x scaled along w by the ratio of the axes, x − f (x·w) w."""
     k = -flattening * dot(x1, x2, x3, w1, w2, w3)
     return fused(k, w1, x1), fused(k, w2, x2), fused(k, w3, x3)
 
 
 @kernel
-def normal_at(q1, q2, q3, w1, w2, w3, flattening):
+def compute_outward_normal(q1, q2, q3, w1, w2, w3, flattening):
     """Return the outward unit normal at the surface point q."""
-    n1, n2, n3 = squeezed(q1, q2, q3, w1, w2, w3, flattening)
+    n1, n2, n3 = scale_along_axis(q1, q2, q3, w1, w2, w3, flattening)
     return normalized(n1, n2, n3)
 
 
 @kernel
-def across(q1, q2, q3, dx, dy, dz, w1, w2, w3, flattening):
+def compute_chord(q1, q2, q3, dx, dy, dz, w1, w2, w3, flattening):
     """Return the chord from the surface point q along d through the grain, and its other end.
 
     Returns
@@ -45,9 +45,9 @@ def across(q1, q2, q3, dx, dy, dz, w1, w2, w3, flattening):
     chord : float
         Its length in units of the semi-minor axis, at least 0.
     q : 3 float
-        The other end, brought back to unit length, so that errors do not add up.
+        The other end, normalized, so that rounding errors do not accumulate.
     """
-    e1, e2, e3 = squeezed(dx, dy, dz, w1, w2, w3, flattening)
+    e1, e2, e3 = scale_along_axis(dx, dy, dz, w1, w2, w3, flattening)
     along = dot(q1, q2, q3, e1, e2, e3)
     chord = max(-TWO * along / dot(e1, e2, e3, e1, e2, e3), ZERO)
     q1 = fused(chord, e1, q1)
@@ -59,47 +59,47 @@ def across(q1, q2, q3, dx, dy, dz, w1, w2, w3, flattening):
 
 
 @kernel
-def slope_squared(axial, flattening):
+def normal_length_squared(axial, flattening):
     """Return 1 − e² z², z the axial position in units of b and e² = 1 − Ψ⁴.
 
-    It is the squared length of the normal that `squeezed` makes of q, and the density of area
-    over z is proportional to its root (SPLITS Eq 27, differentiated).
+    It is the squared length of the normal that `scale_along_axis` makes of q, and the density of
+    area over z is proportional to its root (SPLITS Eq 27, differentiated).
     """
     return ONE - flattening * (TWO - flattening) * axial * axial
 
 
 @kernel
-def axial_position(state, flattening):
+def sample_axial_position(state, flattening):
     """Return z/b of a point uniform over the area of a prolate spheroid, in (−1, 1).
 
-    Rejection draws exactly, without inverting SPLITS Eq 27.
+    Rejection sampling is exact, and needs no inverse of SPLITS Eq 27.
     """
     while True:
         z = TWO * uniform(state) - ONE
         u = uniform(state)
-        if u * u < slope_squared(z, flattening):
+        if u * u < normal_length_squared(z, flattening):
             return z
 
 
 @kernel
-def entry_point(
-    dx, dy, dz, facing, cos_azimuth, sin_azimuth, axial, cos_turn, sin_turn, flattening
+def compute_entry_point(
+    dx, dy, dz, cos_incidence, cos_azimuth, sin_azimuth, axial, cos_turn, sin_turn, flattening
 ):  # fmt: skip
-    """Return where a ray along d strikes a grain, and how that grain lies.
+    """Return the entry point of a ray along d, and the orientation of the grain.
 
-    A grain turned at random shows the normal at any fixed point of it in a random direction; so
-    the normal is drawn around −d, and the grain is then turned around that normal.
+    The normal at any fixed point of a randomly oriented grain is isotropic.  So the normal is
+    sampled around −d, and then the azimuth of the grain around that normal.
 
     Parameters
     ----------
     d : 3 float
-    facing : float
-        −d·n in (0, 1]: uniform for entry uniform over the facing surface, the root of a uniform
-        number for entry in proportion to projected area.
+    cos_incidence : float
+        −d·n in (0, 1]: uniform for entry uniform over the surface facing the ray, the root of a
+        uniform number for entry in proportion to projected area.
     cos_azimuth, sin_azimuth : float
         Azimuth of n around −d, uniform.
     axial : float
-        z/b of the entry point, see `axial_position`.
+        z/b of the entry point, see `sample_axial_position`.
     cos_turn, sin_turn : float
         Azimuth of w around n, uniform.
     flattening : float
@@ -107,41 +107,41 @@ def entry_point(
     Returns
     -------
     q, w, n : 3 float each
-        Entry point, major axis and outward normal, d·n = −`facing`.
+        Entry point, major axis and outward normal, d·n = −`cos_incidence`.
     """
-    square = slope_squared(axial, flattening)
-    per_slope = reciprocal_root(square)
-    slope = square * per_slope
-    sine = root(max(ONE - facing * facing, ZERO))
-    n1, n2, n3 = around(-dx, -dy, -dz, facing, sine, cos_azimuth, sin_azimuth)
-    cos_axis = (ONE - flattening) * axial * per_slope
-    sin_axis = root(max(ONE - axial * axial, ZERO)) * per_slope
+    square = normal_length_squared(axial, flattening)
+    per_normal_length = reciprocal_root(square)
+    length = square * per_normal_length
+    sine = root(max(ONE - cos_incidence * cos_incidence, ZERO))
+    n1, n2, n3 = around(-dx, -dy, -dz, cos_incidence, sine, cos_azimuth, sin_azimuth)
+    cos_axis = (ONE - flattening) * axial * per_normal_length
+    sin_axis = root(max(ONE - axial * axial, ZERO)) * per_normal_length
     w1, w2, w3 = around(n1, n2, n3, cos_axis, sin_axis, cos_turn, sin_turn)
     shift = flattening * axial
     return (
-        fused(shift, w1, slope * n1), fused(shift, w2, slope * n2), fused(shift, w3, slope * n3),
+        fused(shift, w1, length * n1), fused(shift, w2, length * n2), fused(shift, w3, length * n3),
         w1, w2, w3, n1, n2, n3,
     )  # fmt: skip
 
 
 @kernel
-def struck_point(state, dx, dy, dz, flattening, entry):
-    """Draw entry point, orientation and normal of the grain that a ray along d strikes.
+def sample_entry_point(state, dx, dy, dz, flattening, entry_sampling):
+    """Sample entry point, orientation and normal of the grain that a ray along d hits.
 
-    Returns what `entry_point` does.
+    The values returned are those of `compute_entry_point`.
     """
-    axial = axial_position(state, flattening)
-    facing = uniform(state)
-    if entry == PROJECTED:
-        facing = math.sqrt(facing)
+    axial = sample_axial_position(state, flattening)
+    cos_incidence = uniform(state)
+    if entry_sampling == PROJECTED:
+        cos_incidence = math.sqrt(cos_incidence)
     ca, sa = unit_circle(state)
     ct, st = unit_circle(state)
-    return entry_point(dx, dy, dz, facing, ca, sa, axial, ct, st, flattening)
+    return compute_entry_point(dx, dy, dz, cos_incidence, ca, sa, axial, ct, st, flattening)
 
 
 @kernel
-def crosses(height, q3, w3, axial, minor, major, depth):
-    """Tell whether a grain entered at a height below the boundary 0 reaches over 0 or −depth.
+def overlaps_boundary(height, q3, w3, axial, minor, major, depth):
+    """Return whether a grain entered at `height` extends above 0 or below −depth.
 
     Parameters
     ----------
@@ -161,10 +161,10 @@ def crosses(height, q3, w3, axial, minor, major, depth):
 
 
 @kernel
-def cuts_segment(
+def overlaps_segment(
     q1, q2, q3, w1, w2, w3, minor, flattening, e1, e2, e3, lx, ly, lz, length
 ):  # fmt: skip
-    """Tell whether a grain overlaps a segment.
+    """Return whether a grain overlaps a segment.
 
     Parameters
     ----------
@@ -179,11 +179,11 @@ def cuts_segment(
     length : float
         Its length (m); none if negative.
     """
-    a1, a2, a3 = squeezed(e1, e2, e3, w1, w2, w3, flattening)
+    a1, a2, a3 = scale_along_axis(e1, e2, e3, w1, w2, w3, flattening)
     a1 = fused(minor, q1, a1)
     a2 = fused(minor, q2, a2)
     a3 = fused(minor, q3, a3)
-    b1, b2, b3 = squeezed(lx, ly, lz, w1, w2, w3, flattening)
+    b1, b2, b3 = scale_along_axis(lx, ly, lz, w1, w2, w3, flattening)
     t = dot(a1, a2, a3, b1, b2, b3) / dot(b1, b2, b3, b1, b2, b3)
     t = -min(max(t, ZERO), length)
     a1 = fused(t, b1, a1)

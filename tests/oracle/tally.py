@@ -1,8 +1,8 @@
-"""From rays that left to sums of weights over wavelengths.
+"""Exits of rays: their position, direction, weight and path lengths.
 
-Kernels record where and with which path lengths a ray left, and know no wavelength; the lengths
-in each material then give its weight at every wavelength (SPLITSnow Eqs 5-6, the exponential read
-as the probability to pass).
+The kernel records exits without reference to a wavelength; the path lengths in each material then
+determine the weight of a ray at every wavelength (SPLITSnow Eqs 5-6, with the exponential as the
+probability of transmission).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ EXIT_SIDE = 0
 EXIT_WEIGHT = 1
 """Column of the inverse probability of having survived roulette."""
 EXIT_ORDER = 2
-"""Column of the order of scattering: grains met; NaN where a kernel does not count them."""
+"""Column of the order of scattering; NaN where a kernel does not count them."""
 EXIT_DIRECTION = 3
 """First of three columns: direction outside the slab."""
 EXIT_POSITION = 6
@@ -25,16 +25,16 @@ EXIT_LENGTH = 8
 """First of the columns of path lengths (m), one per material."""
 
 
-def exit_rows(rays: int, materials: int) -> np.ndarray:
-    """Return room for so many rays, float64[rays, columns]: a row each, none having left."""
+def allocate_exits(rays: int, materials: int) -> np.ndarray:
+    """Return an empty array of exits, float64[rays, columns], one row per ray."""
     rows = np.full((rays, EXIT_LENGTH + materials), np.nan)
     rows[:, EXIT_SIDE] = -1.0
     return rows
 
 
 @kernel
-def record(row, reflected, x, y, dx, dy, dz, weight, order):
-    """Write where and how a ray left into its row; path lengths are left to the caller."""
+def record_exit(row, reflected, x, y, dx, dy, dz, weight, order):
+    """Write the exit of a ray into its row, except for the path lengths."""
     row[EXIT_SIDE] = 0.0 if reflected else 1.0
     row[EXIT_WEIGHT] = weight
     row[EXIT_ORDER] = order

@@ -1,4 +1,4 @@
-"""A project of one's own for every test: a copy of config/ under the shipped Snakefile."""
+"""Fixtures of workflow tests: projects with a copy of config/ and the shipped Snakefile."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Run:
-    """What a run of snakemake left behind."""
+    """Exit code and output of a run of Snakemake."""
 
     code: int
     text: str
 
     def jobs(self):
-        """Return which experiments were simulated and drawn, as "Simulating first"."""
+        """Return the messages of all jobs, such as "Simulating first", sorted."""
         return sorted(re.findall(r"^Job \d+: (.*)$", self.text, re.MULTILINE))
 
 
@@ -42,7 +42,7 @@ class Project:
         path.write_text(text, encoding="utf-8")
 
     def command(self, *arguments, config="accuracy=tiny"):
-        """Return what runs the shipped workflow in this folder."""
+        """Return the command that runs the shipped workflow in this folder."""
         command = [sys.executable, "-m", "snakemake", "--snakefile", str(self.snakefile)]
         command += ["--directory", str(self.folder), *map(str, arguments)]
         return command + (["--config", *config.split()] if config else [])
@@ -56,7 +56,7 @@ class Project:
         return Run(done.returncode, done.stdout + done.stderr)
 
     def results(self, folder="results"):
-        """Return the relative paths of all result files, logs and benchmarks left out."""
+        """Return the relative paths of all result files except logs and benchmarks."""
         top = self.folder / folder
         files = (path.relative_to(top) for path in top.rglob("*") if path.is_file())
         return sorted(
@@ -64,7 +64,7 @@ class Project:
         )
 
     def copy(self, folder):
-        """Return a copy with all results, as young as they are."""
+        """Return a copy with all results, which keep their modification times."""
         shutil.copytree(self.folder, folder, dirs_exist_ok=True)
         return Project(folder, self.environment)
 
@@ -74,14 +74,14 @@ def environment(tmp_path_factory):
     """Return environment variables for processes of the workflow."""
     variables = {k: v for k, v in os.environ.items() if k != "NUMBA_DISABLE_JIT"}
     if variables.pop("PYTHONDONTWRITEBYTECODE", None) and "PYTHONPYCACHEPREFIX" not in variables:
-        # Every job is a process: do not translate all libraries to bytecode again each time.
+        # Every job is a process: bytecode of libraries is cached rather than compiled each time.
         variables["PYTHONPYCACHEPREFIX"] = str(tmp_path_factory.mktemp("bytecode"))
     return variables
 
 
 @pytest.fixture(scope="session")
 def make_project(environment):
-    """Return a function that lays out a project in a folder, without experiments or with all."""
+    """Return a function that makes a project, with the shipped experiments or without any."""
 
     def make(folder, shipped=False):
         leave_out = None if shipped else shutil.ignore_patterns("experiments")

@@ -28,14 +28,14 @@ ROOT = Path(__file__).parents[2]
 ADA = {"name": "Ada Example", "orcid": "0000-0002-1825-0097", "affiliation": "A University"}
 
 
-def contents(path):
+def read_members(path):
     with zipfile.ZipFile(path) as file:
         assert file.testzip() is None
         return {name: file.read(name) for name in file.namelist()}
 
 
-def check_sums(members):
-    """Check that SHA256SUMS lists every other member but the metadata, and rightly so."""
+def check_checksums(members):
+    """Assert that SHA256SUMS lists the checksums of all other members except the metadata."""
     lines = members["SHA256SUMS"].decode().splitlines()
     sums = {name: digest for digest, name in (line.split("  ") for line in lines)}
     assert set(sums) == set(members) - {"SHA256SUMS", METADATA_FILE}
@@ -44,7 +44,7 @@ def check_sums(members):
 
 
 @pytest.mark.slow
-def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_factory, environment):
+def test_archive_reproduces_its_run(project, tmp_path, tmp_path_factory, environment):
     own = tmp_path_factory.mktemp("somewhere") / "my_ice.csv"
     own.write_text("wavelength_nm,n,k\n400,1.32,2e-9\n1000,1.30,2e-6\n")
     near = tmp_path / "my_water.csv"
@@ -59,8 +59,8 @@ def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_fa
     chosen += " archive_license=CC-BY-4.0"
     run = project.snakemake("archive", "--cores", 2, config=chosen)
     assert run.code == 0, run.text
-    members = contents(tmp_path / "results" / "tiny" / "archive" / "splits-results.zip")
-    check_sums(members)
+    members = read_members(tmp_path / "results" / "tiny" / "archive" / "splits-results.zip")
+    check_checksums(members)
     assert set(members) >= ALWAYS | {"requirements.txt", "config/config.yaml"}
     drawn = {f"figures/single.{kind}" for kind in ("png", "svg", "pdf")}
     assert {"data/single.nc", *drawn} <= set(members)
@@ -92,7 +92,7 @@ def test_an_archive_repeats_the_run_that_it_holds(project, tmp_path, tmp_path_fa
 
 
 @pytest.mark.slow
-def test_an_archive_of_one_experiment_repeats_that_one(project, tmp_path_factory, environment):
+def test_archive_of_chosen_experiments_reproduces_those(project, tmp_path_factory, environment):
     table = "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
     for name in ("one", "two", "three"):
         project.put(name, table)
@@ -105,14 +105,14 @@ def test_an_archive_of_one_experiment_repeats_that_one(project, tmp_path_factory
     assert run.code == 0, run.text
     jobs = [f"{what} {name}" for what in ("Drawing", "Simulating") for name in ("one", "two")]
     assert [job for job in run.jobs() if job.endswith(("one", "two", "three"))] == jobs
-    assert not any("three" in member for member in contents(archive))
+    assert not any("three" in member for member in read_members(archive))
 
 
 @pytest.mark.parametrize(
     ("given", "names"),
     [("all", "all"), ("a", ("a",)), ("a, b", ("a", "b")), (["a", "b"], ("a", "b"))],
 )
-def test_experiments_to_pack_are_given_as_those_to_run(given, names):
+def test_archive_setting_accepts_the_forms_of_experiments(given, names):
     accuracies = {"accuracies": {"standard": {"max_stderr": 0.1}}}
     settings = load_settings(accuracies | {"archive": given, "experiments": given})
     assert (
@@ -120,7 +120,7 @@ def test_experiments_to_pack_are_given_as_those_to_run(given, names):
     )
 
 
-def test_a_time_that_is_none_is_refused_before_anything_runs(project, monkeypatch):
+def test_invalid_source_date_epoch_is_rejected_before_any_job(project, monkeypatch):
     project.put("one", "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n")
     monkeypatch.setitem(project.environment, "SOURCE_DATE_EPOCH", "yesterday")
     run = project.snakemake("archive", "--cores", 1)
@@ -128,7 +128,7 @@ def test_a_time_that_is_none_is_refused_before_anything_runs(project, monkeypatc
     assert run.jobs() == []
 
 
-def test_packing_keeps_relative_places(tmp_path, monkeypatch):
+def test_packing_keeps_relative_paths(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("out/data/a.nc", "out/tables/b.csv"):
         path = tmp_path / name
@@ -136,15 +136,15 @@ def test_packing_keeps_relative_places(tmp_path, monkeypatch):
         path.write_text(name)
     configuration = {"config/c.yaml": b"c", "config/deep/d.yaml": b"d"}
     pack_archive(["out/data/a.nc", "out/tables/b.csv"], configuration, "out/archive/made.zip")
-    members = contents("out/archive/made.zip")
+    members = read_members("out/archive/made.zip")
     assert set(members) - ALWAYS == {"data/a.nc", "tables/b.csv", *configuration}
     assert members["config/deep/d.yaml"] == b"d"
-    check_sums(members)
+    check_checksums(members)
 
 
 @pytest.fixture
-def made(tmp_path, monkeypatch):
-    """Return a function that packs two files at a certain time, and what reads that archive."""
+def make_archive(tmp_path, monkeypatch):
+    """Return a function that packs two files with a fixed time, and returns the archive."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     for name in ("data/a.nc", "tables/of all.csv"):
         path = tmp_path / "out" / name
@@ -160,11 +160,11 @@ def made(tmp_path, monkeypatch):
     return make
 
 
-def test_an_archive_is_an_ro_crate(made, tmp_path):
+def test_an_archive_is_an_ro_crate(make_archive, tmp_path):
     authors = Settings(
         accuracies={"standard": {"max_stderr": 0.1}}, archive_authors=[ADA]
     ).list_authors()
-    path = made(repository=ROOT, licence="https://example.org/licence", authors=authors)
+    path = make_archive(repository=ROOT, licence="https://example.org/licence", authors=authors)
     unpack_archive(path, tmp_path / "crate")
     crate = ROCrate(tmp_path / "crate")
     root, program, run = crate.root_dataset, crate.get("#splits"), crate.get("#run")
@@ -181,7 +181,7 @@ def test_an_archive_is_an_ro_crate(made, tmp_path):
     assert program["author"][0]["name"] == "The SPLITS developers"
     assert [entity.id for entity in run["result"]] == ["data/a.nc", "tables/of%20all.csv"]
     assert [entity.id for entity in run["object"]] == ["config/config.yaml", "requirements.txt"]
-    members = contents(path)
+    members = read_members(path)
     files = {Path(entity.source).relative_to(tmp_path / "crate").as_posix(): entity
              for entity in crate.get_by_type("File")}  # fmt: skip
     assert set(files) == set(members) - {METADATA_FILE}
@@ -198,41 +198,41 @@ def test_an_archive_is_an_ro_crate(made, tmp_path):
     assert "Ada Example" in readme and "splits unpack made.zip" in readme
 
 
-def test_the_same_results_give_the_same_archive(made, monkeypatch):
-    first = made(repository=ROOT).read_bytes()
-    assert made(repository=ROOT).read_bytes() == first
+def test_the_same_results_give_the_same_archive(make_archive, monkeypatch):
+    first = make_archive(repository=ROOT).read_bytes()
+    assert make_archive(repository=ROOT).read_bytes() == first
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
-    assert made(repository=ROOT).read_bytes() != first
+    assert make_archive(repository=ROOT).read_bytes() != first
     for wrong in ("yesterday", "", "-1", "0", "9" * 30):
         monkeypatch.setenv("SOURCE_DATE_EPOCH", wrong)
         with pytest.raises(ValueError, match=r"^SOURCE_DATE_EPOCH = .*must be seconds from 1980"):
-            made("wrong")
+            make_archive("wrong")
 
 
-def test_results_that_look_like_a_bomb_are_packed(made, tmp_path):
+def test_highly_compressible_results_are_packed(make_archive, tmp_path):
     (tmp_path / "out" / "data" / "a.nc").write_bytes(bytes(2**22))
-    assert contents(made())["data/a.nc"] == bytes(2**22)
+    assert read_members(make_archive())["data/a.nc"] == bytes(2**22)
 
 
-def test_an_installed_package_has_licence_and_authors(made, tmp_path):
-    """Without a repository, as an installed wheel is."""
-    members = contents(made(repository=tmp_path))
+def test_archive_of_installed_package_has_licence_and_authors(make_archive, tmp_path):
+    """An installed wheel has no repository."""
+    members = read_members(make_archive(repository=tmp_path))
     assert members["LICENSE"] == (ROOT / "LICENSE").read_bytes()
     written = yaml.safe_load(members["CITATION.cff"])
     shipped = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    same = ("cff-version", "message", "type", "authors", "version", "license")
-    assert {key: written[key] for key in same} == {key: shipped[key] for key in same}
+    keys = ("cff-version", "message", "type", "authors", "version", "license")
+    assert {key: written[key] for key in keys} == {key: shipped[key] for key in keys}
     assert "requirements.txt" not in members
 
 
-def test_authors_of_the_citation_are_those_of_the_results(made, tmp_path):
+def test_authors_of_the_citation_are_those_of_the_results(make_archive, tmp_path):
     ada = {"family-names": "Example", "given-names": "Ada", "affiliation": "A University"}
     ada["orcid"] = "https://orcid.org/0000-0002-1825-0097"
     citation = {"authors": [ada, {"name": "A group"}], "license": "MIT"}
     (tmp_path / "CITATION.cff").write_text(yaml.safe_dump(citation))
     authors = make_software_info(tmp_path).authors
     assert authors == (Author(**ADA), Author("A group", is_person=False))
-    crate = json.loads(contents(made(repository=tmp_path))[METADATA_FILE])
+    crate = json.loads(read_members(make_archive(repository=tmp_path))[METADATA_FILE])
     root = next(entity for entity in crate["@graph"] if entity["@id"] == "./")
     assert root["author"] == [{"@id": "https://orcid.org/0000-0002-1825-0097"}, {"@id": "#A-group"}]
 
@@ -250,28 +250,28 @@ def test_authors_of_the_citation_are_those_of_the_results(made, tmp_path):
         ({"archive_authors": "Ada"}, "archive_authors = 'Ada': must be"),
     ],
 )
-def test_authors_and_licences_that_are_none_are_refused(given, line):
+def test_invalid_authors_and_licences_are_rejected(given, line):
     with pytest.raises(ConfigError, match=f"^config/config.yaml: .*{line}") as caught:
         load_settings({"accuracies": {"standard": {"max_stderr": 0.1}}} | given)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("names", [("config/A.yaml", "config/a.yaml"), ("config/aux.yaml",)])
-def test_what_could_not_be_unpacked_everywhere_is_not_packed(tmp_path, names):
+def test_members_not_portable_to_all_systems_are_rejected(tmp_path, names):
     with pytest.raises(ValueError, match=r"^archive = 'config/a.*\.yaml': must be of members that"):
         pack_archive([], dict.fromkeys(names, b"x"), tmp_path / "out" / "archive" / "made.zip")
     assert not list(tmp_path.rglob("*.zip"))
 
 
 @pytest.mark.parametrize("name", ["/etc/config.yaml", "../config.yaml", "config/../../x.yaml"])
-def test_members_outside_of_the_archive_are_refused(tmp_path, name):
+def test_members_outside_the_archive_are_rejected(tmp_path, name):
     with pytest.raises(ValueError, match=r"^archive = '.*x?\.yaml': must be of members"):
         pack_archive([], {name: b"x"}, tmp_path / "out" / "archive" / "made.zip")
     assert not list(tmp_path.rglob("*.zip"))
 
 
 @pytest.mark.parametrize("result", ["elsewhere/a.nc", "out/../elsewhere/a.nc"])
-def test_results_of_elsewhere_are_refused(tmp_path, monkeypatch, result):
+def test_results_outside_the_results_folder_are_rejected(tmp_path, monkeypatch, result):
     monkeypatch.chdir(tmp_path)
     for folder in ("elsewhere", "out"):
         (tmp_path / folder).mkdir()
@@ -281,7 +281,7 @@ def test_results_of_elsewhere_are_refused(tmp_path, monkeypatch, result):
     assert not list(tmp_path.rglob("*.zip"))
 
 
-def test_the_configuration_in_force_is_packed_below_config(tmp_path, monkeypatch):
+def test_effective_configuration_is_packed_below_config(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "experiments" / "deep").mkdir(parents=True)
     (tmp_path / "media").mkdir()
@@ -317,15 +317,15 @@ def test_the_configuration_in_force_is_packed_below_config(tmp_path, monkeypatch
     assert content["grid"] == {"refractive_index": {"mine": {"ice": place}}}
     assert "'1e-5'" in members["config/experiments/deep/b.yml"].decode()
     assert yaml.safe_load(members["config/media/base.yaml"])["refractive_index"]["water"] == place
-    in_force = load_settings(yaml.safe_load(members["config/config.yaml"]))
+    packed_settings = load_settings(yaml.safe_load(members["config/config.yaml"]))
     folders = {
         "experiments_folder": "config/experiments", "media_folder": "config/media",
         "results": "results", "archive": "all", "experiments": ("plain", "second"),
     }  # fmt: skip
-    assert in_force == settings.model_copy(update=folders)
+    assert packed_settings == settings.model_copy(update=folders)
 
 
-def test_hidden_files_are_not_packed_and_unusual_ones_are_refused(tmp_path, monkeypatch):
+def test_hidden_files_are_skipped_and_unknown_types_rejected(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "config" / "measured" / "field"
     folder.mkdir(parents=True)
@@ -340,14 +340,16 @@ def test_hidden_files_are_not_packed_and_unusual_ones_are_refused(tmp_path, monk
         make_configuration_members(settings)
 
 
-def test_words_of_authors_are_no_markdown(made):
+def test_author_names_are_escaped_in_markdown(make_archive):
     author = Author("[A](https://a.org) <b>*B*</b>")
-    readme = contents(made(authors=[author], licence="https://a.org/x_y"))["README.md"].decode()
+    readme = read_members(make_archive(authors=[author], licence="https://a.org/x_y"))[
+        "README.md"
+    ].decode()
     assert r"Authors: \[A\](https://a.org) \<b\>\*B\*\</b\>." in readme
     assert "Licence of the results: <https://a.org/x_y>." in readme
 
 
-def test_nothing_is_left_when_a_result_is_missing(tmp_path):
+def test_no_archive_is_left_when_a_result_is_missing(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"a\.nc"):
         pack_archive(
             [tmp_path / "out" / "data" / "a.nc"], {}, tmp_path / "out" / "archive" / "made.zip"
@@ -356,7 +358,7 @@ def test_nothing_is_left_when_a_result_is_missing(tmp_path):
 
 
 @pytest.mark.parametrize("place", ["{}/mine.csv", "../measured/mine.csv"])
-def test_measured_tables_that_an_archive_would_lack_are_refused(tmp_path, place):
+def test_measured_tables_outside_the_measured_folder_are_rejected(tmp_path, place):
     folder = tmp_path / "config" / "measured"
     folder.mkdir(parents=True)
     (folder / "mine.csv").write_text("wavelength_nm,mine\n500,0.5\n")

@@ -1,4 +1,4 @@
-"""Configurations that cannot be run: one clear message each, and nothing is started."""
+"""Invalid configurations: one message for each, and no job is started."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import pytest
 
 pytestmark = pytest.mark.slow
 
-GOOD = "instrument: {wavelength_nm: [500]}\n"
-# What is wrong, the experiment file, and what the message must hold.
-BAD = {
+VALID = "instrument: {wavelength_nm: [500]}\n"
+# By kind of error: the experiment file, and two texts that the message must contain.
+INVALID = {
     "misspelt key": ("medium: {saturaton: 0.1}", "medium.saturaton", "did you mean saturation?"),
     "density above that of ice": ("medium: {density_kg_m3: 950}", "density_kg_m3 = 950", "916.9"),
     "largest grain below smallest": (
@@ -28,7 +28,7 @@ BAD = {
         "min <= mean <= max",
     ),
     "too much water": ("medium: {saturation: 1.2}", "saturation = 1.2", "[0, 1]"),
-    "nothing on a grid": (
+    "empty grid": (
         "grid: {saturation: []}",
         "grid.saturation = []",
         "at least one value",
@@ -39,21 +39,21 @@ BAD = {
 
 
 @pytest.fixture(scope="module")
-def refused(make_project, tmp_path_factory):
-    """Return a run with all bad files beside a good one, and the project."""
-    project = make_project(tmp_path_factory.mktemp("refused"))
-    project.put("good", GOOD)
-    for what, (text, *_) in BAD.items():
-        project.put(file_of(what), f"{text}\n")
+def rejected_run(make_project, tmp_path_factory):
+    """Return a run with all invalid files and a valid one, and the project."""
+    project = make_project(tmp_path_factory.mktemp("rejected"))
+    project.put("good", VALID)
+    for case, (text, *_) in INVALID.items():
+        project.put(get_file_stem(case), f"{text}\n")
     return project.snakemake("--cores", 1), project
 
 
-def file_of(what):
-    return what.replace(" ", "_")
+def get_file_stem(case):
+    return case.replace(" ", "_")
 
 
-def check_refusal(run, file, key, allowed):
-    """Assert that one line tells of a file, whole and by its place."""
+def check_rejection(run, file, key, allowed):
+    """Assert that exactly one line reports a file, with its path, the key and a hint."""
     lines = [line for line in run.text.splitlines() if f"{file}.yaml" in line]
     assert len(lines) == 1, run.text
     assert lines[0].startswith(f"config/experiments/{file}.yaml")
@@ -68,25 +68,25 @@ def check_nothing_ran(run, project):
     assert not (project.folder / "results").exists()
 
 
-@pytest.mark.parametrize("what", BAD)
-def test_bad_experiments_are_refused_before_anything_runs(refused, what):
-    run, project = refused
-    check_refusal(run, file_of(what), *BAD[what][1:])
+@pytest.mark.parametrize("case", INVALID)
+def test_invalid_experiments_are_rejected_before_any_job(rejected_run, case):
+    run, project = rejected_run
+    check_rejection(run, get_file_stem(case), *INVALID[case][1:])
     check_nothing_ran(run, project)
 
 
-@pytest.mark.parametrize("what", ["misspelt key", "not YAML"])
-def test_one_bad_experiment_stops_the_good_one(project, what):
-    text, key, allowed = BAD[what]
-    project.put("good", GOOD)
+@pytest.mark.parametrize("case", ["misspelt key", "not YAML"])
+def test_one_invalid_experiment_stops_all_jobs(project, case):
+    text, key, allowed = INVALID[case]
+    project.put("good", VALID)
     project.put("wrong", f"{text}\n")
     run = project.snakemake("--cores", 1)
-    check_refusal(run, "wrong", key, allowed)
+    check_rejection(run, "wrong", key, allowed)
     check_nothing_ran(run, project)
 
 
-def test_all_bad_experiments_are_told_at_once(project):
-    project.put("good", GOOD)
+def test_all_invalid_experiments_are_reported_at_once(project):
+    project.put("good", VALID)
     project.put("one", "titel: x\n")
     project.put("two", "instrument: {wavelength_nm: 500}\n")
     run = project.snakemake("--cores", 1, "good")
@@ -97,8 +97,8 @@ def test_all_bad_experiments_are_told_at_once(project):
     check_nothing_ran(run, project)
 
 
-def test_a_misspelt_setting_on_the_command_line_is_refused(project):
-    project.put("good", GOOD)
+def test_misspelt_setting_on_the_command_line_is_rejected(project):
+    project.put("good", VALID)
     run = project.snakemake("--cores", 1, config="accuracy=drafd")
     lines = [line for line in run.text.splitlines() if line.startswith("config/config.yaml")]
     assert len(lines) == 1, run.text

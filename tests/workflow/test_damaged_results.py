@@ -1,4 +1,4 @@
-"""Damaged datasets in a workflow: named, set aside and made again; leftovers are swept."""
+"""Damaged datasets in a workflow are reported, set aside and computed again."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 EXPERIMENT = "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
 NAMES = ("damaged", "swapped", "sound")
-KILLED = """
+KILLED_PROGRAM = """
 import os, signal, sys
 from splits.core.atomic import atomic_write
 
@@ -26,7 +26,7 @@ with atomic_write(sys.argv[1]) as aside:
 """
 
 
-def test_damaged_and_swapped_datasets_are_made_again(project):
+def test_damaged_and_swapped_datasets_are_computed_again(project):
     for name in NAMES:
         project.put(name, EXPERIMENT)
     files = [f"results/tiny/data/{name}.nc" for name in NAMES]
@@ -38,20 +38,20 @@ def test_damaged_and_swapped_datasets_are_made_again(project):
     content[len(content) // 2 :] = bytes(len(content) - len(content) // 2)
     (data / "damaged.nc").write_bytes(content)
     shutil.copy(data / "sound.nc", data / "swapped.nc")
-    subprocess.run([sys.executable, "-c", KILLED, str(data / "sound.nc")])
-    (left,) = data.glob(".aside.*.sound.nc")
+    subprocess.run([sys.executable, "-c", KILLED_PROGRAM, str(data / "sound.nc")])
+    (temporary_file,) = data.glob(".aside.*.sound.nc")
 
     dry = project.snakemake(*files, "--dry-run")
     assert "damaged.nc: damaged" in dry.text
     assert (data / "damaged.nc").read_bytes() == content
-    assert left.exists()
+    assert temporary_file.exists()
 
     run = project.snakemake(*files, "--cores", 2)
     assert run.code == 0, run.text
     assert run.jobs() == ["Simulating damaged", "Simulating swapped"]
-    for name, what in (("damaged", "damaged, "), ("swapped", "holds the dataset of")):
+    for name, reason in (("damaged", "damaged, "), ("swapped", "holds the dataset of")):
         (line,) = [x for x in run.text.splitlines() if f"data/{name}.nc: " in x]
-        assert what in line
+        assert reason in line
         assert f"set aside as {name}.nc.damaged" in line
         xr.testing.assert_identical(
             drop_run_specific_attributes(splits.load(data / f"{name}.nc")),

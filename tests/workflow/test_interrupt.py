@@ -1,4 +1,4 @@
-"""A workflow that is interrupted: what runs on, what is left, and how the next run goes on."""
+"""Interrupted workflows end promptly, leave no results, and the next run completes."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ instrument: {kind: goniophotometer, wavelength_nm: [500], estimator: bins, rays:
 SHORT = LONG.replace("200000000", "20000")
 DATA = "results/tiny/data/long.nc"
 PROMPT_S = 12.0
-"""What a loaded machine may take; the simulation would take minutes."""
+"""Time limit on a loaded machine; the simulation would take minutes."""
 
 
-def members(group):
-    """Return the processes of a group that still run."""
+def list_processes(group):
+    """Return the processes of a process group that still run."""
     listed = subprocess.run(
         ["ps", "-A", "-o", "pgid=,stat=,args="], capture_output=True, text=True, check=True
     )
@@ -39,39 +39,39 @@ def members(group):
 
 @pytest.fixture
 def simulating(project):
-    """Return a project and its running workflow, whose simulation has begun."""
+    """Return a project and its running workflow after the start of the simulation."""
     project.put("long", LONG)
     process = subprocess.Popen(
         project.command("--cores", 2), env=project.environment, cwd=project.folder, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
-        # Shells let what they start in the background ignore it.
+        # Background processes of a shell inherit an ignored SIGINT.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     try:
-        said = []
+        output = []
         while "first round" not in (line := process.stdout.readline()):
-            assert line, "".join(said)
-            said.append(line)
+            assert line, "".join(output)
+            output.append(line)
         yield project, process
     finally:
-        if members(process.pid):
+        if list_processes(process.pid):
             os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
 
 
-@pytest.mark.parametrize("way", ["all", "snakemake alone"])
-def test_an_interrupted_run_ends_soon_and_the_next_completes(way, simulating):
+@pytest.mark.parametrize("target", ["all", "snakemake alone"])
+def test_interrupted_run_ends_promptly_and_next_run_completes(target, simulating):
     project, process = simulating
-    since = time.monotonic()
-    send = os.kill if way == "snakemake alone" else os.killpg
+    start = time.monotonic()
+    send = os.kill if target == "snakemake alone" else os.killpg
     send(process.pid, signal.SIGINT)
-    said, _ = process.communicate(timeout=60)
-    while members(process.pid):
-        assert time.monotonic() - since < PROMPT_S
+    output, _ = process.communicate(timeout=60)
+    while list_processes(process.pid):
+        assert time.monotonic() - start < PROMPT_S
         time.sleep(0.1)
-    assert time.monotonic() - since < PROMPT_S
+    assert time.monotonic() - start < PROMPT_S
     assert process.returncode != 0
-    assert said.count("long: interrupted\n") == 1 and "Traceback" not in said
+    assert output.count("long: interrupted\n") == 1 and "Traceback" not in output
     assert project.results() == []
     project.put("long", SHORT)
     run = project.snakemake(DATA, "--cores", 2)

@@ -1,4 +1,4 @@
-"""A study of one's own over one's own experiment, and one that lacks experiments."""
+"""Studies of users over their own experiments, and studies with missing experiments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STUDY = """
 """
 
 
-def test_a_study_of_ones_own(project):
+def test_user_study_makes_its_outputs(project):
     project.put("cold", EXPERIMENT)
     with open(project.folder / "config" / "config.yaml", "a", encoding="utf-8") as file:
         file.write(STUDY)
@@ -34,7 +34,7 @@ def test_a_study_of_ones_own(project):
     assert set(table.parameter) == {"temperature"} and "published" not in table
 
 
-def test_a_study_that_lacks_experiments_says_so_when_it_is_asked_for(project):
+def test_requested_study_with_missing_experiments_is_reported(project):
     project.put("cold", EXPERIMENT)
     run = project.snakemake("layer_trends", "--cores", 1)
     assert run.code != 0
@@ -64,14 +64,14 @@ INDICES = """
 """
 
 
-def test_a_retrieval_and_indices_of_ones_own(project):
+def test_user_retrieval_and_sobol_indices_make_their_outputs(project):
     project.put("grains", TABLE)
     with open(project.folder / "config" / "config.yaml", "a", encoding="utf-8") as file:
         file.write(INDICES)
     run = project.snakemake("--cores", 1)
     assert run.code == 0, run.text
-    made = [path for path in project.results("results/tiny") if not path.startswith("blocks")]
-    assert made == [
+    outputs = [path for path in project.results("results/tiny") if not path.startswith("blocks")]
+    assert outputs == [
         "data/grains.nc",
         "figures/choosing.pdf", "figures/choosing.png", "figures/choosing.svg",
         "figures/grains.pdf", "figures/grains.png", "figures/grains.svg",
@@ -82,8 +82,8 @@ def test_a_retrieval_and_indices_of_ones_own(project):
     retrieved = pd.read_csv(tables / "grains_retrieved.csv")
     assert list(retrieved["sample"].unique()) == ["albedo_340mm"]
     assert set(pd.read_csv(tables / "telling.csv").table) == {"my snow"}
-    # What is asked of the measurement does not touch the table.
+    # Settings of the retrieval do not change the table.
     changed = TABLE.replace("relative: 0.02", "relative: 0.05")
     project.put("grains", changed)
-    again = project.snakemake("--cores", 1, "--dry-run")
-    assert "retrieve" in again.text and "table_part" not in again.text
+    rerun = project.snakemake("--cores", 1, "--dry-run")
+    assert "retrieve" in rerun.text and "table_part" not in rerun.text

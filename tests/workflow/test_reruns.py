@@ -1,4 +1,4 @@
-"""A workflow of two small experiments: what it makes, and what a change makes it do again."""
+"""Outputs of a workflow of two small experiments, and jobs that run again after changes."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ figure: {kind: points}
 RESULTS = "results/tiny"
 
 
-def made_by(name):
+def list_outputs(name):
     return [f"data/{name}.nc", *(f"figures/{name}.{kind}" for kind in ("pdf", "png", "svg"))]
 
 
-def data_file(project, name):
+def get_data_path(project, name):
     return project.folder / RESULTS / "data" / f"{name}.nc"
 
 
@@ -54,50 +54,50 @@ def finished(make_project, tmp_path_factory):
 
 
 @pytest.fixture
-def again(finished, tmp_path):
-    """Return a copy of the finished project, to be changed."""
+def project_copy(finished, tmp_path):
+    """Return a copy of the finished project that a test may change."""
     return finished.copy(tmp_path)
 
 
-def test_data_and_figures_are_made(finished):
-    assert finished.results(RESULTS) == sorted(made_by("first") + made_by("second"))
+def test_data_and_figures_are_written(finished):
+    assert finished.results(RESULTS) == sorted(list_outputs("first") + list_outputs("second"))
     assert (finished.folder / RESULTS / "logs" / "simulate" / "first.log").stat().st_size > 0
-    first = splits.load(data_file(finished, "first"))
+    first = splits.load(get_data_path(finished, "first"))
     assert first.sizes["wavelength"] == 2
     assert first.attrs["experiment"] == "first"
-    second = splits.load(data_file(finished, "second"))
+    second = splits.load(get_data_path(finished, "second"))
     assert second.reflectance.dims == ("saturation", "wavelength")
     assert second.attrs["max_stderr_reached"] <= 0.05
     for variable in [*first.variables.values(), *second.data_vars.values()]:
         assert variable.attrs["long_name"] and variable.attrs["units"]
 
 
-def test_a_second_run_has_nothing_to_do(again):
-    run = again.snakemake("--cores", 1)
+def test_second_run_has_nothing_to_do(project_copy):
+    run = project_copy.snakemake("--cores", 1)
     assert run.code == 0, run.text
     assert "Nothing to be done" in run.text
     assert run.jobs() == []
 
 
-def test_a_change_reruns_what_depends_on_it(again):
-    """Words of the first, a value of the second, and a third that is new."""
+def test_change_reruns_only_dependent_jobs(project_copy):
+    """Changes are a caption of the first, a value of the second, and a new third experiment."""
     assert len(THIRD.splitlines()) <= 12
-    untouched = data_file(again, "first").stat().st_mtime_ns
-    words = FIRST.replace("title: First", "title: Number one").replace("Of two", "Of several")
-    again.put("first", words)
-    again.put("second", SECOND.replace("depth_m: 0.01", "depth_m: 0.02"))
-    again.put("third", THIRD)
-    run = again.snakemake("--cores", 1)
+    untouched = get_data_path(project_copy, "first").stat().st_mtime_ns
+    changed = FIRST.replace("title: First", "title: Number one").replace("Of two", "Of several")
+    project_copy.put("first", changed)
+    project_copy.put("second", SECOND.replace("depth_m: 0.01", "depth_m: 0.02"))
+    project_copy.put("third", THIRD)
+    run = project_copy.snakemake("--cores", 1)
     assert run.code == 0, run.text
     assert run.jobs() == [
         "Drawing first", "Drawing second", "Drawing third", "Simulating second", "Simulating third",
     ]  # fmt: skip
-    assert data_file(again, "first").stat().st_mtime_ns == untouched
-    assert splits.load(data_file(again, "second")).attrs["snow_depth_m"] == 0.02
-    assert set(made_by("third")) <= set(again.results(RESULTS))
+    assert get_data_path(project_copy, "first").stat().st_mtime_ns == untouched
+    assert splits.load(get_data_path(project_copy, "second")).attrs["snow_depth_m"] == 0.02
+    assert set(list_outputs("third")) <= set(project_copy.results(RESULTS))
 
 
-def test_a_name_plans_that_experiment_only(project):
+def test_target_name_plans_that_experiment_only(project):
     project.put("second", SECOND)
     project.put("third", THIRD)
     run = project.snakemake("third", "--dry-run")
@@ -105,7 +105,7 @@ def test_a_name_plans_that_experiment_only(project):
     assert run.jobs() == ["Drawing third", "Simulating third"]
 
 
-def test_threads_do_not_change_the_numbers(finished, project):
+def test_number_of_threads_does_not_change_results(finished, project):
     project.put("first", FIRST)
     project.put("second", SECOND)
     names = ("first", "second")
@@ -114,8 +114,9 @@ def test_threads_do_not_change_the_numbers(finished, project):
     assert run.code == 0, run.text
     assert run.jobs() == ["Simulating first", "Simulating second"]
     for name in names:
-        two, one = (splits.load(data_file(p, name)) for p in (project, finished))
+        two, one = (splits.load(get_data_path(p, name)) for p in (project, finished))
         assert (two.attrs["threads"], one.attrs["threads"]) == (2, 1)
         xr.testing.assert_identical(
-            drop_run_specific_attributes(two), drop_run_specific_attributes(one)
+            drop_run_specific_attributes(two),
+            drop_run_specific_attributes(one),
         )

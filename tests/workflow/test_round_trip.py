@@ -1,7 +1,7 @@
 """Every kind of figure, medium and instrument, with a grid: from file to figure.
 
-One of each kind goes through the jobs of the workflow, the others through what those call: a job
-spends seconds on its libraries.
+One experiment per kind of medium runs as jobs of the workflow; the others call the same functions
+in one process, because a job spends seconds on importing libraries.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from compliance import remarks
+from compliance import collect_remarks
 
 import splits
 from splits.core.atomic import atomic_write
@@ -26,40 +26,40 @@ pytestmark = pytest.mark.slow
 
 SNOW = "medium: {base: splitsnow_table1, depth_m: 0.01}\n"
 SAND = "medium: {kind: sand, depth_m: 0.01}\n"
-PACK = (
+STACK = (
     "medium: {kind: stack, ground: 0.3, interpretation: splits_2007, layers:"
     " [{base: splitsnow_table1, depth_m: 0.005},"
     " {kind: sand, depth_m: 0.004}]}\n"
 )
 LAYER = "medium: {kind: particle_layer, optical_thickness: 2}\n"
-A_LAYER = "medium: {kind: particle_layer}\n"
+DEFAULT_LAYER = "medium: {kind: particle_layer}\n"
 WAVES = (
     "medium: {kind: particle_layer, optical_thickness: 2, depth_m: 10, surface: {rms_height_m: 0.1,"
     " wave_number_per_m: 1, waves: 8, correlation: gaussian}}\n"
 )
 DAYLIGHT = "instrument: {wavelength_nm: {start: 400, stop: 780, step: 10}}\n"
-TWO = "grid: {saturation: {start: 0, stop: 0.1, step: 0.1}}\n"
-AT = "figure: {select: {saturation: 0.1}}\n"
-NAMED = "grid: {saturation: {dry: 0, damp: 0.1}}\n"
+TWO_VALUES = "grid: {saturation: {start: 0, stop: 0.1, step: 0.1}}\n"
+SELECT_WET = "figure: {select: {saturation: 0.1}}\n"
+LABELLED = "grid: {saturation: {dry: 0, damp: 0.1}}\n"
 CASES = {
     "trip_snow_spectra": SNOW + "instrument: {wavelength_nm: [500, 1030, 1500]}\n"
     "grid: {saturation: {'0.1': 1.0, '1': 0.1}, incidence_deg: {beam: 60, sky: diffuse}}\n"
     "figure: {kind: spectra, select: {saturation: '0.1'}, quantity: [reflectance, absorptance]}\n",
-    "trip_snow_points": SNOW + "instrument: {wavelength_nm: [500], estimator: analog}\n" + NAMED
+    "trip_snow_points": SNOW + "instrument: {wavelength_nm: [500], estimator: analog}\n" + LABELLED
     + "figure: {kind: points, quantity: [transmittance, mean_grain_distance]}\n",
-    "trip_snow_swatches": SNOW + DAYLIGHT + NAMED + "figure: {kind: swatches}\n",
+    "trip_snow_swatches": SNOW + DAYLIGHT + LABELLED + "figure: {kind: swatches}\n",
     "trip_snow_indices": SNOW + "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
     "grid: {saturation: [0.2]}\n",
     "trip_snow_plane": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600, 1300]}\n"
-    + TWO + "figure: {select: {saturation: 0}, quantity: [brdf, btdf]}\n",
+    + TWO_VALUES + "figure: {select: {saturation: 0}, quantity: [brdf, btdf]}\n",
     "trip_snow_lobes": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {saturation: [0, 0.1], incidence_deg: [0, 60]}\n"
     "figure: {kind: lobes, select: {incidence_deg: 60}}\n",
-    "trip_snow_cells": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600],"
-    " estimator: bins, n_bins: [9, 18], rays: 20000}\n" + NAMED
+    "trip_snow_bins": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600],"
+    " estimator: bins, n_bins: [9, 18], rays: 20000}\n" + LABELLED
     + "figure: {kind: bins, select: {saturation: damp}}\n",
     "trip_snow_spread": SNOW + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
-    " half_width_m: 0.01}\n" + TWO + AT,
+    " half_width_m: 0.01}\n" + TWO_VALUES + SELECT_WET,
     "trip_snow_ground": SNOW + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {ground: {open: open, black: black, soil: camborthid, white: 1}}\n"
     "figure: {select: {ground: soil}, quantity: [reflectance, transmittance]}\n",
@@ -73,20 +73,21 @@ CASES = {
     "grid: {ground: [0.2, 0.8]}\n",
     "trip_ground_spread": SNOW + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\ngrid: {ground: [0.5]}\nfigure: {select: {ground: 0.5}}\n",
-    "trip_stack_spectra": PACK + "instrument: {wavelength_nm: [500, 1030]}\n"
+    "trip_stack_spectra": STACK + "instrument: {wavelength_nm: [500, 1030]}\n"
     "grid: {layers.0.depth_m: [0.002, 0.004], layers.1.saturation: {dry: 0, wet: 0.1}}\n"
     "figure: {select: {layers.1.saturation: wet}}\n",
-    "trip_stack_points": PACK.replace(" ground: 0.3,", "")
+    "trip_stack_points": STACK.replace(" ground: 0.3,", "")
     + "instrument: {wavelength_nm: [500], incidence_deg: diffuse}\n"
     "grid: {ground: [0.2, 0.8]}\nfigure: {kind: points}\n",
-    "trip_stack_plane": PACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
+    "trip_stack_plane": STACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {layers.0.depth_m: [0.002, 0.004]}\n",
-    "trip_stack_lobes": PACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
+    "trip_stack_lobes": STACK + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
     "grid: {medium: {pale: {ground: 1}, dark: {ground: 0.1}}}\nfigure: {kind: lobes}\n",
-    "trip_stack_spread": PACK + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
+    "trip_stack_spread": STACK + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
     " half_width_m: 0.01}\n",
-    "trip_stack_lid": "medium: {kind: stack, layers: [{kind: particle_layer, optical_thickness: 1,"
-    " refractive_index: 1.31, depth_m: 0.01}, {base: splitsnow_table1, depth_m: 0.005}]}\n"
+    "trip_stack_particle_layer": "medium: {kind: stack, layers: [{kind: particle_layer,"
+    " optical_thickness: 1, refractive_index: 1.31, depth_m: 0.01},"
+    " {base: splitsnow_table1, depth_m: 0.005}]}\n"
     "instrument: {wavelength_nm: [500, 1030]}\ngrid: {layers.0.optical_thickness: [0.5, 2]}\n",
     "trip_sand_spectra": SAND + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {medium: {pale: {iron_oxide: 0.001}, red: {hematite_ratio: 1}}}\n"
@@ -98,23 +99,23 @@ CASES = {
     "fit: {measured: sand_reflectance_jhu.csv, samples: [quartzipsamment_87P706]}\n"
     "figure: {kind: fit, select: {porosity: loose}}\n",
     "trip_sand_plane": SAND + "instrument: {kind: goniophotometer, wavelength_nm: [600]}\n"
-    + TWO + AT,
+    + TWO_VALUES + SELECT_WET,
     "trip_sand_spread": SAND + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
-    " half_width_m: 0.01}\n" + TWO + AT,
+    " half_width_m: 0.01}\n" + TWO_VALUES + SELECT_WET,
     "trip_layer_spectra": LAYER + "instrument: {wavelength_nm: [500, 550]}\n"
     "grid: {polarized: [true, false], bottom_albedo: [0.5, null]}\n"
     "figure: {kind: spectra, select: {polarized: true}}\n",
     "trip_layer_points": LAYER + "instrument: {wavelength_nm: [550]}\n"
     "grid: {asymmetry: {start: 0, stop: 0.8, step: 0.4}}\nfigure: {kind: points}\n",
-    "trip_layer_local": A_LAYER + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
-    " estimator: next_event, azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
+    "trip_layer_next_event": DEFAULT_LAYER + "instrument: {kind: goniophotometer,"
+    " wavelength_nm: [550], estimator: next_event, azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
     "grid: {optical_thickness: [1, 2]}\nfigure: {select: {optical_thickness: 2}}\n",
     "trip_layer_polarization":
     "medium: {kind: particle_layer, polarized: true, phase_function: rayleigh}\n"
     "instrument: {kind: goniophotometer, wavelength_nm: [550], estimator: next_event,"
     " azimuth_deg: [0, 180], polar_deg: [0, 30, 60]}\n"
     "grid: {optical_thickness: [1, 2]}\nfigure: {kind: polarization}\n",
-    "trip_layer_spread": A_LAYER + "instrument: {kind: beam_spread, wavelength_nm: [550],"
+    "trip_layer_spread": DEFAULT_LAYER + "instrument: {kind: beam_spread, wavelength_nm: [550],"
     " rays: 5000, half_width_m: 1}\ngrid: {optical_thickness: [1, 2]}\n"
     "figure: {select: {optical_thickness: 2}}\n",
     "trip_waves_plane": WAVES + "instrument: {kind: goniophotometer, wavelength_nm: [550],"
@@ -129,20 +130,20 @@ CASES = {
 }  # fmt: skip
 
 
-BY_JOBS = ("trip_snow_spectra", "trip_sand_fit", "trip_layer_polarization", "trip_waves_lens")
-"""One of each kind of medium, and a fit; jobs do not know of which kind their experiments are."""
+RUN_AS_JOBS = ("trip_snow_spectra", "trip_sand_fit", "trip_layer_polarization", "trip_waves_lens")
+"""One of each kind of medium, and a fit; jobs do not depend on the kind of experiment."""
 
 
-def read(project, name):
+def read_experiment(project, name):
     path = project.folder / "config" / "experiments" / f"{name}.yaml"
     return load_experiment(path, project.folder / "config" / "media")
 
 
-def do(project, name, results):
-    """Do what the jobs of an experiment do, with what they are handed, in one format of three."""
+def run_in_process(project, name, results):
+    """Run the functions of the jobs of an experiment with their inputs, in one figure format."""
     content = yaml.safe_load((project.folder / "config" / "config.yaml").read_text())
     settings = load_settings(content)
-    experiment = read(project, name)
+    experiment = read_experiment(project, name)
     simulation, figure = json.loads(
         json.dumps([experiment.dump_simulation(), experiment.resolve_figure()])
     )
@@ -157,32 +158,32 @@ def do(project, name, results):
 
 @pytest.fixture(scope="module")
 def finished(make_project, tmp_path_factory):
-    """Return a project in which all cases have run on the tiny profile, and what was printed."""
+    """Return a project in which all cases have run at tiny accuracy, and the run of Snakemake."""
     project = make_project(tmp_path_factory.mktemp("round_trip"))
-    for name in BY_JOBS:
+    for name in RUN_AS_JOBS:
         project.put(name, CASES[name])
     jobs = project.snakemake("--cores", 2, "--keep-going")
-    for name in set(CASES) - set(BY_JOBS):
+    for name in set(CASES) - set(RUN_AS_JOBS):
         project.put(name, CASES[name])
-        do(project, name, project.folder / "results" / "tiny")
+        run_in_process(project, name, project.folder / "results" / "tiny")
     return project, jobs
 
 
-def test_each_kind_is_there(finished):
+def test_cases_cover_all_kinds(finished):
     project, _ = finished
-    made = [read(project, name) for name in CASES]
-    assert {one.instrument.kind for one in made} == set(FIGURE_KINDS)
-    assert {one.resolve_figure()["kind"] for one in made} >= {
+    experiments = [read_experiment(project, name) for name in CASES]
+    assert {experiment.instrument.kind for experiment in experiments} == set(FIGURE_KINDS)
+    assert {experiment.resolve_figure()["kind"] for experiment in experiments} >= {
         kinds[0] for kinds in FIGURE_KINDS.values()
     }
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_file_goes_through_its_jobs_to_its_figure(finished, name):
+def test_experiment_file_gives_dataset_and_figure(finished, name):
     project, jobs = finished
     results = project.folder / "results" / "tiny"
     assert (results / "data" / f"{name}.nc").is_file(), jobs.text[-3000:]
-    for suffix in FIGURE_SUFFIXES if name in BY_JOBS else FIGURE_SUFFIXES[:1]:
+    for suffix in FIGURE_SUFFIXES if name in RUN_AS_JOBS else FIGURE_SUFFIXES[:1]:
         assert (results / "figures" / f"{name}{suffix}").is_file(), jobs.text[-3000:]
     dataset = splits.load(results / "data" / f"{name}.nc")
     assert dataset.attrs["experiment"] == name
@@ -190,7 +191,7 @@ def test_a_file_goes_through_its_jobs_to_its_figure(finished, name):
         assert np.isfinite(variable).all()
 
 
-def test_a_fit_has_a_table_of_what_it_found(finished):
+def test_fit_writes_its_parameters(finished):
     project, jobs = finished
     path = project.folder / "results" / "tiny" / "tables" / "trip_sand_fit_parameters.csv"
     assert path.is_file(), jobs.text[-3000:]
@@ -200,16 +201,16 @@ def test_a_fit_has_a_table_of_what_it_found(finished):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_dataset_follows_the_cf_conventions(finished, name):
+def test_dataset_follows_the_cf_conventions(finished, name):
     project, _ = finished
     path = project.folder / "results" / "tiny" / "data" / f"{name}.nc"
-    assert remarks([path]) == {path: []}
+    assert collect_remarks([path]) == {path: []}
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_a_job_is_handed_is_the_same_simulation(finished, name):
+def test_job_input_is_the_same_simulation(finished, name):
     project, _ = finished
-    experiment = read(project, name)
-    handed = SimulationConfig.model_validate(experiment.dump_simulation())
-    assert handed.dump_simulation() == experiment.dump_simulation()
+    experiment = read_experiment(project, name)
+    from_job = SimulationConfig.model_validate(experiment.dump_simulation())
+    assert from_job.dump_simulation() == experiment.dump_simulation()
     assert isinstance(experiment, ExperimentConfig)

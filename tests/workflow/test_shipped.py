@@ -1,4 +1,4 @@
-"""The experiments as shipped: the whole plan, its lint, and a few of them at the coarsest."""
+"""Shipped experiments: plan and lint of the workflow, and a few runs at lowest accuracy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from splits.experiments.run_table import count_parts
 
 pytestmark = pytest.mark.slow
 
-FEW = ("table1_sample", "fig05_refractive_indices", "fig24b_aviris")
+FEW_EXPERIMENTS = ("table1_sample", "fig05_refractive_indices", "fig24b_aviris")
 
 
 @pytest.fixture(scope="module")
@@ -24,30 +24,34 @@ def shipped(make_project, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def few(shipped):
-    """Return the datasets of a few experiments; the tables of sand are made with them."""
-    run = shipped.snakemake(*FEW, "sand_tables", "sand_compositions", "--cores", 2)
+def few_datasets(shipped):
+    """Run a few experiments and the studies of sand, and return the datasets."""
+    run = shipped.snakemake(*FEW_EXPERIMENTS, "sand_tables", "sand_compositions", "--cores", 2)
     assert run.code == 0, run.text
-    for name in FEW:
+    for name in FEW_EXPERIMENTS:
         for suffix in (".png", ".svg", ".pdf"):
             figure = shipped.folder / "results" / "tiny" / "figures" / f"{name}{suffix}"
             assert figure.stat().st_size > 1000
     data = shipped.folder / "results" / "tiny" / "data"
-    return {name: splits.load(data / f"{name}.nc") for name in FEW}
+    return {name: splits.load(data / f"{name}.nc") for name in FEW_EXPERIMENTS}
 
 
-def test_everything_can_be_planned(shipped):
+def test_workflow_plans_all_experiments(shipped):
     run = shipped.snakemake("--dry-run", config="accuracy=standard")
     assert run.code == 0, run.text
     experiments = load_experiments(
         shipped.folder / "config" / "experiments", shipped.folder / "config" / "media"
     )
-    read = [one for one in experiments.values() if one.retrieve]
-    drawn = [one for one in experiments.values() if one.figure.kind != "none"]
-    tables = [one for one in experiments.values() if one.instrument.kind == "table"]
+    retrieved = [one for one in experiments.values() if one.retrieve]
+    with_figure = [
+        experiment for experiment in experiments.values() if experiment.figure.kind != "none"
+    ]
+    tables = [
+        experiment for experiment in experiments.values() if experiment.instrument.kind == "table"
+    ]
     for rule, count in (
-        ("simulate", len(experiments) - len(tables)), ("figure", len(drawn) - len(read)),
-        ("retrieve", len(read)),
+        ("simulate", len(experiments) - len(tables)), ("figure", len(with_figure) - len(retrieved)),
+        ("retrieve", len(retrieved)),
         ("table", len(tables)), ("table_part", sum(map(count_parts, tables))), ("explorer", 1),
     ):  # fmt: skip
         assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)
@@ -59,51 +63,53 @@ def test_everything_can_be_planned(shipped):
     assert not (shipped.folder / "results" / "data").exists()
 
 
-def test_rules_do_not_ask_for_cores_that_a_report_is_not_given(shipped):
-    """Snakemake refuses `workflow.cores` without --cores, and with it whole reports."""
+def test_rules_do_not_use_workflow_cores(shipped):
+    """Reports run without --cores, for which Snakemake rejects `workflow.cores`."""
     for path in (shipped.folder / "workflow").rglob("*.smk"):
         assert "workflow.cores" not in path.read_text(encoding="utf-8"), path
 
 
-def test_snakemake_finds_nothing_to_complain_about(shipped):
+def test_snakemake_lint_reports_no_issue(shipped):
     run = shipped.snakemake("--lint", config="accuracy=standard")
     assert run.code == 0, run.text
     assert "in a good condition" in run.text
 
 
-def test_representative_sample(few):
-    sample = few["table1_sample"]
+def test_representative_sample_has_published_values(few_datasets):
+    sample = few_datasets["table1_sample"]
     assert sample.mean_grain_distance.sel(density_kg_m3=450) == pytest.approx(4.3e-4, rel=0.03)
     assert sample.specific_surface_area.values == pytest.approx(20.33, abs=0.01)
     assert sample.attrs["rays"] == int(sample.rays.sum())
 
 
-def test_refractive_indices(few):
-    indices = few["fig05_refractive_indices"]
+def test_refractive_indices_have_published_values(few_datasets):
+    indices = few_datasets["fig05_refractive_indices"]
     assert indices.material.values.tolist() == ["air", "water", "ice"]
     assert indices.n.sel(material="ice", wavelength=600) == pytest.approx(1.3094, abs=1e-4)
     assert (indices.n.sel(material="air") == 1.0).all()
     assert (indices.k >= 0.0).all()
 
 
-def test_scene_of_aviris(few):
-    scene = few["fig24b_aviris"]
+def test_aviris_scene_matches_published_reflectance(few_datasets):
+    scene = few_datasets["fig24b_aviris"]
     assert scene.attrs["incidence_deg"] == 62.3
     assert {842.25, 1073.76, 1237.93} <= set(scene.wavelength.values)
     total = scene.reflectance + scene.transmittance + scene.absorptance
     np.testing.assert_allclose(total, 1.0, rtol=1e-12)
-    at = scene.sel(wavelength=[842.25, 1073.76, 1237.93])
+    selected = scene.sel(wavelength=[842.25, 1073.76, 1237.93])
     published = np.array([0.878, 0.692, 0.495])
-    assert (np.abs(at.reflectance - published) < 0.03 + 4.0 * at.reflectance_stderr).all()
+    assert (
+        np.abs(selected.reflectance - published) < 0.03 + 4.0 * selected.reflectance_stderr
+    ).all()
 
 
-@pytest.mark.usefixtures("few")
-def test_sand_from_configuration_to_tables(shipped):
+@pytest.mark.usefixtures("few_datasets")
+def test_sand_studies_write_their_tables(shipped):
     tables = {
         path.stem: pd.read_csv(path)
         for path in (shipped.folder / "results" / "tiny" / "tables").glob("sand_*.csv")
     }
-    # So coarse a run resolves few trends, but none may run the other way.
+    # A run at this accuracy resolves few trends, but none may be opposite to those stated.
     assert not (tables["sand_trends"].verdict == "outside").any()
     volumes = tables["sand_compositions"].groupby(["experiment", "sample"]).volume_fraction.sum()
     np.testing.assert_allclose(volumes, 1.0, rtol=1e-5)

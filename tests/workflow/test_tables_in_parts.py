@@ -1,4 +1,4 @@
-"""A table in the workflow: its parts as jobs, what a kill costs, what is made again."""
+"""Tables in the workflow: their parts as jobs, and recomputation of lost blocks only."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ grid:
 RESULTS = "results/tiny"
 
 
-def _block(folder, number):
-    """Return the only block of a number."""
+def _get_block_path(folder, number):
+    """Return the path of the block with a given number."""
     (path,) = folder.glob(f"block_{number:06d}_*.nc")
     return path
 
 
-def test_a_table_is_made_in_parts_and_again_from_what_is_kept(project):
+def test_table_is_built_in_parts_and_rebuilt_from_kept_blocks(project):
     project.put("snow", TABLE)
     run = project.snakemake("--cores", 2)
     assert run.code == 0, run.text
@@ -41,41 +41,41 @@ def test_a_table_is_made_in_parts_and_again_from_what_is_kept(project):
     ]  # fmt: skip
     assert "2 of 3 axes share paths (optical_radius_um, impurities_ng_g.black_carbon)" in run.text
     results = project.folder / RESULTS
-    made = splits.open_table(results / "data" / "snow.nc")
-    assert made.axes[:-1] == [
+    table = splits.open_table(results / "data" / "snow.nc")
+    assert table.axes[:-1] == [
         "optical_radius_um", "incidence_deg", "impurities_ng_g.black_carbon",
     ]  # fmt: skip
-    assert made.dataset.attrs["experiment"] == "snow"
-    assert made.dataset.attrs["ensembles"] == 3
-    assert np.isfinite(made.dataset.reflectance).all()
-    own = splits.build_table(
+    assert table.dataset.attrs["experiment"] == "snow"
+    assert table.dataset.attrs["ensembles"] == 3
+    assert np.isfinite(table.dataset.reflectance).all()
+    expected = splits.build_table(
         lambda optical_radius_um, soot: splits.Snow.natural(
             optical_radius_um=optical_radius_um, impurities_ng_g={"black_carbon": soot}
         ),
         {
-            "optical_radius_um": made.dataset.optical_radius_um.values,
+            "optical_radius_um": table.dataset.optical_radius_um.values,
             "incidence_deg": [0, 40, 60], "soot": [0, 200],
         },
         [500, 1030],
         max_stderr=0.05,
     )  # fmt: skip
-    np.testing.assert_array_equal(made.dataset.reflectance, own.reflectance)
+    np.testing.assert_array_equal(table.dataset.reflectance, expected.reflectance)
 
-    # One part and the table are lost, and one block: that block is all that is measured.
+    # Of a lost part, a lost table and a lost block, only the block is measured again.
     blocks = results / "blocks" / "snow"
     (blocks / "part_0.json").unlink()
     (results / "data" / "snow.nc").unlink()
-    _block(blocks, 2).unlink()
+    _get_block_path(blocks, 2).unlink()
     target = f"{RESULTS}/data/snow.nc"
-    before = _block(blocks, 0).stat().st_mtime_ns
+    before = _get_block_path(blocks, 0).stat().st_mtime_ns
     run = project.snakemake(target, "--cores", 2)
     assert run.code == 0, run.text
-    assert _block(blocks, 0).stat().st_mtime_ns == before
-    again = splits.load(results / "data" / "snow.nc")
+    assert _get_block_path(blocks, 0).stat().st_mtime_ns == before
+    rebuilt = splits.load(results / "data" / "snow.nc")
     xr.testing.assert_identical(
-        drop_run_specific_attributes(again), drop_run_specific_attributes(made.dataset)
+        drop_run_specific_attributes(rebuilt), drop_run_specific_attributes(table.dataset)
     )
-    # What no part has made any more goes with it.
+    # Blocks that no part lists are removed.
     assert len(list(blocks.glob("block_*.nc"))) == 3
     assert "Nothing to be done" in project.snakemake(target, "--cores", 1).text
 
@@ -91,7 +91,7 @@ def test_a_table_is_made_in_parts_and_again_from_what_is_kept(project):
         (("kind: table,", "kind: goniophotometer,"), "left out for goniophotometer"),
     ],
 )
-def test_tables_that_cannot_be_are_refused(tmp_path, change, line):
+def test_invalid_tables_are_rejected(tmp_path, change, line):
     from splits.experiments import ConfigError
 
     path = tmp_path / "snow.yaml"

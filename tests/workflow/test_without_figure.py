@@ -1,4 +1,4 @@
-"""An experiment without a figure: its data only, in the plan, the archive and the report."""
+"""Experiments without a figure: plan, archive and report contain only their data."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ pytestmark = pytest.mark.slow
 INDICES = "figure: none\ninstrument: {kind: refractive_index, wavelength_nm: [500]}\n"
 
 
-def test_no_figure_is_made(project):
+def test_experiment_without_figure_makes_data_only(project):
     project.put("bare", INDICES)
     run = project.snakemake("--cores", 1)
     assert run.code == 0, run.text

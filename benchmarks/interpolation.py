@@ -138,7 +138,7 @@ def print_bias() -> None:
             1.0,
             0.0,
         )
-        means = np.stack([tally.compute_means() for tally in ensembles])
+        means = np.stack([tally.expand_to_all_rows(tally.compute_means()) for tally in ensembles])
         deviations.append(np.einsum("jw,jqw->qw", weights[0] - weights[1], means))
     mean_deviation = np.mean(deviations, axis=0)
     noise = np.std(deviations, axis=0, ddof=1) / np.sqrt(SEEDS)

@@ -259,12 +259,14 @@ MAX_INT64 = 2**63 - 1
 def check_integer(key: str, value: object, low: int, high: int = MAX_INT64) -> int:
     """Return a whole number from `low` to `high`, by default the largest that fits into 63 bits."""
     value = as_scalar(value)
+    allowed = f"a whole number from {low} to {high}"
     if not isinstance(value, Integral) or isinstance(value, NON_NUMERIC_TYPES):
         hint = f"write {int(value)}" if isinstance(value, float) and value.is_integer() else ""
-        raise invalid(key, value, f"a whole number of at least {low}", hint)
+        at_least = f"a whole number of at least {low}"
+        raise invalid(key, value, at_least if high == MAX_INT64 else allowed, hint)
     whole = int(value)
+    if whole < low and high == MAX_INT64:
+        raise invalid(key, value, f"a whole number of at least {low}")
     if not low <= whole <= high:
-        least = whole < low and high == MAX_INT64
-        allowed = f"of at least {low}" if least else f"from {low} to {high}"
-        raise invalid(key, value, f"a whole number {allowed}")
+        raise invalid(key, value, allowed)
     return whole

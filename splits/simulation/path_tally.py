@@ -194,12 +194,6 @@ class SharedPathTally(PathTally):
         self.derivative_sums = np.zeros(
             (N_BATCHES, 2, len(rows.absorption_derivatives), len(self.rows))
         )
-        for stratum in self.strata:
-            is_absorbing = self.absorption[stratum.wavelength_mask].max(axis=0) > 0.0
-            is_absorbing |= (self.absorption_derivatives[:, stratum.wavelength_mask] != 0.0).any(
-                axis=(0, 1)
-            )
-            stratum.optics = stratum.optics._replace(is_absorbing=is_absorbing)
 
     def count_score_values(self) -> int:
         """Return the number of values in the score of a chunk."""

@@ -94,7 +94,7 @@ def make_optics(n, k=None, absorption=None):
     n, k, absorption = (
         np.zeros(len(n)) if x is None else np.array(x, dtype=float) for x in (n, k, absorption)
     )
-    return Optics(n, k, absorption, absorption > 0.0)
+    return Optics(n, k, absorption)
 
 
 def compute_optics(medium, wavelength_nm):

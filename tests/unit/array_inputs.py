@@ -34,17 +34,17 @@ MEASURED = evaluate_spectrum(200.0, 64.0).astype(np.float16).astype(float)
 
 
 class ArrayCase(NamedTuple):
-    """A function of one array, and the values to call it with, which half precision holds.
+    """A function of one array, and values for it that are exact in half precision.
 
     Attributes
     ----------
     call : callable
-        Returns a dataset, or what `numpy.asarray` takes.
+        Returns a dataset or an array-like.
     values : list
     one : bool
-        Whether a single number is taken, too, perhaps for all.
+        Whether a single number is accepted, too.
     labels : list or None
-        What values may be labelled by; None where nothing stands beside them.
+        Labels of the values; None where values are not matched by labels.
     runs : bool
         Whether it traces rays.
     """
@@ -56,44 +56,44 @@ class ArrayCase(NamedTuple):
     runs: bool = False
 
 
-def compute_refraction(**changes):
-    given = {"wavelength_nm": NM, "n": [1.25, 1.5, 1.75], "k": [0.0, 0.0, 0.0]} | changes
-    index = splits.Snow(refractive_index={"ice": given}).refractive_index["ice"]
+def user_index(**changes):
+    table = {"wavelength_nm": NM, "n": [1.25, 1.5, 1.75], "k": [0.0, 0.0, 0.0]} | changes
+    index = splits.Snow(refractive_index={"ice": table}).refractive_index["ice"]
     return index.wavelength_nm, index.n, index.k
 
 
 def make_dirty_snow(**changes):
-    given = {"ng_g": 8.0, "wavelength_nm": NM, "absorption_m2_kg": PARAMETERS} | changes
-    return splits.Snow(impurities_ng_g={"mine": given}).describe()["mine_absorption_m2_kg"]
+    table = {"ng_g": 8.0, "wavelength_nm": NM, "absorption_m2_kg": PARAMETERS} | changes
+    return splits.Snow(impurities_ng_g={"mine": table}).describe()["mine_absorption_m2_kg"]
 
 
 def make_phase(**changes):
-    given = {"cosine": [-1.0, 0.0, 1.0], "density": PARAMETERS} | changes
-    return splits.ParticleLayer(phase_function=given).kernel_phase_function.cdf
+    table = {"cosine": [-1.0, 0.0, 1.0], "density": PARAMETERS} | changes
+    return splits.ParticleLayer(phase_function=table).kernel_phase_function.cdf
 
 
-def simulate_spectrum(**changes):
-    given = {"wave_number_per_m": [0.0, 1.0, 2.0], "density": PARAMETERS} | changes
-    surface = {"rms_height_m": 1.0, "correlation": "spectrum", "spectrum": given}
+def quantiles(**changes):
+    table = {"wave_number_per_m": [0.0, 1.0, 2.0], "density": PARAMETERS} | changes
+    surface = {"rms_height_m": 1.0, "correlation": "spectrum", "spectrum": table}
     return splits.RoughSurface(surface).fields[0].wave_number_quantiles
 
 
-def sky(**changes):
-    found = splits.sky(SKY | changes, 50.0)
-    return found.wavelength_nm, found.direct, found.diffuse
+def make_sky(**changes):
+    made = splits.sky(SKY | changes, 50.0)
+    return made.wavelength_nm, made.direct, made.diffuse
 
 
-def ground(medium, **changes):
+def user_ground(medium, **changes):
     return medium(ground={"wavelength_nm": NM, "albedo": PARAMETERS} | changes).ground.albedo_values
 
 
-def retrieve_spectrum(measured=(W, MEASURED), noise=0.0625, **more):
-    return splits.retrieve(measured, TABLE, [SIZE], noise, fixed=FIXED, **more).dataset
+def retrieve_spectrum(measured=(W, MEASURED), noise=0.0625, **keywords):
+    return splits.retrieve(measured, TABLE, [SIZE], noise, fixed=FIXED, **keywords).dataset
 
 
-def make_retrieval(noise):
-    alike = {"stderr": noise, "correlation_nm": 128.0}
-    return retrieve_spectrum(noise=alike)
+def retrieve_correlated(noise):
+    correlated = {"stderr": noise, "correlation_nm": 128.0}
+    return retrieve_spectrum(noise=correlated)
 
 
 def retrieve_image(image):
@@ -106,26 +106,29 @@ def select_bands(bands=W, noise=0.0625):
 
 
 def make_labelled_sky(name, values):
-    light = splits.Sky(
+    labelled = splits.Sky(
         **{"name": "mine", "source": "me", "zenith_deg": 50.0} | SKY | {name: values}
     )
-    return light.direct, light.diffuse
+    return labelled.direct, labelled.diffuse
 
 
-UP, TWO = [0.0, 32.0, 64.0], [400.0, 800.0]
-SHADES = [0.25, 0.5, 0.5]
+POLAR, TWO_NM = [0.0, 32.0, 64.0], [400.0, 800.0]
+BAND_VALUES = [0.25, 0.5, 0.5]
 CASES = {
     # Media.
-    "Snow ground.wavelength_nm": ArrayCase(lambda a: ground(splits.Snow, wavelength_nm=a), NM),
-    "Snow ground.albedo": ArrayCase(lambda a: ground(splits.Snow, albedo=a), PARAMETERS, labels=NM),
-    "Sand ground.albedo": ArrayCase(lambda a: ground(splits.Sand, albedo=a), PARAMETERS, labels=NM),
+    "Snow ground.wavelength_nm": ArrayCase(lambda a: user_ground(splits.Snow, wavelength_nm=a), NM),
+    "Snow ground.albedo": ArrayCase(lambda a: user_ground(splits.Snow, albedo=a), PARAMETERS,
+                                    labels=NM),
+    "Sand ground.albedo": ArrayCase(lambda a: user_ground(splits.Sand, albedo=a), PARAMETERS,
+                                    labels=NM),
     "Stack ground.albedo": ArrayCase(
-        lambda a: ground(lambda **g: splits.Stack([SNOW], **g), albedo=a), PARAMETERS, labels=NM),
-    "Snow refractive_index.wavelength_nm": ArrayCase(lambda a: compute_refraction(wavelength_nm=a),
+        lambda a: user_ground(lambda **g: splits.Stack([SNOW], **g), albedo=a), PARAMETERS,
+        labels=NM),
+    "Snow refractive_index.wavelength_nm": ArrayCase(lambda a: user_index(wavelength_nm=a),
                                                      NM),
-    "Snow refractive_index.n": ArrayCase(lambda a: compute_refraction(n=a), [1.25, 1.5, 1.75],
+    "Snow refractive_index.n": ArrayCase(lambda a: user_index(n=a), [1.25, 1.5, 1.75],
                                          labels=NM),
-    "Snow refractive_index.k": ArrayCase(lambda a: compute_refraction(k=a), PARAMETERS, True, NM),
+    "Snow refractive_index.k": ArrayCase(lambda a: user_index(k=a), PARAMETERS, True, NM),
     "Snow impurities": ArrayCase(lambda a: make_dirty_snow(absorption_m2_kg=a), PARAMETERS,
                                  labels=NM),
     "Snow impurities.wavelength_nm": ArrayCase(lambda a: make_dirty_snow(wavelength_nm=a), NM),
@@ -144,26 +147,26 @@ CASES = {
                                                      [-1.0, 0.0, 1.0]),
     "ParticleLayer phase_function.density": ArrayCase(
         lambda a: make_phase(density=a), PARAMETERS, labels=[-1.0, 0.0, 1.0]),
-    "RoughSurface wave_number": ArrayCase(lambda a: simulate_spectrum(wave_number_per_m=a),
+    "RoughSurface wave_number": ArrayCase(lambda a: quantiles(wave_number_per_m=a),
                                           [0.0, 1.0, 2.0]),
-    "RoughSurface density": ArrayCase(lambda a: simulate_spectrum(density=a), PARAMETERS,
+    "RoughSurface density": ArrayCase(lambda a: quantiles(density=a), PARAMETERS,
                                       labels=[0.0, 1.0, 2.0]),
-    "RoughSurface correlation": ArrayCase(SEA.surface.correlation, UP, one=True),
+    "RoughSurface correlation": ArrayCase(SEA.surface.correlation, POLAR, one=True),
     "refractive_index": ArrayCase(make_refractive_index("ice"), NM, one=True),
     # Skies.
-    "sky wavelength_nm": ArrayCase(lambda a: sky(wavelength_nm=a), NM),
-    "sky direct": ArrayCase(lambda a: sky(direct=a), PARAMETERS, labels=NM),
-    "sky diffuse": ArrayCase(lambda a: sky(diffuse=a), PARAMETERS, labels=NM),
+    "sky wavelength_nm": ArrayCase(lambda a: make_sky(wavelength_nm=a), NM),
+    "sky direct": ArrayCase(lambda a: make_sky(direct=a), PARAMETERS, labels=NM),
+    "sky diffuse": ArrayCase(lambda a: make_sky(diffuse=a), PARAMETERS, labels=NM),
     "Sky direct": ArrayCase(lambda a: make_labelled_sky("direct", a), PARAMETERS, labels=NM),
     "albedo": ArrayCase(lambda a: splits.albedo(GREY_LAYER, splits.sky(SKY, 50.0), a,
-                                                **FEW_WAVELENGTHS), TWO, runs=True),
+                                                **FEW_WAVELENGTHS), TWO_NM, runs=True),
     "albedo bands": ArrayCase(
         lambda a: splits.albedo(
             GREY_LAYER, splits.sky(SKY, 50.0), NM, **FEW_WAVELENGTHS,
             bands={"mine": {"wavelength_nm": NM, "response": a}}),
         PARAMETERS, labels=NM, runs=True),
     "hdrf": ArrayCase(
-        lambda a: splits.hdrf(GREY_LAYER, splits.sky(SKY, 50.0), a, 0.5, threads=1, polar_deg=UP,
+        lambda a: splits.hdrf(GREY_LAYER, splits.sky(SKY, 50.0), a, 0.5, threads=1, polar_deg=POLAR,
                               azimuth_deg=[0.0]), [800.0], one=True, runs=True),
     "radiation_profile": ArrayCase(
         lambda a: splits.radiation_profile(SNOW, splits.sky(SKY, 50.0), a, NM, **FEW_WAVELENGTHS),
@@ -177,14 +180,16 @@ CASES = {
         runs=True),
     "goniophotometer wavelength_nm": ArrayCase(
         lambda a: splits.goniophotometer(GREY_LAYER, a, relative_stderr=0.5, threads=1,
-                                         polar_deg=UP,
+                                         polar_deg=POLAR,
                                          azimuth_deg=[0.0]), [800.0], one=True, runs=True),
     "goniophotometer polar_deg": ArrayCase(
         lambda a: splits.goniophotometer(GREY_LAYER, [800.0], relative_stderr=0.5, threads=1,
-                                         polar_deg=a, azimuth_deg=[0.0]), UP, one=True, runs=True),
+                                         polar_deg=a, azimuth_deg=[0.0]), POLAR, one=True,
+        runs=True),
     "goniophotometer azimuth_deg": ArrayCase(
         lambda a: splits.goniophotometer(GREY_LAYER, [800.0], relative_stderr=0.5, threads=1,
-                                         polar_deg=UP, azimuth_deg=a), UP, one=True, runs=True),
+                                         polar_deg=POLAR, azimuth_deg=a), POLAR, one=True,
+        runs=True),
     "beam_spread": ArrayCase(
         lambda a: splits.beam_spread(GREY_LAYER, a, rays=100, half_width_m=1.0, threads=1), NM,
         one=True,
@@ -210,7 +215,8 @@ CASES = {
         lambda a: splits.build_table(lambda saturation: SNOW, {"saturation": [0.0]}, a,
                                      **FEW_WAVELENGTHS), NM,
         one=True, runs=True),
-    "build_table grid": ArrayCase(lambda a: ParameterGrid.from_mapping({"depth_m": a}).values, UP),
+    "build_table grid": ArrayCase(lambda a: ParameterGrid.from_mapping({"depth_m": a}).values,
+                                  POLAR),
     "Table.interp": ArrayCase(
         lambda a: TABLE.interp(**FIXED, **{SIZE: 128.0}, wavelength=a), [512.0, 1024.0], one=True),
     # Retrievals.
@@ -222,11 +228,11 @@ CASES = {
     "retrieve covariance": ArrayCase(lambda a: retrieve_spectrum(noise=a),
                                      np.diag([0.015625] * 11).tolist(),
                                 True),
-    "retrieve stderr": ArrayCase(make_retrieval, [0.0625] * 5 + [0.125] * 6, True, W.tolist()),
+    "retrieve stderr": ArrayCase(retrieve_correlated, [0.0625] * 5 + [0.125] * 6, True, W.tolist()),
     "retrieve bands": ArrayCase(
-        lambda a: retrieve_spectrum(a, bands=BANDS), SHADES, labels=list(BANDS)),
+        lambda a: retrieve_spectrum(a, bands=BANDS), BAND_VALUES, labels=list(BANDS)),
     "retrieve noise of bands": ArrayCase(
-        lambda a: retrieve_spectrum(SHADES, a, bands=BANDS), [0.0625, 0.125, 0.25], True,
+        lambda a: retrieve_spectrum(BAND_VALUES, a, bands=BANDS), [0.0625, 0.125, 0.25], True,
         list(BANDS)),
     "retrieve free": ArrayCase(
         lambda a: splits.retrieve((W, MEASURED), TABLE, {SIZE: a}, 0.0625, fixed=FIXED).dataset,
@@ -243,7 +249,7 @@ CASES = {
         [64.0, 512.0], labels=["low", "high"]),
     "fit": ArrayCase(lambda a: check_measured_reflectance(a, np.array(NM)), PARAMETERS, labels=NM),
     # Single grains, and files of other programs.
-    "phase_function": ArrayCase(lambda a: splits.phase_function(make_optics(), a), UP, one=True),
+    "phase_function": ArrayCase(lambda a: splits.phase_function(make_optics(), a), POLAR, one=True),
     "for_eradiate": ArrayCase(
         lambda a: to_eradiate(make_optics(), a), np.linspace(0.0, 180.0, 721).tolist()),
 }  # fmt: skip

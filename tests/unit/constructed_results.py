@@ -1,4 +1,4 @@
-"""Results constructed from formulas, in the form in which the package returns them."""
+"""Datasets constructed from formulas, in the format of the results of the package."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ AUTHOR = {
 
 
 def make_optics(albedo=0.9, noise=0.0, **attrs):
-    """Return properties with the moments of Henyey and Greenstein, from 16 batches of rays."""
+    """Return grain optics with Henyey-Greenstein moments, from 16 batches of rays."""
     w = np.array([600.0, 1300.0])
     moments = np.broadcast_to(ASYMMETRY**ORDERS, (2, ORDERS.size))
-    parts = moments + noise * np.random.default_rng(1).normal(size=(16, *moments.shape))
-    parts[..., 0] = 1.0
+    batches = moments + noise * np.random.default_rng(1).normal(size=(16, *moments.shape))
+    batches[..., 0] = 1.0
     dims = ("wavelength", "order")
     variables = {
         "extinction": ("wavelength", np.full(2, 2000.0)),
@@ -30,16 +30,16 @@ def make_optics(albedo=0.9, noise=0.0, **attrs):
         "single_scattering_albedo_stderr": ("wavelength", np.full(2, 1e-3)),
         "single_scattering_albedo_jackknife": (("batch", "wavelength"), np.full((16, 2), albedo)),
         "legendre_moment": (dims, moments),
-        "legendre_moment_jackknife": (("batch", *dims), parts),
+        "legendre_moment_jackknife": (("batch", *dims), batches),
         "legendre_moment_interpolation_bound": (dims, np.zeros_like(moments)),
     }
-    facts = {"medium": "snow", "snow_optical_radius_um": 160.0, "diffraction": "none",
+    attributes = {"medium": "snow", "snow_optical_radius_um": 160.0, "diffraction": "none",
              "extinction_by_grains_per_m": 2000.0} | attrs  # fmt: skip
-    return xr.Dataset(variables, {"wavelength": w, "order": ORDERS}, facts)
+    return xr.Dataset(variables, {"wavelength": w, "order": ORDERS}, attributes)
 
 
 def make_brdf(incidence, **keywords):
-    """Return a small BRDF by direction, rising forwards, as a goniophotometer returns it."""
+    """Return a small forward-peaked BRDF in the format of the goniophotometer."""
     polar, azimuth = np.array([0.0, 40.0, 70.0]), np.array([0.0, 90.0, 180.0, 270.0])
     shape = (2, 3, 4)
     forward = np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))

@@ -1,4 +1,4 @@
-"""Rough surfaces that tests share, and their heights in plain NumPy."""
+"""Rough surfaces used by several tests, and their heights in plain NumPy."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ SURFACES = {
 }
 
 
-def draw_realization(surface, number=0):
-    """Return a realization."""
-    found = make_realization(RoughSurface.from_input(surface).sample_realization(7, number))
-    assert found.max_height > 0.0
-    return found
+def draw_realization(surface, index=0):
+    """Return one realization of a rough surface."""
+    realization = make_realization(RoughSurface.from_input(surface).sample_realization(7, index))
+    assert realization.max_height > 0.0
+    return realization
 
 
 def sum_waves(waves, x, y):
-    """Return the heights that a sum in plain NumPy has."""
-    turns = np.multiply.outer(waves[KX], x) + np.multiply.outer(waves[KY], y)
-    return np.tensordot(waves[AMPLITUDE], np.cos(2.0 * np.pi * (turns.T - waves[PHASE]).T), axes=1)
+    """Return the heights of a sum of waves, computed with NumPy."""
+    phase = np.multiply.outer(waves[KX], x) + np.multiply.outer(waves[KY], y)
+    return np.tensordot(waves[AMPLITUDE], np.cos(2.0 * np.pi * (phase.T - waves[PHASE]).T), axes=1)

@@ -1,4 +1,4 @@
-"""Which variables of a dataset have errors, and whether they say so (CF conventions, 3.4)."""
+"""Variables with standard errors, and their ancillary_variables (CF conventions, 3.4)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import xarray as xr
 
 
 def list_variables_with_errors(dataset: xr.Dataset) -> set[str]:
-    """Return the variables that have a standard error; every one must name it, and no other."""
-    found = {
+    """Return the variables with a standard error, which exactly these must refer to."""
+    names = {
         str(name).removesuffix("_stderr")
         for name in dataset.data_vars
         if str(name).endswith("_stderr")
@@ -17,8 +17,8 @@ def list_variables_with_errors(dataset: xr.Dataset) -> set[str]:
         for name, variable in dataset.data_vars.items()
         if "ancillary_variables" in variable.attrs
     }
-    assert named == {name: f"{name}_stderr" for name in found}
-    for name in found:
+    assert named == {name: f"{name}_stderr" for name in names}
+    for name in names:
         assert dataset[name].dims == dataset[f"{name}_stderr"].dims
         assert dataset[name].attrs["units"] == dataset[f"{name}_stderr"].attrs["units"]
-    return found
+    return names

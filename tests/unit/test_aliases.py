@@ -14,7 +14,7 @@ from splits.tables.export import convert_to_spires
 from splits.tables.isofit import convert_to_isofit
 
 BOTH_SPELLINGS = {"sza": 30.0, "incidence_deg": 50.0}
-PLACE = {SIZE: 100.0, SOOT: 64.0}
+POINT = {SIZE: 100.0, SOOT: 64.0}
 MEASURED = (W, evaluate_spectrum(200.0, 64.0))
 SNOW = splits.Snow.natural(specific_surface_area_m2_kg=20)
 ANGLE_TABLE = make_table(
@@ -23,16 +23,16 @@ ANGLE_TABLE = make_table(
 ).dataset
 
 GIVEN_TWICE = {
-    "interp": lambda: TABLE.interp(**PLACE, **BOTH_SPELLINGS),
-    "derivatives": lambda: TABLE.derivatives([SIZE], **PLACE, **BOTH_SPELLINGS),
-    "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **PLACE,
+    "interp": lambda: TABLE.interp(**POINT, **BOTH_SPELLINGS),
+    "derivatives": lambda: TABLE.derivatives([SIZE], **POINT, **BOTH_SPELLINGS),
+    "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **POINT,
                                                                **BOTH_SPELLINGS),
     "retrieve": lambda: splits.retrieve(MEASURED, TABLE, [SIZE], 0.1,
                                         fixed={SOOT: 64.0} | BOTH_SPELLINGS),
     "select_bands": lambda: splits.select_bands(TABLE, W, [SIZE], 0.1,
                                                 fixed={SOOT: 64.0} | BOTH_SPELLINGS),
     "sobol_indices": lambda: splits.sobol_indices(TABLE, [SIZE, SOOT], fixed=BOTH_SPELLINGS),
-    "at of a medium": lambda: check_measurement_incidence(BOTH_SPELLINGS, {}),
+    "fixed of a medium": lambda: check_measurement_incidence(BOTH_SPELLINGS, {}),
     "table": lambda: splits.build_table(
         splits.Snow.natural, {SIZE: [100, 200], "incidence_deg": [0, 60]}, [500], 30.0
     ),
@@ -53,7 +53,7 @@ GIVEN_TWICE = {
     ),
 }  # fmt: skip
 IGNORED_ALIASES = {
-    "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **PLACE, szaa=3),
+    "interpolation_errors": lambda: TABLE.interpolation_errors("reflectance", **POINT, szaa=3),
     "spires": lambda: convert_to_spires(TABLE.dataset, SOOT, {"a": (600, 700)}, depth=3),
     "spires free": lambda: convert_to_spires(TABLE.dataset, SOOT, {"a": (600, 700)}, sza=3),
     "isofit": lambda: convert_to_isofit(ANGLE_TABLE, depth=1.0),
@@ -62,32 +62,32 @@ IGNORED_ALIASES = {
 
 
 @pytest.mark.parametrize("name", GIVEN_TWICE)
-def test_one_thing_under_two_names_is_rejected(name):
+def test_parameters_given_twice_are_rejected(name):
     with pytest.raises(ValueError, match=r"left out (beside|where)"):
         GIVEN_TWICE[name]()
 
 
 @pytest.mark.parametrize("name", IGNORED_ALIASES)
-def test_what_has_no_effect_is_rejected(name):
+def test_keywords_without_effect_are_rejected(name):
     with pytest.raises(InvalidValue, match=r"unknown key|left out, as it is free"):
         IGNORED_ALIASES[name]()
 
 
-def test_short_names_are_taken_wherever_axes_are():
-    whole, short = {"incidence_deg": 30.0}, {"sza": 30.0}
-    for look in (
-        lambda at: TABLE.interp(**PLACE, **at).reflectance,
-        lambda at: TABLE.derivatives([SIZE], **PLACE, **at).reflectance_jacobian,
-        lambda at: TABLE.interpolation_errors("reflectance", **PLACE, **at),
-        lambda at: (
-            splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, fixed={SOOT: 64.0} | at).dataset.value
+def test_aliases_are_accepted_for_all_axes():
+    full_name, alias = {"incidence_deg": 30.0}, {"sza": 30.0}
+    for evaluate in (
+        lambda angle: TABLE.interp(**POINT, **angle).reflectance,
+        lambda angle: TABLE.derivatives([SIZE], **POINT, **angle).reflectance_jacobian,
+        lambda angle: TABLE.interpolation_errors("reflectance", **POINT, **angle),
+        lambda angle: (
+            splits.retrieve(MEASURED, TABLE, [SIZE], 0.1, fixed={SOOT: 64.0} | angle).dataset.value
         ),
     ):
-        assert (abs(look(whole) - look(short)) == 0.0).all()
+        assert (abs(evaluate(full_name) - evaluate(alias)) == 0.0).all()
     assert FIXED["incidence_deg"] == 30.0
 
 
-def test_equal_things_of_two_layers_are_not_the_same():
-    pack = splits.Stack([splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.1), SNOW])
+def test_equivalent_parameters_of_two_layers_are_accepted():
+    stack = splits.Stack([splits.Snow.natural(specific_surface_area_m2_kg=20, depth_m=0.1), SNOW])
     ranges = {"layers.0.saturation": (0, 0.2), "layers.1.liquid_water_content": (0, 0.1)}
-    assert make_medium_state_vector(pack, ranges, None, 0.0).names == tuple(ranges)
+    assert make_medium_state_vector(stack, ranges, None, 0.0).names == tuple(ranges)

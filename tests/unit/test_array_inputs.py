@@ -1,4 +1,4 @@
-"""Arrays of every public function: gaps, labels, and what libraries hand out besides doubles."""
+"""Array arguments of all public functions: gaps, labels, and types other than doubles."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EQUIVALENT_INPUTS = {
     "DataArray": xr.DataArray,
     "objects": lambda a: a.astype(object),
 }
-"""Other forms of the same values."""
+"""Conversions to equivalent array types."""
 
 
 def replace_first(a, value, dtype):
@@ -50,7 +50,7 @@ INVALID_INPUTS = {
     "complex": lambda a: a.astype(complex),
     "set": lambda a: set(a.ravel().tolist()),
 }
-"""What is no row of numbers."""
+"""Conversions to invalid input."""
 
 LABELLED = {name: case for name, case in CASES.items() if case.labels}
 NON_ARRAYS = {
@@ -58,9 +58,9 @@ NON_ARRAYS = {
     "open_table",
     "save", "sensor_bands", "surface_map",
 }  # fmt: skip
-"""Public names that take no array, and those that keep datasets as they are."""
+"""Public names without array arguments, and those that store datasets unchanged."""
 DATASET_CALLS = {"save_brdf", "with_diffraction", "retrieve_map", "Table"}
-"""Those that take arrays within datasets, below."""
+"""Functions whose arrays are within datasets, tested separately below."""
 
 
 def list_case_names(cases, runs=False):
@@ -70,24 +70,24 @@ def list_case_names(cases, runs=False):
     ]
 
 
-def assert_same(one, other):
-    if isinstance(one, xr.Dataset):
+def assert_same(left, right):
+    if isinstance(left, xr.Dataset):
         xr.testing.assert_identical(
-            drop_run_specific_attributes(one), drop_run_specific_attributes(other)
+            drop_run_specific_attributes(left), drop_run_specific_attributes(right)
         )
     else:
-        for left, right in zip(np.atleast_1d(one), np.atleast_1d(other), strict=True):
-            np.testing.assert_array_equal(left, right)
+        for a, b in zip(np.atleast_1d(left), np.atleast_1d(right), strict=True):
+            np.testing.assert_array_equal(a, b)
 
 
-def test_every_public_function_is_here():
+def test_all_public_functions_are_covered():
     covered = {name.split()[0].partition(".")[0] for name in CASES} | DATASET_CALLS
     assert covered >= set(splits.__all__) - NON_ARRAYS
     assert not covered & NON_ARRAYS
 
 
 @pytest.mark.parametrize("case", list_case_names(CASES, runs=True))
-def test_forms_of_the_same_values_give_the_same(case):
+def test_equivalent_inputs_give_the_same_result(case):
     values = np.array(case.values)
     native = case.call(values)
     assert_same(native, case.call(case.values))
@@ -96,95 +96,105 @@ def test_forms_of_the_same_values_give_the_same(case):
 
 
 @pytest.mark.parametrize("case", list_case_names(CASES, runs=True))
-def test_an_array_without_dimensions_is_one_number_or_refused(case):
+def test_zero_dimensional_arrays_are_scalars_or_rejected(case):
     first = np.array(case.values).ravel()[:1]
     if case.one:
         assert_same(case.call(float(first[0])), case.call(first.reshape(())))
         return
-    with pytest.raises(InvalidValue) as caught:
+    with pytest.raises(InvalidValue) as error:
         case.call(np.array(case.values).ravel()[0].reshape(()))
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("kind", INVALID_INPUTS)
 @pytest.mark.parametrize("case", list_case_names(CASES))
-def test_gaps_and_what_is_no_number_are_refused_in_one_line(case, kind):
+def test_gaps_and_non_numbers_are_rejected_in_one_line(case, kind):
     if case is CASES["build_table grid"] and kind == "text":
         pytest.skip("an axis may have texts")
-    with pytest.raises(InvalidValue) as caught:
+    with pytest.raises(InvalidValue) as error:
         case.call(INVALID_INPUTS[kind](np.array(case.values)))
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("case", list_case_names(LABELLED, runs=True))
-def test_labels_decide_and_not_places(case):
+def test_labelled_values_are_matched_by_label(case):
     native = case.call(case.values)
     series = pd.Series(case.values, case.labels)
-    for given in (series, series[::-1], series.rename_axis("x").to_xarray()[::-1]):
-        assert_same(native, case.call(given))
-    other = [f"other {i}" for i in range(len(case.values))]
-    for labels in (other, [*case.labels[1:], 3.0], pd.date_range("2020", periods=len(other))):
-        with pytest.raises(InvalidValue, match=r"values at .*must be values at") as caught:
+    for labelled in (series, series[::-1], series.rename_axis("x").to_xarray()[::-1]):
+        assert_same(native, case.call(labelled))
+    other_labels = [f"other {i}" for i in range(len(case.values))]
+    for labels in (
+        other_labels,
+        [*case.labels[1:], 3.0],
+        pd.date_range("2020", periods=len(other_labels)),
+    ):
+        with pytest.raises(InvalidValue, match=r"values at .*must be values at") as error:
             case.call(pd.Series(case.values, labels))
-        assert "\n" not in str(caught.value)
+        assert "\n" not in str(error.value)
 
 
-def test_rows_of_one_frame_belong_together():
+def test_columns_of_one_frame_are_matched():
     frame = pd.DataFrame({"w": [300.0, 400.0, 800.0, 1600.0], "a": [0.1, 0.2, 0.3, 0.4]})
-    part = frame[frame.w > 300.0]
-    for w, a in ((part.w, part.a), (part.w, part.a[::-1]), (part.w.to_numpy(), part.a.to_list())):
-        found = splits.Snow(ground={"wavelength_nm": w, "albedo": a}).ground
-        assert found.albedo_values.tolist() == [0.2, 0.3, 0.4]
+    subset = frame[frame.w > 300.0]
+    for w, a in (
+        (subset.w, subset.a),
+        (subset.w, subset.a[::-1]),
+        (subset.w.to_numpy(), subset.a.to_list()),
+    ):
+        ground = splits.Snow(ground={"wavelength_nm": w, "albedo": a}).ground
+        assert ground.albedo_values.tolist() == [0.2, 0.3, 0.4]
     with pytest.raises(InvalidValue, match=r"ground.albedo = 'values at \[1, 2, 3\]'"):
-        splits.Snow(ground={"wavelength_nm": part.w.to_list(), "albedo": part.a})
+        splits.Snow(ground={"wavelength_nm": subset.w.to_list(), "albedo": subset.a})
 
 
 def test_a_covariance_is_matched_along_both_axes():
     errors = np.linspace(0.01, 0.03, W.size)
     table = pd.DataFrame(np.diag(errors**2), W, W)
-    seen = (W, np.full(W.size, 0.5))
-    plain = splits.retrieve(seen, TABLE, [SIZE], errors, fixed=FIXED).dataset
-    turned = splits.retrieve(seen, TABLE, [SIZE], table.iloc[::-1, ::-1], fixed=FIXED).dataset
-    assert_same(plain, turned)
+    measured = (W, np.full(W.size, 0.5))
+    expected = splits.retrieve(measured, TABLE, [SIZE], errors, fixed=FIXED).dataset
+    reordered = splits.retrieve(
+        measured, TABLE, [SIZE], table.iloc[::-1, ::-1], fixed=FIXED
+    ).dataset
+    assert_same(expected, reordered)
     with pytest.raises(InvalidValue, match=r"noise = .values at"):
-        splits.retrieve(seen, TABLE, [SIZE], table.set_axis(W + 1.0, axis=1), fixed=FIXED)
+        splits.retrieve(measured, TABLE, [SIZE], table.set_axis(W + 1.0, axis=1), fixed=FIXED)
 
 
 @pytest.mark.parametrize("kind", ["masked", "NaN", "NA", "infinite"])
 def test_maps_flag_gaps_of_every_kind(kind):
     values = np.full(W.size, 0.5)
-    found = retrieve_image(INVALID_INPUTS[kind](values))
-    assert found.flags.values.tolist() == [FLAGS["gap"]]
-    assert np.isnan(found[SIZE]).all()
+    result = retrieve_image(INVALID_INPUTS[kind](values))
+    assert result.flags.values.tolist() == [FLAGS["gap"]]
+    assert np.isnan(result[SIZE]).all()
 
 
 @pytest.mark.parametrize("form", EQUIVALENT_INPUTS)
-def test_maps_take_every_form_of_numbers(form):
+def test_maps_accept_all_equivalent_inputs(form):
     values = np.full(W.size, 0.5)
     assert_same(retrieve_image(values), retrieve_image(EQUIVALENT_INPUTS[form](values)))
 
 
 @pytest.mark.parametrize("kind", ["truth", "date", "text", "complex"])
-def test_maps_of_what_is_no_number_are_refused(kind):
+def test_maps_of_non_numbers_are_rejected(kind):
     with pytest.raises(InvalidValue, match="image = "):
         retrieve_image(INVALID_INPUTS[kind](np.full(W.size, 0.5)))
 
 
 def test_weights_along_a_spectrum_are_matched():
-    w, about = [500.0, 600.0, 700.0], ("wavelength",)
-    groups = (("batch", *about), np.full((2, 3), 0.01))
-    found = xr.Dataset(
-        {"r_stderr": (about, [0.1, 0.2, 0.3]), "r_batches": groups}, {"wavelength": w}
+    w, dims = [500.0, 600.0, 700.0], ("wavelength",)
+    batches = (("batch", *dims), np.full((2, 3), 0.01))
+    dataset = xr.Dataset(
+        {"r_stderr": (dims, [0.1, 0.2, 0.3]), "r_batches": batches}, {"wavelength": w}
     )
-    weights = xr.DataArray([1.0, -2.0, 3.0], {"wavelength": w}, about)
-    errors = [compute_weighted_error(found, "r", one) for one in (weights, weights[::-1])]
+    weights = xr.DataArray([1.0, -2.0, 3.0], {"wavelength": w}, dims)
+    errors = [compute_weighted_error(dataset, "r", order) for order in (weights, weights[::-1])]
     assert_same(errors[0].to_dataset(name="error"), errors[1].to_dataset(name="error"))
-    for wrong in (
+    for invalid in (
         weights.assign_coords(wavelength=[500.0, 600.0, 800.0]),
         weights.where(weights > 0),
     ):
         with pytest.raises(InvalidValue, match="weights = "):
-            compute_weighted_error(found, "r", wrong)
+            compute_weighted_error(dataset, "r", invalid)
 
 
 def make_table(form, dataset):
@@ -192,16 +202,16 @@ def make_table(form, dataset):
 
 
 @pytest.mark.parametrize("form", EQUIVALENT_INPUTS)
-def test_tables_of_every_form_read_alike(form):
-    plain = TABLE.dataset.astype(np.float16)
-    found = [
-        make_table(look, plain).interp(**FIXED, **{SIZE: 100.0})
-        for look in (np.array, EQUIVALENT_INPUTS[form])
+def test_tables_accept_all_equivalent_inputs(form):
+    dataset = TABLE.dataset.astype(np.float16)
+    results = [
+        make_table(convert, dataset).interp(**FIXED, **{SIZE: 100.0})
+        for convert in (np.array, EQUIVALENT_INPUTS[form])
     ]
-    assert_same(*found)
+    assert_same(*results)
 
 
-GAP = {
+GAP_CALLS = {
     "Table": lambda ds: splits.Table(ds).interp(**FIXED, **{SIZE: 40.0}),
     "retrieve": lambda ds: splits.retrieve(
         (W, np.full(W.size, 0.5)), splits.Table(ds), [SIZE], 0.1, fixed=FIXED
@@ -215,19 +225,19 @@ GAP = {
 }
 
 
-@pytest.mark.parametrize("look", GAP)
-def test_datasets_with_gaps_are_refused(look):
-    broken = TABLE.dataset.where(TABLE.dataset[SIZE] > 40.0)
+@pytest.mark.parametrize("name", GAP_CALLS)
+def test_datasets_with_gaps_are_rejected(name):
+    with_gaps = TABLE.dataset.where(TABLE.dataset[SIZE] > 40.0)
     with pytest.raises(
         InvalidValue, match=r"gaps in .*masked, NaN or missing|a number at every node"
     ):
-        GAP[look](broken)
+        GAP_CALLS[name](with_gaps)
 
 
 @pytest.mark.parametrize("value", [np.ma.masked, pd.NA, np.nan, np.True_, np.datetime64(1, "ns"),
                                    np.timedelta64(1, "ns"), pd.NaT])  # fmt: skip
-def test_a_gap_is_no_single_number(value):
-    for look in (
+def test_gaps_are_rejected_as_scalars(value):
+    for call in (
         lambda: splits.Snow(saturation=value),
         lambda: splits.Snow(ground=value),
         lambda: splits.Snow(refractive_index={"ice": value}),
@@ -239,13 +249,13 @@ def test_a_gap_is_no_single_number(value):
         lambda: splits.sky("clear", value),
         lambda: TABLE.interp(incidence_deg=value),
     ):
-        with pytest.raises(InvalidValue) as caught:
-            look()
-        assert "\n" not in str(caught.value)
+        with pytest.raises(InvalidValue) as error:
+            call()
+        assert "\n" not in str(error.value)
 
 
-def test_arrays_are_not_changed():
-    """What is put at the end of a range is put there in a copy."""
+def test_input_arrays_are_not_modified():
+    """Values that are clipped to the end of a range are clipped in a copy."""
     cosine = np.array([-1.0 - 1e-12, 0.0, 1.0])
     splits.ParticleLayer(phase_function={"cosine": cosine, "density": [1.0, 1.0, 1.0]})
     assert cosine[0] != -1.0

@@ -1,4 +1,4 @@
-"""The site of docs/: what it has to show is there, and stays small and self-contained."""
+"""The documentation site: completeness, size, and self-contained pages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ import marked_numbers  # noqa: E402
 import mathml  # noqa: E402
 
 
-def pages():
+def list_pages():
     return [p for p in sorted(DOCS.rglob("*.md")) if not {"_build", "gallery"} & set(p.parts)]
 
 
@@ -42,8 +42,8 @@ def pages():
 
 def test_every_public_name_is_documented():
     text = "".join(p.read_text(encoding="utf-8") for p in (DOCS / "reference/api").glob("*.md"))
-    shown = re.findall(r"^\.\. auto(?:class|function|data):: splits\.(\w+)$", text, re.M)
-    assert sorted(set(splits.__all__) - {"__version__"}) == sorted(shown)
+    documented = re.findall(r"^\.\. auto(?:class|function|data):: splits\.(\w+)$", text, re.M)
+    assert sorted(set(splits.__all__) - {"__version__"}) == sorted(documented)
 
 
 @pytest.mark.parametrize(
@@ -61,14 +61,14 @@ def test_every_public_name_is_documented():
         SensitivityPair,
     ],
 )
-def test_every_key_of_a_model_has_a_meaning(model):
+def test_every_configuration_key_is_documented(model):
     page = (DOCS / "reference" / "configuration.md").read_text(encoding="utf-8")
     name = re.escape(f"{model.__module__}.{model.__name__}")
     table = re.search(rf"```{{config-keys}} {name}\n(.*?)```", page, re.S)[1]
     assert set(re.findall(r"^(\w+):", table, re.M)) == set(model.model_fields)
 
 
-def test_limits_and_defaults_of_keys_are_the_models():
+def test_documented_limits_and_defaults_match_the_models():
     fields = InstrumentSection.model_fields
     assert configuration.allowed(fields["target"]) == "`brdf`, `btdf`"
     assert configuration.allowed(fields["rays"]) == "a whole number, at least 1"
@@ -106,7 +106,7 @@ def test_every_figure_of_a_study_has_a_page_and_an_image():
     assert not shown
 
 
-def test_images_of_the_gallery_are_small_and_used():
+def test_gallery_images_are_small_and_used():
     image = pytest.importorskip("PIL.Image")
     names = {page.image.name for page in gallery.pages()}
     for path in IMAGES.iterdir():
@@ -116,13 +116,13 @@ def test_images_of_the_gallery_are_small_and_used():
             assert picture.width <= MAX_WIDTH_PX
 
 
-def test_index_of_the_gallery_shows_every_folder():
+def test_gallery_index_lists_every_folder():
     text = (DOCS / "gallery" / "index.md").read_text(encoding="utf-8")
     folders = re.findall(r"{gallery-tiles} (\w+)", text)
     assert sorted(folders) == sorted({page.folder for page in gallery.pages()})
 
 
-def test_copies_of_figures_are_written_once_and_go_with_their_figures(tmp_path):
+def test_gallery_images_are_written_and_removed_with_figures(tmp_path):
     image = pytest.importorskip("PIL.Image")
     figures, folder = tmp_path / "figures", tmp_path / "images"
     figures.mkdir()
@@ -135,13 +135,13 @@ def test_copies_of_figures_are_written_once_and_go_with_their_figures(tmp_path):
         [folder / "wide.webp", folder / "narrow.webp"],
         [],
     )
-    with image.open(folder / "wide.webp") as copy:
-        assert copy.size == (MAX_WIDTH_PX, 25)
+    with image.open(folder / "wide.webp") as reduced:
+        assert reduced.size == (MAX_WIDTH_PX, 25)
     assert write_gallery(figures, ["narrow"], folder) == ([], [folder / "wide.webp"])
     assert [path.name for path in folder.iterdir()] == ["narrow.webp"]
 
 
-def test_a_figure_that_cannot_be_small_is_refused(tmp_path, monkeypatch):
+def test_a_figure_that_cannot_be_compressed_is_rejected(tmp_path, monkeypatch):
     image = pytest.importorskip("PIL.Image")
     image.effect_noise((100, 100), 90).save(tmp_path / "noise.png")
     monkeypatch.setattr("_numbers.gallery_images.MAX_IMAGE_BYTES", 100)
@@ -152,13 +152,13 @@ def test_a_figure_that_cannot_be_small_is_refused(tmp_path, monkeypatch):
 # --- pages ----------------------------------------------------------------------------------------
 
 
-def test_marks_of_numbers_do_not_reach_the_site():
+def test_marks_of_numbers_are_removed_from_pages():
     source = ["| 0.8 ± 0.1<!--a.b--> | 10⁷<!--c--> |"]
     marked_numbers.without_marks(None, "page", source)
     assert source == ["| 0.8 ± 0.1 | 10⁷ |"]
 
 
-def test_formulas_that_are_not_understood_are_warnings(caplog):
+def test_unknown_formulas_give_warnings(caplog):
     formula = mathml.nodes.math("", r"\frac{a}{b} \le \mathrm{e}^{-\alpha \ell}")
     assert mathml.mathml(formula, "inline").startswith("<math")
     assert not caplog.records
@@ -179,23 +179,23 @@ def test_notebooks_are_stored_without_outputs():
             assert not cell.get("outputs") and cell.get("execution_count") is None, path.name
 
 
-def test_pages_that_run_say_so():
-    for path in pages():
+def test_executed_pages_have_a_notebook_header():
+    for path in list_pages():
         text = path.read_text(encoding="utf-8")
         if "{code-cell}" in text:
             assert text.startswith("---\nfile_format: mystnb\n"), path
 
 
-def test_pages_that_the_sources_name_are_there():
+def test_pages_referenced_in_sources_exist():
     folders = ("splits", "workflow", "config", "tests")
     files = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "Snakefile")]
     files += [path for folder in folders for path in (ROOT / folder).rglob("*.*")]
-    kinds = {".py", ".smk", ".rst", ".yaml", ".md", ""}
-    named = {
+    suffixes = {".py", ".smk", ".rst", ".yaml", ".md", ""}
+    referenced = {
         page
         for path in files
-        if path.suffix in kinds
+        if path.suffix in suffixes
         for page in re.findall(r"\bdocs/[\w/-]+\.md\b", path.read_text(encoding="utf-8"))
     }
-    assert len(named) > 10
-    assert [page for page in sorted(named) if not (ROOT / page).exists()] == []
+    assert len(referenced) > 10
+    assert [page for page in sorted(referenced) if not (ROOT / page).exists()] == []

@@ -1,4 +1,4 @@
-"""What every start of the workflow and each of its jobs would wait for."""
+"""Imports at start-up, which delay every job of the workflow."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PACKAGE = Path(splits.__file__).parent
 
 
 def list_imports(path):
-    """Return the packages that a file imports as it is itself imported."""
+    """Yield the packages that a module imports when it is imported."""
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Import):
             yield from (alias.name.split(".")[0] for alias in node.names)
@@ -19,7 +19,7 @@ def list_imports(path):
             yield node.module.split(".")[0]
 
 
-def test_scipy_is_imported_where_it_is_needed_only():
-    """Its statistics take as long as all else that a start imports; that study asks for it."""
-    found = [path for path in PACKAGE.rglob("*.py") if "scipy" in list_imports(path)]
-    assert found == [PACKAGE / "analysis" / "surface_area.py"]
+def test_scipy_is_imported_by_one_module_only():
+    """scipy.stats doubles the import time and is needed by one study only."""
+    importing = [path for path in PACKAGE.rglob("*.py") if "scipy" in list_imports(path)]
+    assert importing == [PACKAGE / "analysis" / "surface_area.py"]

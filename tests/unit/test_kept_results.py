@@ -1,4 +1,4 @@
-"""Whatever a public function returns is saved, and loaded to the same values."""
+"""Results of all public functions are saved, and loaded to the same values."""
 
 from __future__ import annotations
 
@@ -21,41 +21,41 @@ BANDS = {"visible": (500, 1000)}
 MEASURED = (W, evaluate_spectrum(150.0, 50.0))
 
 
-def snow(**changes):
+def make_snow(**changes):
     return splits.Snow.natural(optical_radius_um=100, depth_m=0.02, **changes)
 
 
-def layer(**changes):
+def make_layer(**changes):
     return splits.ParticleLayer(optical_thickness=1.0, **changes)
 
 
-def rough():
+def make_rough_layer():
     surface = {"rms_height_m": 0.01, "wave_number_per_m": 2, "correlation": "gaussian"}
-    return layer(surface=surface)
+    return make_layer(surface=surface)
 
 
 def make_several_media():
-    return {"clean": snow(), "dirty": snow(impurities_ng_g={"black_carbon": 50})}
+    return {"clean": make_snow(), "dirty": make_snow(impurities_ng_g={"black_carbon": 50})}
 
 
-def grains():
-    return splits.single_scattering(snow(), PAIR, moments=8, rays=100)
+def compute_grain_optics():
+    return splits.single_scattering(make_snow(), PAIR, moments=8, rays=100)
 
 
-def make_place(**more):
+def make_point(**more):
     return {SIZE: 120.0, SOOT: 30.0, "incidence_deg": 20.0, **more}
 
 
-def small_table(**keywords):
-    def make(black_carbon, ground):
-        return snow(impurities_ng_g={"black_carbon": black_carbon}, ground=ground)
+def build_small_table(**keywords):
+    def make_medium(black_carbon, ground):
+        return make_snow(impurities_ng_g={"black_carbon": black_carbon}, ground=ground)
 
     grid = {"black_carbon": [0, 50], "ground": ["black", "open"], "incidence_deg": [0, 60]}
-    return splits.build_table(make, grid, PAIR, max_stderr=0.1, **keywords)
+    return splits.build_table(make_medium, grid, PAIR, max_stderr=0.1, **keywords)
 
 
-def image():
-    """Return an image over bands whose pixels are stacked, one of which has a gap."""
+def make_image():
+    """Return an image of four pixels, one of which has a gap."""
     values = np.array(
         [[evaluate_spectrum(size, dirt) for dirt in (20.0, 200.0)] for size in (60.0, 900.0)]
     )
@@ -65,43 +65,51 @@ def image():
 
 
 RESULTS = {
-    "spectrophotometer": lambda: splits.spectrophotometer(layer(), PAIR, max_stderr=0.1),
+    "spectrophotometer": lambda: splits.spectrophotometer(make_layer(), PAIR, max_stderr=0.1),
     "spectrophotometer, derivatives": lambda: splits.spectrophotometer(
-        layer(), PAIR, max_stderr=0.1, jacobian=["single_scattering_albedo"]
+        make_layer(), PAIR, max_stderr=0.1, jacobian=["single_scattering_albedo"]
     ),
     "spectrophotometer, several": lambda: splits.spectrophotometer(
         make_several_media(), PAIR, max_stderr=0.1
     ),
-    "goniophotometer": lambda: splits.goniophotometer(layer(), PAIR, 30.0, relative_stderr=0.5),
-    "beam_spread": lambda: splits.beam_spread(layer(), PAIR, rays=1000, half_width_m=1.0),
-    "irradiance_profile": lambda: splits.irradiance_profile(snow(), PAIR, [0.01], max_stderr=0.1),
-    "deep_transmittance": lambda: splits.deep_transmittance(snow(), PAIR, relative_stderr=0.5),
-    "lens": lambda: splits.lens(rough(), [1.0], 0.1, centre_on="origin", rays=1000),
-    "surface_map": lambda: splits.surface_map(rough(), 1.0, points=5, realizations=2),
-    "single_scattering": grains,
-    "with_diffraction": lambda: splits.with_diffraction(grains()),
-    "phase_function": lambda: splits.phase_function(grains(), [0, 90, 180]),
-    "build_table": small_table,
-    "build_table, covariance": lambda: small_table(covariance=True),
+    "goniophotometer": lambda: splits.goniophotometer(
+        make_layer(), PAIR, 30.0, relative_stderr=0.5
+    ),
+    "beam_spread": lambda: splits.beam_spread(make_layer(), PAIR, rays=1000, half_width_m=1.0),
+    "irradiance_profile": lambda: splits.irradiance_profile(
+        make_snow(), PAIR, [0.01], max_stderr=0.1
+    ),
+    "deep_transmittance": lambda: splits.deep_transmittance(make_snow(), PAIR, relative_stderr=0.5),
+    "lens": lambda: splits.lens(make_rough_layer(), [1.0], 0.1, centre_on="origin", rays=1000),
+    "surface_map": lambda: splits.surface_map(make_rough_layer(), 1.0, points=5, realizations=2),
+    "single_scattering": compute_grain_optics,
+    "with_diffraction": lambda: splits.with_diffraction(compute_grain_optics()),
+    "phase_function": lambda: splits.phase_function(compute_grain_optics(), [0, 90, 180]),
+    "build_table": build_small_table,
+    "build_table, covariance": lambda: build_small_table(covariance=True),
     "Table": lambda: make_snowlike_table().dataset,
-    "Table.interp": lambda: make_snowlike_table().interp(**make_place()),
-    "Table.derivatives": lambda: make_snowlike_table().derivatives(FREE_PARAMETERS, **make_place()),
+    "Table.interp": lambda: make_snowlike_table().interp(**make_point()),
+    "Table.derivatives": lambda: make_snowlike_table().derivatives(FREE_PARAMETERS, **make_point()),
     "Table.to_isofit": lambda: make_snowlike_table().to_isofit(**{SOOT: 0.0}),
     "Table.to_spires": lambda: make_snowlike_table().to_spires(SOOT, BANDS).to_dataset(),
-    "albedo": lambda: splits.albedo(snow(), SKY, [500, 800], 0.1, bands=BANDS),
+    "albedo": lambda: splits.albedo(make_snow(), SKY, [500, 800], 0.1, bands=BANDS),
     "albedo of several": lambda: splits.albedo(make_several_media(), SKY, [500, 800], 0.1),
-    "hdrf": lambda: splits.hdrf(layer(), SKY, PAIR, 0.5),
+    "hdrf": lambda: splits.hdrf(make_layer(), SKY, PAIR, 0.5),
     "radiation_profile": lambda: splits.radiation_profile(
-        snow(), SKY, [0.01], PAIR, 0.1, total_w_m2=400
+        make_snow(), SKY, [0.01], PAIR, 0.1, total_w_m2=400
     ),
     "retrieve": lambda: (
         splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED).dataset
     ),
     "retrieve_map": lambda: splits.retrieve_map(
-        image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED
+        make_image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED
     ),
     "retrieve_map, stacked": lambda: splits.retrieve_map(
-        image().stack(pixel=("y", "x")), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED
+        make_image().stack(pixel=("y", "x")),
+        make_snowlike_table(),
+        FREE_PARAMETERS,
+        0.01,
+        fixed=FIXED,
     ),
     "select_bands": lambda: splits.select_bands(
         make_snowlike_table(), W[:4], FREE_PARAMETERS, 0.01, 2, fixed=FIXED
@@ -110,114 +118,124 @@ RESULTS = {
         make_snowlike_table(), FREE_PARAMETERS, fixed=FIXED, points=64
     ),
 }
-"""What every public function returns that returns data, by its name and what differs."""
-MISSING_DATA = {
+"""Functions that return the result of every public function that returns data."""
+NO_DATASET = {
     "Interpretation", "ParticleLayer", "Progress", "ProgressBar", "RoughSurface", "Sand",
     "SandInterpretation", "Sky",
     "Snow", "Stack", "__version__", "load", "open_table", "save", "save_brdf", "sensor_bands",
     "sky",
 }  # fmt: skip
-"""Public names of inputs, of what reads and writes, and of what tells of a run."""
+"""Public names of inputs, of reading and writing, and of progress reports."""
 
 
-def test_no_public_function_is_left_out():
+def test_all_public_functions_are_covered():
     named = {name.partition(",")[0].split()[0].split(".")[0] for name in RESULTS}
-    assert named | MISSING_DATA == {*splits.__all__} and not named & MISSING_DATA
+    assert named | NO_DATASET == {*splits.__all__} and not named & NO_DATASET
 
 
-def attributes_equal(one, other):
-    """Tell whether attributes are the same but for what netCDF cannot tell apart."""
+def are_attributes_equal(one, other):
+    """Return whether attributes are equal as far as netCDF distinguishes them."""
     return np.array_equal(np.ravel(one), np.ravel(other))
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("name", RESULTS)
-def test_what_is_returned_is_saved_and_loaded(name, tmp_path):
-    found = RESULTS[name]()
-    splits.save(found, tmp_path / "kept.nc")
-    again = splits.load(tmp_path / "kept.nc")
-    xr.testing.assert_equal(again, found)
-    assert again.indexes.keys() == found.indexes.keys()
-    for key in found.variables:
-        kinds = {again[key].dtype.kind, found[key].dtype.kind}
+def test_results_are_saved_and_loaded(name, tmp_path):
+    result = RESULTS[name]()
+    splits.save(result, tmp_path / "kept.nc")
+    loaded = splits.load(tmp_path / "kept.nc")
+    xr.testing.assert_equal(loaded, result)
+    assert loaded.indexes.keys() == result.indexes.keys()
+    for key in result.variables:
+        kinds = {loaded[key].dtype.kind, result[key].dtype.kind}
         assert len(kinds) == 1 or kinds == {"O", "U"}
-        assert again[key].dims == found[key].dims
-        assert all(attributes_equal(again[key].attrs[k], v) for k, v in found[key].attrs.items())
-    assert all(attributes_equal(again.attrs[key], value) for key, value in found.attrs.items())
-    splits.save(again, tmp_path / "again.nc")
-    assert splits.load(tmp_path / "again.nc").identical(again)
+        assert loaded[key].dims == result[key].dims
+        assert all(
+            are_attributes_equal(loaded[key].attrs[k], v) for k, v in result[key].attrs.items()
+        )
+    assert all(
+        are_attributes_equal(loaded.attrs[key], value) for key, value in result.attrs.items()
+    )
+    splits.save(loaded, tmp_path / "again.nc")
+    assert splits.load(tmp_path / "again.nc").identical(loaded)
 
 
-def test_a_part_of_a_result_is_loaded_too(tmp_path):
-    part = make_snowlike_table().dataset.reflectance.mean(SIZE).to_dataset()
-    assert not part.attrs
-    splits.save(part, tmp_path / "part.nc")
-    assert splits.load(tmp_path / "part.nc").equals(part)
+def test_results_without_attributes_are_loaded(tmp_path):
+    subset = make_snowlike_table().dataset.reflectance.mean(SIZE).to_dataset()
+    assert not subset.attrs
+    splits.save(subset, tmp_path / "part.nc")
+    assert splits.load(tmp_path / "part.nc").equals(subset)
 
 
-def make_odd_dataset(**coordinates):
+def make_colliding_dataset(**coordinates):
     values = ("wave", [0.5, 0.6])
     return xr.Dataset({"reflectance": values, "own.name": values, "own_name": values}, coordinates)
 
 
-ODD_DATASETS = {
-    "names alike but for dots": make_odd_dataset(),
-    "a label of an axis of texts": make_odd_dataset(
+COLLIDING_DATASETS = {
+    "names that differ in dots": make_colliding_dataset(),
+    "a label of an axis of texts": make_colliding_dataset(
         wave=["a", "b"], wave_label=("wave", ["first", "second"])
     ),
-    "a value of an axis in no order": make_odd_dataset(
+    "a value of an unordered axis": make_colliding_dataset(
         wave=[2.0, 2.0], wave_value=("wave", [1.0, 3.0])
     ),
-    "a label of no axis": make_odd_dataset(wave_label=("wave", ["first", "second"])),
-    "blanks": make_odd_dataset(**{"my soot. 2": ("wave", [1.0, 2.0])}),
-    "a dimension with dots and blanks": make_odd_dataset(wave=["a", "b"]).rename(
+    "a label of no axis": make_colliding_dataset(wave_label=("wave", ["first", "second"])),
+    "blanks": make_colliding_dataset(**{"my soot. 2": ("wave", [1.0, 2.0])}),
+    "a dimension with dots and blanks": make_colliding_dataset(wave=["a", "b"]).rename(
         wave="my wave.length"
     ),
 }
 
 
-@pytest.mark.parametrize("name", ODD_DATASETS)
-def test_names_that_meet_in_the_file_stay_apart(name, tmp_path):
-    splits.save(ODD_DATASETS[name], tmp_path / "odd.nc")
-    assert splits.load(tmp_path / "odd.nc").equals(ODD_DATASETS[name])
+@pytest.mark.parametrize("name", COLLIDING_DATASETS)
+def test_names_that_collide_in_the_file_are_kept(name, tmp_path):
+    splits.save(COLLIDING_DATASETS[name], tmp_path / "odd.nc")
+    assert splits.load(tmp_path / "odd.nc").equals(COLLIDING_DATASETS[name])
 
 
-def test_a_pixel_with_a_gap_is_nan_in_the_file_and_says_why(tmp_path):
-    found = splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED)
-    splits.save(found, tmp_path / "map.nc")
-    again = splits.load(tmp_path / "map.nc")
-    assert np.isnan(again[SIZE][0, 1]) and again.flags[0, 1] == FLAGS["gap"]
-    assert np.isfinite(again[SIZE]).sum() == 3
-    plain = xr.open_dataset(tmp_path / "map.nc", mask_and_scale=False)
-    assert np.isnan(plain[SIZE].attrs["_FillValue"])
-    assert plain[SIZE].attrs["ancillary_variables"].split()[-1] == "flags"
+def test_pixels_with_gaps_are_nan_and_flagged(tmp_path):
+    result = splits.retrieve_map(
+        make_image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED
+    )
+    splits.save(result, tmp_path / "map.nc")
+    loaded = splits.load(tmp_path / "map.nc")
+    assert np.isnan(loaded[SIZE][0, 1]) and loaded.flags[0, 1] == FLAGS["gap"]
+    assert np.isfinite(loaded[SIZE]).sum() == 3
+    raw = xr.open_dataset(tmp_path / "map.nc", mask_and_scale=False)
+    assert np.isnan(raw[SIZE].attrs["_FillValue"])
+    assert raw[SIZE].attrs["ancillary_variables"].split()[-1] == "flags"
 
 
-def test_what_is_not_computed_yet_is_computed_once(tmp_path):
-    asked = []
+def test_lazy_arrays_are_computed_once(tmp_path):
+    computed = []
 
-    def look(block):
-        asked.append(block.shape)
+    def record_block(block):
+        computed.append(block.shape)
         return block
 
-    values = dask.array.ones((4, 3), chunks=(2, 3)).map_blocks(look, dtype=float, meta=np.ones(1))
-    both = xr.Dataset({"one": (("y", "x"), values), "other": (("y", "x"), 2.0 * values)})
-    splits.save(both, tmp_path / "kept.nc")
-    assert asked == [(2, 3), (2, 3)]
-    assert isinstance(both.one.data, dask.array.Array)
+    values = dask.array.ones((4, 3), chunks=(2, 3)).map_blocks(
+        record_block, dtype=float, meta=np.ones(1)
+    )
+    dataset = xr.Dataset({"one": (("y", "x"), values), "other": (("y", "x"), 2.0 * values)})
+    splits.save(dataset, tmp_path / "kept.nc")
+    assert computed == [(2, 3), (2, 3)]
+    assert isinstance(dataset.one.data, dask.array.Array)
 
 
 @pytest.mark.parametrize("change", [{"chi2": np.inf}, {"flags": 0}])
-def test_gaps_without_a_flag_are_refused(change, tmp_path):
-    found = splits.retrieve_map(image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED)
+def test_gaps_without_a_flag_are_rejected(change, tmp_path):
+    result = splits.retrieve_map(
+        make_image(), make_snowlike_table(), FREE_PARAMETERS, 0.01, fixed=FIXED
+    )
     for name, value in change.items():
-        found[name][0, 1] = value
+        result[name][0, 1] = value
     with pytest.raises(ValueError, match="holds values that are not finite"):
-        splits.save(found, tmp_path / "map.nc")
+        splits.save(result, tmp_path / "map.nc")
 
 
 NON_DATASETS = {
-    "an array": (lambda: image(), r"'DataArray'.*array.to_dataset\(name='reflectance'\)"),
+    "an array": (lambda: make_image(), r"'DataArray'.*array.to_dataset\(name='reflectance'\)"),
     "a table": (make_snowlike_table, r"'Table'.*write its dataset"),
     "a retrieval": (lambda: splits.retrieve(MEASURED, make_snowlike_table(), FREE_PARAMETERS, 0.01,
                                             fixed=FIXED),
@@ -227,8 +245,8 @@ NON_DATASETS = {
 
 
 @pytest.mark.parametrize("name", NON_DATASETS)
-def test_what_is_no_dataset_is_refused_in_a_line(name, tmp_path):
-    make, line = NON_DATASETS[name]
-    with pytest.raises(InvalidValue, match=line):
-        splits.save(make(), tmp_path / "kept.nc")
+def test_objects_other_than_datasets_are_rejected(name, tmp_path):
+    make_object, message = NON_DATASETS[name]
+    with pytest.raises(InvalidValue, match=message):
+        splits.save(make_object(), tmp_path / "kept.nc")
     assert not list(tmp_path.iterdir())

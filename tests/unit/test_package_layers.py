@@ -1,4 +1,4 @@
-"""Layers of the package: imports go downwards, none is circular, and names are defined once."""
+"""Package layers: downward imports, no circular imports, and unique names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LAYERS = (
     "core", "kernels", "io", "materials", "illumination", "media", "simulation", "instruments",
     "tables", "analysis", "retrieval", "plotting", "experiments", "cli",
 )  # fmt: skip
-"""From the lowest to the highest."""
+"""Packages from the lowest to the highest layer."""
 INNER_LAYERS = {
     "kernels": (
         "compiler", "math", "optics", "tallies", "rough_surface", "particle_layer", "grains",
@@ -24,17 +24,17 @@ INNER_LAYERS = {
 }  # fmt: skip
 
 
-def module_files() -> dict[str, Path]:
+def list_module_files() -> dict[str, Path]:
     """Return the files of all modules of the package by dotted name."""
     files = (ROOT / "splits").rglob("*.py")
     names = {".".join(p.relative_to(ROOT).with_suffix("").parts): p for p in files}
     return {name.removesuffix(".__init__"): path for name, path in names.items()}
 
 
-def imports() -> dict[str, set[str]]:
+def collect_imports() -> dict[str, set[str]]:
     """Return the modules of the package that each of them imports, anywhere in its source."""
-    files = module_files()
-    found: dict[str, set[str]] = defaultdict(set)
+    files = list_module_files()
+    imported: dict[str, set[str]] = defaultdict(set)
     for module, path in files.items():
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module:
@@ -44,15 +44,15 @@ def imports() -> dict[str, set[str]]:
                 names = [alias.name for alias in node.names]
             else:
                 continue
-            found[module] |= {name for name in names if name in files and name != module}
-    return found
+            imported[module] |= {name for name in names if name in files and name != module}
+    return imported
 
 
-IMPORTS = imports()
+IMPORTS = collect_imports()
 
 
-def test_every_package_has_its_layer():
-    packages = {module.split(".")[1] for module in module_files() if "." in module}
+def test_every_package_belongs_to_a_layer():
+    packages = {module.split(".")[1] for module in list_module_files() if "." in module}
     assert packages == set(LAYERS)
 
 
@@ -60,7 +60,7 @@ def test_every_package_has_its_layer():
     ("parent", "layers"),
     [("splits", LAYERS), *((f"splits.{name}", inner) for name, inner in INNER_LAYERS.items())],
 )
-def test_packages_import_only_those_below(parent, layers):
+def test_packages_import_lower_layers_only(parent, layers):
     def layer(module: str) -> int | None:
         rest = module.removeprefix(f"{parent}.").split(".")
         return layers.index(rest[0]) if module != parent and rest[0] in layers else None
@@ -85,24 +85,26 @@ KERNELS = ("grains", "particle_layer", "vectorized")
 """Packages of `splits.kernels` that implement the same steps of a history, under the same names."""
 
 
-def definitions(kind: type[ast.stmt]) -> dict[str, list[str]]:
+def collect_definitions(kind: type[ast.stmt]) -> dict[str, list[str]]:
     """Return the modules in which each public definition of a kind is, by its name."""
-    found = defaultdict(list)
-    for module, path in module_files().items():
+    modules_by_name = defaultdict(list)
+    for module, path in list_module_files().items():
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, kind) and not node.name.startswith("_"):
-                found[node.name].append(module)
-    return found
+                modules_by_name[node.name].append(module)
+    return modules_by_name
 
 
 def test_classes_are_defined_once():
-    assert not {name: modules for name, modules in definitions(ast.ClassDef).items() if modules[1:]}
+    assert not {
+        name: modules for name, modules in collect_definitions(ast.ClassDef).items() if modules[1:]
+    }
 
 
-def test_functions_are_defined_once_but_for_steps_of_kernels():
+def test_functions_are_defined_once_except_kernel_steps():
     def is_step(modules: list[str]) -> bool:
         kernels = [module.split(".")[2] for module in modules if module.count(".") > 2]
         return len(set(kernels)) == len(modules) and set(kernels) <= set(KERNELS)
 
-    repeated = {name: m for name, m in definitions(ast.FunctionDef).items() if m[1:]}
+    repeated = {name: m for name, m in collect_definitions(ast.FunctionDef).items() if m[1:]}
     assert not {name: modules for name, modules in repeated.items() if not is_step(modules)}

@@ -1,4 +1,4 @@
-"""Lists of dependencies and settings that must stay in step."""
+"""Consistency of dependency lists, versions and settings."""
 
 from __future__ import annotations
 
@@ -23,17 +23,20 @@ def parse_lower_bounds(requirements):
 
 
 def list_required_bounds(*extras):
-    """Return the lower bounds of what the package needs with these extras, by lower-case name."""
-    wanted = list(PROJECT["dependencies"])
+    """Return the lower bounds of all requirements with the extras, by lower-case name."""
+    requirements = list(PROJECT["dependencies"])
     for extra in extras:
         for text in PROJECT["optional-dependencies"][extra]:
-            own = re.fullmatch(re.escape(PROJECT["name"]) + r"\[([\w,]+)\]", text)
-            wanted += (
-                [f"{n}>={b}" for n, b in list_required_bounds(*own[1].split(",")).items()]
-                if own
+            self_reference = re.fullmatch(re.escape(PROJECT["name"]) + r"\[([\w,]+)\]", text)
+            requirements += (
+                [
+                    f"{n}>={b}"
+                    for n, b in list_required_bounds(*self_reference[1].split(",")).items()
+                ]
+                if self_reference
                 else [text]
             )
-    return parse_lower_bounds(wanted)
+    return parse_lower_bounds(requirements)
 
 
 def parse_version(version):
@@ -41,7 +44,7 @@ def parse_version(version):
 
 
 def parse_pins():
-    """Return the versions that requirements.txt pins, each with its hashes."""
+    """Return the versions and hashes that requirements.txt pins."""
     entries = re.split(r"\n(?=\S)", LOCK.strip())
     pinned = {}
     for entry in entries:
@@ -51,22 +54,24 @@ def parse_pins():
     return pinned
 
 
-def test_the_conda_environment_is_in_step_with_the_package():
+def test_conda_environment_matches_the_package():
     listed = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))["dependencies"]
     by_pip = next(entry["pip"] for entry in listed if isinstance(entry, dict))
     conda = parse_lower_bounds(entry for entry in listed if isinstance(entry, str))
     assert conda.pop("python") == PROJECT["requires-python"].removeprefix(">=")
     conda.pop("pip")
-    wanted = list_required_bounds("workflow")
+    required = list_required_bounds("workflow")
     pip_only = parse_lower_bounds(by_pip)
-    assert set(pip_only) <= set(wanted)
+    assert set(pip_only) <= set(required)
     assert conda == {
-        CONDA_NAMES.get(name, name): bound for name, bound in wanted.items() if name not in pip_only
+        CONDA_NAMES.get(name, name): bound
+        for name, bound in required.items()
+        if name not in pip_only
     }
-    assert pip_only == {name: wanted[name] for name in pip_only}
+    assert pip_only == {name: required[name] for name in pip_only}
 
 
-def test_the_conda_recipe_is_in_step_with_the_package():
+def test_conda_recipe_matches_the_package():
     recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
     context = recipe["context"]
     assert (context["name"], context["version"]) == (PROJECT["name"], PROJECT["version"])
@@ -75,14 +80,14 @@ def test_the_conda_recipe_is_in_step_with_the_package():
     assert python == "python>=${{ python_min }}"
     assert parse_lower_bounds(others) == list_required_bounds()
     assert recipe["build"]["python"]["entry_points"] == [
-        f"{name} = {place}" for name, place in PROJECT["scripts"].items()
+        f"{name} = {target}" for name, target in PROJECT["scripts"].items()
     ]
 
 
 def test_every_dependency_is_pinned_within_its_bound():
     pinned = parse_pins()
-    wanted = list_required_bounds(*PROJECT["optional-dependencies"])
-    for name, bound in wanted.items():
+    required = list_required_bounds(*PROJECT["optional-dependencies"])
+    for name, bound in required.items():
         assert name in pinned
         assert parse_version(pinned[name][0]) >= parse_version(bound)
 
@@ -92,19 +97,19 @@ def test_every_pin_has_hashes():
         assert hashes, f"{name} has no hash"
 
 
-def test_the_lock_names_no_host():
+def test_the_lock_file_contains_no_hosts():
     assert "://" not in LOCK
     assert not re.search(
         r"^\s*(-i|-f|--\w*index\w*|--find-links|--trusted-host)", LOCK, re.MULTILINE
     )
 
 
-def test_the_main_configuration_spells_out_every_setting():
+def test_main_configuration_contains_every_setting():
     shipped = yaml.safe_load((ROOT / "config" / "config.yaml").read_text(encoding="utf-8"))
     assert set(shipped) == set(Settings.model_fields)
     Settings.model_validate(shipped)
 
 
-def test_the_version_stands_once():
+def test_citation_has_the_package_version():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert str(citation["version"]) == PROJECT["version"]

@@ -19,33 +19,37 @@ ROOT = Path(__file__).parents[2]
 AXES_ARE_KEYWORDS = {f"Table.{name}" for name in (
     "derivatives", "deviations", "interp", "interpolation_errors", "to_isofit", "to_spires",
 )}  # fmt: skip
-"""What takes the axes of a table as keywords, which differ from table to table."""
+"""Methods that take the axes of a table as keywords, which differ between tables."""
 
 
 def list_public_callables():
     """Return all public callables by name: functions, classes, and methods of classes."""
-    found = {name: getattr(splits, name) for name in splits.__all__ if name != "__version__"}
-    for kind in [one for one in found.values() if inspect.isclass(one)]:
-        for name in vars(kind):
-            if not name.startswith("_") and callable(getattr(kind, name)):
-                found[f"{kind.__name__}.{name}"] = getattr(kind, name)
-    return found
+    callables = {name: getattr(splits, name) for name in splits.__all__ if name != "__version__"}
+    for cls in [item for item in callables.values() if inspect.isclass(item)]:
+        for name in vars(cls):
+            if not name.startswith("_") and callable(getattr(cls, name)):
+                callables[f"{cls.__name__}.{name}"] = getattr(cls, name)
+    return callables
 
 
 @pytest.mark.parametrize("name", list_public_callables())
-def test_every_public_callable_names_what_it_takes(name):
+def test_public_callables_have_complete_signatures(name):
     parameters = inspect.signature(list_public_callables()[name]).parameters.values()
-    kinds = {one.kind for one in parameters}
+    kinds = {parameter.kind for parameter in parameters}
     assert Parameter.VAR_POSITIONAL not in kinds
     assert (Parameter.VAR_KEYWORD in kinds) == (name in AXES_ARE_KEYWORDS)
-    assert all(one.annotation is not Parameter.empty for one in parameters if one.name != "self")
+    assert all(
+        parameter.annotation is not Parameter.empty
+        for parameter in parameters
+        if parameter.name != "self"
+    )
 
 
 @pytest.mark.parametrize("name", ["Snow", "Snow.natural"])
-def test_snow_names_all_keywords_that_it_takes(name):
-    taken = {*inspect.signature(splits.Snow).parameters}
-    assert {"specific_surface_area_m2_kg", "optical_radius_um", "liquid_water_content"} < taken
-    assert {*inspect.signature(list_public_callables()[name]).parameters} == taken
+def test_snow_signatures_list_all_keywords(name):
+    keywords = {*inspect.signature(splits.Snow).parameters}
+    assert {"specific_surface_area_m2_kg", "optical_radius_um", "liquid_water_content"} < keywords
+    assert {*inspect.signature(list_public_callables()[name]).parameters} == keywords
 
 
 def test_type_checkers_see_the_same_parameters(tmp_path):
@@ -53,17 +57,17 @@ def test_type_checkers_see_the_same_parameters(tmp_path):
     program = tmp_path / "program.py"
     lines = [f"reveal_type(splits.{name})" for name in list_public_callables()]
     program.write_text("\n".join(["import splits", *lines]), encoding="utf-8")
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-m", "mypy", str(program)], cwd=ROOT, capture_output=True, text=True
     )
-    seen = re.findall(r'program\.py:\d+: note: Revealed type is "def (.*)"', done.stdout)
-    assert len(seen) == len(list_public_callables()), done.stdout + done.stderr
-    for name, text in zip(list_public_callables(), seen, strict=True):
+    signatures = re.findall(r'program\.py:\d+: note: Revealed type is "def (.*)"', result.stdout)
+    assert len(signatures) == len(list_public_callables()), result.stdout + result.stderr
+    for name, text in zip(list_public_callables(), signatures, strict=True):
         parameters = list(inspect.signature(list_public_callables()[name]).parameters)
         assert re.findall(r"(?:^\(|, |\*\*)(\w+): ", text) == parameters, name
 
 
-# --- mistakes -------------------------------------------------------------------------------------
+# --- invalid calls --------------------------------------------------------------------------------
 
 SNOW, LAYER, EMPTY = splits.Snow(), splits.ParticleLayer(), xr.Dataset()
 INVALID_CALLS = {
@@ -102,21 +106,21 @@ INVALID_CALLS = {
     "with_diffraction": lambda: splits.with_diffraction(EMPTY, -1),
 }
 NO_INVALID_VALUES = {"Progress", "ProgressBar", "Sky"}
-"""What instruments and `splits.sky` make, or what shows any text."""
+"""Results of instruments and of `splits.sky`, and the progress bar, which accepts any text."""
 
 
-def test_every_public_function_and_class_has_its_mistake():
+def test_every_public_callable_has_an_invalid_call():
     names = {name for name in list_public_callables() if "." not in name} | {"Snow.natural"}
     assert set(INVALID_CALLS) == names - NO_INVALID_VALUES
 
 
 @pytest.mark.parametrize("name", INVALID_CALLS)
-def test_an_error_is_raised_at_the_line_of_the_call(name):
-    with pytest.raises((ValueError, FileNotFoundError)) as caught:
+def test_errors_are_raised_at_the_calling_line(name):
+    with pytest.raises((ValueError, FileNotFoundError)) as error:
         INVALID_CALLS[name]()
-    assert "\n" not in str(caught.value)
-    frames = traceback.extract_tb(caught.value.__traceback__)
+    assert "\n" not in str(error.value)
+    frames = traceback.extract_tb(error.value.__traceback__)
     inner = [frame for frame in frames if frame.filename != __file__]
-    assert {Path(frame.filename).name for frame in inner} == {"validation.py"}
+    assert {Path(frame.filename).name for frame in inner} == {"keywords.py"}
     assert len(inner) == 2
-    assert caught.value.__cause__ is None and caught.value.__suppress_context__
+    assert error.value.__cause__ is None and error.value.__suppress_context__

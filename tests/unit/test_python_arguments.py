@@ -1,4 +1,4 @@
-"""What Python hands to media and instruments: taken alike, and refused in words."""
+"""Arguments of media and instruments: accepted types, and explained errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from splits.simulation.arguments import check_beam_angle, check_incidence, check
 
 
 @pytest.mark.parametrize("value", [30, 30.0, np.float32(30), np.array(30.0), xr.DataArray(30.0)])
-def test_one_number_is_one_number_in_whatever_form(value):
+def test_all_scalar_types_are_accepted(value):
     assert check_incidence(value) == check_beam_angle(value) == 30.0
     assert check_wavelengths(500.0 + 0 * value).tolist() == [500.0]
     assert splits.Snow(density_kg_m3=value * 10).density_kg_m3 == 300.0
@@ -25,12 +25,12 @@ def test_one_number_is_one_number_in_whatever_form(value):
 
 
 @pytest.mark.parametrize("value", [3, np.int64(3), np.array(3)])
-def test_whole_numbers_in_whatever_form(value):
+def test_all_integer_types_are_accepted(value):
     assert check_integer("rays", value, 1) == 3
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("value", "message"),
     [
         ("500", "wavelength_nm = '500': must be numbers in nanometres (this is text, "),
         (["500"], "wavelength_nm = '500': must be numbers in nanometres (this is text"),
@@ -48,24 +48,24 @@ def test_whole_numbers_in_whatever_form(value):
         (itertools.count(300), "must be at most 20000 numbers"),
     ],
 )  # fmt: skip
-def test_what_are_no_wavelengths_is_told_in_words(given, message):
-    with pytest.raises(ValueError) as caught:
-        check_wavelengths(given)
-    assert str(caught.value).startswith(message) or str(caught.value).endswith(message)
+def test_invalid_wavelengths_are_explained(value, message):
+    with pytest.raises(ValueError) as error:
+        check_wavelengths(value)
+    assert str(error.value).startswith(message) or str(error.value).endswith(message)
 
 
-def test_unsorted_wavelengths_are_told_by_the_first_pair():
+def test_unsorted_wavelengths_are_reported_by_the_first_pair():
     values = [*range(400, 2500, 2), 2400]
-    with pytest.raises(ValueError) as caught:
+    with pytest.raises(ValueError) as error:
         check_wavelengths(values)
-    assert str(caught.value) == (
+    assert str(error.value) == (
         "wavelength_nm = [2498.0, 2400.0]: must be strictly increasing (numbers 1050 and 1051 of "
         "1051)"
     )
 
 
 @pytest.mark.parametrize(
-    ("given", "hint"),
+    ("value", "hint"),
     [
         ([0, 30], "one call for each angle, or an experiment with a grid"),
         (np.array([0.0, 30.0]), "one call for each angle, or an experiment with a grid"),
@@ -73,18 +73,18 @@ def test_unsorted_wavelengths_are_told_by_the_first_pair():
         ("difuse", "did you mean diffuse?"),
     ],
 )
-def test_angles_nearly_right_are_told(given, hint):
-    for look in (
-        lambda: splits.spectrophotometer(splits.Snow(), [500], given),
-        lambda: splits.goniophotometer(splits.Snow(), [500], given),
+def test_invalid_angles_get_a_hint(value, hint):
+    for call in (
+        lambda: splits.spectrophotometer(splits.Snow(), [500], value),
+        lambda: splits.goniophotometer(splits.Snow(), [500], value),
     ):
-        with pytest.raises(ValueError, match=r"^incidence_deg = ") as caught:
-            look()
-        assert str(caught.value).endswith(f"({hint})")
+        with pytest.raises(ValueError, match=r"^incidence_deg = ") as error:
+            call()
+        assert str(error.value).endswith(f"({hint})")
 
 
 @pytest.mark.parametrize(
-    ("medium", "keyword", "told"),
+    ("medium", "keyword", "message"),
     [
         (splits.Snow, "grain_size", "(did you mean grain_size_um?)"),
         (splits.Snow, "ssa", "must be one of grain_size_um, facetness, sphericity, saturation"),
@@ -94,10 +94,10 @@ def test_angles_nearly_right_are_told(given, hint):
         (splits.SandInterpretation, "mixin", "(did you mean mixing?)"),
     ],
 )
-def test_unknown_keywords_are_told_with_those_known(medium, keyword, told):
-    with pytest.raises(TypeError, match=f"^{keyword}: unknown key") as caught:
+def test_unknown_keywords_are_reported_with_valid_ones(medium, keyword, message):
+    with pytest.raises(TypeError, match=f"^{keyword}: unknown key") as error:
         medium(**{keyword: 1})
-    assert told in str(caught.value)
+    assert message in str(error.value)
 
 
 def test_media_keep_their_signatures():
@@ -107,31 +107,31 @@ def test_media_keep_their_signatures():
     assert reject_unknown_keywords.__doc__
 
 
-def test_values_are_shown_short_and_on_one_line():
+def test_values_in_messages_are_short_and_one_line():
     assert short_repr(list(range(10_000))) == "[0, 1, 2, 3, 4, 5, 6, 7, ...]"
     assert short_repr({"b": 1, "a": 2}) == "{'b': 1, 'a': 2}"
     assert short_repr(np.float64(1.5)) == "1.5"
     assert len(short_repr("x" * 10_000)) < 100
     assert "\n" not in short_repr(np.zeros((50, 50)))
-    with pytest.raises(ValueError, match=r"^x = 1000") as caught:
+    with pytest.raises(ValueError, match=r"^x = 1000") as error:
         check_number("x", 10**400)
-    assert len(str(caught.value)) < 200
+    assert len(str(error.value)) < 200
 
 
-def test_a_result_larger_than_memory_is_refused():
+def test_too_many_wavelengths_for_memory_are_rejected():
     wavelengths = np.arange(300.0, 10_300.0)
     with pytest.raises(ValueError, match=r"^wavelength_nm = '10000 wavelengths': must be at most"):
         splits.goniophotometer(splits.Snow(), wavelengths[:10_000])
 
 
-def test_wavelengths_that_each_take_paths_of_their_own_are_counted():
+def test_too_many_independent_wavelengths_are_rejected():
     wavelengths = np.arange(400.0, 2500.0, 0.5)
     with pytest.raises(ValueError, match=r"^wavelength_nm = '4200 wavelengths': must be at most"):
         splits.spectrophotometer(splits.Snow(), wavelengths, max_stderr=1e-6, max_rays=1)
 
 
 @pytest.mark.parametrize(
-    ("instrument", "wrong", "right"),
+    ("instrument", "misspelt", "suggestion"),
     [
         (splits.spectrophotometer, "incidence", "incidence_deg"),
         (splits.goniophotometer, "relative_error", "relative_stderr"),
@@ -140,7 +140,7 @@ def test_wavelengths_that_each_take_paths_of_their_own_are_counted():
         (splits.albedo, "band", "bands"),
     ],
 )
-def test_misspelt_arguments_of_instruments_get_a_suggestion(instrument, wrong, right):
-    with pytest.raises(TypeError, match=rf"^{wrong}: unknown key.*did you mean {right}\?"):
-        instrument(splits.Snow(), [500.0], **{wrong: 1})
-    assert right in inspect.signature(instrument).parameters
+def test_misspelt_arguments_of_instruments_get_a_suggestion(instrument, misspelt, suggestion):
+    with pytest.raises(TypeError, match=rf"^{misspelt}: unknown key.*did you mean {suggestion}\?"):
+        instrument(splits.Snow(), [500.0], **{misspelt: 1})
+    assert suggestion in inspect.signature(instrument).parameters

@@ -1,4 +1,4 @@
-"""Numbers in README and docs: all come from the record of a run, without repetition."""
+"""Numbers in README and docs: all come from the record of a run, each from one key."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import xarray as xr
-from _numbers import values as room
+from _numbers import values
 from _numbers.formatting import (
     QuotedNumber,
     select_cell,
@@ -33,8 +33,8 @@ ROOT = Path(__file__).parents[2]
 DOCUMENTS = list_documents(ROOT)
 RECORD_FILE = ROOT / "docs" / "numbers.json"
 
-# Rows of tables in which every number but the paper's own comes from a run: how their lines begin,
-# and how many cells of theirs, from the last, the run makes.
+# Rows of tables in which every number except those of the paper comes from a run: the beginning
+# of their lines, and the number of cells, from the last, that the run provides.
 REPRODUCED_KEYS = {
     "docs/theory/agreement.md": [
         ("| mean grain distance at 450", 1),
@@ -68,12 +68,12 @@ def list_marks():
     ]
 
 
-# --- the documents as they are ----------------------------------------------------------------
+# --- documents in the repository --------------------------------------------------------------
 
 
-def test_every_marked_number_is_that_of_the_record():
-    known = read_record()
-    assert [m for m in list_marks() if known.get(m[1]) != m[2]] == []
+def test_marked_numbers_equal_the_record():
+    record = read_record()
+    assert [m for m in list_marks() if record.get(m[1]) != m[2]] == []
 
 
 def test_no_key_has_two_texts():
@@ -88,28 +88,28 @@ def test_keys_are_known_used_and_recorded():
     assert used == set(read_record())
 
 
-def test_constants_of_the_code_are_the_codes():
-    known = read_record()
+def test_recorded_constants_equal_the_code():
+    record = read_record()
     constants = {
         key: n.format_text(None) for key, n in QUOTED_NUMBERS.items() if n.source == CODE_SOURCE
     }
     assert constants["draws"] == "10⁷"
-    assert {key: known[key] for key in constants} == constants
+    assert {key: record[key] for key in constants} == constants
 
 
 @pytest.mark.parametrize("name", REPRODUCED_KEYS)
-def test_numbers_of_these_tables_are_all_marked(name):
+def test_reproduced_table_cells_are_marked(name):
     lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
-    for start, cells in REPRODUCED_KEYS[name]:
-        rows = [line for line in lines if line.startswith(start)]
-        assert rows, start
+    for prefix, n_cells in REPRODUCED_KEYS[name]:
+        rows = [line for line in lines if line.startswith(prefix)]
+        assert rows, prefix
         for row in rows:
-            made = "|".join(row.rstrip(" |").split("|")[-cells:])
-            assert COMMENT_START in made, row
-            assert not re.search(r"\d", MARK_PATTERN.sub("", made)), row
+            reproduced = "|".join(row.rstrip(" |").split("|")[-n_cells:])
+            assert COMMENT_START in reproduced, row
+            assert not re.search(r"\d", MARK_PATTERN.sub("", reproduced)), row
 
 
-# --- the way from a run into a document -------------------------------------------------------
+# --- from a run into a document ---------------------------------------------------------------
 
 
 @pytest.fixture
@@ -139,15 +139,15 @@ def results(tmp_path):
 
 
 TABLE, DATA = "tables/made.csv", "data/made.nc"
-BOTH_DOCUMENTS = ("ours", "stderr")
+VALUE_AND_ERROR = ("ours", "stderr")
 WRITTEN_TEXT = {
-    "0.031 ± 0.004": QuotedNumber(TABLE, select_cell(*BOTH_DOCUMENTS, quantity="rise")),
+    "0.031 ± 0.004": QuotedNumber(TABLE, select_cell(*VALUE_AND_ERROR, quantity="rise")),
     "+3.1": QuotedNumber(TABLE, select_cell("ours", scale=100.0, quantity="rise"), "+.1f"),
     "3.12e-2": QuotedNumber(TABLE, select_cell("ours", quantity="rise"), ".2e"),
     "−0.50 ± 0.05 (facets any)": QuotedNumber(
-        TABLE, select_extreme(*BOTH_DOCUMENTS, largest=False, name="interpretation"), ".2f"
+        TABLE, select_extreme(*VALUE_AND_ERROR, largest=False, name="interpretation"), ".2f"
     ),
-    "0.000 ± 0.0002": QuotedNumber(TABLE, select_cell(*BOTH_DOCUMENTS, quantity="level"), "+.3f"),
+    "0.000 ± 0.0002": QuotedNumber(TABLE, select_cell(*VALUE_AND_ERROR, quantity="level"), "+.3f"),
     "−0.5": QuotedNumber(TABLE, select_cell("ours", low="0.05"), ".1f"),
     "0.5": QuotedNumber(TABLE, select_max_magnitude("ours"), ".1f"),
     "0.12 ± 0.002": QuotedNumber(
@@ -161,16 +161,16 @@ WRITTEN_TEXT = {
 }
 
 
-def test_numbers_are_found_and_written(results, monkeypatch):
-    wanted = {f"key.{i}": text for i, text in enumerate(WRITTEN_TEXT)}
-    numbers = dict(zip(wanted, WRITTEN_TEXT.values(), strict=True))
+def test_numbers_are_selected_and_formatted(results, monkeypatch):
+    expected = {f"key.{i}": text for i, text in enumerate(WRITTEN_TEXT)}
+    numbers = dict(zip(expected, WRITTEN_TEXT.values(), strict=True))
     numbers["time"] = QuotedNumber("benchmarks/kernels.csv", select_cell("seconds"))
-    monkeypatch.setattr(room, "QUOTED_NUMBERS", numbers)
-    found = collect_quoted_numbers(results)
-    # Zero point two to two digits keeps its last one.
-    wanted = {key: "0.20" if text == "0.2" else text for key, text in wanted.items()}
-    assert found == wanted
-    for key, text in found.items():
+    monkeypatch.setattr(values, "QUOTED_NUMBERS", numbers)
+    actual = collect_quoted_numbers(results)
+    # With two significant digits 0.2 keeps its trailing zero.
+    expected = {key: "0.20" if text == "0.2" else text for key, text in expected.items()}
+    assert actual == expected
+    for key, text in actual.items():
         assert find_marks(f"| about {text}<!--{key}--> |") == [(key, text)]
 
 
@@ -190,13 +190,13 @@ def test_numbers_are_found_and_written(results, monkeypatch):
     ],
 )  # fmt: skip
 def test_missing_sources_are_reported_in_one_line(results, monkeypatch, number, message):
-    monkeypatch.setattr(room, "QUOTED_NUMBERS", {"key": number})
-    with pytest.raises(ValueError, match=message) as refused:
+    monkeypatch.setattr(values, "QUOTED_NUMBERS", {"key": number})
+    with pytest.raises(ValueError, match=message) as error:
         collect_quoted_numbers(results)
-    assert "\n" not in str(refused.value)
+    assert "\n" not in str(error.value)
 
 
-def test_a_mark_takes_the_number_before_it_and_nothing_else():
+def test_a_mark_applies_to_the_number_before_it():
     line = (
         "| 0.8 / 0.9 ± 0.1<!--a--> (± 0.002<!--b-->) | 0.02-0.051<!--c--> | **+3 (x y)<!--d-->** |"
     )
@@ -213,12 +213,12 @@ def test_a_mark_takes_the_number_before_it_and_nothing_else():
 
 
 @pytest.mark.parametrize("line", ["about <!--a-->", "0.5 <!--a-->", "0.5<!--A-->", "0.5<!-- a -->"])
-def test_comments_that_mark_nothing_are_rejected(line):
+def test_comments_without_a_number_are_rejected(line):
     with pytest.raises(ValueError, match=r"mark = .*must be a number before each comment"):
         find_marks(line)
 
 
-def test_documents_are_written_whole_or_not_at_all(tmp_path):
+def test_documents_are_updated_together_or_not_at_all(tmp_path):
     first, second, record = (tmp_path / name for name in ("a.md", "b.md", "numbers.json"))
     first.write_text("0.1<!--a--> and 0.2<!--b-->\n", encoding="utf-8")
     second.write_text("0.2<!--b-->\n", encoding="utf-8")
@@ -228,7 +228,7 @@ def test_documents_are_written_whole_or_not_at_all(tmp_path):
     assert update_documents({"a": "0.3", "b": "0.2"}, [first, second], record) == [first, record]
     assert first.read_text(encoding="utf-8") == "0.3<!--a--> and 0.2<!--b-->\n"
     assert json.loads(record.read_text(encoding="utf-8")) == {"a": "0.3", "b": "0.2"}
-    # What a run did not make stays; a key that no document marks is forgotten.
+    # Numbers that a run does not provide stay; keys that no document marks are dropped.
     assert update_documents({"b": "0.4", "c": "9"}, [first, second], record) == [
         first,
         second,

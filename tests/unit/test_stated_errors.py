@@ -1,4 +1,4 @@
-"""Every instrument and theory: what has a standard error names it."""
+"""Datasets of instruments and theories declare their standard errors."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ WAVES = splits.ParticleLayer(depth_m=100.0, surface=SURFACE)
 TOTALS = {"reflectance", "transmittance"}
 ANGLES = {"brdf", "btdf", "reflectance_factor", "anisotropy_factor", *TOTALS}
 ANGLES |= {"specular_reflectance", "direct_transmittance"}
-STOKES = {f"{name}_{part}" for name in ("brdf", "btdf") for part in "quv"}
+STOKES = {f"{name}_{parameter}" for name in ("brdf", "btdf") for parameter in "quv"}
 FEW_DIRECTIONS = {"polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 180.0]}
 GRAINS = {"single_scattering_albedo", "asymmetry_parameter", "legendre_moment", "wet_fraction"}
 GRAINS |= {"displacement_along_incident", "displacement_along_exit", "mean_square_displacement"}
-THEORY_CASES = {*TOTALS, "absorptance"}
+BUDGET = {*TOTALS, "absorptance"}
 CASES = {
-    "spectrophotometer": (splits.Snow(), ([600.0],), {"max_stderr": 0.1}, THEORY_CASES),
+    "spectrophotometer": (splits.Snow(), ([600.0],), {"max_stderr": 0.1}, BUDGET),
     "spectrophotometer, derivatives": (
         splits.Snow(), ([600.0],),
         {"max_stderr": 0.1, "jacobian": ["impurities_ng_g.black_carbon"]},
-        THEORY_CASES | {"reflectance_jacobian", "transmittance_jacobian"},
+        BUDGET | {"reflectance_jacobian", "transmittance_jacobian"},
     ),
     "spectrophotometer, several": (
-        {"a": splits.Snow()}, ([600.0],), {"max_stderr": 0.1}, THEORY_CASES,
+        {"a": splits.Snow()}, ([600.0],), {"max_stderr": 0.1}, BUDGET,
     ),
     "goniophotometer": (splits.Snow(), ([600.0], 0.0, 1), FEW_DIRECTIONS, ANGLES),
     "goniophotometer, diffuse": (
@@ -67,20 +67,20 @@ CASES = {
 
 @NEEDS_JIT
 @pytest.mark.parametrize("case", CASES)
-def test_instruments_name_their_errors(case):
-    medium, given, settings, expected = CASES[case]
-    dataset = getattr(instruments, case.split(",")[0])(medium, *given, **settings)
+def test_instruments_declare_their_errors(case):
+    medium, arguments, settings, expected = CASES[case]
+    dataset = getattr(instruments, case.split(",")[0])(medium, *arguments, **settings)
     assert list_variables_with_errors(dataset) == expected
 
 
-def test_no_instrument_is_left_out():
-    under_skies = {"albedo", "hdrf", "radiation_profile"}
-    assert {case.split(",")[0] for case in CASES} == set(instruments.__all__) - under_skies
+def test_all_instruments_are_covered():
+    sky_functions = {"albedo", "hdrf", "radiation_profile"}
+    assert {case.split(",")[0] for case in CASES} == set(instruments.__all__) - sky_functions
 
 
 @NEEDS_JIT
-def test_theories_name_their_errors():
+def test_theories_declare_their_errors():
     pytest.importorskip("PythonicDISORT")
     optics = correct_dense_packing(splits.single_scattering(splits.Snow(), [600.0], 4, 2))
     assert list_variables_with_errors(optics) == GRAINS | {"extinction", "optical_thickness"}
-    assert list_variables_with_errors(solve_discrete_ordinates(optics, streams=4)) == THEORY_CASES
+    assert list_variables_with_errors(solve_discrete_ordinates(optics, streams=4)) == BUDGET

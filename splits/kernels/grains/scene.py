@@ -216,14 +216,11 @@ class Optics(NamedTuple):
     absorption : float64[materials]
         Absorption coefficients (1/m).  An analog run samples absorption with them; in a weighted
         run they are lower bounds over the wavelengths that use the paths, for Russian roulette.
-    is_absorbing : bool[materials]
-        Whether a material absorbs at any of these wavelengths.
     """
 
     n: np.ndarray
     k: np.ndarray
     absorption: np.ndarray
-    is_absorbing: np.ndarray
 
 
 def make_bounding_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
@@ -235,5 +232,4 @@ def make_bounding_optics(index: np.ndarray, absorption: np.ndarray) -> Optics:
     absorption : float, shape (wavelengths, materials)
         Absorption coefficients (1/m), of which roulette uses the minimum over wavelengths.
     """
-    absorbs = absorption.max(axis=0) > 0.0
-    return Optics(index.real.copy(), index.imag.copy(), absorption.min(axis=0), absorbs)
+    return Optics(index.real.copy(), index.imag.copy(), absorption.min(axis=0))

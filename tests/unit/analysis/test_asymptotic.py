@@ -1,4 +1,4 @@
-"""Discrete ordinates and asymptotic theory on phase functions and layers with known answers."""
+"""Discrete ordinates and asymptotic theory for phase functions and layers with exact results."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ WAVELENGTHS = np.array([500.0, 900.0, 1030.0])
 def make_layer_optics(albedo, thickness, g=0.0, orders=65):
     """Return optics of a layer with the phase function of Henyey & Greenstein (1941)."""
     moments = np.tile(float(g) ** np.arange(orders), (len(albedo), 1))
-    count = len(albedo)
+    n_wavelengths = len(albedo)
     return xr.Dataset(
         {
             "single_scattering_albedo": ("wavelength", np.asarray(albedo, dtype=float)),
-            "asymmetry_parameter": ("wavelength", np.full(count, float(g))),
-            "optical_thickness": ("wavelength", np.full(count, float(thickness))),
+            "asymmetry_parameter": ("wavelength", np.full(n_wavelengths, float(g))),
+            "optical_thickness": ("wavelength", np.full(n_wavelengths, float(thickness))),
             "legendre_moment": (("wavelength", "order"), moments),
         },
-        {"wavelength": 500.0 + np.arange(count)},
+        {"wavelength": 500.0 + np.arange(n_wavelengths)},
     )
 
 
@@ -37,18 +37,18 @@ def compute_plane_albedo(albedo, cosine):
     mu, w = 0.5 * (x + 1.0), 0.5 * w
     root = math.sqrt(1.0 - albedo)
 
-    def h_at(points, h):
+    def evaluate_h(points, h):
         kernel = w * mu * h / (np.atleast_1d(points)[:, np.newaxis] + mu)
         return 1.0 / (root + 0.5 * albedo * kernel.sum(axis=1))
 
     h = np.ones_like(mu)
     for _ in range(500):
-        h = 0.5 * (h + h_at(mu, h))
-    return 1.0 - root * float(h_at(cosine, h)[0])
+        h = 0.5 * (h + evaluate_h(mu, h))
+    return 1.0 - root * float(evaluate_h(cosine, h)[0])
 
 
 @pytest.mark.parametrize("incidence", [0.0, 60.0])
-def test_isotropic_half_space(incidence):
+def test_isotropic_half_space_matches_chandrasekhar(incidence):
     pytest.importorskip("PythonicDISORT")
     albedo = [0.5, 0.9, 0.99]
     ds = solve_discrete_ordinates(make_layer_optics(albedo, 1000.0), incidence)
@@ -58,57 +58,57 @@ def test_isotropic_half_space(incidence):
 
 
 @pytest.mark.parametrize("incidence", [0.0, 75.0, "diffuse"])
-def test_nothing_is_lost_without_absorption(incidence):
+def test_energy_is_conserved_without_absorption(incidence):
     pytest.importorskip("PythonicDISORT")
     for thickness in (0.1, 10.0, 300.0):
         ds = solve_discrete_ordinates(make_layer_optics([1.0], thickness, 0.8), incidence)
         assert float((ds.reflectance + ds.transmittance)[0]) == pytest.approx(1.0, abs=2e-5)
 
 
-def test_forward_scattering_alone_passes():
+def test_pure_forward_scattering_is_transmitted():
     pytest.importorskip("PythonicDISORT")
     ds = solve_discrete_ordinates(make_layer_optics([1.0, 0.5], 2.0, 1.0))
     assert ds.reflectance.values == pytest.approx(0.0, abs=1e-6)
     assert ds.transmittance.values == pytest.approx([1.0, math.exp(-1.0)], abs=1e-6)
 
 
-def test_more_streams_change_less_than_the_stated_truncation():
+def test_truncation_error_bounds_the_effect_of_streams():
     pytest.importorskip("PythonicDISORT")
     optics = make_layer_optics([0.999], 5.0, 0.85)
-    few, many = (solve_discrete_ordinates(optics, 30.0, streams) for streams in (16, 64))
+    coarse, fine = (solve_discrete_ordinates(optics, 30.0, streams) for streams in (16, 64))
     for name in ("reflectance", "transmittance"):
-        assert np.abs(few[name] - many[name]).max() <= few[f"{name}_truncation"].max()
+        assert np.abs(coarse[name] - fine[name]).max() <= coarse[f"{name}_truncation"].max()
 
 
 @pytest.mark.parametrize("incidence", [30.0, "diffuse"])
-def test_a_layer_cut_in_three_is_the_same(incidence):
+def test_a_divided_layer_gives_the_same_result(incidence):
     pytest.importorskip("PythonicDISORT")
-    whole = solve_discrete_ordinates(
+    undivided = solve_discrete_ordinates(
         make_layer_optics([0.99, 0.9], 3.0, 0.7), incidence, ground=0.4
     )
-    cut = [make_layer_optics([0.99, 0.9], part, 0.7) for part in (0.5, 1.5, 1.0)]
-    pieces = solve_discrete_ordinates(cut, incidence, ground=0.4)
+    layers = [make_layer_optics([0.99, 0.9], thickness, 0.7) for thickness in (0.5, 1.5, 1.0)]
+    divided = solve_discrete_ordinates(layers, incidence, ground=0.4)
     for name in ("reflectance", "transmittance"):
-        np.testing.assert_allclose(pieces[name], whole[name], rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(divided[name], undivided[name], rtol=0.0, atol=1e-9)
 
 
-def test_light_is_reflected_between_layers_and_ground():
+def test_multiple_reflections_between_layers_and_ground():
     pytest.importorskip("PythonicDISORT")
-    pack = [make_layer_optics([0.99], 1.0, 0.8), make_layer_optics([0.8], 0.5, 0.3)]
+    layers = [make_layer_optics([0.99], 1.0, 0.8), make_layer_optics([0.8], 0.5, 0.3)]
     beam, below = (
-        solve_discrete_ordinates(pack, 40.0),
-        solve_discrete_ordinates(pack[::-1], "diffuse"),
+        solve_discrete_ordinates(layers, 40.0),
+        solve_discrete_ordinates(layers[::-1], "diffuse"),
     )
     for albedo in (0.1, 0.5, 1.0):
-        found = solve_discrete_ordinates(pack, 40.0, ground=albedo)
+        result = solve_discrete_ordinates(layers, 40.0, ground=albedo)
         series = beam.transmittance / (1.0 - albedo * below.reflectance)
         expected = beam.reflectance + series * albedo * below.transmittance
-        assert float(found.reflectance[0]) == pytest.approx(float(expected[0]), abs=1e-6)
-        kept = (1.0 - albedo) * float(series[0])
-        assert float(found.transmittance[0]) == pytest.approx(kept, abs=1e-6)
+        assert float(result.reflectance[0]) == pytest.approx(float(expected[0]), abs=1e-6)
+        absorbed = (1.0 - albedo) * float(series[0])
+        assert float(result.transmittance[0]) == pytest.approx(absorbed, abs=1e-6)
 
 
-def test_layers_have_the_same_wavelengths():
+def test_layers_must_have_the_same_wavelengths():
     other = make_layer_optics([0.9], 1.0).assign_coords(wavelength=[700.0])
     with pytest.raises(ValueError, match=r"optics\[1\].wavelength"):
         solve_discrete_ordinates([make_layer_optics([0.9], 1.0), other])
@@ -129,15 +129,17 @@ def test_missing_library_is_named(monkeypatch):
         ({"incidence_deg": "sky"}, "incidence_deg"),
     ],
 )
-def test_bad_settings_are_rejected_by_name(settings, message):
+def test_invalid_settings_are_rejected_by_name(settings, message):
     with pytest.raises(ValueError, match=message):
         solve_discrete_ordinates(make_layer_optics([0.9], 1.0), **settings)
 
 
-def test_half_space_is_that_of_snowoptics():
-    for incidence, share in ((30.0, 0.0), ("diffuse", 1.0)):
+def test_half_space_matches_snowoptics():
+    for incidence, diffuse_fraction in ((30.0, 0.0), ("diffuse", 1.0)):
         ds = kz04(WAVELENGTHS, 20.0, incidence)
-        expected = snowoptics.albedo_KZ04(WAVELENGTHS * 1e-9, math.radians(30.0), 20.0, share)
+        expected = snowoptics.albedo_KZ04(
+            WAVELENGTHS * 1e-9, math.radians(30.0), 20.0, diffuse_fraction
+        )
         assert ds.reflectance.values == pytest.approx(expected, rel=1e-12)
         assert (ds.transmittance == 0.0).all()
         deep = kz04(WAVELENGTHS, 20.0, incidence, depth_m=50.0)
@@ -157,14 +159,14 @@ def test_finite_layer_without_absorption(incidence):
 
 
 @pytest.mark.parametrize("incidence", [0.0, 60.0, "diffuse"])
-def test_both_theories_agree_where_absorption_is_weak(incidence):
+def test_theories_agree_for_weak_absorption(incidence):
     pytest.importorskip("PythonicDISORT")
     ssa, density, depth, g = 20.0, 300.0, 0.05, 0.7
     k = np.array([3e-9, 1e-7])
     optics = make_layer_optics([1.0, 1.0], 0.25 * ssa * density * depth, g)
-    # Of 1 − ω = γ/(SSA ρ/4 · 917/ρ) diffraction leaves half: B = 1.
-    lost = 4.0 * math.pi * k / (optics.wavelength.values * 1e-9) / (0.25 * ssa * 917.0)
-    optics["single_scattering_albedo"] = ("wavelength", 1.0 - lost)
+    # Diffraction halves 1 − ω = γ/(SSA ρ/4 · 917/ρ), which gives B = 1.
+    coalbedo = 4.0 * math.pi * k / (optics.wavelength.values * 1e-9) / (0.25 * ssa * 917.0)
+    optics["single_scattering_albedo"] = ("wavelength", 1.0 - coalbedo)
     enhancement, asymmetry = compute_shape_factors(optics, ssa, k)
     assert enhancement == pytest.approx(1.0, rel=1e-6)
     assert asymmetry == pytest.approx(0.85)
@@ -178,7 +180,7 @@ def test_both_theories_agree_where_absorption_is_weak(incidence):
         assert np.abs(exact[name] - theory[name]).max() < 0.005
 
 
-def test_packing_reduces_optical_thickness():
+def test_dense_packing_reduces_optical_thickness():
     optics = make_layer_optics([0.9], 10.0, 0.5).assign(
         {
             name: ("wavelength", [value])

@@ -1,4 +1,4 @@
-"""Colours of spectra: white is white, and numbers of the standard come out."""
+"""Colours of spectra: white point, lightness of grey, and tables with errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from splits.plotting import draw_swatches
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
 
 
-def dataset(values, error=0.01, names=("a", "b")):
+def make_dataset(values, error=0.01, names=("a", "b")):
     r = np.array([np.full(WAVELENGTHS.size, v) if np.isscalar(v) else v for v in values])
     return xr.Dataset(
         {
@@ -23,7 +23,7 @@ def dataset(values, error=0.01, names=("a", "b")):
     )
 
 
-def test_a_perfect_white_has_the_coordinates_of_d65():
+def test_perfect_white_has_the_coordinates_of_d65():
     xyz = compute_tristimulus(WAVELENGTHS, np.ones(WAVELENGTHS.size))
     # CIE 15: the white point of D65 for the 2° observer.
     np.testing.assert_allclose(xyz, [0.9504, 1.0, 1.0888], atol=5e-4)
@@ -31,16 +31,16 @@ def test_a_perfect_white_has_the_coordinates_of_d65():
     np.testing.assert_allclose(to_srgb(xyz), 1.0, atol=2e-3)
 
 
-def test_grey_has_the_lightness_of_its_reflectance():
+def test_lightness_of_grey_matches_its_reflectance():
     for r in (0.05, 0.184, 0.5):
-        light, a, b = to_cielab(compute_tristimulus(WAVELENGTHS, np.full(WAVELENGTHS.size, r)))
-        assert light == pytest.approx(116.0 * np.cbrt(r) - 16.0, abs=0.05)
+        lightness, a, b = to_cielab(compute_tristimulus(WAVELENGTHS, np.full(WAVELENGTHS.size, r)))
+        assert lightness == pytest.approx(116.0 * np.cbrt(r) - 16.0, abs=0.05)
         assert abs(a) < 0.1 and abs(b) < 0.1
 
 
-def test_colours_name_every_point_with_errors():
+def test_colour_table_lists_every_point_with_errors():
     red = np.where(WAVELENGTHS > 600.0, 0.5, 0.05)
-    table = make_colour_table(dataset([0.3, red]))
+    table = make_colour_table(make_dataset([0.3, red]))
     assert table.medium.tolist() == ["a", "b"]
     assert table.a[1] > 20.0 > abs(table.a[0])
     assert table.red[1] > table.green[1] > 0.0
@@ -50,16 +50,16 @@ def test_colours_name_every_point_with_errors():
     assert table.srgb.str.fullmatch("#[0-9a-f]{6}").all()
 
 
-def test_a_spectrum_that_leaves_out_visible_light_has_no_colour():
+def test_incomplete_visible_spectra_are_rejected():
     for x in (np.arange(450.0, 781.0, 10.0), np.arange(400.0, 701.0, 10.0), [400.0, 780.0]):
         with pytest.raises(ValueError, match="400 to 780 nm"):
             compute_tristimulus(np.array(x), np.full(len(x), 0.5))
 
 
-def test_swatches_show_every_point_and_reject_three_parameters():
-    figure = draw_swatches(dataset([0.3, 0.1]))
+def test_swatches_show_every_point():
+    figure = draw_swatches(make_dataset([0.3, 0.1]))
     texts = [t.get_text() for t in figure.axes[0].texts]
     assert len(texts) == 2 and all("L*" in t for t in texts)
-    deep = dataset([0.3, 0.1]).expand_dims(x=[1, 2], y=[1, 2])
+    deep = make_dataset([0.3, 0.1]).expand_dims(x=[1, 2], y=[1, 2])
     with pytest.raises(ValueError, match="one or two parameters"):
         draw_swatches(deep)

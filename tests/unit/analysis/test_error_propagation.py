@@ -14,52 +14,52 @@ MOMENTS = np.array([[1.0, 0.5, 0.3, 0.2, 0.1]] * 2)
 
 
 def make_optics(albedo=0.01, moment=0.02):
-    """Return optics at two wavelengths, of which only the second may miss anything."""
-    off = np.array([0.0, 1.0])
+    """Return optics at two wavelengths, the second of which has interpolation errors."""
+    uncertain = np.array([0.0, 1.0])
     return xr.Dataset(
         {
             "single_scattering_albedo": ("wavelength", [0.9, 0.9]),
-            "single_scattering_albedo_interpolation_bound": ("wavelength", albedo * off),
+            "single_scattering_albedo_interpolation_bound": ("wavelength", albedo * uncertain),
             "legendre_moment": (("wavelength", "order"), MOMENTS),
             "legendre_moment_interpolation_bound": (
-                ("wavelength", "order"), np.outer(moment * off, [0.0, 1.0, 1.0, 1.0, 1.0]),
+                ("wavelength", "order"), np.outer(moment * uncertain, [0.0, 1.0, 1.0, 1.0, 1.0]),
             ),
         },
         {"wavelength": [500.0, 600.0]},
     )  # fmt: skip
 
 
-def evaluate_backscatter(part):
-    """Return the phase function straight back, in which orders alternate."""
-    return (part.legendre_moment * (-1.0) ** np.arange(5)).sum("order").values
+def evaluate_backscatter(optics):
+    """Return the phase function at backscattering, whose orders alternate in sign."""
+    return (optics.legendre_moment * (-1.0) ** np.arange(5)).sum("order").values
 
 
-def evaluate_product(part):
-    """Return something not linear, of two names and an order."""
-    return (part.single_scattering_albedo * (1.0 + part.legendre_moment.isel(order=1))).values
+def evaluate_product(optics):
+    """Return a nonlinear function of two variables and one order."""
+    return (optics.single_scattering_albedo * (1.0 + optics.legendre_moment.isel(order=1))).values
 
 
 @pytest.mark.parametrize("theory", [evaluate_backscatter, evaluate_product])
 def test_no_combination_of_errors_exceeds_the_bound(theory):
     exact = make_optics()
-    worst = 0.0
+    largest = 0.0
     for signs in itertools.product((-1.0, 1.0), repeat=5):
         moments = exact.legendre_moment_interpolation_bound * xr.DataArray(
             [0.0, *signs[1:]], dims="order"
         )
-        other = exact.assign(
+        perturbed = exact.assign(
             single_scattering_albedo=exact.single_scattering_albedo
             + signs[0] * exact.single_scattering_albedo_interpolation_bound,
             legendre_moment=exact.legendre_moment + moments,
         )
-        worst = np.maximum(worst, np.abs(theory(other) - theory(exact)))
+        largest = np.maximum(largest, np.abs(theory(perturbed) - theory(exact)))
     bound = compute_interpolation_bound(theory, exact)
-    assert bound[0] == worst[0] == 0.0
-    # Two deviations multiply: 0.01 · 0.02 of some 0.04.
-    assert bound[1] == pytest.approx(worst[1], rel=0.02)
+    assert bound[0] == largest[0] == 0.0
+    # The product of the deviations, 0.01 · 0.02, adds to about 0.04.
+    assert bound[1] == pytest.approx(largest[1], rel=0.02)
 
 
-def test_without_rays_left_out_the_response_is_that_bound():
+def test_without_jackknife_the_error_is_the_bound():
     np.testing.assert_array_equal(
         propagate_errors(evaluate_product, make_optics()),
         compute_interpolation_bound(evaluate_product, make_optics()),

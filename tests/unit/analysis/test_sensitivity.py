@@ -36,37 +36,37 @@ def test_equal_spectra_have_no_sensitivity():
     assert (s.index, s.index_resolved, s.resolved_fraction) == (0.0, 0.0, 1.0)
 
 
-def test_the_index_is_the_mean_relative_difference_to_the_larger():
+def test_index_is_the_mean_relative_difference():
     s = compute_mean_sensitivity_index([1.0, 0.2, 0.3], [0, 0, 0], [0.5, 0.8, 0.3], [0, 0, 0])
     assert s.index == pytest.approx((0.5 + 0.75 + 0.0) / 3)
     assert s.stderr == 0.0
 
 
-def test_the_order_of_the_two_does_not_matter():
+def test_index_is_symmetric():
     y, e, z, f = [0.9, 0.1, 0.0], [0.01, 0.02, 0.01], [0.3, 0.4, 0.2], [0.03, 0.01, 0.02]
     assert compute_mean_sensitivity_index(y, e, z, f) == compute_mean_sensitivity_index(z, f, y, e)
 
 
-def test_where_both_are_below_the_noise_the_ratio_counts_as_nothing():
+def test_values_below_the_noise_are_ignored():
     s = compute_mean_sensitivity_index([0.8, 1e-3], [1e-3, 1e-3], [0.4, 0.0], [1e-3, 1e-3])
     assert s.index == pytest.approx(0.25)
     assert s.index_resolved == pytest.approx(0.5)
     assert s.resolved_fraction == 0.5
 
 
-def test_all_below_the_noise():
+def test_index_is_zero_below_the_noise():
     s = compute_mean_sensitivity_index([1e-3, 0.0], [1e-3, 0.0], [0.0, 0.0], [1e-3, 0.0])
     assert (s.index, s.index_resolved, s.resolved_fraction) == (0.0, 0.0, 0.0)
-    nothing = compute_mean_sensitivity_index([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
-    assert nothing.stderr == 0.0
+    zero = compute_mean_sensitivity_index([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+    assert zero.stderr == 0.0
 
 
-def test_a_spectrum_that_vanishes_is_fully_sensitive():
+def test_index_of_a_vanishing_spectrum_is_one():
     s = compute_mean_sensitivity_index([0.5, 0.4], [1e-3, 1e-3], [0.0, 0.0], [1e-3, 1e-3])
     assert s.index == 1.0
 
 
-def test_the_noise_limit_does_not_count():
+def test_values_at_the_noise_threshold_are_unresolved():
     for factor, resolved in ((1.0, 0.0), (1.001, 1.0)):
         assert (
             compute_mean_sensitivity_index(
@@ -76,7 +76,7 @@ def test_the_noise_limit_does_not_count():
         )
 
 
-def test_the_error_is_that_of_many_noisy_pairs():
+def test_error_matches_the_scatter_of_noisy_pairs():
     rng = np.random.default_rng(5)
     y, e, z, f = 0.6, 0.006, 0.4, 0.008
     ratios = [
@@ -84,22 +84,22 @@ def test_the_error_is_that_of_many_noisy_pairs():
         for a, b in rng.standard_normal((4000, 2))
     ]
     stderr = compute_mean_sensitivity_index([y], [e], [z], [f]).stderr
-    # 4000 values know their scatter to 1/√8000.
+    # The relative standard error of the standard deviation of 4000 values is 1/√8000.
     assert np.std(ratios) == pytest.approx(stderr, rel=compute_z_bound(1) / 8000**0.5)
 
 
-@pytest.mark.parametrize("other", [0.0, 0.5])
-@pytest.mark.parametrize("level", [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0])
-def test_the_error_covers_wavelengths_that_are_seen_in_some_runs_only(level, other):
+@pytest.mark.parametrize("ratio", [0.0, 0.5])
+@pytest.mark.parametrize("mean", [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0])
+def test_error_is_an_upper_bound_near_the_noise(mean, ratio):
     rng = np.random.default_rng(9)
-    draws = np.maximum(rng.normal((level, other * level), 1.0, (2000, 2)), 0.0)
-    found = [compute_mean_sensitivity_index([y], [1.0], [z], [1.0]) for y, z in draws]
-    stated = np.sqrt(np.mean([s.stderr**2 for s in found]))
-    # 2000 values know their scatter to 1/√4000.
-    assert np.std([s.index for s in found]) < stated * (1.0 + compute_z_bound(18) / 4000**0.5)
+    samples = np.maximum(rng.normal((mean, ratio * mean), 1.0, (2000, 2)), 0.0)
+    results = [compute_mean_sensitivity_index([y], [1.0], [z], [1.0]) for y, z in samples]
+    stated = np.sqrt(np.mean([s.stderr**2 for s in results]))
+    # The relative standard error of the standard deviation of 2000 values is 1/√4000.
+    assert np.std([s.index for s in results]) < stated * (1.0 + compute_z_bound(18) / 4000**0.5)
 
 
-def test_values_above_the_noise_have_the_error_of_their_ratio_only():
+def test_error_above_the_noise_is_that_of_the_ratio():
     y, e, z, f = 0.8, 0.1, 0.4, 0.05
     exact = np.hypot(f / y, z * e / y**2)
     assert compute_mean_sensitivity_index([y], [e], [z], [f]).stderr == pytest.approx(
@@ -107,7 +107,7 @@ def test_values_above_the_noise_have_the_error_of_their_ratio_only():
     )
 
 
-def test_pairs_are_taken_at_the_published_depth_and_wavelengths():
+def test_pairs_use_the_published_depth_and_wavelengths():
     dataset = make_spectra([0.8, 0.4], "saturation", [0.0, 1.0])
     dataset.reflectance[0, 1] = 0.0
     assert compute_pair_sensitivity(
@@ -119,7 +119,7 @@ def test_pairs_are_taken_at_the_published_depth_and_wavelengths():
     ).index == pytest.approx(0.5)
 
 
-def test_the_table_has_all_ranges_and_interpretations_and_one_chosen_row_per_quantity():
+def test_sensitivity_table_has_one_chosen_row_per_quantity():
     ranges = make_spectra([0.8, 0.6, 0.4], "saturation", [0.0, 0.5, 1.0])
     interpretation = xr.concat(
         [make_spectra([0.8, 0.2], "saturation", [0.0, 1.0])] * 3,

@@ -32,24 +32,24 @@ def compute_reflectance(areas=AREAS, wavelengths=WAVELENGTHS):
 
 
 def make_dataset(angles=(30.0, 60.0), noise=0.0, seed=1):
-    """Return a dataset as an experiment makes it, its groups so far off on average."""
+    """Return a dataset as of an experiment, with batch deviations of the given noise."""
     exact = compute_reflectance()
     random = np.random.default_rng(seed)
-    groups = noise / np.sqrt(N_BATCHES) * random.normal(size=(N_BATCHES, *exact.shape))
-    dims, over = (AREA, "incidence_deg", "wavelength"), (AREA, "wavelength")
+    batches = noise / np.sqrt(N_BATCHES) * random.normal(size=(N_BATCHES, *exact.shape))
+    dims, spectrum_dims = (AREA, "incidence_deg", "wavelength"), (AREA, "wavelength")
     table = xr.Dataset(
         {
-            "reflectance": (over, exact + groups.sum(axis=0)),
-            "reflectance_stderr": (over, np.sqrt((groups**2).sum(axis=0))),
-            "reflectance_batches": (("batch", *over), groups),
+            "reflectance": (spectrum_dims, exact + batches.sum(axis=0)),
+            "reflectance_stderr": (spectrum_dims, np.sqrt((batches**2).sum(axis=0))),
+            "reflectance_batches": (("batch", *spectrum_dims), batches),
         },
         {AREA: AREAS, "wavelength": WAVELENGTHS},
     )
     return table.expand_dims(incidence_deg=list(angles)).transpose("batch", *dims)
 
 
-def measured(**areas):
-    """Return spectra of snow of these areas under 60° at other wavelengths, a tenth too bright."""
+def make_measured(**areas):
+    """Return spectra of the given areas at 60° and other wavelengths, 10 % too bright."""
     wavelengths = np.arange(400.0, 2501.0, 5.0)
     columns = {
         f"{name}@60": 1.1 * compute_reflectance([area], wavelengths)[0]
@@ -67,27 +67,27 @@ def test_known_surface_areas_are_retrieved(area):
 
 
 def test_a_spectrum_outside_the_grid_is_flagged():
-    table = retrieve_surface_areas(make_dataset(), measured(inside=20.0, beyond=150.0))
+    table = retrieve_surface_areas(make_dataset(), make_measured(inside=20.0, outside=150.0))
     flags = table.set_index(["spectrum", "window"]).at_the_end
-    assert not flags["inside@60"].any() and flags["beyond@60"]["all"]
+    assert not flags["inside@60"].any() and flags["outside@60"]["all"]
 
 
-def test_stated_errors_are_the_scatter_between_runs():
-    spectra = measured(one=16.0)
-    found = [
+def test_stated_errors_match_the_scatter_between_runs():
+    spectra = make_measured(one=16.0)
+    tables = [
         retrieve_surface_areas(make_dataset(noise=0.001, seed=seed), spectra) for seed in range(60)
     ]
     for window in FIT_WINDOWS_NM:
-        rows = [table[table.window == window].iloc[0] for table in found]
+        rows = [table[table.window == window].iloc[0] for table in tables]
         for name in ("area", "scale"):
             values = np.array([row[name] for row in rows])
             stated = np.sqrt(np.mean([row[f"{name}_stderr"] ** 2 for row in rows]))
-            # 60 runs and 8 groups: the ratio is known to 0.1.
+            # With 60 runs and 8 batches the standard error of the ratio is 0.1.
             assert 0.7 < values.std(ddof=1) / stated < 1.3, (window, name)
 
 
-def test_overlay_has_the_scale_and_the_fitted_wavelengths():
-    dataset, spectra = make_dataset(), measured(a=16.0)
+def test_overlay_has_the_fitted_scale_and_wavelengths():
+    dataset, spectra = make_dataset(), make_measured(a=16.0)
     table = make_overlay_table(dataset, spectra, retrieve_surface_areas(dataset, spectra))
     assert list(table.wavelength_nm) == list(WAVELENGTHS)
     used = table[table.fitted]
@@ -101,10 +101,10 @@ def test_overlay_has_the_scale_and_the_fitted_wavelengths():
 
 def test_a_spectrum_at_a_missing_angle_is_rejected():
     with pytest.raises(ValueError, match=r"column = 'a@60': must be .* ends with @10 or @20"):
-        retrieve_surface_areas(make_dataset([10.0, 20.0]), measured(a=16.0))
+        retrieve_surface_areas(make_dataset([10.0, 20.0]), make_measured(a=16.0))
 
 
-def test_published_laws_stand_beside_ours():
+def test_published_laws_are_listed_with_the_model():
     dataset = xr.Dataset(
         {
             "reflectance": (("medium", AREA, "wavelength"), np.full((1, AREAS.size, 1), 0.3)),

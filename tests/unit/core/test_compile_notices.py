@@ -16,12 +16,12 @@ from splits.kernels.compiler import cache_lock
 from splits.kernels.compiler.cache import KernelCache
 
 openpty = getattr(os, "openpty", None)
-NEEDS_TERMINAL = pytest.mark.skipif(openpty is None, reason="no terminals here")
+NEEDS_TERMINAL = pytest.mark.skipif(openpty is None, reason="needs pseudoterminals")
 
 
 @pytest.fixture(autouse=True)
-def soon(monkeypatch):
-    """Let notices come at once, and none of a test in the next."""
+def fast_notices(monkeypatch):
+    """Shorten the delays, and wait for the notices of a test before the next."""
     monkeypatch.setattr(notices, "NOTICE_DELAY_S", 0.05)
     monkeypatch.setattr(notices, "_NOTICE_INTERVAL_S", 0.01)
     monkeypatch.setattr(notices, "_session", None)
@@ -31,15 +31,15 @@ def soon(monkeypatch):
 
 @contextmanager
 def terminal(monkeypatch):
-    """Let errors go to a terminal, and give its other end."""
-    ours, theirs = openpty()
-    with open(theirs, "w", encoding="ascii") as errors:
+    """Redirect stderr to a pseudoterminal and return its reading end."""
+    reader, writer = openpty()
+    with open(writer, "w", encoding="ascii") as errors:
         monkeypatch.setattr(sys, "stderr", errors)
-        yield ours
+        yield reader
         wait_for_notices()
     monkeypatch.undo()
     with suppress(OSError):
-        os.close(ours)
+        os.close(reader)
 
 
 def wait_for_notices():
@@ -49,40 +49,40 @@ def wait_for_notices():
 
 
 @pytest.fixture
-def heard():
+def received():
     """Return the notices that a callback receives."""
-    told = []
-    notices.listeners.append(told.append)
-    yield told
-    notices.listeners.remove(told.append)
+    messages = []
+    notices.listeners.append(messages.append)
+    yield messages
+    notices.listeners.remove(messages.append)
 
 
 @NEEDS_TERMINAL
-def test_two_lines_on_a_terminal_say_that_kernels_are_compiled(monkeypatch):
-    with terminal(monkeypatch) as ours:
+def test_terminal_shows_start_and_end_of_compilation(monkeypatch):
+    with terminal(monkeypatch) as reader:
         for _ in range(2):
             with announce(COMPILING_MESSAGE):
                 time.sleep(0.2)
         wait_for_notices()
-        said = os.read(ours, 10_000).decode()
-    assert said.splitlines() == [f"splits: {COMPILING_MESSAGE}", f"splits: {DONE_MESSAGE}: 0 s"]
+        output = os.read(reader, 10_000).decode()
+    assert output.splitlines() == [f"splits: {COMPILING_MESSAGE}", f"splits: {DONE_MESSAGE}: 0 s"]
 
 
 @NEEDS_TERMINAL
-def test_what_is_compiled_at_once_needs_no_word(monkeypatch):
-    with terminal(monkeypatch) as ours:
+def test_fast_compilation_gives_no_notice(monkeypatch):
+    with terminal(monkeypatch) as reader:
         with announce(COMPILING_MESSAGE):
             pass
         wait_for_notices()
-        os.set_blocking(ours, False)
+        os.set_blocking(reader, False)
         with pytest.raises(BlockingIOError):
-            os.read(ours, 1)
+            os.read(reader, 1)
 
 
 @NEEDS_TERMINAL
-def test_a_terminal_that_was_closed_ends_nothing(monkeypatch):
-    with terminal(monkeypatch) as ours:
-        os.close(ours)
+def test_a_closed_terminal_does_not_stop_the_run(monkeypatch):
+    with terminal(monkeypatch) as reader:
+        os.close(reader)
         with announce(COMPILING_MESSAGE):
             time.sleep(0.2)
 
@@ -94,36 +94,36 @@ def test_without_a_terminal_there_is_no_notice(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_bars_show_it_with_the_seconds(capsys):
+def test_progress_bars_show_the_compilation_time(capsys):
     with splits.ProgressBar("mine"), announce(COMPILING_MESSAGE):
         time.sleep(0.3)
     assert f"{COMPILING_MESSAGE}: 0 s" in capsys.readouterr().err
     assert notices.listeners == []
 
 
-def test_a_callback_that_fails_ends_nothing(heard):
+def test_a_failing_callback_does_not_stop_the_run(received):
     notices.listeners.insert(0, lambda text: 1 / 0)
     with announce(COMPILING_MESSAGE):
         time.sleep(0.2)
     del notices.listeners[0]
-    assert heard
+    assert received
 
 
-@pytest.mark.skipif(cache_lock.fcntl is None, reason="no locks here")
-def test_a_process_that_waits_for_another_says_so(heard, monkeypatch, tmp_path):
-    begun = time.monotonic()
+@pytest.mark.skipif(cache_lock.fcntl is None, reason="needs fcntl")
+def test_waiting_for_another_process_is_reported(received, monkeypatch, tmp_path):
+    start = time.monotonic()
 
     def lockf(*given):
-        if time.monotonic() - begun < 0.3:
+        if time.monotonic() - start < 0.3:
             raise BlockingIOError
 
     monkeypatch.setattr(cache_lock.fcntl, "lockf", lockf)
     assert cache_lock.acquire_lock(tmp_path, "kernel")
-    assert heard[0] == f"{WAITING_MESSAGE}: 0 s"
+    assert received[0] == f"{WAITING_MESSAGE}: 0 s"
 
 
-def test_compiling_a_kernel_says_so(heard):
-    """Held without a kernel, which may lie compiled in a folder."""
-    compiled = KernelCache.release_locks_on_failure(None, time.sleep)
-    compiled(0.3)
-    assert heard[0] == f"{COMPILING_MESSAGE}: 0 s"
+def test_compilation_of_a_kernel_is_reported(received):
+    """Tested without a kernel, which might be in a cache folder already."""
+    wait = KernelCache.release_locks_on_failure(None, time.sleep)
+    wait(0.3)
+    assert received[0] == f"{COMPILING_MESSAGE}: 0 s"

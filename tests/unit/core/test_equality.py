@@ -14,16 +14,16 @@ from splits.illumination.bands import SpectralBand
 from splits.materials import make_refractive_index
 from splits.media.ground import Ground
 
-END_LAYERS = [200.0, 3000.0]
+END_WAVELENGTHS = [200.0, 3000.0]
 SOOT = {
     "ng_g": 5.0,
-    "wavelength_nm": np.array(END_LAYERS),
+    "wavelength_nm": np.array(END_WAVELENGTHS),
     "absorption_m2_kg": np.array([2.0, 1.0]),
 }
 WAVES = {"wave_number_per_m": [0.0, 1.0, 2.0], "density": [1.0, 2.0, 0.0]}
 ROUGH = {"rms_height_m": 0.01, "correlation": "spectrum", "spectrum": WAVES}
-LAW = {"cosine": np.array([-1.0, 0.5, 1.0]), "density": np.array([1.0, 1.0, 2.0])}
-USER_INDEX = {"wavelength_nm": END_LAYERS, "n": [1.3, 1.3], "k": [0.0, 1e-5]}
+PHASE_FUNCTION = {"cosine": np.array([-1.0, 0.5, 1.0]), "density": np.array([1.0, 1.0, 2.0])}
+USER_INDEX = {"wavelength_nm": END_WAVELENGTHS, "n": [1.3, 1.3], "k": [0.0, 1e-5]}
 
 
 def make_stack(**changes):
@@ -37,19 +37,21 @@ OBJECT_FACTORIES = {
     "snow, own ice": lambda: splits.Snow(refractive_index={"ice": USER_INDEX}, ground="black"),
     "snow, own impurity": lambda: splits.Snow(impurities_ng_g={"mine": SOOT}),
     "snow, soot": lambda: splits.Snow(impurities_ng_g={"black_carbon": 3}),
-    "snow as it lies": lambda: splits.Snow.natural(optical_radius_um=100, depth_m=1),
+    "snow, natural": lambda: splits.Snow.natural(optical_radius_um=100, depth_m=1),
     "sand": splits.Sand,
     "sand, oil": lambda: splits.Sand(pores={"oil": 0.1}, refractive_index={"oil": 1.5}),
     "layer": splits.ParticleLayer,
-    "layer, own phase function": lambda: splits.ParticleLayer(phase_function=LAW),
+    "layer, own phase function": lambda: splits.ParticleLayer(phase_function=PHASE_FUNCTION),
     "layer, rough": lambda: splits.ParticleLayer(surface=ROUGH),
     "stack": lambda: make_stack(ground=0.3),
-    "stack, other readings": lambda: make_stack(interpretation="geometric"),
+    "stack, other interpretation": lambda: make_stack(interpretation="geometric"),
     "surface": lambda: splits.RoughSurface([ROUGH, {**ROUGH, "waves": 3}]),
     "ground": lambda: Ground.from_input(0.3),
-    "ground, table": lambda: Ground.from_input({"wavelength_nm": END_LAYERS, "albedo": [0.1, 0.2]}),
+    "ground, table": lambda: Ground.from_input(
+        {"wavelength_nm": END_WAVELENGTHS, "albedo": [0.1, 0.2]}
+    ),
     "interpretation": splits.Interpretation,
-    "sand's readings": lambda: splits.SandInterpretation(mixing="linear"),
+    "interpretation of sand": lambda: splits.SandInterpretation(mixing="linear"),
     "composition": lambda: splits.Sand().composition,
     "sizes": lambda: splits.Sand().size_distribution,
     "index": lambda: make_refractive_index("ice"),
@@ -59,12 +61,12 @@ OBJECT_FACTORIES = {
     "index, own": lambda: make_refractive_index("ice", USER_INDEX),
     "sky": splits.sky,
     "sky, own": lambda: splits.sky(
-        {"wavelength_nm": END_LAYERS, "direct": [1, 2], "diffuse": [0, 1]}, 50.0
+        {"wavelength_nm": END_WAVELENGTHS, "direct": [1, 2], "diffuse": [0, 1]}, 50.0
     ),
     "band": lambda: SpectralBand.from_limits(400.0, 700.0),
 }
 COPY_FUNCTIONS = {
-    "made again": lambda one, make: make(),
+    "constructed again": lambda one, make: make(),
     "copied": lambda one, make: copy.copy(one),
     "copied deeply": lambda one, make: copy.deepcopy(one),
     "pickled": lambda one, make: pickle.loads(pickle.dumps(one)),
@@ -72,36 +74,36 @@ COPY_FUNCTIONS = {
 }
 
 
-@pytest.mark.parametrize("way", COPY_FUNCTIONS)
+@pytest.mark.parametrize("copy_method", COPY_FUNCTIONS)
 @pytest.mark.parametrize("name", OBJECT_FACTORIES)
-def test_what_holds_the_same_is_equal(name, way):
-    one = OBJECT_FACTORIES[name]()
-    other = COPY_FUNCTIONS[way](one, OBJECT_FACTORIES[name])
-    assert one == other
-    assert hash(one) == hash(other)
-    assert other in [None, one] and [None, one].index(other) == 1
-    assert {one: "found"}[other] == "found"
+def test_equal_objects_have_equal_hashes(name, copy_method):
+    original = OBJECT_FACTORIES[name]()
+    copied = COPY_FUNCTIONS[copy_method](original, OBJECT_FACTORIES[name])
+    assert original == copied
+    assert hash(original) == hash(copied)
+    assert copied in [None, original] and [None, original].index(copied) == 1
+    assert {original: "found"}[copied] == "found"
 
 
-def test_what_holds_something_else_is_not():
-    made = [make() for make in OBJECT_FACTORIES.values()]
-    assert all(one != other for i, one in enumerate(made) for other in made[:i])
-    assert len(set(made)) == len(made)
+def test_different_objects_are_not_equal():
+    objects = [make() for make in OBJECT_FACTORIES.values()]
+    assert all(one != other for i, one in enumerate(objects) for other in objects[:i])
+    assert len(set(objects)) == len(objects)
     assert splits.Snow() != "snow" and splits.sky() != "midlatitude_winter"
 
 
-def test_rows_of_any_kind_and_mappings_in_any_order_are_the_same():
-    rows = {key: list(value) if key != "ng_g" else value for key, value in SOOT.items()}
-    both = {"mine": SOOT, "ash_st_helens": 4}, {"ash_st_helens": 4.0, "mine": rows}
-    first, second = (splits.Snow(impurities_ng_g=given) for given in both)
+def test_equality_is_independent_of_types_and_order():
+    lists = {key: list(value) if key != "ng_g" else value for key, value in SOOT.items()}
+    equivalent = {"mine": SOOT, "ash_st_helens": 4}, {"ash_st_helens": 4.0, "mine": lists}
+    first, second = (splits.Snow(impurities_ng_g=amounts) for amounts in equivalent)
     assert first == second and hash(first) == hash(second)
 
 
-def test_a_table_is_what_its_file_held(tmp_path):
+def test_tables_are_compared_by_content(tmp_path):
     path = tmp_path / "mine.csv"
 
-    def snow(absorption):
+    def make_snow(absorption):
         path.write_text(f"wavelength_nm,absorption_m2_kg\n200,{absorption}\n3000,1\n")
         return splits.Snow(impurities_ng_g={"mine": {"ng_g": 5, "table": str(path)}})
 
-    assert snow(2) == snow(2) != snow(3)
+    assert make_snow(2) == make_snow(2) != make_snow(3)

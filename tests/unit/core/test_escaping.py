@@ -38,7 +38,7 @@ WORDS = [
     "{{ snakemake }}", "{% raw %}", "$x$", "$5", r"$\frac$", "a_$b^$", r"\$", "=1+1", "@sum", "%d",
     "..", "- a", "1. a", "* a", "> a", "# a", "::", "--", "====", "a_ b__", "| a", "_a_", "__x__",
 ]  # fmt: skip
-"""Hostile and innocent."""
+"""Markup, formulas and harmless text."""
 DIRECTIVES = [
     ".. raw:: html\n   :file: secret.txt", ".. include:: secret.txt", ".. |y| replace:: z",
     "a\n\n.. raw:: html\n\n   <b>x</b>", "Title\n=====\n\nText", "a\n  b\n\n  * c", "x::\n\n   y",
@@ -46,43 +46,43 @@ DIRECTIVES = [
 
 
 def render_rst(source):
-    """Return the paragraphs that docutils makes, as text."""
+    """Return the text of the paragraphs that docutils renders."""
     core = pytest.importorskip("docutils.core")
     writer = importlib.import_module("docutils.writers").get_writer_class("html")()
-    made = core.publish_parts(source, writer=writer, settings_overrides={"report_level": 1})
-    body = made["body"]
+    parts = core.publish_parts(source, writer=writer, settings_overrides={"report_level": 1})
+    body = parts["body"]
     assert "system-message" not in body and "<a" not in body
     assert set(re.findall(r"</?(\w+)", body)) <= {"p", "strong"}
     return [html.unescape(re.sub("<[^>]*>", "", p)) for p in re.findall(r"<p>.*?</p>", body, re.S)]
 
 
 @pytest.mark.parametrize("text", [*WORDS, *DIRECTIVES])
-def test_captions_are_paragraphs_of_words(text):
+def test_captions_are_rendered_as_plain_paragraphs(text):
     source = escape_rst(text)
-    # It is put into a script, too.
+    # Captions are also embedded in a script.
     assert "<" not in source
     source = source.replace("&lt;", "\\<")
-    words = [" ".join(part.split()) for part in re.split(r"\n\s*\n", text.strip())]
+    words = [" ".join(paragraph.split()) for paragraph in re.split(r"\n\s*\n", text.strip())]
     assert render_rst(source) == words
-    # As the template of figures has title and caption.
+    # Title and caption as in the template of figures.
     first = words[0] if len(words) > 1 else f"{words[0]} And more."
     caption = f"**{escape_rst(words[0])}.** {source}\nAnd more.".replace("&lt;", "\\<")
     assert " ".join(render_rst(caption)[0].split()) == f"{words[0]}. {first}"
 
 
 @pytest.mark.parametrize("text", WORDS)
-def test_json_leaves_no_script(text):
+def test_json_contains_no_html(text):
     source = escape_json({text: [text, 1.5, float("inf"), None]})
     assert "<" not in source
     assert json.loads(source) == {text: [text, 1.5, float("inf"), None]}
 
 
 @pytest.mark.parametrize("text", WORDS)
-def test_markdown_shows_words(text):
+def test_markdown_is_rendered_as_plain_text(text):
     parser = pytest.importorskip("markdown_it").MarkdownIt("commonmark")
-    made = parser.render(f"Authors: {escape_markdown(text)}, and others.")
-    assert set(re.findall(r"</?(\w+)", made)) == {"p"}
-    assert html.unescape(made) == f"<p>Authors: {text}, and others.</p>\n"
+    rendered = parser.render(f"Authors: {escape_markdown(text)}, and others.")
+    assert set(re.findall(r"</?(\w+)", rendered)) == {"p"}
+    assert html.unescape(rendered) == f"<p>Authors: {text}, and others.</p>\n"
 
 
 @pytest.mark.parametrize(
@@ -95,20 +95,20 @@ def test_markdown_shows_words(text):
         (-2.5, -2.5), (None, None), (True, True),
     ],
 )  # fmt: skip
-def test_cells_are_no_formulas(value, cell):
+def test_csv_cells_are_no_formulas(value, cell):
     assert escape_cell(value) == cell
 
 
-def test_tables_hold_no_formulas(tmp_path):
+def test_csv_tables_contain_no_formulas(tmp_path):
     table = pd.DataFrame({"@name": ["=1+1", "fine"], "value": [-1.0, 2.0], "mixed": ["-a", -3.0]})
-    before = table.copy()
+    original = table.copy()
     write_data_frame(table, tmp_path / "a.csv")
     lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
     assert lines == ["'@name,value,mixed", "'=1+1,-1,'-a", "fine,2,-3.0"]
-    pd.testing.assert_frame_equal(table, before)
+    pd.testing.assert_frame_equal(table, original)
 
 
-def test_look_up_tables_hold_no_formulas(tmp_path):
+def test_exported_lookup_tables_contain_no_formulas(tmp_path):
     axes = {"ground": ["=1+1", "dry"], "wavelength": [500.0, 600.0]}
     values = (("ground", "wavelength"), np.array([[-0.5, 0.25], [0.5, 0.75]]))
     write_csv(xr.Dataset({"reflectance": values}, axes), tmp_path / "a.csv")
@@ -120,98 +120,100 @@ def test_look_up_tables_hold_no_formulas(tmp_path):
 
 
 def render_mathtext(text):
-    """Return what matplotlib prints of a text, or fail if it takes it for a formula."""
+    """Return the text that matplotlib draws, or fail if it is interpreted as a formula."""
     with use_style():
-        made = matplotlib.text.Text(0, 0, text, figure=Figure())
-        plain, is_formula = made._preprocess_math(text)
+        artist = matplotlib.text.Text(0, 0, text, figure=Figure())
+        plain, is_formula = artist._preprocess_math(text)
     assert not is_formula
     return plain
 
 
 @pytest.mark.parametrize("text", WORDS)
-def test_figures_print_words(text):
+def test_figures_show_plain_text(text):
     assert render_mathtext(escape_mathtext(text)) == text
     assert render_mathtext(" · ".join([escape_mathtext(text)] * 2)) == f"{text} · {text}"
     assert render_mathtext(format_value(text)) == text.replace("_", " ")
     assert render_mathtext(format_parameter(text)) == text.replace("_", " ")
 
 
-def make_drawn_dataset(labels, dim="ground"):
+def make_labelled_dataset(labels, dim="ground"):
     shape = (len(labels), 3)
-    found = {
+    variables = {
         "reflectance": ((dim, "wavelength"), np.full(shape, 0.5), {"long_name": "part_$b^$ of it"}),
         "reflectance_stderr": ((dim, "wavelength"), np.full(shape, 0.01)),
     }
-    return xr.Dataset(found, {dim: labels, "wavelength": [500.0, 600.0, 700.0]})
+    return xr.Dataset(variables, {dim: labels, "wavelength": [500.0, 600.0, 700.0]})
 
 
 def list_figure_texts(figure):
     figure.canvas.draw()
-    return [render_mathtext(one.get_text()) for one in figure.findobj(matplotlib.text.Text)]
+    return [render_mathtext(artist.get_text()) for artist in figure.findobj(matplotlib.text.Text)]
 
 
-def test_labels_that_are_no_formulas_are_drawn_as_they_are():
+def test_labels_are_drawn_as_plain_text():
     labels = [r"$\frac$", "a_$b^$", "$x$"]
-    found = list_figure_texts(draw_spectra(make_drawn_dataset(labels)))
-    assert {label.replace("_", " ") for label in labels} <= set(found)
-    assert "part_$b^$ of\nit" in found or "part_$b^$ of it" in found
+    texts = list_figure_texts(draw_spectra(make_labelled_dataset(labels)))
+    assert {label.replace("_", " ") for label in labels} <= set(texts)
+    assert "part_$b^$ of\nit" in texts or "part_$b^$ of it" in texts
 
 
-@pytest.mark.parametrize("before", range(18, 24))
-def test_a_dollar_sign_at_the_end_of_a_line_is_no_formula(before):
-    label = "x" * before + "$" + "y" * 5 + r"$\frac$"
-    data = make_drawn_dataset(["default", label])
+@pytest.mark.parametrize("n_before", range(18, 24))
+def test_wrapped_dollar_signs_are_no_formula(n_before):
+    label = "x" * n_before + "$" + "y" * 5 + r"$\frac$"
+    data = make_labelled_dataset(["default", label])
     labels = ("wavelength (nm)", ["reflectance"])
-    found = list_figure_texts(draw_shifts(data, ["reflectance"], "ground", "wavelength", labels))
-    assert any(label in text.replace("\n", "") for text in found)
+    texts = list_figure_texts(draw_shifts(data, ["reflectance"], "ground", "wavelength", labels))
+    assert any(label in text.replace("\n", "") for text in texts)
 
 
-def make_bands_dataset(word):
+def make_bands_dataset(name):
     row = ("step", [1.0, 2.0])
     return xr.Dataset(
         {
             "information_bits": row, "information_bits_stderr": row,
             "spread": (("parameter", "step"), [[0.5, 0.2]]),
         },
-        {"step": [1, 2], "parameter": [word], "band": ("step", [word, "B2"])},
+        {"step": [1, 2], "parameter": [name], "band": ("step", [name, "B2"])},
     )  # fmt: skip
 
 
-def make_sobol_dataset(word):
+def make_sobol_dataset(label):
     row = (("parameter", "wavelength"), [[0.5, 0.2]])
     names = ("first_order", "first_order_stderr", "total", "total_stderr")
-    found = {name: row for name in names} | {"standard_deviation": ("wavelength", [0.1, 0.2])}
-    return xr.Dataset(found, {"parameter": [word], "wavelength": [500.0, 600.0]})
+    variables = {name: row for name in names} | {"standard_deviation": ("wavelength", [0.1, 0.2])}
+    return xr.Dataset(variables, {"parameter": [label], "wavelength": [500.0, 600.0]})
 
 
-def make_sensitivity_dataset(word):
+def make_sensitivity_dataset(name):
     row = (("quantity", "parameter"), [[0.5], [0.2]])
-    found = {"msi": row, "msi_stderr": row}
-    return xr.Dataset(found, {"quantity": ["reflectance", "transmittance"], "parameter": [word]})
+    variables = {"msi": row, "msi_stderr": row}
+    return xr.Dataset(
+        variables, {"quantity": ["reflectance", "transmittance"], "parameter": [name]}
+    )
 
 
-def make_spectra_table(word):
+def make_spectra_table(name):
     columns = ("measured", "model", "stderr", "difference", "area")
     table = pd.DataFrame({"wavelength_nm": [500.0, 600.0], **dict.fromkeys(columns, 0.5)})
-    return table.assign(spectrum=f"{word}@30", fitted=True)
+    return table.assign(spectrum=f"{name}@30", fitted=True)
 
 
 @pytest.mark.parametrize(
-    "figure_of",
+    "draw_figure",
     [
-        lambda word: draw_band_selection({word: make_bands_dataset(word)}, f"known {word}"),
-        lambda word: draw_sobol_indices({word: make_sobol_dataset(word)}),
-        lambda word: draw_sensitivity_bars(make_sensitivity_dataset(word), f"ranges: {word}"),
-        lambda word: draw_fitted_spectra(make_spectra_table(word)),
+        lambda name: draw_band_selection({name: make_bands_dataset(name)}, f"known {name}"),
+        lambda name: draw_sobol_indices({name: make_sobol_dataset(name)}),
+        lambda name: draw_sensitivity_bars(make_sensitivity_dataset(name), f"ranges: {name}"),
+        lambda name: draw_fitted_spectra(make_spectra_table(name)),
     ],
     ids=["bands", "sobol", "sensitivity", "surface area"],
 )
-def test_names_of_samples_tables_and_parameters_are_no_formulas(figure_of):
-    word = r"a$\frac$b"
-    assert any(word in text for text in list_figure_texts(figure_of(word)))
+def test_names_in_figures_are_no_formulas(draw_figure):
+    name = r"a$\frac$b"
+    assert any(name in text for text in list_figure_texts(draw_figure(name)))
 
 
-def test_labels_are_not_handed_to_tex():
+def test_labels_are_not_rendered_by_tex():
     with matplotlib.rc_context({"text.usetex": True}), use_style():
         assert not matplotlib.rcParams["text.usetex"]
 
@@ -219,15 +221,15 @@ def test_labels_are_not_handed_to_tex():
 # --- configuration ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("place", ["a{b}", "a</script>", "a\nb", "<b"])
+@pytest.mark.parametrize("path", ["a{b}", "a</script>", "a\nb", "<b"])
 @pytest.mark.parametrize("key", ["results", "experiments_folder", "measured_folder"])
-def test_paths_that_the_workflow_reads_as_patterns_are_rejected(key, place):
-    content = {"accuracies": {"standard": {"max_stderr": 0.01}}, key: place}
+def test_paths_with_wildcard_characters_are_rejected(key, path):
+    content = {"accuracies": {"standard": {"max_stderr": 0.01}}, key: path}
     with pytest.raises(ConfigError, match=rf"{key} = .*: must be a path without {{ }} < >"):
         load_settings(content)
 
 
-def test_tables_that_the_workflow_reads_as_patterns_are_rejected(tmp_path):
+def test_table_files_with_wildcard_characters_are_rejected(tmp_path):
     table = tmp_path / "a{b}.csv"
     table.write_text("wavelength_nm,n,k\n200,1.3,0\n3000,1.3,0\n", encoding="utf-8")
     content = {"medium": {"refractive_index": {"ice": str(table)}}}

@@ -37,25 +37,25 @@ SMALL_EXPERIMENT = (
 )
 MAIN_SETTINGS = {"accuracies": {"standard": {"max_stderr": 0.1}}}
 FOLDERS = {f"{kind}_folder": f"~/{kind}" for kind in ("experiments", "media", "measured")}
-OTHER_FOLDER = dict.fromkeys(["country", "city", "street", "building_nr", "postal_code"], "-")
-AUTHORS = {"organization": "-", "location": OTHER_FOLDER, "email": "-", "contact_person": "-"}
+LOCATION = dict.fromkeys(["country", "city", "street", "building_nr", "postal_code"], "-")
+AUTHORS = {"organization": "-", "location": LOCATION, "email": "-", "contact_person": "-"}
 
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    """Return a home with files in it, and stand in a folder beside it."""
-    home, here = tmp_path / "home", tmp_path / "here"
-    for folder in (home / "media", home / "measured", home / "experiments", here):
+    """Return a home folder with files, with another folder as working directory."""
+    home, working_folder = tmp_path / "home", tmp_path / "here"
+    for folder in (home / "media", home / "measured", home / "experiments", working_folder):
         folder.mkdir(parents=True)
     monkeypatch.setenv("HOME", str(home))
-    monkeypatch.chdir(here)
+    monkeypatch.chdir(working_folder)
     for name, text in TABLES.items():
         (home / f"{name}.csv").write_text(text, encoding="utf-8")
     (home / "experiments" / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
     splits.save(make_snowlike_table().dataset, home / "table.nc")
     yield home
-    # Nothing lies where nobody looks for it.
-    assert list(here.iterdir()) == []
+    # No files are left in the working directory.
+    assert list(working_folder.iterdir()) == []
 
 
 def make_snow(**settings):
@@ -111,10 +111,10 @@ RUN_WRITE_FUNCTIONS = {
     "name",
     [*WRITE_FUNCTIONS, *(pytest.param(name, marks=NEEDS_JIT) for name in RUN_WRITE_FUNCTIONS)],
 )
-def test_what_is_written_lies_at_home(name, home):
+def test_home_is_expanded_for_writing(name, home):
     write, path = {**WRITE_FUNCTIONS, **RUN_WRITE_FUNCTIONS}[name]
     write(f"~/{path.removesuffix('.png')}")
-    assert [one for one in home.glob(path) if one.is_file()]
+    assert [file for file in home.glob(path) if file.is_file()]
 
 
 READ_FUNCTIONS = {
@@ -136,30 +136,30 @@ READ_FUNCTIONS = {
 
 
 @pytest.mark.parametrize("name", READ_FUNCTIONS)
-def test_what_lies_at_home_is_read(name, home):
+def test_home_is_expanded_for_reading(name, home):
     assert READ_FUNCTIONS[name]() is not None
 
 
-def test_folders_of_the_configuration(home):
+def test_home_is_expanded_in_configured_folders(home):
     settings = load_settings({**MAIN_SETTINGS, **FOLDERS, "results": "~/results"})
     assert settings.results_folder == str(home / "results")
     assert settings.table_folders["measured"] == home / "measured"
     assert list(load_experiments(settings.experiments_folder, settings.media_folder)) == ["small"]
 
 
-def test_a_table_at_home_is_packed_and_counts_by_its_content(home):
+def test_tables_at_home_are_packed_and_identified_by_content(home):
     (home / "media" / "own.yaml").write_text("ground: ~/ground.csv\n", encoding="utf-8")
     members = make_configuration_members(load_settings({**MAIN_SETTINGS, **FOLDERS}))
-    moved = yaml.safe_load(members["config/media/own.yaml"])["ground"]
-    assert members[moved] == TABLES["ground"].encode()
+    packed_path = yaml.safe_load(members["config/media/own.yaml"])["ground"]
+    assert members[packed_path] == TABLES["ground"].encode()
     assert identify_by_content("~/ground.csv") == identify_by_content(str(home / "ground.csv"))
     assert "unused" not in identify_by_content("~/ground.csv")
 
 
 @NEEDS_JIT
-def test_the_command_line(home, capsys):
-    said = ["run", "~/experiments/small.yaml", "--output=~/made", "--media=~/media"]
-    assert cli.main([*said, "--accuracy", "tiny", "--threads", "1"]) == 0
+def test_home_is_expanded_on_the_command_line(home, capsys):
+    arguments = ["run", "~/experiments/small.yaml", "--output=~/made", "--media=~/media"]
+    assert cli.main([*arguments, "--accuracy", "tiny", "--threads", "1"]) == 0
     assert capsys.readouterr().out.strip() == str(home / "made" / "small.nc")
     make_archive()
     assert cli.main(["unpack", "~/archives/all.zip", "~/all"]) == 0
@@ -167,35 +167,35 @@ def test_the_command_line(home, capsys):
     assert json.loads((home / "all" / "ro-crate-metadata.json").read_text("utf-8"))
 
 
-def test_what_has_that_name_itself_is_reached(home):
-    here = Path.cwd()
+def test_folders_named_by_a_tilde_are_accessible(home):
+    working_folder = Path.cwd()
     for name in ("~", "~in"):
         splits.save(make_snowlike_table().dataset, f"./{name}/kept.nc")
-        assert (here / name / "kept.nc").is_file()
+        assert (working_folder / name / "kept.nc").is_file()
         assert splits.open_table(f"./{name}/kept.nc") is not None
-        shutil.rmtree(here / name)
+        shutil.rmtree(working_folder / name)
 
 
 def test_an_unknown_home_is_rejected_in_one_line(home, capsys):
-    with pytest.raises(InvalidValue, match=r"^path = '~nobody-here/a.nc': must be .* known"):
-        splits.load("~nobody-here/a.nc")
-    with pytest.raises(InvalidValue, match=r"^sky = '~nobody-here/a.csv': must be"):
-        splits.sky("~nobody-here/a.csv")
-    with pytest.raises(ConfigError, match="results = '~nobody-here/a': must be"):
-        load_settings({**MAIN_SETTINGS, "results": "~nobody-here/a"})
-    assert cli.main(["run", "a.yaml", "--output=~nobody-here"]) == 1
+    with pytest.raises(InvalidValue, match=r"^path = '~unknown-user/a.nc': must be .* known"):
+        splits.load("~unknown-user/a.nc")
+    with pytest.raises(InvalidValue, match=r"^sky = '~unknown-user/a.csv': must be"):
+        splits.sky("~unknown-user/a.csv")
+    with pytest.raises(ConfigError, match="results = '~unknown-user/a': must be"):
+        load_settings({**MAIN_SETTINGS, "results": "~unknown-user/a"})
+    assert cli.main(["run", "a.yaml", "--output=~unknown-user"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize("call", [splits.load, splits.open_table])
 @pytest.mark.parametrize(
-    "given", [make_snowlike_table().dataset, make_snowlike_table(), None, 5, np.ones(3), b"a.nc"]
+    "value", [make_snowlike_table().dataset, make_snowlike_table(), None, 5, np.ones(3), b"a.nc"]
 )
-def test_what_is_not_a_path_is_rejected_in_one_line(call, given):
-    kind = type(given).__name__
+def test_invalid_path_types_are_rejected_in_one_line(call, value):
+    kind = type(value).__name__
     with pytest.raises(
         InvalidValue, match=f"^path = '{kind}': must be the path of a file"
-    ) as refused:
-        call(given)
-    told = kind == "Dataset" and call is splits.open_table
-    assert ("splits.Table(…) takes a dataset" in str(refused.value)) == told
+    ) as error:
+        call(value)
+    is_explained = kind == "Dataset" and call is splits.open_table
+    assert ("splits.Table(…) takes a dataset" in str(error.value)) == is_explained

@@ -1,4 +1,4 @@
-"""Signals to a job and to what starts jobs."""
+"""Signals to a job and to its parent process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from splits.core.interrupts import GRACE_PERIOD_S, INTERRUPTED_EXIT_STATUS, trac
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 BUSY_PROGRAM = "import hashlib; hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)"
-"""Minutes of machine code that does not heed signals."""
+"""Minutes of compiled code that does not check signals."""
 IDLE_PROGRAM = "import time; time.sleep(300)"
 JOB_PROGRAM = """
 from pathlib import Path
@@ -32,11 +32,11 @@ child = subprocess.Popen([sys.executable, '-c', sys.argv[1]])
 child.wait()
 """
 MAX_DELAY_S = GRACE_PERIOD_S + 6.0
-"""What a loaded machine may take."""
+"""Largest delay on a loaded machine (s)."""
 
 
 def restore_interrupts():
-    """Let a process heed SIGINT even if the tests run in the background of a shell."""
+    """Restore the default action of SIGINT, which background shells ignore."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -45,7 +45,7 @@ def ignore_interrupts():
 
 
 def start_process(*arguments, prepare=restore_interrupts):
-    """Return a process that says when it has begun."""
+    """Start a process and return it after its first line of output."""
     process = subprocess.Popen(
         [sys.executable, "-c", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=prepare,
@@ -55,58 +55,58 @@ def start_process(*arguments, prepare=restore_interrupts):
 
 
 @pytest.mark.parametrize("work", [BUSY_PROGRAM, IDLE_PROGRAM], ids=["busy", "idle"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_job_ends_soon_with_one_line_and_no_half_file(work, number, tmp_path):
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_a_job_without_a_partial_file(work, signal_number, tmp_path):
     path = tmp_path / "half.nc"
     process = start_process(JOB_PROGRAM.format(path=str(path), work=work))
     assert path.exists()
-    since = time.perf_counter()
-    process.send_signal(number)
-    # Two of them: from the terminal, and passed on.
-    process.send_signal(number)
-    _, err = process.communicate(timeout=60)
-    assert time.perf_counter() - since < MAX_DELAY_S
-    assert (process.returncode, err) == (INTERRUPTED_EXIT_STATUS, "a job: interrupted\n")
+    start = time.perf_counter()
+    process.send_signal(signal_number)
+    # Two signals: from the terminal, and forwarded by the parent.
+    process.send_signal(signal_number)
+    _, stderr = process.communicate(timeout=60)
+    assert time.perf_counter() - start < MAX_DELAY_S
+    assert (process.returncode, stderr) == (INTERRUPTED_EXIT_STATUS, "a job: interrupted\n")
     assert not path.exists()
 
 
-def test_errors_of_a_job_are_shown_as_ever(tmp_path):
+def test_errors_of_a_job_show_a_traceback(tmp_path):
     process = start_process(
         JOB_PROGRAM.format(path=str(tmp_path / "half.nc"), work="raise ValueError('bad')")
     )
-    _, err = process.communicate(timeout=60)
+    _, stderr = process.communicate(timeout=60)
     assert process.returncode == 1
-    assert "Traceback" in err and err.endswith("ValueError: bad\n")
+    assert "Traceback" in stderr and stderr.endswith("ValueError: bad\n")
 
 
-def test_an_interrupt_is_passed_on(tmp_path):
+def test_an_interrupt_is_forwarded(tmp_path):
     job = JOB_PROGRAM.format(path=str(tmp_path / "half.nc"), work=BUSY_PROGRAM)
     process = start_process(PARENT_PROGRAM, job)
-    since = time.perf_counter()
+    start = time.perf_counter()
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert time.perf_counter() - since < MAX_DELAY_S
-    assert "a job: interrupted\n" in err
+    _, stderr = process.communicate(timeout=60)
+    assert time.perf_counter() - start < MAX_DELAY_S
+    assert "a job: interrupted\n" in stderr
     assert process.returncode == -signal.SIGINT
 
 
-def test_what_ignores_interrupts_goes_on_to_do_so(tmp_path):
+def test_ignored_interrupts_stay_ignored(tmp_path):
     work = "import time; time.sleep(0.5); print('ended')"
     job = JOB_PROGRAM.format(path=str(tmp_path / "half.nc"), work=work)
     for program in ([job], [PARENT_PROGRAM, job]):
         process = start_process(*program, prepare=ignore_interrupts)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
-        assert (process.returncode, out, err) == (0, "ended\n", "")
+        stdout, stderr = process.communicate(timeout=60)
+        assert (process.returncode, stdout, stderr) == (0, "ended\n", "")
 
 
-def test_a_file_that_is_done_under_another_name_stays(tmp_path):
-    aside, path = tmp_path / "aside", tmp_path / "whole"
-    with track_unfinished_file(aside):
-        aside.touch()
-        aside.rename(path)
-    assert path.exists() and not aside.exists()
-    with pytest.raises(KeyboardInterrupt), track_unfinished_file(aside):
-        aside.touch()
+def test_a_renamed_file_is_kept(tmp_path):
+    temporary, path = tmp_path / "aside", tmp_path / "whole"
+    with track_unfinished_file(temporary):
+        temporary.touch()
+        temporary.rename(path)
+    assert path.exists() and not temporary.exists()
+    with pytest.raises(KeyboardInterrupt), track_unfinished_file(temporary):
+        temporary.touch()
         raise KeyboardInterrupt
-    assert not aside.exists()
+    assert not temporary.exists()

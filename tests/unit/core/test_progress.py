@@ -19,40 +19,40 @@ HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, secon
 
 @with_progress
 def report_once(*, progress=None):
-    """Report once."""
+    """Report progress once."""
     if progress:
         progress(HALF)
     return progress
 
 
 @pytest.mark.parametrize("name", WITH_PROGRESS)
-def test_long_instruments_take_progress(name):
+def test_long_running_functions_accept_progress(name):
     assert "progress" in inspect.signature(getattr(splits, name)).parameters
 
 
-def test_progress_says_how_far_and_how_good():
+def test_progress_text_states_fraction_and_error():
     assert HALF.fraction_done == 0.75
     assert str(HALF) == "error 0.004, wanted 0.002, 1 s left"
     assert str(splits.Progress(10, 1.0, 0.1, 0.0, 0.0)).startswith("first round")
     assert splits.Progress(10, 1.0, 0.1, 0.0, 0.0).fraction_done == 0.0
 
 
-def test_true_shows_a_bar_that_ends_full(capsys):
+def test_progress_true_shows_a_complete_bar(capsys):
     assert isinstance(report_once(progress=True), splits.ProgressBar)
-    said = capsys.readouterr().err
-    assert "report_once:  75%" in said and "error 0.004, wanted 0.002" in said
-    assert "100%" in said and "done" in said
+    output = capsys.readouterr().err
+    assert "report_once:  75%" in output and "error 0.004, wanted 0.002" in output
+    assert "100%" in output and "done" in output
 
 
-def test_a_failure_leaves_the_bar_where_it_was(capsys):
+def test_a_failure_leaves_the_bar_incomplete(capsys):
     with pytest.raises(KeyError), splits.ProgressBar("mine") as bar:
         bar(HALF)
         raise KeyError
-    said = capsys.readouterr().err
-    assert "mine:  75%" in said and "100%" not in said
+    output = capsys.readouterr().err
+    assert "mine:  75%" in output and "100%" not in output
 
 
-def test_nothing_and_false_show_nothing(capsys):
+def test_default_and_false_show_no_bar(capsys):
     assert report_once() is None
     assert report_once(progress=False) is None
     assert capsys.readouterr().err == ""
@@ -64,10 +64,10 @@ def test_non_callables_are_rejected():
 
 
 @NEEDS_JIT
-def test_an_instrument_reports_to_a_function():
-    seen = []
+def test_instruments_report_to_a_callback():
+    reports = []
     splits.spectrophotometer(
-        splits.Snow(depth_m=0.01), [1300], max_stderr=0.01, progress=seen.append
+        splits.Snow(depth_m=0.01), [1300], max_stderr=0.01, progress=reports.append
     )
-    assert seen and all(isinstance(one, splits.Progress) for one in seen)
-    assert seen[0].target == 0.01
+    assert reports and all(isinstance(report, splits.Progress) for report in reports)
+    assert reports[0].target == 0.01

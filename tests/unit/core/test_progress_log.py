@@ -19,19 +19,17 @@ medium: {kind: snow, depth_m: 0.005}
 instrument: {wavelength_nm: [800, 1300]}
 figure: none
 """
-FULL_DISK = pytest.mark.skipif(
-    not os.path.exists("/dev/full"), reason="no file that is always full"
-)
+FULL_DISK = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 
 
 @with_progress
 def report_once(*, progress=None):
-    """Report once."""
+    """Report progress once."""
     progress(HALF)
     return "measured"
 
 
-def test_lines_that_an_encoding_does_not_have_are_escaped():
+def test_characters_outside_the_encoding_are_escaped():
     raw = io.BytesIO()
     stream = io.TextIOWrapper(raw, encoding="ascii")
     write_line("é \udce9 µ", stream)
@@ -39,7 +37,7 @@ def test_lines_that_an_encoding_does_not_have_are_escaped():
 
 
 @FULL_DISK
-def test_a_stream_that_fails_takes_nothing(tmp_path):
+def test_failing_streams_raise_no_error(tmp_path):
     write_line("a line", None)
     with open("/dev/full", "w", encoding="utf-8") as full:
         write_line("a line", full)
@@ -50,10 +48,10 @@ def test_a_stream_that_fails_takes_nothing(tmp_path):
 
 
 @FULL_DISK
-def test_a_log_that_cannot_be_written_leaves_the_terminal(capsys):
-    with open_progress_log("/dev/full") as say:
-        say("a line")
-        say("another")
+def test_an_unwritable_log_does_not_affect_the_terminal(capsys):
+    with open_progress_log("/dev/full") as log:
+        log("a line")
+        log("another")
     assert capsys.readouterr().err == "a line\nanother\n"
 
 
@@ -65,25 +63,25 @@ class BrokenStream(io.StringIO):
 
 
 @pytest.mark.parametrize("stream", [BrokenStream, lambda: None])
-def test_a_bar_that_cannot_be_shown_ends_nothing(monkeypatch, stream):
+def test_an_unwritable_progress_bar_raises_no_error(monkeypatch, stream):
     monkeypatch.setattr(sys, "stderr", stream())
     assert report_once(progress=True) == "measured"
 
 
 @pytest.mark.parametrize("error", [BrokenPipeError(), UnicodeEncodeError("ascii", "é", 0, 1, "")])
-def test_a_function_that_cannot_write_ends_nothing(error):
-    def show(progress):
+def test_write_errors_of_callbacks_are_ignored(error):
+    def callback(progress):
         raise error
 
-    assert report_once(progress=show) == "measured"
+    assert report_once(progress=callback) == "measured"
 
 
-def test_other_errors_of_a_function_are_shown():
-    def show(progress):
+def test_other_errors_of_callbacks_are_raised():
+    def callback(progress):
         raise KeyError
 
     with pytest.raises(KeyError):
-        report_once(progress=show)
+        report_once(progress=callback)
 
 
 def run_in_shell(tmp_path, before="", after="", **environment):
@@ -91,11 +89,11 @@ def run_in_shell(tmp_path, before="", after="", **environment):
     (tmp_path / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
     command = f"{sys.executable} -m splits.cli run small.yaml --output é --accuracy tiny"
     shell = f"{before} {command} --threads 1 {after}"
-    done = subprocess.run(
+    result = subprocess.run(
         ["bash", "-c", f"{shell}; exit ${{PIPESTATUS[0]}}"], cwd=tmp_path, capture_output=True,
         text=True, env={**os.environ, **environment},
     )  # fmt: skip
-    return done, splits.load(tmp_path / "é" / "small.nc")
+    return result, splits.load(tmp_path / "é" / "small.nc")
 
 
 @NEEDS_JIT
@@ -103,40 +101,40 @@ def run_in_shell(tmp_path, before="", after="", **environment):
 @pytest.mark.parametrize(
     "after", ["2>/dev/full", ">/dev/full", "2>&- >&-", "2>&1 >/dev/null | true", "| true"]
 )
-def test_a_run_ends_well_whatever_becomes_of_its_lines(tmp_path, after):
-    done, dataset = run_in_shell(tmp_path, after=after)
-    assert done.returncode == 0 and "Error" not in done.stderr
+def test_a_run_succeeds_with_unwritable_output(tmp_path, after):
+    result, dataset = run_in_shell(tmp_path, after=after)
+    assert result.returncode == 0 and "Error" not in result.stderr
     assert dataset.reflectance.size == 2
 
 
 @NEEDS_JIT
-def test_a_run_ends_well_in_a_terminal_of_ascii(tmp_path):
-    done, _ = run_in_shell(tmp_path, PYTHONIOENCODING="ascii")
-    assert (done.returncode, done.stdout) == (0, "\\xe9/small.nc\n")
+def test_a_run_succeeds_in_an_ascii_terminal(tmp_path):
+    result, _ = run_in_shell(tmp_path, PYTHONIOENCODING="ascii")
+    assert (result.returncode, result.stdout) == (0, "\\xe9/small.nc\n")
 
 
 @NEEDS_JIT
 @pytest.mark.skipif(sys.platform == "win32", reason="terminals of POSIX")
-def test_a_run_ends_well_after_its_terminal_is_closed(tmp_path):
+def test_a_run_succeeds_after_its_terminal_is_closed(tmp_path):
     (tmp_path / "small.yaml").write_text(SMALL_EXPERIMENT, encoding="utf-8")
-    terminal, side = os.openpty()
+    parent_end, child_end = os.openpty()
     command = [sys.executable, "-m", "splits.cli", "run", "small.yaml", "--accuracy", "tiny"]
     with subprocess.Popen(
-        command, cwd=tmp_path, stdout=side, stderr=side, start_new_session=True
+        command, cwd=tmp_path, stdout=child_end, stderr=child_end, start_new_session=True
     ) as process:
-        os.close(side)
-        os.close(terminal)
+        os.close(child_end)
+        os.close(parent_end)
     assert process.returncode == 0
     assert splits.load(tmp_path / "small.nc").reflectance.size == 2
 
 
 @FULL_DISK
-def test_an_interrupt_ends_a_run_whose_lines_cannot_be_written():
+def test_interrupts_end_a_run_with_unwritable_output():
     script = (
         "import os, signal, time\nfrom splits.core.interrupts import exit_on_signals\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\nexit_on_signals('a job')\n"
         "os.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
     )
     with open("/dev/full", "wb") as full:
-        done = subprocess.run([sys.executable, "-c", script], stderr=full, timeout=30)
-    assert done.returncode == 130
+        result = subprocess.run([sys.executable, "-c", script], stderr=full, timeout=30)
+    assert result.returncode == 130

@@ -14,20 +14,20 @@ digest = hash_physics_sources.__wrapped__
 
 @pytest.fixture
 def package(monkeypatch, tmp_path):
-    """Return a copy of the package that is asked instead."""
+    """Return a copy of the package, from which digests are computed."""
     copy = tmp_path / "elsewhere"
     shutil.copytree(PACKAGE_FOLDER, copy, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(provenance, "PACKAGE_FOLDER", copy)
     return copy
 
 
-def test_the_place_of_the_package_does_not_matter(package):
-    there, fit = digest(), digest(fit=True)
-    assert (there, fit) == (hash_physics_sources(), hash_physics_sources(fit=True))
-    assert there != fit
+def test_digest_is_independent_of_the_location(package):
+    copied, copied_fit = digest(), digest(fit=True)
+    assert (copied, copied_fit) == (hash_physics_sources(), hash_physics_sources(fit=True))
+    assert copied != copied_fit
 
 
-def test_the_ends_of_lines_do_not_matter(package):
+def test_digest_is_independent_of_line_endings(package):
     before = digest()
     path = package / "media" / "snow.py"
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
@@ -45,17 +45,15 @@ def test_the_ends_of_lines_do_not_matter(package):
         "experiments/run_points.py",
     ],
 )
-def test_a_change_of_physics_changes_both_digests(package, name):
+def test_physics_sources_change_both_digests(package, name):
     before = digest(), digest(fit=True)
     with open(package / name, "a", encoding="utf-8") as file:
         file.write("# changed\n")
-    assert all(
-        one != other for one, other in zip(before, (digest(), digest(fit=True)), strict=True)
-    )
+    assert all(old != new for old, new in zip(before, (digest(), digest(fit=True)), strict=True))
 
 
 @pytest.mark.parametrize("name", FIT_SOURCES)
-def test_a_change_of_fitting_changes_the_digest_of_fits_only(package, name):
+def test_fit_sources_change_the_digest_of_fits_only(package, name):
     before = digest(), digest(fit=True)
     with open(package / name, "a", encoding="utf-8") as file:
         file.write("# changed\n")
@@ -68,7 +66,7 @@ def test_a_moved_file_changes_the_digest(package):
     assert digest() != before
 
 
-def test_what_draws_and_compares_does_not_count(package):
+def test_plotting_and_analysis_do_not_change_the_digest(package):
     before = digest(fit=True)
     for name in ("plotting/lines.py", "analysis/colour.py", "kernels/notes.txt"):
         with open(package / name, "a", encoding="utf-8") as file:

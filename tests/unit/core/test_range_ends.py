@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from array_inputs import FIXED, SIZE, SOOT, TABLE, compute_refraction
+from array_inputs import FIXED, SIZE, SOOT, TABLE, user_index
 from chi2 import NEEDS_JIT
 from formula_tables import W, evaluate_spectrum, make_table
 
@@ -17,21 +17,21 @@ from splits.materials import make_refractive_index
 from splits.simulation.arguments import check_direction_angles, check_wavelengths
 from splits.tables.export import convert_to_spires
 
-FROM_30 = make_table(
+NARROW_TABLE = make_table(
     lambda size, _: evaluate_spectrum(size, 0.0),
     {SIZE: [50.0, 100.0], "incidence_deg": [30.0, 60.0]},
 )
-LIGHT = {"wavelength_nm": [400.0, 800.0], "direct": [1.0, 1.0], "diffuse": [1.0, 1.0]}
+SKY = {"wavelength_nm": [400.0, 800.0], "direct": [1.0, 1.0], "diffuse": [1.0, 1.0]}
 MEASURED = (W, evaluate_spectrum(200.0, 64.0))
 
 
-def retrieve_at(table=TABLE, **at):
-    return table.interp(**at).reflectance.values
+def interp(table=TABLE, **point):
+    return table.interp(**point).reflectance.values
 
 
-def shift_relative(value, off):
-    """Return a value that is off by a part of itself, or by that a thousandth at 0."""
-    return value * (1.0 + off) if value else 1e-3 * off
+def shift_relative(value, error):
+    """Return a value with a relative error, or with an error of 1e-3 of that at 0."""
+    return value * (1.0 + error) if value else 1e-3 * error
 
 
 RANGE_ENDS = {
@@ -55,18 +55,19 @@ RANGE_ENDS = {
             phase_function={"cosine": [x, 1], "density": [1, 1]}).kernel_phase_function.cosines,
         -1.0, 1),
     "refractive_index": (lambda x: make_refractive_index("quartz")(x), 198.0, -1),
-    "own index": (lambda x: compute_refraction()[0][0] and make_refractive_index("ice", {
+    "user index": (lambda x: user_index()[0][0] and make_refractive_index("ice", {
         "wavelength_nm": [400, 800], "n": [1.3, 1.4], "k": [0, 0]})(x), 800.0, 1),
     "wavelength_nm": (check_wavelengths, 200.0, -1),
     "polar_deg": (lambda x: check_direction_angles("polar_deg", [x], 90.0), 0.0, -1),
-    "sky": (lambda x: splits.sky(LIGHT, 50).compute_direct_fraction(np.array([x])), 800.0, 1),
-    "zenith_deg": (lambda x: splits.sky(LIGHT, x).zenith_deg, 89.0, 1),
-    "Table.interp": (lambda x: retrieve_at(FROM_30, incidence_deg=x, **{SIZE: 60}), 30.0, -1),
-    "Table.interp root": (lambda x: retrieve_at(**FIXED | {SOOT: x, SIZE: 60}), 0.0, -1),
+    "sky": (lambda x: splits.sky(SKY, 50).compute_direct_fraction(np.array([x])), 800.0, 1),
+    "zenith_deg": (lambda x: splits.sky(SKY, x).zenith_deg, 89.0, 1),
+    "Table.interp": (lambda x: interp(NARROW_TABLE, incidence_deg=x, **{SIZE: 60}), 30.0, -1),
+    "Table.interp root": (lambda x: interp(**FIXED | {SOOT: x, SIZE: 60}), 0.0, -1),
     "Table.interp wavelength": (
-        lambda x: retrieve_at(**FIXED, wavelength=x, **{SIZE: 60}), 1500.0, 1),
+        lambda x: interp(**FIXED, wavelength=x, **{SIZE: 60}), 1500.0, 1),
     "Table.derivatives": (
-        lambda x: FROM_30.derivatives([SIZE], incidence_deg=60, **{SIZE: x}).reflectance_jacobian,
+        lambda x: NARROW_TABLE.derivatives(
+            [SIZE], incidence_deg=60, **{SIZE: x}).reflectance_jacobian,
         50.0, -1),
     "to_spires": (
         lambda x: convert_to_spires(TABLE.dataset, SOOT, {"a": (x, 600)}), 500.0, -1),
@@ -85,34 +86,36 @@ RANGE_ENDS = {
             MEASURED, TABLE, [SIZE], 0.1, fixed=FIXED, prior={SIZE: (x, 200)}).values[SIZE],
         2000.0, 1),
 }  # fmt: skip
-"""A value's result, the end of its range, and the side on which it ends."""
+"""The result for a value, the end of its range, and the side of this end."""
 
 
 @pytest.mark.parametrize("name", RANGE_ENDS)
-def test_rounding_at_the_end_of_a_range_is_the_end(name):
+def test_rounding_errors_at_range_ends_are_snapped(name):
     call, end, side = RANGE_ENDS[name]
     sign = side * math.copysign(1.0, end) if end else side
-    off = 4.0 * np.finfo(float).eps if end else 1e-10
-    there, beyond = shift_relative(end, sign * off), shift_relative(end, sign * 1e-6)
-    assert there != end
-    np.testing.assert_array_equal(call(there), call(end))
-    with pytest.raises(InvalidValue) as caught:
-        call(beyond)
-    assert "\n" not in str(caught.value)
+    error = 4.0 * np.finfo(float).eps if end else 1e-10
+    rounded, outside = shift_relative(end, sign * error), shift_relative(end, sign * 1e-6)
+    assert rounded != end
+    np.testing.assert_array_equal(call(rounded), call(end))
+    with pytest.raises(InvalidValue) as error_info:
+        call(outside)
+    assert "\n" not in str(error_info.value)
 
 
-def test_an_angle_that_went_through_its_cosine():
-    """Such an angle is below that it came from, by its last digit."""
+def test_angles_rounded_by_their_cosine_are_accepted():
+    """The cosine and its inverse change the last digit of the angle."""
     angle = math.degrees(math.acos(math.cos(math.radians(30.0))))
     assert angle != 30.0
-    for table in (FROM_30, TABLE):
-        at = {SIZE: 60.0} if table is FROM_30 else {SIZE: 60.0, SOOT: 64.0}
+    for table in (NARROW_TABLE, TABLE):
+        point = {SIZE: 60.0} if table is NARROW_TABLE else {SIZE: 60.0, SOOT: 64.0}
         np.testing.assert_allclose(
-            retrieve_at(table, sza=angle, **at), retrieve_at(table, sza=30.0, **at), rtol=1e-12
+            interp(table, sza=angle, **point),
+            interp(table, sza=30.0, **point),
+            rtol=1e-12,
         )
 
 
-def test_what_is_inside_stays_as_it_is():
+def test_values_inside_a_range_are_unchanged():
     inside = np.array([1e-300, 1e-15, 1.0 - 1e-12, 1.0])
     np.testing.assert_array_equal(snap_to_limits(inside, 0.0, 1.0), inside)
     assert check_range("x", 1e-300, 0.0, 1.0, open_low=True) == 1e-300
@@ -124,14 +127,14 @@ def test_what_is_inside_stays_as_it_is():
 
 
 @NEEDS_JIT
-def test_the_bottom_of_a_sample_is_the_bottom_on_either_side():
-    """Or an interval would be as thick as a rounding error."""
+def test_rounded_bottom_depth_is_rejected():
+    """Otherwise an interval would be as thin as a rounding error."""
     for thickness, depth in ((0.3, 0.1 + 0.2), (0.1 + 0.2, 0.3)):
         with pytest.raises(InvalidValue, match="top and bottom are always included"):
             splits.irradiance_profile(splits.Snow(depth_m=thickness), [500.0], [depth])
 
 
-def test_a_spectrum_over_the_visible_range_but_for_rounding_has_a_colour():
+def test_visible_range_is_covered_up_to_rounding():
     w = np.linspace(400.0, 780.0, 39)
     assert covers_visible(w)
     assert covers_visible(np.nextafter(w, 800.0)) and covers_visible(np.nextafter(w, 0.0))

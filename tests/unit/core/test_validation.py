@@ -27,14 +27,14 @@ def test_errors_name_key_value_range_and_hint():
 
 
 @pytest.mark.parametrize("value", [1, 1.5, np.float32(0.5), np.int64(3), -0.0])
-def test_real_numbers_pass_as_floats(value):
+def test_real_numbers_are_converted_to_float(value):
     result = check_number("x", value)
     assert type(result) is float
     assert result == float(value)
 
 
 @pytest.mark.parametrize("value", [True, None, "1", 1j, [1], math.nan, math.inf, np.bool_(True)])
-def test_anything_else_is_no_number(value):
+def test_other_values_are_rejected_as_numbers(value):
     with pytest.raises(ValueError, match=r"^x = .*: must be a finite number"):
         check_number("x", value)
 
@@ -49,7 +49,7 @@ def test_anything_else_is_no_number(value):
         ({"high": math.inf, "open_low": True}, (1e-300,), (0.0,), "above 0 m"),
     ],
 )
-def test_ranges_hold_their_limits_unless_open(limits, inside, outside, allowed):
+def test_ranges_include_their_limits_unless_open(limits, inside, outside, allowed):
     arguments = {"low": 0.0, "high": 1.0, "unit": "m", "hint": "look", **limits}
     for value in inside:
         assert check_range("x", value, **arguments) == value
@@ -58,12 +58,12 @@ def test_ranges_hold_their_limits_unless_open(limits, inside, outside, allowed):
             check_range("x", value, **arguments)
 
 
-def test_the_hint_stands_at_the_end():
+def test_the_hint_is_at_the_end():
     with pytest.raises(ValueError, match=r"\[0, 1\] \(use less\)$"):
         check_range("x", 2.0, 0.0, 1.0, hint="use less")
 
 
-def test_sequences_of_numbers():
+def test_number_sequences_are_converted():
     assert check_named_numbers("x", [1, 2.5], ("low", "high")) == (1.0, 2.5)
     assert check_named_numbers("x", np.array([1, 2]), ("low", "high")) == (1.0, 2.0)
     assert check_named_numbers("x", (v for v in (1, 2)), ("low", "high")) == (1.0, 2.0)
@@ -75,12 +75,12 @@ def test_sequences_of_another_length_are_rejected(value):
         check_named_numbers("x", value, ("low", "high"))
 
 
-def test_the_bad_member_of_a_sequence_is_named():
+def test_the_invalid_element_of_a_sequence_is_named():
     with pytest.raises(ValueError, match=r"^x \(high\) = 'y'"):
         check_named_numbers("x", (1, "y"), ("low", "high"))
 
 
-def test_choices():
+def test_choices_are_checked():
     assert check_choice("x", "b", ["b", "a"]) == "b"
     with pytest.raises(ValueError, match=r"^x = 'lobbe': must be one of lobe, mirrored \(did you"):
         check_choice("x", "lobbe", ["mirrored", "lobe"])
@@ -88,17 +88,17 @@ def test_choices():
         check_choice("x", 3, ["b", "a"])
 
 
-def test_suggestions_need_some_likeness():
+def test_suggestions_require_similar_names():
     assert suggest_name("saturaton", ["density", "saturation"]) == "did you mean saturation?"
     assert suggest_name("qqq", ["density", "saturation"]) == ""
     assert suggest_name(7, ["density"]) == ""
 
 
 def test_errors_keep_their_attributes():
-    refused = invalid("depth_m", -1.0, "above 0", "in metres")
-    assert (refused.key, refused.value, refused.allowed) == ("depth_m", -1.0, "above 0")
-    inside = pickle.loads(pickle.dumps(refused)).add_prefix("medium", "not in cm")
-    assert str(inside) == "medium.depth_m = -1.0: must be above 0 (in metres) (not in cm)"
+    error = invalid("depth_m", -1.0, "above 0", "in metres")
+    assert (error.key, error.value, error.allowed) == ("depth_m", -1.0, "above 0")
+    prefixed = pickle.loads(pickle.dumps(error)).add_prefix("medium", "not in cm")
+    assert str(prefixed) == "medium.depth_m = -1.0: must be above 0 (in metres) (not in cm)"
     missing = unknown_key("depth", ["depth_m"]).add_prefix("medium")
     assert isinstance(missing, ValueError)
     assert str(missing) == (

@@ -1,4 +1,4 @@
-"""Verdicts on published and measured numbers, for synthetic data."""
+"""Verdicts on the agreement with published and measured numbers, for synthetic data."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def published(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "ours", "verdict"), VERDICTS)
-def test_a_number_agrees_within_its_bar(published, name, ours, verdict):
+def test_a_number_agrees_within_its_tolerance(published, name, ours, verdict):
     row = _compare_with_published(name, published.loc[name], (ours, 1e-5))
     assert row["verdict"] == verdict
     assert row["difference"] == pytest.approx(ours - published.loc[name].published)
@@ -62,20 +62,20 @@ def test_a_number_agrees_within_its_bar(published, name, ours, verdict):
     ("name", "ours", "stderr"),
     [("absolute", 0.531, 0.001), ("at_most", 5.0, 0.6), ("at_most", 6.0, 1e-9)],
 )
-def test_a_number_whose_error_reaches_over_its_bar_has_no_verdict(published, name, ours, stderr):
+def test_a_number_with_large_error_has_no_verdict(published, name, ours, stderr):
     row = _compare_with_published(name, published.loc[name], (ours, stderr))
     assert row["verdict"] == "not resolved at this accuracy"
 
 
-def test_tolerances_are_stated_as_they_are_applied(published):
-    bars = {
+def test_tolerances_are_stated_as_applied(published):
+    tolerances = {
         name: _compare_with_published(name, row, (1.0, 0.0))["bar"]
         for name, row in published.iterrows()
     }
-    assert bars["absolute"] == "±0.03"
-    assert bars["relative"] == "±3 %"
-    assert bars["between"] == "0.02 to 0.032"
-    assert bars["at_most"] == "at most 6"
+    assert tolerances["absolute"] == "±0.03"
+    assert tolerances["relative"] == "±3 %"
+    assert tolerances["between"] == "0.02 to 0.032"
+    assert tolerances["at_most"] == "at most 6"
 
 
 def test_a_number_without_a_counterpart_is_not_reproducible(published):
@@ -84,7 +84,7 @@ def test_a_number_without_a_counterpart_is_not_reproducible(published):
     assert "ours" not in row
 
 
-def test_shipped_published_numbers_have_a_bar_each_or_say_why_not():
+def test_shipped_published_numbers_have_tolerances():
     table = read_published(CONFIG / "published" / "splitsnow2021.csv")
     assert table.index.is_unique
     bar = table.bar.notna() | table.low.notna() | table.high.notna()
@@ -94,7 +94,7 @@ def test_shipped_published_numbers_have_a_bar_each_or_say_why_not():
 def test_rmse_of_independent_errors_scatters_as_stated():
     random = np.random.default_rng(4)
     exact, stderr = np.array([0.03, -0.04, 0.01]), np.array([0.002, 0.004, 0.003])
-    found = [
+    results = [
         compute_rmse(
             exact + stderr * random.normal(size=3),
             stderr,
@@ -102,16 +102,16 @@ def test_rmse_of_independent_errors_scatters_as_stated():
         )
         for _ in range(4000)
     ]
-    values, errors = np.array(found).T
-    off = np.sqrt(np.mean((values - np.sqrt(np.mean(exact**2))) ** 2))
-    assert off / np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.05)
+    values, errors = np.array(results).T
+    rms_deviation = np.sqrt(np.mean((values - np.sqrt(np.mean(exact**2))) ** 2))
+    assert rms_deviation / np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.05)
 
 
 def test_rmse_of_correlated_errors_is_bounded():
     stderr = np.array([0.01, 0.01])
     value, error = compute_rmse([0.03, -0.03], stderr, lambda weights: float(weights @ stderr))
     assert value == pytest.approx(0.03)
-    # Both shift alike, which changes the differences' squares in the second order alone.
+    # A common shift changes the squared differences in second order only.
     assert error == pytest.approx(0.5 * 1e-4 / 0.03)
     assert compute_rmse([0.0, 0.0], [0.01, 0.03], lambda _: 9.0) == (
         0.0,
@@ -121,12 +121,12 @@ def test_rmse_of_correlated_errors_is_bounded():
 
 
 def test_rmse_to_a_measured_spectrum_includes_correlations():
-    groups = np.array([[0.003, 0.003], [0.004, 0.004]])
+    batches = np.array([[0.003, 0.003], [0.004, 0.004]])
     dataset = xr.Dataset(
         {
             "reflectance": ("wavelength", [0.9, 0.5]),
             "reflectance_stderr": ("wavelength", [0.005, 0.005]),
-            "reflectance_batches": (("batch", "wavelength"), groups),
+            "reflectance_batches": (("batch", "wavelength"), batches),
         },
         {"wavelength": [500.0, 1000.0]},
     )
@@ -134,11 +134,11 @@ def test_rmse_to_a_measured_spectrum_includes_correlations():
     value, error = compute_measured_rmse(dataset, measured)
     assert value == pytest.approx(0.1)
     assert error == pytest.approx(0.005, rel=0.01)
-    _, apart = compute_measured_rmse(dataset, measured.assign(reflectance=[0.8, 0.6]))
-    assert apart < 0.001
+    _, cancelled = compute_measured_rmse(dataset, measured.assign(reflectance=[0.8, 0.6]))
+    assert cancelled < 0.001
 
 
-def test_bands_compare_model_with_measurement():
+def test_model_is_compared_with_a_measured_spectrum():
     dataset = xr.Dataset(
         {
             "reflectance": ("wavelength", [0.9, 0.5]),
@@ -173,10 +173,10 @@ def test_letcher_mixes_beam_and_diffuse_light():
     )
     columns = {column: [0.7] for column in LETCHER_COLUMNS.values()}
     table = compare_with_letcher(dataset, pd.DataFrame({"wavelength_nm": [500.0], **columns}))
-    share = DIFFUSE_FRACTION
+    fraction = DIFFUSE_FRACTION
     assert sorted(table.depth_m) == sorted(LETCHER_COLUMNS)
-    np.testing.assert_allclose(table.model, share * 0.8 + (1 - share) * 0.4)
-    np.testing.assert_allclose(table.stderr, 0.01 * np.hypot(share, 1 - share))
+    np.testing.assert_allclose(table.model, fraction * 0.8 + (1 - fraction) * 0.4)
+    np.testing.assert_allclose(table.stderr, 0.01 * np.hypot(fraction, 1 - fraction))
     assert (table.snow == "natural snow").all()
 
 
@@ -187,11 +187,11 @@ def test_shipped_measurements_are_fractions_over_wavelength(name):
     assert path.read_text(encoding="utf-8").startswith("#"), "the citation comes first"
     assert (np.diff(table.wavelength_nm) > 0.0).all()
     values = table.drop(columns="wavelength_nm").to_numpy()
-    # The absolute level of an albedo is good to about 2 %.
+    # The absolute error of a measured albedo is about 2 %.
     assert ((values >= 0.0) & (values <= 1.02)).all()
 
 
-def test_tables_are_written_whole(tmp_path):
+def test_tables_are_written_atomically(tmp_path):
     path = tmp_path / "new" / "table.csv"
     write_data_frame(pd.DataFrame({"a": [1 / 3], "b": ["x"]}), path)
     assert path.read_text() == "a,b\n0.333333,x\n"

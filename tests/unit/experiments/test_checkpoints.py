@@ -1,4 +1,4 @@
-"""Experiments that are interrupted go on where they stopped, and give the same bits."""
+"""Interrupted experiments are resumed, with bitwise identical results."""
 
 from __future__ import annotations
 
@@ -59,62 +59,64 @@ class InterruptedRun(Exception):
 
 
 def write_dataset(content, folder, accuracy=TINY_ACCURACY, seed=1, threads=1):
-    """Write an experiment's dataset, and return what was said."""
-    said = []
+    """Write the dataset of an experiment, and return the lines of its log."""
+    lines = []
     experiment = SimulationConfig.model_validate(content)
     path = folder / "some.nc"
-    write_run(experiment, accuracy, seed, folder / "blocks" / "some", path, threads, said.append)
-    return said
+    write_run(experiment, accuracy, seed, folder / "blocks" / "some", path, threads, lines.append)
+    return lines
 
 
 def interrupt_after(monkeypatch, n_path_groups):
-    """Let a run end after so many ensembles of paths."""
-    left = [n_path_groups]
+    """Interrupt a run after a number of path-sharing groups."""
+    remaining = [n_path_groups]
 
-    def counted(function):
-        def measured(*given):
-            if not left[0]:
+    def count_calls(function):
+        def wrapped(*arguments):
+            if not remaining[0]:
                 raise InterruptedRun
-            left[0] -= 1
-            return function(*given)
+            remaining[0] -= 1
+            return function(*arguments)
 
-        return measured
+        return wrapped
 
     for name in ("simulate_point", "_simulate_group"):
-        monkeypatch.setattr(run_points, name, counted(getattr(run_points, name)))
+        monkeypatch.setattr(run_points, name, count_calls(getattr(run_points, name)))
 
 
 def list_cached_files(folder):
     return sorted(path.name for path in folder.glob("blocks/some/*"))
 
 
-@pytest.mark.parametrize(("content", "points"), [(INDEPENDENT_POINTS, 2), (PATH_SHARING_POINTS, 2)])
-def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch, content, points):
+@pytest.mark.parametrize(
+    ("content", "n_points"), [(INDEPENDENT_POINTS, 2), (PATH_SHARING_POINTS, 2)]
+)
+def test_interrupted_runs_are_resumed(tmp_path, monkeypatch, content, n_points):
     write_dataset(content, tmp_path / "whole")
     with monkeypatch.context() as patch, pytest.raises(InterruptedRun):
         interrupt_after(patch, 2 if content is INDEPENDENT_POINTS else 1)
         write_dataset(content, tmp_path / "cut")
-    assert len(list_cached_files(tmp_path / "cut")) == points
-    said = write_dataset(content, tmp_path / "cut", threads=2)
-    assert sum("kept from an earlier run" in line for line in said) == points // (
+    assert len(list_cached_files(tmp_path / "cut")) == n_points
+    lines = write_dataset(content, tmp_path / "cut", threads=2)
+    assert sum("kept from an earlier run" in line for line in lines) == n_points // (
         1 if content is INDEPENDENT_POINTS else 2
     )
-    whole, cut = (splits.load(tmp_path / name / "some.nc") for name in ("whole", "cut"))
+    complete, resumed = (splits.load(tmp_path / name / "some.nc") for name in ("whole", "cut"))
     xr.testing.assert_identical(
-        drop_run_specific_attributes(cut), drop_run_specific_attributes(whole)
+        drop_run_specific_attributes(resumed), drop_run_specific_attributes(complete)
     )
-    for name in whole.variables:
-        assert cut[name].values.tobytes() == whole[name].values.tobytes()
+    for name in complete.variables:
+        assert resumed[name].values.tobytes() == complete[name].values.tobytes()
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["some.nc"]
 
 
-def test_points_of_other_runs_stay_and_do_not_count(tmp_path, monkeypatch):
+def test_checkpoints_of_other_runs_are_not_used(tmp_path, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(InterruptedRun):
         interrupt_after(patch, 2)
         write_dataset(INDEPENDENT_POINTS, tmp_path)
     first = list_cached_files(tmp_path)
     table = {"wavelength_nm": [400, 1000], "n": [1.3, 1.3], "k": [1e-7, 1e-7]}
-    others = [
+    changes = [
         {"seed": 2},
         {"accuracy": TINY_ACCURACY.model_copy(update={"max_rays": 5000})},
         {
@@ -126,15 +128,15 @@ def test_points_of_other_runs_stay_and_do_not_count(tmp_path, monkeypatch):
             | {"medium": {**INDEPENDENT_POINTS["medium"], "refractive_index": {"ice": table}}}
         },
     ]
-    for other in others:
-        said = write_dataset(**{"content": INDEPENDENT_POINTS, "folder": tmp_path} | other)
-        assert not any("kept" in line for line in said)
+    for change in changes:
+        lines = write_dataset(**{"content": INDEPENDENT_POINTS, "folder": tmp_path} | change)
+        assert not any("kept" in line for line in lines)
         assert list_cached_files(tmp_path) == first
-    said = write_dataset(INDEPENDENT_POINTS, tmp_path)
-    assert sum("kept" in line for line in said) == 2 and list_cached_files(tmp_path) == []
+    lines = write_dataset(INDEPENDENT_POINTS, tmp_path)
+    assert sum("kept" in line for line in lines) == 2 and list_cached_files(tmp_path) == []
 
 
-def test_a_damaged_point_is_measured_again(tmp_path, monkeypatch):
+def test_a_damaged_checkpoint_is_computed_again(tmp_path, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(InterruptedRun):
         interrupt_after(patch, 2)
         write_dataset(INDEPENDENT_POINTS, tmp_path)
@@ -144,22 +146,22 @@ def test_a_damaged_point_is_measured_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_the_last_line_says_what_to_type(tmp_path):
+def test_the_last_line_states_the_command_to_resume(tmp_path):
     text = (
         "medium: {kind: snow, depth_m: 0.005}\ngrid: {saturation: [0, 1]}\nfigure: none\n"
         "instrument: {kind: goniophotometer, wavelength_nm: [800], estimator: bins, rays: 500}\n"
     )
     (tmp_path / "two points.yaml").write_text(text + "name: some\n", encoding="utf-8")
-    words = ["run", "two points.yaml", "--accuracy", "tiny"]
+    arguments = ["run", "two points.yaml", "--accuracy", "tiny"]
     process = subprocess.Popen(
-        [sys.executable, "-c", LAST_POINT, *words], cwd=tmp_path, text=True,
+        [sys.executable, "-c", LAST_POINT, *arguments], cwd=tmp_path, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     assert process.stdout.readline() == "begun\n"
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    typed = "splits run 'two points.yaml' --accuracy tiny"
-    assert err.splitlines()[-2:] == [
-        "splits run: interrupted", f"to resume, type: {typed}",
+    _, stderr = process.communicate(timeout=60)
+    command = "splits run 'two points.yaml' --accuracy tiny"
+    assert stderr.splitlines()[-2:] == [
+        "splits run: interrupted", f"to resume, type: {command}",
     ]  # fmt: skip
     assert len(list_cached_files(tmp_path)) == 1

@@ -1,4 +1,4 @@
-"""The command `splits`."""
+"""The command line interface `splits`."""
 
 from __future__ import annotations
 
@@ -21,77 +21,77 @@ grid: {saturation: [0, 0.5]}
 """
 
 
-def test_accuracies_are_those_of_the_shipped_configuration(pytestconfig):
+def test_accuracy_presets_match_the_shipped_configuration(pytestconfig):
     shipped = yaml.safe_load((pytestconfig.rootpath / "config" / "config.yaml").read_text("utf-8"))
-    ours = {
+    presets = {
         name: {"max_stderr": absolute, "relative_stderr": relative}
         for name, (absolute, relative) in cli.ACCURACY_PRESETS.items()
     }
-    assert ours == shipped["accuracies"]
+    assert presets == shipped["accuracies"]
 
 
 @NEEDS_JIT
-def test_an_experiment_becomes_a_dataset_and_a_figure(tmp_path, capsys):
+def test_run_writes_a_dataset_and_a_figure(tmp_path, capsys):
     file = tmp_path / "small.yaml"
     file.write_text(SMALL, encoding="utf-8")
-    code = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-m", "splits.cli", "run", file, "--output", tmp_path / "made",
          "--accuracy", "tiny", "--seed", "3", "--threads", "1"],
         capture_output=True, text=True,
     )  # fmt: skip
-    assert code.returncode == 0, code.stderr
-    made = splits.load(tmp_path / "made" / "small.nc")
-    assert made.reflectance.dims == ("saturation", "wavelength")
-    assert made.attrs["seed"] == 3
+    assert result.returncode == 0, result.stderr
+    dataset = splits.load(tmp_path / "made" / "small.nc")
+    assert dataset.reflectance.dims == ("saturation", "wavelength")
+    assert dataset.attrs["seed"] == 3
     assert (tmp_path / "made" / "small.png").is_file()
-    assert code.stdout.splitlines() == [
+    assert result.stdout.splitlines() == [
         str(tmp_path / "made" / "small.nc"), str(tmp_path / "made" / "small.png"),
     ]  # fmt: skip
-    assert "small 1/2 saturation=0: done" in code.stderr
+    assert "small 1/2 saturation=0: done" in result.stderr
 
 
 @pytest.mark.parametrize(
-    ("text", "options", "said"),
+    ("text", "options", "message"),
     [
         ("medium: {saturation: 2}\n", [], "medium.saturation = 2: must be in [0, 1]"),
         (SMALL, ["--seed", "-1"], "--seed = -1: must be a whole number of at least 0"),
         (SMALL, ["--threads", "0"], "threads = 0: must be a whole number of at least 1"),
     ],
 )
-def test_what_cannot_be_run_is_one_line(tmp_path, capsys, text, options, said):
+def test_invalid_runs_are_reported_in_one_line(tmp_path, capsys, text, options, message):
     file = tmp_path / "bad.yaml"
     file.write_text(text, encoding="utf-8")
     assert cli.main(["run", str(file), "--output", str(tmp_path / "made"), *options]) == 1
     line = capsys.readouterr().err
-    assert line.startswith("splits: ") and said in line and line.count("\n") == 1
+    assert line.startswith("splits: ") and message in line and line.count("\n") == 1
     assert not (tmp_path / "made").exists()
 
 
-def test_a_file_that_is_not_there_is_one_line(tmp_path, capsys):
+def test_a_missing_file_is_reported_in_one_line(tmp_path, capsys):
     assert cli.main(["run", str(tmp_path / "none.yaml")]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_missing_extra_is_named(tmp_path, capsys, monkeypatch):
+def test_a_missing_extra_is_reported(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pydantic", None)
     assert cli.main(["run", str(tmp_path / "any.yaml")]) == 1
-    said = "experiment files need the package pydantic: pip install 'splits-optics[experiments]'"
-    assert said in capsys.readouterr().err
+    message = "experiment files need the package pydantic: pip install 'splits-optics[experiments]'"
+    assert message in capsys.readouterr().err
 
 
-def test_versions_name_this_and_what_it_uses(capsys):
+def test_versions_list_the_package_and_its_dependencies(capsys):
     assert cli.main(["versions"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith(f"splits-optics {splits.__version__} (commit ")
     assert {"numba", "xarray"} <= {line.split()[0] for line in lines}
 
 
-def test_kept_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
-    kept = cache_folders.CacheFolder(tmp_path / "kernels", True)
-    kept.write("a.nbc", b"x" * 2000)
-    monkeypatch.setattr(cache_folders, "list_cache_folders", lambda: (kept,))
+def test_cached_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
+    folder = cache_folders.CacheFolder(tmp_path / "kernels", True)
+    folder.write("a.nbc", b"x" * 2000)
+    monkeypatch.setattr(cache_folders, "list_cache_folders", lambda: (folder,))
     assert cli.main(["cache"]) == 0
-    assert capsys.readouterr().out == f"{kept.path}: 1 compiled kernels, 0.0 MB\n"
+    assert capsys.readouterr().out == f"{folder.path}: 1 compiled kernels, 0.0 MB\n"
     assert cli.main(["cache", "--clear"]) == 0
     assert capsys.readouterr().out.endswith("deleted 1\n")
-    assert list(kept.path.iterdir()) == []
+    assert list(folder.path.iterdir()) == []

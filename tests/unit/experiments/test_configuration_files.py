@@ -46,12 +46,12 @@ def write_file(folder, name, text=""):
 
 
 @pytest.mark.parametrize(("text", "message"), INVALID_FILES)
-def test_bad_files_are_rejected_with_file_key_and_value(tmp_path, text, message):
+def test_invalid_files_are_rejected_with_file_and_key(tmp_path, text, message):
     path = write_file(tmp_path, "wrong", text)
-    with pytest.raises(ConfigError, match=message) as caught:
+    with pytest.raises(ConfigError, match=message) as error:
         load_experiment(path, MEDIA)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
+    assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
 
 
 def test_files_that_are_not_text_are_rejected(tmp_path):
@@ -63,30 +63,30 @@ def test_files_that_are_not_text_are_rejected(tmp_path):
         read_yaml(tmp_path / "missing.yaml")
 
 
-def test_the_name_defaults_to_that_of_the_file(tmp_path):
+def test_name_defaults_to_the_file_name(tmp_path):
     assert load_experiment(write_file(tmp_path, "plain", "title: T")).name == "plain"
     assert load_experiment(write_file(tmp_path, "Any name!", "name: other")).name == "other"
 
 
-def test_a_medium_builds_upon_a_base(tmp_path):
+def test_a_medium_inherits_from_its_base(tmp_path):
     path = write_file(tmp_path, "made", "medium: {base: splitsnow_table1, depth_m: 0.25}")
     experiment = load_experiment(path, MEDIA)
     assert experiment.medium["depth_m"] == 0.25
     assert experiment.medium["density_kg_m3"] == 275
 
 
-def test_folders_are_searched_all_the_way_down(tmp_path):
+def test_folders_are_searched_recursively(tmp_path):
     write_file(tmp_path, "one", "title: T")
     write_file(tmp_path / "deep" / "down", "two", "title: T")
     assert sorted(load_experiments(tmp_path)) == ["one", "two"]
 
 
-def test_a_name_used_twice_is_rejected_with_both_files(tmp_path):
+def test_duplicate_names_are_rejected_with_both_files(tmp_path):
     first, second = write_file(tmp_path, "a", "name: same"), write_file(tmp_path, "b", "name: same")
-    with pytest.raises(ConfigError, match="name = 'same': already taken") as caught:
+    with pytest.raises(ConfigError, match="name = 'same': already taken") as error:
         load_experiments(tmp_path)
-    assert str(first) in str(caught.value)
-    assert str(second) in str(caught.value)
+    assert str(first) in str(error.value)
+    assert str(second) in str(error.value)
 
 
 def test_an_empty_folder_is_rejected(tmp_path):
@@ -106,12 +106,12 @@ def test_an_empty_folder_is_rejected(tmp_path):
         ({"results": None}, "results = None"),
     ],
 )
-def test_bad_settings_are_rejected(change, message):
+def test_invalid_settings_are_rejected(change, message):
     with pytest.raises(ConfigError, match=f"^config/config.yaml: .*{message}"):
         load_settings({**SETTINGS, **change})
 
 
-def test_a_grid_may_hold_whole_media(tmp_path):
+def test_a_grid_may_contain_media(tmp_path):
     write_file(tmp_path / "media", "mine", "kind: sand\niron_oxide: 0.02")
     path = write_file(
         tmp_path,
@@ -126,10 +126,10 @@ def test_a_grid_may_hold_whole_media(tmp_path):
         "  refractive_index: {half: {goethite: {k_factor: 0.5}}}\n",
     )
     experiment = load_experiment(path, tmp_path / "media")
-    found = {labels["medium"]: medium for labels, medium, _ in experiment.iter_points()}
-    assert found["file"].iron_oxide == found["both"].iron_oxide == 0.02
-    assert found["inline"].magnetite == 0.1 and found["both"].magnetite == 0.2
-    for medium in found.values():
+    media = {labels["medium"]: medium for labels, medium, _ in experiment.iter_points()}
+    assert media["file"].iron_oxide == media["both"].iron_oxide == 0.02
+    assert media["inline"].magnetite == 0.1 and media["both"].magnetite == 0.2
+    for medium in media.values():
         assert medium.refractive_index["water"].name == "segelstein_1981"
         assert "k x 0.5" in medium.refractive_index["goethite"].name
 
@@ -145,7 +145,7 @@ def test_a_grid_may_hold_whole_media(tmp_path):
         ("medium: {kind: sand, iron_oxide: 0.2}", r"iron_oxide = 0\.2.*at most 0\.05"),
     ],
 )
-def test_bad_media_of_a_grid_are_rejected(tmp_path, text, message):
+def test_invalid_media_of_a_grid_are_rejected(tmp_path, text, message):
     path = write_file(tmp_path, "wrong", f"{text}\ninstrument: {{wavelength_nm: [500]}}")
     with pytest.raises(ConfigError, match=message):
         load_experiment(path, MEDIA)
@@ -171,7 +171,7 @@ def test_figures_that_cannot_be_drawn_are_rejected(tmp_path, text, message):
         load_experiment(write_file(tmp_path, "wrong", text), MEDIA)
 
 
-def test_own_mineral_tables_are_known_to_the_workflow(tmp_path):
+def test_mineral_tables_are_listed_for_the_workflow(tmp_path):
     table = tmp_path / "own.csv"
     table.write_text("wavelength_nm,n,k\n400,2.3,0.1\n1000,2.3,0.01\n", encoding="utf-8")
     path = write_file(

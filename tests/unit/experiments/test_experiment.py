@@ -22,11 +22,11 @@ SETTINGS = read_yaml(ROOT / "config" / "config.yaml")
 SETTINGS |= {f"{name}_folder": str(ROOT / "config" / name) for name in ("measured", "published")}
 
 
-def points(**content):
+def list_points(**content):
     return list(ExperimentConfig(name="made", **content).iter_points())
 
 
-def test_names_of_rules_are_known():
+def test_reserved_names_are_those_of_the_rules():
     files = [ROOT / "Snakefile", *sorted((ROOT / "workflow" / "rules").glob("*.smk"))]
     text = "\n".join(path.read_text(encoding="utf-8") for path in files)
     assert set(re.findall(r"^(?:rule|checkpoint)\s+(\w+)\s*:", text, re.MULTILINE)) == set(
@@ -35,19 +35,19 @@ def test_names_of_rules_are_known():
 
 
 @pytest.mark.parametrize("name", RESERVED_NAMES)
-def test_names_of_rules_are_taken(name):
+def test_names_of_rules_are_rejected(name):
     with pytest.raises(ValueError, match=f"name = '{name}': must be none of"):
         ExperimentConfig(name=name)
 
 
 @pytest.mark.parametrize("name", ["", "A", "1a", "a-b", "a/b", "a b", "../a", "é", "a" * 65])
-def test_names_are_file_names(name):
+def test_names_must_be_valid_file_names(name):
     with pytest.raises(ValueError, match="lower-case letters, digits and underscores"):
         ExperimentConfig(name=name)
     assert ExperimentConfig(name="a" * 64).name == "a" * 64
 
 
-def test_an_experiment_needs_no_more_than_a_name():
+def test_only_the_name_of_an_experiment_is_required():
     experiment = ExperimentConfig(name="made")
     ((labels, medium, incidence),) = experiment.iter_points()
     assert (labels, incidence) == ({}, 0.0)
@@ -67,33 +67,33 @@ def test_an_experiment_needs_no_more_than_a_name():
         ([0.2, 0.4, 0.3, 0.072], "0.3"), ("diffuse", "diffuse"),
     ],
 )  # fmt: skip
-def test_labels(value, label):
+def test_labels_of_values(value, label):
     assert make_label("parameter", value) == label
 
 
-def test_a_mapping_needs_a_name_as_label():
+def test_mappings_on_a_grid_need_labels():
     with pytest.raises(ValueError, match=r"grid\.interpretation = .*a mapping from labels"):
         ExperimentConfig(name="made", grid={"interpretation": [{"entry_point": "projected"}]})
 
 
 def test_a_grid_runs_all_combinations():
     grid = {"saturation": [0, 0.1, 0.2], "depth_m": [0.1, 0.2], "incidence_deg": [0, "diffuse"]}
-    made = points(grid=grid, medium={"density_kg_m3": 300})
-    assert len(made) == 12
-    wanted = list(itertools.product(*grid.values()))
-    assert [(m.saturation, m.depth_m, i) for _, m, i in made] == wanted
-    assert made[-1][0] == {"saturation": "0.2", "depth_m": "0.2", "incidence_deg": "diffuse"}
-    assert all(medium.density_kg_m3 == 300 for _, medium, _ in made)
+    grid_points = list_points(grid=grid, medium={"density_kg_m3": 300})
+    assert len(grid_points) == 12
+    expected = list(itertools.product(*grid.values()))
+    assert [(m.saturation, m.depth_m, i) for _, m, i in grid_points] == expected
+    assert grid_points[-1][0] == {"saturation": "0.2", "depth_m": "0.2", "incidence_deg": "diffuse"}
+    assert all(medium.density_kg_m3 == 300 for _, medium, _ in grid_points)
 
 
-def test_labels_of_ones_own():
-    made = points(grid={"grain_size_um": {"fine": [50, 100], "coarse": [500, 1000]}})
-    assert [labels["grain_size_um"] for labels, _, _ in made] == ["fine", "coarse"]
-    assert [medium.grain_size_um for _, medium, _ in made] == [(50, 100), (500, 1000)]
+def test_custom_labels_are_used():
+    grid_points = list_points(grid={"grain_size_um": {"fine": [50, 100], "coarse": [500, 1000]}})
+    assert [labels["grain_size_um"] for labels, _, _ in grid_points] == ["fine", "coarse"]
+    assert [medium.grain_size_um for _, medium, _ in grid_points] == [(50, 100), (500, 1000)]
 
 
-def test_interpretations_on_a_grid_are_merged_into_those_of_the_medium():
-    ((_, medium, _),) = points(
+def test_interpretations_on_a_grid_are_merged():
+    ((_, medium, _),) = list_points(
         medium={"interpretation": {"entry_point": "projected"}},
         grid={"interpretation": {"any": {"facet_sampling": "any"}}},
     )
@@ -134,7 +134,7 @@ def test_invalid_simulations_are_rejected(content, message):
         ExperimentConfig(name="made", **content)
 
 
-def test_wavelength_grids_hold_both_ends_and_single_ones():
+def test_wavelength_grids_include_both_ends():
     assert WavelengthGrid(start=400, stop=500, step=50).to_array().tolist() == [400, 450, 500]
     assert WavelengthGrid(start=400, stop=499, step=50).to_array().tolist() == [400, 450]
     assert WavelengthGrid(start=0.1, stop=0.3, step=0.1).to_array() == pytest.approx(
@@ -143,17 +143,17 @@ def test_wavelength_grids_hold_both_ends_and_single_ones():
     assert WavelengthGrid(start=400, stop=400, step=1, also=(842.25,)).to_array().tolist() == [
         400, 842.25,
     ]  # fmt: skip
-    for bad in ({"stop": 300}, {"step": 1e-9}):
-        with pytest.raises(ValueError, match=f"wavelength_nm.{next(iter(bad))}"):
-            WavelengthGrid(**{"start": 400, "stop": 500, "step": 1, **bad}).to_array()
+    for invalid in ({"stop": 300}, {"step": 1e-9}):
+        with pytest.raises(ValueError, match=f"wavelength_nm.{next(iter(invalid))}"):
+            WavelengthGrid(**{"start": 400, "stop": 500, "step": 1, **invalid}).to_array()
 
 
-def test_words_and_figures_do_not_decide_the_numbers():
+def test_captions_and_figures_do_not_affect_simulations():
     plain = ExperimentConfig(name="made")
-    worded = ExperimentConfig(
+    captioned = ExperimentConfig(
         name="made", title="T", caption="C", figure={"quantity": "transmittance"}
     )
-    assert worded.dump_simulation() == plain.dump_simulation()
+    assert captioned.dump_simulation() == plain.dump_simulation()
     assert (
         ExperimentConfig(name="made", medium={"depth_m": 1}).dump_simulation()
         != plain.dump_simulation()
@@ -163,23 +163,23 @@ def test_words_and_figures_do_not_decide_the_numbers():
 @pytest.mark.parametrize("name", SHIPPED)
 def test_dumped_simulations_are_the_same_experiment(name):
     experiment = SHIPPED[name]
-    handed = ExperimentConfig.model_validate(experiment.dump_simulation())
-    assert handed.dump_simulation() == experiment.dump_simulation()
+    reloaded = ExperimentConfig.model_validate(experiment.dump_simulation())
+    assert reloaded.dump_simulation() == experiment.dump_simulation()
     assert experiment.title and experiment.caption
 
 
-def test_selecting():
-    every = load_settings(SETTINGS).select_experiments(SHIPPED)
-    assert every == SHIPPED
+def test_experiments_are_selected_by_name():
+    selected = load_settings(SETTINGS).select_experiments(SHIPPED)
+    assert selected == SHIPPED
     two = load_settings({**SETTINGS, "experiments": "fig08_grain_size,fig05_refractive_indices"})
     assert list(two.select_experiments(SHIPPED)) == ["fig08_grain_size", "fig05_refractive_indices"]
     for key in ("experiments", "archive"):
-        wrong = load_settings({**SETTINGS, key: ["fig08_grainsize"]})
+        invalid = load_settings({**SETTINGS, key: ["fig08_grainsize"]})
         with pytest.raises(ConfigError, match=f"{key} = 'fig08_grainsize'.*fig08_grain_size"):
-            wrong.select_experiments(SHIPPED)
+            invalid.select_experiments(SHIPPED)
 
 
-def test_accuracies_have_folders_of_their_own():
+def test_accuracies_have_separate_folders():
     assert load_settings(SETTINGS).results_folder == "results"
     tiny = load_settings({**SETTINGS, "accuracy": "tiny", "results": "out"})
     assert tiny.results_folder == "out/tiny"

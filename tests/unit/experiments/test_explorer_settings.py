@@ -52,18 +52,18 @@ def available(tmp_path_factory):
     return load_experiments(folder, Path(folder / "media"))
 
 
-def chosen(available, **given):
-    settings = {"accuracies": {"standard": {"max_stderr": 0.01, "relative_stderr": 0.1}}, **given}
-    return load_settings(settings).select_experiments(available)
+def select_experiments(available, **settings):
+    content = {"accuracies": {"standard": {"max_stderr": 0.01, "relative_stderr": 0.1}}, **settings}
+    return load_settings(content).select_experiments(available)
 
 
-def test_tables_and_directions_are_taken(available):
-    given = {"explorer": {"snow": "deep"}, "explorer_directions": {"snow": "where"}}
-    assert chosen(available, **given) == available
+def test_tables_and_directions_are_accepted(available):
+    settings = {"explorer": {"snow": "deep"}, "explorer_directions": {"snow": "where"}}
+    assert select_experiments(available, **settings) == available
 
 
 @pytest.mark.parametrize(
-    ("given", "line"),
+    ("settings", "message"),
     [
         ({"explorer": {"snow": "spectra"}}, r"explorer.snow = 'spectra': must be a table"),
         ({"explorer": {"snow": "one"}}, ".*its axis incidence_deg must have at least two numbers"),
@@ -82,6 +82,6 @@ def test_tables_and_directions_are_taken(available):
         ),
     ],
 )
-def test_invalid_experiments_of_the_page_are_rejected(available, given, line):
-    with pytest.raises(ConfigError, match=f"^{line}"):
-        chosen(available, **given)
+def test_invalid_experiments_of_the_explorer_are_rejected(available, settings, message):
+    with pytest.raises(ConfigError, match=f"^{message}"):
+        select_experiments(available, **settings)

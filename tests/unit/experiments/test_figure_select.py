@@ -13,14 +13,14 @@ from splits.io.netcdf import select_points
 CROSSED_GRID = {"0.1": 1.0, "1": 0.1}
 
 
-def resolve_fixed_values(grid, **at):
-    """Return what the figure of an experiment holds fixed, and the grid's coordinates."""
-    experiment = ExperimentConfig(name="made", grid=grid, figure={"select": at})
+def resolve_fixed_values(grid, **select):
+    """Return the fixed values of the figure of an experiment, and the grid."""
+    experiment = ExperimentConfig(name="made", grid=grid, figure={"select": select})
     return experiment.resolve_figure()["select"], experiment.grid
 
 
 @pytest.mark.parametrize(
-    ("values", "given", "label"),
+    ("values", "value", "label"),
     [
         ([0.99999, 1.0], 1.0, "1"),
         ([0.99999, 1.0], 0.99999, "0.99999"),
@@ -35,25 +35,25 @@ def resolve_fixed_values(grid, **at):
         ({"beam": 60, "sky": "diffuse"}, 60, "beam"),
     ],
 )
-def test_text_is_a_label_and_a_number_a_value(values, given, label):
+def test_texts_select_labels_and_numbers_values(values, value, label):
     values = label_grid({"x": values})["x"]
-    assert find_label("x", values, given) == label
+    assert find_label("x", values, value) == label
 
 
-@pytest.mark.parametrize("given", [0.5, 0.999999999, "1.0", "moist", 0.09999])
-def test_values_outside_the_grid_are_rejected(given):
+@pytest.mark.parametrize("value", [0.5, 0.999999999, "1.0", "moist", 0.09999])
+def test_values_outside_the_grid_are_rejected(value):
     with pytest.raises(
         ValueError, match=r"figure\.select\.saturation = .*: must be one of 0\.1, 1"
     ):
-        resolve_fixed_values({"saturation": CROSSED_GRID}, saturation=given)
+        resolve_fixed_values({"saturation": CROSSED_GRID}, saturation=value)
 
 
-def test_the_drawing_names_the_coordinate_of_the_dataset():
-    at, grid = resolve_fixed_values({"saturation": CROSSED_GRID}, saturation="0.1")
-    assert at == {"saturation": 1.0}
+def test_selection_uses_the_coordinates_of_the_dataset():
+    select, grid = resolve_fixed_values({"saturation": CROSSED_GRID}, saturation="0.1")
+    assert select == {"saturation": 1.0}
     assert to_coordinate_values(grid["saturation"]).tolist() == [1.0, 0.1]
-    at, _ = resolve_fixed_values({"saturation": {"dry": 0, "wet": 1}}, saturation="wet")
-    assert at == {"saturation": 1.0}
+    select, _ = resolve_fixed_values({"saturation": {"dry": 0, "wet": 1}}, saturation="wet")
+    assert select == {"saturation": 1.0}
     grid = {"incidence_deg": {"beam": 60, "sky": "diffuse"}}
     assert resolve_fixed_values(grid, incidence_deg="diffuse")[0] == {"incidence_deg": "sky"}
     grid = {"polarized": [True, False]}
@@ -65,14 +65,14 @@ def test_the_drawing_names_the_coordinate_of_the_dataset():
     assert experiment.resolve_figure()["select"] == {"polarized": "True"}
 
 
-def test_datasets_are_cut_at_the_nearest_only_up_to_rounding():
+def test_points_are_selected_up_to_rounding():
     x = np.array([0.99999, 1.0, 0.1 * 3])
     dataset = xr.Dataset({"y": ("x", np.arange(3.0))}, {"x": x})
     assert float(select_points(dataset, {"x": 1.0}).y) == 1.0
     assert float(select_points(dataset, {"x": 0.3}).y) == 2.0
-    for bad in (0.999995, "beam", np.nan):
+    for invalid in (0.999995, "beam", np.nan):
         with pytest.raises(ValueError, match=r"^at\.x = "):
-            select_points(dataset, {"x": bad})
+            select_points(dataset, {"x": invalid})
     with pytest.raises(ValueError, match=r"^at = 'z': must be one of x"):
         select_points(dataset, {"z": 1.0})
 
@@ -91,6 +91,6 @@ def test_start_stop_and_step_are_evenly_spaced_values():
     assert label_grid({"medium": media}) == {"medium": media}
 
 
-def test_two_labels_of_one_number_are_rejected():
+def test_two_labels_of_one_value_are_rejected():
     with pytest.raises(ValueError, match=r"grid\.saturation = .*: must be different values"):
         label_grid({"saturation": {"a": 0.1, "b": 0.1}})

@@ -1,4 +1,4 @@
-"""Coordinates of datasets: units and long names, in files as the CF conventions want them."""
+"""Coordinates of datasets: units and long names, and files that follow the CF conventions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LENS = {
 
 @pytest.fixture(scope="module")
 def dataset():
-    """Return a dataset over numbers in no order, texts, increasing and decreasing numbers."""
+    """Return a dataset over texts and over unordered, increasing and decreasing numbers."""
     return xr.Dataset(
         {
             "reflectance": (("medium", "depth_m"), np.arange(6.0).reshape(2, 3), {"units": "1"}),
@@ -48,7 +48,7 @@ def dataset():
 
 @pytest.fixture(scope="module")
 def small_lens():
-    """Return the dataset of an experiment that takes no time."""
+    """Return the dataset of an experiment that runs quickly."""
     return run(ExperimentConfig.model_validate(LENS), Accuracy(max_stderr=0.5))
 
 
@@ -60,7 +60,7 @@ def test_every_parameter_has_a_long_name_and_units():
     assert all(long_name and units for long_name, units in PARAMETERS.values())
 
 
-def test_ranges_have_means_to_interpolate_between():
+def test_ranges_have_numeric_means():
     experiment = ExperimentConfig.model_validate(
         {
             "name": "sizes",
@@ -88,7 +88,7 @@ def test_grid_coordinates_have_units_if_they_are_numbers(small_lens):
         assert coordinate.dtype.kind in "OU" or coordinate.attrs["units"], name
 
 
-def test_units_of_labels_stand_in_their_long_name():
+def test_long_names_of_labels_contain_units():
     from splits.experiments.config.grid import make_grid_coordinates
 
     grid = {"grain_size_um": {"100-200": [100, 200]}, "temperature_c": {"-1": -1, "-5": -5}}
@@ -105,10 +105,10 @@ def test_history_names_program_and_experiment(small_lens):
     assert line.endswith(f"{small_lens.attrs['source']}: experiment small_lens")
 
 
-@pytest.mark.parametrize("which", ["dataset", "small_lens"])
-def test_coordinate_variables_of_files_are_numbers_in_order(tmp_path, request, which):
-    made = request.getfixturevalue(which)
-    splits.save(made, tmp_path / "made.nc")
+@pytest.mark.parametrize("fixture", ["dataset", "small_lens"])
+def test_coordinate_variables_in_files_are_monotonic(tmp_path, request, fixture):
+    expected = request.getfixturevalue(fixture)
+    splits.save(expected, tmp_path / "made.nc")
     with netCDF4.Dataset(tmp_path / "made.nc") as file:
         for name in set(file.variables) & set(file.dimensions):
             steps = np.diff(file[name][...])
@@ -118,19 +118,19 @@ def test_coordinate_variables_of_files_are_numbers_in_order(tmp_path, request, w
             assert set(listed) <= set(file.variables), name
             for dimension in variable.dimensions:
                 labels = {f"{dimension}_label", f"{dimension}_value"} & set(file.variables)
-                if name in made.data_vars:
+                if name in expected.data_vars:
                     assert labels <= set(listed), name
-    again = splits.load(tmp_path / "made.nc")
-    xr.testing.assert_equal(again, made)
-    for name, variable in made.variables.items():
-        assert again[name].attrs == variable.attrs, name
+    loaded = splits.load(tmp_path / "made.nc")
+    xr.testing.assert_equal(loaded, expected)
+    for name, variable in expected.variables.items():
+        assert loaded[name].attrs == variable.attrs, name
 
 
-def test_labels_select_before_and_after_the_file(tmp_path, dataset):
+def test_selection_by_label_works_before_and_after_saving(tmp_path, dataset):
     splits.save(dataset, tmp_path / "made.nc")
-    for either in (dataset, splits.load(tmp_path / "made.nc")):
-        assert float(either.reflectance.sel(medium="beach", depth_m=1.0)) == 4.0
-        assert float(either.transmittance.sel(up=2, down=1.0)) == 1.0
+    for ds in (dataset, splits.load(tmp_path / "made.nc")):
+        assert float(ds.reflectance.sel(medium="beach", depth_m=1.0)) == 4.0
+        assert float(ds.transmittance.sel(up=2, down=1.0)) == 1.0
     with netCDF4.Dataset(tmp_path / "made.nc") as file:
         assert set(file["reflectance"].coordinates.split()) == {"medium_label", "depth_m_value"}
         assert {"up", "down"} <= set(file.variables)

@@ -75,21 +75,21 @@ FILES = {
 
 
 def read_message(path, text):
-    """Return what is said about a file, its path left out."""
+    """Return the error message of a file without its path."""
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError) as error:
         load_experiment(path)
-    line = str(caught.value)
+    line = str(error.value)
     assert line.isprintable() and len(line) - len(str(path)) < 500
     return line.removeprefix(str(path))
 
 
 @pytest.mark.parametrize("text", FILES, ids=range(len(FILES)))
-def test_errors_are_one_line_and_prompt(tmp_path, text):
-    # Time of this process alone: other work on the machine does not count.
-    begun = time.process_time()
+def test_errors_are_prompt_and_in_one_line(tmp_path, text):
+    # CPU time of this process, so that the load of the machine has no effect.
+    start = time.process_time()
     assert FILES[text] in read_message(tmp_path / "wrong.yaml", text)
-    assert time.process_time() - begun < 60.0
+    assert time.process_time() - start < 60.0
 
 
 def test_large_files_are_not_read(tmp_path):
@@ -108,9 +108,9 @@ def test_aliases_and_merges_of_ordinary_size_are_read(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["seed", "max_rays"])
-def test_settings_fit_into_63_bits(key):
+def test_settings_above_63_bits_are_rejected(key):
     settings = {"accuracies": {"standard": {"max_stderr": 0.1}}}
-    where = settings if key == "seed" else settings["accuracies"]["standard"]
-    where[key] = 2**63
+    section = settings if key == "seed" else settings["accuracies"]["standard"]
+    section[key] = 2**63
     with pytest.raises(ConfigError, match=rf"{key} = 9223372036854775808: must be below"):
         load_settings(settings)

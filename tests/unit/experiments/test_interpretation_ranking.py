@@ -12,7 +12,7 @@ from splits.experiments.papers.interpretation_ranking import (
     OVERLAP_CHOICES,
     PAPER_SETS,
     STAGE_QUOTAS,
-    InterpretationSet,
+    RankedCombination,
     expand_overlaps,
     find_choice,
 )
@@ -44,47 +44,47 @@ STATED_NUMBER = PublishedStatement("table3_842", "Table 3", 0.9, 0.03)
 STATED_TREND = PublishedStatement("fig19_peak_60", "Fig 19", 0.0, 0.1, is_trend=True)
 
 
-def test_distances_are_in_bars_and_trends_count_where_they_fail():
+def test_differences_are_normalized_and_satisfied_trends_are_zero():
     assert STATED_NUMBER.normalize_difference(0.93) == pytest.approx(1.0)
     assert STATED_NUMBER.normalize_difference(0.84) == pytest.approx(-2.0)
     assert STATED_TREND.normalize_difference(0.5) == 0.0
     assert STATED_TREND.normalize_difference(-0.05) == pytest.approx(-0.5)
 
 
-def test_noise_adds_nothing_on_average():
+def test_misfit_is_unbiased_by_noise():
     random = np.random.default_rng(5)
     error, truth = 0.02, 0.95
     exact = float(STATED_NUMBER.normalize_difference(truth)) ** 2
-    found = [
+    misfits = [
         compute_misfit([STATED_NUMBER], [value], [error])
         for value in truth + error * random.normal(size=4000)
     ]
-    totals = np.array([one.total for one in found])
+    totals = np.array([misfit.total for misfit in misfits])
     assert totals.mean() == pytest.approx(exact, abs=4.0 * totals.std() / np.sqrt(totals.size))
-    stated = np.sqrt(np.mean([one.stderr**2 for one in found]))
+    stated = np.sqrt(np.mean([misfit.stderr**2 for misfit in misfits]))
     assert stated == pytest.approx(totals.std(), rel=0.2)
 
 
-def test_a_satisfied_trend_adds_nothing():
-    one = compute_misfit([STATED_NUMBER, STATED_TREND], [0.93, 0.2], [0.0, 0.0])
-    assert one.total == pytest.approx(1.0) and one.stderr == 0.0
-    assert one.compute_rms(2)[0] == pytest.approx(np.sqrt(0.5))
+def test_a_satisfied_trend_has_no_misfit():
+    misfit = compute_misfit([STATED_NUMBER, STATED_TREND], [0.93, 0.2], [0.0, 0.0])
+    assert misfit.total == pytest.approx(1.0) and misfit.stderr == 0.0
+    assert misfit.compute_rms(2)[0] == pytest.approx(np.sqrt(0.5))
 
 
 @pytest.mark.parametrize("z", [0.0, 0.7, 1.5, 3.0])
-def test_a_trend_that_may_fail_adds_to_the_error(z):
+def test_an_uncertain_trend_adds_to_the_error(z):
     error = 0.3
-    one = compute_misfit([STATED_NUMBER, STATED_TREND], [0.93, z * error], [0.0, error])
-    assert one.total == pytest.approx(1.0)
+    misfit = compute_misfit([STATED_NUMBER, STATED_TREND], [0.93, z * error], [0.0, error])
+    assert misfit.total == pytest.approx(1.0)
     truth = (
         z * error + error * np.random.default_rng(3).normal(size=400_000)
     ) / STATED_TREND.tolerance
     fourth = np.minimum(truth, 0.0) ** 4
     uncertainty = fourth.std() / np.sqrt(fourth.size)
-    assert one.stderr**2 == pytest.approx(fourth.mean(), abs=4.0 * uncertainty)
+    assert misfit.stderr**2 == pytest.approx(fourth.mean(), abs=4.0 * uncertainty)
 
 
-def test_bars_are_those_of_the_table():
+def test_tolerances_are_read_from_the_table():
     table = pd.DataFrame(
         {
             "id": ["a", "b", "c"], "place": ["x"] * 3, "published": [4.0, 0.5, 0.026],
@@ -92,30 +92,30 @@ def test_bars_are_those_of_the_table():
             "high": [np.nan, np.nan, 0.032],
         }
     ).set_index("id")  # fmt: skip
-    found = select_statements(table, ["a", "b", "c"])
-    assert [found[name].tolerance for name in "abc"] == pytest.approx([0.12, 0.1, 0.006])
+    statements = select_statements(table, ["a", "b", "c"])
+    assert [statements[name].tolerance for name in "abc"] == pytest.approx([0.12, 0.1, 0.006])
 
 
-def test_waters_stand_side_by_side():
+def test_water_tables_are_interleaved():
     wavelengths = np.array([842.25, 1073.76])
-    places, table = interleave_waters(wavelengths)
-    assert places.size == 2 * len(WATER_TABLES) and (np.diff(places) > 0.0).all()
-    made = make_refractive_index("water", table)(places).reshape(2, len(WATER_TABLES))
-    hale = make_refractive_index("water", "hale_querry_1973")(wavelengths)
-    np.testing.assert_allclose(made[:, 0], hale, rtol=1e-12)
-    finer = make_refractive_index("water", "segelstein_1981")(wavelengths)
-    np.testing.assert_allclose(made[:, 2], finer, rtol=1e-12)
-    # Between coarse rows of a steep table a straight line lies above the logarithm's.
-    assert made[1, 1].imag > made[1, 0].imag > 3.0 * made[1, 2].imag
+    interleaved, table = interleave_waters(wavelengths)
+    assert interleaved.size == 2 * len(WATER_TABLES) and (np.diff(interleaved) > 0.0).all()
+    index = make_refractive_index("water", table)(interleaved).reshape(2, len(WATER_TABLES))
+    coarse = make_refractive_index("water", "hale_querry_1973")(wavelengths)
+    np.testing.assert_allclose(index[:, 0], coarse, rtol=1e-12)
+    fine = make_refractive_index("water", "segelstein_1981")(wavelengths)
+    np.testing.assert_allclose(index[:, 2], fine, rtol=1e-12)
+    # Between coarse nodes of a steep table linear interpolation exceeds logarithmic interpolation.
+    assert index[1, 1].imag > index[1, 0].imag > 3.0 * index[1, 2].imag
 
 
 def make_free_combination(**values):
-    """Return a combination with sensitivities over waters, pairs of extremes and floors."""
-    one = InterpretationSet(FixedRun())
+    """Return a combination with sensitivities over water tables, extreme pairs and floors."""
+    combination = RankedCombination(FixedInterpretation())
     for name, rows in values.items():
         array = np.broadcast_to(np.array(rows, dtype=float), (len(WATER_TABLES), *np.shape(rows)))
-        one.values[name] = (array, np.full(array.shape, 1e-6))
-    return one
+        combination.values[name] = (array, np.full(array.shape, 1e-6))
+    return combination
 
 
 def test_free_choices_are_common_to_both_quantities():
@@ -152,7 +152,7 @@ def test_one_floor_is_common_to_all_parameters():
     assert choice.floor == TRANSMITTANCE_FLOORS[1] and choice.misfit.total == pytest.approx(2.0)
 
 
-def test_pairs_are_named_by_their_ends():
+def test_extreme_pairs_are_named_by_their_values():
     assert list_extreme_pairs("grain_size") == ["100-200 / 900-1000"]
     assert list_extreme_pairs("facetness") == ["0-0.2 / 0.8-1"]
     assert (
@@ -168,15 +168,15 @@ def test_sectors_are_means_of_three_angles_with_correlated_errors():
          "brdf_stderr": (("wavelength", "angle"), [np.full(angles.size, 0.3)])},
         {"wavelength": [600.0], "angle": angles},
     )  # fmt: skip
-    found = average_sectors(plane)
-    np.testing.assert_allclose(found.angle, np.arange(-67.5, 68.0, 22.5))
-    np.testing.assert_allclose(found.brdf[0, -1], np.mean([60.0**2, 67.5**2, 75.0**2]))
-    np.testing.assert_allclose(found.brdf_stderr, 0.3)
+    averaged = average_sectors(plane)
+    np.testing.assert_allclose(averaged.angle, np.arange(-67.5, 68.0, 22.5))
+    np.testing.assert_allclose(averaged.brdf[0, -1], np.mean([60.0**2, 67.5**2, 75.0**2]))
+    np.testing.assert_allclose(averaged.brdf_stderr, 0.3)
 
 
 def test_overlaps_sets_both_overlap_fields():
-    found = expand_overlaps({"entry_point": "uniform", "overlaps": "skip"})
-    assert found == {
+    expanded = expand_overlaps({"entry_point": "uniform", "overlaps": "skip"})
+    assert expanded == {
         "entry_point": "uniform", "overlap_with_previous_segment": "skip",
         "overlap_with_boundary": "skip",
     }  # fmt: skip
@@ -186,18 +186,18 @@ def test_overlaps_sets_both_overlap_fields():
         assert find_choice(interpretation, "overlaps") == choice
 
 
-def test_every_stage_states_something():
+def test_every_stage_has_statements():
     assert set(STATED_NUMBERS) | set(STATED_TRENDS) == set(STAGES) and set(STAGE_QUOTAS) <= set(
         STAGES
     )
 
 
-def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
-    """Whatever they come to, and though a set differs in a reading that is not tried."""
+def test_named_sets_pass_all_stages(monkeypatch):
+    """Named sets are kept at any misfit, also if they differ in a field that is not varied."""
 
-    def stage(trial):
-        far = 1.0 if trial.interpretation.entry_point == "uniform" else 99.0
-        return {"a": repeat_for_waters(far, 0.0)}
+    def stage(combination):
+        value = 1.0 if combination.interpretation.entry_point == "uniform" else 99.0
+        return {"a": repeat_for_waters(value, 0.0)}
 
     monkeypatch.setattr(interpretation_ranking, "STAGES", {"first": stage, "second": stage})
     monkeypatch.setattr(interpretation_ranking, "STATED_NUMBERS", {"first": ("a",)})
@@ -207,58 +207,58 @@ def test_sets_with_a_name_are_followed_to_the_end(monkeypatch):
          "high": [np.nan]}
     ).set_index("id")  # fmt: skip
     choices = {"entry_point": ["uniform", "projected"], "facet_sampling": ["projected", "any"]}
-    found, stated = interpretation_ranking.rank_interpretations(
+    ranked, stated = interpretation_ranking.rank_interpretations(
         table, choices, {"entry_point": "uniform"}
     )
-    # Uniform entry and any facet are splitsnow_2021, all other readings being its own.
-    assert len(found) == 4 + len(PAPER_SETS) - 1 and set(stated) == {"a"}
-    complete = [one for one in found if one.n_stages == 2]
-    assert {one.find_set_name() for one in complete} == {"", *PAPER_SETS}
-    assert found[0].min_misfit == 0.0 and found[-1].n_stages == 1
+    # Uniform entry with any facet equals splitsnow_2021, whose other fields are the defaults.
+    assert len(ranked) == 4 + len(PAPER_SETS) - 1 and set(stated) == {"a"}
+    complete = [combination for combination in ranked if combination.n_stages == 2]
+    assert {combination.find_set_name() for combination in complete} == {"", *PAPER_SETS}
+    assert ranked[0].min_misfit == 0.0 and ranked[-1].n_stages == 1
 
 
-class FixedRun:
-    """In place of a trial."""
+class FixedInterpretation:
+    """A run that has an interpretation only."""
 
     def __init__(self, **interpretation):
         self.interpretation = Interpretation(**interpretation)
 
 
 def make_combination(value, stages=10, **interpretation):
-    """Return a combination whose values are all so far off, in bars."""
-    one = InterpretationSet(FixedRun(**interpretation))
-    one.n_stages, one.min_misfit = stages, value**2
-    away = STATED_NUMBER.published + value * STATED_NUMBER.tolerance * np.array([2.0, 1.0, 3.0])
-    one.values = {"table3_842": (away, np.zeros(len(WATER_TABLES)))}
-    return one
+    """Return a combination whose values deviate by a multiple of the tolerance."""
+    combination = RankedCombination(FixedInterpretation(**interpretation))
+    combination.n_stages, combination.min_misfit = stages, value**2
+    values = STATED_NUMBER.published + value * STATED_NUMBER.tolerance * np.array([2.0, 1.0, 3.0])
+    combination.values = {"table3_842": (values, np.zeros(len(WATER_TABLES)))}
+    return combination
 
 
-def test_tables_of_a_ranking():
+def test_ranking_tables_list_all_combinations():
     stated = {"table3_842": STATED_NUMBER}
-    near, far = make_combination(0.5), make_combination(1.0, entry_point="projected")
+    best, second = make_combination(0.5), make_combination(1.0, entry_point="projected")
     dropped = make_combination(0.1, stages=2, facet_sampling="projected")
-    all_ = [near, far, dropped]
-    choices, text = {"entry_point": ["uniform", "projected"], "overlaps": ["reject"]}, {
+    combinations = [best, second, dropped]
+    choices, text_choices = {"entry_point": ["uniform", "projected"], "overlaps": ["reject"]}, {
         "entry_point": "uniform"
     }  # fmt: skip
-    table = make_ranking_table(all_, stated, choices, text)
+    table = make_ranking_table(combinations, stated, choices, text_choices)
     assert list(table["rank"]) == [*range(1, 7), 0]
     assert table.misfit[0] == pytest.approx(0.25) and table.water[0] == WATER_TABLES[1]
     assert list(table.text[:2]) == [True, True] and table.stages.iloc[-1] == 2
-    names = find_differing_keys(all_)
+    names = find_differing_keys(combinations)
     assert names == ["entry_point"]
-    listed = make_statement_table(all_, stated, names)
-    assert listed.nearest_water.sum() == 2 and len(listed) == 6
-    assert set(listed.interpretation) == {"entry_point: uniform", "entry_point: projected"}
-    without = make_leave_out_table(all_, stated, names)
-    assert without["first"].iloc[0] == "entry_point: uniform"
-    assert without.margin.iloc[0] == pytest.approx(0.75)
+    statements = make_statement_table(combinations, stated, names)
+    assert statements.nearest_water.sum() == 2 and len(statements) == 6
+    assert set(statements.interpretation) == {"entry_point: uniform", "entry_point: projected"}
+    leave_out = make_leave_out_table(combinations, stated, names)
+    assert leave_out["first"].iloc[0] == "entry_point: uniform"
+    assert leave_out.margin.iloc[0] == pytest.approx(0.75)
 
 
 def test_tables_with_one_complete_combination_have_no_margin():
-    one = make_combination(0.5)
-    assert find_differing_keys([one, make_combination(0.1, stages=2)]) == [
+    combination = make_combination(0.5)
+    assert find_differing_keys([combination, make_combination(0.1, stages=2)]) == [
         next(iter(Interpretation().as_dict()))
     ]
-    without = make_leave_out_table([one], {"table3_842": STATED_NUMBER}, ["entry_point"])
-    assert without.empty and "margin" in without
+    leave_out = make_leave_out_table([combination], {"table3_842": STATED_NUMBER}, ["entry_point"])
+    assert leave_out.empty and "margin" in leave_out

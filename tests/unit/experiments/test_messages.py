@@ -21,12 +21,12 @@ WAVELENGTHS = "must be a mapping with start, stop, step or a list of numbers"
 
 
 def read_message(tmp_path, content):
-    """Return what is said about a file, its path left out."""
+    """Return the error message of a file without its path."""
     path = tmp_path / "wrong.yaml"
     path.write_text(content if isinstance(content, str) else yaml.safe_dump(content), "utf-8")
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError) as error:
         load_experiment(path, MEDIA)
-    text = str(caught.value)
+    text = str(error.value)
     assert text.startswith(f"{path}: ") and "\n" not in text
     return text.removeprefix(f"{path}: ")
 
@@ -124,31 +124,31 @@ KEY_LOCATIONS = [
 
 
 @pytest.mark.parametrize(("content", "message"), KEY_LOCATIONS)
-def test_messages_begin_with_the_whole_key(tmp_path, content, message):
+def test_messages_begin_with_the_full_key(tmp_path, content, message):
     assert read_message(tmp_path, content).startswith(message)
 
 
-def make_instrument_text(kind, **settings):
-    needed = {
+def make_instrument_section(kind, **settings):
+    required = {
         "lens": {"radius_m": 1, "screen_depth_m": [1], "centre_on": "origin"},
         "surface_map": {"half_width_m": 1},
     }
-    return {"kind": kind, **needed.get(kind, {}), **settings}
+    return {"kind": kind, **required.get(kind, {}), **settings}
 
 
 UNUSED_SETTINGS = [
-    *(({**ROUGH, "instrument": make_instrument_text(kind, **{key: value})}, f"instrument.{key}")
+    *(({**ROUGH, "instrument": make_instrument_section(kind, **{key: value})}, f"instrument.{key}")
       for kind in ("lens", "surface_map")
       for key, value in (("wavelength_nm", [550]), ("incidence_deg", 30), ("stderr_scale", 2))),
-    ({"instrument": make_instrument_text("refractive_index", incidence_deg=30)},
+    ({"instrument": make_instrument_section("refractive_index", incidence_deg=30)},
      "instrument.incidence_deg"),
-    ({"instrument": make_instrument_text("refractive_index"), "grid": {"saturation": [0, 1]}},
+    ({"instrument": make_instrument_section("refractive_index"), "grid": {"saturation": [0, 1]}},
      "grid"),
-    ({"instrument": make_instrument_text("beam_spread", rays=10, stderr_scale=2)},
+    ({"instrument": make_instrument_section("beam_spread", rays=10, stderr_scale=2)},
      "instrument.stderr_scale"),
-    ({"instrument": make_instrument_text("goniophotometer", rays=10, stderr_scale=2)},
+    ({"instrument": make_instrument_section("goniophotometer", rays=10, stderr_scale=2)},
      "instrument.stderr_scale"),
-    ({"instrument": make_instrument_text("goniophotometer", estimator="bins", stderr_scale=2)},
+    ({"instrument": make_instrument_section("goniophotometer", estimator="bins", stderr_scale=2)},
      "instrument.stderr_scale"),
     ({"medium": {"kind": "particle_layer", "max_polarization": 0.5}, "instrument": ONE_LAYER},
      "medium.max_polarization"),
@@ -178,23 +178,23 @@ def test_settings_without_effect_are_rejected(tmp_path, content, key):
         {"medium": {"kind": "particle_layer", "max_polarization": 0.5},
          "grid": {"polarized": {"scalar": False, "vector": True}}},
         {"medium": {"kind": "particle_layer", "bottom_albedo": 0.5},
-         "grid": {"medium": {"face": {"opaque": True}, "all": {}}}},
+         "grid": {"medium": {"opaque": {"opaque": True}, "all": {}}}},
         {"medium": {"base": "glass", "opaque": True}},
     ],
 )  # fmt: skip
-def test_settings_that_count_somewhere_are_taken(tmp_path, content):
+def test_settings_with_effect_at_some_point_are_accepted(tmp_path, content):
     (tmp_path / "glass.yaml").write_text("{kind: particle_layer, bottom_albedo: 0.5}", "utf-8")
     path = tmp_path / "made.yaml"
     path.write_text(yaml.safe_dump({**content, "instrument": ONE_LAYER}), "utf-8")
     assert load_experiment(path, tmp_path).name == "made"
 
 
-def test_all_bad_files_are_reported_at_once(tmp_path):
+def test_all_invalid_files_are_reported_at_once(tmp_path):
     for name, text in (("a", "titel: x"), ("b", "title: x"), ("c", "name: b"), ("d", "[")):
         (tmp_path / f"{name}.yaml").write_text(text, "utf-8")
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError) as error:
         load_experiments(tmp_path)
-    lines = str(caught.value).splitlines()
+    lines = str(error.value).splitlines()
     starts = ("a.yaml: titel: unknown", "c.yaml: name = 'b': already", "d.yaml, line 1: not YAML")
     assert len(lines) == len(starts)
     for line, start in zip(lines, starts, strict=True):

@@ -1,4 +1,4 @@
-"""Time against error: scaling, figures of merit, deviations, the figure, the kept reference."""
+"""Time against error: scaling, figures of merit, deviations, figure and cached reference."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from splits.experiments.papers.performance_figure import draw_speed_against_erro
 PROGRAM = Path(__file__).parents[3] / "benchmarks" / "speed_against_error.py"
 
 
-def make_row(method, how, error, seconds, **facts):
-    given = {"medium": "snow", "deviation_largest": 0.01, "stderr_largest": error} | facts
-    return {"method": method, "how": how, "error": error, "seconds": seconds} | given
+def make_row(method, how, error, seconds, **changes):
+    row = {"medium": "snow", "deviation_largest": 0.01, "stderr_largest": error} | changes
+    return {"method": method, "how": how, "error": error, "seconds": seconds} | row
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def make_spectrum(shift=0.0, stderr=0.001, wavelength=(500.0, 1000.0, 1500.0)):
     return xr.Dataset(variables, {"wavelength": list(wavelength)})
 
 
-def test_time_is_inversely_proportional_to_the_square_of_the_error():
+def test_time_scales_with_the_inverse_squared_error():
     seconds, rays = np.array([1.0, 0.1]), np.array([1000.0, 4000.0])
     stderr = np.array([0.004, 0.002])
     # At 0.002 the first needs 4000 rays at 1 ms, the second 4000 at 25 µs.
@@ -76,58 +76,60 @@ def test_time_is_inversely_proportional_to_the_square_of_the_error():
     assert adaptive_s == pytest.approx(4.025)
 
 
-def test_no_wavelength_takes_fewer_rays_than_the_first_round():
-    one = np.ones(2)
-    _, uniform_rays, _, adaptive_rays = performance.scale_paper_times(one, one, one, 10.0, 100)
+def test_rays_are_at_least_those_of_the_first_round():
+    ones = np.ones(2)
+    _, uniform_rays, _, adaptive_rays = performance.scale_paper_times(ones, ones, ones, 10.0, 100)
     assert uniform_rays == adaptive_rays == 200.0
 
 
-def test_merits_compare_times_at_equal_error(table):
+def test_figures_of_merit_compare_times_at_equal_error(table):
     merits = performance.add_figures_of_merit(table).set_index(["method", "how", "error"])
     assert merits.loc[(VECTORIZED, MEASURED, 0.002), "over_uniform"] == pytest.approx(50.0)
-    # Measured rather than scaled, where both are there.
+    # Measured times are preferred to scaled times.
     assert merits.loc[(VECTORIZED, MEASURED, 0.001), "over_adaptive"] == pytest.approx(11.0)
     assert merits.loc[(PAPER_UNIFORM, MEASURED_PARTLY, 0.002), "over_uniform"] == 1.0
-    # An error reached that is half of that asked for counts as it should.
+    # The reached error is used, here half of the requested one.
     table.loc[0, "stderr_largest"] = 0.001
     better = performance.add_figures_of_merit(table)
     assert better.over_uniform[0] == pytest.approx(200.0)
 
 
 def test_theories_have_no_figure_of_merit(table):
-    last = performance.add_figures_of_merit(table).iloc[-1]
-    assert last[["figure_of_merit", "over_uniform", "over_adaptive"]].isna().all()
+    theory = performance.add_figures_of_merit(table).iloc[-1]
+    assert theory[["figure_of_merit", "over_uniform", "over_adaptive"]].isna().all()
 
 
-def test_headline(table):
+def test_headline_states_times_and_ratios(table):
     assert performance.format_headline(table, "snow", 0.001, 211) == (
-        "snow, 211 wavelengths, error 0.001: lanes 4 s, papers' algorithm uniform 200 s (50), "
-        "adaptive 44 s (11)"
+        "snow, 211 wavelengths, error 0.001: vectorized kernel 4 s, papers' algorithm uniform "
+        "200 s (50), adaptive 44 s (11)"
     )
     with pytest.raises(ValueError, match=VECTORIZED):
         performance.format_headline(table[table.method != VECTORIZED], "snow", 0.001, 211)
 
 
 def test_deviations_from_a_reference():
-    off = performance.compute_deviations(make_spectrum(0.002), make_spectrum())
-    assert off["deviation_rms"] == pytest.approx(0.002)
-    assert off["deviation_largest"] == pytest.approx(0.002)
-    # Reflectance and absorptance are off by 0.002, transmittance not at all.
-    assert off["deviation_z"] == pytest.approx(0.002 / np.hypot(0.001, 0.001) * np.sqrt(2.0 / 3.0))
-    few = performance.compute_deviations(
+    deviations = performance.compute_deviations(make_spectrum(0.002), make_spectrum())
+    assert deviations["deviation_rms"] == pytest.approx(0.002)
+    assert deviations["deviation_largest"] == pytest.approx(0.002)
+    # Reflectance and absorptance deviate by 0.002, transmittance does not.
+    assert deviations["deviation_z"] == pytest.approx(
+        0.002 / np.hypot(0.001, 0.001) * np.sqrt(2.0 / 3.0)
+    )
+    subset = performance.compute_deviations(
         make_spectrum(0.002, wavelength=(500.0, 1000.0)), make_spectrum()
     )
-    assert few["deviation_largest"] == pytest.approx(0.002)
+    assert subset["deviation_largest"] == pytest.approx(0.002)
 
 
 def test_deviations_of_a_theory_have_no_standard_error():
     theory = make_spectrum(0.01).drop_vars([f"{name}_stderr" for name in performance.QUANTITIES])
-    off = performance.compute_deviations(theory, make_spectrum())
-    assert off["deviation_largest"] == pytest.approx(0.01)
-    assert np.isnan(off["deviation_z"])
+    deviations = performance.compute_deviations(theory, make_spectrum())
+    assert deviations["deviation_largest"] == pytest.approx(0.01)
+    assert np.isnan(deviations["deviation_z"])
 
 
-def test_stated_errors():
+def test_stated_errors_are_summarized():
     dataset = make_spectrum(stderr=0.001)
     dataset.reflectance_stderr[0] = 0.003
     stated = performance.summarize_stated_errors(dataset)
@@ -135,7 +137,7 @@ def test_stated_errors():
     assert stated["stderr_rms"] == pytest.approx(0.001 * np.sqrt(11.0 / 3.0))
 
 
-def test_repeated_runs_count_by_their_largest_or_their_mean_square():
+def test_repeated_runs_are_combined():
     runs = [
         {"deviation_largest": 0.03, "deviation_rms": 3.0},
         {"deviation_largest": 0.01, "deviation_rms": 4.0},
@@ -147,9 +149,9 @@ def test_repeated_runs_count_by_their_largest_or_their_mean_square():
     assert performance.combine_runs([]) == {}
 
 
-def test_figure_has_a_panel_per_medium_and_open_markers_for_scaled_times(table):
-    both = pd.concat([table, table.assign(medium="sand")])
-    figure = draw_speed_against_error(both)
+def test_figure_has_a_panel_per_medium(table):
+    rows = pd.concat([table, table.assign(medium="sand")])
+    figure = draw_speed_against_error(rows)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) snow", "(b) sand"]
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert texts[-1] == "scaled"
@@ -177,21 +179,21 @@ def program(monkeypatch):
     return module
 
 
-def test_a_reference_is_kept_until_its_sources_change(program, monkeypatch, tmp_path):
+def test_reference_is_cached_until_its_sources_change(program, monkeypatch, tmp_path):
     plan = replace(program.QUICK, step_nm=700, reference_stderr=0.1)
     calls = []
 
-    def measure(medium, wavelengths, error, **named):
-        calls.append(named)
+    def simulate(medium, wavelengths, error, **keywords):
+        calls.append(keywords)
         dataset = make_spectrum(wavelength=wavelengths[:3])
         return dataset.assign_attrs(splits_version="0", stop_reason="converged")
 
-    monkeypatch.setattr(program, "simulate_spectrum", measure)
+    monkeypatch.setattr(program, "simulate_spectrum", simulate)
     snow = splits.Snow()
     first = program.load_or_compute_reference("a b", snow, plan, tmp_path)
-    again = program.load_or_compute_reference("a b", snow, plan, tmp_path)
+    reloaded = program.load_or_compute_reference("a b", snow, plan, tmp_path)
     assert len(calls) == 1
-    xr.testing.assert_equal(first, again)
+    xr.testing.assert_equal(first, reloaded)
     program.load_or_compute_reference("a b", replace(snow, depth_m=0.05), plan, tmp_path)
     assert len(calls) == 2
     monkeypatch.setattr(program, "compute_source_digest", lambda medium: "other")

@@ -19,7 +19,7 @@ from splits.plotting import draw
 from splits.retrieval.sand_forward_model import Effort
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
-TINY_ACCURACY = Effort(points=2, starts=(1,), evaluations=(2,), rays=(32, 32), max_stderr=0.05)
+TINY_EFFORT = Effort(points=2, starts=(1,), evaluations=(2,), rays=(32, 32), max_stderr=0.05)
 EXPERIMENT_TEXT = """
 medium: {kind: sand}
 instrument: {incidence_deg: 10}
@@ -34,8 +34,8 @@ def experiment(tmp_path):
     measured = tmp_path / "measured" / "mine.csv"
     measured.parent.mkdir()
     table = pd.DataFrame({"wavelength_nm": WAVELENGTHS})
-    for name, level in (("dark", 0.1), ("bright", 0.5)):
-        table[name] = level + 2e-4 * (WAVELENGTHS - 400.0)
+    for name, reflectance in (("dark", 0.1), ("bright", 0.5)):
+        table[name] = reflectance + 2e-4 * (WAVELENGTHS - 400.0)
     table.to_csv(measured, index=False)
     path = tmp_path / "found.yaml"
     path.write_text(EXPERIMENT_TEXT, encoding="utf-8")
@@ -44,34 +44,34 @@ def experiment(tmp_path):
 
 @NEEDS_JIT
 def test_every_sample_is_fitted_at_every_point(experiment, monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "choose_effort", lambda _: TINY_ACCURACY)
+    monkeypatch.setattr(module, "choose_effort", lambda _: TINY_EFFORT)
     settings, table = experiment
     lines = []
     ds = module.run_fit(settings, Accuracy(max_stderr=0.05), table, threads=1, log=lines.append)
     assert dict(ds.rmse.sizes) == {"refractive_index": 2, "sample": 2}
     np.testing.assert_array_equal(ds.measured.sel(sample="dark")[0], table.dark)
-    off = ds.reflectance - ds.measured
-    np.testing.assert_allclose(ds.rmse, np.sqrt((off**2).mean("wavelength")), rtol=1e-12)
+    deviation = ds.reflectance - ds.measured
+    np.testing.assert_allclose(ds.rmse, np.sqrt((deviation**2).mean("wavelength")), rtol=1e-12)
     assert (ds.value_stderr >= 0.0).all()
     assert list_variables_with_errors(ds) == {"reflectance", "value", "rmse"}
-    shares = ["partition_pure", "partition_mixed", "partition_coated"]
-    np.testing.assert_allclose(ds.value.sel(parameter=shares).sum("parameter"), 1.0)
+    fractions = ["partition_pure", "partition_mixed", "partition_coated"]
+    np.testing.assert_allclose(ds.value.sel(parameter=fractions).sum("parameter"), 1.0)
     np.testing.assert_allclose(ds.value.sel(parameter=["clay", "silt", "sand"]).sum("parameter"), 1)
     assert any("4/4 refractive_index=goethite k / 2 bright" in line for line in lines)
     save(ds, tmp_path / "found.nc")
-    again = load(tmp_path / "found.nc")
-    rows = make_fit_table(again)
+    loaded = load(tmp_path / "found.nc")
+    rows = make_fit_table(loaded)
     assert len(rows) == ds.value.size
     assert set(rows.verdict) <= {"constrained", UNDETERMINED_VERDICT}
-    assert again.reflectance_batches.dims == ("refractive_index", "sample", "batch", "wavelength")
-    square = (again.reflectance_batches.astype(float) ** 2).sum("batch")
-    assert (square <= again.reflectance_stderr**2 * (1.0 + 1e-6)).all()
-    figure = draw(again, settings.resolve_figure())
+    assert loaded.reflectance_batches.dims == ("refractive_index", "sample", "batch", "wavelength")
+    square = (loaded.reflectance_batches.astype(float) ** 2).sum("batch")
+    assert (square <= loaded.reflectance_stderr**2 * (1.0 + 1e-6)).all()
+    figure = draw(loaded, settings.resolve_figure())
     assert len(figure.axes) == 4
 
 
-def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
-    found = xr.Dataset(
+def test_parameter_and_spectrum_verdicts_are_independent():
+    fits = xr.Dataset(
         {
             "value": (("sample", "parameter"), np.full((2, 2), 0.01)),
             "value_stderr": (("sample", "parameter"), np.full((2, 2), 0.01)),
@@ -81,7 +81,7 @@ def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
         },
         {"sample": ["near", "far"], "parameter": ["iron_oxide", "clay"]},
     )
-    rows = make_fit_table(found).set_index(["sample", "parameter"])
+    rows = make_fit_table(fits).set_index(["sample", "parameter"])
     assert rows.verdict.to_dict() == {
         ("near", "iron_oxide"): UNDETERMINED_VERDICT,
         ("near", "clay"): "constrained",
@@ -103,7 +103,7 @@ def test_a_verdict_on_a_parameter_is_not_one_on_the_spectrum():
         ("fit: {measured: mine.csv, ranges: {clay: [0.5, 0.1]}}", "clay"),
     ],
 )
-def test_fits_that_cannot_be_run_are_rejected(experiment, tmp_path, line, message):
+def test_invalid_fits_are_rejected(experiment, tmp_path, line, message):
     path = tmp_path / "wrong.yaml"
     text = (
         EXPERIMENT_TEXT.replace("medium: {kind: sand}\n", "")
@@ -124,10 +124,10 @@ def test_only_sand_is_fitted(experiment, tmp_path):
 
 def test_an_unknown_sample_is_rejected(experiment):
     settings, table = experiment
-    chosen = settings.fit.model_copy(update={"samples": ("brigt",)})
-    wrong = settings.model_copy(update={"fit": chosen})
+    fit_section = settings.fit.model_copy(update={"samples": ("brigt",)})
+    invalid = settings.model_copy(update={"fit": fit_section})
     with pytest.raises(ValueError, match=r"fit\.samples = 'brigt'.*did you mean bright"):
-        module.run_fit(wrong, Accuracy(max_stderr=0.05), table)
+        module.run_fit(invalid, Accuracy(max_stderr=0.05), table)
 
 
 @pytest.mark.parametrize(
@@ -138,9 +138,7 @@ def test_an_unknown_sample_is_rejected(experiment):
         (["x"] * 13, r"fit\.measured = '.*mine\.csv': must be .*line 2: dark is x"),
     ],
 )
-def test_measurements_that_are_no_fractions_are_rejected_before_anything_runs(
-    experiment, tmp_path, column, message
-):
+def test_invalid_measurements_are_rejected_before_the_run(experiment, tmp_path, column, message):
     table = experiment[1].assign(dark=column)
     table.to_csv(tmp_path / "measured" / "mine.csv", index=False)
     with pytest.raises(ConfigError, match=message):
@@ -163,12 +161,12 @@ def test_measurements_that_are_no_fractions_are_rejected_before_anything_runs(
 )
 def test_tables_that_cannot_be_fitted_are_rejected(experiment, tmp_path, text, message):
     (tmp_path / "measured" / "mine.csv").write_text(text, "utf-8")
-    with pytest.raises(ConfigError, match=message) as caught:
+    with pytest.raises(ConfigError, match=message) as error:
         load_experiment(tmp_path / "found.yaml", tmp_path / "media")
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(error.value)
 
 
 def test_a_fit_is_the_same_after_a_round_trip(experiment):
-    again = ExperimentConfig.model_validate(experiment[0].dump_simulation())
-    assert again.dump_simulation() == experiment[0].dump_simulation()
-    assert module.check_fit(again, experiment[1]) == ["dark", "bright"]
+    reloaded = ExperimentConfig.model_validate(experiment[0].dump_simulation())
+    assert reloaded.dump_simulation() == experiment[0].dump_simulation()
+    assert module.check_fit(reloaded, experiment[1]) == ["dark", "bright"]

@@ -1,4 +1,4 @@
-"""Trends of sand and shifts by data, for synthetic spectra of known slope."""
+"""Trends of sand and shifts between datasets, for synthetic spectra of known slope."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def make_spectra(dimension, values, step, error=0.005, redder=0.0):
 
 
 def make_datasets(error=0.0005):
-    found = {name: make_spectra(*grid, error=error) for name, grid in GRIDS.items()}
+    datasets = {name: make_spectra(*grid, error=error) for name, grid in GRIDS.items()}
     ratio = GRIDS["hematite_ratio"]
-    found["hematite_ratio"] = make_spectra(*ratio, error=error, redder=2.0)
-    return found
+    datasets["hematite_ratio"] = make_spectra(*ratio, error=error, redder=2.0)
+    return datasets
 
 
 def test_satisfied_trends_agree():
@@ -50,23 +50,23 @@ def test_satisfied_trends_agree():
 
 
 def test_trends_that_fail_have_their_verdicts():
-    given = make_datasets()
-    given["iron_oxide"] = make_spectra("iron_oxide", [0.01, 0.05], 0.1, error=0.0005)
-    given["magnetite"] = make_spectra("magnetite", [0.0, 0.3], -1e-4, error=0.005)
-    table = make_sand_trend_table(given).set_index("quantity")
+    datasets = make_datasets()
+    datasets["iron_oxide"] = make_spectra("iron_oxide", [0.01, 0.05], 0.1, error=0.0005)
+    datasets["magnetite"] = make_spectra("magnetite", [0.0, 0.3], -1e-4, error=0.005)
+    table = make_sand_trend_table(datasets).set_index("quantity")
     verdicts = {q: v for q, v in table.verdict.items() if v != "agrees"}
     assert sorted(verdicts.values()) == ["not resolved at this accuracy", "outside"]
 
 
 def test_shifts_are_differences_to_the_reference_with_errors():
-    both = xr.concat(
+    dataset = xr.concat(
         [
             make_spectra("medium", ["one", "two"], 0.0, 0.003),
             make_spectra("medium", ["one", "two"], 0.1, 0.004),
         ],
         dim=xr.DataArray(["default", "other"], dims="interpretation", name="interpretation"),
     )
-    table = make_shift_table(both, "interpretation", "default").set_index("medium")
+    table = make_shift_table(dataset, "interpretation", "default").set_index("medium")
     assert table["value"].unique().tolist() == ["other"]
     assert table.mean_shift["one"] == pytest.approx(0.0)
     assert table.mean_shift["two"] == pytest.approx(0.1)

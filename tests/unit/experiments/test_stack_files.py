@@ -18,7 +18,7 @@ from splits.io.netcdf import save
 from splits.plotting.style import format_parameter
 
 MEDIA = Path(__file__).parents[3] / "config" / "media"
-SNOWPACK_TEXT = """
+STACK_TEXT = """
 medium:
   kind: stack
   layers:
@@ -31,44 +31,44 @@ instrument: {wavelength_nm: [500]}
 
 
 def load_text(folder, text):
-    path = folder / "pack.yaml"
+    path = folder / "stack.yaml"
     path.write_text(text)
     return load_experiment(path, MEDIA)
 
 
-def test_layers_stand_on_their_bases(tmp_path):
-    ((_, pack, _),) = load_text(tmp_path, SNOWPACK_TEXT).iter_points()
-    assert [layer.kind for layer in pack.layers] == ["snow", "sand"]
-    assert pack.layers[0].density_kg_m3 == 120.0 and pack.layers[0].temperature_c == -1.0
-    assert pack.ground.name == "albedo 0.2"
+def test_layers_inherit_from_their_bases(tmp_path):
+    ((_, stack, _),) = load_text(tmp_path, STACK_TEXT).iter_points()
+    assert [layer.kind for layer in stack.layers] == ["snow", "sand"]
+    assert stack.layers[0].density_kg_m3 == 120.0 and stack.layers[0].temperature_c == -1.0
+    assert stack.ground.name == "albedo 0.2"
 
 
-def test_pores_of_other_media_in_files(tmp_path):
+def test_pores_with_custom_liquids(tmp_path):
     text = """
 medium: {refractive_index: {brine: 1.38+2e-6j, oil: 1.47}, pores: {oil: 0.2}}
 grid: {pores: {little: {brine: 0.1}, much: {brine: 0.3}}}
 instrument: {wavelength_nm: [500]}
 """
-    found = [snow.pores for _, snow, _ in load_text(tmp_path, text).iter_points()]
-    assert found == [{"oil": 0.2, "brine": 0.1}, {"oil": 0.2, "brine": 0.3}]
-    pack = SNOWPACK_TEXT.replace("depth_m: 0.05}", "depth_m: 0.05, pores: {brine: 0.1}}")
+    pores = [snow.pores for _, snow, _ in load_text(tmp_path, text).iter_points()]
+    assert pores == [{"oil": 0.2, "brine": 0.1}, {"oil": 0.2, "brine": 0.3}]
+    stack_text = STACK_TEXT.replace("depth_m: 0.05}", "depth_m: 0.05, pores: {brine: 0.1}}")
     with pytest.raises(ConfigError, match=r"layers\.1\.pores = 'brine'.*give refractive_index"):
-        load_text(tmp_path, pack)
+        load_text(tmp_path, stack_text)
 
 
-def test_a_path_names_one_setting_of_a_layer(tmp_path):
+def test_grid_paths_set_parameters_of_layers(tmp_path):
     grid = "grid: {layers.0.depth_m: [0.01, 0.02], layers.1.depth_m: [0.02], ground: [0, 1]}\n"
-    experiment = load_text(tmp_path, SNOWPACK_TEXT.replace("  ground: 0.2\n", "") + grid)
-    found = [
-        (*(layer.depth_m for layer in pack.layers), pack.ground.name)
-        for _, pack, _ in experiment.iter_points()
+    experiment = load_text(tmp_path, STACK_TEXT.replace("  ground: 0.2\n", "") + grid)
+    points = [
+        (*(layer.depth_m for layer in stack.layers), stack.ground.name)
+        for _, stack, _ in experiment.iter_points()
     ]
-    assert found == [
+    assert points == [
         (0.01, 0.02, "albedo 0.0"), (0.01, 0.02, "albedo 1.0"),
         (0.02, 0.02, "albedo 0.0"), (0.02, 0.02, "albedo 1.0"),
     ]  # fmt: skip
-    about = make_grid_coordinates(experiment.grid)["layers.0.depth_m"][2]
-    assert about == {"long_name": "thickness of the sample, layer 0", "units": "m"}
+    attributes = make_grid_coordinates(experiment.grid)["layers.0.depth_m"][2]
+    assert attributes == {"long_name": "thickness of the sample, layer 0", "units": "m"}
     assert format_parameter("layers.0.depth_m") == "layer 0: depth (m)"
 
 
@@ -86,16 +86,16 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
             "layers.0.bottom_albedo: unknown key",
         ),
         (
-            SNOWPACK_TEXT + "grid: {layers: {a: [{kind: snw}]}}",
+            STACK_TEXT + "grid: {layers: {a: [{kind: snw}]}}",
             "grid.layers.a.layers.0.kind = 'snw'",
         ),
-        (SNOWPACK_TEXT + "grid: {layers: {a: [fresh]}}", "grid.layers.a.layers.0 = 'fresh'"),
+        (STACK_TEXT + "grid: {layers: {a: [fresh]}}", "grid.layers.a.layers.0 = 'fresh'"),
         (
-            SNOWPACK_TEXT + "grid: {layers.1.depth_m: [1], layers: {a: [{depth_m: 1}]}}",
+            STACK_TEXT + "grid: {layers.1.depth_m: [1], layers: {a: [{depth_m: 1}]}}",
             r"layers.1.depth_m = 'layer 1': must be 0 to 0",
         ),
         (
-            SNOWPACK_TEXT + "figure: {kind: points, quantity: mean_grain_distance}",
+            STACK_TEXT + "figure: {kind: points, quantity: mean_grain_distance}",
             "a stack has no single distance",
         ),
         (
@@ -110,78 +110,78 @@ def test_a_path_names_one_setting_of_a_layer(tmp_path):
         ("medium: {kind: stack, layers: [{base: non}]}", "medium.layers.0.base = 'non'"),
         ("medium: {kind: stack, layers: [{depth_m: 1e-5}]}", "more than the largest grain"),
         (
-            SNOWPACK_TEXT + "grid: {layers.2.depth_m: [1]}",
+            STACK_TEXT + "grid: {layers.2.depth_m: [1]}",
             r"must be 0 to 1 \(counted from the top\)",
         ),
         (
-            SNOWPACK_TEXT + "grid: {layers.1.density_kg_m3: [1]}",
+            STACK_TEXT + "grid: {layers.1.density_kg_m3: [1]}",
             "layers.1.density_kg_m3: unknown key",
         ),
-        (SNOWPACK_TEXT + "grid: {layers.1.depth_m: [1, -2]}", r"grid.layers.1.depth_m = -2"),
+        (STACK_TEXT + "grid: {layers.1.depth_m: [1, -2]}", r"grid.layers.1.depth_m = -2"),
         ("grid: {layers.1.depth_m: [1]}", "grid.layers.1.depth_m: unknown key"),
         (
-            SNOWPACK_TEXT.replace("{wave", "{kind: goniophotometer, wave")
+            STACK_TEXT.replace("{wave", "{kind: goniophotometer, wave")
             + "figure: {quantity: btdf}",
             "figure.quantity = 'btdf': must be brdf over a ground",
         ),
     ],
 )
 def test_invalid_stacks_are_rejected_in_one_line(tmp_path, text, message):
-    with pytest.raises(ConfigError, match=message) as refused:
+    with pytest.raises(ConfigError, match=message) as error:
         load_text(tmp_path, text)
-    assert "\n" not in str(refused.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("first", ["layers", "layers.0.depth_m"])
-def test_a_path_leads_into_each_of_several_lists_of_layers(tmp_path, first):
+def test_grid_paths_apply_to_every_list_of_layers(tmp_path, first):
     values = {
         "layers": "{thin: [{depth_m: 0.02}], thick: [{depth_m: 0.03}, {depth_m: 0.01}]}",
         "layers.0.depth_m": "[0.05, 0.06]",
     }
     order = [first, *(set(values) - {first})]
     grid = "grid: {" + ", ".join(f"{key}: {values[key]}" for key in order) + "}\n"
-    experiment = load_text(tmp_path, SNOWPACK_TEXT + grid)
+    experiment = load_text(tmp_path, STACK_TEXT + grid)
     before = experiment.dump_simulation()
-    found = sorted(
-        tuple(one.depth_m for one in pack.layers) for _, pack, _ in experiment.iter_points()
+    depths = sorted(
+        tuple(layer.depth_m for layer in stack.layers) for _, stack, _ in experiment.iter_points()
     )
-    assert found == [(0.05,), (0.05, 0.01), (0.06,), (0.06, 0.01)]
+    assert depths == [(0.05,), (0.05, 0.01), (0.06,), (0.06, 0.01)]
     assert experiment.dump_simulation() == before
 
 
-def test_mappings_by_path_add_to_those_of_the_layer(tmp_path):
+def test_mappings_by_path_are_merged_with_the_layer(tmp_path):
     text = (
         "medium: {kind: stack, layers: [{interpretation: {size_definition: semi_axis}}]}\n"
-        "grid: {layers.0.interpretation: {struck: {size_sampling: uniform}}}\n"
+        "grid: {layers.0.interpretation: {weighted: {size_sampling: uniform}}}\n"
     )
-    ((_, pack, _),) = load_text(tmp_path, text).iter_points()
-    interpretation = pack.layers[0].interpretation.as_dict()
+    ((_, stack, _),) = load_text(tmp_path, text).iter_points()
+    interpretation = stack.layers[0].interpretation.as_dict()
     assert (interpretation["size_definition"], interpretation["size_sampling"]) == (
         "semi_axis",
         "uniform",
     )
 
 
-def test_tables_by_path_are_known_by_their_content(tmp_path):
+def test_tables_by_path_are_identified_by_content(tmp_path):
     table = tmp_path / "ice.csv"
     table.write_text("wavelength_nm,n,k\n400,1.31,1e-8\n900,1.30,1e-7\n")
-    text = SNOWPACK_TEXT + f"grid: {{layers.0.refractive_index: {{mine: {{ice: {table}}}}}}}\n"
+    text = STACK_TEXT + f"grid: {{layers.0.refractive_index: {{mine: {{ice: {table}}}}}}}\n"
     experiment = load_text(tmp_path, text)
     assert experiment.list_table_paths() == [str(table)]
     assert "ice.csv sha256:" in experiment.dump_configuration()
     assert str(tmp_path) not in experiment.dump_configuration()
 
 
-def test_the_example_of_the_documents_can_be_run(tmp_path):
+def test_the_documented_example_is_valid(tmp_path):
     text = (MEDIA.parents[1] / "docs" / "how-to" / "layers-of-snow.md").read_text(encoding="utf-8")
     example = text.partition("```yaml\n")[2].partition("```")[0]
     assert len(example.splitlines()) <= 12
     assert len(list(load_text(tmp_path, example).iter_points())) == 6
 
 
-def make_semi_infinite_text(kind):
+def make_semi_infinite_content(kind):
     return {
-        "name": "endless",
+        "name": "semi_infinite",
         "medium": {"kind": "snow", "saturation": 0.0},
         "instrument": {"kind": kind, "wavelength_nm": [1300]},
         "grid": {"depth_m": [0.02, math.inf]},
@@ -190,12 +190,12 @@ def make_semi_infinite_text(kind):
 
 def test_semi_infinite_media_are_for_the_spectrophotometer():
     with pytest.raises(ValidationError, match=r"medium.depth_m = inf: must be finite"):
-        ExperimentConfig.model_validate(make_semi_infinite_text("goniophotometer"))
+        ExperimentConfig.model_validate(make_semi_infinite_content("goniophotometer"))
 
 
-def test_a_semi_infinite_medium_in_a_grid_is_simulated_and_saved(tmp_path):
-    experiment = ExperimentConfig.model_validate(make_semi_infinite_text("spectrophotometer"))
-    save(run(experiment, Accuracy(max_stderr=0.1)), tmp_path / "endless.nc")
-    ds = splits.load(tmp_path / "endless.nc")
+def test_semi_infinite_depths_on_a_grid_are_simulated(tmp_path):
+    experiment = ExperimentConfig.model_validate(make_semi_infinite_content("spectrophotometer"))
+    save(run(experiment, Accuracy(max_stderr=0.1)), tmp_path / "semi_infinite.nc")
+    ds = splits.load(tmp_path / "semi_infinite.nc")
     assert ds.depth_m.values.tolist() == [0.02, math.inf]
     assert ds.transmittance.sel(depth_m=math.inf).item() == 0.0

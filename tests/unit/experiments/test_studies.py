@@ -1,4 +1,4 @@
-"""Studies: validation, and unique names of products."""
+"""Studies: validation, and unique names of their outputs."""
 
 from __future__ import annotations
 
@@ -30,23 +30,25 @@ def make_settings(studies):
     return load_settings({**SETTINGS_CONTENT, "studies": SETTINGS_CONTENT["studies"] | studies})
 
 
-def test_shipped_studies_have_all_that_they_need(shipped):
-    made = load_settings(SETTINGS_CONTENT)
-    assert set(made.select_experiments(shipped)) == set(shipped)
-    assert find_incomplete_studies(made.studies, shipped, shipped) == {}
+def test_shipped_studies_are_complete(shipped):
+    settings = load_settings(SETTINGS_CONTENT)
+    assert set(settings.select_experiments(shipped)) == set(shipped)
+    assert find_incomplete_studies(settings.studies, shipped, shipped) == {}
     paths = {
-        p
-        for name, one in made.studies.items()
-        for ps in one.list_product_paths(name).values()
-        for p in ps
+        path
+        for name, study in settings.studies.items()
+        for product_paths in study.list_product_paths(name).values()
+        for path in product_paths
     }
     figures = (
         "fig23_sensitivity", "interpretation_ranking", "letcher2022_measured",
         "surface_area_spectra_found", "surface_area_law", "sobol_indices_by_wavelength",
         "wet_sand_anisotropy", "band_selection",
     )  # fmt: skip
-    drawn = {f"figures/{name}{suffix}" for name in figures for suffix in (".png", ".svg", ".pdf")}
-    assert paths == drawn | {
+    figure_paths = {
+        f"figures/{name}{suffix}" for name in figures for suffix in (".png", ".svg", ".pdf")
+    }
+    assert paths == figure_paths | {
         "data/fig23_sensitivity.nc", "tables/sensitivity.csv", "tables/table2.csv",
         "tables/agreement.csv", "tables/interpretation_ranking.csv",
         "tables/sobol_indices_by_wavelength.csv", "tables/band_selection.csv",
@@ -59,12 +61,12 @@ def test_shipped_studies_have_all_that_they_need(shipped):
     }  # fmt: skip
 
 
-def test_no_name_of_an_experiment_decides_in_the_code(shipped):
+def test_code_does_not_depend_on_experiment_names(shipped):
     rules = [*(ROOT / "workflow").rglob("*.smk"), *(ROOT / "workflow" / "scripts").glob("*.py")]
     for path in [*rules, *(ROOT / "splits").rglob("*.py"), ROOT / "Snakefile"]:
         text = path.read_text(encoding="utf-8")
         for name in shipped:
-            # The Snakefile's docstring shows how one is named.
+            # The docstring of the Snakefile names an experiment, without quotes.
             assert f'"{name}"' not in text, (path, name)
 
 
@@ -73,10 +75,10 @@ def test_no_name_of_an_experiment_decides_in_the_code(shipped):
     ["fig23_sensitivity", "letcher2022_measured", "sensitivity", "table2", "agreement",
      "sand_fit_parameters", "angular_trends", "sand_colours"],
 )  # fmt: skip
-def test_names_of_studies_and_fits_are_rejected(shipped, name):
-    taken = ExperimentConfig.model_validate({"name": name})
+def test_experiment_names_of_studies_are_rejected(shipped, name):
+    experiment = ExperimentConfig.model_validate({"name": name})
     with pytest.raises(ConfigError, match=f"^experiment {name}: name = '{name}': must be unique"):
-        load_settings(SETTINGS_CONTENT).select_experiments({**shipped, name: taken})
+        load_settings(SETTINGS_CONTENT).select_experiments({**shipped, name: experiment})
 
 
 @pytest.mark.parametrize(
@@ -133,34 +135,40 @@ def test_names_of_studies_and_fits_are_rejected(shipped, name):
     ],
 )  # fmt: skip
 def test_invalid_studies_are_rejected_in_one_line(shipped, study, message):
-    with pytest.raises(ConfigError, match=message) as caught:
+    with pytest.raises(ConfigError, match=message) as error:
         make_settings({"own": study}).select_experiments(shipped)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(error.value)
 
 
 def test_missing_experiments_of_a_study_are_reported(shipped):
-    own = {"kind": "angular_trends", "inputs": {"facetness": "fig22_facetnes"}}
-    lacking = find_incomplete_studies(make_settings({"own": own}).studies, {}, shipped)
-    assert lacking["own"] == (
+    study = {"kind": "angular_trends", "inputs": {"facetness": "fig22_facetnes"}}
+    incomplete = find_incomplete_studies(make_settings({"own": study}).studies, {}, shipped)
+    assert incomplete["own"] == (
         "study own is left out: no such experiment: fig22_facetnes (did you mean fig22_facetness?)"
     )
-    assert lacking["layer_trends"].startswith("study layer_trends is left out: not selected: layer")
-    assert lacking["sand_compositions"].endswith("no experiment with sand is selected")
-    for study in ("agreement", "interpretation_ranking"):
-        assert "sensitivity_density" in lacking[study], "they need their sensitivity"
+    assert incomplete["layer_trends"].startswith(
+        "study layer_trends is left out: not selected: layer"
+    )
+    assert incomplete["sand_compositions"].endswith("no experiment with sand is selected")
+    for name in ("agreement", "interpretation_ranking"):
+        assert "sensitivity_density" in incomplete[name], "these depend on their sensitivity study"
 
 
-def test_a_study_of_some_roles_has_their_rows():
+def test_a_study_of_some_inputs_has_their_rows():
     polar, azimuth = np.arange(0.0, 90.0, 2.5), np.array([0.0, 180.0])
     value = 0.3 + 0.1 * np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
     shape = (1, *value.shape)
-    about = {"incidence_deg": [0.0, 40.0], "wavelength": [700.0], "polar": polar,
+    coordinates = {"incidence_deg": [0.0, 40.0], "wavelength": [700.0], "polar": polar,
              "azimuth": azimuth}  # fmt: skip
     values = np.stack([0.3 + 0.0 * value, value]).reshape(2, *shape)
-    mine = xr.Dataset(
-        {"brdf": (tuple(about), values), "brdf_stderr": (tuple(about), 0.0 * values + 1e-3)}, about
+    dataset = xr.Dataset(
+        {
+            "brdf": (tuple(coordinates), values),
+            "brdf_stderr": (tuple(coordinates), 0.0 * values + 1e-3),
+        },
+        coordinates,
     )
-    rows = make_brdf_trend_rows({"incidence": mine})
+    rows = make_brdf_trend_rows({"incidence": dataset})
     assert [row["quantity"] for row in rows] == [
         "nearly Lambertian at 0°, 700 nm: 0.2 less the relative range within 60°",
         "forward peak above the nadir at 40°, 700 nm",
@@ -168,18 +176,19 @@ def test_a_study_of_some_roles_has_their_rows():
     ]
     assert all(row["verdict"] == "agrees" for row in rows)
     assert (
-        len(make_brdf_trend_rows({"grazing": mine.assign_coords(incidence_deg=[20.0, 60.0])})) == 2
+        len(make_brdf_trend_rows({"grazing": dataset.assign_coords(incidence_deg=[20.0, 60.0])}))
+        == 2
     )
 
 
-def test_a_table_of_a_retrieval_has_its_name_alone(shipped):
+def test_names_of_retrieval_tables_are_unique(shipped):
     study = {"kind": "sobol", "inputs": {"a": "explorer_snow"}}
     studies = {**SETTINGS_CONTENT["studies"], "retrieved_dozier_retrieved": study}
     with pytest.raises(ConfigError, match="'retrieved_dozier_retrieved': must be unique"):
         load_settings({**SETTINGS_CONTENT, "studies": studies}).select_experiments(shipped)
 
 
-def test_tables_of_numbers_are_read_before_anything_runs(shipped, tmp_path):
+def test_tables_of_studies_are_read_before_the_run(shipped, tmp_path):
     shutil.copytree(ROOT / "config" / "measured", tmp_path / "measured")
     file = tmp_path / "measured" / "aviris_ng_varsa2021.csv"
     file.write_text(file.read_text(encoding="utf-8").replace("0.890", "89%"), encoding="utf-8")
@@ -189,6 +198,6 @@ def test_tables_of_numbers_are_read_before_anything_runs(shipped, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["con", "nul", "com1", "lpt9"])
-def test_names_are_files_on_all_systems(name):
+def test_reserved_device_names_are_rejected(name):
     with pytest.raises(ValueError, match=f"name = '{name}'.*no device such as con"):
         ExperimentConfig.model_validate({"name": name})

@@ -66,9 +66,9 @@ UNUSED_SETTINGS = {
 def test_settings_without_effect_are_rejected(tmp_path, text):
     path = tmp_path / "idle.yaml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError) as error:
         load_experiment(path, MEDIA)
-    line = str(caught.value)
+    line = str(error.value)
     assert line.startswith(f"{path}: {UNUSED_SETTINGS[text]} = ") and "must be " in line, line
 
 
@@ -84,14 +84,14 @@ def test_settings_without_effect_are_rejected(tmp_path, text):
     ],
     ids=range(5),
 )  # fmt: skip
-def test_settings_that_count_are_taken(tmp_path, text):
+def test_settings_with_effect_are_accepted(tmp_path, text):
     path = tmp_path / "made.yaml"
     path.write_text(text, encoding="utf-8")
     load_experiment(path, MEDIA)
 
 
 @pytest.mark.parametrize(
-    ("sample", "instrument", "rest", "told"),
+    ("sample", "instrument", "options", "message"),
     [
         ("a@50", "", "", r"retrieve\.samples = 'a@50': must be of incidence 0\.0"),
         ("a@50", ", incidence_deg: 50", "", None),
@@ -105,33 +105,35 @@ def test_settings_that_count_are_taken(tmp_path, text):
         ("a@50", "", ", fixed: {incidence_deg: 50}", None),
     ],
 )
-def test_angles_in_names_of_samples_count_or_are_rejected(
-    tmp_path, sample, instrument, rest, told
+def test_angles_in_sample_names_are_used_or_rejected(
+    tmp_path, sample, instrument, options, message
 ):  # fmt: skip
     (tmp_path / "measured").mkdir()
     rows = "\n".join(f"{w},0.8" for w in range(400, 1301, 100))
     (tmp_path / "measured" / "mine.csv").write_text(f"wavelength_nm,{sample}\n{rows}\n", "utf-8")
     text = TABLE.replace("step: 100}", f"step: 100}}{instrument}")
-    if "fixed:" in rest:
+    if "fixed:" in options:
         text = text.replace("200]}", "200], incidence_deg: [40, 50]}")
-    text += f"retrieve: {{measured: mine.csv, free: [optical_radius_um]{rest}}}\n"
+    text += f"retrieve: {{measured: mine.csv, free: [optical_radius_um]{options}}}\n"
     path = tmp_path / "made.yaml"
     path.write_text(text, encoding="utf-8")
-    if told is None:
+    if message is None:
         load_experiment(path, MEDIA, tmp_path / "measured")
         return
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         load_experiment(path, MEDIA, tmp_path / "measured")
 
 
-def test_a_fit_is_not_passed_over():
+def test_a_fit_section_is_not_ignored():
     section = {"measured": "sand_reflectance_jhu.csv"}
-    one = SimulationConfig.model_validate({"name": "a", "medium": {"kind": "sand"}, "fit": section})
+    experiment = SimulationConfig.model_validate(
+        {"name": "a", "medium": {"kind": "sand"}, "fit": section}
+    )
     with pytest.raises(ValueError, match=r"fit = 'sand_reflectance_jhu\.csv': .*run_fit"):
-        run(one, Accuracy(max_stderr=0.5))
+        run(experiment, Accuracy(max_stderr=0.5))
 
 
-def test_a_seed_of_the_file_is_not_passed_over(tmp_path, capsys):
+def test_a_seed_of_the_file_is_not_ignored(tmp_path, capsys):
     path = tmp_path / "made.yaml"
     path.write_text("instrument: {wavelength_nm: [500], seed: 3}\n", encoding="utf-8")
     assert cli.main(["run", str(path), "--seed", "4", "--output", str(tmp_path / "out")]) == 1
@@ -141,18 +143,18 @@ def test_a_seed_of_the_file_is_not_passed_over(tmp_path, capsys):
 
 
 @NEEDS_JIT
-def test_the_command_reads_measured_spectra(tmp_path):
+def test_run_retrieves_measured_spectra(tmp_path):
     path = tmp_path / "grains.yaml"
     path.write_text(TABLE + RETRIEVE + "free: [optical_radius_um, scale]}\n", encoding="utf-8")
-    made = tmp_path / "made"
-    done = subprocess.run(
-        [sys.executable, "-m", "splits.cli", "run", path, "--output", made,
+    folder = tmp_path / "made"
+    result = subprocess.run(
+        [sys.executable, "-m", "splits.cli", "run", path, "--output", folder,
          "--accuracy", "tiny", "--threads", "1", "--media", MEDIA],
         capture_output=True, text=True,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    files = [made / f"grains{end}" for end in (".nc", "_retrieved.csv", ".png")]
-    assert done.stdout.splitlines() == list(map(str, files))
+    assert result.returncode == 0, result.stderr
+    files = [folder / f"grains{end}" for end in (".nc", "_retrieved.csv", ".png")]
+    assert result.stdout.splitlines() == list(map(str, files))
     assert all(file.is_file() for file in files)
     table = pd.read_csv(files[1])
     assert list(table.parameter) == ["optical_radius_um", "scale"]
@@ -160,6 +162,6 @@ def test_the_command_reads_measured_spectra(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["data", "Figures", "../there", "a/b", "", "{x}"])
-def test_accuracies_name_folders_of_their_own(name):
+def test_accuracy_names_must_be_valid_folder_names(name):
     with pytest.raises(ConfigError, match=r"accuracies = .*: must be letters"):
         load_settings({"accuracies": {name: {"max_stderr": 0.1}}, "accuracy": name})

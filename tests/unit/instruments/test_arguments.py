@@ -1,4 +1,4 @@
-"""What instruments refuse when Python hands it to them: one message, no error from inside."""
+"""Invalid arguments of instruments: one message, and no errors from internal functions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from splits.simulation.fixed_budget import estimate_fixed_budget
 
 WAVES = {"rms_height_m": 0.1, "wave_number_per_m": 1.0, "correlation": "gaussian"}
 ROUGH = splits.ParticleLayer(surface=WAVES, depth_m=10.0)
-VIEW_CALLS = {
+INSTRUMENT_CALLS = {
     "spectrophotometer": lambda medium: splits.spectrophotometer(medium, [600]),
     "goniophotometer": lambda medium: splits.goniophotometer(medium, [600]),
     "beam_spread": lambda medium: splits.beam_spread(medium, [600]),
@@ -28,12 +28,12 @@ SURFACE_CALLS = ("lens", "surface_map")
 @pytest.mark.parametrize(
     "medium", ["snow", "layer", splits.Snow, splits.ParticleLayer, None, [600], 5]
 )
-@pytest.mark.parametrize("instrument", VIEW_CALLS)
-def test_what_is_no_medium_is_refused(instrument, medium):
+@pytest.mark.parametrize("instrument", INSTRUMENT_CALLS)
+def test_objects_other_than_media_are_rejected(instrument, medium):
     allowed = "ParticleLayer" if instrument in SURFACE_CALLS else "Snow"
-    told = re.escape(f"medium = {medium!r}: must be splits.{allowed}(...)")
-    with pytest.raises(ValueError, match=f"^{told}"):
-        VIEW_CALLS[instrument](medium)
+    message = re.escape(f"medium = {medium!r}: must be splits.{allowed}(...)")
+    with pytest.raises(ValueError, match=f"^{message}"):
+        INSTRUMENT_CALLS[instrument](medium)
 
 
 @pytest.mark.parametrize(
@@ -43,19 +43,19 @@ def test_what_is_no_medium_is_refused(instrument, medium):
         *((name, medium) for name in SURFACE_CALLS for medium in (splits.Snow(), splits.Sand())),
     ],
 )
-def test_media_that_an_instrument_cannot_look_at_are_refused(instrument, medium):
+def test_unsupported_media_are_rejected(instrument, medium):
     with pytest.raises(ValueError, match=f"^medium = '{medium.kind}': must be splits"):
-        VIEW_CALLS[instrument](medium)
+        INSTRUMENT_CALLS[instrument](medium)
 
 
 @pytest.mark.parametrize("medium", ["snow", "Snow", "snwo", splits.Snow])
-def test_a_medium_nearly_right_is_told(medium):
+def test_misspelt_media_get_a_suggestion(medium):
     with pytest.raises(ValueError, match=re.escape("(did you mean splits.Snow()?)")):
         splits.spectrophotometer(medium, [600])
 
 
 @pytest.mark.parametrize(
-    ("look", "told"),
+    ("call", "message"),
     [
         (lambda: splits.lens(ROUGH, [1.0], 0.1),
          r"^half_width_m = None: must be given \(m\) \(half the side of the square searched"),
@@ -69,6 +69,6 @@ def test_a_medium_nearly_right_is_told(medium):
          r"^surface\.band_limit_per_m = None: must be given .*default correlation"),
     ],
 )  # fmt: skip
-def test_what_is_missing_or_nearly_right_is_told(look, told):
-    with pytest.raises(ValueError, match=told):
-        look()
+def test_missing_and_misspelt_arguments_get_a_hint(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

@@ -1,4 +1,4 @@
-"""Instruments that measure a rough surface only, and experiments with them."""
+"""Instruments for rough surfaces, and experiments with them."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ WAVES = {"rms_height_m": 1.0, "wave_number_per_m": 0.1, "waves": 8, "correlation
 WATER = splits.ParticleLayer(refractive_index=1.34, depth_m=100.0, surface=WAVES)
 
 
-def test_a_flat_lens_changes_nothing():
+def test_a_flat_surface_does_not_focus():
     ds = splits.lens(WATER, [1.0, 10.0], 2.0, centre_on="origin", waves=[(0.0, 1.0, 0.0, 0.0)])
     assert ds.contraction.values == pytest.approx(1.0, abs=1e-12)
     assert ds.concentration.values == pytest.approx(1.0, abs=1e-12)
     assert ds.detected_fraction.values == pytest.approx(1.0)
 
 
-def test_crests_focus_and_troughs_spread():
+def test_crests_focus_and_troughs_defocus():
     crest, trough = (
-        splits.lens(WATER, [20.0], 0.5, centre_on=over, half_width_m=50.0, realizations=20)
-        for over in ("crest", "trough")
+        splits.lens(WATER, [20.0], 0.5, centre_on=centre, half_width_m=50.0, realizations=20)
+        for centre in ("crest", "trough")
     )
     for ds, sign in ((crest, 1.0), (trough, -1.0)):
         above = float(ds.concentration[0] - 1.0) * sign
         assert above > 3.0 * float(ds.concentration_stderr[0])
 
 
-def test_without_a_scatter_of_realizations_there_is_no_error():
+def test_one_realization_has_no_standard_error():
     ds = splits.lens(WATER, [5.0], 0.5, centre_on="origin", rays=12)
     assert "contraction_stderr" not in ds and ds.attrs["rays"] == 12
 
 
-def test_maps_show_the_surface_that_rays_meet():
+def test_surface_maps_have_the_expected_slopes():
     ds = splits.surface_map(WATER, 200.0, points=81, realizations=200, seed=3)
     assert ds.height.shape == (81, 81)
     expected = WATER.surface.rms_slope()
@@ -47,7 +47,7 @@ def test_maps_show_the_surface_that_rays_meet():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (([-1.0], 1.0), "screen_depth_m"),
         (([2.0, 1.0], 1.0), "screen_depth_m"),
@@ -59,18 +59,18 @@ def test_maps_show_the_surface_that_rays_meet():
         (([1.0], 1.0, {"half_width_m": 0.0}), "half_width_m"),
     ],
 )
-def test_bad_lenses_are_rejected(arguments, told):
-    depths, radius, *rest = arguments
-    settings = {"half_width_m": 5.0, **(rest[0] if rest else {})}
-    with pytest.raises(ValueError, match=told):
+def test_invalid_lens_arguments_are_rejected(arguments, message):
+    depths, radius, *options = arguments
+    settings = {"half_width_m": 5.0, **(options[0] if options else {})}
+    with pytest.raises(ValueError, match=message):
         splits.lens(WATER, depths, radius, **settings)
 
 
-def test_a_smooth_layer_has_no_surface_to_look_at():
-    for look in (lambda m: splits.lens(m, [1.0], 1.0, centre_on="origin"),
+def test_smooth_layers_are_rejected():
+    for call in (lambda m: splits.lens(m, [1.0], 1.0, centre_on="origin"),
                  lambda m: splits.surface_map(m, 1.0)):  # fmt: skip
         with pytest.raises(ValueError, match="surface = None"):
-            look(splits.ParticleLayer())
+            call(splits.ParticleLayer())
 
 
 LAYER = {"kind": "particle_layer", "depth_m": 100.0, "surface": WAVES}
@@ -88,10 +88,10 @@ LAYER = {"kind": "particle_layer", "depth_m": 100.0, "surface": WAVES}
         ({"wavelength_nm": [550]}, {"single_scattering_albedo": [0.5, 0.9]}),
     ],
 )
-def test_experiments_with_layers_run_and_show(instrument, grid):
-    at = {name: str(values[0]) for name, values in grid.items()}
+def test_experiments_with_layers_run_and_are_drawn(instrument, grid):
+    select = {name: str(values[0]) for name, values in grid.items()}
     kind = instrument.get("kind", "spectrophotometer")
-    figure = {"select": at} if kind in ("surface_map", "lens") else {}
+    figure = {"select": select} if kind in ("surface_map", "lens") else {}
     figure |= {"kind": "points"} if kind == "spectrophotometer" else {}
     experiment = ExperimentConfig(
         name="made", medium=LAYER, instrument=instrument, grid=grid, figure=figure
@@ -103,7 +103,7 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ({"medium": {"kind": "particle_layer"},
           "instrument": {"kind": "surface_map", "half_width_m": 1}},
@@ -124,6 +124,6 @@ def test_experiments_with_layers_run_and_show(instrument, grid):
          "band_limit_per_m"),
     ],
 )  # fmt: skip
-def test_experiments_that_cannot_be_run_are_rejected(content, told):
-    with pytest.raises((ValueError, TypeError), match=told):
+def test_invalid_experiments_are_rejected(content, message):
+    with pytest.raises((ValueError, TypeError), match=message):
         ExperimentConfig(name="made", **content)

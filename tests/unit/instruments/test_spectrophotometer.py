@@ -1,4 +1,4 @@
-"""The spectrophotometer as users call it: what comes back, and what is refused."""
+"""The public spectrophotometer function: results, attributes and invalid arguments."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ def measured(request):
 
 
 def test_variables_and_dimensions(measured):
-    groups = {"reflectance_batches", "transmittance_batches"}
+    batches = {"reflectance_batches", "transmittance_batches"}
     values = {q + s for q in QUANTITIES for s in ("", "_stderr")}
-    assert set(measured.data_vars) == values | groups
+    assert set(measured.data_vars) == values | batches
     assert all(measured[name].dims == ("wavelength",) for name in values)
-    assert all(measured[name].dims == ("batch", "wavelength") for name in groups)
+    assert all(measured[name].dims == ("batch", "wavelength") for name in batches)
     np.testing.assert_array_equal(measured.wavelength, WAVELENGTHS)
 
 
-def test_reflectance_transmittance_and_absorptance_add_up_to_one(measured):
+def test_energy_is_conserved(measured):
     total = sum(measured[quantity] for quantity in QUANTITIES)
     np.testing.assert_allclose(total, 1.0, rtol=1e-12)
     for quantity in QUANTITIES:
@@ -66,7 +66,7 @@ def test_reflectance_transmittance_and_absorptance_add_up_to_one(measured):
     assert measured.attrs["max_stderr_reached"] <= 0.5
 
 
-def test_every_variable_says_what_it_is(measured):
+def test_all_variables_have_units_and_names(measured):
     for name, variable in measured.variables.items():
         assert variable.attrs["units"] == ("nm" if name == "wavelength" else "1")
         assert variable.attrs["long_name"]
@@ -75,61 +75,61 @@ def test_every_variable_says_what_it_is(measured):
     assert "hemispherical-hemispherical" in measured.reflectance.attrs["long_name"]
 
 
-def test_attributes_hold_all_inputs_and_provenance(measured):
-    facts = measured.attrs
-    assert {f"snow_{key}" for key in THIN_SNOW.describe()} <= set(facts)
+def test_attributes_record_inputs_and_provenance(measured):
+    attributes = measured.attrs
+    assert {f"snow_{key}" for key in THIN_SNOW.describe()} <= set(attributes)
     for key, value in {"incidence_deg": "diffuse", "max_stderr": 0.5, "seed": 1}.items():
-        assert facts[key] == value
+        assert attributes[key] == value
     for key in ("Conventions", "source", "splits_version", "splits_commit", "date_created"):
-        assert facts[key]
-    assert facts["physics_sources_sha256"] == hash_physics_sources()
-    assert facts["threads"] == 1
-    assert facts["stop_reason"] == "converged"
-    assert facts["rays"] > 0
+        assert attributes[key]
+    assert attributes["physics_sources_sha256"] == hash_physics_sources()
+    assert attributes["threads"] == 1
+    assert attributes["stop_reason"] == "converged"
+    assert attributes["rays"] > 0
 
 
-def test_a_result_survives_a_file(measured, tmp_path):
+def test_results_are_saved_and_loaded(measured, tmp_path):
     splits.save(measured, tmp_path / "measured.nc")
-    again = splits.load(tmp_path / "measured.nc")
-    assert again.equals(measured)
-    assert set(again.attrs) == set(measured.attrs)
-    assert json.dumps({k: str(v) for k, v in again.attrs.items()})
+    loaded = splits.load(tmp_path / "measured.nc")
+    assert loaded.equals(measured)
+    assert set(loaded.attrs) == set(measured.attrs)
+    assert json.dumps({k: str(v) for k, v in loaded.attrs.items()})
 
 
-def test_a_number_is_a_spectrum_of_one():
-    one = measure(wavelength_nm=500)
-    assert one.wavelength.values.tolist() == [500.0]
-    assert one.reflectance.attrs["long_name"] == "directional-hemispherical reflectance"
+def test_a_scalar_wavelength_gives_one_value():
+    spectrum = measure(wavelength_nm=500)
+    assert spectrum.wavelength.values.tolist() == [500.0]
+    assert spectrum.reflectance.attrs["long_name"] == "directional-hemispherical reflectance"
 
 
-def test_the_seed_decides():
-    first, again, other = (measure(seed=seed) for seed in (1, 1, 2))
-    assert first.equals(again)
+def test_results_are_determined_by_the_seed():
+    first, repeated, other = (measure(seed=seed) for seed in (1, 1, 2))
+    assert first.equals(repeated)
     assert not first.equals(other)
 
 
-def test_progress_is_told():
-    told = []
-    measure(progress=told.append)
-    assert told
-    assert told[0].target == 0.5
-    assert told[0].rays > 0
+def test_progress_is_reported():
+    reports = []
+    measure(progress=reports.append)
+    assert reports
+    assert reports[0].target == 0.5
+    assert reports[0].rays > 0
 
 
-def test_a_limit_of_rays_stops_the_run():
+def test_the_maximum_of_rays_stops_the_run():
     stopped = measure(max_stderr=1e-6, max_rays=1)
     assert stopped.attrs["stop_reason"] == "max_rays"
     assert stopped.attrs["max_stderr_reached"] > 1e-6
 
 
 @pytest.mark.parametrize(("key", "value", "allowed"), INVALID_CALLS)
-def test_bad_arguments_are_refused_with_key_and_range(key, value, allowed):
-    with pytest.raises(ValueError, match=f"^{key} = ") as caught:
+def test_invalid_arguments_are_rejected_with_key_and_range(key, value, allowed):
+    with pytest.raises(ValueError, match=f"^{key} = ") as error:
         measure(**{key: value})
-    assert allowed in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert allowed in str(error.value)
+    assert "\n" not in str(error.value)
 
 
-def test_wavelengths_beyond_the_tables_are_refused():
+def test_wavelengths_outside_the_tables_are_rejected():
     with pytest.raises(ValueError, match=r"wavelength_nm = 250\.0.*\[300, .*oscillators"):
         splits.spectrophotometer(splits.Sand(), [250.0, 500.0])

@@ -16,7 +16,7 @@ VALUES = np.linspace(0.1, 0.9, 24).reshape(2, 3, 4)
 
 
 def make_dataset(name="first"):
-    """Return a dataset over texts, numbers out of order and wavelength."""
+    """Return a dataset over text labels, unsorted numbers and wavelength."""
     return xr.Dataset(
         {
             "reflectance": (("medium", "depth_m", "wavelength"), VALUES, {"units": "1"}),
@@ -33,9 +33,9 @@ def make_dataset(name="first"):
     )
 
 
-def flip_bit(path, place):
+def flip_bit(path, position):
     content = bytearray(path.read_bytes())
-    content[place] ^= 0x10
+    content[position] ^= 0x10
     path.write_bytes(content)
 
 
@@ -90,13 +90,13 @@ def change_values(path):
 
 def delete_variable(path):
     with xr.open_dataset(path) as file:
-        fewer = file.load().drop_vars("rays")
-    fewer.to_netcdf(path)
+        remaining = file.load().drop_vars("rays")
+    remaining.to_netcdf(path)
 
 
 DAMAGE_FUNCTIONS = {
-    way.__name__: way
-    for way in (
+    damage.__name__: damage
+    for damage in (
         flip_data, flip_header, flip_text, flip_label, truncate, zero_fill, zero_block, empty_file,
         write_text,
         change_attribute, change_values, delete_variable,
@@ -104,11 +104,11 @@ DAMAGE_FUNCTIONS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("way", DAMAGE_FUNCTIONS)
-def test_damage_is_named_in_one_line(tmp_path, way):
+@pytest.mark.parametrize("damage", DAMAGE_FUNCTIONS)
+def test_damage_is_reported_in_one_line(tmp_path, damage):
     path = tmp_path / "made.nc"
     splits.save(make_dataset(), path)
-    DAMAGE_FUNCTIONS[way](path)
+    DAMAGE_FUNCTIONS[damage](path)
     with pytest.raises(ValueError, match="damaged") as error:
         splits.load(path)
     line = str(error.value)
@@ -117,18 +117,18 @@ def test_damage_is_named_in_one_line(tmp_path, way):
     assert "\n" not in line
 
 
-def test_a_removed_checksum_is_named(tmp_path):
+def test_a_missing_checksum_gives_a_warning(tmp_path):
     path = tmp_path / "made.nc"
     splits.save(make_dataset(), path)
     with netCDF4.Dataset(path, "a") as file:
         file.delncattr("content_sha256")
     with pytest.warns(UserWarning, match=r"made\.nc: has no checksum") as warned:
-        again = splits.load(path)
+        loaded = splits.load(path)
     assert len(warned) == 1
-    xr.testing.assert_identical(again, make_dataset().assign_attrs(again.attrs))
+    xr.testing.assert_identical(loaded, make_dataset().assign_attrs(loaded.attrs))
 
 
-def test_the_dataset_of_another_experiment_is_named(tmp_path):
+def test_the_dataset_of_another_experiment_is_reported(tmp_path):
     from splits.io.integrity import find_damage
 
     path = tmp_path / "first.nc"
@@ -139,18 +139,18 @@ def test_the_dataset_of_another_experiment_is_named(tmp_path):
     assert "\n" not in line
 
 
-def test_any_flipped_byte_is_found(tmp_path):
+def test_any_flipped_bit_is_detected(tmp_path):
     path = tmp_path / "made.nc"
     splits.save(make_dataset(), path)
-    sound = path.read_bytes()
-    for place in np.random.default_rng(1).choice(len(sound), 300, replace=False):
-        flip_bit(path, place)
+    original = path.read_bytes()
+    for position in np.random.default_rng(1).choice(len(original), 300, replace=False):
+        flip_bit(path, position)
         with pytest.raises(ValueError, match=r"made\.nc: damaged, "):
             splits.load(path)
-        path.write_bytes(sound)
+        path.write_bytes(original)
 
 
-def test_the_checksum_is_of_the_content_and_not_of_how_it_is_stored(tmp_path):
+def test_checksum_is_independent_of_the_encoding(tmp_path):
     from splits.io.integrity import CHECKSUM_ATTRIBUTE, verify_checksums, write_checksums
 
     path, other = tmp_path / "made.nc", tmp_path / "other.nc"
@@ -165,31 +165,31 @@ def test_the_checksum_is_of_the_content_and_not_of_how_it_is_stored(tmp_path):
     assert verify_checksums(other)[CHECKSUM_ATTRIBUTE] == verify_checksums(path)[CHECKSUM_ATTRIBUTE]
 
 
-def test_what_was_loaded_and_changed_can_be_saved_again(tmp_path):
+def test_modified_datasets_can_be_saved_again(tmp_path):
     splits.save(make_dataset(), tmp_path / "made.nc")
-    part = splits.load(tmp_path / "made.nc").isel(medium=[1]).assign_attrs(note="a part")
-    splits.save(part, tmp_path / "part.nc")
-    xr.testing.assert_identical(splits.load(tmp_path / "part.nc"), part)
+    subset = splits.load(tmp_path / "made.nc").isel(medium=[1]).assign_attrs(note="a part")
+    splits.save(subset, tmp_path / "part.nc")
+    xr.testing.assert_identical(splits.load(tmp_path / "part.nc"), subset)
 
 
-def test_threads_save_and_load_at_once(tmp_path):
-    def one(number):
+def test_threads_save_and_load_concurrently(tmp_path):
+    def save_and_load(number):
         path = tmp_path / f"made{number % 4}.nc"
         splits.save(make_dataset(), path)
         return splits.load(path)
 
     with ThreadPoolExecutor(4) as pool:
-        for again in pool.map(one, range(16)):
-            xr.testing.assert_equal(again, make_dataset())
+        for loaded in pool.map(save_and_load, range(16)):
+            xr.testing.assert_equal(loaded, make_dataset())
 
 
-def test_a_missing_right_is_no_damage(tmp_path, monkeypatch):
+def test_permission_errors_are_not_reported_as_damage(tmp_path, monkeypatch):
     path = tmp_path / "made.nc"
     splits.save(make_dataset(), path)
 
-    def refuse(*_arguments):
+    def deny(*_arguments):
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr("builtins.open", refuse)
+    monkeypatch.setattr("builtins.open", deny)
     with pytest.raises(PermissionError):
         splits.load(path)

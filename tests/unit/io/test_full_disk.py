@@ -23,7 +23,7 @@ from splits.plotting.style import save_figure
 from splits.tables.storage import write_table_blockwise
 
 VALUES = np.random.default_rng(1).random(300_000)
-"""Of which a file has 2.4 MB."""
+"""Values of 2.4 MB, more than the disk holds."""
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +32,11 @@ def disk(tmp_path_factory):
     folder = tmp_path_factory.mktemp("disk")
     command = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)]
     try:
-        done = subprocess.run(command, capture_output=True)
+        result = subprocess.run(command, capture_output=True)
     except OSError:
-        pytest.skip("no file systems can be mounted here")
-    if done.returncode:
-        pytest.skip("no file systems can be mounted here")
+        pytest.skip("needs permission to mount file systems")
+    if result.returncode:
+        pytest.skip("needs permission to mount file systems")
     yield folder
     subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
@@ -53,12 +53,12 @@ def save_table(folder):
     write_data_frame(pd.DataFrame({"x": VALUES}), folder / "made.csv")
 
 
-def save_drawing(folder):
+def save_image(folder):
     from matplotlib.figure import Figure
 
-    drawn = Figure(figsize=(40, 40))
-    drawn.figimage(VALUES[:250_000].reshape(500, 500), resize=False)
-    save_figure(drawn, folder / "made")
+    figure = Figure(figsize=(40, 40))
+    figure.figimage(VALUES[:250_000].reshape(500, 500), resize=False)
+    save_figure(figure, folder / "made")
 
 
 def save_archive(folder):
@@ -68,31 +68,31 @@ def save_archive(folder):
 
 
 def list_open_files():
-    """Return files that this process holds open although they are deleted."""
+    """Return the paths of all open files of this process; deleted ones are marked by Linux."""
     links = [f"/proc/self/fd/{number}" for number in os.listdir("/proc/self/fd")]
     return [os.readlink(link) for link in links if os.path.islink(link)]
 
 
-@pytest.mark.parametrize("write", [save_dataset, save_table, save_drawing, save_archive])
-def test_a_full_disk_is_reported_and_nothing_stays(disk, write):
+@pytest.mark.parametrize("write", [save_dataset, save_table, save_image, save_archive])
+def test_a_full_disk_is_reported_without_leftovers(disk, write):
     for _ in range(2):
-        with pytest.raises(OSError, match=r"No space left on device: '.*/made\.") as caught:
+        with pytest.raises(OSError, match=r"No space left on device: '.*/made\.") as error:
             write(disk)
-        assert caught.value.errno == errno.ENOSPC
+        assert error.value.errno == errno.ENOSPC
         assert os.listdir(disk) == []
         assert not [path for path in list_open_files() if "deleted" in path and str(disk) in path]
-    left = os.statvfs(disk)
-    assert left.f_bavail == left.f_blocks
+    status = os.statvfs(disk)
+    assert status.f_bavail == status.f_blocks
 
 
-def test_a_large_table_is_not_begun_where_it_does_not_fit(disk, monkeypatch):
+def test_a_table_larger_than_the_disk_is_not_started(disk, monkeypatch):
     monkeypatch.setattr("splits.tables.storage.compute_table_bytes", lambda plan, order: 2**22)
     with pytest.raises(OSError, match=r"No space left on device: '.*made\.nc'"):
         write_table_blockwise(disk / "made.nc", None, None, list, lambda table: table)
     assert os.listdir(disk) == []
 
 
-def test_a_disk_that_fills_meanwhile_gets_its_space_back(disk, monkeypatch):
+def test_a_disk_that_fills_during_writing_is_cleaned(disk, monkeypatch):
     monkeypatch.setattr("splits.io.integrity.check_disk_space", lambda path, size: None)
     with pytest.raises(OSError, match=r"perhaps no space is left .*made\.nc'"):
         save_dataset(disk)
@@ -100,19 +100,19 @@ def test_a_disk_that_fills_meanwhile_gets_its_space_back(disk, monkeypatch):
 
 
 @NEEDS_JIT
-def test_a_run_without_space_ends_with_one_line(disk, tmp_path, capsys):
+def test_a_run_without_disk_space_gives_one_line(disk, tmp_path, capsys):
     file = tmp_path / "small.yaml"
     text = "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\nfigure: none\n"
     file.write_text(text, encoding="utf-8")
     (disk / "other").write_bytes(bytes(2**19))
-    words = [sys.executable, "-m", "splits.cli", "run", str(file), "--output", str(disk)]
-    done = subprocess.run(words, capture_output=True, text=True)
+    command = [sys.executable, "-m", "splits.cli", "run", str(file), "--output", str(disk)]
+    result = subprocess.run(command, capture_output=True, text=True)
     (disk / "other").unlink()
-    assert done.returncode == 1
-    assert done.stderr == f"splits: {disk}/small.nc: No space left on device\n"
+    assert result.returncode == 1
+    assert result.stderr == f"splits: {disk}/small.nc: No space left on device\n"
 
 
-def test_too_little_memory_is_one_line(monkeypatch, capsys):
+def test_memory_errors_are_reported_in_one_line(monkeypatch, capsys):
     def fail(given):
         raise MemoryError("Unable to allocate 9 TiB")
 
@@ -121,12 +121,12 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
     assert capsys.readouterr().err == "splits: not enough memory (Unable to allocate 9 TiB)\n"
 
 
-@pytest.mark.parametrize("way", ["a folder", "below a file"])
-def test_an_output_that_cannot_be_written_is_rejected_at_the_start(tmp_path, capsys, way):
+@pytest.mark.parametrize("obstacle", ["a folder", "below a file"])
+def test_unwritable_output_is_rejected_at_the_start(tmp_path, capsys, obstacle):
     file = tmp_path / "small.yaml"
     file.write_text("instrument: {wavelength_nm: [800]}\n", encoding="utf-8")
     output = tmp_path / "made"
-    if way == "a folder":
+    if obstacle == "a folder":
         (output / "small.nc").mkdir(parents=True)
     else:
         output.write_text("a file")
@@ -135,7 +135,7 @@ def test_an_output_that_cannot_be_written_is_rejected_at_the_start(tmp_path, cap
     assert line.startswith(f"splits: {output}")
 
 
-def test_a_path_that_can_be_written_stays_as_it_is(tmp_path):
+def test_checking_a_writable_path_changes_nothing(tmp_path):
     path = tmp_path / "new" / "made.nc"
     check_writable(path)
     assert os.listdir(path.parent) == []

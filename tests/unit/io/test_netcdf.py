@@ -42,18 +42,18 @@ def list_names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_round_trip(tmp_path):
+def test_datasets_are_saved_and_loaded(tmp_path):
     dataset = make_dataset()
     splits.save(dataset, tmp_path / "new" / "folder" / "made.nc")
-    again = splits.load(tmp_path / "new" / "folder" / "made.nc")
-    xr.testing.assert_equal(again, dataset)
-    assert again.reflectance.attrs == dataset.reflectance.attrs
-    assert set(again.attrs) == set(dataset.attrs)
-    assert list(again.attrs["sizes"]) == [300, 750]
+    loaded = splits.load(tmp_path / "new" / "folder" / "made.nc")
+    xr.testing.assert_equal(loaded, dataset)
+    assert loaded.reflectance.attrs == dataset.reflectance.attrs
+    assert set(loaded.attrs) == set(dataset.attrs)
+    assert list(loaded.attrs["sizes"]) == [300, 750]
     assert list_names(tmp_path / "new" / "folder") == ["made.nc"]
 
 
-def test_a_loaded_dataset_does_not_hold_its_file(tmp_path):
+def test_a_loaded_dataset_does_not_keep_its_file_open(tmp_path):
     path = tmp_path / "made.nc"
     splits.save(make_dataset(), path)
     loaded = splits.load(path)
@@ -61,17 +61,17 @@ def test_a_loaded_dataset_does_not_hold_its_file(tmp_path):
     assert float(loaded.reflectance.sum()) == pytest.approx(5.5)
 
 
-def test_files_are_readable_by_others_as_any_new_file_is(tmp_path):
+def test_files_have_default_permissions(tmp_path):
     splits.save(make_dataset(), tmp_path / "made.nc")
     (tmp_path / "plain").touch()
     modes = {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("made.nc", "plain")}
     assert len(modes) == 1
 
 
-@pytest.mark.parametrize("before", [False, True])
-def test_a_save_that_fails_leaves_what_was_there(tmp_path, monkeypatch, before):
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_failed_save_keeps_the_old_file(tmp_path, monkeypatch, exists):
     path = tmp_path / "made.nc"
-    if before:
+    if exists:
         splits.save(make_dataset(), path)
 
     def fail(_dataset, target, **_options):
@@ -83,21 +83,21 @@ def test_a_save_that_fails_leaves_what_was_there(tmp_path, monkeypatch, before):
         patch.setattr(xr.Dataset, "to_netcdf", fail)
         with pytest.raises(OSError, match="disk full"):
             splits.save(make_dataset(reflectance=np.zeros((2, 2, 3))), path)
-    assert list_names(tmp_path) == (["made.nc"] if before else [])
-    if before:
+    assert list_names(tmp_path) == (["made.nc"] if exists else [])
+    if exists:
         xr.testing.assert_equal(splits.load(path), make_dataset())
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite_are_rejected_by_name(tmp_path, bad):
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_non_finite_values_are_rejected_by_name(tmp_path, value):
     values = np.zeros((2, 2, 3))
-    values[1, 0, 2] = bad
+    values[1, 0, 2] = value
     with pytest.raises(ValueError, match=r"made\.nc: transmittance holds values.*not finite"):
         splits.save(make_dataset(transmittance=values), tmp_path / "made.nc")
     assert list_names(tmp_path) == []
 
 
-def test_names_have_no_dots_in_the_file_and_their_own_when_loaded(tmp_path):
+def test_names_with_dots_are_restored_when_loaded(tmp_path):
     axes = {
         "layers.0.depth_m": ("layers.0.depth_m", [0.1, 0.2], {"units": "m", "long_name": "depth"}),
         "layers.1.surface": ("layers.1.surface", ["flat", "wavy"], {"long_name": "surface"}),
@@ -105,11 +105,11 @@ def test_names_have_no_dots_in_the_file_and_their_own_when_loaded(tmp_path):
         "layers.1.surface_mean": ("layers.1.surface", [0.0, 0.5], {"units": "1"}),
     }
     dims = ("layers.0.depth_m", "layers.1.surface", "layers.2.ground")
-    about = {"units": "1", "long_name": "reflectance"}
+    attributes = {"units": "1", "long_name": "reflectance"}
     dataset = xr.Dataset(
-        {"reflectance": (dims, np.zeros((2, 2, 2)), about)}, axes, make_provenance()
+        {"reflectance": (dims, np.zeros((2, 2, 2)), attributes)}, axes, make_provenance()
     )
-    path = tmp_path / "pack.nc"
+    path = tmp_path / "stack.nc"
     splits.save(dataset, path)
     with xr.open_dataset(path) as file:
         assert not any("." in str(name) for name in {*file.variables, *file.dims})
@@ -130,7 +130,7 @@ def test_other_suffixes_are_rejected_with_a_hint(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["made.nc", "made.nc4", "made.netcdf"])
-def test_suffixes_of_netcdf(tmp_path, name):
+def test_netcdf_suffixes_are_accepted(tmp_path, name):
     splits.save(make_dataset(), tmp_path / name)
     xr.testing.assert_equal(splits.load(tmp_path / name), make_dataset())
 
@@ -142,30 +142,30 @@ def test_datasets_of_other_programs_are_rejected(tmp_path):
         splits.load(path)
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nothing\.nc"):
         splits.load(tmp_path / "nothing.nc")
 
 
-def test_provenance_names_program_versions_and_time():
-    facts = make_provenance("experiment sunny")
-    assert facts["history"].startswith(f"{facts['date_created']} splits ")
-    assert facts["history"].endswith(": experiment sunny")
-    assert facts["Conventions"] == CF_CONVENTIONS
-    assert facts["source"] == f"splits {facts['splits_version']}"
-    assert facts["date_created"].endswith("+00:00")
-    assert {"splits_commit", "python_version", "numpy_version"} <= set(facts)
+def test_provenance_states_program_versions_and_time():
+    attributes = make_provenance("experiment sunny")
+    assert attributes["history"].startswith(f"{attributes['date_created']} splits ")
+    assert attributes["history"].endswith(": experiment sunny")
+    assert attributes["Conventions"] == CF_CONVENTIONS
+    assert attributes["source"] == f"splits {attributes['splits_version']}"
+    assert attributes["date_created"].endswith("+00:00")
+    assert {"splits_commit", "python_version", "numpy_version"} <= set(attributes)
 
 
-def test_attributes_fit_netcdf():
-    facts = to_netcdf_attributes(
+def test_attributes_are_converted_for_netcdf():
+    attributes = to_netcdf_attributes(
         {"a": None, "b": True, "c": np.False_, "d": (1, 2.5), "e": "text", "f": 3}
     )
-    assert [facts[key] for key in "abcef"] == ["none", "true", "false", "text", 3]
-    assert facts["d"].tolist() == [1.0, 2.5]
+    assert [attributes[key] for key in "abcef"] == ["none", "true", "false", "text", 3]
+    assert attributes["d"].tolist() == [1.0, 2.5]
 
 
-def test_without_volatile_keeps_numbers_and_other_attributes():
+def test_run_specific_attributes_are_dropped():
     dataset = make_dataset().assign_attrs(dict.fromkeys(RUN_SPECIFIC_ATTRIBUTES, 1))
     copy = drop_run_specific_attributes(dataset)
     assert not set(RUN_SPECIFIC_ATTRIBUTES) & set(copy.attrs)
@@ -174,8 +174,8 @@ def test_without_volatile_keeps_numbers_and_other_attributes():
     xr.testing.assert_equal(copy, dataset)
 
 
-def test_at_points_takes_numbers_and_labels():
+def test_points_are_selected_by_numbers_and_labels():
     dataset = make_dataset()
-    part = select_points(dataset, {"depth_m": 0.12, "incidence_deg": "beam"})
-    np.testing.assert_array_equal(part.reflectance, dataset.reflectance[1, 0])
+    selected = select_points(dataset, {"depth_m": 0.12, "incidence_deg": "beam"})
+    np.testing.assert_array_equal(selected.reflectance, dataset.reflectance[1, 0])
     xr.testing.assert_equal(select_points(dataset, {}), dataset)

@@ -24,7 +24,7 @@ DATA = "data/a.nc"
 
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory):
-    """Return an archive as the workflow packs it."""
+    """Return the path of an archive packed as in the workflow."""
     root = tmp_path_factory.mktemp("packed")
     for name in (DATA, "figures/a.png", "tables/deep/with a space.csv"):
         path = root / "out" / name
@@ -44,7 +44,7 @@ def members(packed):
 
 
 @pytest.fixture
-def refused(tmp_path):
+def assert_rejected(tmp_path):
     """Return a function that asserts that a zip file is rejected and leaves no files."""
 
     def check(path, match):
@@ -53,17 +53,17 @@ def refused(tmp_path):
             verify_archive,
             lambda archive: unpack_archive(archive, tmp_path / "target"),
         ):
-            with pytest.raises(ArchiveError, match=match) as caught:
+            with pytest.raises(ArchiveError, match=match) as error:
                 attempt(path)
-            assert "\n" not in str(caught.value)
-            assert str(caught.value).startswith(f"{path}: rejected, ")
+            assert "\n" not in str(error.value)
+            assert str(error.value).startswith(f"{path}: rejected, ")
         assert sorted(tmp_path.rglob("*")) == before
 
     return check
 
 
 def list_members(members, add=(), change=None):
-    """Return members whose metadata list further files, or are changed besides."""
+    """Return members with further files listed in the metadata, and with changed metadata."""
     crate = json.loads(members[METADATA_FILE])
     graph = {entity["@id"]: entity for entity in crate["@graph"]}
     for name, content in dict(add).items():
@@ -79,9 +79,9 @@ def list_members(members, add=(), change=None):
 
 
 def write_zip(path, members, edit=None, method=zipfile.ZIP_DEFLATED):
-    """Write a zip file of plain files; `edit` takes it before its directory is written."""
+    """Write a zip file of plain files; `edit` changes it before its directory is written."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of names that come twice
+        warnings.simplefilter("ignore", UserWarning)  # of duplicate names
         with zipfile.ZipFile(path, "w") as file:
             for name, content in members.items() if isinstance(members, dict) else members:
                 info = zipfile.ZipInfo(name)
@@ -93,14 +93,14 @@ def write_zip(path, members, edit=None, method=zipfile.ZIP_DEFLATED):
     return path
 
 
-def test_what_was_packed_is_unpacked(packed, members, tmp_path):
+def test_unpacked_files_equal_the_packed_files(packed, members, tmp_path):
     report = unpack_archive(packed, tmp_path / "target")
-    found = {
+    unpacked = {
         path.relative_to(tmp_path / "target").as_posix(): path.read_bytes()
         for path in (tmp_path / "target").rglob("*")
         if path.is_file()
     }
-    assert found == members
+    assert unpacked == members
     assert report == verify_archive(packed)
     assert report.sha256 == sha256(packed.read_bytes()).hexdigest()
     assert report.n_files == len(members)
@@ -111,31 +111,31 @@ def test_what_was_packed_is_unpacked(packed, members, tmp_path):
     assert not any(path.stat().st_mode & 0o111 for path in tmp_path.rglob("*") if path.is_file())
 
 
-def test_an_empty_folder_is_filled_and_another_one_is_not(packed, tmp_path):
+def test_target_must_be_a_new_or_empty_folder(packed, tmp_path):
     (tmp_path / "empty").mkdir()
     unpack_archive(packed, tmp_path / "empty")
     assert (tmp_path / "empty" / DATA).is_file()
     (tmp_path / "link").symlink_to(tmp_path / "empty")
     (tmp_path / "file").write_text("mine")
     before = sorted(tmp_path.rglob("*"))
-    for taken in ("empty", "link", "file"):
+    for name in ("empty", "link", "file"):
         with pytest.raises(ValueError, match=r"^folder = .*: must be a new or an empty folder$"):
-            unpack_archive(packed, tmp_path / taken)
+            unpack_archive(packed, tmp_path / name)
     with pytest.raises(ValueError, match=r"^folder = .*: must be in a folder that exists$"):
         unpack_archive(packed, tmp_path / "none" / "target")
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_unpacking_needs_no_more_than_the_core():
-    lacking = ("pydantic", "yaml", "rocrate", "snakemake", "scipy")
+def test_unpacking_needs_core_dependencies_only():
+    missing = ("pydantic", "yaml", "rocrate", "snakemake", "scipy")
     code = (
-        f"import sys\nfor name in {lacking}: sys.modules[name] = None\nimport splits.io.unarchive"
+        f"import sys\nfor name in {missing}: sys.modules[name] = None\nimport splits.io.unarchive"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize(
-    ("name", "why"),
+    ("name", "reason"),
     [
         ("/etc/passwd", "an absolute path"),
         ("C:/x.nc", "an absolute path"),
@@ -157,43 +157,43 @@ def test_unpacking_needs_no_more_than_the_core():
         ("data/\u202ecn.exe", "a name with characters that not all systems have"),
         ("data/" + "x" * 256, "too long a name"),
         ("data/" + "x/" * 600 + "x", "too long a name"),
-        ("profiles/default/config.yaml", "no file that archives have"),
-        (".snakemake/x", "no file that archives have"),
-        ("yaml.py", "no file that archives have"),
-        ("data", "no file that archives have"),
-        ("autorun.inf", "no file that archives have"),
-        (".bashrc", "no file that archives have"),
-        ("config/__init__.py", "no kind of file that archives have in config/"),
-        ("data/x.SO", "no kind of file that archives have in data/"),
-        ("data/autorun.inf", "no kind of file that archives have in data/"),
-        ("data/Desktop.INI", "no kind of file that archives have in data/"),
-        ("data/x.ps1", "no kind of file that archives have in data/"),
-        ("data/x.nc.js", "no kind of file that archives have in data/"),
-        ("data/x.lnk", "no kind of file that archives have in data/"),
-        ("data/x", "no kind of file that archives have in data/"),
-        ("figures/x.desktop", "no kind of file that archives have in figures/"),
-        ("figures/x.html", "no kind of file that archives have in figures/"),
-        ("figures/x.nc", "no kind of file that archives have in figures/"),
-        ("tables/x.xlsm", "no kind of file that archives have in tables/"),
-        ("config/x.envrc", "no kind of file that archives have in config/"),
+        ("profiles/default/config.yaml", "not a file of an archive"),
+        (".snakemake/x", "not a file of an archive"),
+        ("yaml.py", "not a file of an archive"),
+        ("data", "not a file of an archive"),
+        ("autorun.inf", "not a file of an archive"),
+        (".bashrc", "not a file of an archive"),
+        ("config/__init__.py", "not a file type of config/ in an archive"),
+        ("data/x.SO", "not a file type of data/ in an archive"),
+        ("data/autorun.inf", "not a file type of data/ in an archive"),
+        ("data/Desktop.INI", "not a file type of data/ in an archive"),
+        ("data/x.ps1", "not a file type of data/ in an archive"),
+        ("data/x.nc.js", "not a file type of data/ in an archive"),
+        ("data/x.lnk", "not a file type of data/ in an archive"),
+        ("data/x", "not a file type of data/ in an archive"),
+        ("figures/x.desktop", "not a file type of figures/ in an archive"),
+        ("figures/x.html", "not a file type of figures/ in an archive"),
+        ("figures/x.nc", "not a file type of figures/ in an archive"),
+        ("tables/x.xlsm", "not a file type of tables/ in an archive"),
+        ("config/x.envrc", "not a file type of config/ in an archive"),
         ("data/.x.nc", "a hidden name"),
         ("config/.git/config.yaml", "a hidden name"),
         ("config/.csv", "a hidden name"),
     ],
 )
-def test_names_that_lead_elsewhere_are_rejected(name, why, members, tmp_path, refused):
+def test_unsafe_names_are_rejected(name, reason, members, tmp_path, assert_rejected):
     path = write_zip(tmp_path / "bad.zip", list_members(members, {name: b"x"}))
-    refused(path, why)
+    assert_rejected(path, reason)
 
 
-def test_a_name_that_is_cut_short_is_rejected(members, tmp_path, refused):
+def test_a_name_with_a_null_character_is_rejected(members, tmp_path, assert_rejected):
     path = write_zip(tmp_path / "bad.zip", list_members(members, {"data/xy.nc": b"x"}))
     path.write_bytes(path.read_bytes().replace(b"data/xy.nc", b"data/x\0.nc"))
-    refused(path, "a name with characters")
+    assert_rejected(path, "a name with characters")
 
 
 @pytest.mark.parametrize(
-    ("attributes", "why"),
+    ("attributes", "reason"),
     [
         ((stat.S_IFLNK | 0o777) << 16, "a symbolic link"),
         ((stat.S_IFIFO | 0o644) << 16, "no plain file"),
@@ -207,89 +207,99 @@ def test_a_name_that_is_cut_short_is_rejected(members, tmp_path, refused):
         ((stat.S_IFREG | 0o4644) << 16, "an executable file"),
     ],
 )
-def test_members_other_than_regular_files_are_rejected(attributes, why, members, tmp_path, refused):
+def test_members_other_than_regular_files_are_rejected(
+    attributes, reason, members, tmp_path, assert_rejected
+):
     def edit(file):
         file.NameToInfo[DATA].external_attr = attributes
 
-    refused(write_zip(tmp_path / "bad.zip", members, edit), f"'{DATA}' is {why}")
+    assert_rejected(write_zip(tmp_path / "bad.zip", members, edit), f"'{DATA}' is {reason}")
 
 
 @pytest.mark.parametrize(
-    "more", [DATA, "data/A.nc", "data/a.nc/b.nc", "data/ａ.nc", "Config/config.yaml"]
+    "extra", [DATA, "data/A.nc", "data/a.nc/b.nc", "data/ａ.nc", "Config/config.yaml"]
 )
-def test_names_that_are_the_same_somewhere_are_rejected(more, members, tmp_path, refused):
-    both = [*list_members(members, {more: b"x"}).items()]
-    both += [(DATA, b"x")] if more == DATA else []
-    why = "no file" if more.startswith("C") else "is there twice, or its name differs in case only"
-    refused(write_zip(tmp_path / "bad.zip", both), why)
+def test_colliding_names_are_rejected(extra, members, tmp_path, assert_rejected):
+    entries = [*list_members(members, {extra: b"x"}).items()]
+    entries += [(DATA, b"x")] if extra == DATA else []
+    reason = (
+        "no file" if extra.startswith("C") else "occurs twice, or its name differs in case only"
+    )
+    assert_rejected(write_zip(tmp_path / "bad.zip", entries), reason)
 
 
-def test_folders_that_differ_in_case_are_rejected(members, tmp_path, refused):
-    more = {"tables/Deep/other.csv": b"x"}
-    refused(write_zip(tmp_path / "bad.zip", list_members(members, more)), "differs in case only")
+def test_folders_that_differ_in_case_are_rejected(members, tmp_path, assert_rejected):
+    extra = {"tables/Deep/other.csv": b"x"}
+    assert_rejected(
+        write_zip(tmp_path / "bad.zip", list_members(members, extra)), "differs in case only"
+    )
 
 
-def test_bombs_are_rejected(members, tmp_path, refused, monkeypatch):
+def test_zip_bombs_are_rejected(members, tmp_path, assert_rejected, monkeypatch):
     bomb = list_members(members, {"data/bomb.nc": bytes(2**25)})
-    refused(write_zip(tmp_path / "bomb.zip", bomb), r"data/bomb\.nc would unpack to too many times")
+    assert_rejected(
+        write_zip(tmp_path / "bomb.zip", bomb), r"data/bomb\.nc would unpack to too many times"
+    )
     path = write_zip(tmp_path / "large.zip", members)
     with monkeypatch.context() as patch:
         patch.setattr(splits.io.unarchive, "MAX_UNPACKED_BYTES", 1000)
-        refused(path, "it would unpack to more than")
+        assert_rejected(path, "it would unpack to more than")
     with monkeypatch.context() as patch:
         patch.setattr(splits.io.unarchive, "MAX_METADATA_BYTES", 1000)
-        refused(path, "has more than")
+        assert_rejected(path, "has more than")
     with monkeypatch.context() as patch:
         patch.setattr(splits.io.unarchive, "MAX_MEMBERS", 3)
-        refused(path, "more than 3 members")
+        assert_rejected(path, "more than 3 members")
     assert verify_archive(path).n_files == len(members)
 
 
 @pytest.mark.parametrize("declared", [10, 10**6])
-def test_sizes_that_are_not_declared_are_rejected(declared, members, tmp_path, refused):
+def test_wrong_declared_sizes_are_rejected(declared, members, tmp_path, assert_rejected):
     def edit(file):
         file.NameToInfo[DATA].file_size = declared
 
-    refused(write_zip(tmp_path / "bad.zip", members, edit), r"data/a\.nc")
+    assert_rejected(write_zip(tmp_path / "bad.zip", members, edit), r"data/a\.nc")
 
 
-def test_members_that_share_bytes_are_rejected(members, tmp_path, refused):
+def test_members_that_share_bytes_are_rejected(members, tmp_path, assert_rejected):
     def edit(file):
-        again = zipfile.ZipInfo("data/again.nc")
+        duplicate = zipfile.ZipInfo("data/again.nc")
         first = file.NameToInfo[DATA]
         for key in ("header_offset", "file_size", "compress_size", "CRC", "compress_type"):
-            setattr(again, key, getattr(first, key))
-        file.filelist.append(again)
+            setattr(duplicate, key, getattr(first, key))
+        file.filelist.append(duplicate)
 
-    more = list_members(members, {"data/again.nc": members[DATA]})
-    more.pop("data/again.nc")
-    refused(write_zip(tmp_path / "bad.zip", more, edit), "shares bytes|no sound zip file")
+    listed = list_members(members, {"data/again.nc": members[DATA]})
+    listed.pop("data/again.nc")
+    assert_rejected(
+        write_zip(tmp_path / "bad.zip", listed, edit), "shares bytes|not a valid zip file"
+    )
 
 
-def test_encrypted_and_unusual_members_are_rejected(members, tmp_path, refused):
+def test_encrypted_and_unusual_members_are_rejected(members, tmp_path, assert_rejected):
     def encrypt(file):
         file.NameToInfo[DATA].flag_bits |= 1
 
-    refused(write_zip(tmp_path / "secret.zip", members, encrypt), "is encrypted")
-    odd = write_zip(tmp_path / "odd.zip", members, method=zipfile.ZIP_LZMA)
-    refused(odd, "is compressed in an unusual way")
+    assert_rejected(write_zip(tmp_path / "secret.zip", members, encrypt), "is encrypted")
+    unusual = write_zip(tmp_path / "odd.zip", members, method=zipfile.ZIP_LZMA)
+    assert_rejected(unusual, "is compressed in an unusual way")
 
 
-def test_members_missing_unlisted_or_changed_are_rejected(members, tmp_path, refused):
+def test_members_missing_unlisted_or_changed_are_rejected(members, tmp_path, assert_rejected):
     path = tmp_path / "bad.zip"
-    less = {name: content for name, content in members.items() if name != DATA}
-    refused(write_zip(path, less), r"'data/a\.nc' is listed, but missing \(1 such\)")
-    refused(
-        write_zip(path, members | {"data/b.nc": b"x"}), r"'data/b\.nc' is not listed \(1 such\)"
+    remaining = {name: content for name, content in members.items() if name != DATA}
+    assert_rejected(write_zip(path, remaining), r"'data/a\.nc' is listed, but missing \(1 files\)")
+    assert_rejected(
+        write_zip(path, members | {"data/b.nc": b"x"}), r"'data/b\.nc' is not listed \(1 files\)"
     )
-    other = members | {DATA: members[DATA][:-1] + b"!"}
-    refused(
-        write_zip(path, other), r"data/a\.nc is not the file that ro-crate-metadata\.json lists"
+    changed = members | {DATA: members[DATA][:-1] + b"!"}
+    assert_rejected(
+        write_zip(path, changed), r"data/a\.nc is not the file that ro-crate-metadata\.json lists"
     )
     longer = members | {DATA: members[DATA] + b"!"}
-    refused(write_zip(path, longer), r"data/a\.nc is not the file that")
-    less = {name: content for name, content in members.items() if name != METADATA_FILE}
-    refused(write_zip(path, less), "no RO-Crate, ro-crate-metadata.json is missing")
+    assert_rejected(write_zip(path, longer), r"data/a\.nc is not the file that")
+    remaining = {name: content for name, content in members.items() if name != METADATA_FILE}
+    assert_rejected(write_zip(path, remaining), "no RO-Crate, ro-crate-metadata.json is missing")
 
 
 def _make_drop_edit(identifier, key):
@@ -301,7 +311,7 @@ def _make_set_edit(identifier, key, value):
 
 
 @pytest.mark.parametrize(
-    ("change", "why"),
+    ("change", "reason"),
     [
         (lambda crate, graph: crate.pop("@graph"), r"has no @graph"),
         (lambda crate, graph: crate["@graph"].append("x"), r"has no @graph"),
@@ -327,61 +337,61 @@ def _make_set_edit(identifier, key, value):
         (_make_set_edit(DATA, "@id", "data/%61.nc"), "no part of the root dataset"),
     ],
 )
-def test_metadata_other_than_a_crate_are_rejected(change, why, members, tmp_path, refused):
-    refused(write_zip(tmp_path / "bad.zip", list_members(members, change=change)), why)
+def test_invalid_crate_metadata_are_rejected(change, reason, members, tmp_path, assert_rejected):
+    assert_rejected(write_zip(tmp_path / "bad.zip", list_members(members, change=change)), reason)
 
 
 @pytest.mark.parametrize(
     "content", [b"", b"\xff", b"{", b"[" * 100_000, b'{"a": 1, "a": 2}', b"[]", b"9" * 5000]
 )
-def test_metadata_other_than_json_are_rejected(content, members, tmp_path, refused):
-    refused(
+def test_invalid_json_metadata_are_rejected(content, members, tmp_path, assert_rejected):
+    assert_rejected(
         write_zip(tmp_path / "bad.zip", members | {METADATA_FILE: content}),
         "is not JSON|no RO-Crate",
     )
 
 
-def test_files_other_than_zip_are_rejected(packed, tmp_path, refused):
+def test_files_other_than_zip_are_rejected(packed, tmp_path, assert_rejected):
     path = tmp_path / "bad.zip"
     content = packed.read_bytes()
-    for part in (b"", b"x" * 100, content[:-1], content[: len(content) // 2], content[1:]):
-        path.write_bytes(part)
-        refused(path, "no sound zip file")
+    for damaged in (b"", b"x" * 100, content[:-1], content[: len(content) // 2], content[1:]):
+        path.write_bytes(damaged)
+        assert_rejected(path, "not a valid zip file")
     path.write_bytes(b"#!/bin/sh\n" + content)
-    refused(path, "no sound zip file")
+    assert_rejected(path, "not a valid zip file")
     with pytest.raises(ValueError, match=r"^archive = .*must be a zip file$"):
         verify_archive(tmp_path)
     with pytest.raises(FileNotFoundError):
         verify_archive(tmp_path / "none.zip")
 
 
-def test_no_damage_gets_through(packed, members, tmp_path):
-    """After a change of one byte the archive is rejected, or holds the same files."""
+def test_damaged_bytes_are_detected(packed, members, tmp_path):
+    """After a change of one byte the archive is rejected or unpacks to the same files."""
     content = packed.read_bytes()
     path = tmp_path / "damaged.zip"
-    draw = random.Random(20)
-    refusals = 0
+    rng = random.Random(20)
+    n_rejected = 0
     for attempt in range(300):
-        # Half of them in the directory at the end, which steers the reading.
+        # Half of the changes are in the central directory, which controls how the file is read.
         first = 0 if attempt % 2 else content.index(b"PK\1\2")
-        place = draw.randrange(first, len(content))
+        position = rng.randrange(first, len(content))
         damaged = bytearray(content)
-        damaged[place] ^= draw.randrange(1, 256)
+        damaged[position] ^= rng.randrange(1, 256)
         path.write_bytes(damaged)
         try:
             report = verify_archive(path)
         except ArchiveError as error:
             assert "\n" not in str(error)
-            refusals += 1
+            n_rejected += 1
         else:
             assert (report.n_files, report.n_bytes) == (
                 len(members),
                 sum(map(len, members.values())),
             )
-    assert refusals > 150
+    assert n_rejected > 150
 
 
-def test_words_of_the_metadata_cannot_steer_a_terminal(members, tmp_path):
+def test_control_characters_of_metadata_are_not_printed(members, tmp_path):
     named = list_members(members, change=_make_set_edit("./", "name", "\x1b[2J\nall is well"))
     report = verify_archive(write_zip(tmp_path / "odd.zip", named))
     assert "\x1b" not in str(report) and len(str(report).splitlines()) == 3
@@ -400,10 +410,10 @@ splits.io.unarchive.unpack_archive(*sys.argv[1:])
 """
 
 
-def test_what_a_killed_unpack_leaves_is_removed_by_the_next(packed, tmp_path):
+def test_leftovers_of_a_killed_unpack_are_removed(packed, tmp_path):
     command = [sys.executable, "-c", KILLED_PROGRAM, str(packed), str(tmp_path / "target")]
     assert subprocess.run(command).returncode == -signal.SIGKILL
-    lock, left = sorted(tmp_path.iterdir())
-    assert left.name.startswith(f"{lock.name}.") and (left / "half").exists()
+    lock, leftover = sorted(tmp_path.iterdir())
+    assert leftover.name.startswith(f"{lock.name}.") and (leftover / "half").exists()
     unpack_archive(packed, tmp_path / "other")
     assert [path.name for path in tmp_path.iterdir()] == ["other"]

@@ -1,4 +1,4 @@
-"""Compiled kernels between processes: damage, full disks, foreign folders, several writers."""
+"""Cache of compiled kernels: damage, full disks, foreign folders, concurrent processes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from chi2 import NEEDS_JIT
 from numba import njit
 
 from splits.core import atomic
-from splits.kernels.compiler import cache, cache_lock
-from splits.kernels.compiler import cache_folders as places_of_kernels
+from splits.kernels.compiler import cache, cache_folders, cache_lock
 from splits.kernels.compiler.cache import KernelCache, enable_caching
 from splits.kernels.compiler.cache_folders import CacheFolder, list_cache_folders
 
@@ -41,8 +40,8 @@ def add_one(x):
     return x + 1
 
 
-def compiled():
-    """Return a function as another process would have it: not compiled yet."""
+def make_kernel():
+    """Return a new cached function, not yet compiled, as in another process."""
     return enable_caching(njit(add_one))
 
 
@@ -51,31 +50,31 @@ def count_cache_hits(kernel):
 
 
 @pytest.fixture
-def places(monkeypatch, tmp_path):
-    """Return two folders for kernels, the user's own and one for when that fails."""
-    found = (
+def folders(monkeypatch, tmp_path):
+    """Return two cache folders: the user's own and a fallback."""
+    pair = (
         CacheFolder(tmp_path / "own" / "numba", False),
         CacheFolder(tmp_path / "temporary", False),
     )
-    monkeypatch.setattr(cache, "list_cache_folders", lambda: found)
-    places_of_kernels.warn_once.cache_clear()
-    return found
+    monkeypatch.setattr(cache, "list_cache_folders", lambda: pair)
+    cache_folders.warn_once.cache_clear()
+    return pair
 
 
-def kernels(folder):
+def list_kernel_files(folder):
     return sorted(folder.path.rglob("*.nbc"))
 
 
 @NEEDS_JIT
-def test_a_kernel_is_compiled_once(places, caplog):
-    first, second = compiled(), compiled()
+def test_a_kernel_is_compiled_once(folders, caplog):
+    first, second = make_kernel(), make_kernel()
     assert (first(1), second(1), second(1.5)) == (2, 2, 2.5)
     assert count_cache_hits(first) == 0 and count_cache_hits(second) == 1
-    assert len(kernels(places[0])) == 2 and kernels(places[1]) == []
+    assert len(list_kernel_files(folders[0])) == 2 and list_kernel_files(folders[1]) == []
     assert caplog.messages == []
 
 
-def empty(content):
+def remove_content(content):
     return b""
 
 
@@ -87,55 +86,60 @@ def replace_content(content):
     return b"\x80\x05garbage."
 
 
-def flip_bit(place):
+def flip_bit(fraction):
     def flip(content):
-        at = int(place * (len(content) - 1))
-        return content[:at] + bytes([content[at] ^ 0x10]) + content[at + 1 :]
+        index = int(fraction * (len(content) - 1))
+        return content[:index] + bytes([content[index] ^ 0x10]) + content[index + 1 :]
 
     return flip
 
 
-DAMAGES = [empty, truncate, replace_content, *(flip_bit(place / 10) for place in range(11))]
+DAMAGES = [
+    remove_content,
+    truncate,
+    replace_content,
+    *(flip_bit(tenth / 10) for tenth in range(11)),
+]
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_kernel_is_compiled_again(damage, places, caplog):
-    compiled()(1)
-    (path,) = kernels(places[0])
-    whole = path.read_bytes()
-    path.write_bytes(damage(whole))
-    again = compiled()
-    assert again(1) == 2 and count_cache_hits(again) == 0
-    (said,) = caplog.messages
-    assert str(places[0].path) in said and "damaged" in said and "\n" not in said
-    later = compiled()
-    assert later(1) == 2 and count_cache_hits(later) == 1
-    assert len(caplog.messages) == 1 and kernels(places[0]) == [path]
+def test_a_damaged_kernel_is_compiled_again(damage, folders, caplog):
+    make_kernel()(1)
+    (path,) = list_kernel_files(folders[0])
+    content = path.read_bytes()
+    path.write_bytes(damage(content))
+    recompiled = make_kernel()
+    assert recompiled(1) == 2 and count_cache_hits(recompiled) == 0
+    (message,) = caplog.messages
+    assert str(folders[0].path) in message and "damaged" in message and "\n" not in message
+    reloaded = make_kernel()
+    assert reloaded(1) == 2 and count_cache_hits(reloaded) == 1
+    assert len(caplog.messages) == 1 and list_kernel_files(folders[0]) == [path]
 
 
 @NEEDS_JIT
-def test_damage_is_told_once(places, caplog):
-    first = compiled()
+def test_damage_is_reported_once(folders, caplog):
+    first = make_kernel()
     first(1), first(1.5)
-    for path in kernels(places[0]):
+    for path in list_kernel_files(folders[0]):
         path.write_bytes(b"")
-    again = compiled()
-    assert (again(1), again(1.5)) == (2, 2.5)
+    recompiled = make_kernel()
+    assert (recompiled(1), recompiled(1.5)) == (2, 2.5)
     assert len(caplog.messages) == 1
 
 
 @NEEDS_JIT
-def test_whole_files_of_no_use_are_compiled_again(places, caplog, monkeypatch):
-    compiled()(1)
+def test_kernels_that_fail_to_load_are_compiled_again(folders, caplog, monkeypatch):
+    make_kernel()(1)
 
     def fail(*parts):
         raise AttributeError("gone in this version")
 
     monkeypatch.setattr(KernelCache._impl_class, "rebuild", fail)
-    assert compiled()(1) == 2
-    (said,) = caplog.messages
-    assert str(places[0].path) in said and "gone in this version" in said
+    assert make_kernel()(1) == 2
+    (message,) = caplog.messages
+    assert str(folders[0].path) in message and "gone in this version" in message
 
 
 class _FullDisk:
@@ -156,50 +160,50 @@ class _FullDisk:
 
 
 @NEEDS_JIT
-def test_a_full_disk_stops_nothing(places, caplog, monkeypatch):
-    monkeypatch.setattr(places_of_kernels, "open", _FullDisk, raising=False)
-    assert compiled()(1) == 2
-    (said,) = caplog.messages
-    assert str(places[0].path) in said and "No space left" in said
-    assert {path.name for place in places for path in place.path.iterdir()} <= {
+def test_a_full_disk_does_not_stop_compilation(folders, caplog, monkeypatch):
+    monkeypatch.setattr(cache_folders, "open", _FullDisk, raising=False)
+    assert make_kernel()(1) == 2
+    (message,) = caplog.messages
+    assert str(folders[0].path) in message and "No space left" in message
+    assert {path.name for folder in folders for path in folder.path.iterdir()} <= {
         cache_lock.LOCK_FILE
     }
 
 
 @NEEDS_JIT
-def test_where_nothing_can_be_written_another_folder_serves(places, caplog):
-    # A file where a folder should be: nobody, root neither, can write below it.
-    places[0].path.parent.write_text("")
-    assert compiled()(1) == 2
-    assert len(kernels(places[1])) == 1
-    later = compiled()
-    assert later(1) == 2 and count_cache_hits(later) == 1
+def test_second_folder_is_used_if_first_is_unwritable(folders, caplog):
+    # A file where a folder should be: not even root can write below it.
+    folders[0].path.parent.write_text("")
+    assert make_kernel()(1) == 2
+    assert len(list_kernel_files(folders[1])) == 1
+    reloaded = make_kernel()
+    assert reloaded(1) == 2 and count_cache_hits(reloaded) == 1
     assert caplog.messages == []
 
 
 @NEEDS_JIT
-def test_folders_are_made_for_the_user_alone(places):
-    compiled()(1)
-    about = places[0].path.stat()
-    assert about.st_mode & 0o777 == 0o700 and about.st_uid == os.getuid()
+def test_folders_are_accessible_to_the_user_only(folders):
+    make_kernel()(1)
+    status = folders[0].path.stat()
+    assert status.st_mode & 0o777 == 0o700 and status.st_uid == os.getuid()
 
 
 class _ForeignCode:
-    """What runs foreign code once it is loaded."""
+    """An object that runs foreign code when it is unpickled."""
 
     def __reduce__(self):
         return exec, ("raise SystemExit('foreign code runs')",)
 
 
 def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
-    monkeypatch.setattr(places_of_kernels, "compute_kernels_digest", lambda: "new")
+    monkeypatch.setattr(cache_folders, "compute_kernels_digest", lambda: "new")
     for name, age in (("numba-old", 2.0), ("numba-recent", 0.5), ("notes", 2.0)):
         (tmp_path / name).mkdir()
-        then = time.time() - age * places_of_kernels.MAX_UNUSED_AGE_S
-        os.utime(tmp_path / name, (then, then))
+        timestamp = time.time() - age * cache_folders.MAX_UNUSED_AGE_S
+        os.utime(tmp_path / name, (timestamp, timestamp))
     CacheFolder(tmp_path / "numba-new", False).write("kernel", b"content")
-    left = {folder.name for folder in tmp_path.iterdir()}
-    assert left == {"numba-recent", "numba-new", "notes"}
+    remaining = {folder.name for folder in tmp_path.iterdir()}
+    assert remaining == {"numba-recent", "numba-new", "notes"}
 
 
 KILLED_PROGRAM = """
@@ -211,7 +215,7 @@ CacheFolder(pathlib.Path(sys.argv[1]), True).write("killed", b"content")
 """
 
 
-def test_what_killed_writers_left_is_removed(tmp_path):
+def test_temporary_files_of_killed_writers_are_removed(tmp_path):
     subprocess.run([sys.executable, "-c", KILLED_PROGRAM, str(tmp_path)])
     assert len(list(tmp_path.iterdir())) == 2
     with atomic.atomic_write(tmp_path / "living") as living:
@@ -221,86 +225,85 @@ def test_what_killed_writers_left_is_removed(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"kernel", "living"}
 
 
-def plant_foreign_kernel(places):
-    """Put a file with a fitting checksum in place of the kernel."""
-    compiled()(1)
-    (path,) = kernels(places[0])
-    whole = pickle.dumps(_ForeignCode())
-    path.write_bytes(hashlib.sha256(whole).digest() + whole)
+def plant_foreign_kernel(folders):
+    """Replace the kernel by a foreign file with a matching checksum."""
+    make_kernel()(1)
+    (path,) = list_kernel_files(folders[0])
+    content = pickle.dumps(_ForeignCode())
+    path.write_bytes(hashlib.sha256(content).digest() + content)
 
 
-def test_the_planted_file_would_run(places):
+def test_the_planted_file_runs_foreign_code(folders):
     with pytest.raises(SystemExit):
         pickle.loads(pickle.dumps(_ForeignCode()))
 
 
 @NEEDS_JIT
-@pytest.mark.parametrize("way", ["open to others", "a link", "of another user"])
-def test_a_folder_that_others_may_write_to_is_not_read(way, places, caplog, monkeypatch):
-    plant_foreign_kernel(places)
-    folder = places[0].path
-    if way == "open to others":
+@pytest.mark.parametrize("violation", ["open to others", "a link", "of another user"])
+def test_folders_writable_by_others_are_not_read(violation, folders, caplog, monkeypatch):
+    plant_foreign_kernel(folders)
+    folder = folders[0].path
+    if violation == "open to others":
         folder.chmod(0o777)
-    elif way == "a link":
+    elif violation == "a link":
         folder.rename(folder.with_name("elsewhere"))
         folder.symlink_to(folder.with_name("elsewhere"))
     else:
-        monkeypatch.setattr(places_of_kernels, "_get_user_id", lambda: os.getuid() + 1)
-    assert compiled()(1) == 2
+        monkeypatch.setattr(cache_folders, "_get_user_id", lambda: os.getuid() + 1)
+    assert make_kernel()(1) == 2
     assert str(folder) in caplog.messages[0] and "own" in caplog.messages[0]
-    if way != "of another user":
-        assert len(kernels(places[1])) == 1
+    if violation != "of another user":
+        assert len(list_kernel_files(folders[1])) == 1
 
 
 @NEEDS_JIT
 @pytest.mark.skipif(os.name == "nt", reason="owners of POSIX")
-@pytest.mark.parametrize("way", ["of another user", "open to the group", "open to all"])
-def test_files_of_others_in_a_named_folder_are_not_loaded(way, places, caplog, monkeypatch):
-    shared = CacheFolder(places[0].path, True)
-    monkeypatch.setattr(cache, "list_cache_folders", lambda: (shared, places[1]))
-    plant_foreign_kernel((shared,))
-    shared.path.chmod(0o777)
-    (path,) = kernels(shared)
+@pytest.mark.parametrize("violation", ["of another user", "open to the group", "open to all"])
+def test_files_of_others_are_not_loaded(violation, folders, caplog, monkeypatch):
+    named = CacheFolder(folders[0].path, True)
+    monkeypatch.setattr(cache, "list_cache_folders", lambda: (named, folders[1]))
+    plant_foreign_kernel((named,))
+    named.path.chmod(0o777)
+    (path,) = list_kernel_files(named)
     planted = path.read_bytes()
-    if way == "of another user" and os.getuid() == 0:
+    if violation == "of another user" and os.getuid() == 0:
         os.chown(path, 12_345, -1)
-    elif way == "of another user":
-        # Only root can give files away: another number stands for another user.
-        monkeypatch.setattr(places_of_kernels, "_get_user_id", lambda: os.getuid() + 1)
+    elif violation == "of another user":
+        # Only root can change the owner of a file, so the user's id is changed instead.
+        monkeypatch.setattr(cache_folders, "_get_user_id", lambda: os.getuid() + 1)
     else:
-        path.chmod(0o664 if "group" in way else 0o666)
-    assert compiled()(1) == 2
-    assert "other users" in caplog.messages[0] and str(shared.path) in caplog.messages[0]
-    # Nor are they replaced, which their owners would do in turn: the next folder serves.
+        path.chmod(0o664 if "group" in violation else 0o666)
+    assert make_kernel()(1) == 2
+    assert "other users" in caplog.messages[0] and str(named.path) in caplog.messages[0]
+    # They are not replaced either, as their owners would replace them in turn: the next folder
+    # is used.
     assert path.read_bytes() == planted
-    if places_of_kernels._get_user_id() == os.getuid():
-        assert len(kernels(places[1])) == 1
+    if cache_folders._get_user_id() == os.getuid():
+        assert len(list_kernel_files(folders[1])) == 1
 
 
 @NEEDS_JIT
-def test_files_of_root_in_a_named_folder_are_loaded(places, monkeypatch):
-    shared = CacheFolder(places[0].path, True)
-    monkeypatch.setattr(cache, "list_cache_folders", lambda: (shared,))
-    compiled()(1)
-    if kernels(shared)[0].stat().st_uid != 0:
-        pytest.skip("needs a file of root's")
-    monkeypatch.setattr(places_of_kernels, "_get_user_id", lambda: 12_345)
-    again = compiled()
-    assert again(1) == 2 and count_cache_hits(again) == 1
+def test_files_of_root_are_loaded(folders, monkeypatch):
+    named = CacheFolder(folders[0].path, True)
+    monkeypatch.setattr(cache, "list_cache_folders", lambda: (named,))
+    make_kernel()(1)
+    if list_kernel_files(named)[0].stat().st_uid != 0:
+        pytest.skip("needs a file of root")
+    monkeypatch.setattr(cache_folders, "_get_user_id", lambda: 12_345)
+    reloaded = make_kernel()
+    assert reloaded(1) == 2 and count_cache_hits(reloaded) == 1
 
 
-def test_the_shared_folder_is_checked_even_if_another_is_named(monkeypatch, tmp_path):
+def test_temporary_folder_is_never_user_defined(monkeypatch, tmp_path):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     first, last = list_cache_folders.__wrapped__()
     assert first.path.is_relative_to(tmp_path) and first.user_defined
-    assert first.path.name == f"numba-{places_of_kernels.compute_kernels_digest()}"
+    assert first.path.name == f"numba-{cache_folders.compute_kernels_digest()}"
     assert last.path.parent == Path(tempfile.gettempdir()) and not last.user_defined
-    assert (
-        last.path.name == f"splits-{os.getuid()}-numba-{places_of_kernels.compute_kernels_digest()}"
-    )
+    assert last.path.name == f"splits-{os.getuid()}-numba-{cache_folders.compute_kernels_digest()}"
 
 
-def test_a_user_without_a_home_has_the_shared_folder_only(monkeypatch):
+def test_users_without_a_home_use_the_temporary_folder(monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
@@ -308,46 +311,46 @@ def test_a_user_without_a_home_has_the_shared_folder_only(monkeypatch):
     assert only.path.parent == Path(tempfile.gettempdir())
 
 
-def test_a_line_is_told_as_it_is(capsys, monkeypatch):
-    places_of_kernels.warn_once.cache_clear()
-    logger = logging.getLogger(places_of_kernels.__name__)
+def test_a_warning_is_printed_once_and_unchanged(capsys, monkeypatch):
+    cache_folders.warn_once.cache_clear()
+    logger = logging.getLogger(cache_folders.__name__)
     monkeypatch.setattr(logger, "handlers", [logging._StderrHandler(logging.WARNING)])
     monkeypatch.setattr(logger, "propagate", False)
-    places_of_kernels.warn_once("one line")
-    places_of_kernels.warn_once("one line")
+    cache_folders.warn_once("one line")
+    cache_folders.warn_once("one line")
     assert capsys.readouterr().err == "one line\n"
 
 
 def run_processes(folder, count=1):
-    """Return what processes say that run the script at once, with kernels kept in a folder."""
+    """Return the outputs of concurrent processes that cache their kernels in a folder."""
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(folder)
-    started = [
+    processes = [
         subprocess.Popen(
             COMMAND, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         for _ in range(count)
     ]
-    return [(*process.communicate(timeout=300), process.returncode) for process in started]
+    return [(*process.communicate(timeout=300), process.returncode) for process in processes]
 
 
 @NEEDS_JIT
 @pytest.mark.slow
-def test_processes_share_what_they_compile_and_survive_damage(tmp_path):
-    told = run_processes(tmp_path, 3)
-    assert {(err, code) for _, err, code in told} == {("", 0)}
-    (numbers,) = {out.splitlines()[0] for out, *_ in told}
-    ((out, err, code),) = run_processes(tmp_path)
-    assert (out, err, code) == (f"{numbers}\n3\n", "", 0)
+def test_processes_share_kernels_and_recover_from_damage(tmp_path):
+    outputs = run_processes(tmp_path, 3)
+    assert {(stderr, code) for _, stderr, code in outputs} == {("", 0)}
+    (numbers,) = {stdout.splitlines()[0] for stdout, *_ in outputs}
+    ((stdout, stderr, code),) = run_processes(tmp_path)
+    assert (stdout, stderr, code) == (f"{numbers}\n3\n", "", 0)
     for path in tmp_path.rglob("*.nb*"):
         content = path.read_bytes()
         path.write_bytes(flip_bit(0.5)(content))
-    ((out, err, code),) = run_processes(tmp_path)
-    assert (out.splitlines()[0], code) == (numbers, 0)
-    (line,) = err.splitlines()
+    ((stdout, stderr, code),) = run_processes(tmp_path)
+    assert (stdout.splitlines()[0], code) == (numbers, 0)
+    (line,) = stderr.splitlines()
     assert str(tmp_path) in line
-    ((out, err, code),) = run_processes(tmp_path)
-    assert (out, err, code) == (f"{numbers}\n3\n", "", 0)
+    ((stdout, stderr, code),) = run_processes(tmp_path)
+    assert (stdout, stderr, code) == (f"{numbers}\n3\n", "", 0)
 
 
 KERNEL = """
@@ -371,25 +374,25 @@ print(input(), kernel(1), sum(kernel.stats.cache_hits.values()))
 
 
 @NEEDS_JIT
-def test_of_processes_that_start_together_one_compiles(tmp_path):
+def test_one_of_several_concurrent_processes_compiles(tmp_path):
     script = tmp_path / "slow.py"
     script.write_text(CONCURRENT_PROGRAM)
-    kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": kept}
-    four = [subprocess.Popen([sys.executable, script], **pipes) for _ in range(4)]
-    for one in four:  # all of them, before any is waited for
-        one.stdin.write("go\n")
-        one.stdin.flush()
-    said = sorted(one.communicate(timeout=300)[0] for one in four)
-    assert said == ["go 2 0\n"] + 3 * ["go 2 1\n"]
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": environment}
+    processes = [subprocess.Popen([sys.executable, script], **pipes) for _ in range(4)]
+    for process in processes:  # start all of them before waiting for any
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    outputs = sorted(process.communicate(timeout=300)[0] for process in processes)
+    assert outputs == ["go 2 0\n"] + 3 * ["go 2 1\n"]
 
 
 @NEEDS_JIT
-def test_nobody_waits_for_a_process_that_is_gone(tmp_path):
-    holds = "import sys, pathlib; from splits.kernels.compiler import cache_lock\n"
-    holds += "cache_lock.acquire_lock(pathlib.Path(sys.argv[1]), 'kernel')\n"
-    holds += "print(1, flush=True); input()"
-    command = [sys.executable, "-c", holds, tmp_path]
+def test_lock_is_released_when_its_process_is_killed(tmp_path):
+    program = "import sys, pathlib; from splits.kernels.compiler import cache_lock\n"
+    program += "cache_lock.acquire_lock(pathlib.Path(sys.argv[1]), 'kernel')\n"
+    program += "print(1, flush=True); input()"
+    command = [sys.executable, "-c", program, tmp_path]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     first = subprocess.Popen(command, **pipes)
     assert first.stdout.readline() == b"1\n"
@@ -418,23 +421,28 @@ input()
 
 
 @NEEDS_JIT
-def test_nobody_waits_for_a_compilation_that_failed(tmp_path):
+def test_lock_is_released_after_a_failed_compilation(tmp_path):
     script = tmp_path / "fails.py"
     script.write_text(FAILURES)
-    kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": kept}
-    lives_on = subprocess.Popen([sys.executable, script, "fail"], **pipes)
-    assert lives_on.stdout.readline() == "interrupted\n"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": environment}
+    failed = subprocess.Popen([sys.executable, script, "fail"], **pipes)
+    assert failed.stdout.readline() == "interrupted\n"
     other = subprocess.run(
-        [sys.executable, script], input="\n", capture_output=True, text=True, env=kept, timeout=60
+        [sys.executable, script],
+        input="\n",
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=60,
     )
     assert other.stdout == "2\n"
-    lives_on.communicate("\n")
+    failed.communicate("\n")
 
 
-def test_a_folder_that_cannot_be_written_to_holds_nobody_up(tmp_path, monkeypatch):
+def test_locking_an_unwritable_folder_does_not_block(tmp_path, monkeypatch):
     cache_lock._open_lock_file.cache_clear()
-    gone = tmp_path / "gone"
-    assert not cache_lock.acquire_lock(gone, "kernel")
+    missing = tmp_path / "gone"
+    assert not cache_lock.acquire_lock(missing, "kernel")
     assert cache_lock.acquire_lock(tmp_path, "kernel")
     cache_lock.release_lock(tmp_path, "kernel")

@@ -1,4 +1,4 @@
-"""Small functions are compiled into those that call them, and for Python when that calls them."""
+"""Compiler passes: inlining, pruning of absent fields, and reference counting."""
 
 from __future__ import annotations
 
@@ -38,36 +38,36 @@ def compute_total(x):
 
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
-    found = CacheFolder(tmp_path / "numba", False)
-    monkeypatch.setattr(cache, "list_cache_folders", lambda: (found, found))
-    return found.path
+    cache_folder = CacheFolder(tmp_path / "numba", False)
+    monkeypatch.setattr(cache, "list_cache_folders", lambda: (cache_folder, cache_folder))
+    return cache_folder.path
 
 
 @NEEDS_JIT
-def test_only_what_python_calls_is_made_and_kept(folder):
+def test_only_entry_points_are_compiled_and_cached(folder):
     assert entry_point(compute_total)(3.0) == 36.0
-    (kept,) = folder.rglob("*.nbc")
-    assert "total" in kept.name
-    # A function that is kept has within it all that it calls.
-    again = entry_point(compute_total)
-    assert again(3.0) == 36.0 and sum(again.stats.cache_hits.values()) == 1
+    (cached,) = folder.rglob("*.nbc")
+    assert "total" in cached.name
+    # A cached function includes all functions that it calls.
+    reloaded = entry_point(compute_total)
+    assert reloaded(3.0) == 36.0 and sum(reloaded.stats.cache_hits.values()) == 1
 
 
 @NEEDS_JIT
-def test_python_calls_a_small_function_compiled_and_a_part_as_it_is_written(folder):
+def test_inline_functions_are_compiled_and_inline_only_are_not(folder):
     assert square(3) == 9 and len(square.dispatcher.signatures) == 1
     assert cube(3) == 27 and not hasattr(cube, "dispatcher")
     assert square.__doc__ == "Return x²."
 
 
 class InnerRecord(NamedTuple):
-    """Something that may lack a part."""
+    """A record with an optional field."""
 
     part: float | None
 
 
 class OuterRecord(NamedTuple):
-    """What holds it."""
+    """A record that contains another one and an optional field."""
 
     inner: InnerRecord
     other: float | None
@@ -75,7 +75,7 @@ class OuterRecord(NamedTuple):
 
 @inline_only
 def compute_with_part(outer, x):
-    """Return what takes both parts, and x without them; neither has a type without its part."""
+    """Return x plus the present fields; the result has another type without the second one."""
     if outer.inner.part is not None:
         x = x + outer.inner.part.real
     if outer.other is None:
@@ -84,13 +84,13 @@ def compute_with_part(outer, x):
 
 
 def call_with_part(outer, x):
-    """Return what `compute_with_part` does."""
+    """Return the result of `compute_with_part`."""
     return compute_with_part(outer, x)
 
 
 @NEEDS_JIT
-def test_what_a_named_tuple_lacks_is_never_looked_at(folder):
-    """Numba by itself gives types to both branches, and refuses two kinds of results."""
+def test_absent_named_tuple_fields_are_pruned(folder):
+    """Without pruning, Numba types both branches and rejects different result types."""
     compiled = entry_point(call_with_part)
     assert compiled(OuterRecord(InnerRecord(None), None), 1.0) == 1.0
     assert compiled(OuterRecord(InnerRecord(2.0), None), 1.0) == 3.0
@@ -99,7 +99,7 @@ def test_what_a_named_tuple_lacks_is_never_looked_at(folder):
 
 @inline_only
 def return_array(values):
-    """Return an array, in a named tuple, that nobody has counted."""
+    """Return an array, in a named tuple, without reference counting."""
     return InnerRecord(values[1:])
 
 
@@ -111,13 +111,13 @@ def make_array(values):
 
 @inline_only
 def use_array(values):
-    """Return a number, by way of an array that would never be let go."""
+    """Return an element of an array that would never be released."""
     return make_array(values)[0]
 
 
 @inline_only
 def return_optional(values):
-    """Return an array that nobody has counted, or None."""
+    """Return an array without reference counting, or None."""
     if values[0] > 0.0:
         return values
     return None
@@ -125,7 +125,7 @@ def return_optional(values):
 
 @NEEDS_JIT
 @pytest.mark.parametrize("function", [return_array, use_array, return_optional])
-def test_functions_that_do_not_count_who_holds_an_array_pass_none_on(folder, function):
+def test_array_results_require_reference_counting(folder, function):
     def caller(values):
         function(values)
 
@@ -134,7 +134,7 @@ def test_functions_that_do_not_count_who_holds_an_array_pass_none_on(folder, fun
 
 
 @NEEDS_JIT
-def test_arrays_that_kernels_own_are_let_go(folder):
+def test_arrays_allocated_in_kernels_are_released(folder):
     def caller(values):
         return make_array(make_array(values))[-1]
 
@@ -148,7 +148,7 @@ def test_arrays_that_kernels_own_are_let_go(folder):
     assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free > 1
 
 
-def test_a_kernel_lets_go_of_the_arrays_of_its_scene():
+def test_a_kernel_releases_the_arrays_of_its_scene():
     scene, optics = (
         make_medium_scene(splits.Snow(), analog=True),
         compute_optics(splits.Snow(), 500.0),

@@ -1,4 +1,4 @@
-"""Derivatives of sums of weights, against differences of the sums themselves."""
+"""Derivative tallies compared with finite differences of the weight tallies."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splits.kernels.tallies.crossings import (
-    CROSSING_EVENT,
+    CROSSING_CODE,
     CROSSING_LENGTH,
     CROSSING_RAY,
     CROSSING_WEIGHT,
@@ -26,7 +26,7 @@ STEP = 1e-2
 
 
 def make_rays(ground: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return exits and records of synthetic rays, which hit the ground up to three times."""
+    """Return exits and crossings of synthetic rays that hit the ground up to three times."""
     rng = np.random.default_rng(5)
     exits = allocate_exits(RAYS, MATERIALS + ground)
     exits[:, EXIT_SIDE] = rng.choice([-1.0, 0.0] if ground else [-1.0, 0.0, 1.0], RAYS)
@@ -35,38 +35,40 @@ def make_rays(ground: bool) -> tuple[np.ndarray, np.ndarray]:
     exits[:, EXIT_LENGTH : EXIT_LENGTH + MATERIALS] = lengths
     rows = []
     if ground:
-        meetings = rng.integers(0, 4, RAYS)
-        exits[:, -1] = meetings
-        for ray, count in enumerate(meetings):
-            for number in range(count):
+        n_hits = rng.integers(0, 4, RAYS)
+        exits[:, -1] = n_hits
+        for ray, n_crossings in enumerate(n_hits):
+            for number in range(n_crossings):
                 row = np.zeros(CROSSING_LENGTH + MATERIALS + 1)
-                row[CROSSING_RAY], row[CROSSING_EVENT] = ray, 2
+                row[CROSSING_RAY], row[CROSSING_CODE] = ray, 2
                 row[CROSSING_WEIGHT] = 1.5
-                row[CROSSING_LENGTH:-1] = lengths[ray] * (number + 1.0) / (count + 1.0)
+                row[CROSSING_LENGTH:-1] = lengths[ray] * (number + 1.0) / (n_crossings + 1.0)
                 row[-1] = number
                 rows.append(row)
     return exits, np.array(rows).reshape(-1, CROSSING_LENGTH + MATERIALS + ground)
 
 
 @pytest.mark.parametrize("ground", [False, True])
-def test_derivatives_are_those_of_the_sums(ground):
-    """Central differences of the same rays, whose own error goes with the square of the step."""
-    exits, notes = make_rays(ground)
+def test_derivatives_match_differences_of_tallies(ground):
+    """Central differences of the same rays have an error of second order in the step."""
+    exits, crossings = make_rays(ground)
     columns = MATERIALS + ground
     rng = np.random.default_rng(6)
     absorption = rng.uniform(0.1, 1.0, (WAVELENGTHS, columns))
     changes = rng.uniform(-1.0, 1.0, (PARAMETERS, WAVELENGTHS, columns))
     column = MATERIALS if ground else -1
-    found = tally_derivatives(exits, notes, absorption, changes, column)
-    assert found.shape == (RAYS // BLOCK_SIZE, 2, PARAMETERS, WAVELENGTHS)
+    derivatives = tally_derivatives(exits, crossings, absorption, changes, column)
+    assert derivatives.shape == (RAYS // BLOCK_SIZE, 2, PARAMETERS, WAVELENGTHS)
     for parameter, change in enumerate(changes):
         above, below = (
-            tally_weights(exits, notes, absorption + sign * STEP * change, True, column)[0][:2, 0]
+            tally_weights(exits, crossings, absorption + sign * STEP * change, True, column)[0][
+                :2, 0
+            ]
             for sign in (1.0, -1.0)
         )
         difference = (above - below) / (2.0 * STEP)
         # Weights are in single precision, and third derivatives about 30 times the first.
-        assert found[:, :, parameter].sum(axis=0) == pytest.approx(
+        assert derivatives[:, :, parameter].sum(axis=0) == pytest.approx(
             difference, rel=0, abs=1e-3 * RAYS
         )
         assert np.abs(difference).max() > 0.1

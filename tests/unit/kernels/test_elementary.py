@@ -1,6 +1,6 @@
-"""Elementary functions in single precision over their whole stated ranges, as their texts promise.
+"""Accuracy of elementary functions in single precision over their documented ranges.
 
-References are NumPy in float64, and mpmath where the range ends.
+References are NumPy in float64, and mpmath at the ends of the ranges.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ single = np.float32
 
 
 def compile_loop(function):
-    """Return a compiled loop that writes the function's values of x into an array."""
+    """Return a compiled loop that writes the values of a function into an array."""
 
     @njit
     def loop(x, out):
@@ -54,10 +54,10 @@ def list_floats(low, high, step):
     return bits.astype(np.int32).view(single)
 
 
-def list_neighbours(*values, count=200):
+def list_neighbours(*values, n_each=200):
     """Return the float32 numbers next to some values, on both sides."""
     bits = np.array(values, dtype=single).view(np.int32)[:, np.newaxis]
-    return (bits + np.arange(-count, count + 1, dtype=np.int32)).ravel().view(single)
+    return (bits + np.arange(-n_each, n_each + 1, dtype=np.int32)).ravel().view(single)
 
 
 # --- logarithm --------------------------------------------------------------------------------
@@ -74,25 +74,25 @@ def select_within(x, low, high):
 
 
 LOG_ARGUMENTS = {
-    "its range": lambda: list_floats(*LOG_RANGE, 997),
+    "full range": lambda: list_floats(*LOG_RANGE, 997),
     "every number from ½ to 2": lambda: list_floats(0.5, 2.0, 1),
     "steps of the exponent": lambda: list_neighbours(*(2.0 ** np.arange(-99, 99))),
     "steps of the significand": lambda: list_neighbours(
         *(math.sqrt(2.0) * 2.0 ** np.arange(-99, 99))
     ),
     "random numbers": lambda: (np.arange(2**16) + 0.5) / 2**16,
-    "their lower tail": lambda: (np.arange(2**16) + 0.5) * 2.0**-46,
+    "small random numbers": lambda: (np.arange(2**16) + 0.5) * 2.0**-46,
 }
 
 
 @pytest.mark.parametrize("arguments", LOG_ARGUMENTS)
-def test_logarithm(arguments):
+def test_logarithm_accuracy(arguments):
     x = select_within(np.asarray(LOG_ARGUMENTS[arguments](), dtype=single), *LOG_RANGE)
     exact = np.log(x.astype(float))
     error = np.abs(evaluate(_logarithms, x) - exact)
-    part = error / compute_allowed_log_error(exact)
-    print(f"{x.size} arguments, worst {part.max():.2f} of the error allowed at {x[part.argmax()]}")
-    assert (part <= 1.0).all()
+    ratio = error / compute_allowed_log_error(exact)
+    print(f"{x.size} arguments, largest error ratio {ratio.max():.2f} at {x[ratio.argmax()]}")
+    assert (ratio <= 1.0).all()
 
 
 def test_logarithm_at_the_ends_and_at_1():
@@ -103,7 +103,7 @@ def test_logarithm_at_the_ends_and_at_1():
     assert evaluate(_logarithms, [1.0])[0] == 0.0
 
 
-def test_logarithm_never_falls():
+def test_logarithm_is_monotonic():
     values = evaluate(_logarithms, list_floats(1e-10, 1.0, 499))
     assert np.diff(values).min() >= 0.0
 
@@ -112,26 +112,26 @@ def test_logarithm_never_falls():
 
 SMALLEST_EXPONENT = -87.0
 EXP_ARGUMENTS = {
-    "its range": lambda: -list_floats(1e-38, -SMALLEST_EXPONENT, 997),
+    "full range": lambda: -list_floats(1e-38, -SMALLEST_EXPONENT, 997),
     "every number from -2 to -1": lambda: -list_floats(1.0, 2.0, 1),
-    "evenly": lambda: np.linspace(SMALLEST_EXPONENT, 0.0, 2_000_001),
+    "uniform grid": lambda: np.linspace(SMALLEST_EXPONENT, 0.0, 2_000_001),
     "steps of the exponent": lambda: list_neighbours(*(-math.log(2.0) * np.arange(0.5, 125.0))),
     "between two steps": lambda: list_neighbours(*(-math.log(2.0) * np.arange(1.0, 125.0))),
-    "the least": lambda: list_neighbours(SMALLEST_EXPONENT),
+    "lower limit": lambda: list_neighbours(SMALLEST_EXPONENT),
 }
 
 
 @pytest.mark.parametrize("arguments", EXP_ARGUMENTS)
-def test_exponential(arguments):
+def test_exponential_accuracy(arguments):
     x = np.asarray(EXP_ARGUMENTS[arguments](), dtype=single)
     values = evaluate(_exponentials, x)
-    served = x > single(SMALLEST_EXPONENT)
-    exact = np.exp(x[served].astype(float))
-    error = np.abs(values[served] / exact - 1.0)
-    print(f"{x.size} arguments, worst {error.max():.2e} at {x[served][error.argmax()]}")
+    in_range = x > single(SMALLEST_EXPONENT)
+    exact = np.exp(x[in_range].astype(float))
+    error = np.abs(values[in_range] / exact - 1.0)
+    print(f"{x.size} arguments, largest error {error.max():.2e} at {x[in_range][error.argmax()]}")
     assert error.max() <= 2e-7
-    # -87 itself counts as below: 1.6e-38 from there to 0.
-    assert (values[~served] == 0.0).all()
+    # The limit -87 itself, with a value of 1.6e-38, gives 0 too.
+    assert (values[~in_range] == 0.0).all()
 
 
 def test_exponential_at_the_ends():
@@ -143,7 +143,7 @@ def test_exponential_at_the_ends():
     assert evaluate(_exponentials, [x])[0] == pytest.approx(exact, rel=2e-7, abs=0.0)
 
 
-def test_exponential_never_exceeds_1_nor_rises():
+def test_exponential_is_monotonic_and_at_most_1():
     values = evaluate(_exponentials, np.concatenate([-list_floats(1e-38, 87.0, 997)[::-1], [0.0]]))
     assert values.max() == 1.0 and np.diff(values).min() >= 0.0
 
@@ -151,8 +151,8 @@ def test_exponential_never_exceeds_1_nor_rises():
 # --- circles ----------------------------------------------------------------------------------
 
 UNITS = {
-    "evenly": lambda: np.linspace(0.0, 1.0, 2_000_001),
-    "what lanes draw": lambda: (np.arange(2**21, dtype=single) + single(0.5)) * single(2.0**-21),
+    "uniform grid": lambda: np.linspace(0.0, 1.0, 2_000_001),
+    "random numbers": lambda: (np.arange(2**21, dtype=single) + single(0.5)) * single(2.0**-21),
     "near 0": lambda: list_floats(1e-30, 1e-3, 4999),
     "near 1": lambda: 1.0 - list_floats(2.0**-24, 1e-3, 49),
     "quarters": lambda: list_neighbours(0.25, 0.5, 0.75),
@@ -160,11 +160,11 @@ UNITS = {
 
 
 @pytest.mark.parametrize("arguments", UNITS)
-def test_half_circle(arguments):
+def test_half_circle_accuracy(arguments):
     u = np.asarray(UNITS[arguments](), dtype=single)
     angle = np.pi * (u.astype(float) - 0.5)
     error = np.abs(evaluate(_half_circles, u, 2) - np.column_stack([np.cos(angle), np.sin(angle)]))
-    print(f"{u.size} arguments, worst {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
+    print(f"{u.size} arguments, largest error {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
     assert error.max() <= 3e-7
 
 
@@ -177,18 +177,18 @@ def test_half_circle_at_the_ends_and_in_the_middle():
 
 
 @pytest.mark.parametrize("arguments", UNITS)
-def test_circle(arguments):
+def test_circle_accuracy(arguments):
     u = np.asarray(UNITS[arguments](), dtype=single)
     points = evaluate(_circles, u, 2)
-    # Which angle a number stands for is the circle's own affair: twice that of `half_circle`.
+    # The angle is twice that of `sample_half_circle`.
     angle = 2.0 * np.pi * (u.astype(float) - 0.5)
     error = np.abs(points - np.column_stack([np.cos(angle), np.sin(angle)]))
-    print(f"{u.size} arguments, worst {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
+    print(f"{u.size} arguments, largest error {error.max():.2e} at {u[error.max(axis=1).argmax()]}")
     assert error.max() <= 1e-6
     assert np.abs((points**2).sum(axis=1) - 1.0).max() <= 2e-6
 
 
-def test_logarithm_and_circles_in_double_precision_are_those_of_the_library():
+def test_double_precision_matches_numpy():
     u = np.concatenate([np.linspace(1e-9, 1.0 - 1e-9, 1001), np.logspace(-15, -1, 101)])
     out, points = np.empty_like(u), np.empty((u.size, 2))
     _logarithms(u, out)
@@ -197,11 +197,11 @@ def test_logarithm_and_circles_in_double_precision_are_those_of_the_library():
     _half_circles(u, points)
     assert np.abs(points - np.column_stack([np.cos(angle), np.sin(angle)])).max() < 1e-15
     _circles(u, points)
-    both = np.column_stack([np.cos(2.0 * angle), np.sin(2.0 * angle)])
-    assert np.abs(points - both).max() < 1e-15 * 2
+    expected = np.column_stack([np.cos(2.0 * angle), np.sin(2.0 * angle)])
+    assert np.abs(points - expected).max() < 1e-15 * 2
 
 
-def test_roots_over_their_range():
+def test_square_roots_are_accurate():
     x = list_floats(1e-36, 1e30, 1009)
     reference = np.sqrt(x.astype(float))
     assert np.abs(evaluate(_reciprocal_roots, x) * reference - 1.0).max() <= 2e-7
@@ -209,7 +209,7 @@ def test_roots_over_their_range():
     assert evaluate(_roots, np.zeros(1))[0] == 0.0
 
 
-def test_roots_in_double_precision_are_those_of_the_library():
+def test_square_roots_in_double_precision_match_numpy():
     x = np.logspace(-300, 300, 1001)
     double = np.empty_like(x)
     _reciprocal_roots(x, double)

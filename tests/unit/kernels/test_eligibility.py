@@ -1,4 +1,4 @@
-"""Which scenes lanes serve, with which features; and what faint extinction they leave out."""
+"""Scenes of the vectorized kernel, their features, and the weak extinction that it omits."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from splits.kernels.vectorized.eligibility import (
 )
 
 
-def find_features(medium, k=0.0, analog=False, depth=None):
-    """Return what lanes have for a medium whose grains all have the extinction coefficient k."""
+def find_scene_features(medium, k=0.0, analog=False, depth=None):
+    """Return the features of a medium whose grains all have the extinction coefficient k."""
     materials = int(medium.make_grain_population().types.material.max()) + 1
     n = np.full(materials, 1.5)
     n[DRY_PORE], n[WET_PORE] = 1.0, 1.33
@@ -45,7 +45,7 @@ def find_features(medium, k=0.0, analog=False, depth=None):
 
 
 def make_features(**present):
-    """Return features of which those named are present."""
+    """Return features of which the given ones are present."""
     return Features(*(True if present.pop(name, False) else None for name in Features._fields))
 
 
@@ -55,8 +55,8 @@ SCENES = {
     "dry": (splits.Snow(saturation=0.0), {}, {"faceted"}),
     "smooth": (splits.Snow(facetness=SMOOTH), {}, {"wet"}),
     "dry and smooth": (splits.Snow(saturation=0.0, facetness=SMOOTH), {}, set()),
-    "k that does not show": (splits.Snow(), {"k": 1e-8}, {"wet", "faceted"}),
-    "k that shows": (splits.Snow(), {"k": 0.01}, {"wet", "faceted", "absorbing"}),
+    "negligible k": (splits.Snow(), {"k": 1e-8}, {"wet", "faceted"}),
+    "significant k": (splits.Snow(), {"k": 0.01}, {"wet", "faceted", "absorbing"}),
     "sand": (splits.Sand(), {}, {"faceted", "mixed"}),
     "wet sand": (splits.Sand(saturation=0.3), {}, {"wet", "faceted", "mixed"}),
     "barely deep enough": (
@@ -67,83 +67,85 @@ SCENES = {
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_features_are_those_of_the_scene(scene):
-    medium, how, expected = SCENES[scene]
-    assert find_features(medium, **how) == make_features(**dict.fromkeys(expected, True))
+def test_features_match_the_scene(scene):
+    medium, options, expected = SCENES[scene]
+    assert find_scene_features(medium, **options) == make_features(**dict.fromkeys(expected, True))
 
 
-def test_grazing_beams_are_left_to_the_scalar_kernel_where_grains_are_met_too_high():
+def test_too_grazing_beams_use_the_scalar_kernel():
     grains, optics = splits.Snow().make_grain_population(), make_optics([1.0, 1.33, 1.31])
-    lowest = MIN_FIRST_DEPTH * grains.attenuation / grains.types.curvature.min()
-    assert lowest < math.cos(math.radians(89.9999))
-    for cos, diffuse, served in (
-        (0.99 * lowest, 0.0, False),
-        (1.01 * lowest, 0.0, True),
-        (0.99 * lowest, 0.5, False),
-        (0.99 * lowest, 1.0, True),
+    min_cos = MIN_FIRST_DEPTH * grains.attenuation / grains.types.curvature.min()
+    assert min_cos < math.cos(math.radians(89.9999))
+    for cos, diffuse, eligible in (
+        (0.99 * min_cos, 0.0, False),
+        (1.01 * min_cos, 0.0, True),
+        (0.99 * min_cos, 0.5, False),
+        (0.99 * min_cos, 1.0, True),
     ):
-        found = select_features(make_scene(grains, 0.1, cos=cos, diffuse=diffuse), optics)
-        assert (found is not None) == served
+        features = select_features(make_scene(grains, 0.1, cos=cos, diffuse=diffuse), optics)
+        assert (features is not None) == eligible
 
 
 @NEEDS_JIT
-def test_precisions_decide_alike_whether_the_first_grain_of_a_grazing_beam_fits():
-    # Only entry points next to the grain's top are tried: others never fit.
-    rng, major, flattening, mean_leg = np.random.default_rng(1), 3.75e-4, 0.36, 7e-4
-    cos = MIN_FIRST_DEPTH * major / mean_leg
+def test_grazing_collisions_agree_in_both_precisions():
+    # Only entry points next to the top of the grain are sampled: others are never accepted.
+    rng, major, flattening, mean_distance = np.random.default_rng(1), 3.75e-4, 0.36, 7e-4
+    cos = MIN_FIRST_DEPTH * major / mean_distance
     d = math.sqrt(1.0 - cos * cos), 0.0, -cos
     frame = make_tangents(Vector(-d[0], 0.0, cos))
-    up = 0.5 + math.atan2(frame.v.z, frame.u.z) / (2.0 * math.pi)
-    width = 10.0 * math.sqrt(cos * mean_leg / major)
-    fates = RejectionRules(UNIFORM_ENTRY, True, True, False, False)
+    upward_azimuth = 0.5 + math.atan2(frame.v.z, frame.u.z) / (2.0 * math.pi)
+    width = 10.0 * math.sqrt(cos * mean_distance / major)
+    rules = RejectionRules(UNIFORM_ENTRY, True, True, False, False)
 
-    def fits(u, real):
-        """Tell whether a grain fits, with all numbers in one precision."""
-        facing, turn, axial, leg = width * u[0], u[2], u[3], u[4]
-        azimuth = (up + width * (u[1] - 0.5) / math.pi) % 1.0
-        aim = EntryVariates(
-            real(facing),
+    def is_accepted(u, real):
+        """Return whether a grain is accepted, with all numbers in one precision."""
+        radial, axis_azimuth, axial, distance = width * u[0], u[2], u[3], u[4]
+        azimuth = (upward_azimuth + width * (u[1] - 0.5) / math.pi) % 1.0
+        variates = EntryVariates(
+            real(radial),
             sample_circle(real(azimuth)),
-            sample_circle(real(turn)),
+            sample_circle(real(axis_azimuth)),
             real(axial),
             real(0.5),
         )
-        origin, down = Vector(*map(real, (0, 0, 0))), Vector(*map(real, (0, 0, -1)))
+        origin, downward = Vector(*map(real, (0, 0, 0))), Vector(*map(real, (0, 0, -1)))
         ray = RayGeometry(
-            origin, origin, Vector(*map(real, d)), Segment(down, down, real(-1)), real(0)
+            origin, origin, Vector(*map(real, d)), Segment(downward, downward, real(-1)), real(0)
         )
-        space = LayerGeometry(*map(real, (mean_leg, -0.1, 0.0, -0.1, 0.0, 0.0)))
+        layer = LayerGeometry(*map(real, (mean_distance, -0.1, 0.0, -0.1, 0.0, 0.0)))
         return sample_collision(
-            ray, GrainSize(real(major), real(flattening)), aim, real(leg), space, fates
+            ray, GrainSize(real(major), real(flattening)), variates, real(distance), layer, rules
         ).accepted
 
-    draws = rng.random((40_000, 5))
-    double, single = (np.array([fits(u, real) for u in draws]) for real in (float, np.float32))
+    samples = rng.random((40_000, 5))
+    double, single = (
+        np.array([is_accepted(u, real) for u in samples]) for real in (float, np.float32)
+    )
     assert double.sum() > 500
     assert (double != single).sum() < 0.05 * double.sum()
     assert abs(int(double.sum()) - int(single.sum())) < 0.02 * double.sum()
 
 
-def test_coin_tosses_and_depths_are_left_to_the_scalar_kernel():
-    assert find_features(splits.Snow(), analog=True) is None
-    deep = 1.001 * MAX_DEPTH_MFP * splits.Snow().mean_grain_distance_m
-    assert find_features(splits.Snow(), depth=deep) is None
+def test_analog_absorption_and_deep_media_use_the_scalar_kernel():
+    assert find_scene_features(splits.Snow(), analog=True) is None
+    depth = 1.001 * MAX_DEPTH_MFP * splits.Snow().mean_grain_distance_m
+    assert find_scene_features(splits.Snow(), depth=depth) is None
 
 
-@pytest.mark.parametrize("coats", [0, 1, 2, 3])
-def test_at_most_one_coating(coats):
-    grains = make_coated_grains([0.01] * coats, [*range(3, 3 + coats), 2])
-    found = select_features(make_scene(grains, 0.1), make_optics(np.full(6, 1.5)))
-    assert found == (make_features(mixed=coats == 1) if coats < 2 else None)
+@pytest.mark.parametrize("n_coatings", [0, 1, 2, 3])
+def test_at_most_one_coating_is_vectorized(n_coatings):
+    grains = make_coated_grains([0.01] * n_coatings, [*range(3, 3 + n_coatings), 2])
+    features = select_features(make_scene(grains, 0.1), make_optics(np.full(6, 1.5)))
+    assert features == (make_features(mixed=n_coatings == 1) if n_coatings < 2 else None)
 
 
 pytestmark = NEEDS_JIT
 
-QUADRATURE = 1.02
-"""How far the estimate of `compute_extinction_effect` may fall short of adaptive quadrature."""
+QUADRATURE_TOLERANCE = 1.02
+"""Largest ratio of adaptive quadrature to the estimate of `compute_extinction_effect`."""
 
-# Where to look for the extinction at which it starts to show.
-EDGES = np.logspace(-9.0, -0.5, 171)
+# Extinction coefficients among which the threshold is searched.
+EXTINCTIONS = np.logspace(-9.0, -0.5, 171)
 GRAINS = {
     "dry": (1.0, 1.31, 0.0),
     "dry, n below 1": (1.0, 0.97, 0.0),
@@ -156,40 +158,43 @@ GRAINS = {
 
 
 def is_extinction_omitted(n_pore, n_core, k_pore, k_core, saturation):
-    """Return whether extinction coefficients of wet pores and of grains are left out."""
+    """Return whether the extinction of wet pores and of grains is omitted."""
     optics = make_optics([1.0, n_pore, n_core], [0.0, k_pore, k_core])
-    found = select_features(
+    features = select_features(
         make_scene(splits.Snow().make_grain_population(), 0.1, saturation), optics
     )
-    return found.absorbing is None
+    return features.absorbing is None
 
 
-@pytest.mark.parametrize("where", GRAINS)
-@pytest.mark.parametrize("whose", ["grains", "pores"])
-def test_extinction_that_is_left_out_moves_no_interface_by_more_than_promised(where, whose):
-    n_pore, n_core, saturation = GRAINS[where]
-    at = [(k, 0.0) if whose == "pores" else (0.0, k) for k in EDGES]
-    out = np.array([is_extinction_omitted(n_pore, n_core, *k, saturation) for k in at])
-    assert out[0] and (np.diff(out.astype(int)) <= 0).all()
-    if whose == "pores":
+@pytest.mark.parametrize("case", GRAINS)
+@pytest.mark.parametrize("absorber", ["grains", "pores"])
+def test_omitted_extinction_shifts_reflectance_within_tolerance(case, absorber):
+    n_pore, n_core, saturation = GRAINS[case]
+    extinctions = [(k, 0.0) if absorber == "pores" else (0.0, k) for k in EXTINCTIONS]
+    omitted = np.array([is_extinction_omitted(n_pore, n_core, *k, saturation) for k in extinctions])
+    assert omitted[0] and (np.diff(omitted.astype(int)) <= 0).all()
+    if absorber == "pores":
         if saturation == 0.0:
-            assert out.all()
+            assert omitted.all()
             return
         pairs = [(n_core, n_pore)]
     else:
         pairs = [(1.0, n_core)] + ([(n_pore, n_core)] if saturation > 0.0 else [])
-    last = EDGES[np.flatnonzero(out)[-1]]
-    moved = max(compute_reflectance_shift(*pair, last) for pair in pairs)
-    print(f"left out up to k = {last:.1e}, which moves R by {moved:.1e}")
-    assert moved < QUADRATURE * EXTINCTION_TOLERANCE
-    # Nor is more asked for than needed: a step of the grid further it would show.
+    largest = EXTINCTIONS[np.flatnonzero(omitted)[-1]]
+    shift = max(compute_reflectance_shift(*pair, largest) for pair in pairs)
+    print(f"omitted up to k = {largest:.1e}, which shifts R by {shift:.1e}")
+    assert shift < QUADRATURE_TOLERANCE * EXTINCTION_TOLERANCE
+    # The threshold is not needlessly low: one step higher the shift would be significant.
     assert (
-        max(compute_reflectance_shift(*pair, last * EDGES[1] / EDGES[0]) for pair in pairs)
+        max(
+            compute_reflectance_shift(*pair, largest * EXTINCTIONS[1] / EXTINCTIONS[0])
+            for pair in pairs
+        )
         > EXTINCTION_TOLERANCE / 4.0
     )
 
 
-def test_the_public_interface_refuses_lanes_that_cannot_serve():
+def test_vectorized_kernel_is_rejected_for_ineligible_media():
     match = r"kernel = 'vectorized'.*'auto' or 'scalar'"
     with pytest.raises(ValueError, match=match):
         splits.spectrophotometer(
@@ -200,16 +205,16 @@ def test_the_public_interface_refuses_lanes_that_cannot_serve():
         splits.beam_spread(deep, 500.0, rays=10, kernel="vectorized")
 
 
-# --- faint extinction -------------------------------------------------------------------------
+# --- weak extinction --------------------------------------------------------------------------
 
 
 def compute_diffuse_reflectance(n1, n2, k):
-    """Return the reflectance of diffuse light, ∫ 2μ R dμ, with the critical angle as a seam."""
+    """Return the reflectance of diffuse light, ∫ 2μ R dμ, split at the critical angle."""
     critical = np.sqrt(max(1.0 - (n2 / n1) ** 2, 0.0))
-    seams = sorted({1e-9, 1.0, *(x for x in (critical,) if 0.0 < x < 1.0)})
-    # Total reflection ends with a root, which the substitution below smooths on both sides.
+    breakpoints = sorted({1e-9, 1.0, *(x for x in (critical,) if 0.0 < x < 1.0)})
+    # R has a square-root singularity at the critical angle, which the substitution smooths.
     total = 0.0
-    for low, high in pairwise(seams):
+    for low, high in pairwise(breakpoints):
         width = high - low
 
         def integrand(t, low=low, width=width):
@@ -221,7 +226,7 @@ def compute_diffuse_reflectance(n1, n2, k):
 
 
 def compute_reflectance_shift(n1, n2, k):
-    """Return how much the far side's extinction moves the reflectance of diffuse light."""
+    """Return the shift of the diffuse reflectance by extinction on the transmitted side."""
     return abs(compute_diffuse_reflectance(n1, n2, k) - compute_diffuse_reflectance(n1, n2, 0.0))
 
 
@@ -230,8 +235,8 @@ INDICES = np.unique(np.concatenate([np.linspace(0.95, 1.6, 14), [0.99, 0.999, 1.
 
 @pytest.mark.parametrize("inwards", [True, False])
 @pytest.mark.parametrize("k", [1e-6, 3e-6, 1e-4, 1e-3, 3e-3])
-def test_what_extinction_does_to_diffuse_light(k, inwards):
-    """The estimate is not below the true shift, but for quadrature, nor far above it."""
+def test_extinction_effect_bounds_the_reflectance_shift(k, inwards):
+    """The estimate is an upper bound up to quadrature errors, and not far above the shift."""
     ratios = []
     for m in INDICES:
         n1, n2 = (1.0, m) if inwards else (m, 1.0)
@@ -241,12 +246,12 @@ def test_what_extinction_does_to_diffuse_light(k, inwards):
             compute_reflectance_shift(n1, n2, k),
         )
         ratios.append(estimate / max(exact, 1e-8))
-        assert estimate > exact / QUADRATURE - 1e-8, (n1, n2)
-        # R may rise at some angles and fall at others, where indices are about equal.
+        assert estimate > exact / QUADRATURE_TOLERANCE - 1e-8, (n1, n2)
+        # For nearly equal indices R may rise at some angles and fall at others.
         assert estimate < 4.0 * exact + 1e-8 or abs(m - 1.0) < 0.06, (n1, n2)
-    print(f"k {k}: estimate over shift {min(ratios):.2f} to {max(ratios):.2f}")
+    print(f"k {k}: ratio of estimate to shift {min(ratios):.2f} to {max(ratios):.2f}")
 
 
-def test_nothing_shows_without_extinction():
+def test_zero_extinction_has_no_effect():
     optics = make_optics([1.31, 1.0])
     assert compute_extinction_effect(optics, 0, 1) == 0.0

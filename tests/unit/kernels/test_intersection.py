@@ -1,4 +1,4 @@
-"""First crossings of rays and rough surfaces, against dense scans and where they are known."""
+"""First intersections of rays with rough surfaces, against dense scans and exact cases."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rough_surfaces import GAUSSIAN, SURFACES, draw_realization, sum_waves
 from scipy import optimize
 
 from splits.kernels.math.vectors import Vector
-from splits.kernels.rough_surface import intersection as kernels
+from splits.kernels.rough_surface import intersection
 from splits.kernels.rough_surface.intersection import NO_HIT, STEP_LIMIT_REACHED
 from splits.kernels.rough_surface.realization import (
     SurfaceSlope,
@@ -24,16 +24,16 @@ from splits.kernels.rough_surface.wave_sums import KX, KY, N_WAVE_LANES
 from splits.media.rough_surface import RoughSurface
 
 
-def find_first_crossing(surface, ray, side, farthest=math.inf):
+def find_intersection(surface, ray, side, max_distance=math.inf):
     """Return the `Hit` of a ray (x, y, z, dx, dy, dz)."""
     ray = [float(x) for x in ray]
-    return kernels.find_first_intersection(
-        surface, Vector(*ray[:3]), Vector(*ray[3:]), side, farthest
+    return intersection.find_first_intersection(
+        surface, Vector(*ray[:3]), Vector(*ray[3:]), side, max_distance
     )
 
 
 def compute_tolerance(surface, x, y, s):
-    return kernels.compute_height_tolerance(surface, Vector(x, y, 0.0), s)
+    return intersection.compute_height_tolerance(surface, Vector(x, y, 0.0), s)
 
 
 def compute_gaps(waves, ray, side, s):
@@ -42,8 +42,8 @@ def compute_gaps(waves, ray, side, s):
     return side * (z + s * dz - sum_waves(waves, x + s * dx, y + s * dy))
 
 
-def scan_first_crossing(waves, ray, side, length, points):
-    """Return the first crossing found by probing, NaN without one."""
+def scan_for_intersection(waves, ray, side, length, points):
+    """Return the distance of the first intersection on a dense grid, NaN without one."""
     s = np.linspace(0.0, length, points)
     below = np.flatnonzero(compute_gaps(waves, ray, side, s) < 0.0)
     if not below.size:
@@ -55,148 +55,148 @@ def scan_first_crossing(waves, ray, side, length, points):
     )
 
 
-def draw_rays(generator, high, side, count):
-    """Return rays from beyond the surface, in all directions towards it."""
-    for _ in range(count):
-        azimuth, climb = generator.uniform(0.0, 2.0 * np.pi), -generator.uniform(0.01, 1.0)
-        flat = math.sqrt(1.0 - climb * climb)
+def draw_rays(generator, max_height, side, n_rays):
+    """Return rays that start outside the surface and travel towards it."""
+    for _ in range(n_rays):
+        azimuth, dz = generator.uniform(0.0, 2.0 * np.pi), -generator.uniform(0.01, 1.0)
+        horizontal = math.sqrt(1.0 - dz * dz)
         x, y = generator.uniform(-5.0, 5.0, 2)
         yield (
-            x, y, 1.5 * side * high,
-            flat * math.cos(azimuth), flat * math.sin(azimuth), side * climb,
+            x, y, 1.5 * side * max_height,
+            horizontal * math.cos(azimuth), horizontal * math.sin(azimuth), side * dz,
         )  # fmt: skip
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("steepness", [0.1, 1.0, 5.0])
-def test_crossings_of_one_wave(side, steepness):
+def test_intersections_with_one_wave_match_a_scan(side, steepness):
     waves = np.zeros((4, N_WAVE_LANES))
     waves[:, 3] = 0.7, 0.6, 0.8, 0.4
     waves[KX : KY + 1] *= steepness / (0.7 * 2.0 * np.pi)
     surface = make_realization(waves)
-    high = surface.max_height
-    assert high == 0.7
-    for ray in draw_rays(np.random.default_rng(3), high, side, 40):
-        s, slope, _ = find_first_crossing(surface, ray, side)
-        expected = scan_first_crossing(waves, ray, side, 2.5 * high / abs(ray[5]), 20_001)
+    max_height = surface.max_height
+    assert max_height == 0.7
+    for ray in draw_rays(np.random.default_rng(3), max_height, side, 40):
+        s, slope, _ = find_intersection(surface, ray, side)
+        expected = scan_for_intersection(waves, ray, side, 2.5 * max_height / abs(ray[5]), 20_001)
         assert s == pytest.approx(expected, rel=1e-9)
-        at = ray[0] + s * ray[3], ray[1] + s * ray[4]
-        assert slope == pytest.approx(compute_height_and_slope(waves, *at).slope)
+        position = ray[0] + s * ray[3], ray[1] + s * ray[4]
+        assert slope == pytest.approx(compute_height_and_slope(waves, *position).slope)
         assert abs(compute_gaps(waves, ray, side, np.array([s]))[0]) <= compute_tolerance(
-            surface, *at, s
+            surface, *position, s
         )
 
 
 @pytest.mark.parametrize("name", SURFACES)
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_no_crossing_is_missed(name, side):
+def test_no_intersection_is_missed(name, side):
     generator = np.random.default_rng(4)
-    grazed = 0
-    for number in range(scale_sample_size(6_000) // 1000):
-        surface = draw_realization(SURFACES[name], number)
+    n_grazing = 0
+    for realization in range(scale_sample_size(6_000) // 1000):
+        surface = draw_realization(SURFACES[name], realization)
         waves = surface.waves
         for ray in draw_rays(generator, surface.max_height, side, 10):
-            s = find_first_crossing(surface, ray, side).distance
+            s = find_intersection(surface, ray, side).distance
             assert s > 0.0
-            probed = compute_gaps(waves, ray, side, np.linspace(0.0, s * (1.0 - 1e-9), 3001))
+            gaps = compute_gaps(waves, ray, side, np.linspace(0.0, s * (1.0 - 1e-9), 3001))
             allowed = compute_tolerance(surface, ray[0], ray[1], 2.0 * s)
-            assert probed.min() >= -allowed
+            assert gaps.min() >= -allowed
             gap = compute_gaps(waves, ray, side, np.array([s]))[0]
             assert abs(gap) <= allowed
-            # Beyond the crossing the ray is on the other side, unless it only touched the surface.
-            ahead = compute_gaps(waves, ray, side, s + 1e-6 * s * np.arange(1, 4))
-            grazed += not (ahead < 0.0).any()
-    assert grazed <= 1
+            # After the intersection the ray is on the other side, except for grazing rays.
+            gaps_after = compute_gaps(waves, ray, side, s + 1e-6 * s * np.arange(1, 4))
+            n_grazing += not (gaps_after < 0.0).any()
+    assert n_grazing <= 1
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_rays_that_stand_on_the_surface(side):
+def test_rays_that_start_on_the_surface(side):
     surface = draw_realization(GAUSSIAN)
-    waves, high = surface.waves, surface.max_height
+    waves, max_height = surface.waves, surface.max_height
     generator = np.random.default_rng(5)
-    away = 0
-    for ray in draw_rays(generator, high, side, 40):
-        s, slope, _ = find_first_crossing(surface, ray, side)
+    n_escaped = 0
+    for ray in draw_rays(generator, max_height, side, 40):
+        s, slope, _ = find_intersection(surface, ray, side)
         start = tuple(ray[i] + s * ray[i + 3] for i in range(3))
-        n = side * np.array(kernels.compute_normal_from_slope(slope))
+        n = side * np.array(intersection.compute_normal_from_slope(slope))
         assert n @ ray[3:] < 0.0
         for grazing in (0.0, 1e-15, 1e-12, 1e-6, 0.5):
             d = np.cross(n, generator.normal(size=3))
-            d = kernels.nudge_off_surface(
+            d = intersection.nudge_off_surface(
                 Vector(*(d / np.linalg.norm(d) + grazing * n)), Vector(*n)
             )
-            assert np.dot(d, n) > 0.5 * kernels.MIN_COS_EXIT
-            t = find_first_crossing(surface, (*start, *d), side).distance
+            assert np.dot(d, n) > 0.5 * intersection.MIN_COS_EXIT
+            t = find_intersection(surface, (*start, *d), side).distance
             assert t == NO_HIT or t > 0.0
-            away += t == NO_HIT
-            length = t if t > 0.0 else (high - side * start[2]) / (side * d[2])
-            probed = compute_gaps(
+            n_escaped += t == NO_HIT
+            length = t if t > 0.0 else (max_height - side * start[2]) / (side * d[2])
+            gaps = compute_gaps(
                 waves, (*start, *d), side, length * np.linspace(0.0, 1.0 - 1e-9, 2001)
             )
-            assert probed.min() >= -2.0 * compute_tolerance(surface, *start[:2], length)
-    assert 20 < away < 180
+            assert gaps.min() >= -2.0 * compute_tolerance(surface, *start[:2], length)
+    assert 20 < n_escaped < 180
 
 
-def test_a_surface_without_height_is_a_plane():
+def test_zero_height_gives_a_plane():
     fields = RoughSurface(GAUSSIAN | {"rms_height_m": 0.0}).make_height_fields()
     surface = sample_realization(start_random_stream(), fields, allocate_realization(fields))
     assert surface.max_height == 0.0
     for dz in (-1.0, -0.3, -1e-3):
-        flat = math.sqrt(1.0 - dz * dz)
+        dx = math.sqrt(1.0 - dz * dz)
         for side in (1.0, -1.0):
-            s, slope, _ = find_first_crossing(
-                surface, (1.0, 2.0, 3.0 * side, flat, 0.0, dz * side), side
+            s, slope, _ = find_intersection(
+                surface, (1.0, 2.0, 3.0 * side, dx, 0.0, dz * side), side
             )
             assert s == pytest.approx(-3.0 / dz, rel=1e-14) and slope == (0.0, 0.0)
-            away = find_first_crossing(surface, (1.0, 2.0, 0.0, flat, 0.0, -dz * side), side)
-            assert away[:2] == (NO_HIT, (0.0, 0.0))
-    assert kernels.compute_normal_from_slope(SurfaceSlope(0.0, 0.0)) == (0.0, 0.0, 1.0)
+            upward = find_intersection(surface, (1.0, 2.0, 0.0, dx, 0.0, -dz * side), side)
+            assert upward[:2] == (NO_HIT, (0.0, 0.0))
+    assert intersection.compute_normal_from_slope(SurfaceSlope(0.0, 0.0)) == (0.0, 0.0, 1.0)
 
 
-def test_rays_that_meet_nothing():
+def test_rays_without_intersection():
     surface = draw_realization(GAUSSIAN)
-    high = surface.max_height
+    max_height = surface.max_height
 
-    def met(*ray, side=1.0, farthest=math.inf):
-        return find_first_crossing(surface, ray, side, farthest).distance
+    def find_distance(*ray, side=1.0, max_distance=math.inf):
+        return find_intersection(surface, ray, side, max_distance).distance
 
-    assert met(0.0, 0.0, 2.0 * high, 0.6, 0.0, 0.8) == NO_HIT
-    assert met(0.0, 0.0, 2.0 * high, 1.0, 0.0, 0.0) == NO_HIT
-    assert met(0.0, 0.0, -2.0 * high, 0.6, 0.0, -0.8, side=-1.0) == NO_HIT
-    down = 0.0, 0.0, 2.0 * high, 0.6, 0.0, -0.8
-    s = met(*down)
-    assert s > high / 0.8
-    assert met(*down, farthest=1.001 * s) == s
-    assert met(*down, farthest=0.999 * s) == NO_HIT
-    # Straight down and up, the height itself.
+    assert find_distance(0.0, 0.0, 2.0 * max_height, 0.6, 0.0, 0.8) == NO_HIT
+    assert find_distance(0.0, 0.0, 2.0 * max_height, 1.0, 0.0, 0.0) == NO_HIT
+    assert find_distance(0.0, 0.0, -2.0 * max_height, 0.6, 0.0, -0.8, side=-1.0) == NO_HIT
+    downward = 0.0, 0.0, 2.0 * max_height, 0.6, 0.0, -0.8
+    s = find_distance(*downward)
+    assert s > max_height / 0.8
+    assert find_distance(*downward, max_distance=1.001 * s) == s
+    assert find_distance(*downward, max_distance=0.999 * s) == NO_HIT
+    # Vertical rays hit the surface at its height.
     height = compute_height_and_slope(surface.waves, 3.0, 4.0).height
-    assert met(3.0, 4.0, 5.0, 0.0, 0.0, -1.0) == pytest.approx(5.0 - height, rel=1e-12)
-    below = met(3.0, 4.0, -5.0, 0.0, 0.0, 1.0, side=-1.0)
-    assert below == pytest.approx(5.0 + height, rel=1e-12)
+    assert find_distance(3.0, 4.0, 5.0, 0.0, 0.0, -1.0) == pytest.approx(5.0 - height, rel=1e-12)
+    from_below = find_distance(3.0, 4.0, -5.0, 0.0, 0.0, 1.0, side=-1.0)
+    assert from_below == pytest.approx(5.0 + height, rel=1e-12)
 
 
 @NEEDS_JIT
-def test_a_level_ray_that_never_meets_the_surface_is_lost():
+def test_horizontal_ray_without_intersection_is_lost():
     # cos t + cos(2t + π) is nowhere above 9/8; the bound on heights is 2.
     waves = np.zeros((4, N_WAVE_LANES))
     waves[:, 6] = 1.0, 0.1, 0.0, 0.0
     waves[:, 7] = 1.0, 0.2, 0.0, 0.5
     surface = make_realization(waves)
     assert surface.max_height == 2.0
-    level = 0.0, 0.0, 1.5, 1.0, 0.0, 0.0
-    assert find_first_crossing(surface, level, 1.0).distance == STEP_LIMIT_REACHED
-    # Along its crests the same surface is level too.
-    along = 0.0, 0.0, 1.5, 0.0, 1.0, 0.0
-    assert find_first_crossing(surface, along, 1.0).distance == NO_HIT
+    horizontal = 0.0, 0.0, 1.5, 1.0, 0.0, 0.0
+    assert find_intersection(surface, horizontal, 1.0).distance == STEP_LIMIT_REACHED
+    # Along its crests the same surface is horizontal too.
+    along_crests = 0.0, 0.0, 1.5, 0.0, 1.0, 0.0
+    assert find_intersection(surface, along_crests, 1.0).distance == NO_HIT
 
 
 @NEEDS_JIT
-def test_plain_python_finds_the_same():
+def test_compiled_and_interpreted_intersections_agree():
     for name in SURFACES:
         surface = draw_realization(SURFACES[name])
         for ray in draw_rays(np.random.default_rng(6), surface.max_height, 1.0, 3):
-            begin = surface, Vector(*ray[:3]), Vector(*ray[3:]), 1.0
-            fast = kernels.find_first_intersection(*begin)
-            slow = kernels.find_first_intersection.py_func(*begin)
-            assert fast.distance == pytest.approx(slow.distance, rel=1e-9, abs=1e-9)
-            assert fast.slope == pytest.approx(slow.slope, rel=1e-9, abs=1e-9)
+            arguments = surface, Vector(*ray[:3]), Vector(*ray[3:]), 1.0
+            compiled = intersection.find_first_intersection(*arguments)
+            interpreted = intersection.find_first_intersection.py_func(*arguments)
+            assert compiled.distance == pytest.approx(interpreted.distance, rel=1e-9, abs=1e-9)
+            assert compiled.slope == pytest.approx(interpreted.slope, rel=1e-9, abs=1e-9)

@@ -1,4 +1,4 @@
-"""The machine code of the passes over lanes: vectors as wide as the processor has them."""
+"""Machine code of the vectorized passes: SIMD instructions of the full vector width."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ MAX_LANES = "z" if FEATURES.get("avx512f") else "y"
 
 pytestmark = [
     NEEDS_JIT,
-    pytest.mark.skipif(not FEATURES.get("avx2"), reason="for processors with vectors of x86"),
+    pytest.mark.skipif(not FEATURES.get("avx2"), reason="needs x86 processors with AVX2"),
 ]
 
 
 def count_arithmetic(function, medium):
-    """Return how often sums and products of single precision stand in a pass, by kind."""
+    """Return the numbers of arithmetic instructions of a pass, by precision and vector width."""
     scene, optics = make_medium_scene(medium), compute_optics(medium, 500.0)
-    compiled = njit(error_model="numpy", _nrt=False, pipeline_class=RefcountCheckedCompiler)(
+    kernel = njit(error_model="numpy", _nrt=False, pipeline_class=RefcountCheckedCompiler)(
         function.py_func
     )
     state = np.zeros(lane_state.STATE_SIZE, dtype=np.float32)
     state[lane_state.STATUS : lane_state.STATUS + lane_state.N_LANES] = lane_state.IDLE
     words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
-    compiled(
+    kernel(
         state,
         words,
         lane_state.N_LANES,
         select_features(scene, optics),
         get_vectorized_scene(scene),
     )
-    (code,) = compiled.inspect_asm().values()
+    (code,) = kernel.inspect_asm().values()
     return Counter(kind + width for kind, width in ARITHMETIC.findall(code))
 
 
@@ -57,12 +57,12 @@ def count_arithmetic(function, medium):
     [splits.Snow(), splits.Sand(texture=(0.0, 0.1, 0.9)), splits.Stack([splits.Snow()] * 2)],
     ids=["snow", "sand", "stack"],
 )
-def test_passes_compute_on_the_widest_vectors_two_at_a_time(function, medium):
-    """Beside the vectors stands the same loop for single lanes, for numbers that they do not fill.
+def test_passes_use_the_widest_vectors(function, medium):
+    """The compiler unrolls the vector loop twice and adds a scalar remainder loop.
 
-    There are none: lanes come in whole strides.
+    The remainder loop is never executed, as the number of lanes is a multiple of the width.
     """
-    found = count_arithmetic(function, medium)
-    assert found["p" + MAX_LANES] > 200
-    assert found["p" + MAX_LANES] >= 2 * found["sx"]
-    assert set(found) <= {"p" + MAX_LANES, "sx"}
+    counts = count_arithmetic(function, medium)
+    assert counts["p" + MAX_LANES] > 200
+    assert counts["p" + MAX_LANES] >= 2 * counts["sx"]
+    assert set(counts) <= {"p" + MAX_LANES, "sx"}

@@ -330,7 +330,7 @@ def test_stokes_vectors_stay_physical():
             fraction, d2, e2, s2 = kernel(d, e, s, n, n1, n2)
             fractions.append(fraction)
             assert -1e-15 <= fraction <= 1.0 + 1e-15
-            assert_frame(d2, e2, within=1e-14)
+            assert_frame(d2, e2, tolerance=1e-14)
             assert np.linalg.norm(s2) <= 1.0 + 1e-15
         assert sum(fractions) == pytest.approx(1.0, abs=1e-14)
 
@@ -338,7 +338,7 @@ def test_stokes_vectors_stay_physical():
 def test_sampled_interaction_is_reflection_or_refraction():
     rng = np.random.default_rng(13)
     state = start_random_stream()
-    seen = set()
+    outcomes = set()
     for i in range(GEOMETRIES):
         d, e, s, n = draw_incident_light(rng, rng.random(), pure=i % 2 == 0)
         passed, *out = interface.sample_polarized_interface(
@@ -347,5 +347,5 @@ def test_sampled_interaction_is_reflection_or_refraction():
         kernel = compute_refraction if passed else compute_reflection
         expected = np.concatenate(kernel(d, e, s, n, 1.33, 1.0)[1:])
         assert np.concatenate(to_arrays(*out)) == pytest.approx(expected, abs=1e-15)
-        seen.add(passed)
-    assert len(seen) == 2
+        outcomes.add(passed)
+    assert len(outcomes) == 2

@@ -1,4 +1,4 @@
-"""Polarized light turned and scattered: explicit rotations, dipoles, estimates against draws."""
+"""Rotation and scattering of polarized light: rotations, dipoles, sampling and evaluation."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ RAYLEIGH = phase_function.make_rayleigh()
 
 
 def rotate_linear(q, u, e, d, t):
-    """Return q and u when the reference changes from e to t."""
+    """Return q and u after a rotation of the reference axis from e to t."""
     return stokes.rotate_reference_to(to_kernel_light(e, (q, u, 0.0)), to_vector(d), to_vector(t))
 
 
 def scatter_towards(model, d, e, s, t):
-    """Return density, q, u, v, and the reference of light scattered towards t, in one array."""
+    """Return density, q, u, v, and the reference axis of light scattered towards t."""
     density, out = stokes.evaluate_polarized_scattering(
         model, to_vector(d), to_kernel_light(e, s), to_vector(t)
     )
@@ -41,7 +41,7 @@ def scatter_towards(model, d, e, s, t):
 
 
 def sample_scattering(state, model, d, e, s):
-    """Return direction, reference, and q, u, v of light scattered somewhere."""
+    """Return direction, reference axis, and q, u, v of a sampled scattering."""
     d, out = stokes.scatter_polarized(state, model, to_vector(d), to_kernel_light(e, s))
     return np.array(d), np.array(out.e), np.array(out[1:])
 
@@ -63,11 +63,11 @@ def test_rotation_by_an_angle(degrees, expected):
 def test_light_along_the_new_reference_has_q_of_1():
     a = math.radians(30.0)
     q, u = math.cos(2 * a), math.sin(2 * a)
-    turned = rotate_linear(q, u, (1, 0, 0), (0, 0, 1), (math.cos(a), math.sin(a), 0))
-    assert turned == pytest.approx((1.0, 0.0), abs=1e-15)
+    rotated = rotate_linear(q, u, (1, 0, 0), (0, 0, 1), (math.cos(a), math.sin(a), 0))
+    assert rotated == pytest.approx((1.0, 0.0), abs=1e-15)
 
 
-def test_rotation_there_and_back():
+def test_rotation_is_invertible():
     rng = np.random.default_rng(1)
     for _ in range(GEOMETRIES):
         d, e, (q, u, _) = draw_polarized_light(rng)
@@ -76,12 +76,12 @@ def test_rotation_there_and_back():
         q2, u2 = rotate_linear(q, u, e, d, t)
         assert q2**2 + u2**2 == pytest.approx(q**2 + u**2, rel=1e-14)
         assert rotate_linear(q2, u2, t, d, e) == pytest.approx((q, u), abs=1e-14)
-        # Only the direction of the new reference counts, and not how long it is.
+        # The length of the new reference and its component along d have no effect.
         longer = 3.0 * t + 0.2 * d
         assert rotate_linear(q, u, e, d, longer) == pytest.approx((q2, u2), abs=1e-13)
 
 
-def test_any_reference():
+def test_unpolarized_light_has_a_valid_frame():
     for d in draw_unit_vectors(np.random.default_rng(2), 100):
         light = stokes.make_unpolarized(to_vector(d), stokes.UNPOLARIZED)
         assert_frame(d, np.array(light.e))
@@ -93,33 +93,33 @@ def test_any_reference():
 
 
 def list_geometries(rng, d, e):
-    """Return directions: one at random, next to ±d, and exactly there."""
+    """Yield directions: a random one, ±d, and directions next to ±d."""
     yield draw_unit_vectors(rng, 1)[0]
     for sign in (1.0, -1.0):
         yield sign * d
-        for off in (1e-12, 1e-6):
-            t = sign * d + off * (0.6 * e + 0.8 * np.cross(d, e))
+        for offset in (1e-12, 1e-6):
+            t = sign * d + offset * (0.6 * e + 0.8 * np.cross(d, e))
             yield t / np.linalg.norm(t)
 
 
-def test_rayleigh_scattering_is_that_of_a_dipole():
+def test_rayleigh_scattering_matches_a_dipole():
     rng = np.random.default_rng(3)
     for i in range(GEOMETRIES):
         d, e, s = draw_polarized_light(rng, pure=i % 2 == 0)
-        inside = make_frame(d, e) @ make_coherency(*s) @ make_frame(d, e).T
+        coherency = make_frame(d, e) @ make_coherency(*s) @ make_frame(d, e).T
         for t in list_geometries(rng, d, e):
             out = scatter_towards(RAYLEIGH, d, e, s, t)
             density, e2 = out[0], out[4:]
             assert_frame(t, e2)
-            # The field of a dipole is that of the light it scatters, seen across t.
-            across = IDENTITY - np.outer(t, t)
-            expected = compute_stokes(across @ inside @ across, t, e2)
+            # The field of a dipole is the incident field projected perpendicular to t.
+            projection = IDENTITY - np.outer(t, t)
+            expected = compute_stokes(projection @ coherency @ projection, t, e2)
             assert density == pytest.approx(3.0 / (8.0 * math.pi) * expected[0], abs=1e-15)
             assert out[1:4] == pytest.approx(expected[1:] / expected[0], abs=1e-14 / expected[0])
 
 
 def make_rotation(sigma):
-    """Return the matrix that turns the reference of a Stokes vector."""
+    """Return the Mueller matrix of a rotation of the reference axis."""
     c, s = math.cos(2.0 * sigma), math.sin(2.0 * sigma)
     return np.array([[1, 0, 0, 0], [0, c, s, 0], [0, -s, c, 0], [0, 0, 0, 1]])
 
@@ -129,42 +129,42 @@ def compute_angle(e, t, d):
 
 
 @pytest.mark.parametrize("polarizing", [0.0, 0.7, 1.0])
-def test_scattering_is_rotation_scattering_matrix_rotation(polarizing):
+def test_scattering_equals_rotated_mueller_matrix(polarizing):
     rng = np.random.default_rng(4)
     g = 0.6
     model = phase_function.make_henyey_greenstein(g, polarizing)
     for _ in range(GEOMETRIES):
         d, e, s = draw_polarized_light(rng)
         t = draw_unit_vectors(rng, 1)[0]
-        across = np.cross(np.cross(d, t), d)
+        before = np.cross(np.cross(d, t), d)
         theta = math.atan2(np.linalg.norm(np.cross(d, t)), d @ t)
         m33 = 2.0 * math.cos(theta) / (1.0 + math.cos(theta) ** 2)
         m12 = -polarizing * math.sin(theta) ** 2 / (1.0 + math.cos(theta) ** 2)
         matrix = np.array([[1, m12, 0, 0], [m12, 1, 0, 0], [0, 0, m33, 0], [0, 0, 0, m33]])
-        last = np.cross(t, draw_unit_vectors(rng, 1)[0])
-        last /= np.linalg.norm(last)
-        behind = np.cross(np.cross(d, t), t)
+        reference = np.cross(t, draw_unit_vectors(rng, 1)[0])
+        reference /= np.linalg.norm(reference)
+        after = np.cross(np.cross(d, t), t)
         expected = (
-            make_rotation(compute_angle(behind, last, t))
+            make_rotation(compute_angle(after, reference, t))
             @ matrix
-            @ make_rotation(compute_angle(e, across, d))
+            @ make_rotation(compute_angle(e, before, d))
             @ np.append(1.0, s)
         )
         out = scatter_towards(model, d, e, s, t)
         p = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * math.cos(theta)) ** 1.5)
         assert out[0] == pytest.approx(p * expected[0], rel=1e-12)
-        q, u = rotate_linear(*out[1:3], out[4:], t, last)
+        q, u = rotate_linear(*out[1:3], out[4:], t, reference)
         assert (q, u, out[3]) == pytest.approx(expected[1:] / expected[0], abs=1e-11)
 
 
-def test_unpolarized_light_at_90_degrees():
+def test_rayleigh_at_90_degrees_is_fully_polarized():
     out = scatter_towards(RAYLEIGH, (0, 0, 1), (0, 1, 0), (0, 0, 0), (1, 0, 0))
-    # Polarized completely, at right angles to the plane of scattering.
+    # Fully polarized, perpendicular to the scattering plane.
     assert out[:4] == pytest.approx([3 / (16 * math.pi), -1.0, 0.0, 0.0], abs=1e-15)
     assert abs(out[4:] @ [0, 1, 0]) < 1e-15
 
 
-def test_no_light_along_the_dipole():
+def test_rayleigh_vanishes_along_the_dipole():
     out = scatter_towards(RAYLEIGH, (0, 0, 1), (1, 0, 0), (1, 0, 0), (1, 0, 0))
     assert (out[:4] == 0.0).all()
 
@@ -185,20 +185,20 @@ def test_density_integrates_to_1(model):
     half = 0.5 * np.diff(edges)[:, np.newaxis]
     mu = (edges[:-1, np.newaxis] + half * (1.0 + x)).ravel()
     weight = (half * weight).ravel()
-    turn = 2.0 * np.pi * (np.arange(6) + 0.3) / 6
+    azimuth = 2.0 * np.pi * (np.arange(6) + 0.3) / 6
     rng = np.random.default_rng(5)
     for _ in range(3):
         d, e, s = draw_polarized_light(rng, pure=True)
         total = 0.0
         for m, w in zip(mu, weight, strict=True):
-            around = make_frame(d, e) @ [np.cos(turn), np.sin(turn)]
-            for t in m * d + math.sqrt(1.0 - m * m) * around.T:
+            azimuthal = make_frame(d, e) @ [np.cos(azimuth), np.sin(azimuth)]
+            for t in m * d + math.sqrt(1.0 - m * m) * azimuthal.T:
                 total += w * scatter_towards(model, d, e, s, t)[0]
-        assert total * 2.0 * np.pi / turn.size == pytest.approx(1.0, rel=1e-11)
+        assert total * 2.0 * np.pi / azimuth.size == pytest.approx(1.0, rel=1e-11)
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-def test_what_is_drawn_is_what_is_estimated(model):
+def test_sampled_scattering_matches_the_evaluated_density(model):
     rng = np.random.default_rng(6)
     state = start_random_stream()
     for i in range(GEOMETRIES):
@@ -207,29 +207,31 @@ def test_what_is_drawn_is_what_is_estimated(model):
         assert_frame(t, e2)
         assert np.linalg.norm(s2) <= 1.0 + 1e-15
         expected = scatter_towards(model, d, e, s, t)
-        seen = 4.0 * math.pi * expected[0]
-        assert seen > 0.0
-        turned = rotate_linear(*s2[:2], e2, t, expected[4:])
-        assert (*turned, s2[2]) == pytest.approx(expected[1:4], abs=1e-10 / min(seen, 1.0))
+        relative_density = 4.0 * math.pi * expected[0]
+        assert relative_density > 0.0
+        rotated = rotate_linear(*s2[:2], e2, t, expected[4:])
+        assert (*rotated, s2[2]) == pytest.approx(
+            expected[1:4], abs=1e-10 / min(relative_density, 1.0)
+        )
 
 
 @njit
-def _scatter_repeatedly(state, model, times):
+def _scatter_repeatedly(state, model, n_scatterings):
     d = Vector(0.0, 0.6, 0.8)
     light = stokes.Stokes(Vector(1.0, 0.0, 0.0), 0.5, 0.3, -0.4)
-    for _ in range(times):
+    for _ in range(n_scatterings):
         d, light = stokes.scatter_polarized(state, model, d, light)
     return d, light
 
 
-def test_frames_survive_many_scatterings():
+def test_frames_stay_orthonormal_after_many_scatterings():
     for model in (*MODELS.values(), phase_function.make_henyey_greenstein(0.99, 1.0)):
         d, light = _scatter_repeatedly(start_random_stream(), model, scale_sample_size(50_000))
         assert_frame(np.array(d), np.array(light.e))
         assert np.linalg.norm(light[1:]) <= 1.0 + 1e-15
 
 
-def test_rayleigh_scattering_keeps_light_completely_polarized():
+def test_rayleigh_scattering_preserves_full_polarization():
     rng = np.random.default_rng(7)
     state = start_random_stream()
     for _ in range(GEOMETRIES):

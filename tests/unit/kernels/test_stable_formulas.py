@@ -1,7 +1,7 @@
-"""Formulas that lose digits if written down naively, against 50 digits by mpmath.
+"""Formulas prone to cancellation, compared with 50-digit arithmetic by mpmath.
 
-A result may be off by 1e-12 of itself, or by what the last digit of a rounded argument does to it
-(`compute_last_digit_change`): more no formula in float64 can give.
+The tolerance is a relative error of 1e-12, or the effect of the last digit of a rounded argument
+(`compute_rounding_sensitivity`), which no formula in float64 can avoid.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def compute_relative_error(value, exact):
     return float(abs((M(float(value)) - exact) / exact))
 
 
-def compute_last_digit_change(exact, x):
-    """Return the relative change of exact(x) when x moves by its last digit, either way."""
+def compute_rounding_sensitivity(exact, x):
+    """Return the largest relative change of exact(x) when x changes by its last digit."""
     centre = exact(M(x))
     return max(float(abs(exact(M(x) * (1 + s * M(EPS))) / centre - 1)) for s in (1, -1))
 
@@ -53,31 +53,33 @@ def compute_last_digit_change(exact, x):
 
 
 def evaluate_area(psi):
-    """A(Ψ) of SPLITSnow Eq A.9."""
+    """Return A(Ψ) of SPLITSnow Eq A.9."""
     x2 = 1 - psi**4
     return 3 * (1 + (mp.asin(mp.sqrt(x2)) / mp.sqrt(x2) if x2 else M(1)) / psi**2)
 
 
-def test_surface_to_volume():
+def test_surface_to_volume_ratio():
     psi = np.concatenate([np.linspace(0.1, 1.0, 181), 1.0 - np.logspace(-16, -1, 181)])
     for p, value in zip(psi, statistics.surface_to_volume_ratio(psi), strict=True):
         assert compute_relative_error(value, evaluate_area(M(float(p)))) < RELATIVE
 
 
-def test_size_attenuation_from_one_size_to_a_ratio_of_1000():
-    for spread in [0.0, *np.logspace(-16, math.log10(999.0), 150)]:
-        low, high = 2e-4, 2e-4 * (1.0 + spread)
+def test_size_attenuation_for_ratios_of_1_to_1000():
+    for relative_width in [0.0, *np.logspace(-16, math.log10(999.0), 150)]:
+        low, high = 2e-4, 2e-4 * (1.0 + relative_width)
         a, b = M(low), M(high)
         exact = 1 / a if a == b else (1 / a - 1 / b) / mp.log(b / a)
-        assert compute_relative_error(statistics.size_attenuation(low, high), exact) < RELATIVE
+        assert (
+            compute_relative_error(statistics.compute_size_attenuation(low, high), exact) < RELATIVE
+        )
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.0 + 1e-12, 2.5, 1000.0])
-def test_struck_inverse_sizes(ratio):
+def test_inverse_sizes_of_hit_grains(ratio):
     low, high = 1e-5, 1e-5 * ratio
     u = make_table_probabilities(statistics.N_TABLE_POINTS)
-    attenuation = statistics.tabulate_struck_inverse_sizes(low, high, "cross_section")
-    uniform = statistics.tabulate_struck_inverse_sizes(low, high, "uniform")
+    attenuation = statistics.tabulate_hit_inverse_sizes(low, high, "cross_section")
+    uniform = statistics.tabulate_hit_inverse_sizes(low, high, "uniform")
     for i in QUANTILES:
         p, a, b = M(float(u[i])), M(low), M(high)
         assert compute_relative_error(attenuation[i], (1 - p) / b + p / a) < RELATIVE
@@ -102,7 +104,7 @@ def integrate_bell(low, high, weight):
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_mean_and_quantiles_of_sphericity(shape):
     minimum, maximum, mean, sd = (M(x) for x in shape)
-    table = statistics.tabulate_struck_sphericities(*shape)
+    table = statistics.tabulate_hit_sphericities(*shape)
     u = make_table_probabilities(statistics.N_TABLE_POINTS)
     low, high = (minimum - mean) / sd, (maximum - mean) / sd
     with mp.workdps(25):
@@ -113,14 +115,14 @@ def test_mean_and_quantiles_of_sphericity(shape):
         total = integrate_bell(low, high, weighted)
         plain = integrate_bell(low, high, lambda t: M(1))
         assert (
-            compute_relative_error(statistics.shape_attenuation(*shape), total / plain / 4)
+            compute_relative_error(statistics.compute_shape_attenuation(*shape), total / plain / 4)
             < RELATIVE
         )
         for i in (1, 100, 512, 900, statistics.N_TABLE_POINTS - 2):
             score = (M(float(table[i])) - mean) / sd
             gap = integrate_bell(low, score, weighted) / total - M(float(u[i]))
             slope = mp.exp(-score * score / 2) * weighted(score) / total / sd
-            # A probability near 1 is rounded to EPS: what that moves the quantile.
+            # A probability near 1 is rounded to EPS, which shifts the quantile.
             assert abs(gap / slope / table[i]) < RELATIVE + float(EPS / slope / table[i])
 
 
@@ -136,20 +138,22 @@ def test_truncated_normal(limits):
     for i in QUANTILES:
         score = (M(float(table[i])) - mean) / sd
         gap = (mp.ncdf(score) - mp.ncdf(low)) / total - M(float(u[i]))
-        # Of the range: facetness starts at 0.
+        # Relative to the range, as facetness starts at 0.
         assert abs(gap * total * sd / mp.npdf(score)) < RELATIVE * (maximum - minimum)
 
 
 @pytest.mark.parametrize("sd", [5e-324, 1e-308, 1e-20])
-def test_a_spread_too_small_to_see_is_one_value(sd):
+def test_negligible_deviation_gives_a_single_value(sd):
     limits = (0.6, 0.95, 0.8, sd)
     assert (
-        compute_relative_error(statistics.shape_attenuation(*limits), evaluate_area(M(0.8)) / 4)
+        compute_relative_error(
+            statistics.compute_shape_attenuation(*limits), evaluate_area(M(0.8)) / 4
+        )
         < RELATIVE
     )
     for table in (
         statistics.tabulate_truncated_normal(*limits),
-        statistics.tabulate_struck_sphericities(*limits),
+        statistics.tabulate_hit_sphericities(*limits),
     ):
         assert (
             compute_relative_error(table[1], M(0.8)) < RELATIVE
@@ -194,14 +198,14 @@ def test_soil_sizes(texture, tail):
                 < RELATIVE
             )
             u = np.array([1e-6, 0.1, 0.5, 0.9, 1.0 - 1e-6])
-            for p, size in zip(u, piece.compute_struck_sizes(u), strict=True):
+            for p, size in zip(u, piece.compute_hit_sizes(u), strict=True):
                 x = mp.log(M(float(size)))
                 slope = shape(x, -1) / inverse
                 gap = integral(x, -1) / inverse - M(float(p))
                 assert abs(gap / slope) < RELATIVE + 4.0 * float(EPS / slope)
 
 
-# --- matter -----------------------------------------------------------------------------------
+# --- materials --------------------------------------------------------------------------------
 
 MIXTURES = [
     (1.54, 2.9 + 0.05j), (1.54, 1.54 + 1e-9j), (1.54 + 1e-6j, 1.54), (1.56 + 5e-4j, 2.3 + 0.01j),
@@ -210,7 +214,7 @@ MIXTURES = [
 
 
 @pytest.mark.parametrize(("matrix", "inclusion"), MIXTURES, ids=str)
-def test_maxwell_garnett_keeps_the_digits_of_n_and_of_k(matrix, inclusion):
+def test_maxwell_garnett_is_accurate_in_n_and_k(matrix, inclusion):
     for fraction in (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 0.5, 0.9, 1 - 1e-6, 1 - 1e-12, 1.0):
         outer, inner, f = mp.mpc(matrix) ** 2, mp.mpc(inclusion) ** 2, M(fraction)
         contrast, total = inner - outer, inner + 2 * outer
@@ -224,7 +228,7 @@ def test_maxwell_garnett_keeps_the_digits_of_n_and_of_k(matrix, inclusion):
 
 
 @pytest.mark.parametrize("below", [915.9, 0.9, 1e-6, 1e-10])
-def test_porosity_up_to_solid_ice(below):
+def test_porosity_is_accurate_up_to_solid_ice(below):
     ice = ice_density(-1.0)
     snow = splits.Snow(density_kg_m3=ice - below)
     assert (
@@ -235,7 +239,7 @@ def test_porosity_up_to_solid_ice(below):
 
 
 @pytest.mark.parametrize("temperature", [-40.0, -39.999999, -20.0, -1.0, -1e-12, 0.0])
-def test_density_of_ice(temperature):
+def test_ice_density_is_interpolated(temperature):
     rows = [(-40, 922.8), (-30, 921.6), (-20, 920.3), (-10, 918.7), (0, 916.7)]
     i = min(int((temperature + 40.0) // 10), 3)
     (t0, d0), (t1, d1) = rows[i : i + 2]
@@ -254,7 +258,7 @@ def compute_exact_reflectance(n1, n2, k2, cos_i):
 
 
 COSINES = np.concatenate([np.logspace(-12, 0, 49), 1.0 - np.logspace(-15, -1, 29)])
-NON_ABSORBING = [
+INDICES = [
     (1.0, 1.31, 0.0), (1.31, 1.0, 0.0), (1.0, 1.31, 1e-12), (1.31, 1.0, 1e-12), (1.0, 1.0, 1.0),
     (1.0, 1.0, 3.0), (1.0, 1.31, 3.0), (1.0, 0.3, 3.0), (1.5, 1.31, 0.0), (1.0, 300.0, 0.0),
 ]  # fmt: skip
@@ -267,13 +271,13 @@ NEARLY_MATCHED = [
 def check_reflectance(indices, cosines):
     for cos_i in map(float, cosines):
         exact = compute_exact_reflectance(*indices, M(cos_i))
-        allowed = RELATIVE + 4.0 * compute_last_digit_change(
+        allowed = RELATIVE + 4.0 * compute_rounding_sensitivity(
             lambda c: compute_exact_reflectance(*indices, c), cos_i
         )
         assert compute_relative_error(fresnel(*indices, cos_i)[0], exact) < allowed, cos_i
 
 
-@pytest.mark.parametrize("indices", NON_ABSORBING, ids=str)
+@pytest.mark.parametrize("indices", INDICES, ids=str)
 def test_reflectance_from_normal_to_grazing(indices):
     check_reflectance(indices, COSINES)
 
@@ -281,8 +285,8 @@ def test_reflectance_from_normal_to_grazing(indices):
 @pytest.mark.parametrize(("n1", "n2"), [(1.31, 1.0), (1.5, 1.31), (300.0, 1.0)])
 def test_reflectance_about_the_critical_angle(n1, n2):
     critical = math.sqrt((n1 - n2) * (n1 + n2)) / n1
-    away = np.logspace(-15, -2, 27)
-    cosines = critical * np.concatenate([1.0 + away, 1.0 - away])
+    offsets = np.logspace(-15, -2, 27)
+    cosines = critical * np.concatenate([1.0 + offsets, 1.0 - offsets])
     check_reflectance((n1, n2, 0.0), cosines[cosines <= 1.0])
 
 
@@ -291,12 +295,14 @@ def test_small_reflectance_of_nearly_matched_indices(indices):
     check_reflectance(indices, COSINES)
 
 
-def test_transmitted_share_at_grazing_incidence():
+def test_transmittance_at_grazing_incidence():
     # 1 − R = 2 cosθ (1 + n²)/√(n² − 1) to first order, above the resolution of R itself.
     n = 1.31
     for cos_i in np.logspace(-12, -8, 9):
-        passed = 2.0 * cos_i * (1.0 + n * n) / math.sqrt(n * n - 1.0)
-        assert 1.0 - fresnel(1.0, n, 0.0, cos_i)[0] == pytest.approx(passed, rel=1e-6, abs=4e-16)
+        transmittance = 2.0 * cos_i * (1.0 + n * n) / math.sqrt(n * n - 1.0)
+        assert 1.0 - fresnel(1.0, n, 0.0, cos_i)[0] == pytest.approx(
+            transmittance, rel=1e-6, abs=4e-16
+        )
 
 
 # --- grains -----------------------------------------------------------------------------------
@@ -309,25 +315,25 @@ def draw_directions(rng):
 
 
 def compute_exact_chord(q, d, w, flattening):
-    """Return chord and other end, and how far rounding of every product may carry it, in EPS."""
+    """Return chord, exit point, and the amplification of rounding errors in units of EPS."""
     q, d, w = ([M(float(x)) for x in v] for v in (q, d, w))
     f = M(flattening)
 
     def dot(x, y, size=lambda v: v):
         return sum(size(a * b) for a, b in zip(x, y, strict=True))
 
-    squeezed = [a - f * dot(d, w) * b for a, b in zip(d, w, strict=True)]
-    # Each component of the squeezed direction errs as its largest term does.
+    scaled = [a - f * dot(d, w) * b for a, b in zip(d, w, strict=True)]
+    # The error of each component of the scaled direction is that of its largest term.
     sizes = [abs(a) + f * dot(d, w, abs) * abs(b) for a, b in zip(d, w, strict=True)]
-    along, square = dot(q, squeezed), dot(squeezed, squeezed)
-    spread = dot(q, sizes, abs) / abs(along) + 2 * dot(squeezed, sizes, abs) / square
+    along, square = dot(q, scaled), dot(scaled, scaled)
+    amplification = dot(q, sizes, abs) / abs(along) + 2 * dot(scaled, sizes, abs) / square
     chord = -2 * along / square
-    return chord, [a + chord * b for a, b in zip(q, squeezed, strict=True)], float(spread)
+    return chord, [a + chord * b for a, b in zip(q, scaled, strict=True)], float(amplification)
 
 
 @pytest.mark.parametrize("psi", [1.0, 1.0 - 1e-12, 0.8, 0.3, 0.1])
 @pytest.mark.parametrize("grazing", [1.0, 1e-3, 1e-6, 1e-9])
-def test_chord_down_to_a_grazing_ray(psi, grazing):
+def test_chord_is_accurate_for_grazing_rays(psi, grazing):
     flattening = 1.0 - psi * psi
     for w, s, t in draw_directions(np.random.default_rng(7)):
         # A point of the unit sphere, and a direction along the surface there.
@@ -335,12 +341,12 @@ def test_chord_down_to_a_grazing_ray(psi, grazing):
         n = np.array(spheroid.compute_outward_normal(grain))
         tangent = np.cross(n, t)
         d = -grazing * n + math.sqrt(1.0 - grazing**2) * tangent / np.linalg.norm(tangent)
-        exact, end, spread = compute_exact_chord(s, d, w, flattening)
-        value, there = spheroid.compute_chord(grain, Vector(*d))
-        assert compute_relative_error(value, exact) < RELATIVE + 4.0 * EPS * spread
-        # In lengths of the grain this is always nothing.
+        exact, exact_exit, amplification = compute_exact_chord(s, d, w, flattening)
+        value, exit_grain = spheroid.compute_chord(grain, Vector(*d))
+        assert compute_relative_error(value, exact) < RELATIVE + 4.0 * EPS * amplification
+        # This is negligible compared with the size of the grain.
         assert abs(value - float(exact)) < 1e-11 / (psi * psi)
-        assert np.abs(np.array(there.q) - np.array(end, dtype=float)).max() < 1e-11
+        assert np.abs(np.array(exit_grain.q) - np.array(exact_exit, dtype=float)).max() < 1e-11
 
 
 def test_tilt_of_a_rough_facet():
@@ -363,9 +369,9 @@ def check_tilt(facetness):
         if tilt >= 1.0:
             continue
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
-        numbers = InteractionVariates(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
+        variates = InteractionVariates(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
         facet = microfacet.sample_microfacet(
-            d, smooth, 0.5 * facetness, numbers, False, microfacet.UNWEIGHTED_FACETS
+            d, smooth, 0.5 * facetness, variates, False, microfacet.UNWEIGHTED_FACETS
         )
         assert facet.tilt.cos == 1.0 - tilt
         assert compute_relative_error(0.6 * facet.tilt.sin, exact) < RELATIVE

@@ -50,9 +50,9 @@ READERS = {
         lambda path: splits.Snow(impurities_ng_g={"mine": {"ng_g": 5, "table": str(path)}}),
     ),
 }
-"""Ways to a table of a user, and the column that carries its values."""
-OTHER_READERS = {"sky": ",diffuse", "index": ",k"}
-"""Columns that a way needs besides, all 0.1."""
+"""Functions that read a table of a user, and the column of its values."""
+EXTRA_COLUMNS = {"sky": ",diffuse", "index": ",k"}
+"""Further columns that a reader requires, all 0.1."""
 
 VALID_TEXTS = "wavelength_nm,VALUE\n400,0.9\n450,0.8\n500,0.9\n550,0.8\n600,0.9\n650,0.8\n700,0.9\n"
 VALID_TEXTS += "750,0.8\n800,0.9\n850,0.8\n900,0.9\n"
@@ -85,19 +85,19 @@ INVALID_TEXTS = {
 }  # fmt: skip
 
 
-def make_table_text(way, text=VALID_TEXTS):
-    """Return the text of a table for a way, with all columns that it needs."""
-    value, more = READERS[way][0], OTHER_READERS.get(way, "")
-    if more and text:
+def make_table_text(reader, text=VALID_TEXTS):
+    """Return the text of a table with all columns that a reader requires."""
+    value, extra_columns = READERS[reader][0], EXTRA_COLUMNS.get(reader, "")
+    if extra_columns and text:
         head, *rows = text.split("\n")
-        text = "\n".join([head + more, *(row + ",0.1" if row else row for row in rows)])
+        text = "\n".join([head + extra_columns, *(row + ",0.1" if row else row for row in rows)])
     return text.replace("VALUE", value)
 
 
-@pytest.mark.parametrize("way", READERS)
-def test_a_sound_table_is_read_everywhere(tmp_path, way):
+@pytest.mark.parametrize("reader", READERS)
+def test_valid_tables_are_read_by_all_readers(tmp_path, reader):
     path = tmp_path / "mine.csv"
-    text = "# Citation, in µm\n\n" + make_table_text(way).replace("0.8", " 0.8 ", 2)
+    text = "# Citation, in µm\n\n" + make_table_text(reader).replace("0.8", " 0.8 ", 2)
     for content in (
         text.encode(),
         text.encode("utf-8-sig"),
@@ -106,27 +106,29 @@ def test_a_sound_table_is_read_everywhere(tmp_path, way):
         text.replace("0.9\n", "0.9 # cloudy\n", 1).encode(),
     ):
         path.write_bytes(content)  # fmt: skip
-        READERS[way][1](path)
+        READERS[reader][1](path)
 
 
-@pytest.mark.parametrize("what", INVALID_TEXTS)
-@pytest.mark.parametrize("way", READERS)
-def test_ambiguous_content_is_rejected_everywhere(tmp_path, way, what):
-    (old, new), told = INVALID_TEXTS[what]
-    if way in OTHER_READERS:
-        told = told.replace("3, in the header: 2", "4, in the header: 3")
-        told = told.replace("1, in the header: 2", "2, in the header: 3").split("; a comma")[0]
+@pytest.mark.parametrize("defect", INVALID_TEXTS)
+@pytest.mark.parametrize("reader", READERS)
+def test_ambiguous_content_is_rejected_by_all_readers(tmp_path, reader, defect):
+    (old, new), message = INVALID_TEXTS[defect]
+    if reader in EXTRA_COLUMNS:
+        message = message.replace("3, in the header: 2", "4, in the header: 3")
+        message = message.replace("1, in the header: 2", "2, in the header: 3").split("; a comma")[
+            0
+        ]
     path = tmp_path / "mine.csv"
-    changed = VALID_TEXTS.replace(old, new, -1 if what == "semicolons" else 1)
-    path.write_text(make_table_text(way, changed), encoding="utf-8")
-    with pytest.raises(ValueError, match=told.replace("VALUE", READERS[way][0])) as caught:
-        READERS[way][1](path)
-    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+    changed = VALID_TEXTS.replace(old, new, -1 if defect == "semicolons" else 1)
+    path.write_text(make_table_text(reader, changed), encoding="utf-8")
+    with pytest.raises(ValueError, match=message.replace("VALUE", READERS[reader][0])) as error:
+        READERS[reader][1](path)
+    assert "\n" not in str(error.value) and str(path) in str(error.value)
 
 
-@pytest.mark.parametrize("way", EXPERIMENTS)
+@pytest.mark.parametrize("reader", EXPERIMENTS)
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda text: text.replace("400,", "0.4,"), r"wavelength_nm = 0\.4: .*micrometres"),
         (lambda text: text.replace("400,", "1000,"), "strictly increasing"),
@@ -135,29 +137,29 @@ def test_ambiguous_content_is_rejected_everywhere(tmp_path, way, what):
         (lambda text: text.replace("wavelength_nm", "wavelength"), "no column wavelength_nm"),
     ],
 )
-def test_spectra_are_fractions_over_increasing_nanometres(tmp_path, way, change, told):
+def test_spectra_are_fractions_over_increasing_nanometres(tmp_path, reader, change, message):
     path = tmp_path / "mine.csv"
-    path.write_text(change(make_table_text(way)), encoding="utf-8")
-    with pytest.raises(ValueError, match=told):
-        READERS[way][1](path)
+    path.write_text(change(make_table_text(reader)), encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        READERS[reader][1](path)
 
 
-def test_gaps_stay_gaps_in_figures_and_are_rejected_in_fits_and_retrievals(tmp_path):
+def test_gaps_are_allowed_in_figures_only(tmp_path):
     path = tmp_path / "mine.csv"
     for gap in ("", "NaN", "n/a"):
         path.write_text(make_table_text("figure").replace("0.9", gap, 1), encoding="utf-8")
         READERS["figure"][1](path)
         assert np.isnan(read_measured(path).reflectance[0])
-        for way in ("fit", "retrieve"):
+        for reader in ("fit", "retrieve"):
             with pytest.raises(ValueError, match=r"gap|nan"):
-                READERS[way][1](path)
+                READERS[reader][1](path)
     path.write_text("wavelength_nm,reflectance\n400,\n500,\n", encoding="utf-8")
     with pytest.raises(ValueError, match="columns wavelength_nm and reflectance"):
         READERS["figure"][1](path)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("wavelength_nm,reflectance,reflectance_min\n400,0.9,0.8\n", "with both reflectance_min"),
         (
@@ -166,29 +168,29 @@ def test_gaps_stay_gaps_in_figures_and_are_rejected_in_fits_and_retrievals(tmp_p
         ),
     ],
 )
-def test_spans_of_figures_lie_around_their_values(tmp_path, text, told):
+def test_ranges_of_figures_must_contain_their_values(tmp_path, text, message):
     path = tmp_path / "mine.csv"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         READERS["figure"][1](path)
 
 
-def test_a_number_sign_in_a_name_is_part_of_it(tmp_path):
+def test_a_number_sign_in_a_column_name_is_kept(tmp_path):
     path = tmp_path / "mine.csv"
     path.write_text("wavelength_nm,sample #1,sample #2\n400,0.9,0.1\n", encoding="utf-8")
     assert list(read_measured(path)) == ["wavelength_nm", "sample #1", "sample #2"]
 
 
 @pytest.mark.parametrize("path", SHIPPED_TABLES, ids=[path.stem for path in SHIPPED_TABLES])
-def test_shipped_tables_are_read_bit_by_bit_as_before(path):
-    ours, theirs = read_measured(path), pd.read_csv(path, comment="#")
-    assert list(ours) == list(theirs)
-    assert (ours.to_numpy() == theirs.to_numpy(dtype=float)).all()
+def test_shipped_tables_are_read_exactly_as_by_pandas(path):
+    actual, expected = read_measured(path), pd.read_csv(path, comment="#")
+    assert list(actual) == list(expected)
+    assert (actual.to_numpy() == expected.to_numpy(dtype=float)).all()
 
 
-def test_large_files_and_long_cells_take_no_time(tmp_path):
+def test_large_files_and_long_cells_are_rejected_quickly(tmp_path):
     path = tmp_path / "mine.csv"
-    begun = time.perf_counter()
+    start = time.perf_counter()
     for cell in (200_000 * "1" + "x", 200_000 * "1" + "e", 100_000 * "1." + "1"):
         path.write_text(f"wavelength_nm,n\n400,{cell}\n", encoding="utf-8")
         with pytest.raises(ValueError, match="line 2"):
@@ -197,4 +199,4 @@ def test_large_files_and_long_cells_take_no_time(tmp_path):
         file.truncate(MAX_TABLE_BYTES + 1)
     with pytest.raises(ValueError, match="at most 32 MiB"):
         read_user_table("index", path, ("wavelength_nm", "n"))
-    assert time.perf_counter() - begun < 10.0
+    assert time.perf_counter() - start < 10.0

@@ -24,17 +24,17 @@ def compute_added_absorption(snow, wavelengths=W):
     )
 
 
-def test_soot_absorbs_by_its_mass_per_volume_of_ice():
+def test_soot_absorption_matches_its_mass_concentration():
     """7500 m²/kg at 550 nm (Flanner et al. 2021), 100 ng in every g of ice."""
-    more = compute_added_absorption(splits.Snow(impurities_ng_g={"black_carbon": 100.0}))
-    assert more[1, ICE] == pytest.approx(7513.0 * 1e-7 * ice_density(-1.0), rel=1e-3)
-    assert (more[:, [DRY, WET]] == 0.0).all()
+    added = compute_added_absorption(splits.Snow(impurities_ng_g={"black_carbon": 100.0}))
+    assert added[1, ICE] == pytest.approx(7513.0 * 1e-7 * ice_density(-1.0), rel=1e-3)
+    assert (added[:, [DRY, WET]] == 0.0).all()
 
 
-def test_as_much_is_absorbed_wherever_it_is():
-    """Per volume of snow, if light were the same everywhere."""
-    dirt = {"impurities_ng_g": {"dust_sahara": 2000.0}, "algae_cells_ml": {"snow_algae": 1e4}}
-    ice, pores = (splits.Snow(impurities_in=place, **dirt) for place in ("ice", "pores"))
+def test_absorption_is_independent_of_the_location():
+    """Impurities in ice and in pores add the same absorption per volume of snow."""
+    amounts = {"impurities_ng_g": {"dust_sahara": 2000.0}, "algae_cells_ml": {"snow_algae": 1e4}}
+    ice, pores = (splits.Snow(impurities_in=location, **amounts) for location in ("ice", "pores"))
     np.testing.assert_allclose(
         ice.ice_fraction * compute_added_absorption(ice)[:, ICE],
         compute_added_absorption(pores)[:, DRY],
@@ -46,43 +46,43 @@ def test_as_much_is_absorbed_wherever_it_is():
     assert (compute_added_absorption(pores)[:, ICE] == 0.0).all()
 
 
-def test_kinds_add_up_and_tables_of_ones_own_serve(tmp_path):
+def test_absorption_of_impurities_is_additive(tmp_path):
     path = tmp_path / "mine.csv"
     path.write_text("# mine\nwavelength_nm,absorption_m2_kg\n300,100\n800,50\n")
     lists = {"ng_g": 10.0, "wavelength_nm": [300, 800], "absorption_m2_kg": [100, 50]}
     soot = splits.Snow(impurities_ng_g={"black_carbon": 5.0})
-    both = splits.Snow(
+    mixed = splits.Snow(
         impurities_ng_g={"black_carbon": 5.0, "mine": {"ng_g": 10.0, "table": str(path)}}
     )
-    alone = splits.Snow(impurities_ng_g={"mine": lists})
+    user = splits.Snow(impurities_ng_g={"mine": lists})
     np.testing.assert_allclose(
-        compute_added_absorption(both),
-        compute_added_absorption(soot) + compute_added_absorption(alone),
+        compute_added_absorption(mixed),
+        compute_added_absorption(soot) + compute_added_absorption(user),
         rtol=1e-9,
     )
-    assert compute_added_absorption(alone)[0, ICE] == pytest.approx(
+    assert compute_added_absorption(user)[0, ICE] == pytest.approx(
         90.0 * 1e-8 * ice_density(-1.0), rel=1e-9
     )
-    facts = both.describe()
-    assert facts["black_carbon_ng_g"] == pytest.approx(5.0)
-    assert len(facts["mine_sha256"]) == 64
-    assert facts["impurities_in"] == "ice"
+    attributes = mixed.describe()
+    assert attributes["black_carbon_ng_g"] == pytest.approx(5.0)
+    assert len(attributes["mine_sha256"]) == 64
+    assert attributes["impurities_in"] == "ice"
 
 
-def test_layers_of_a_stack_have_their_own():
+def test_impurities_apply_to_their_layer():
     clean, dirty = splits.Snow(), splits.Snow(impurities_ng_g={"black_carbon": 500.0})
     stack = splits.Stack([clean, dirty, splits.Sand(), clean], interpretation="splits_2007")
-    plain = splits.Stack([clean, clean, splits.Sand(), clean], interpretation="splits_2007")
-    more = (
+    clean_stack = splits.Stack([clean, clean, splits.Sand(), clean], interpretation="splits_2007")
+    added = (
         compute_optical_constants(stack, W).absorption
-        - compute_optical_constants(plain, W).absorption
+        - compute_optical_constants(clean_stack, W).absorption
     )
     assert stack.list_materials()[5] == "layers.1.ice"
-    assert (more[:, 5] > 0.0).all()
-    assert (np.delete(more, 5, axis=1) == 0.0).all()
+    assert (added[:, 5] > 0.0).all()
+    assert (np.delete(added, 5, axis=1) == 0.0).all()
 
 
-def test_every_kind_absorbs_over_the_whole_solar_spectrum():
+def test_all_impurities_absorb_over_the_solar_spectrum():
     w = np.linspace(300.0, 2500.0, 221)
     for kind in list_impurities():
         assert (
@@ -90,19 +90,19 @@ def test_every_kind_absorbs_over_the_whole_solar_spectrum():
         ).all(), kind
 
 
-def test_tables_of_ones_own_are_inputs_of_an_experiment():
-    """A changed table runs it again, and an archive holds it."""
-    mine = {"mine": {"ng_g": 3, "table": "mine.csv"}}
-    layers = [{"kind": "snow", "impurities_ng_g": mine}]
+def test_user_tables_are_inputs_of_an_experiment():
+    """A changed table invalidates results, and the table is part of an archive."""
+    user_table = {"mine": {"ng_g": 3, "table": "mine.csv"}}
+    layers = [{"kind": "snow", "impurities_ng_g": user_table}]
     assert list_table_paths({"medium": {"kind": "stack", "layers": layers}}) == ["mine.csv"]
-    assert list_table_paths({"grid": {"impurities_ng_g": {"dirty": mine}}}) == ["mine.csv"]
+    assert list_table_paths({"grid": {"impurities_ng_g": {"dirty": user_table}}}) == ["mine.csv"]
 
 
 LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("keywords", "message"),
     [
         ({"impurities_ng_g": {"black_carbn": 5}}, "did you mean black_carbon"),
         ({"impurities_ng_g": {"soot": 5}}, r"one of black_carbon, .*did you mean black_carbon"),
@@ -124,18 +124,18 @@ LISTS = {"ng_g": 3, "wavelength_nm": [300, 3000], "absorption_m2_kg": [1]}
         ({"impurities_ng_g": {"mine": LISTS | {"absorption_m2_kg": [1, -1]}}}, "at least 0"),
     ],
 )
-def test_bad_impurities_are_rejected_in_one_line(given, text):
-    with pytest.raises(ValueError, match=text) as error:
-        splits.Snow(**given)
+def test_invalid_impurities_are_rejected_in_one_line(keywords, message):
+    with pytest.raises(ValueError, match=message) as error:
+        splits.Snow(**keywords)
     assert "\n" not in str(error.value)
 
 
-def test_a_table_of_ones_own_stands_in_the_attributes():
-    own = {"ng_g": 3, "wavelength_nm": [300, 2500], "absorption_m2_kg": [20.0, 1.0]}
-    facts = splits.Snow(impurities_ng_g={"mine": own}).describe()
-    assert facts["mine_ng_g"] == pytest.approx(3.0)
-    assert facts["mine_wavelength_nm"].tolist() == [300.0, 2500.0]
-    assert facts["mine_absorption_m2_kg"].tolist() == [20.0, 1.0]
+def test_user_tables_are_recorded_in_the_attributes():
+    table = {"ng_g": 3, "wavelength_nm": [300, 2500], "absorption_m2_kg": [20.0, 1.0]}
+    attributes = splits.Snow(impurities_ng_g={"mine": table}).describe()
+    assert attributes["mine_ng_g"] == pytest.approx(3.0)
+    assert attributes["mine_wavelength_nm"].tolist() == [300.0, 2500.0]
+    assert attributes["mine_absorption_m2_kg"].tolist() == [20.0, 1.0]
 
 
 def test_wavelengths_outside_the_table_are_rejected():
@@ -144,23 +144,24 @@ def test_wavelengths_outside_the_table_are_rejected():
 
 
 @pytest.mark.slow
-def test_soot_in_ice_is_ice_that_absorbs_more():
-    """Extinction so faint does not reflect: the same as ice of a larger k."""
-    w, each = np.array([500.0, 600.0, 700.0]), {"saturation": 0.0, "depth_m": 0.05}
-    dirty = splits.Snow(impurities_ng_g={"black_carbon": 2000.0}, **each)
+def test_soot_in_ice_is_equivalent_to_larger_extinction():
+    """Weak extinction does not affect reflection, so soot is equivalent to ice of larger k."""
+    w, settings = np.array([500.0, 600.0, 700.0]), {"saturation": 0.0, "depth_m": 0.05}
+    dirty = splits.Snow(impurities_ng_g={"black_carbon": 2000.0}, **settings)
     alpha = compute_optical_constants(dirty, w).absorption[:, ICE]
     n = dirty.refractive_index["ice"](w).real
     k = alpha * w * 1e-9 / (4.0 * np.pi)
     table = {"wavelength_nm": list(w), "n": list(n), "k": list(k)}
-    absorbing = splits.Snow(refractive_index={"ice": table}, **each)
-    one, other = (
+    absorbing = splits.Snow(refractive_index={"ice": table}, **settings)
+    with_impurity, with_index = (
         splits.spectrophotometer(snow, w, max_stderr=0.004, seed=seed)
         for seed, snow in enumerate((dirty, absorbing), start=1)
     )
     z = [
-        (one[name] - other[name]) / np.hypot(one[f"{name}_stderr"], other[f"{name}_stderr"])
+        (with_impurity[name] - with_index[name])
+        / np.hypot(with_impurity[f"{name}_stderr"], with_index[f"{name}_stderr"])
         for name in ("reflectance", "transmittance")
     ]
     judge_z(np.array(z), independent=1, bound_added=True)
-    clean = splits.spectrophotometer(splits.Snow(**each), w, max_stderr=0.004)
-    assert (clean.reflectance - one.reflectance > 0.02).all()
+    clean = splits.spectrophotometer(splits.Snow(**settings), w, max_stderr=0.004)
+    assert (clean.reflectance - with_impurity.reflectance > 0.02).all()

@@ -26,7 +26,7 @@ def average_goethite_k(low: float, high: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("mineral", "name"), NAMED)
-def test_every_dataset_covers_the_visible_with_a_possible_index_and_a_source(mineral, name):
+def test_datasets_cover_the_visible_and_name_a_source(mineral, name):
     index = make_refractive_index(mineral, name)
     m = index(np.linspace(400.0, 1000.0, 301).reshape(7, 43))
     assert m.shape == (7, 43) and m.dtype == complex
@@ -36,7 +36,7 @@ def test_every_dataset_covers_the_visible_with_a_possible_index_and_a_source(min
 
 
 @pytest.mark.parametrize("mineral", MINERALS)
-def test_densities(mineral):
+def test_mineral_densities_are_plausible(mineral):
     assert 2500.0 < MINERAL_DENSITY_KG_M3[mineral] < 5300.0
     assert set(MINERAL_DENSITY_KG_M3) == set(MINERALS)
 
@@ -44,13 +44,13 @@ def test_densities(mineral):
 @pytest.mark.parametrize(
     ("name", "n"), [("ghosh_1999_ordinary", 1.5443), ("ghosh_1999_extraordinary", 1.5534)]
 )
-def test_quartz_at_the_sodium_line(name, n):
+def test_quartz_index_at_the_sodium_line(name, n):
     """Optical mineralogy: ω = 1.544, ε = 1.553."""
     assert complex(make_refractive_index("quartz", name)(589.3)) == pytest.approx(n, abs=2e-4)
 
 
-def test_quartz_follows_its_formula():
-    """Both coefficients and form by hand, λ in µm, from Ghosh 1999 for the ordinary ray."""
+def test_quartz_index_matches_its_formula():
+    """The formula and coefficients are those of Ghosh (1999) for the ordinary ray, λ in µm."""
     square = 0.5**2
     epsilon = 1.28604141 + 1.07044083 * square / (square - 0.0100585997)
     epsilon += 1.10202242 * square / (square - 100.0)
@@ -63,7 +63,7 @@ def test_quartz_follows_its_formula():
 @pytest.mark.parametrize(
     ("inside", "example"), [([500.0], "198, 2054"), ([500, 799.5], "500, 800")]
 )
-def test_outside_its_range_quartz_is_rejected_like_a_table(outside, inside, example):
+def test_wavelengths_outside_the_range_of_quartz_are_rejected(outside, inside, example):
     message = str(
         invalid(
             "wavelength_nm",
@@ -73,14 +73,14 @@ def test_outside_its_range_quartz_is_rejected_like_a_table(outside, inside, exam
             "other data",
         )
     )
-    with pytest.raises(ValueError) as caught:
+    with pytest.raises(ValueError) as error:
         make_refractive_index("quartz")([*inside, outside])
-    assert str(caught.value) == message
+    assert str(error.value) == message
     with pytest.raises(ValueError, match="the range of oscillators"):
         GOETHITE([500.0, 299.0])
 
 
-def test_hematite_is_the_root_of_the_mean_dielectric_constant():
+def test_hematite_averages_the_permittivity():
     mean = make_refractive_index("hematite")
     o, e = (
         make_refractive_index("hematite", f"querry_1985_{ray}ordinary") for ray in ("", "extra")
@@ -93,25 +93,25 @@ def test_hematite_is_the_root_of_the_mean_dielectric_constant():
     assert set(mean.wavelength_nm) <= set(o.wavelength_nm) | set(e.wavelength_nm)
 
 
-def test_rows_that_cannot_stand_in_a_table_are_left_out():
+def test_invalid_rows_of_tables_are_dropped():
     w = np.array([1.0, 2.0, 2.0, 4.0, 3.0, 5.0, 6.0, 7.0])
     k = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, -0.1, 0.1])
-    kept, n, kept_k = _drop_invalid_rows(w, w + 1.0, k)
-    assert kept.tolist() == [1.0, 2.0, 4.0, 5.0]
-    assert n.tolist() == [2.0, 3.0, 5.0, 6.0] and kept_k.tolist() == [0.1, 0.2, 0.4, 0.6]
+    wavelengths, n, extinctions = _drop_invalid_rows(w, w + 1.0, k)
+    assert wavelengths.tolist() == [1.0, 2.0, 4.0, 5.0]
+    assert n.tolist() == [2.0, 3.0, 5.0, 6.0] and extinctions.tolist() == [0.1, 0.2, 0.4, 0.6]
     ordinary = make_refractive_index("hematite", "querry_1985_ordinary")
     assert ordinary.wavelength_nm.size == 619 - 1 - 11
     assert make_refractive_index("magnetite").wavelength_nm[-1] == 55555.6
 
 
-def test_kaolinite_is_a_constant_and_says_so():
+def test_kaolinite_is_a_documented_constant():
     index = make_refractive_index("kaolinite")
     assert index([400.0, 2500.0]).tolist() == [1.56 + 5e-4j] * 2
     assert "constant" in index.name and "constant" in index.source
     assert make_refractive_index("kaolinite", {"k_factor": 2.0})(500.0) == 1.56 + 1e-3j
 
 
-def test_goethite_has_the_index_of_optical_mineralogy():
+def test_goethite_index_matches_optical_mineralogy():
     assert GOETHITE(570.0).real == pytest.approx(2.36, abs=0.02)
     assert "model" in GOETHITE.source
 
@@ -131,7 +131,7 @@ def test_goethite_absorbs_blue_more_than_red():
 
 
 @pytest.mark.parametrize("centre", [650.0, 900.0])
-def test_goethite_has_bumps_at_its_crystal_field_bands(centre):
+def test_goethite_has_crystal_field_bands(centre):
     k = average_goethite_k(centre - 60.0, centre + 60.0)
     baseline = np.linspace(k[0], k[-1], k.size)
     assert abs(np.argmax(k - baseline) - 60) <= 12
@@ -139,7 +139,7 @@ def test_goethite_has_bumps_at_its_crystal_field_bands(centre):
 
 
 @pytest.mark.parametrize("band", GOETHITE.oscillators)
-def test_each_band_absorbs_most_near_its_own_energy(band):
+def test_absorption_bands_peak_at_their_energy(band):
     energy = np.linspace(0.3, 6.0, 5701)
     absorbed = band.permittivity(energy).imag
     assert energy[np.argmax(absorbed)] == pytest.approx(band.energy_ev, rel=0.02)
@@ -149,23 +149,23 @@ def test_each_band_absorbs_most_near_its_own_energy(band):
 
 
 @pytest.mark.parametrize("wavelength", [380.0, 480.0, 570.0, 650.0, 900.0, 2000.0])
-def test_goethite_obeys_kramers_and_kronig(wavelength):
+def test_goethite_fulfils_kramers_kronig(wavelength):
     """n − n∞ = (2/π) P∫ E' k(E') / (E'² − E²) dE', the pole subtracted, over all energies."""
-    own = HC_EV_NM / wavelength
-    # Symmetric in log energy about the pole, which lies between two nodes: of what is subtracted,
-    # E k(E) P∫ dE'/(E'² − E²) = 0, the two ends then cancel.
+    pole = HC_EV_NM / wavelength
+    # Nodes are symmetric in log energy about the pole, which lies between two nodes, so that the
+    # ends of the subtracted term, E k(E) P∫ dE'/(E'² − E²) = 0, cancel.
     step = 2e-4
-    energy = own * np.exp(step * (np.arange(-60_000, 60_000) + 0.5))
+    energy = pole * np.exp(step * (np.arange(-60_000, 60_000) + 0.5))
     k = np.sqrt(GOETHITE.permittivity(energy)).imag
-    own_k = GOETHITE(wavelength).imag
-    integrand = (energy * k - own * own_k) / (energy**2 - own**2)
+    k_at_pole = GOETHITE(wavelength).imag
+    integrand = (energy * k - pole * k_at_pole) / (energy**2 - pole**2)
     integral = np.sum(integrand * energy) * step
     expected = np.sqrt(GOETHITE.high_energy_permittivity) + 2.0 / np.pi * integral
     assert GOETHITE(wavelength).real == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize("change", [{"energy_ev": 0.0}, {"strength": -1.0}, {"width_ev": np.nan}])
-def test_impossible_bands_are_rejected(change):
+def test_invalid_oscillators_are_rejected(change):
     with pytest.raises(ValueError, match=next(iter(change))):
         LorentzOscillator(**{"energy_ev": 2.0, "strength": 0.1, "width_ev": 0.2, **change})
     with pytest.raises(ValueError, match="high_energy"):

@@ -1,4 +1,4 @@
-"""Refractive indices: named datasets, interpolation, constants and tables of the user's own."""
+"""Refractive indices: named datasets, interpolation, constants and user tables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TABULATED = ("ice", "water", "hematite", "magnetite")
 NAMED = [(material, name) for material in TABULATED for name in list_datasets(material)]
 TABLE = {"wavelength_nm": [400.0, 800.0, 1600.0], "n": [1.3, 1.4, 1.2], "k": [1e-8, 1e-4, 1e-2]}
 CSV = "# made up\nwavelength_nm, n, k\n400, 1.3, 1e-8\n800, 1.4, 1e-4\n1600, 1.2, 1e-2\n"
-# Rows as printed in the tables' sources: wavelength (nm), n, k.
+# Rows as printed in the sources of the tables: wavelength (nm), n, k.
 PUBLISHED = [
     ("ice", "warren_brandt_2008", 600.0, 1.3094, 5.73e-9),
     ("ice", "warren_brandt_2008", 1000.0, 1.3015, 1.62e-6),
@@ -35,7 +35,7 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize(("material", "name"), NAMED)
-def test_a_dataset_gives_its_table_back(material, name):
+def test_datasets_are_exact_at_their_nodes(material, name):
     table = make_refractive_index(material, name)
     index = table(table.wavelength_nm)
     np.testing.assert_allclose(index.real, table.n, rtol=1e-14)
@@ -45,21 +45,21 @@ def test_a_dataset_gives_its_table_back(material, name):
 
 
 @pytest.mark.parametrize(("material", "name", "wavelength", "n", "k"), PUBLISHED)
-def test_published_rows(material, name, wavelength, n, k):
+def test_datasets_contain_published_rows(material, name, wavelength, n, k):
     index = complex(make_refractive_index(material, name)(wavelength))
     assert index.real == pytest.approx(n, abs=6e-4)
     assert index.imag == pytest.approx(k, rel=5e-3)
 
 
 @pytest.mark.parametrize("material", TABULATED)
-def test_nothing_stands_for_the_first_named_dataset(material):
+def test_default_is_the_first_dataset(material):
     assert make_refractive_index(material) is make_refractive_index(
         material, list_datasets(material)[0]
     )
 
 
 @pytest.mark.parametrize(("material", "name"), NAMED)
-def test_k_is_interpolated_in_log_and_n_linearly_in_log_wavelength(material, name):
+def test_interpolation_is_linear_in_log_wavelength(material, name):
     table = make_refractive_index(material, name)
     w, n, k = table.wavelength_nm, table.n, table.k
     index = table(np.sqrt(w[1:] * w[:-1]))
@@ -67,7 +67,7 @@ def test_k_is_interpolated_in_log_and_n_linearly_in_log_wavelength(material, nam
     np.testing.assert_allclose(index.imag, np.sqrt(k[1:] * k[:-1]), rtol=1e-10)
 
 
-def test_k_is_interpolated_linearly_beside_a_row_without_absorption():
+def test_k_is_interpolated_linearly_next_to_zero():
     table = make_refractive_index("ice", {**TABLE, "k": [0.0, 1e-4, 1e-2]})
     assert table(400.0).imag == 0.0
     assert table(np.sqrt(400.0 * 800.0)).imag == pytest.approx(0.5e-4)
@@ -85,14 +85,14 @@ def test_picard_differs_from_warren_below_600_nm_only():
 
 
 @pytest.mark.parametrize(("material", "name"), NAMED)
-def test_outside_the_table_the_message_names_dataset_and_range(material, name):
+def test_wavelengths_outside_a_dataset_are_rejected(material, name):
     table = make_refractive_index(material, name)
     low, high = table.wavelength_nm[[0, -1]]
     for outside in (low * 0.99, high * 1.01, np.nan):
-        with pytest.raises(ValueError, match="wavelength_nm") as caught:
+        with pytest.raises(ValueError, match="wavelength_nm") as error:
             table([low, outside])
-        for part in (name, f"{low:g}", f"{high:g}", repr(float(outside))):
-            assert part in str(caught.value)
+        for text in (name, f"{low:g}", f"{high:g}", repr(float(outside))):
+            assert text in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_constants_in_every_spelling(spec):
     np.testing.assert_array_equal(index, np.full(2, 1.31 + 1e-7j))
 
 
-def test_a_constant_is_called_by_its_value_unless_it_has_a_name():
+def test_constants_are_named_by_value_by_default():
     assert ConstantIndex(1.31 + 1e-7j).name == "1.31+1e-07j"
     assert ConstantIndex(1.31 + 1e-7j, "made up").name == "made up"
 
@@ -121,7 +121,7 @@ def test_constants_without_absorption(spec):
 
 
 @pytest.mark.parametrize("kind", [str, Path])
-def test_a_table_as_mapping_and_as_csv_are_the_same(tmp_path, kind):
+def test_mappings_and_csv_files_are_equivalent(tmp_path, kind):
     path = tmp_path / "made_up.csv"
     path.write_text(CSV)
     wavelengths = np.linspace(400.0, 1600.0, 50)
@@ -159,7 +159,7 @@ def test_malformed_tables_are_rejected(change):
         {**TABLE, "n": [1.3, "dense", 1.2]}, "missing.csv",
     ],
 )  # fmt: skip
-def test_other_bad_specifications_are_rejected_by_name(spec):
+def test_invalid_specifications_are_rejected(spec):
     with pytest.raises(ValueError, match="refractive_index"):
         make_refractive_index("ice", spec)
 
@@ -172,7 +172,7 @@ def test_a_misspelt_dataset_gets_a_suggestion():
 
 
 @pytest.mark.parametrize(("material", "name"), NAMED)
-def test_a_factor_scales_k_and_leaves_n(material, name):
+def test_k_factor_scales_k_only(material, name):
     table = make_refractive_index(material, name)
     scaled = make_refractive_index(material, {"dataset": name, "k_factor": 2.5})
     w = table.wavelength_nm[::7]
@@ -184,14 +184,14 @@ def test_a_factor_scales_k_and_leaves_n(material, name):
         scaled(1.0)
 
 
-def test_a_factor_alone_scales_the_default_and_a_dataset_alone_is_itself():
+def test_factor_and_dataset_are_optional():
     assert make_refractive_index("water", {"k_factor": 0.5}).name == "hale_querry_1973, k x 0.5"
     name = "segelstein_1981"
     assert make_refractive_index("water", {"dataset": name}) is make_refractive_index("water", name)
 
 
 @pytest.mark.parametrize(
-    ("spec", "parts"),
+    ("spec", "texts"),
     [
         ({"k_factor": 0.0}, ["[ice].k_factor = 0.0", "above 0"]),
         ({"k_factor": -1}, ["[ice].k_factor = -1", "above 0"]),
@@ -204,15 +204,15 @@ def test_a_factor_alone_scales_the_default_and_a_dataset_alone_is_itself():
         ({"k_facto": 2.0}, ["refractive_index[ice] = {'k_facto': 2.0}", "k_factor"]),
     ],
 )
-def test_bad_factors_and_datasets_are_rejected_with_key_value_and_range(spec, parts):
-    with pytest.raises(ValueError, match="must be") as caught:
+def test_invalid_factors_and_datasets_are_rejected(spec, texts):
+    with pytest.raises(ValueError, match="must be") as error:
         make_refractive_index("ice", spec)
-    for part in parts:
-        assert part in str(caught.value)
+    for text in texts:
+        assert text in str(error.value)
 
 
 @pytest.mark.parametrize("spec", [None, "quartz", 1.5, {"n": 1.5}])
-def test_an_unknown_material_is_rejected_whatever_the_specification(spec):
+def test_unknown_materials_are_rejected(spec):
     with pytest.raises(ValueError, match=r"material = 'quarz'.*did you mean quartz"):
         make_refractive_index("quarz", spec)
 
@@ -238,17 +238,19 @@ def test_absorption_coefficient_is_four_pi_k_over_wavelength():
     assert alpha == pytest.approx(4e-6 * np.pi / 1e-6)
 
 
-def test_datasets_name_a_table_of_the_user_by_its_content(tmp_path):
+def test_user_tables_are_identified_by_content(tmp_path):
     path = tmp_path / "my_ice.csv"
     path.write_text("wavelength_nm,n,k\n400,1.32,2e-9\n1000,1.30,2e-6\n")
-    facts = Snow(refractive_index={"ice": path}).describe()
-    assert facts["refractive_index_ice"] == "my_ice.csv"
-    assert facts["refractive_index_ice_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert "refractive_index_water_sha256" not in facts
-    assert not any(str(tmp_path) in str(value) for value in facts.values())
+    attributes = Snow(refractive_index={"ice": path}).describe()
+    assert attributes["refractive_index_ice"] == "my_ice.csv"
+    assert (
+        attributes["refractive_index_ice_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    )
+    assert "refractive_index_water_sha256" not in attributes
+    assert not any(str(tmp_path) in str(value) for value in attributes.values())
     grid = {"refractive_index": {"mine": {"ice": str(path)}}}
     instrument = {"wavelength_nm": [500.0]}
     experiment = ExperimentConfig(name="mine", instrument=instrument, grid=grid)
     assert str(tmp_path) not in experiment.dump_configuration()
-    assert facts["refractive_index_ice_sha256"] in experiment.dump_configuration()
+    assert attributes["refractive_index_ice_sha256"] in experiment.dump_configuration()
     assert experiment.list_table_paths() == [str(path)]

@@ -10,11 +10,11 @@ from scipy import integrate
 
 from splits.materials import ice_density
 from splits.media.grain_statistics import (
-    shape_attenuation,
-    size_attenuation,
+    compute_shape_attenuation,
+    compute_size_attenuation,
     surface_to_volume_ratio,
-    tabulate_struck_inverse_sizes,
-    tabulate_struck_sphericities,
+    tabulate_hit_inverse_sizes,
+    tabulate_hit_sphericities,
     tabulate_truncated_normal,
 )
 
@@ -64,44 +64,50 @@ def test_surface_to_volume_is_smooth_near_a_sphere():
 
 
 def test_size_attenuation_of_equal_sizes_is_the_inverse():
-    assert size_attenuation(2e-4, 2e-4) == 1.0 / 2e-4
-    for spread in np.logspace(-16.0, -3.0, 50):
-        k1 = size_attenuation(2e-4, 2e-4 * (1.0 + spread))
-        assert k1 == pytest.approx((1.0 - 0.5 * spread) / 2e-4, rel=spread**2 + 1e-15)
+    assert compute_size_attenuation(2e-4, 2e-4) == 1.0 / 2e-4
+    for relative_width in np.logspace(-16.0, -3.0, 50):
+        k1 = compute_size_attenuation(2e-4, 2e-4 * (1.0 + relative_width))
+        assert k1 == pytest.approx(
+            (1.0 - 0.5 * relative_width) / 2e-4, rel=relative_width**2 + 1e-15
+        )
 
 
-def test_size_attenuation_is_mean_area_over_mean_volume_per_length():
+def test_size_attenuation_matches_the_integrals():
     low, high = 3e-4, 7.5e-4
     # ∫ s⁻² ds over ∫ s⁻¹ ds.
     exact = (1.0 / low - 1.0 / high) / math.log(high / low)
-    assert size_attenuation(low, high) == pytest.approx(exact, rel=1e-14)
+    assert compute_size_attenuation(low, high) == pytest.approx(exact, rel=1e-14)
 
 
-def test_shape_attenuation_is_the_mean_of_a_quarter_of_surface_to_volume():
+def test_shape_attenuation_matches_quadrature():
     low, high, mean, sd = TABLE1
 
-    def bell(psi):
+    def evaluate_normal(psi):
         return math.exp(-0.5 * ((psi - mean) / sd) ** 2)
 
-    weighted = integrate.quad(lambda p: bell(p) * float(surface_to_volume_ratio(p)), low, high)[0]
-    exact = weighted / integrate.quad(bell, low, high)[0] / 4.0
-    assert shape_attenuation(*TABLE1) == pytest.approx(exact, rel=1e-9)
+    weighted = integrate.quad(
+        lambda p: evaluate_normal(p) * float(surface_to_volume_ratio(p)), low, high
+    )[0]
+    exact = weighted / integrate.quad(evaluate_normal, low, high)[0] / 4.0
+    assert compute_shape_attenuation(*TABLE1) == pytest.approx(exact, rel=1e-9)
 
 
 @pytest.mark.parametrize("limits", [(0.6, 0.9, 0.8, 0.0), (0.8, 0.8, 0.8, 0.1)])
-def test_one_shape_only(limits):
-    assert shape_attenuation(*limits) == pytest.approx(float(surface_to_volume_ratio(0.8)) / 4.0)
-    assert (tabulate_struck_sphericities(*limits) == 0.8).all()
+def test_degenerate_distributions_give_one_shape(limits):
+    assert compute_shape_attenuation(*limits) == pytest.approx(
+        float(surface_to_volume_ratio(0.8)) / 4.0
+    )
+    assert (tabulate_hit_sphericities(*limits) == 0.8).all()
     assert (tabulate_truncated_normal(*limits) == 0.8).all()
 
 
 def test_a_narrow_distribution_tends_to_one_shape():
     exact = float(surface_to_volume_ratio(0.8)) / 4.0
-    assert shape_attenuation(0.1, 1.0, 0.8, 1e-6) == pytest.approx(exact, rel=1e-9)
-    assert np.abs(tabulate_struck_sphericities(0.1, 1.0, 0.8, 1e-6)[1:-1] - 0.8).max() < 1e-5
+    assert compute_shape_attenuation(0.1, 1.0, 0.8, 1e-6) == pytest.approx(exact, rel=1e-9)
+    assert np.abs(tabulate_hit_sphericities(0.1, 1.0, 0.8, 1e-6)[1:-1] - 0.8).max() < 1e-5
 
 
-@pytest.mark.parametrize("table", [tabulate_struck_sphericities, tabulate_truncated_normal])
+@pytest.mark.parametrize("table", [tabulate_hit_sphericities, tabulate_truncated_normal])
 def test_quantiles_increase_within_their_limits(table):
     psi = table(*TABLE1)
     assert (np.diff(psi) > 0.0).all()
@@ -111,12 +117,12 @@ def test_quantiles_increase_within_their_limits(table):
 
 @pytest.mark.parametrize("weighting", ["cross_section", "uniform"])
 def test_inverse_sizes_increase_between_the_limits(weighting):
-    inverse = tabulate_struck_inverse_sizes(3e-4, 7.5e-4, weighting)
+    inverse = tabulate_hit_inverse_sizes(3e-4, 7.5e-4, weighting)
     assert (np.diff(inverse) > 0.0).all()
     assert 1.0 / inverse[[0, -1]] == pytest.approx([7.5e-4, 3e-4])
 
 
-def test_struck_grains_are_more_elongated_than_the_grains_present():
+def test_hit_grains_are_more_elongated_on_average():
     assert (
-        tabulate_struck_sphericities(*TABLE1)[1:-1] < tabulate_truncated_normal(*TABLE1)[1:-1]
+        tabulate_hit_sphericities(*TABLE1)[1:-1] < tabulate_truncated_normal(*TABLE1)[1:-1]
     ).all()

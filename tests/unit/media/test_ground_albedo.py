@@ -11,29 +11,29 @@ from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground, load_soils
 W = np.array([450.0, 500.0, 900.0])
 
 
-def test_an_albedo_is_the_same_everywhere():
+def test_a_number_is_a_constant_albedo():
     np.testing.assert_array_equal(Ground.from_input(0.3).albedo(W), 0.3)
     np.testing.assert_allclose(Ground.from_input(0.3).optical_depth(W), -np.log(0.3))
     assert Ground.from_input(1).optical_depth(W).max() == 0.0
     np.testing.assert_array_equal(Ground.from_input(0).optical_depth(W), BLACK_OPTICAL_DEPTH)
 
 
-@pytest.mark.parametrize("given", [None, "open"])
-def test_open_is_no_ground(given):
-    assert Ground.from_input(given) is None
-    assert splits.Snow(ground=given).describe()["ground"] == "open"
+@pytest.mark.parametrize("value", [None, "open"])
+def test_open_means_no_ground(value):
+    assert Ground.from_input(value) is None
+    assert splits.Snow(ground=value).describe()["ground"] == "open"
 
 
-def test_black_ground_reflects_nothing():
+def test_black_ground_does_not_reflect():
     assert not Ground.from_input("black").is_reflecting and not Ground.from_input(0.0).is_reflecting
     assert Ground.from_input(1e-9).is_reflecting
 
 
-def test_a_table_is_linear_between_its_rows():
+def test_tables_are_interpolated_linearly():
     ground = Ground.from_input({"wavelength_nm": [400, 500, 1000], "albedo": [0.0, 0.2, 0.7]})
     np.testing.assert_allclose(ground.albedo(W), [0.1, 0.2, 0.6])
-    facts = splits.Snow(ground=ground).describe()
-    assert facts["ground"] == "table" and facts["ground_albedo"][2] == 0.7
+    attributes = splits.Snow(ground=ground).describe()
+    assert attributes["ground"] == "table" and attributes["ground_albedo"][2] == 0.7
 
 
 def test_soils_have_names_and_a_source():
@@ -44,17 +44,17 @@ def test_soils_have_names_and_a_source():
         soil.albedo(np.array([1200.0]))
 
 
-def test_a_file_is_known_by_its_content(tmp_path):
+def test_files_are_identified_by_content(tmp_path):
     path = tmp_path / "field.csv"
     path.write_text("# mine\nwavelength_nm, albedo\n400, 0.1\n1000, 0.3\n")
     ground = splits.Sand(ground=path).ground
     assert ground.albedo(np.array([700.0])) == pytest.approx(0.2)
-    facts = splits.Sand(ground=str(path)).describe()
-    assert facts["ground"] == "field.csv" and len(facts["ground_sha256"]) == 64
+    attributes = splits.Sand(ground=str(path)).describe()
+    assert attributes["ground"] == "field.csv" and len(attributes["ground_sha256"]) == 64
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("value", "message"),
     [
         (1.5, r"ground = 1.5: must be in \[0, 1\]"),
         (True, "ground = True: must be open, black"),
@@ -67,12 +67,12 @@ def test_a_file_is_known_by_its_content(tmp_path):
         ({"wavelength_nm": [400, 500], "albedo": [0.1, 1.2]}, r"ground.albedo = 1.2"),
     ],
 )
-def test_invalid_grounds_are_rejected(given, message):
+def test_invalid_grounds_are_rejected(value, message):
     with pytest.raises(ValueError, match=message):
-        splits.Snow(ground=given)
+        splits.Snow(ground=value)
 
 
-def test_instruments_that_look_below_reject_a_ground():
+def test_instruments_for_transmitted_light_reject_a_ground():
     snow = splits.Snow(depth_m=0.01, ground=0.5)
     with pytest.raises(ValueError, match="target = 'btdf': must be brdf over a ground"):
         splits.goniophotometer(snow, 500.0, target="btdf")

@@ -17,7 +17,7 @@ MEDIA = Path(__file__).parents[3] / "config" / "media"
 
 
 @pytest.mark.parametrize("area", [0.25, 5.0, 20.0, 60.0, 1900.0])
-def test_sizes_have_the_surface_area_asked_for(area):
+def test_grain_sizes_have_the_given_surface_area(area):
     for snow in (
         splits.Snow.natural(specific_surface_area_m2_kg=area),
         splits.Snow(specific_surface_area_m2_kg=area, temperature_c=-20.0),
@@ -31,30 +31,32 @@ def test_sizes_have_the_surface_area_asked_for(area):
         assert same.grain_size_um == pytest.approx(snow.grain_size_um)
 
 
-def test_water_by_volume_of_snow():
+def test_liquid_water_content_sets_the_saturation():
     snow = splits.Snow(liquid_water_content=0.02, density_kg_m3=400)
     assert snow.liquid_water_content == pytest.approx(0.02)
     assert snow.saturation == pytest.approx(0.02 / snow.porosity)
 
 
-def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
+def test_natural_snow_is_semi_infinite_and_dry():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=20)
     assert snow.depth_m == math.inf and snow.saturation == 0.0
     assert snow.interpretation == splits.Interpretation.from_input("radiative_transfer")
     assert snow.refractive_index["water"].name == "segelstein_1981"
     assert "picard" in snow.refractive_index["ice"].name
-    facts = snow.describe()
-    assert facts["absorption_enhancement_900nm_dry"] == NATURAL_GRAIN_SHAPE.absorption_enhancement
-    assert facts["optical_radius_um"] == pytest.approx(3e6 / (916.9 * 20), rel=1e-3)
+    attributes = snow.describe()
+    assert (
+        attributes["absorption_enhancement_900nm_dry"] == NATURAL_GRAIN_SHAPE.absorption_enhancement
+    )
+    assert attributes["optical_radius_um"] == pytest.approx(3e6 / (916.9 * 20), rel=1e-3)
     for changed in (
         {"facetness": (0.1, 0.1, 0.1, 0)},
         {"interpretation": {"facet_sampling": "any"}},
     ):
-        other = splits.Snow.natural(specific_surface_area_m2_kg=20, **changed)
-        assert "absorption_enhancement_900nm_dry" not in other.describe()
-    assert other.interpretation.entry_point == "projected"
-    own = splits.Snow.natural(specific_surface_area_m2_kg=20, refractive_index={"ice": 1.31})
-    assert own.refractive_index["water"].name == "segelstein_1981"
+        modified = splits.Snow.natural(specific_surface_area_m2_kg=20, **changed)
+        assert "absorption_enhancement_900nm_dry" not in modified.describe()
+    assert modified.interpretation.entry_point == "projected"
+    custom = splits.Snow.natural(specific_surface_area_m2_kg=20, refractive_index={"ice": 1.31})
+    assert custom.refractive_index["water"].name == "segelstein_1981"
 
 
 @pytest.mark.parametrize(
@@ -103,16 +105,16 @@ def test_natural_snow_is_deep_dry_and_obeys_radiative_transfer():
         ),
     ],
 )  # fmt: skip
-def test_bad_input_gets_one_line(make, error, message):
-    with pytest.raises(error, match=message) as refused:
+def test_invalid_input_is_rejected_in_one_line(make, error, message):
+    with pytest.raises(error, match=message) as error_info:
         make()
-    assert "\n" not in str(refused.value)
+    assert "\n" not in str(error_info.value)
 
 
-def test_other_words_replace_what_a_base_says():
+def test_alternative_keywords_override_those_of_the_base():
     base = {"grain_size_um": (1, 2), "saturation": 0.1, "depth_m": 1}
-    found = override_keywords(base, {"optical_radius_um": 3, "depth_m": 2})
-    assert found == {"saturation": 0.1, "optical_radius_um": 3, "depth_m": 2}
+    merged = override_keywords(base, {"optical_radius_um": 3, "depth_m": 2})
+    assert merged == {"saturation": 0.1, "optical_radius_um": 3, "depth_m": 2}
 
 
 def load_text(folder, text):
@@ -121,18 +123,18 @@ def load_text(folder, text):
     return [medium for _, medium, _ in load_experiment(path, MEDIA).iter_points()]
 
 
-def test_in_files(tmp_path):
+def test_natural_snow_in_experiment_files(tmp_path):
     text = (
         "medium: {kind: natural_snow, depth_m: 1, optical_radius_um: 100}\n"
         "grid: {specific_surface_area_m2_kg: [10, 20]}\ninstrument: {wavelength_nm: [500]}\n"
     )
     with pytest.raises(ConfigError, match=r"medium.optical_radius_um = 100: must be left out"):
         load_text(tmp_path, text)
-    found = load_text(tmp_path, text.replace(", optical_radius_um: 100", ""))
-    assert [one.specific_surface_area_m2_kg for one in found] == pytest.approx([10, 20])
+    media = load_text(tmp_path, text.replace(", optical_radius_um: 100", ""))
+    assert [medium.specific_surface_area_m2_kg for medium in media] == pytest.approx([10, 20])
     assert all(
-        one.interpretation == splits.Interpretation.from_input("radiative_transfer")
-        for one in found
+        medium.interpretation == splits.Interpretation.from_input("radiative_transfer")
+        for medium in media
     )
     text = (
         "medium: {base: splitsnow_table1, interpretation: geometric}\n"
@@ -140,10 +142,10 @@ def test_in_files(tmp_path):
         "other: {facet_sampling: any}, paper: splitsnow_2021}}\n"
         "instrument: {wavelength_nm: [500]}\n"
     )
-    found = load_text(tmp_path, text)
-    assert found[3].liquid_water_content == pytest.approx(0.1)
-    read = [one.interpretation for one in found[:3]]
-    assert [(one.entry_point, one.facet_sampling) for one in read] == [
+    media = load_text(tmp_path, text)
+    assert media[3].liquid_water_content == pytest.approx(0.1)
+    interpretations = [medium.interpretation for medium in media[:3]]
+    assert [(medium.entry_point, medium.facet_sampling) for medium in interpretations] == [
         ("projected", "projected"), ("projected", "any"), ("uniform", "any"),
     ]  # fmt: skip
     with pytest.raises(ConfigError, match=r"medium.ssa: unknown key.*specific_surface_area_m2_kg"):
@@ -152,6 +154,6 @@ def test_in_files(tmp_path):
         ConfigError, match=r"medium.kind = 'natural_snow': must be snow, as its base"
     ):
         load_text(tmp_path, "medium: {base: splitsnow_table1, kind: natural_snow, ssa: 20}\n")
-    pack = "medium: {kind: stack, layers: [{kind: natural_snow, optical_radius_um: 90}]}\n"
-    (stack,) = load_text(tmp_path, pack + "instrument: {wavelength_nm: [500]}\n")
+    stack_text = "medium: {kind: stack, layers: [{kind: natural_snow, optical_radius_um: 90}]}\n"
+    (stack,) = load_text(tmp_path, stack_text + "instrument: {wavelength_nm: [500]}\n")
     assert stack.layers[0].optical_radius_um == pytest.approx(90.0)

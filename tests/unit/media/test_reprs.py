@@ -18,7 +18,7 @@ from splits.media.random_height_field import RandomHeightField
 
 WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 50, "correlation": "gaussian"}
 LIMITED_NORMAL = {"rms_height_m": 0.02, "wave_number_per_m": 50, "band_limit_per_m": 1000}
-WORDS = [
+CALLS = [
     "Snow()",
     "Snow(specific_surface_area_m2_kg=18.3389)",
     "Snow(optical_radius_um=100, temperature_c=-10, depth_m=inf)",
@@ -58,17 +58,17 @@ NAMES = {name: getattr(splits, name) for name in splits.__all__} | {
 }
 
 
-@pytest.mark.parametrize("words", WORDS)
-def test_media_read_as_the_calls_that_make_them(words):
-    made = eval(words, NAMES)
-    shown = repr(made)
-    assert eval(shown, NAMES).__class__ is made.__class__
-    assert sorted(shown) == sorted(words)
-    assert repr(eval(shown, NAMES)) == shown == repr(copy.deepcopy(made))
-    assert repr(pickle.loads(pickle.dumps(made))) == shown
+@pytest.mark.parametrize("call", CALLS)
+def test_repr_is_the_constructing_call(call):
+    obj = eval(call, NAMES)
+    text = repr(obj)
+    assert eval(text, NAMES).__class__ is obj.__class__
+    assert sorted(text) == sorted(call)
+    assert repr(eval(text, NAMES)) == text == repr(copy.deepcopy(obj))
+    assert repr(pickle.loads(pickle.dumps(obj))) == text
 
 
-def test_a_surface_area_outlives_what_is_done_to_snow():
+def test_repr_keeps_the_surface_area_of_modified_snow():
     snow = splits.Snow.natural(specific_surface_area_m2_kg=40, depth_m=0.1)
     assert repr(replace(snow, depth_m=1)) == (
         "Snow.natural(specific_surface_area_m2_kg=40, depth_m=1)"
@@ -76,17 +76,17 @@ def test_a_surface_area_outlives_what_is_done_to_snow():
     assert "specific_surface_area_m2_kg=12," in repr(
         replace_parameter(snow, "specific_surface_area_m2_kg", 12)
     )
-    inside = repr(
+    text = repr(
         splits.Stack([splits.Snow(specific_surface_area_m2_kg=9)], interpretation="geometric")
     )
-    assert "    Snow(specific_surface_area_m2_kg=9, interpretation='geometric'),\n" in inside
+    assert "    Snow(specific_surface_area_m2_kg=9, interpretation='geometric'),\n" in text
 
 
-def test_tables_do_not_fill_the_page():
+def test_repr_of_tables_is_short():
     w = np.arange(300.0, 1001.0)
     table = {"wavelength_nm": w, "albedo": np.full(w.size, 0.2)}
     spectrum = {"wave_number_per_m": w.tolist(), "density": w.tolist()}
-    for one in (
+    for obj in (
         splits.Snow(ground=table),
         Ground.from_input(table),
         splits.Snow(refractive_index={"ice": {"wavelength_nm": w, "n": w / w, "k": 0.0 * w}}),
@@ -98,13 +98,13 @@ def test_tables_do_not_fill_the_page():
         splits.sky("midlatitude_winter"),
         SpectralBand(w, w),
     ):
-        assert "\n" not in repr(one) and len(repr(one)) < 200
+        assert "\n" not in repr(obj) and len(repr(obj)) < 200
     assert repr(splits.Snow(ground=table)) == (
         "Snow(ground={'wavelength_nm': [300, ..., 1000], 'albedo': [0.2, ..., 0.2]})"
     )
 
 
-def test_skies_say_what_they_are():
+def test_repr_of_skies_names_their_source():
     assert repr(splits.sky("midlatitude_winter", 50)) == (
         "Sky('midlatitude_winter', zenith_deg=50, 305 to 3995 nm: "
         "SNICAR-ADv3 (Flanner et al. 2021))"

@@ -59,17 +59,17 @@ INVALID_SANDS = [
 class UnusedIndex:
     """Refractive index that must not be evaluated."""
 
-    name = "refuses"
+    name = "unused"
     source = "nowhere"
 
     def __call__(self, _wavelength_nm):
-        raise AssertionError("asked for this index")
+        raise AssertionError("unused index evaluated")
 
 
 def test_defaults_are_the_shipped_base_case():
     shipped = yaml.safe_load((MEDIA / "splits_base.yaml").read_text(encoding="utf-8"))
     assert shipped.pop("kind") == Sand.kind
-    # The base case of Fig 8 but for its texture, with the constants of Table 2.
+    # The base case of Fig 8 except for its texture, with the constants of Table 2.
     assert shipped.pop("texture") == [0, 0.1, 0.9]
     assert shipped.pop("partition") == pytest.approx(Sand.partition, abs=1e-15)
     assert Sand(**shipped).describe() == Sand().describe()
@@ -80,7 +80,7 @@ def test_defaults_are_the_shipped_base_case():
 
 
 @pytest.mark.parametrize("sample", ["10019201", "10039240", "13j9823", "19au9815"])
-def test_the_samples_of_table_5_are_accepted(sample):
+def test_samples_of_table_5_are_accepted(sample):
     shipped = yaml.safe_load((MEDIA / f"tec_{sample}.yaml").read_text(encoding="utf-8"))
     assert shipped.pop("kind") == Sand.kind
     sand = Sand(**shipped)
@@ -89,23 +89,23 @@ def test_the_samples_of_table_5_are_accepted(sample):
 
 
 @pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SANDS)
-def test_bad_values_are_rejected_with_key_value_and_range(key, value, allowed):
-    with pytest.raises(ValueError, match=f"^{key}") as caught:
+def test_invalid_values_are_rejected_with_key_and_range(key, value, allowed):
+    with pytest.raises(ValueError, match=f"^{key}") as error:
         Sand(**{key: value})
-    assert repr(value) in str(caught.value)
-    assert allowed in str(caught.value)
+    assert repr(value) in str(error.value)
+    assert allowed in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "part"),
+    ("key", "value", "component"),
     [
         ("roundness", (1.1, 0.1), "mean"),
         ("roundness", (0.5, -0.1), "sd"),
         ("sphericity", (0.6, 0.9, 0.8, -0.1), "sd"),
     ],
 )
-def test_impossible_spreads_are_rejected(key, value, part):
-    with pytest.raises(ValueError, match=rf"^{key} \({part}\) = .*: must be in \[0, 1\]"):
+def test_invalid_means_and_deviations_are_rejected(key, value, component):
+    with pytest.raises(ValueError, match=rf"^{key} \({component}\) = .*: must be in \[0, 1\]"):
         Sand(**{key: value})
 
 
@@ -125,7 +125,7 @@ def test_choices_are_checked_and_the_first_is_the_default(name):
         Sand(interpretation={name: "neither"})
 
 
-def test_materials_are_listed_once_in_the_order_of_their_types():
+def test_materials_are_listed_in_the_order_of_types():
     assert Sand(**EIGHT_TYPES).list_materials() == MATERIALS
     plain = Sand(iron_oxide=0.0, partition=(0.2, 0.3, 0.5))
     assert plain.list_materials() == ("air", "water", "quartz", "kaolinite")
@@ -144,7 +144,7 @@ def test_materials_are_listed_once_in_the_order_of_their_types():
     ).all()
 
 
-def test_indices_by_hand():
+def test_refractive_indices_match_hand_calculations():
     """Eq 4 with volume fractions from the balance of volumes in each particle."""
     sand = Sand(**EIGHT_TYPES, saturation=0.1)
     index = dict(zip(MATERIALS, sand.compute_refractive_indices(WAVELENGTHS).T, strict=True))
@@ -156,12 +156,12 @@ def test_indices_by_hand():
     )
     for mineral, values in pure.items():
         np.testing.assert_array_equal(index[mineral], values)
-    coat = 0.0337371413100692
+    coating_fraction = 0.0337371413100692
     for oxide, density in (("hematite", 5250.0), ("goethite", 4300.0)):
         mixed = 0.03 / density / (0.03 / density + 0.97 / 2650.0)
-        # In a coating of volume c per core of volume 1 − c: oxide from its mass, clay the rest.
-        clay = coat * 0.97 / 2650.0 - 0.03 * (1.0 - coat) / density
-        clay /= (1.0 - coat) / 2590.0 + coat / 2650.0
+        # In a coating of volume c per core of volume 1 − c: oxide from its mass, clay for the rest.
+        clay = coating_fraction * 0.97 / 2650.0 - 0.03 * (1.0 - coating_fraction) / density
+        clay /= (1.0 - coating_fraction) / 2590.0 + coating_fraction / 2650.0
         coating = 0.03 / density / (0.03 / density + clay / 2590.0)
         for matrix, em, v in (
             ("quartz", pure["quartz"] ** 2, mixed),
@@ -169,25 +169,25 @@ def test_indices_by_hand():
         ):
             beta = (pure[oxide] ** 2 - em) / (pure[oxide] ** 2 + 2.0 * em)
             epsilon = em * (1.0 + 3.0 * v * beta / (1.0 - v * beta))
-            found = index[f"{matrix} with {oxide}"]
-            np.testing.assert_allclose(found**2, epsilon, rtol=1e-12)
-            assert (found.imag > 0.0).all()
+            actual = index[f"{matrix} with {oxide}"]
+            np.testing.assert_allclose(actual**2, epsilon, rtol=1e-12)
+            assert (actual.imag > 0.0).all()
 
 
-def test_water_is_asked_for_only_where_there_is_some():
+def test_unused_indices_are_not_evaluated():
     dry = Sand(saturation=0.0, refractive_index={"water": UnusedIndex()})
     assert (dry.compute_refractive_indices(WAVELENGTHS)[:, 1] == 1.0).all()
-    with pytest.raises(AssertionError, match="asked for"):
+    with pytest.raises(AssertionError, match="unused index evaluated"):
         Sand(saturation=0.01, refractive_index={"water": UnusedIndex()}).compute_refractive_indices(
             WAVELENGTHS
         )
-    # Nor are minerals that are not there.
+    # Indices of absent minerals are not evaluated either.
     absent = dict.fromkeys(("magnetite", "hematite"), UnusedIndex())
     assert np.isfinite(Sand(refractive_index=absent).compute_refractive_indices(WAVELENGTHS)).all()
 
 
 @pytest.mark.parametrize("goethite", [{"k_factor": 0.5}, 2.3 + 0.05j, TABLE], ids=str)
-def test_another_goethite_changes_the_rows_with_goethite_only(goethite):
+def test_goethite_index_affects_goethite_materials_only(goethite):
     before = Sand(**EIGHT_TYPES).compute_refractive_indices(WAVELENGTHS)
     sand = Sand(**EIGHT_TYPES, refractive_index={"goethite": goethite})
     changed = (sand.compute_refractive_indices(WAVELENGTHS) != before).all(axis=0)
@@ -195,32 +195,37 @@ def test_another_goethite_changes_the_rows_with_goethite_only(goethite):
         m for m in MATERIALS if "goethite" in m
     ]
     assert ((sand.compute_refractive_indices(WAVELENGTHS) != before).any(axis=0) == changed).all()
-    own = sand.compute_refractive_indices(WAVELENGTHS)[:, MATERIALS.index("goethite")]
-    np.testing.assert_array_equal(own, make_refractive_index("goethite", goethite)(WAVELENGTHS))
+    actual = sand.compute_refractive_indices(WAVELENGTHS)[:, MATERIALS.index("goethite")]
+    np.testing.assert_array_equal(actual, make_refractive_index("goethite", goethite)(WAVELENGTHS))
 
 
-def test_description_is_written_to_a_file_and_read_again(tmp_path):
+def test_description_is_saved_and_loaded(tmp_path):
     sand = Sand(**EIGHT_TYPES, refractive_index={"goethite": {"k_factor": 2}, "water": 1.33})
-    facts = sand.describe()
+    attributes = sand.describe()
     inputs = set(Sand.__dataclass_fields__) - {"refractive_index", "interpretation", "pores"}
-    assert inputs | {f"interpretation_{name}" for name in INTERPRETATIONS} <= set(facts)
-    assert facts["refractive_index_goethite"] == "oscillators, k x 2"
-    assert facts["refractive_index_water"] == "1.33+0j"
-    assert len(facts["particle_types"].split(", ")) == len(facts["particle_volume_fractions"]) == 8
+    assert inputs | {f"interpretation_{name}" for name in INTERPRETATIONS} <= set(attributes)
+    assert attributes["refractive_index_goethite"] == "oscillators, k x 2"
+    assert attributes["refractive_index_water"] == "1.33+0j"
+    assert (
+        len(attributes["particle_types"].split(", "))
+        == len(attributes["particle_volume_fractions"])
+        == 8
+    )
     path = tmp_path / "sand.nc"
     splits.save(
-        xr.Dataset({"x": 1.0}, attrs=to_netcdf_attributes({**facts, **make_provenance()})), path
+        xr.Dataset({"x": 1.0}, attrs=to_netcdf_attributes({**attributes, **make_provenance()})),
+        path,
     )
-    read = splits.load(path).attrs
-    for key, value in facts.items():
+    loaded = splits.load(path).attrs
+    for key, value in attributes.items():
         if isinstance(value, str):
-            assert read[key] == value
+            assert loaded[key] == value
         else:
-            np.testing.assert_array_equal(read[key], value)
+            np.testing.assert_array_equal(loaded[key], value)
 
 
-def test_mean_grain_distance():
-    """One over (1 − P) K1 K2: spheres of sand alone, K1 from the table of sizes."""
+def test_mean_grain_distance_of_spheres():
+    """The distance is 1/((1 − P) K1 K2), with K1 from the table of sizes."""
     spheres = {"texture": (0, 0, 1), "sphericity": (1, 1, 1, 0), "porosity": 0.4}
     sand = Sand(**spheres)
     k1 = sand.size_distribution.size_attenuation_per_m
@@ -240,18 +245,18 @@ def test_mean_grain_distance():
     )
 
 
-def test_collisions_with_interfaces_add_up():
+def test_interface_fractions_add_up():
     sand = Sand(**EIGHT_TYPES, saturation=0.3)
     volumes = {row["particle_type"]: row["volume_fraction"] for row in sand.composition.to_rows()}
     outer = [i for i in select_grain_interfaces(sand.list_interfaces()) if i.outer_material < 2]
     assert sum(i.fraction for i in outer if i.outer_material == 1) == pytest.approx(0.3)
     assert sum(i.fraction for i in outer) == pytest.approx(1.0)
-    (face,) = [
+    (boundary,) = [
         i
         for i in sand.list_interfaces()
         if i not in select_grain_interfaces(sand.list_interfaces())
     ]
-    assert face[:3] == (pytest.approx(0.3), 0, 1)
+    assert boundary[:3] == (pytest.approx(0.3), 0, 1)
     inner = {
         (MATERIALS[i.outer_material], MATERIALS[i.inner_material]): i.fraction
         for i in sand.list_interfaces()
@@ -263,7 +268,7 @@ def test_collisions_with_interfaces_add_up():
     }
 
 
-def test_a_sand_does_not_change():
+def test_sand_is_immutable():
     sand = Sand()
     with pytest.raises(AttributeError):
         sand.porosity = 0.5

@@ -47,17 +47,18 @@ OTHER_SAMPLES = {
 CASES = {**{name: case[0] for name, case in SAMPLES.items()}, **OTHER_SAMPLES}
 
 
-def compute_mineral_masses(made):
+def compute_mineral_masses(composition):
     """Return the mass of every mineral per mass of sand."""
     return {
         m: math.fsum(
-            t.mass_fraction * t.mineral_mass_fractions.get(m, 0.0) for t in made.particle_types
+            t.mass_fraction * t.mineral_mass_fractions.get(m, 0.0)
+            for t in composition.particle_types
         )
         for m in DENSITY
     }
 
 
-def test_volume_of_a_coating():
+def test_coating_fraction_matches_the_spheroid_area():
     e = math.sqrt(1.0 - 0.798**4)
     per_volume = 3.0 * (1.0 + math.asin(e) / (0.798**2 * e))
     assert per_volume == pytest.approx(8.37961828046923, rel=1e-14)
@@ -66,99 +67,107 @@ def test_volume_of_a_coating():
         layer / (1.0 + layer), rel=1e-14
     )
     assert compute_coating_fraction(0.798, 5.0 / 1200.0) == pytest.approx(COATING, rel=1e-14)
-    # Six faces' worth of surface per volume and diameter of a sphere.
+    # A sphere has a surface area of 6 per volume and diameter.
     assert compute_coating_fraction(1.0, 0.01) == pytest.approx(0.06 / 1.06, rel=1e-14)
 
 
 @pytest.mark.parametrize("sample", SAMPLES)
-def test_samples_of_table_5_by_hand(sample):
+def test_table_5_samples_match_hand_calculations(sample):
     arguments, expected, density = SAMPLES[sample]
-    made = make_composition(*arguments, COATING)
-    assert {t.name for t in made.particle_types} == set(expected)
-    assert made.density_kg_m3 == pytest.approx(density, rel=1e-12)
-    for particle, volume in zip(made.particle_types, made.volume_fractions, strict=True):
-        mass, gamma, share, inclusions = expected[particle.name]
+    composition = make_composition(*arguments, COATING)
+    assert {t.name for t in composition.particle_types} == set(expected)
+    assert composition.density_kg_m3 == pytest.approx(density, rel=1e-12)
+    for particle, volume in zip(
+        composition.particle_types, composition.volume_fractions, strict=True
+    ):
+        mass, gamma, volume_fraction, inclusions = expected[particle.name]
         assert particle.mass_fraction == pytest.approx(mass, rel=1e-12)
         assert particle.density_kg_m3 == pytest.approx(gamma, rel=1e-12)
-        assert volume == pytest.approx(share, rel=1e-12)
+        assert volume == pytest.approx(volume_fraction, rel=1e-12)
         assert particle.inclusion_fraction == pytest.approx(inclusions, rel=1e-12)
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_fractions_add_up_and_densities_lie_between_those_of_the_minerals(case):
-    made = make_composition(*CASES[case], COATING)
-    assert math.fsum(t.mass_fraction for t in made.particle_types) == pytest.approx(1.0, abs=1e-14)
-    assert math.fsum(made.volume_fractions) == pytest.approx(1.0, abs=1e-14)
-    for particle in made.particle_types:
+def test_fractions_add_up_and_densities_are_bounded(case):
+    composition = make_composition(*CASES[case], COATING)
+    assert math.fsum(t.mass_fraction for t in composition.particle_types) == pytest.approx(
+        1.0, abs=1e-14
+    )
+    assert math.fsum(composition.volume_fractions) == pytest.approx(1.0, abs=1e-14)
+    for particle in composition.particle_types:
         assert particle.mass_fraction > 0.0
         assert sum(particle.mineral_mass_fractions.values()) == pytest.approx(1.0, abs=1e-14)
         assert sum(particle.mineral_volume_fractions.values()) == pytest.approx(1.0, abs=1e-14)
-        parts = [DENSITY[m] for m in particle.mineral_mass_fractions]
-        assert min(parts) * (1 - 1e-14) <= particle.density_kg_m3 <= max(parts) * (1 + 1e-14)
-    densities = [t.density_kg_m3 for t in made.particle_types]
-    assert min(densities) < made.density_kg_m3 < max(densities)
+        mineral_densities = [DENSITY[m] for m in particle.mineral_mass_fractions]
+        assert (
+            min(mineral_densities) * (1 - 1e-14)
+            <= particle.density_kg_m3
+            <= max(mineral_densities) * (1 + 1e-14)
+        )
+    densities = [t.density_kg_m3 for t in composition.particle_types]
+    assert min(densities) < composition.density_kg_m3 < max(densities)
 
 
 @pytest.mark.parametrize("case", [name for name in CASES if name != "13j9823"])
-def test_every_mineral_has_the_mass_asked_for(case):
+def test_every_mineral_has_the_given_mass(case):
     """Eqs 8-9 have a solution if magnetite does not exceed the pure fraction."""
     iron, ratio, magnetite, _ = CASES[case]
-    found = compute_mineral_masses(make_composition(*CASES[case], COATING))
-    assert found["hematite"] == pytest.approx(ratio * iron, abs=1e-15)
-    assert found["goethite"] == pytest.approx((1.0 - ratio) * iron, abs=1e-15)
-    assert found["magnetite"] == pytest.approx(magnetite, abs=1e-15)
+    masses = compute_mineral_masses(make_composition(*CASES[case], COATING))
+    assert masses["hematite"] == pytest.approx(ratio * iron, abs=1e-15)
+    assert masses["goethite"] == pytest.approx((1.0 - ratio) * iron, abs=1e-15)
+    assert masses["magnetite"] == pytest.approx(magnetite, abs=1e-15)
 
 
 @pytest.mark.parametrize("oxide", LIMIT)
 @pytest.mark.parametrize("iron", [0.0, 0.01, 0.05])
-@pytest.mark.parametrize("coat", [COATING, 0.2])
-def test_kaolinite_fills_the_coating(oxide, iron, coat):
-    """Eqs 10-11 as a balance of volumes: coating to core as coat to 1 − coat."""
-    found = compute_coated_concentrations(oxide, iron, coat)
-    clay = (coat * (1 - iron) / Q - iron * (1 - coat) / DENSITY[oxide]) / (
-        (1 - coat) / K + coat / Q
+@pytest.mark.parametrize("coating", [COATING, 0.2])
+def test_kaolinite_fills_the_coating(oxide, iron, coating):
+    """Eqs 10-11 as a balance of volumes: the coating has its fraction of the particle."""
+    concentrations = compute_coated_concentrations(oxide, iron, coating)
+    clay = (coating * (1 - iron) / Q - iron * (1 - coating) / DENSITY[oxide]) / (
+        (1 - coating) / K + coating / Q
     )
-    assert found["kaolinite"] == pytest.approx(clay, rel=1e-12)
-    assert found.get(oxide, 0.0) == iron and (oxide in found) == (iron > 0.0)
-    volume = {m: c / DENSITY[m] for m, c in found.items()}
+    assert concentrations["kaolinite"] == pytest.approx(clay, rel=1e-12)
+    assert concentrations.get(oxide, 0.0) == iron and (oxide in concentrations) == (iron > 0.0)
+    volume = {m: c / DENSITY[m] for m, c in concentrations.items()}
     layer = volume["kaolinite"] + volume.get(oxide, 0.0)
-    assert layer / sum(volume.values()) == pytest.approx(coat, rel=1e-12)
+    assert layer / sum(volume.values()) == pytest.approx(coating, rel=1e-12)
 
 
 @pytest.mark.parametrize(("oxide", "printed"), [("hematite", "0.0647"), ("goethite", "0.0536")])
-def test_more_iron_oxide_than_the_coating_holds_is_rejected_by_name(oxide, printed):
+def test_iron_oxide_above_the_coating_capacity_is_rejected(oxide, printed):
     assert (
         compute_coated_concentrations(oxide, LIMIT[oxide] * (1 - 1e-12), COATING)["kaolinite"]
         >= 0.0
     )
-    beyond = LIMIT[oxide] * 1.001
+    excessive = LIMIT[oxide] * 1.001
     ratio = 1.0 if oxide == "hematite" else 0.0
-    with pytest.raises(ValueError, match=r"^iron_oxide = ") as caught:
-        make_composition(beyond, ratio, 0.0, (0.5, 0.0, 0.5), COATING)
-    for part in (repr(beyond), printed, oxide, "relative_coating_thickness", "partition"):
-        assert part in str(caught.value)
-    # Without coated particles, or without any of that oxide, nothing has to be held.
-    make_composition(beyond, ratio, 0.0, (0.5, 0.5, 0.0), COATING)
+    with pytest.raises(ValueError, match=r"^iron_oxide = ") as error:
+        make_composition(excessive, ratio, 0.0, (0.5, 0.0, 0.5), COATING)
+    for text in (repr(excessive), printed, oxide, "relative_coating_thickness", "partition"):
+        assert text in str(error.value)
+    # Without coated particles, or without that oxide, there is no limit.
+    make_composition(excessive, ratio, 0.0, (0.5, 0.5, 0.0), COATING)
     if oxide == "goethite":
-        make_composition(beyond, 1.0, 0.0, (0.5, 0.0, 0.5), COATING)
+        make_composition(excessive, 1.0, 0.0, (0.5, 0.0, 0.5), COATING)
 
 
 @pytest.mark.parametrize("oxide", LIMIT)
 def test_the_limit_named_in_the_error_is_accepted(oxide):
-    with pytest.raises(ValueError) as caught:
+    with pytest.raises(ValueError) as error:
         compute_coated_concentrations(oxide, 0.5, COATING)
-    named = float(re.search(r"at most ([\d.]+)", str(caught.value))[1])
-    assert compute_coated_concentrations(oxide, named, COATING)["kaolinite"] >= 0.0
+    limit = float(re.search(r"at most ([\d.]+)", str(error.value))[1])
+    assert compute_coated_concentrations(oxide, limit, COATING)["kaolinite"] >= 0.0
 
 
 @pytest.mark.parametrize("oxide", LIMIT)
 def test_a_full_coating_has_no_kaolinite(oxide):
     core, iron = Q * (1.0 - COATING), DENSITY[oxide] * COATING
-    found = compute_coated_concentrations(oxide, iron / (iron + core), COATING)
-    assert found["kaolinite"] == pytest.approx(0.0, abs=1e-15)
+    concentrations = compute_coated_concentrations(oxide, iron / (iron + core), COATING)
+    assert concentrations["kaolinite"] == pytest.approx(0.0, abs=1e-15)
     ratio = 1.0 if oxide == "hematite" else 0.0
-    made = make_composition(iron / (iron + core), ratio, 0.0, (0.0, 0.0, 1.0), COATING)
-    (particle,) = made.particle_types
+    composition = make_composition(iron / (iron + core), ratio, 0.0, (0.0, 0.0, 1.0), COATING)
+    (particle,) = composition.particle_types
     assert particle.is_coated and particle.iron_oxide == oxide
     assert particle.inclusion_fraction == pytest.approx(1.0, abs=1e-12)
 
@@ -176,9 +185,9 @@ def test_a_full_coating_has_no_kaolinite(oxide):
     ],
 )
 def test_impossible_sands_are_rejected(change, message):
-    good = {"iron_oxide": 0.03, "hematite_ratio": 0.3, "magnetite": 0.0, "partition": (1, 0, 0)}
+    valid = {"iron_oxide": 0.03, "hematite_ratio": 0.3, "magnetite": 0.0, "partition": (1, 0, 0)}
     with pytest.raises(ValueError, match=message):
-        make_composition(**{**good, **change}, coating_fraction=COATING)
+        make_composition(**{**valid, **change}, coating_fraction=COATING)
 
 
 def test_types_without_mass_are_absent():
@@ -204,31 +213,35 @@ def test_types_without_mass_are_absent():
 
 @pytest.mark.parametrize("excess", ["first", "clipped"])
 def test_magnetite_may_exceed_the_pure_fraction(excess):
-    """Eq 9 reaches zero at ϑ_m = μ'_p − β_hg; nothing jumps there."""
+    """Eq 9 reaches zero at ϑ_m = μ'_p − β_hg, where all masses are continuous."""
     partition, iron, ratio = (0.4, 0.35, 0.25), 0.03, 0.3
-    share = 0.4 - 0.4 * iron
+    limit = 0.4 - 0.4 * iron
 
-    def masses(magnetite):
-        made = make_composition(iron, ratio, magnetite, partition, COATING, excess)
-        return {t.name: t.mass_fraction for t in made.particle_types}
+    def compute_masses(magnetite):
+        composition = make_composition(iron, ratio, magnetite, partition, COATING, excess)
+        return {t.name: t.mass_fraction for t in composition.particle_types}
 
-    below, at, beyond = (masses(share + step) for step in (-1e-9, 0.0, 1e-9))
+    below, equal, above = (compute_masses(limit + step) for step in (-1e-9, 0.0, 1e-9))
     assert below["pure quartz"] == pytest.approx(1e-9, rel=1e-6)
     for name in set(below) - {"pure quartz"}:
-        assert at[name] == pytest.approx(below[name], abs=2e-9)
-        assert at[name] == pytest.approx(beyond[name], abs=2e-9)
-    assert at.get("pure quartz", 0.0) < 1e-15 and "pure quartz" not in beyond
+        assert equal[name] == pytest.approx(below[name], abs=2e-9)
+        assert equal[name] == pytest.approx(above[name], abs=2e-9)
+    assert equal.get("pure quartz", 0.0) < 1e-15 and "pure quartz" not in above
 
 
 def test_magnetite_and_pure_oxides_have_priority():
     iron, ratio, magnetite, pure, mixed, coated = 0.03, 0.3, 0.6, 0.4, 0.35, 0.25
-    made = make_composition(iron, ratio, magnetite, (pure, mixed, coated), COATING)
-    mass = {t.name: t.mass_fraction for t in made.particle_types}
-    left = 1.0 - magnetite - iron * pure
+    composition = make_composition(iron, ratio, magnetite, (pure, mixed, coated), COATING)
+    mass = {t.name: t.mass_fraction for t in composition.particle_types}
+    remainder = 1.0 - magnetite - iron * pure
     assert mass["pure magnetite"] == pytest.approx(magnetite, rel=1e-14)
     assert mass["pure hematite"] == pytest.approx(ratio * iron * pure, rel=1e-14)
-    assert mass["quartz mixed with goethite"] == pytest.approx(0.7 * left * mixed / 0.6, rel=1e-14)
-    assert mass["quartz coated by hematite"] == pytest.approx(0.3 * left * coated / 0.6, rel=1e-14)
+    assert mass["quartz mixed with goethite"] == pytest.approx(
+        0.7 * remainder * mixed / 0.6, rel=1e-14
+    )
+    assert mass["quartz coated by hematite"] == pytest.approx(
+        0.3 * remainder * coated / 0.6, rel=1e-14
+    )
     clipped = make_composition(iron, ratio, magnetite, (pure, mixed, coated), COATING, "clipped")
     total = magnetite + iron * pure + mixed + coated
     mass = {t.name: t.mass_fraction for t in clipped.particle_types}
@@ -238,12 +251,12 @@ def test_magnetite_and_pure_oxides_have_priority():
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_table_of_intermediates_is_complete(case):
-    made = make_composition(*CASES[case], COATING)
-    rows = made.to_rows()
+    composition = make_composition(*CASES[case], COATING)
+    rows = composition.to_rows()
     columns = {"particle_type", "mass_fraction", "density_kg_m3", "volume_fraction"}
     columns |= {f"{kind}_{m}" for kind in ("mass", "volume") for m in DENSITY}
     columns |= {"inclusion_fraction", "coating_fraction"}
-    assert [row["particle_type"] for row in rows] == [t.name for t in made.particle_types]
+    assert [row["particle_type"] for row in rows] == [t.name for t in composition.particle_types]
     for row in rows:
         assert set(row) == columns
         mass = np.array([row[f"mass_{m}"] for m in DENSITY])

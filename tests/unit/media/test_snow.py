@@ -50,7 +50,7 @@ INVALID_SNOWS = [
 NAMES = [field.name for field in fields(Interpretation)]
 
 
-def test_defaults_are_the_shipped_sample_of_table_1():
+def test_defaults_equal_the_sample_of_table_1():
     shipped = yaml.safe_load(TABLE1.read_text(encoding="utf-8"))
     assert shipped.pop("kind") == Snow.kind
     assert set(shipped) == set(Snow.__dataclass_fields__) - {
@@ -70,7 +70,7 @@ def test_mean_grain_distance_and_specific_surface_area():
     assert Snow().specific_surface_area_m2_kg == pytest.approx(20.3, abs=0.05)
 
 
-def test_liquid_water_is_counted_per_volume_of_snow():
+def test_liquid_water_content_is_per_volume_of_snow():
     wet = Snow(saturation=0.1, density_kg_m3=400)
     assert wet.describe()["liquid_water_content"] == pytest.approx(0.1 * wet.porosity)
     assert Snow(saturation=0).liquid_water_content == 0.0
@@ -85,7 +85,7 @@ def test_specific_surface_area_of_equal_spheres():
     assert snow.attenuation_per_m == pytest.approx(1.5 / 500e-6, rel=1e-12)
 
 
-def test_porosity_is_what_ice_leaves():
+def test_porosity_is_the_volume_without_ice():
     snow = Snow(density_kg_m3=275, temperature_c=-20)
     assert snow.porosity == pytest.approx(1.0 - 275 / 920.3, rel=1e-14)
 
@@ -101,15 +101,15 @@ def test_semi_axis_interpretation_doubles_the_grains():
 
 
 @pytest.mark.parametrize(("key", "value", "allowed"), INVALID_SNOWS)
-def test_bad_values_are_rejected_with_key_value_and_range(key, value, allowed):
-    with pytest.raises(ValueError, match=f"^{key}") as caught:
+def test_invalid_values_are_rejected_with_key_and_range(key, value, allowed):
+    with pytest.raises(ValueError, match=f"^{key}") as error:
         Snow(**{key: value})
-    assert repr(value) in str(caught.value)
-    assert allowed in str(caught.value)
+    assert repr(value) in str(error.value)
+    assert allowed in str(error.value)
 
 
 @pytest.mark.parametrize("key", ["facetness", "sphericity"])
-def test_a_negative_spread_is_rejected(key):
+def test_negative_standard_deviations_are_rejected(key):
     with pytest.raises(ValueError, match=rf"^{key} \(sd\) = -0.1: must be in \[0, 1\]"):
         Snow(**{key: (0.2, 0.8, 0.5, -0.1)})
 
@@ -125,7 +125,7 @@ def test_indices_of_unknown_materials_are_rejected():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_bad_interpretations_are_rejected_by_name(name):
+def test_invalid_interpretations_are_rejected_by_name(name):
     allowed = ", ".join(sorted(INTERPRETATION_CHOICES[name]))
     for make in (lambda r: Snow(interpretation=r), lambda r: Interpretation(**r)):
         with pytest.raises(ValueError, match=f"interpretation.{name} = 'neither': .*{allowed}"):
@@ -135,15 +135,15 @@ def test_bad_interpretations_are_rejected_by_name(name):
 
 
 def test_interpretation_sets_have_names():
-    first = {name: INTERPRETATION_CHOICES[name][0] for name in NAMES}
-    assert Interpretation.from_input("splits_2007").as_dict() == first
+    defaults = {name: INTERPRETATION_CHOICES[name][0] for name in NAMES}
+    assert Interpretation.from_input("splits_2007").as_dict() == defaults
     assert Snow().interpretation == Interpretation() == Interpretation.from_input("splitsnow_2021")
-    assert Interpretation().as_dict() == first | {
+    assert Interpretation().as_dict() == defaults | {
         "facet_sampling": "any",
         "wrong_side_ray": "mirror",
     }
-    beside = Interpretation.from_input({"set": "geometric", "facet_sampling": "any"})
-    assert (beside.entry_point, beside.facet_sampling) == ("projected", "any")
+    modified = Interpretation.from_input({"set": "geometric", "facet_sampling": "any"})
+    assert (modified.entry_point, modified.facet_sampling) == ("projected", "any")
     with pytest.raises(ValueError, match=r"interpretation\.set = 'geo'.*geometric"):
         Interpretation.from_input({"set": "geo"})
 
@@ -160,14 +160,14 @@ def test_interpretations_are_merged_in_sequence():
     }  # fmt: skip
 
 
-def test_a_snow_does_not_change():
+def test_snow_is_immutable():
     snow = Snow()
     with pytest.raises(AttributeError):
         snow.saturation = 0.5
     assert snow.saturation == 0.05
 
 
-def test_indices_have_air_water_and_ice():
+def test_refractive_indices_of_air_water_and_ice():
     index = Snow(refractive_index={"ice": 1.31 + 1e-3j, "water": 1.33}).compute_refractive_indices(
         [500.0, 900.0]
     )
@@ -177,14 +177,14 @@ def test_indices_have_air_water_and_ice():
     assert len(Snow().list_materials()) == index.shape[1]
 
 
-def test_description_names_every_input():
-    facts = Snow(refractive_index={"water": 1.33}).describe()
+def test_description_contains_every_input():
+    attributes = Snow(refractive_index={"water": 1.33}).describe()
     assert {
         f
         for f in Snow.__dataclass_fields__
         if f not in ("refractive_index", "interpretation", "pores") and "impurities" not in f
         if f != "algae_cells_ml"
-    } <= (set(facts))
-    assert facts["refractive_index_ice"] == "warren_brandt_2008"
-    assert facts["refractive_index_water"] == "1.33+0j"
-    assert {f"interpretation_{name}" for name in NAMES} <= set(facts)
+    } <= (set(attributes))
+    assert attributes["refractive_index_ice"] == "warren_brandt_2008"
+    assert attributes["refractive_index_water"] == "1.33+0j"
+    assert {f"interpretation_{name}" for name in NAMES} <= set(attributes)

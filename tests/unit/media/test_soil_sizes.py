@@ -19,11 +19,11 @@ TEXTURES = {
     "all three": (0.01, 0.135, 0.855),
     "no silt": (0.1, 0.0, 0.9),
 }
-# Clay barely more than the tail: its log-normal is so wide that only its slope is left.
-NEARLY_PURE = {
+# Clay slightly above the tail: the log-normal is so wide that only its slope remains.
+SMALL_CLAY_TEXTURES = {
     gap: (TAIL * (1.0 + gap), 0.0, 1.0 - TAIL * (1.0 + gap)) for gap in (1e-14, 1e-9, 1e-3)
 }
-ALL_TEXTURES = {**TEXTURES, **NEARLY_PURE}
+ALL_TEXTURES = {**TEXTURES, **SMALL_CLAY_TEXTURES}
 
 
 def evaluate_density(piece: TruncatedLogNormal, s):
@@ -44,7 +44,7 @@ def integrate_power(piece: TruncatedLogNormal, power: float):
 
 
 @pytest.mark.parametrize("name", TEXTURES)
-def test_each_piece_has_the_cumulative_mass_at_its_limits(name):
+def test_separates_have_the_cumulative_mass_at_their_limits(name):
     texture = TEXTURES[name]
     bounds = np.clip([TAIL, *np.cumsum(texture)], TAIL, 1.0 - TAIL)
     pieces = make_size_distribution(texture).separates
@@ -60,7 +60,7 @@ def test_each_piece_has_the_cumulative_mass_at_its_limits(name):
     assert sum(p.mass_fraction for p in pieces) == pytest.approx(1.0, abs=1e-15)
 
 
-def test_silt_and_sand_of_table_5_by_hand():
+def test_silt_and_sand_of_table_5_match_hand_calculation():
     """Scores Φ⁻¹ of 1e-4, 0.15 and 1 − 1e-4, from tables of the normal distribution."""
     low, middle = -3.719016485455709, -1.0364333894937898
     silt, sand = make_size_distribution((0.0, 0.15, 0.85)).separates
@@ -71,48 +71,48 @@ def test_silt_and_sand_of_table_5_by_hand():
 
 
 @pytest.mark.parametrize("name", TEXTURES)
-def test_mean_inverse_size_is_the_quotient_of_eq_23(name):
+def test_mean_inverse_size_matches_eq_23(name):
     sizes = make_size_distribution(TEXTURES[name])
     for piece in sizes.separates:
         exact = integrate_power(piece, -2.0) / integrate_power(piece, -1.0)
         assert piece.mean_inverse_size_per_m == pytest.approx(exact, rel=1e-9)
         assert 1.0 / piece.max_size_m < piece.mean_inverse_size_per_m < 1.0 / piece.min_size_m
-    by_mass = sum(
+    expected = sum(
         p.mass_fraction * integrate_power(p, -2.0) / integrate_power(p, -1.0)
         for p in sizes.separates
     )
-    assert sizes.size_attenuation_per_m == pytest.approx(by_mass, rel=1e-9)
+    assert sizes.size_attenuation_per_m == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", TEXTURES)
-def test_masses_of_eq_20_are_those_of_the_texture(name):
-    """Between its limits a piece holds its separate's mass; outermost, less the tail."""
+def test_masses_of_eq_20_match_the_texture(name):
+    """Each separate has its mass between its limits; the outermost ones lack the tail."""
     texture = TEXTURES[name]
     for piece in make_size_distribution(texture).separates:
         assert integrate_power(piece, -1.0) == pytest.approx(piece.mass_fraction, abs=2.0001 * TAIL)
-    everything = sum(integrate_power(p, -1.0) for p in make_size_distribution(texture).separates)
-    assert everything == pytest.approx(1.0 - 2.0 * TAIL, rel=1e-9)
+    total = sum(integrate_power(p, -1.0) for p in make_size_distribution(texture).separates)
+    assert total == pytest.approx(1.0 - 2.0 * TAIL, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", TEXTURES)
-def test_struck_sizes_of_one_piece_have_the_density_of_eq_25(name):
+def test_hit_sizes_of_a_separate_follow_eq_25(name):
     for piece in make_size_distribution(TEXTURES[name]).separates:
-        median = float(piece.compute_struck_sizes(np.array([0.5]))[0])
-        whole = integrate_power(piece, -2.0)
+        median = float(piece.compute_hit_sizes(np.array([0.5]))[0])
+        total = integrate_power(piece, -2.0)
         below = integrate.quad(
             lambda x, p=piece: np.exp(-x) * evaluate_density(p, np.exp(x)),
             np.log(piece.min_size_m),
             np.log(median),
         )[0]
-        assert below / whole == pytest.approx(0.5, abs=1e-6)
-        assert piece.compute_struck_sizes(np.array([0.0, 1.0])) == pytest.approx(
+        assert below / total == pytest.approx(0.5, abs=1e-6)
+        assert piece.compute_hit_sizes(np.array([0.0, 1.0])) == pytest.approx(
             [piece.min_size_m, piece.max_size_m]
         )
 
 
 @pytest.mark.parametrize("name", ALL_TEXTURES)
 @pytest.mark.parametrize("pieces", ["separates", "single"])
-def test_struck_sizes_run_monotonically_from_the_coarsest_to_the_finest(name, pieces):
+def test_hit_sizes_decrease_monotonically(name, pieces):
     if (name, pieces) == ("sand alone", "single"):
         with pytest.raises(
             ValueError, match=r"interpretation\.size_distribution = 'single'.*one separate alone"
@@ -120,7 +120,7 @@ def test_struck_sizes_run_monotonically_from_the_coarsest_to_the_finest(name, pi
             make_size_distribution(ALL_TEXTURES[name], TAIL, pieces)
         return
     sizes = make_size_distribution(ALL_TEXTURES[name], TAIL, pieces)
-    table = sizes.tabulate_struck_inverse_sizes()
+    table = sizes.tabulate_hit_inverse_sizes()
     assert table.shape == (N_TABLE_POINTS,)
     assert np.isfinite(table).all() and (np.diff(table) > 0.0).all()
     largest, smallest = 1.0 / table[[0, -1]]
@@ -128,26 +128,26 @@ def test_struck_sizes_run_monotonically_from_the_coarsest_to_the_finest(name, pi
     assert smallest >= sizes.separates[0].min_size_m * (1.0 - 1e-12)
 
 
-@pytest.mark.parametrize("gap", NEARLY_PURE)
-def test_hardly_more_clay_than_the_tail(gap):
-    """A log-normal so wide is even in log size: ∫ s⁻² ds over ∫ s⁻¹ ds, up to a slope.
+@pytest.mark.parametrize("gap", SMALL_CLAY_TEXTURES)
+def test_clay_slightly_above_the_tail(gap):
+    """A very wide log-normal is uniform in log size: ∫ s⁻² ds over ∫ s⁻¹ ds, up to a slope.
 
-    Over the piece the score grows by gap·tail/φ(score) only, so f_g changes by score times that.
+    The score changes by gap·tail/φ(score) over the separate, and f_g by score times that.
     """
-    sizes = make_size_distribution(NEARLY_PURE[gap])
+    sizes = make_size_distribution(SMALL_CLAY_TEXTURES[gap])
     clay, sand = sizes.separates
     low, high = LIMITS["clay"]
-    even = (1.0 / low - 1.0 / high) / np.log(high / low)
+    expected = (1.0 / low - 1.0 / high) / np.log(high / low)
     assert np.isfinite([clay.log_mean, clay.log_sd, clay.mean_inverse_size_per_m]).all()
-    assert clay.mean_inverse_size_per_m == pytest.approx(even, rel=gap + 1e-9)
+    assert clay.mean_inverse_size_per_m == pytest.approx(expected, rel=gap + 1e-9)
     assert clay.mass_fraction == pytest.approx(
         TAIL, rel=2e-3
     ) and sand.mass_fraction == pytest.approx(1.0 - TAIL)
-    half = float(clay.compute_struck_sizes(np.array([0.5]))[0])
-    assert half == pytest.approx(2.0 / (1.0 / low + 1.0 / high), rel=1e-3)
+    median = float(clay.compute_hit_sizes(np.array([0.5]))[0])
+    assert median == pytest.approx(2.0 / (1.0 / low + 1.0 / high), rel=1e-3)
 
 
-def test_clay_no_more_than_the_tail_is_left_out():
+def test_clay_below_the_tail_is_omitted():
     for clay in (0.0, 0.5 * TAIL, TAIL):
         sizes = make_size_distribution((clay, 0.0, 1.0 - clay))
         (sand,) = sizes.separates
@@ -160,7 +160,7 @@ def test_clay_no_more_than_the_tail_is_left_out():
 
 @pytest.mark.parametrize("texture", [(0.0, 0.15, 0.85), (0.01, 0.135, 0.855), (0.1, 0.0, 0.9)])
 def test_one_log_normal_over_all_separates(texture):
-    """Shirazi & Boersma 1984: mean and spread of ln of the separates' middles, by mass."""
+    """Shirazi & Boersma 1984: mass-weighted mean and deviation of ln of the separate centres."""
     middle = np.log([1e-6, 26e-6, 1.025e-3])
     mean = np.dot(texture, middle)
     (piece,) = make_size_distribution(texture, size_model="single").separates
@@ -189,9 +189,9 @@ def test_finer_soils_attenuate_more():
     ],
 )
 def test_textures_other_than_sand_are_rejected(texture, message):
-    with pytest.raises(ValueError, match=rf"^texture.*{message}") as caught:
+    with pytest.raises(ValueError, match=rf"^texture.*{message}") as error:
         make_size_distribution(texture)
-    assert repr(texture) in str(caught.value)
+    assert repr(texture) in str(error.value)
 
 
 def test_other_invalid_textures_are_rejected():

@@ -43,23 +43,23 @@ def test_invalid_layers_are_rejected_by_number(layers, message):
         splits.Stack([splits.Snow(depth_m=0.0003), splits.Snow(depth_m=0.0004)]),
     ],
 )
-def test_a_sample_is_thicker_than_its_largest_grain(medium):
+def test_samples_thinner_than_a_grain_are_rejected(medium):
     with pytest.raises(ValueError, match=r"depth_m = .*more than the largest grain"):
         check_medium(medium)
 
 
-def test_a_thin_layer_has_room_in_a_thick_stack():
+def test_thin_layers_are_accepted_in_a_thick_stack():
     check_medium(splits.Stack([splits.Snow(depth_m=1e-7), splits.Snow()]))
 
 
-def test_layers_keep_their_order_their_types_and_their_materials():
+def test_layers_keep_order_types_and_materials():
     stack = splits.Stack([FRESH_SNOW, SAND, splits.Snow()], interpretation="splits_2007")
     scene = build_scene(stack, 30.0, False)
     assert scene.layers.boundaries == pytest.approx([0.0, -0.02, -0.12, -0.24])
     assert stack.depth_m == pytest.approx(0.24)
     sand = SAND.make_grain_population()
-    count = len(sand.type_cdf)
-    assert list(scene.layers.first_type) == [0, 1, 1 + count]
+    n_types = len(sand.type_cdf)
+    assert list(scene.layers.first_type) == [0, 1, 1 + n_types]
     assert np.all(scene.layers.type_cdf[0] == 1.0)
     assert np.array_equal(scene.layers.type_cdf[1], sand.type_cdf)
     assert all(table.flags.c_contiguous for table in scene.types)
@@ -67,12 +67,12 @@ def test_layers_keep_their_order_their_types_and_their_materials():
     assert names[:3] == ("layers.0.air", "layers.0.water", "layers.0.ice")
     for number, medium in enumerate(stack.layers):
         first, pore = scene.layers.first_type[number], scene.layers.pore[number]
-        kinds = medium.make_grain_population().types
-        for kind, shells in enumerate(kinds.n_shells):
-            assert scene.types.n_shells[first + kind] == shells
+        types = medium.make_grain_population().types
+        for grain_type, shells in enumerate(types.n_shells):
+            assert scene.types.n_shells[first + grain_type] == shells
             for shell in range(shells):
-                row = scene.types.material[first + kind, shell]
-                material = medium.list_materials()[kinds.material[kind, shell]]
+                row = scene.types.material[first + grain_type, shell]
+                material = medium.list_materials()[types.material[grain_type, shell]]
                 assert names[row] == f"layers.{number}.{material}"
         assert names[pore] == f"layers.{number}.{medium.list_materials()[0]}"
     wavelengths = np.array([450.0, 900.0])
@@ -81,55 +81,55 @@ def test_layers_keep_their_order_their_types_and_their_materials():
     assert np.array_equal(index[:, :3], FRESH_SNOW.compute_refractive_indices(wavelengths))
 
 
-def test_every_layer_bounds_what_interpolation_misses():
+def test_interpolation_bound_covers_every_layer():
     wavelengths = np.arange(400.0, 1001.0, 20.0)
     for order in ([FRESH_SNOW, SAND], [SAND, FRESH_SNOW]):
         stack = splits.Stack(order, interpretation="splits_2007")
         nodes = choose_nodes(
             stack.compute_refractive_indices(wavelengths), stack.list_interfaces(), 1e-3
         )
-        alone = choose_nodes(
+        single = choose_nodes(
             SAND.compute_refractive_indices(wavelengths), SAND.list_interfaces(), 1e-3
         )
-        assert len(nodes.index) >= len(alone.index)
+        assert len(nodes.index) >= len(single.index)
         assert nodes.interpolation_bound.max() <= 1e-3
 
 
-def test_all_inputs_stand_in_the_description():
-    facts = splits.Stack([FRESH_SNOW, splits.Snow()]).describe()
-    assert facts["layers_0_grain_size_um"] == (50.0, 100.0)
-    assert facts["layers_1_grain_size_um"] == (300.0, 750.0)
-    assert facts["layers_1_kind"] == "snow"
+def test_description_contains_all_inputs():
+    attributes = splits.Stack([FRESH_SNOW, splits.Snow()]).describe()
+    assert attributes["layers_0_grain_size_um"] == (50.0, 100.0)
+    assert attributes["layers_1_grain_size_um"] == (300.0, 750.0)
+    assert attributes["layers_1_kind"] == "snow"
 
 
 @pytest.mark.parametrize("above", [True, False])
-def test_wet_pores_have_a_boundary_with_the_matrix_of_particles(above):
-    lid = splits.ParticleLayer(refractive_index=1.5, depth_m=0.01, bottom_albedo=None)
+def test_wet_pores_have_boundaries_with_particle_matrices(above):
+    layer = splits.ParticleLayer(refractive_index=1.5, depth_m=0.01, bottom_albedo=None)
     snow = splits.Snow(saturation=0.25)
-    stack = splits.Stack([lid, snow] if above else [snow, lid])
+    stack = splits.Stack([layer, snow] if above else [snow, layer])
     names = stack.list_materials()
     boundaries = [i for i in stack.list_interfaces() if i.location == "boundary"]
     named = {(names[i.outer_material], names[i.inner_material], i.fraction) for i in boundaries}
     assert (f"layers.{1 - above}.matrix", f"layers.{1 * above}.water", 0.25) in named
 
 
-def test_a_set_replaces_the_transport_interpretation_of_layers():
+def test_a_named_set_replaces_the_interpretation_of_layers():
     natural = splits.Snow.natural(optical_radius_um=100, depth_m=0.1)
     for name in INTERPRETATION_SETS:
         (layer,) = splits.Stack([natural], interpretation=name).scene_layers
         assert layer.interpretation == splits.Interpretation.from_input(name)
 
 
-def test_layers_of_a_stack_have_the_same_distances_between_grains():
+def test_layers_must_have_the_same_free_path_model():
     snow = {"optical_radius_um": 100, "depth_m": 0.1}
     other = splits.Snow.natural(**snow, interpretation={"mean_free_path": "pore_only"})
     with pytest.raises(ValueError, match=r"layers\[1\].interpretation"):
         splits.Stack([splits.Snow.natural(**snow), other])
 
 
-def test_sand_whose_grains_fill_the_volume_has_no_distance_with_grains():
-    told = "attenuation_factor = 'as_printed': must be solid_fraction"
-    with pytest.raises(ValueError, match=told):
+def test_incompatible_attenuation_factor_is_rejected():
+    message = "attenuation_factor = 'as_printed': must be solid_fraction"
+    with pytest.raises(ValueError, match=message):
         splits.Sand(
             interpretation={"set": "radiative_transfer", "attenuation_factor": "as_printed"}
         )

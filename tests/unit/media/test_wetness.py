@@ -20,28 +20,28 @@ W = np.array([700.0, 1450.0])
 @pytest.mark.parametrize("saturation", [0.01, 0.1, 0.4, 0.9])
 def test_the_shortest_segments_fill_first(saturation):
     """Sorted exponential segments: the shortest ones with a length fraction of the saturation."""
-    many = 1_000_000
-    legs = np.sort(-np.log((np.arange(many) + 0.5) / many))
-    share = np.searchsorted(legs.cumsum() / legs.sum(), saturation) / many
-    assert narrow_pore_fraction(saturation) == pytest.approx(share, abs=2e-5)
+    n_segments = 1_000_000
+    segments = np.sort(-np.log((np.arange(n_segments) + 0.5) / n_segments))
+    fraction = np.searchsorted(segments.cumsum() / segments.sum(), saturation) / n_segments
+    assert narrow_pore_fraction(saturation) == pytest.approx(fraction, abs=2e-5)
 
 
-def test_narrow_pores_at_the_ends_of_the_range():
+def test_narrow_pore_fraction_increases_from_0_to_1():
     assert (narrow_pore_fraction(0.0), narrow_pore_fraction(1.0)) == (0.0, 1.0)
     assert narrow_pore_fraction(MAX_SERIES_SATURATION * 0.999999) == pytest.approx(
         narrow_pore_fraction(MAX_SERIES_SATURATION), rel=1e-5
     )
     assert narrow_pore_fraction(1e-18) == pytest.approx(np.sqrt(2e-18), rel=1e-8)
-    rising = [narrow_pore_fraction(s) for s in np.linspace(0.0, 1.0, 201)]
-    assert (np.diff(rising) > 0.0).all()
+    fractions = [narrow_pore_fraction(s) for s in np.linspace(0.0, 1.0, 201)]
+    assert (np.diff(fractions) > 0.0).all()
 
 
 @pytest.mark.parametrize("saturation", [0.05, 0.3, 0.8])
-def test_every_water_model_holds_the_same_water(saturation):
+def test_all_water_models_contain_the_same_water(saturation):
     porosity, sphericity = 0.4, 0.8
     surface = float(surface_to_volume_ratio(sphericity))
-    for reading in ("whole_pores", "narrow_pores", "film"):
-        water = distribute_water(saturation, porosity, sphericity, reading)
+    for water_model in ("whole_pores", "narrow_pores", "film"):
+        water = distribute_water(saturation, porosity, sphericity, water_model)
         on_grains = water.relative_film_thickness * surface * (1.0 - porosity) / porosity
         assert water.wet_fraction * water.filled_fraction + on_grains == pytest.approx(
             saturation, rel=1e-9
@@ -71,7 +71,7 @@ def test_films_are_the_outermost_coating():
     assert sand.describe()["film_thickness_per_major_axis"] == sand._water.relative_film_thickness
 
 
-def test_what_a_film_cannot_hold_fills_pores():
+def test_water_above_the_film_capacity_fills_pores():
     sand = Sand(saturation=0.9, interpretation={"water": "film"})
     assert (
         sand._water.relative_film_thickness == MAX_RELATIVE_FILM_THICKNESS
@@ -80,10 +80,10 @@ def test_what_a_film_cannot_hold_fills_pores():
     assert Sand(saturation=1.0, interpretation={"water": "film"}).wet_fraction == 1.0
 
 
-def test_wet_segments_absorb_in_proportion_to_their_water():
+def test_absorption_is_proportional_to_the_water_content():
     whole, narrow = (
-        Sand(saturation=0.1, interpretation={"water": reading})
-        for reading in ("whole_pores", "narrow_pores")
+        Sand(saturation=0.1, interpretation={"water": water_model})
+        for water_model in ("whole_pores", "narrow_pores")
     )
     ratio = (
         narrow.compute_refractive_indices(W)[:, 1].imag
@@ -95,11 +95,11 @@ def test_wet_segments_absorb_in_proportion_to_their_water():
     )
 
 
-def test_dry_and_full_sands_do_not_ask_where_water_is():
+def test_dry_and_saturated_sands_are_independent_of_the_model():
     for saturation in (0.0, 1.0):
         sands = [
-            Sand(saturation=saturation, interpretation={"water": reading})
-            for reading in ("whole_pores", "narrow_pores")
+            Sand(saturation=saturation, interpretation={"water": water_model})
+            for water_model in ("whole_pores", "narrow_pores")
         ]
         np.testing.assert_array_equal(
             sands[0].compute_refractive_indices(W), sands[1].compute_refractive_indices(W)
@@ -107,8 +107,10 @@ def test_dry_and_full_sands_do_not_ask_where_water_is():
         assert sands[0].wet_fraction == sands[1].wet_fraction == saturation
 
 
-@pytest.mark.parametrize("reading", ["narrow_pores", "film"])
-def test_other_media_in_such_pores_are_rejected(reading):
-    given = {"pores": {"oil": 0.1}, "refractive_index": {"oil": 1.47}}
-    with pytest.raises(ValueError, match=rf"pores = .*empty with interpretation\.water {reading}"):
-        Sand(saturation=0.1, interpretation={"water": reading}, **given)
+@pytest.mark.parametrize("water_model", ["narrow_pores", "film"])
+def test_other_liquids_in_partially_wet_pores_are_rejected(water_model):
+    settings = {"pores": {"oil": 0.1}, "refractive_index": {"oil": 1.47}}
+    with pytest.raises(
+        ValueError, match=rf"pores = .*empty with interpretation\.water {water_model}"
+    ):
+        Sand(saturation=0.1, interpretation={"water": water_model}, **settings)

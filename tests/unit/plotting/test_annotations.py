@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from test_figure_directions import CELLS
-from test_figure_directions import make_dataset as directions
+from test_figure_directions import BIN_CENTERS
+from test_figure_directions import make_dataset as make_directions
 from test_figure_lines import X
-from test_figure_lines import make_dataset as spectral
+from test_figure_lines import make_dataset as make_spectra
 
 from splits.experiments import ExperimentConfig
 from splits.experiments.papers.performance_figure import draw_speed_against_error
@@ -42,8 +42,8 @@ INFRARED = np.arange(1000.0, 2001.0, 10.0)
 
 
 def read_notes(figure):
-    """Return the notes of a figure on one line."""
-    text = next(one.get_text() for one in figure.texts if one.get_gid() == "foot")
+    """Return the text of the notes below a figure on one line."""
+    text = next(artist.get_text() for artist in figure.texts if artist.get_gid() == "foot")
     return text.replace("\n", " ").replace("\u00a0", " ")
 
 
@@ -62,15 +62,17 @@ def make_beam_dataset():
 
 
 def make_many_bins_dataset():
-    around = np.arange(0.0, 360.0, 10.0)
-    return directions(polar=CELLS, estimator="bins", azimuth=around)
+    azimuth = np.arange(0.0, 360.0, 10.0)
+    return make_directions(polar=BIN_CENTERS, estimator="bins", azimuth=azimuth)
 
 
 def make_surface_areas_table():
-    made = spectral({"refractive_index": ["as modelled", "other"]}).expand_dims(sample=["a", "b"])
-    made["measured"] = made.reflectance + 0.01
-    made["rmse"] = made.reflectance.mean("wavelength")
-    return made
+    dataset = make_spectra({"refractive_index": ["as modelled", "other"]}).expand_dims(
+        sample=["a", "b"]
+    )
+    dataset["measured"] = dataset.reflectance + 0.01
+    dataset["rmse"] = dataset.reflectance.mean("wavelength")
+    return dataset
 
 
 def make_minerals_dataset():
@@ -79,7 +81,7 @@ def make_minerals_dataset():
     return xr.Dataset(index, {"wavelength": X, "material": ["ice", "water"]})
 
 
-def surface_areas():
+def make_surface_area_rows():
     row = {"spectrum": "A@10", "area": 20.0, "measured": 0.5, "model": 0.5, "stderr": 0.01,
            "difference": 0.0, "fitted": True}  # fmt: skip
     return pd.DataFrame([row | {"wavelength_nm": x} for x in X])
@@ -87,22 +89,22 @@ def surface_areas():
 
 def make_statements():
     rows = [
-        {"combination": number, "interpretation": f"entry_point: {word}", "set": name,
-         "statement": said,
+        {"combination": number, "interpretation": f"entry_point: {choice}", "set": name,
+         "statement": statement,
          "place": "Fig 1", "nearest_water": True, "ours": value, "stderr": 0.01, "bar": 0.1,
          "distance": 10.0 * value}
-        for number, (word, name, value) in enumerate(
+        for number, (choice, name, value) in enumerate(
             [("uniform", "", 0.2), ("projected", "splitsnow_2021", 0.1)], start=1
         )
-        for said in ("one", "two")
+        for statement in ("one", "two")
     ]  # fmt: skip
     return pd.DataFrame(rows)
 
 
 def make_indices():
-    over = ("quantity", "parameter")
+    dims = ("quantity", "parameter")
     return xr.Dataset(
-        {name: (over, np.full((2, 2), 0.1)) for name in ("msi", "msi_stderr")},
+        {name: (dims, np.full((2, 2), 0.1)) for name in ("msi", "msi_stderr")},
         {"quantity": ["reflectance", "transmittance"], "parameter": ["grain_size", "density"]},
     )
 
@@ -119,34 +121,34 @@ SPEED = pd.DataFrame(
 )  # fmt: skip
 
 
-def draw_kind(kind, made, **section):
-    return lambda: draw(made(), SECTION | {"kind": kind} | section)
+def draw_kind(kind, dataset, **section):
+    return lambda: draw(dataset(), SECTION | {"kind": kind} | section)
 
 
 FIGURES = {
-    "spectra": draw_kind("spectra", lambda: spectral({"saturation": [0.0, 1.0]})),
+    "spectra": draw_kind("spectra", lambda: make_spectra({"saturation": [0.0, 1.0]})),
     "many spectra": draw_kind("spectra",
-                              lambda: spectral({"saturation": np.linspace(0.0, 1.0, 9)})),
-    "facets": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 40),
+                              lambda: make_spectra({"saturation": np.linspace(0.0, 1.0, 9)})),
+    "facets": draw_kind("spectra", lambda: make_spectra({"saturation": np.linspace(0, 1, 40),
                                                  "depth_m": [0.1, 0.2]})),
-    "colour bar": draw_kind("spectra", lambda: spectral({"saturation": np.linspace(0, 1, 20)})),
-    "shifts": draw_kind("spectra", lambda: spectral({"interpretation": ["default", "a"]})),
-    "points": draw_kind("points", lambda: spectral({"depth_m": [0.1, 0.2]}, [500.0])),
-    "points of many": draw_kind("points", lambda: spectral({"depth_m": [0.1, 0.2]}, X)),
-    "swatches": draw_kind("swatches", lambda: spectral({"depth_m": [0.1, 0.2]},
+    "colour bar": draw_kind("spectra", lambda: make_spectra({"saturation": np.linspace(0, 1, 20)})),
+    "shifts": draw_kind("spectra", lambda: make_spectra({"interpretation": ["default", "a"]})),
+    "points": draw_kind("points", lambda: make_spectra({"depth_m": [0.1, 0.2]}, [500.0])),
+    "points of many": draw_kind("points", lambda: make_spectra({"depth_m": [0.1, 0.2]}, X)),
+    "swatches": draw_kind("swatches", lambda: make_spectra({"depth_m": [0.1, 0.2]},
                                                    np.arange(400.0, 781.0, 10.0))),
     "refractive_index": draw_kind("refractive_index", make_minerals_dataset),
-    "principal_plane": draw_kind("principal_plane", directions, quantity=["brdf", "btdf"]),
-    "plane of two": draw_kind("principal_plane", lambda: directions({"depth_m": [0.1, 0.2]})),
-    "hemisphere": draw_kind("hemisphere", directions),
-    "hemispheres": draw_kind("hemisphere", lambda: directions({"depth_m": [0.1, 0.2]})),
-    "lobes": draw_kind("lobes", directions),
+    "principal_plane": draw_kind("principal_plane", make_directions, quantity=["brdf", "btdf"]),
+    "plane of two": draw_kind("principal_plane", lambda: make_directions({"depth_m": [0.1, 0.2]})),
+    "hemisphere": draw_kind("hemisphere", make_directions),
+    "hemispheres": draw_kind("hemisphere", lambda: make_directions({"depth_m": [0.1, 0.2]})),
+    "lobes": draw_kind("lobes", make_directions),
     "bins": draw_kind("bins", make_many_bins_dataset),
-    "polarization": draw_kind("polarization", directions),
+    "polarization": draw_kind("polarization", make_directions),
     "spread": draw_kind("spread", make_beam_dataset),
     "fit": lambda: draw_fits(make_surface_areas_table()),
     "measured": lambda: draw_measured_albedo(ALBEDO),
-    "surface area": lambda: draw_fitted_spectra(surface_areas()),
+    "surface area": lambda: draw_fitted_spectra(make_surface_area_rows()),
     "law": lambda: draw_area_law(LAW),
     "interpretation": lambda: draw_interpretation_shifts(make_statements()),
     "sensitivity": lambda: draw_sensitivity_bars(make_indices()),
@@ -155,12 +157,16 @@ FIGURES = {
 
 
 @pytest.mark.parametrize("kind", FIGURES)
-def test_a_figure_is_one_or_two_columns_wide_with_text_that_can_be_read(kind):
+def test_figures_have_column_width_and_readable_text(kind):
     figure = FIGURES[kind]()
     figure.draw_without_rendering()
     assert figure.get_figwidth() in (ONE_COLUMN_INCHES, TWO_COLUMNS_INCHES)
-    texts = [one for one in figure.findobj(lambda a: hasattr(a, "get_fontsize")) if one.get_text()]
-    assert min(one.get_fontsize() for one in texts) >= SMALL_FONT_PT
+    artists = [
+        artist
+        for artist in figure.findobj(lambda a: hasattr(a, "get_fontsize"))
+        if artist.get_text()
+    ]
+    assert min(artist.get_fontsize() for artist in artists) >= SMALL_FONT_PT
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     letters = [title[:3] for title in titles if title.startswith("(")]
     assert sorted(letters) == [f"({format_panel_letter(i)})" for i in range(len(letters))]
@@ -171,65 +177,72 @@ def test_a_figure_is_one_or_two_columns_wide_with_text_that_can_be_read(kind):
     assert letters or len(panels) == 1 or kind == "refractive_index"
 
 
-def test_letters_continue_after_z():
+def test_panel_letters_continue_after_z():
     assert [format_panel_letter(i) for i in (0, 25, 26, 27, 52)] == ["a", "z", "aa", "ab", "ba"]
 
 
 def test_conditions_state_fixed_values():
-    made = spectral({"saturation": [0.0, 1.0]}, [600.0]).assign_attrs(ATTRIBUTES)
-    assert describe_conditions(made).replace("\u00a0", " ") == (
+    dataset = make_spectra({"saturation": [0.0, 1.0]}, [600.0]).assign_attrs(ATTRIBUTES)
+    assert describe_conditions(dataset).replace("\u00a0", " ") == (
         "Snow, grains 300–750 µm, density 275 kg m⁻³, water saturation 0.05, depth 0.12 m, "
         "incidence 30°, 600 nm, bands: 2 standard errors; standard error ≤ 0.002"
     )
-    at = {"depth_m": 0.02, "saturation": 0.0, "incidence_deg": "diffuse", "medium": "dune"}
-    said = describe_conditions(made, at, "").replace("\u00a0", " ")
-    assert "dry, depth 0.02 m" in said and "diffuse light" in said and "sample: dune" in said
-    assert describe_conditions(spectral({})) == ""
+    panel_values = {
+        "depth_m": 0.02,
+        "saturation": 0.0,
+        "incidence_deg": "diffuse",
+        "medium": "dune",
+    }
+    text = describe_conditions(dataset, panel_values, "").replace("\u00a0", " ")
+    assert "dry, depth 0.02 m" in text and "diffuse light" in text and "sample: dune" in text
+    assert describe_conditions(make_spectra({})) == ""
     opaque = {"medium": "particle_layer", "particle_layer_opaque": "true",
               "particle_layer_refractive_index": 1.5,
               "particle_layer_optical_thickness": 10.0}  # fmt: skip
-    said = describe_conditions(spectral({}).assign_attrs(opaque)).replace("\u00a0", " ")
-    assert said.startswith("Particle layer, index 1.5, nothing below the surface")
-    assert "thickness" not in said
+    text = describe_conditions(make_spectra({}).assign_attrs(opaque)).replace("\u00a0", " ")
+    assert text.startswith("Particle layer, index 1.5, nothing below the surface")
+    assert "thickness" not in text
 
 
 @pytest.mark.parametrize("kind", ["spectra", "hemisphere", "principal_plane", "points"])
 @pytest.mark.parametrize("count", [1, 3, 9])
-def test_notes_overlap_nothing(kind, count):
+def test_notes_do_not_overlap_panels_or_legends(kind, count):
     grid = {"density_kg_m3": np.linspace(100.0, 900.0, count)}
     directed = kind in ("hemisphere", "principal_plane")
-    made = directions(grid) if directed else spectral(grid, INFRARED[::10])
-    long = "a sentence that is far longer than a line of a figure of one column can be " * 2
-    figure = draw(made.assign_attrs(ATTRIBUTES), SECTION | {"kind": kind, "note": long})
+    dataset = make_directions(grid) if directed else make_spectra(grid, INFRARED[::10])
+    long_note = "a sentence that is far longer than a line of a figure of one column can be " * 2
+    figure = draw(dataset.assign_attrs(ATTRIBUTES), SECTION | {"kind": kind, "note": long_note})
     figure.draw_without_rendering()
-    text = next(one for one in figure.texts if one.get_gid() == "foot")
-    assert long.strip() in read_notes(figure)
-    box = text.get_window_extent()
+    note = next(artist for artist in figure.texts if artist.get_gid() == "foot")
+    assert long_note.strip() in read_notes(figure)
+    box = note.get_window_extent()
     assert box.x0 >= 0.0 and box.y0 >= 0.0 and box.x1 <= figure.bbox.x1
-    others = [*figure.legends, *figure.axes]
-    assert not any(box.overlaps(one.get_tightbbox()) for one in others)
+    other_artists = [*figure.legends, *figure.axes]
+    assert not any(box.overlaps(artist.get_tightbbox()) for artist in other_artists)
 
 
-def test_rows_of_coarse_tables_are_marked():
-    made = spectral({}, INFRARED).assign_attrs(ATTRIBUTES)
-    nodes = find_coarse_nodes(made)
+def test_coarse_refractive_index_nodes_are_marked():
+    dataset = make_spectra({}, INFRARED).assign_attrs(ATTRIBUTES)
+    nodes = find_coarse_nodes(dataset)
     assert list(nodes) == ["water (Hale & Querry 1973)", "ice (Warren & Brandt 2008)"]
     np.testing.assert_allclose(nodes["water (Hale & Querry 1973)"], np.arange(1000, 2001, 200))
     assert (np.diff(nodes["ice (Warren & Brandt 2008)"]) > 0.0).all()
-    figure = draw(made, SECTION | {"kind": "spectra"})
-    (marks, _) = (one for one in figure.axes[0].lines if one.get_marker() == "|")
+    figure = draw(dataset, SECTION | {"kind": "spectra"})
+    (marks, _) = (line for line in figure.axes[0].lines if line.get_marker() == "|")
     np.testing.assert_allclose(marks.get_xdata(), np.arange(1000, 2001, 200))
     assert "water (Hale & Querry 1973, red)" in read_notes(figure)
 
 
-def test_rows_of_tables_that_change_nothing_are_not_marked():
-    dry = spectral({}, INFRARED).assign_attrs(ATTRIBUTES | {"snow_saturation": 0.0})
+def test_irrelevant_refractive_index_nodes_are_not_marked():
+    dry = make_spectra({}, INFRARED).assign_attrs(ATTRIBUTES | {"snow_saturation": 0.0})
     assert "water (Hale & Querry 1973)" not in find_coarse_nodes(dry)
-    rough = spectral({}, INFRARED[::20]).assign_attrs(ATTRIBUTES)
-    assert find_coarse_nodes(rough) == {}
-    own = {"snow_refractive_index_water": "my.csv", "snow_refractive_index_ice": "1.3+0j"}
-    assert find_coarse_nodes(spectral({}, INFRARED).assign_attrs(ATTRIBUTES | own)) == {}
-    assert find_coarse_nodes(spectral({}, [500.0]).assign_attrs(ATTRIBUTES)) == {}
+    coarse_dataset = make_spectra({}, INFRARED[::20]).assign_attrs(ATTRIBUTES)
+    assert find_coarse_nodes(coarse_dataset) == {}
+    custom_tables = {"snow_refractive_index_water": "my.csv", "snow_refractive_index_ice": "1.3+0j"}
+    assert (
+        find_coarse_nodes(make_spectra({}, INFRARED).assign_attrs(ATTRIBUTES | custom_tables)) == {}
+    )
+    assert find_coarse_nodes(make_spectra({}, [500.0]).assign_attrs(ATTRIBUTES)) == {}
 
 
 def test_ranges_that_a_paper_does_not_state_are_noted():
@@ -237,12 +250,12 @@ def test_ranges_that_a_paper_does_not_state_are_noted():
         "grain_size": {"low": "100-200", "high": "900-1000", "source": "paper"},
         "density": {"low": 100, "high": 500, "source": "ours"},
     }
-    said = describe_ranges(pairs)
-    assert said == (
+    text = describe_ranges(pairs)
+    assert text == (
         "Ranges stated by the paper: grain size 100-200 to 900-1000; "
         "chosen here, not stated: density 100 to 500."
     )
-    assert said in read_notes(draw_sensitivity_bars(make_indices(), said))
+    assert text in read_notes(draw_sensitivity_bars(make_indices(), text))
 
 
 def test_interpretations_are_shifts_from_the_default_set():
@@ -255,19 +268,19 @@ def test_interpretations_are_shifts_from_the_default_set():
     ]  # fmt: skip
 
 
-def experiment(**given):
-    instrument = {"kind": "goniophotometer", "wavelength_nm": [600]} | given
+def make_experiment(**settings):
+    instrument = {"kind": "goniophotometer", "wavelength_nm": [600]} | settings
     return ExperimentConfig(name="made", instrument=instrument, figure={"kind": "hemisphere"})
 
 
-def test_maps_need_directions_all_around():
-    assert experiment().resolve_figure()["kind"] == "hemisphere"
-    assert experiment(estimator="bins", n_bins=[18, 72])
-    for given, key in (
+def test_maps_need_directions_around_the_full_circle():
+    assert make_experiment().resolve_figure()["kind"] == "hemisphere"
+    assert make_experiment(estimator="bins", n_bins=[18, 72])
+    for settings, key in (
         ({"azimuth_deg": [0, 90, 180, 270]}, "azimuth_deg"),
         ({"azimuth_deg": [0, *range(100, 181, 10)]}, "azimuth_deg"),
         ({"polar_deg": [0, 30]}, "polar_deg"),
         ({"estimator": "bins", "n_bins": [6, 6]}, "n_bins"),
     ):
         with pytest.raises(ValueError, match=rf"instrument\.{key} = .*: must be at least 3 polar"):
-            experiment(**given)
+            make_experiment(**settings)

@@ -1,4 +1,4 @@
-"""Figures of directions: half circles, beams, gaps, no light, surfaces."""
+"""Figures of directional quantities: principal planes, maps, lobes, polarization."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AZIMUTH = np.arange(0.0, 360.0, 30.0)
 def make_dataset(
     grid=None, polar=POLAR, estimator="expansion", wavelength=(600.0,), azimuth=AZIMUTH
 ):
-    """Return BRDFs that lean forward, and BTDFs of half their size."""
+    """Return forward-peaked BRDFs, and BTDFs of half their size."""
     coords = {
         **{k: np.array(v) for k, v in (grid or {}).items()},
         "wavelength": np.array(wavelength), "polar": polar, "azimuth": azimuth,
@@ -30,9 +30,9 @@ def make_dataset(
     shape = tuple(len(v) for v in coords.values())
     forward = np.sin(np.radians(polar))[:, np.newaxis] * np.cos(np.radians(azimuth))
     values = np.broadcast_to(0.3 + 0.1 * forward, shape)
-    names = {"brdf": 1.0, "btdf": 0.5, "brdf_q": -0.2}
+    factors = {"brdf": 1.0, "btdf": 0.5, "brdf_q": -0.2}
     variables = {}
-    for name, factor in names.items():
+    for name, factor in factors.items():
         variables[name] = (tuple(coords), factor * values)
         variables[f"{name}_stderr"] = (tuple(coords), np.full(shape, 1e-3))
     attributes = {"incidence_deg": 40.0, "estimator": estimator}
@@ -40,7 +40,7 @@ def make_dataset(
 
 
 PLANE = {"azimuth": np.array([0.0, 90.0, 180.0, 270.0])}
-"""Directions that no map can show."""
+"""Azimuths of the principal plane and across it, too few for a map."""
 
 
 def list_map_axes(figure):
@@ -48,7 +48,7 @@ def list_map_axes(figure):
     return [axes for axes in figure.axes if axes.get_xlabel().startswith("forward")]
 
 
-def test_beams_are_explained():
+def test_incident_beam_is_labelled():
     figure = draw_principal_planes(make_dataset())
     polar = figure.axes[0]
     beam = polar.lines[-1]
@@ -58,9 +58,9 @@ def test_beams_are_explained():
     assert "BRDF (sr⁻¹)" in [t.get_text() for t in polar.texts]
 
 
-def test_several_beams_have_the_colours_of_their_lines():
-    made = make_dataset({"incidence_deg": [0.0, 30.0, 60.0]}, **PLANE)
-    polar, flat = draw_principal_planes(made).axes
+def test_incident_beams_have_the_colours_of_their_lines():
+    dataset = make_dataset({"incidence_deg": [0.0, 30.0, 60.0]}, **PLANE)
+    polar, flat = draw_principal_planes(dataset).axes
     *_, one, two, three = polar.lines
     assert np.degrees(two.get_xdata()[0]) == pytest.approx(-30.0)
     assert [b.get_color() for b in (one, two, three)] == [c.get_color() for c in flat.lines]
@@ -82,47 +82,49 @@ def test_transmitted_light_points_down():
     np.testing.assert_allclose(down.lines[-1].get_xdata(), np.radians(180.0 - 40.0))
 
 
-def test_every_quantity_asked_for_has_its_panels():
+def test_every_requested_quantity_has_panels():
     figure = draw_principal_planes(make_dataset(**PLANE), ["brdf", "btdf"])
     assert [axes.get_ylabel() for axes in figure.axes[1::2]] == ["BRDF (sr⁻¹)", "BTDF (sr⁻¹)"]
     brdf, btdf = (axes.lines[0].get_ydata() for axes in figure.axes[1::2])
     np.testing.assert_allclose(btdf, 0.5 * brdf)
 
 
-def test_where_nothing_is_transmitted_the_panels_say_so():
-    made = make_dataset(**PLANE)
-    made["btdf"] = 0.0 * made.btdf
-    figure = draw_principal_planes(made, ["btdf"])
+def test_panels_state_that_nothing_is_transmitted():
+    dataset = make_dataset(**PLANE)
+    dataset["btdf"] = 0.0 * dataset.btdf
+    figure = draw_principal_planes(dataset, ["btdf"])
     for axes in figure.axes:
-        said = "nothing transmitted\nwithin 0.002 sr⁻¹"
-        assert said in [text.get_text() for text in axes.texts]
+        message = "nothing transmitted\nwithin 0.002 sr⁻¹"
+        assert message in [text.get_text() for text in axes.texts]
         assert not axes.collections, "no band fills the panel"
-    made["btdf_stderr"] = 0.0 * made.btdf
-    flat = draw_principal_planes(made, ["btdf"]).axes[1]
+    dataset["btdf_stderr"] = 0.0 * dataset.btdf
+    flat = draw_principal_planes(dataset, ["btdf"]).axes[1]
     assert [text.get_text() for text in flat.texts] == ["nothing transmitted"]
-    for axes in draw_principal_planes(made).axes:
+    for axes in draw_principal_planes(dataset).axes:
         assert not any("nothing" in text.get_text() for text in axes.texts)
 
 
-CELLS = np.degrees(np.arccos((np.arange(18) + 0.5) / 18.0))[::-1]
+BIN_CENTERS = np.degrees(np.arccos((np.arange(18) + 0.5) / 18.0))[::-1]
 
 
 def test_lines_of_bins_do_not_cross_the_zenith():
-    made = make_dataset(polar=CELLS, estimator="bins", **PLANE)
-    for figure in (draw_principal_planes(made), draw_polarization(made)):
+    dataset = make_dataset(polar=BIN_CENTERS, estimator="bins", **PLANE)
+    for figure in (draw_principal_planes(dataset), draw_polarization(dataset)):
         for axes in figure.axes:
             angle, value = axes.lines[0].get_data()
             gap = np.flatnonzero(np.isnan(value))
             assert gap.size == 1 and angle[gap[0]] == 0.0
     for estimator in ("expansion", "next_event"):
         line = (
-            draw_principal_planes(make_dataset(polar=CELLS, estimator=estimator)).axes[1].lines[0]
+            draw_principal_planes(make_dataset(polar=BIN_CENTERS, estimator=estimator))
+            .axes[1]
+            .lines[0]
         )
         assert np.isfinite(line.get_ydata()).all()
 
 
-def test_collectors_do_not_cross_the_zenith_and_the_finest_lie_below():
-    fine = make_dataset(polar=CELLS, estimator="bins", azimuth=np.arange(0.0, 360.0, 10.0))
+def test_lines_of_bin_sizes_break_at_the_zenith():
+    fine = make_dataset(polar=BIN_CENTERS, estimator="bins", azimuth=np.arange(0.0, 360.0, 10.0))
     figure = draw_bin_sizes(fine)
     axes = figure.axes[0]
     assert len(axes.lines) == len(list_map_axes(figure)) == 3
@@ -130,7 +132,7 @@ def test_collectors_do_not_cross_the_zenith_and_the_finest_lie_below():
         angle, value = line.get_data()
         assert np.isnan(value[angle == 0.0]).all() and np.isfinite(value[angle != 0.0]).all()
     order = [line.get_zorder() for line in axes.lines]
-    assert order == sorted(order, reverse=True), "large cells come first and lie on top"
+    assert order == sorted(order, reverse=True), "large bins come first and lie on top"
 
 
 def test_a_bin_at_the_zenith_leaves_no_gap():
@@ -138,10 +140,10 @@ def test_a_bin_at_the_zenith_leaves_no_gap():
     assert np.isfinite(line.get_ydata()).all()
 
 
-def test_a_sample_that_sends_nothing_back_has_lobes_without_extent():
-    dark = make_dataset()
-    dark["brdf"] = 0.0 * dark.brdf
-    figure = draw_lobes(dark)
+def test_lobes_of_a_black_sample_have_no_extent():
+    dataset = make_dataset()
+    dataset["brdf"] = 0.0 * dataset.brdf
+    figure = draw_lobes(dataset)
     assert figure.axes[0].get_xlim() == (-1.0, 1.0)
 
 
@@ -160,16 +162,16 @@ def test_titles_of_lobes_do_not_overlap():
     assert all(box.x0 >= 0.0 and box.x1 <= figure.bbox.x1 for box in boxes)
 
 
-def test_degrees_of_polarization_need_light():
-    made = make_dataset()
-    made["brdf"] = made.brdf.where(made.polar < 60.0, 0.0)
-    right = draw_polarization(made).axes[1]
+def test_degree_of_polarization_is_undefined_without_light():
+    dataset = make_dataset()
+    dataset["brdf"] = dataset.brdf.where(dataset.polar < 60.0, 0.0)
+    right = draw_polarization(dataset).axes[1]
     angle, degree = right.lines[0].get_data()
     np.testing.assert_allclose(degree[np.abs(angle) < 60.0], 0.2)
     assert np.isnan(degree[np.abs(angle) >= 60.0]).all()
 
 
-def test_many_directions_leave_their_panels_free():
+def test_legend_of_many_lines_lies_outside_the_panels():
     grid = {"incidence_deg": np.arange(0.0, 90.0, 10.0), "density_kg_m3": [200.0, 400.0]}
     figure = draw_principal_planes(make_dataset(grid))
     figure.draw_without_rendering()
@@ -180,7 +182,7 @@ def test_many_directions_leave_their_panels_free():
     assert box.x1 <= figure.bbox.x1 + 1.0 and box.y0 >= 0.0
 
 
-def test_few_points_have_maps_beside_and_many_do_not():
+def test_maps_are_shown_for_few_grid_points_only():
     for count, expected in ((1, 1), (4, 4), (5, 0)):
         grid = {"density_kg_m3": 100.0 * np.arange(1, count + 1)}
         figure = draw_principal_planes(make_dataset(grid))
@@ -191,15 +193,15 @@ def test_few_points_have_maps_beside_and_many_do_not():
 
 
 @pytest.mark.parametrize("count", [1, 5, 24])
-def test_maps_have_one_scale_and_the_directions_of_the_beam(count):
-    made = make_dataset({"density_kg_m3": np.arange(1.0, 1.0 + count)})
-    figure = draw_hemispheres(made)
+def test_maps_share_a_scale_and_mark_the_beam(count):
+    dataset = make_dataset({"density_kg_m3": np.arange(1.0, 1.0 + count)})
+    figure = draw_hemispheres(dataset)
     figure.draw_without_rendering()
     assert figure.get_figwidth() == (ONE_COLUMN_INCHES if count == 1 else TWO_COLUMNS_INCHES)
-    shown = list_map_axes(figure)
-    assert len(shown) == count
-    assert len({axes.collections[0].norm for axes in shown}) == 1
-    for axes in shown:
+    maps = list_map_axes(figure)
+    assert len(maps) == count
+    assert len({axes.collections[0].norm for axes in maps}) == 1
+    for axes in maps:
         (mirror, source) = (line for line in axes.lines if line.get_marker() in "Do")
         np.testing.assert_allclose(mirror.get_xydata(), [[0.0, 40.0]])
         np.testing.assert_allclose(source.get_xydata(), [[np.pi, 40.0]])
@@ -209,16 +211,16 @@ def test_maps_have_one_scale_and_the_directions_of_the_beam(count):
 
 def test_a_map_shows_forward_directions_on_the_right():
     mesh = list_map_axes(draw_hemispheres(make_dataset()))[0].collections[0]
-    around = mesh.get_coordinates()[..., 0]
-    middle = 0.5 * (around[1:, 1:] + around[1:, :-1])
+    azimuth = mesh.get_coordinates()[..., 0]
+    middle = 0.5 * (azimuth[1:, 1:] + azimuth[1:, :-1])
     values = mesh.get_array()
     assert values[np.cos(middle) > 0.5].mean() > values[np.cos(middle) < -0.5].mean()
 
 
-def test_light_of_an_interpretation_is_shown_as_shifts_from_the_default():
-    made = make_dataset({"interpretation": ["a", "default", "b"]})
-    made["brdf"] = made.brdf + xr.DataArray([0.1, 0.0, -0.1], dims="interpretation")
-    figure = draw_principal_planes(made)
+def test_interpretations_are_shown_as_shifts_from_the_default():
+    dataset = make_dataset({"interpretation": ["a", "default", "b"]})
+    dataset["brdf"] = dataset.brdf + xr.DataArray([0.1, 0.0, -0.1], dims="interpretation")
+    figure = draw_principal_planes(dataset)
     default, one, other = figure.axes
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) default", "(b) a", "(c) b"]
     assert default.lines[0].get_ydata().max() > 0.3

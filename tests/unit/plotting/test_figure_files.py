@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
-from test_figure_directions import make_dataset as directions
+from test_figure_directions import make_dataset as make_directions
 
 from splits.plotting import draw, save_figure
 
@@ -20,10 +20,10 @@ SECTION = {
 PROGRAM = """
 import matplotlib
 before = dict.__getitem__(matplotlib.rcParams, "backend")
-from test_figure_files import SECTION, spectrum
+from test_figure_files import SECTION, make_spectrum
 from splits.plotting import draw, save_figure
 from splits.plotting.style import pick_colours
-save_figure(draw(spectrum(), SECTION), "one")
+save_figure(draw(make_spectrum(), SECTION), "one")
 pick_colours(3, "medium")
 assert dict.__getitem__(matplotlib.rcParams, "backend") == before
 import matplotlib.pyplot as plt
@@ -32,7 +32,7 @@ assert plt.get_backend().lower() == "svg", plt.get_backend()
 """
 
 
-def spectrum():
+def make_spectrum():
     x = np.linspace(400.0, 1000.0, 7)
     coords = {"saturation": [0.0, 0.5], "wavelength": x}
     value = np.stack([0.5 + x / 4000.0, 0.3 + x / 4000.0])
@@ -43,34 +43,34 @@ def spectrum():
     return xr.Dataset(variables, coords)
 
 
-def test_a_figure_is_beside_pyplot(tmp_path):
+def test_figures_are_independent_of_pyplot(tmp_path):
     environment = os.environ | {"MPLBACKEND": "svg"}
     environment.pop("DISPLAY", None)
-    here = os.path.dirname(__file__)
-    environment["PYTHONPATH"] = os.pathsep.join([here, os.environ.get("PYTHONPATH", os.getcwd())])
-    done = subprocess.run(
+    folder = os.path.dirname(__file__)
+    environment["PYTHONPATH"] = os.pathsep.join([folder, os.environ.get("PYTHONPATH", os.getcwd())])
+    result = subprocess.run(
         [sys.executable, "-c", PROGRAM], env=environment, cwd=tmp_path, capture_output=True,
         text=True,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
 
 
-def test_a_notebook_shows_a_figure():
-    assert draw(spectrum(), SECTION)._repr_png_().startswith(b"\x89PNG")
+def test_figures_have_a_notebook_representation():
+    assert draw(make_spectrum(), SECTION)._repr_png_().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("kind", ["spectra", "points", "hemisphere"])
-def test_the_same_data_gives_the_same_bytes(kind, tmp_path):
+def test_figure_files_are_reproducible(kind, tmp_path):
     section = SECTION | {"kind": kind}
-    made_of = directions() if kind == "hemisphere" else spectrum()
+    dataset = make_directions() if kind == "hemisphere" else make_spectrum()
     stems = (tmp_path / "one", tmp_path / "two")
-    made = [
-        [path.read_bytes() for path in save_figure(draw(made_of, section), stem)] for stem in stems
+    files = [
+        [path.read_bytes() for path in save_figure(draw(dataset, section), stem)] for stem in stems
     ]
-    assert made[0] == made[1]
-    svg = made[0][1].decode()
+    assert files[0] == files[1]
+    svg = files[0][1].decode()
     words = "forward" if kind == "hemisphere" else "wavelength (nm)"
     assert words in svg, "text stays text"
     assert "<dc:date>" not in svg
-    pdf = made[0][2]
+    pdf = files[0][2]
     assert pdf.startswith(b"%PDF") and b"CreationDate" not in pdf

@@ -9,7 +9,7 @@ from splits.plotting import draw_refractive_indices
 
 
 def make_dataset(materials):
-    """Return indices, given n for each material."""
+    """Return refractive indices with a given n for each material."""
     n = np.array([[index, index] for index in materials.values()]).T
     axes = {"wavelength": [500.0, 900.0], "material": list(materials)}
     dims = ("wavelength", "material")
@@ -22,7 +22,7 @@ def list_legend_labels(materials):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-def test_a_material_common_to_layers_is_shown_once():
+def test_materials_common_to_layers_are_shown_once():
     stack = {
         "layers.0.air": 1.0,
         "layers.0.ice": 1.31,
@@ -38,5 +38,5 @@ def test_materials_that_differ_between_layers_have_labels():
     ]  # fmt: skip
 
 
-def test_nothing_to_show_is_an_empty_figure_without_legend():
+def test_figures_without_materials_have_no_legend():
     assert list_legend_labels({"layers.0.air": 1.0, "layers.0.matrix": 1.5}) == []

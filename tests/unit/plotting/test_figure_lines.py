@@ -18,8 +18,8 @@ def make_dataset(grid, wavelength=X, value=0.5, quantities=("reflectance",)):
     """Return constant spectra over a grid, 0.01 apart."""
     coords = {**{k: np.array(v) for k, v in grid.items()}, "wavelength": np.array(wavelength)}
     shape = tuple(len(v) for v in coords.values())
-    count = int(np.prod(shape[:-1], dtype=int))
-    base = value + 0.01 * np.arange(count).reshape(*shape[:-1], 1)
+    n_spectra = int(np.prod(shape[:-1], dtype=int))
+    base = value + 0.01 * np.arange(n_spectra).reshape(*shape[:-1], 1)
     variables = {}
     for name in quantities:
         variables[name] = (tuple(coords), np.broadcast_to(base, shape), {"long_name": f"a {name}"})
@@ -62,46 +62,46 @@ def list_legend_entries(legend):
         ("10019201", "medium", "10019201"),
     ],
 )
-def test_values_are_named_as_print_has_them(value, parameter, text):
+def test_values_are_formatted_for_print(value, parameter, text):
     assert format_value(value, parameter) == text
 
 
 @pytest.mark.parametrize(
     "sizes", [(), (1,), (5,), (1, 5), (2, 4), (2, 9), (9, 3), (3, 3, 3), (12,), (14, 2)]
 )
-def test_no_two_lines_look_the_same(sizes):
+def test_all_lines_have_different_styles(sizes):
     grid = {f"p{i}": np.arange(float(n)) for i, n in enumerate(sizes)}
     for use_dashes in (False, True):
-        looks = [
-            (one.colour, one.dash) for one in make_plot_lines(grid, use_dashes=use_dashes).lines
+        styles = [
+            (line.colour, line.dash) for line in make_plot_lines(grid, use_dashes=use_dashes).lines
         ]
-        assert len(set(looks)) == len(looks) == np.prod(sizes, dtype=int)
+        assert len(set(styles)) == len(styles) == np.prod(sizes, dtype=int)
 
 
-def test_many_names_without_order_have_safe_colours_and_dashes():
-    made = make_plot_lines({"interpretation": [f"r{i}" for i in range(13)]}).lines
-    assert len({(one.colour, one.dash) for one in made}) == 13
-    assert {one.colour for one in made} == set(pick_colours(10, "interpretation"))
-    assert {one.dash for one in made} == set(DASHES[:2])
+def test_many_unordered_names_combine_colours_and_dashes():
+    lines = make_plot_lines({"interpretation": [f"r{i}" for i in range(13)]}).lines
+    assert len({(line.colour, line.dash) for line in lines}) == 13
+    assert {line.colour for line in lines} == set(pick_colours(10, "interpretation"))
+    assert {line.dash for line in lines} == set(DASHES[:2])
 
 
-def test_colours_of_ordered_values_get_lighter():
-    for count in (2, 5, 12):
-        light = [0.2126 * r + 0.7152 * g + 0.0722 * b for r, g, b in pick_colours(count)]
-        assert (np.diff(light) > 0.0).all()
-        assert light[-1] < 0.75, "the lightest is still seen on white"
+def test_colours_of_ordered_values_increase_in_lightness():
+    for n_colours in (2, 5, 12):
+        luminance = [0.2126 * r + 0.7152 * g + 0.0722 * b for r, g, b in pick_colours(n_colours)]
+        assert (np.diff(luminance) > 0.0).all()
+        assert luminance[-1] < 0.75, "the lightest colour is visible on white"
 
 
 def test_the_default_is_black_and_on_top():
-    made = make_plot_lines({"interpretation": ["a", "default", "b"]}).lines
-    default, others = made[1], (made[0], made[2])
+    lines = make_plot_lines({"interpretation": ["a", "default", "b"]}).lines
+    default, others = lines[1], (lines[0], lines[2])
     assert default.colour == "black" and default.is_default
-    assert all(one.zorder < default.zorder and one.colour != "black" for one in others)
-    assert all(one.to_plot_style()["lw"] < default.to_plot_style()["lw"] for one in others)
-    assert [one.colour for one in others] == pick_colours(2, "interpretation")
+    assert all(line.zorder < default.zorder and line.colour != "black" for line in others)
+    assert all(line.to_plot_style()["lw"] < default.to_plot_style()["lw"] for line in others)
+    assert [line.colour for line in others] == pick_colours(2, "interpretation")
 
 
-def test_few_lines_have_their_legend_on_free_axes():
+def test_legend_of_few_lines_is_inside_the_axes():
     figure = draw_spectra(make_dataset({"bottom_albedo": ["None", "1e-05", "0.5"]}, value=0.1))
     (axes,) = figure.axes
     assert not figure.legends
@@ -109,7 +109,7 @@ def test_few_lines_have_their_legend_on_free_axes():
     assert axes.get_legend().get_title().get_text() == "bottom albedo"
 
 
-def test_a_legend_that_would_cover_lines_is_placed_beside():
+def test_a_legend_over_lines_is_placed_outside():
     zigzag = make_dataset({"saturation": [0.0, 0.5, 1.0]})
     zigzag["reflectance"] = xr.where(np.arange(X.size) % 2 == 0, 1.0, 0.01) + 0.0 * (
         zigzag.reflectance
@@ -121,7 +121,7 @@ def test_a_legend_that_would_cover_lines_is_placed_beside():
 
 
 def is_legend_clear(figure):
-    """Return whether legends are within the figure and not on its axes."""
+    """Return whether legends are within the figure and outside its axes."""
     figure.draw_without_rendering()
     boxes = [legend.get_window_extent() for legend in figure.legends]
     inside = all(
@@ -133,7 +133,7 @@ def is_legend_clear(figure):
     return inside and not any(box.overlaps(panel) for box in boxes for panel in panels)
 
 
-def test_many_lines_of_two_parameters_name_each_value_once():
+def test_legend_of_two_parameters_lists_each_value_once():
     figure = draw_spectra(
         make_dataset({"density_kg_m3": np.arange(9.0), "depth_m": [0.1, 0.2, 0.3]})
     )
@@ -151,7 +151,7 @@ def test_many_lines_of_two_parameters_name_each_value_once():
     assert figure.axes[0].get_window_extent().height > 0.6 * figure.bbox.height
 
 
-def test_very_many_values_have_a_colour_bar():
+def test_many_values_have_a_colour_bar():
     grid = {"grain_size_um": [f"{i}00-{i + 1}00" for i in range(1, 25)], "depth_m": [0.1, 0.2]}
     figure = draw_spectra(make_dataset(grid))
     axes, bar = figure.axes
@@ -163,9 +163,9 @@ def test_very_many_values_have_a_colour_bar():
     assert is_legend_clear(figure)
 
 
-def test_forty_interpretations_fit_beside():
+def test_legend_of_forty_interpretations_fits():
     figure = draw_spectra(
-        make_dataset({"interpretation": [f"reading number {i}" for i in range(40)]})
+        make_dataset({"interpretation": [f"interpretation number {i}" for i in range(40)]})
     )
     assert len(list_legend_entries(figure.legends[0])) == 40
     assert is_legend_clear(figure)
@@ -180,74 +180,74 @@ def test_measured_values_are_in_the_legend():
 SECTION = {"kind": "points", "select": {}, "legend": None}
 
 
-def test_points_draw_every_quantity():
-    made = make_dataset(
+def test_points_show_every_quantity():
+    dataset = make_dataset(
         {"density_kg_m3": [100.0, 200.0]}, [500.0, 600.0, 700.0],
         quantities=("reflectance", "transmittance"),
     )  # fmt: skip
-    made["transmittance"] = 0.1 * made.transmittance
-    figure = draw(made, {**SECTION, "quantity": ["reflectance", "transmittance"]})
+    dataset["transmittance"] = 0.1 * dataset.transmittance
+    figure = draw(dataset, {**SECTION, "quantity": ["reflectance", "transmittance"]})
     assert [axes.get_xlabel() for axes in figure.axes] == ["a reflectance", "a transmittance"]
     for axes, name in zip(figure.axes, ("reflectance", "transmittance"), strict=True):
-        drawn = [one.lines[0].get_xdata() for one in axes.containers]
-        np.testing.assert_array_equal(drawn, made[name].transpose("wavelength", ...))
+        plotted = [container.lines[0].get_xdata() for container in axes.containers]
+        np.testing.assert_array_equal(plotted, dataset[name].transpose("wavelength", ...))
     assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == ["100", "200"]
     assert list_legend_entries(figure.legends[0]) == ["500", "600", "700"]
     assert is_legend_clear(figure)
 
 
-def test_points_show_quantities_of_grains_at_one_wavelength():
-    made = make_dataset({"density_kg_m3": [100.0, 200.0]}, [600.0])
+def test_points_show_grain_quantities_at_one_wavelength():
+    dataset = make_dataset({"density_kg_m3": [100.0, 200.0]}, [600.0])
     long_name = {"long_name": "mean distance"}
-    made["mean_grain_distance"] = ("density_kg_m3", np.array([2e-3, 1e-3]), long_name)
-    (axes,) = draw_points(made).axes
+    dataset["mean_grain_distance"] = ("density_kg_m3", np.array([2e-3, 1e-3]), long_name)
+    (axes,) = draw_points(dataset).axes
     assert axes.get_xlabel() == "a reflectance"
-    (axes,) = draw_points(made, ["mean_grain_distance"]).axes
+    (axes,) = draw_points(dataset, ["mean_grain_distance"]).axes
     assert axes.get_xlabel() == "mean distance (mm)"
     np.testing.assert_allclose(axes.lines[0].get_xdata(), [2.0, 1.0])
 
 
-def test_points_are_shifts_from_the_default_which_is_stated():
-    made = make_dataset({"interpretation": ["a", "default", "b"]}, [500.0, 600.0])
-    axes = draw_points(made).axes[0]
-    for one in axes.containers:
-        np.testing.assert_allclose(one.lines[0].get_xdata(), [-0.01, 0.0, 0.01], atol=1e-12)
-        ends = [segment[:, 0] for segment in one.lines[2][0].get_segments()]
-        half = [0.5 * (high - low) for low, high in ends]
-        np.testing.assert_allclose(half, [2e-3 * 2**0.5, 0.0, 2e-3 * 2**0.5], atol=1e-12)
+def test_points_are_shifts_from_the_stated_default():
+    dataset = make_dataset({"interpretation": ["a", "default", "b"]}, [500.0, 600.0])
+    axes = draw_points(dataset).axes[0]
+    for container in axes.containers:
+        np.testing.assert_allclose(container.lines[0].get_xdata(), [-0.01, 0.0, 0.01], atol=1e-12)
+        intervals = [segment[:, 0] for segment in container.lines[2][0].get_segments()]
+        half_widths = [0.5 * (high - low) for low, high in intervals]
+        np.testing.assert_allclose(half_widths, [2e-3 * 2**0.5, 0.0, 2e-3 * 2**0.5], atol=1e-12)
     assert axes.get_xlabel().splitlines()[1] == "default: 0.510 (500 nm), 0.510 (600 nm)"
     absolute = draw_points(make_dataset({"interpretation": ["a", "b"]}, [500.0])).axes[0]
     np.testing.assert_allclose(absolute.containers[0].lines[0].get_xdata(), [0.5, 0.51])
 
 
-def test_spectra_are_shifts_from_the_default_a_panel_each():
-    made = make_dataset({"interpretation": ["a", "default", "b"], "depth_m": [0.1]})
-    figure = draw_spectra(made)
+def test_spectra_are_shifts_in_one_panel_each():
+    dataset = make_dataset({"interpretation": ["a", "default", "b"], "depth_m": [0.1]})
+    figure = draw_spectra(dataset)
     default, one, other = figure.axes
     np.testing.assert_allclose(default.lines[0].get_ydata(), 0.51)
     np.testing.assert_allclose(one.lines[0].get_ydata(), -0.01)
     np.testing.assert_allclose(other.lines[0].get_ydata(), 0.01)
     assert "independent" in next(t.get_text() for t in figure.texts if t.get_gid() == "foot")
-    cut = draw_spectra(made, ylim=(0.2, 0.8))
-    assert cut.axes[0].get_ylim() == (0.2, 0.8)
-    assert cut.axes[1].get_ylim() == one.get_ylim()
+    limited = draw_spectra(dataset, ylim=(0.2, 0.8))
+    assert limited.axes[0].get_ylim() == (0.2, 0.8)
+    assert limited.axes[1].get_ylim() == one.get_ylim()
     crossed = make_dataset({"interpretation": ["a", "default"], "depth_m": [0.1, 0.2]})
     assert len(draw_spectra(crossed).axes[0].lines) == 4, "several parameters stay absolute"
 
 
-def test_beams_of_many_wavelengths_have_their_legend_beside():
+def test_legend_of_many_beam_wavelengths_is_outside():
     radius, side = np.geomspace(1e-4, 1e-1, 8), ["reflected", "transmitted"]
-    for count in (2, 5):
-        x = 600.0 + 100.0 * np.arange(count)
-        made = xr.Dataset(
+    for n in (2, 5):
+        x = 600.0 + 100.0 * np.arange(n)
+        dataset = xr.Dataset(
             {
-                "profile": (("wavelength", "side", "radius"), np.ones((count, 2, 8))),
-                "profile_stderr": (("wavelength", "side", "radius"), np.full((count, 2, 8), 0.01)),
-                "profile_map": (("wavelength", "side", "x", "y"), np.ones((count, 2, 3, 3))),
+                "profile": (("wavelength", "side", "radius"), np.ones((n, 2, 8))),
+                "profile_stderr": (("wavelength", "side", "radius"), np.full((n, 2, 8), 0.01)),
+                "profile_map": (("wavelength", "side", "x", "y"), np.ones((n, 2, 3, 3))),
             },
             {"wavelength": x, "side": side, "radius": radius, "x": np.arange(3.0),
              "y": np.arange(3.0)},
         )  # fmt: skip
-        figure = draw_beam_spread(made)
-        assert len(figure.legends) == (count == 5)
+        figure = draw_beam_spread(dataset)
+        assert len(figure.legends) == (n == 5)
         assert is_legend_clear(figure)

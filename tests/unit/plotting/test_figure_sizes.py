@@ -38,11 +38,11 @@ def make_grid(*sizes):
     lows = (0.0, 200.0, 0.1, -20.0)
     highs = (1.0, 800.0, 2.0, -1.0)
     values = [np.linspace(low, high, n) for low, high, n in zip(lows, highs, sizes, strict=False)]
-    parts = (f"{k}: {v.round(5).tolist()}" for k, v in zip(names, values, strict=False))
-    return "grid: {" + ", ".join(parts) + "}\n"
+    axes = (f"{k}: {v.round(5).tolist()}" for k, v in zip(names, values, strict=False))
+    return "grid: {" + ", ".join(axes) + "}\n"
 
 
-def test_a_panel_for_all_or_panels_for_the_others():
+def test_panel_parameters_are_chosen_by_number_of_lines():
     assert choose_panel_parameters({"a": 5, "b": 12}) == []
     assert choose_panel_parameters({"a": 40, "b": 2}) == ["b"]
     assert choose_panel_parameters({"one": 1, "a": 40, "b": 4, "c": 5}) == ["b", "c"]
@@ -67,40 +67,42 @@ def test_a_panel_for_all_or_panels_for_the_others():
         ("instrument: {kind: goniophotometer, wavelength_nm: [500]}\n" + make_grid(100), "100"),
     ],
 )  # fmt: skip
-def test_figures_that_are_too_large_are_rejected_before_anything_runs(tmp_path, text, count):
-    with pytest.raises(ConfigError, match=rf"figure\.select = {{}}: must be .* of {count}") as told:
+def test_too_large_figures_are_rejected_before_the_run(tmp_path, text, count):
+    with pytest.raises(
+        ConfigError, match=rf"figure\.select = {{}}: must be .* of {count}"
+    ) as error:
         load_text(tmp_path, text)
-    assert "\n" not in str(told.value) and "figure: none" in str(told.value)
+    assert "\n" not in str(error.value) and "figure: none" in str(error.value)
     lines = [line for line in text.splitlines() if not line.startswith("figure")]
-    made = load_text(tmp_path, "\n".join(["figure: none", *lines]))
-    assert made.figure.kind == "none"
+    experiment = load_text(tmp_path, "\n".join(["figure: none", *lines]))
+    assert experiment.figure.kind == "none"
 
 
-def test_maps_of_several_points_need_no_figure(tmp_path):
-    beam = "instrument: {kind: beam_spread, wavelength_nm: [500], half_width_m: 0.1}\n" + make_grid(
+def test_maps_of_several_points_require_figure_none(tmp_path):
+    text = "instrument: {kind: beam_spread, wavelength_nm: [500], half_width_m: 0.1}\n" + make_grid(
         2
     )
     with pytest.raises(ConfigError, match=r"figure\.select"):
-        load_text(tmp_path, beam)
-    made = load_text(tmp_path, "figure: none\n" + beam)
-    again = ExperimentConfig.model_validate({**made.dump_simulation(), "figure": "none"})
-    assert again.dump_simulation() == made.dump_simulation()
+        load_text(tmp_path, text)
+    experiment = load_text(tmp_path, "figure: none\n" + text)
+    reloaded = ExperimentConfig.model_validate({**experiment.dump_simulation(), "figure": "none"})
+    assert reloaded.dump_simulation() == experiment.dump_simulation()
 
 
-def test_more_wavelengths_than_series_are_rejected(tmp_path):
+def test_too_many_wavelengths_for_points_are_rejected(tmp_path):
     with pytest.raises(ConfigError, match=r"wavelength_nm = '211 wavelengths': must be at most 60"):
         load_text(tmp_path, "figure: {kind: points}\n" + make_grid(2))
 
 
-def test_a_table_within_the_limits_is_taken(tmp_path):
+def test_grids_within_the_limits_are_accepted(tmp_path):
     assert load_text(tmp_path, make_grid(40, 4, 5)).resolve_figure()["kind"] == "spectra"
-    held = "figure: {select: {depth_m: 0.1}}\n" + make_grid(20, 4, 50)
-    assert load_text(tmp_path, held).figure.select == {"depth_m": 0.1}
+    selected = "figure: {select: {depth_m: 0.1}}\n" + make_grid(20, 4, 50)
+    assert load_text(tmp_path, selected).figure.select == {"depth_m": 0.1}
     rows = "instrument: {wavelength_nm: [500]}\n" + make_grid(MAX_ROWS)
     assert load_text(tmp_path, rows).resolve_figure()["kind"] == "points"
 
 
-def test_no_figure_is_configured_in_one_way(tmp_path):
+def test_figure_none_is_the_only_spelling(tmp_path):
     for text, message in (
         ("figure:", r"figure = None: must be a mapping"),
         ("figure: nothing", r"figure = 'nothing': must be a mapping"),
@@ -113,7 +115,7 @@ def test_no_figure_is_configured_in_one_way(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("grid", "quantities", "panels"),
+    ("grid", "quantities", "n_panels"),
     [
         ({"saturation": np.linspace(0, 1, 40), "density_kg_m3": [200.0, 300.0],
           "depth_m": [0.1, 0.2, 0.3]}, ("reflectance",), 6),
@@ -121,19 +123,19 @@ def test_no_figure_is_configured_in_one_way(tmp_path):
          ("reflectance", "transmittance"), 20),
     ],
 )  # fmt: skip
-def test_many_lines_have_several_panels(grid, quantities, panels, tmp_path):
-    made = make_dataset(grid, quantities)
-    figure = draw_spectra(made, quantities)
-    shown = [axes for axes in figure.axes if axes.lines]
-    assert len(shown) == panels <= MAX_PANELS
-    first = len(grid["saturation"])
-    assert all(len(axes.lines) == first <= MAX_LINES for axes in shown)
-    drawn = np.stack([line.get_ydata() for axes in shown for line in axes.lines])
-    order = made.transpose(*list(grid)[1:], "saturation", "wavelength")
+def test_many_lines_have_several_panels(grid, quantities, n_panels, tmp_path):
+    dataset = make_dataset(grid, quantities)
+    figure = draw_spectra(dataset, quantities)
+    panels_with_lines = [axes for axes in figure.axes if axes.lines]
+    assert len(panels_with_lines) == n_panels <= MAX_PANELS
+    n_lines = len(grid["saturation"])
+    assert all(len(axes.lines) == n_lines <= MAX_LINES for axes in panels_with_lines)
+    plotted = np.stack([line.get_ydata() for axes in panels_with_lines for line in axes.lines])
+    order = dataset.transpose(*list(grid)[1:], "saturation", "wavelength")
     expected = [order[name].values.reshape(-1, X.size) for name in quantities]
-    np.testing.assert_array_equal(drawn, np.concatenate(expected))
+    np.testing.assert_array_equal(plotted, np.concatenate(expected))
     figure.draw_without_rendering()
-    titles = [axes.title.get_window_extent() for axes in shown]
+    titles = [axes.title.get_window_extent() for axes in panels_with_lines]
     assert not any(a.overlaps(b) for i, a in enumerate(titles) for b in titles[:i])
     assert all(box.x1 <= figure.bbox.x1 for box in titles)
     svg = save_figure(figure, tmp_path / "many")[1]

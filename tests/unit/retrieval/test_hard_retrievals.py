@@ -23,90 +23,93 @@ def table():
 
 
 def make_unit_state(*names):
-    """Return what is free where coordinates are the values themselves."""
+    """Return a state vector whose coordinates equal the physical values."""
     return StateVector.from_ranges(
-        list(names), None, {name: ParameterRange(0.0, 1.0, "itself") for name in names}
+        list(names), None, {name: ParameterRange(0.0, 1.0, "identity") for name in names}
     )
 
 
-def test_a_minimum_of_larger_variance_is_no_better():
-    """Two valleys, both 0.1 from the middle; in the wrong one cells are known 100 times worse."""
+def test_larger_table_errors_do_not_attract_the_solution():
+    """Of two minima the wrong one has table errors 100 times larger."""
     nodes = np.linspace(0.0, 1.0, 21)
-    # Wrong by a slope, so that noise of cells explains it there.
-    off = 0.02 * np.linspace(-1.0, 1.0, W.size)
-    plain = make_table(lambda a: 0.5 + (a - 0.5) ** 2 + off * (a < 0.5), {"a": nodes}, 0.001)
+    # The wrong minimum misfits by a slope that the table errors there could explain.
+    error = 0.02 * np.linspace(-1.0, 1.0, W.size)
+    plain = make_table(lambda a: 0.5 + (a - 0.5) ** 2 + error * (a < 0.5), {"a": nodes}, 0.001)
     stderr = np.where(nodes < 0.5, 0.1, 0.001)[:, np.newaxis] + np.zeros(W.size)
-    worse = plain.dataset.assign(
+    dataset = plain.dataset.assign(
         reflectance_stderr=(("a", "wavelength"), stderr.astype(np.float32))
     )
     random = np.random.default_rng(8)
     for _ in range(10):
         measured = 0.5 + 0.3**2 + 0.003 * random.standard_normal(W.size)
-        found = splits.retrieve((W, measured), splits.Table(worse), ["a"], 0.003)
-        assert found.dataset.value.values[0] == pytest.approx(0.8, abs=0.02)
-        assert found.dataset.quantiles.values[1:4, 0] == pytest.approx([0.8] * 3, abs=0.02)
+        result = splits.retrieve((W, measured), splits.Table(dataset), ["a"], 0.003)
+        assert result.dataset.value.values[0] == pytest.approx(0.8, abs=0.02)
+        assert result.dataset.quantiles.values[1:4, 0] == pytest.approx([0.8] * 3, abs=0.02)
 
 
 def test_spurious_information_of_noisy_jacobians_is_removed():
-    """One coordinate is told, one does nothing; slopes are known to 0.3 of those of the first."""
+    """Of two coordinates one has no effect; the relative error of the derivatives is 0.3."""
     random = np.random.default_rng(3)
     slopes = np.stack([STEEP_SLOPE, np.zeros(W.size)], axis=1)
     noise = 0.01 * np.eye(W.size)
-    information, feigned = [], []
+    information, spurious = [], []
     for _ in range(200):
         jacobians = [slopes + 0.3 * random.standard_normal(slopes.shape) for _ in range(4)]
         clean, plain = remove_jacobian_noise(jacobians, noise), np.mean(jacobians, axis=0)
         information.append(clean.T @ np.linalg.solve(noise, clean))
-        feigned.append((plain.T @ np.linalg.solve(noise, plain))[1, 1])
+        spurious.append((plain.T @ np.linalg.solve(noise, plain))[1, 1])
     exact = float(STEEP_SLOPE @ STEEP_SLOPE) / 0.01
-    found = np.array(information)
-    spread = found[:, 0, 0].std(ddof=1) / np.sqrt(len(found))
-    assert abs(found[:, 0, 0].mean() - exact) < 4.0 * spread
-    # As the range knows 12, what is feigned would make its spread 0.6 of that before.
-    left = [np.sqrt(12.0 / (12.0 + one)).mean() for one in (np.array(feigned), found[:, 1, 1])]
-    assert left[0] < 0.65 and left[1] > 0.9
+    cleaned = np.array(information)
+    stderr = cleaned[:, 0, 0].std(ddof=1) / np.sqrt(len(cleaned))
+    assert abs(cleaned[:, 0, 0].mean() - exact) < 4.0 * stderr
+    # The range alone has an information of 12; the spurious one would reduce the spread to 0.6.
+    relative_spreads = [
+        np.sqrt(12.0 / (12.0 + information_of_second)).mean()
+        for information_of_second in (np.array(spurious), cleaned[:, 1, 1])
+    ]
+    assert relative_spreads[0] < 0.65 and relative_spreads[1] > 0.9
 
 
-def test_noise_of_jacobians_is_no_information():
-    """Of what does nothing, seen by six Jacobians whose noise is far beyond that of the values."""
+def test_jacobian_noise_carries_no_information():
+    """A coordinate without effect in six Jacobians much noisier than the values."""
     random = np.random.default_rng(9)
     noise = 1e-6 * np.eye(W.size)
-    told = 0
+    n_informative = 0
     for _ in range(200):
-        # Alike in three parts of the spectrum, as runs that share rays are.
-        scatter = np.repeat(random.standard_normal((6, 3, 1)), 4, axis=1)[:, : W.size]
-        clean = remove_jacobian_noise(list(scatter), noise)
-        told += bool((clean.T @ np.linalg.solve(noise, clean) > 36.0).any())
+        # Correlated within three parts of the spectrum, as for runs that use the same rays.
+        jacobians = np.repeat(random.standard_normal((6, 3, 1)), 4, axis=1)[:, : W.size]
+        clean = remove_jacobian_noise(list(jacobians), noise)
+        n_informative += bool((clean.T @ np.linalg.solve(noise, clean) > 36.0).any())
     # F(3, 15) is above 7 with a probability of 0.0036; binomial bound of 0.1 %.
-    assert told <= binom.isf(0.001, 200, f.sf(7.0, 3, 15))
+    assert n_informative <= binom.isf(0.001, 200, f.sf(7.0, 3, 15))
 
 
-def test_more_jacobians_are_asked_for_only_where_noise_decides():
+def test_jacobian_is_noisy_only_if_noise_matters():
     noise, random = 1e-4 * np.eye(W.size), np.random.default_rng(4)
-    told, nothing = STEEP_SLOPE[:, np.newaxis], np.zeros((W.size, 1))
-    scatter = random.standard_normal((2, W.size, 1))
-    assert not is_jacobian_noisy([told + 0.01 * one for one in scatter], noise)
-    assert not is_jacobian_noisy([nothing + 1e-3 * one for one in scatter], noise)
-    assert is_jacobian_noisy([nothing + 0.03 * one for one in scatter], noise)
+    strong, zero = STEEP_SLOPE[:, np.newaxis], np.zeros((W.size, 1))
+    errors = random.standard_normal((2, W.size, 1))
+    assert not is_jacobian_noisy([strong + 0.01 * error for error in errors], noise)
+    assert not is_jacobian_noisy([zero + 1e-3 * error for error in errors], noise)
+    assert is_jacobian_noisy([zero + 0.03 * error for error in errors], noise)
 
 
-def test_slopes_without_noise_stay_as_they_are():
+def test_noise_free_jacobians_are_unchanged():
     slopes = np.stack([STEEP_SLOPE, STEEP_SLOPE**2, np.zeros(W.size)], axis=1)
     clean = remove_jacobian_noise([slopes, slopes], np.diag(0.01 * STEEP_SLOPE))
     np.testing.assert_allclose(clean, slopes, atol=1e-9)
 
 
 @pytest.mark.parametrize("wavelengths", [[1200.0], [1000.0, 1200.0]])
-def test_a_large_misfit_is_reported_for_as_few_values_as_parameters(table, wavelengths):
+def test_large_misfit_is_reported_without_degrees_of_freedom(table, wavelengths):
     w = np.array(wavelengths)
     free = [SIZE, SOOT][: w.size]
-    at = FIXED if w.size > 1 else {**FIXED, SOOT: 50.0}
-    found = splits.retrieve((w, np.full(w.size, 1.5)), table, free, 0.01, fixed=at)
-    assert any("does not fit" in line for line in found.warnings)
+    fixed = FIXED if w.size > 1 else {**FIXED, SOOT: 50.0}
+    result = splits.retrieve((w, np.full(w.size, 1.5)), table, free, 0.01, fixed=fixed)
+    assert any("does not fit" in line for line in result.warnings)
 
 
-def test_a_prior_of_a_hardly_constrained_parameter_contradicts_nothing():
-    """One prior is wrong; the other, of what the measurement hardly tells, is right."""
+def test_prior_of_an_unconstrained_parameter_is_no_contradiction():
+    """Only the wrong prior is reported, not the one of the weakly constrained parameter."""
     rows = np.stack([np.ones(W.size), 0.02 * np.linspace(-1.0, 1.0, W.size)])
     nodes = np.linspace(-1.0, 1.0, 6)
     linear = make_table(lambda a, b: 0.5 + 0.1 * (a * rows[0] + b * rows[1]),
@@ -114,33 +117,33 @@ def test_a_prior_of_a_hardly_constrained_parameter_contradicts_nothing():
     random = np.random.default_rng(5)
     for _ in range(6):
         measured = 0.5 + 0.1 * 0.5 * rows[0] + 0.01 * random.standard_normal(W.size)
-        found = splits.retrieve((W, measured), linear, ["a", "b"], 0.01,
+        result = splits.retrieve((W, measured), linear, ["a", "b"], 0.01,
                                 prior={"a": (-0.5, 0.05), "b": (0.0, 0.05)})  # fmt: skip
-        said = [line for line in found.warnings if "standard deviations apart" in line]
-        assert len(said) == 1 and said[0].startswith("a:")
+        warnings = [line for line in result.warnings if "standard deviations apart" in line]
+        assert len(warnings) == 1 and warnings[0].startswith("a:")
 
 
 def test_least_squares_account_for_active_bounds(table):
-    """A range that excludes the truth leaves a misfit that counts as one, and in the errors."""
+    """A range that excludes the truth leaves a misfit that enters the errors."""
     measured = evaluate_spectrum(400.0, 50.0) + 0.002 * np.random.default_rng(6).standard_normal(
         W.size
     )
-    free, at = {SIZE: (50.0, 150.0)}, {**FIXED, SOOT: 50.0}
-    found = splits.retrieve((W, measured), table, free, fixed=at)
-    about = found.dataset.attrs
-    assert about["chi2"] < 3.0 * about["chi2_expected"]
-    assert about["chi2_expected"] == W.size
-    assert any("lies at the high end" in line for line in found.warnings)
+    free, fixed = {SIZE: (50.0, 150.0)}, {**FIXED, SOOT: 50.0}
+    result = splits.retrieve((W, measured), table, free, fixed=fixed)
+    attributes = result.dataset.attrs
+    assert attributes["chi2"] < 3.0 * attributes["chi2_expected"]
+    assert attributes["chi2_expected"] == W.size
+    assert any("lies at the high end" in line for line in result.warnings)
 
 
 def test_parameters_without_effect_give_no_alternative(table):
-    found = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"],
+    result = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE, "incidence_deg"],
                             fixed={SOOT: 50.0})  # fmt: skip
-    assert not any("another answer" in line for line in found.warnings)
+    assert not any("another answer" in line for line in result.warnings)
 
 
 class LinearModel:
-    """Runs of a straight line without noise of their own."""
+    """A quadratic forward model without noise of its own."""
 
     bound_margin = 0.0
 
@@ -157,21 +160,21 @@ class LinearModel:
         return self.slopes_ + 0.6 * state
 
 
-def test_descents_of_many_values_end_near_the_optimum():
-    """Within half a standard error of independent noise, of 1001 values as of 11."""
+def test_gauss_newton_converges_for_any_number_of_values():
+    """The fit is within half a standard error of the optimum for 11 and for 1001 values."""
     random = np.random.default_rng(7)
-    for count in (11, 1001):
-        x = np.linspace(0.0, 1.0, count)
-        runs = LinearModel(np.stack([np.ones(count), x], axis=1))
+    for n_values in (11, 1001):
+        x = np.linspace(0.0, 1.0, n_values)
+        model = LinearModel(np.stack([np.ones(n_values), x], axis=1))
         truth = np.array([0.4, 0.6])
-        wanted = runs.evaluate(truth, 1) + 0.02 * random.standard_normal(count)
-        aim = Objective.least_squares(wanted, runs.state_vector)
-        rough = minimize_gauss_newton(runs, 1, np.array([0.5, 0.4]), aim, 60, 0.3)
-        exact = rough.state.copy()
+        target = model.evaluate(truth, 1) + 0.02 * random.standard_normal(n_values)
+        objective = Objective.least_squares(target, model.state_vector)
+        fit = minimize_gauss_newton(model, 1, np.array([0.5, 0.4]), objective, 60, 0.3)
+        exact = fit.state.copy()
         for _ in range(20):
             exact += np.linalg.lstsq(
-                runs.compute_jacobian(exact, 1), wanted - runs.evaluate(exact, 1)
+                model.compute_jacobian(exact, 1), target - model.evaluate(exact, 1)
             )[0]
-        slopes = runs.compute_jacobian(exact, 1)
-        off = slopes @ (rough.state - exact)
-        assert np.sqrt(off @ off) < 0.5 * 0.02
+        slopes = model.compute_jacobian(exact, 1)
+        difference = slopes @ (fit.state - exact)
+        assert np.sqrt(difference @ difference) < 0.5 * 0.02

@@ -23,7 +23,7 @@ def sample_states(best, covariance):
     """Return samples around the best state in the unit cube."""
     names = [f"x{i}" for i in range(len(best))]
     free = StateVector.from_ranges(
-        names, None, dict.fromkeys(names, ParameterRange(0.0, 1.0, "itself"))
+        names, None, dict.fromkeys(names, ParameterRange(0.0, 1.0, "identity"))
     )
     return apply_priors(free, best, covariance, 1).draws.states
 

@@ -110,10 +110,10 @@ def test_credible_intervals_cover_the_truth(table):
     model = make_model(table, [SIZE, SOOT])
     n_covered = np.zeros((2, 2), dtype=int)
     misfits, n_fits = [], 200
-    for number in range(n_fits):
+    for seed in range(n_fits):
         size, soot = model.state_vector.to_physical(random.random(2))
         measured = evaluate_spectrum(size, soot) + 0.01 * random.standard_normal(W.size)
-        result = splits.retrieve((W, measured), table, [SIZE, SOOT], 0.01, fixed=FIXED, seed=number)
+        result = splits.retrieve((W, measured), table, [SIZE, SOOT], 0.01, fixed=FIXED, seed=seed)
         quantiles = result.dataset.quantiles.values
         for row, (low, high) in enumerate(((1, 3), (0, 4))):
             n_covered[row] += (quantiles[low] <= [size, soot]) & ([size, soot] <= quantiles[high])
@@ -177,10 +177,10 @@ def test_unknown_noise_is_estimated_from_the_misfit(table):
     covariance = 0.01**2 * np.exp(-np.abs(W[:, np.newaxis] - W) / 100.0)
     factor = np.linalg.cholesky(covariance)
     deviations, stated = [], []
-    for number in range(100):
+    for seed in range(100):
         measured = evaluate_spectrum(200.0, 50.0) + factor @ random.standard_normal(W.size)
         result = splits.retrieve(
-            (W, measured), table, [SIZE], fixed={**FIXED, SOOT: 50.0}, seed=number
+            (W, measured), table, [SIZE], fixed={**FIXED, SOOT: 50.0}, seed=seed
         )
         log_sizes = np.log(result.dataset.draws.values[:, 0])
         deviations.append(log_sizes.mean() - np.log(200.0))
@@ -197,9 +197,11 @@ def test_priors_are_used_with_unknown_noise(table):
     measured = evaluate_spectrum(200.0, 50.0) + 0.01 * np.random.default_rng(12).standard_normal(
         W.size
     )
-    free, at = [SIZE], {**FIXED, SOOT: 50.0}
-    plain = splits.retrieve((W, measured), table, free, fixed=at)
-    constrained = splits.retrieve((W, measured), table, free, fixed=at, prior={SIZE: (300.0, 1.0)})
+    free, fixed = [SIZE], {**FIXED, SOOT: 50.0}
+    plain = splits.retrieve((W, measured), table, free, fixed=fixed)
+    constrained = splits.retrieve(
+        (W, measured), table, free, fixed=fixed, prior={SIZE: (300.0, 1.0)}
+    )
     assert constrained.values[SIZE] == pytest.approx(300.0, abs=4.0)
     assert constrained.stderr[SIZE] < plain.stderr[SIZE]
     assert any("prior and measurement are" in line for line in constrained.warnings)
@@ -214,13 +216,15 @@ def test_too_few_values_do_not_determine_noise(table):
 
 def test_a_prior_that_excludes_the_truth_is_reported(table):
     result = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, [SIZE], 0.01,
-                            fixed={**FIXED, SOOT: 50.0}, prior={SIZE: (900.0, 30.0)})  # fmt: skip
+                             fixed={**FIXED, SOOT: 50.0}, prior={SIZE: (900.0, 30.0)})  # fmt: skip
     assert any("prior and measurement are" in line for line in result.warnings)
 
 
 def test_a_solution_at_a_bound_is_reported(table):
-    result = splits.retrieve((W, evaluate_spectrum(200.0, 50.0)), table, {SIZE: (50.0, 150.0)}, 0.01,
-                            fixed={**FIXED, SOOT: 50.0})  # fmt: skip
+    measured = (W, evaluate_spectrum(200.0, 50.0))
+    result = splits.retrieve(
+        measured, table, {SIZE: (50.0, 150.0)}, 0.01, fixed={**FIXED, SOOT: 50.0}
+    )
     assert any("high end of its range, 150" in line for line in result.warnings)
 
 

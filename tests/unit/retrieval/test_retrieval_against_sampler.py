@@ -1,4 +1,4 @@
-"""Draws of a retrieval against those of another sampler, for a curved posterior."""
+"""Posterior samples of a retrieval compared with an MCMC sampler, for a curved posterior."""
 
 from __future__ import annotations
 
@@ -18,39 +18,41 @@ N_WALKERS, N_STEPS, N_BURN_IN = 32, 3000, 500
 
 
 @NEEDS_JIT
-def test_quantiles_are_those_of_an_ensemble_of_walkers():
-    """Level, size and dirt go together where only the visible and 5 % of noise are at hand."""
+def test_quantiles_match_an_ensemble_sampler():
+    """Scale, size and soot are correlated for visible wavelengths and a noise of 5 %."""
     w, table = W[:4], make_snowlike_table()
     measured, names = evaluate_spectrum(300.0, 20.0, w), [SIZE, SOOT, "scale"]
     ranges = {SIZE: (40.0, 2000.0), SOOT: (0.0, 1600.0), "scale": (0.8, 1.2)}
-    found = splits.retrieve((w, measured), table, ranges, 0.05, fixed=FIXED)
+    result = splits.retrieve((w, measured), table, ranges, 0.05, fixed=FIXED)
     measurement = Measurement.from_input((w, measured), 0.05)
     model = TableForwardModel(
         table, measurement, StateVector.from_ranges(ranges, None, get_table_ranges(table)), FIXED
     )
-    best = model.state_vector.to_coordinates(found.dataset.value.values)
+    best = model.state_vector.to_coordinates(result.dataset.value.values)
     covariance = measurement.covariance + model.compute_error_covariance(best)
     lower = np.linalg.cholesky(covariance)
 
-    def probable(places):
-        inside = ((places >= 0.0) & (places <= 1.0)).all(axis=1)
-        off = model.evaluate(np.clip(places, 0.0, 1.0)) - measured
-        height = -0.5 * (np.linalg.solve(lower, off.T) ** 2).sum(axis=0)
-        return np.where(inside, height, -np.inf)
+    def compute_log_probability(states):
+        inside = ((states >= 0.0) & (states <= 1.0)).all(axis=1)
+        misfit = model.evaluate(np.clip(states, 0.0, 1.0)) - measured
+        log_probability = -0.5 * (np.linalg.solve(lower, misfit.T) ** 2).sum(axis=0)
+        return np.where(inside, log_probability, -np.inf)
 
-    sampler = emcee.EnsembleSampler(N_WALKERS, len(names), probable, vectorize=True)
+    sampler = emcee.EnsembleSampler(N_WALKERS, len(names), compute_log_probability, vectorize=True)
     sampler._random.seed(1)
     start = np.random.default_rng(1).random((N_WALKERS, len(names)))
     sampler.run_mcmc(start, N_STEPS)
     chain = sampler.get_chain(discard=N_BURN_IN)
-    time = sampler.get_autocorr_time(discard=N_BURN_IN, tol=0)
-    places = model.state_vector.to_coordinates(found.dataset.draws.values)
+    autocorrelation_time = sampler.get_autocorr_time(discard=N_BURN_IN, tol=0)
+    states = model.state_vector.to_coordinates(result.dataset.draws.values)
     for i in range(len(names)):
-        for share in (0.16, 0.5, 0.84):
-            other = np.quantile(chain[:, :, i], share)
-            here = float((places[:, i] <= other).mean())
-            many = 1.0 / (
-                1.0 / found.dataset.attrs["effective_sample_size"]
-                + time[i] / (N_WALKERS * (N_STEPS - N_BURN_IN))
+        for probability in (0.16, 0.5, 0.84):
+            quantile = np.quantile(chain[:, :, i], probability)
+            fraction = float((states[:, i] <= quantile).mean())
+            n_effective = 1.0 / (
+                1.0 / result.dataset.attrs["effective_sample_size"]
+                + autocorrelation_time[i] / (N_WALKERS * (N_STEPS - N_BURN_IN))
             )
-            assert abs(here - share) < 4.0 * np.sqrt(share * (1.0 - share) / many), names[i]
+            assert abs(fraction - probability) < 4.0 * np.sqrt(
+                probability * (1.0 - probability) / n_effective
+            ), names[i]

@@ -1,4 +1,4 @@
-"""Sobol indices against those of a function that has them in closed form."""
+"""Sobol indices compared with a function whose indices are known in closed form."""
 
 from __future__ import annotations
 
@@ -14,57 +14,62 @@ A, B = np.linspace(0.1, 0.8, W.size), np.linspace(0.6, 0.2, W.size)
 
 
 @pytest.fixture(scope="module")
-def product():
-    """Return a table of a product, whose parts of the variance are known."""
+def product_table():
+    """Return a table of a product, whose variance decomposition is known."""
     nodes = np.linspace(-0.5, 0.5, 6)
     return make_table(lambda a, b: 0.4 * (1.0 + A * a) * (1.0 + B * b), {"a": nodes, "b": nodes})
 
 
 @NEEDS_JIT
-def test_indices_are_the_exact_ones(product):
-    found = splits.sobol_indices(product, ["a", "b"], points=256)
-    parts = np.stack([A**2 / 12.0, B**2 / 12.0, A**2 * B**2 / 144.0])
-    whole = parts.sum(axis=0)
-    exact = {"first_order": parts[:2] / whole, "total": (parts[:2] + parts[2]) / whole}
+def test_indices_match_the_exact_values(product_table):
+    result = splits.sobol_indices(product_table, ["a", "b"], points=256)
+    variances = np.stack([A**2 / 12.0, B**2 / 12.0, A**2 * B**2 / 144.0])
+    total_variance = variances.sum(axis=0)
+    exact = {
+        "first_order": variances[:2] / total_variance,
+        "total": (variances[:2] + variances[2]) / total_variance,
+    }
     for name, values in exact.items():
-        error = found[f"{name}_stderr"].values
-        z = (found[name].values - values)[error > 0.0] / error[error > 0.0]
-        # Wavelengths share their points, so that they count as few.
+        error = result[f"{name}_stderr"].values
+        z = (result[name].values - values)[error > 0.0] / error[error > 0.0]
+        # Wavelengths use the same points, so that their errors are correlated.
         assert np.abs(z).max() < 5.0
-        assert np.abs(found[name].values - values).max() < 0.02
-    sums = found.first_order_sum.values
-    np.testing.assert_allclose(sums, found.first_order.sum("parameter"), atol=1e-12)
-    assert (sums <= 1.0 + 5.0 * found.first_order_sum_stderr.values).all()
-    deviation = 0.4 * np.sqrt(whole)
-    np.testing.assert_allclose(found.standard_deviation, deviation, rtol=0.05)
+        assert np.abs(result[name].values - values).max() < 0.02
+    sums = result.first_order_sum.values
+    np.testing.assert_allclose(sums, result.first_order.sum("parameter"), atol=1e-12)
+    assert (sums <= 1.0 + 5.0 * result.first_order_sum_stderr.values).all()
+    deviation = 0.4 * np.sqrt(total_variance)
+    np.testing.assert_allclose(result.standard_deviation, deviation, rtol=0.05)
 
 
-def test_the_same_seed_gives_the_same(product):
-    one, other = (splits.sobol_indices(product, ["a", "b"], points=64, seed=3) for _ in range(2))
+def test_the_same_seed_gives_the_same_result(product_table):
+    one, other = (
+        splits.sobol_indices(product_table, ["a", "b"], points=64, seed=3) for _ in range(2)
+    )
     np.testing.assert_array_equal(one.first_order, other.first_order)
 
 
 @NEEDS_JIT
-def test_other_seeds_scatter_as_errors_say(product):
-    """Of ten seeds: the middle wavelength counts, as all share their points."""
-    runs = [splits.sobol_indices(product, ["a", "b"], points=64, seed=s) for s in range(10)]
+def test_scatter_between_seeds_matches_stated_errors(product_table):
+    """Only the middle wavelength of ten seeds is used, as all wavelengths are correlated."""
+    runs = [splits.sobol_indices(product_table, ["a", "b"], points=64, seed=s) for s in range(10)]
     z = []
     for name in ("first_order", "total"):
-        value, error = (np.stack([one[f"{name}{end}"].values[:, W.size // 2] for one in runs])
-                        for end in ("", "_stderr"))  # fmt: skip
+        value, error = (np.stack([run[f"{name}{suffix}"].values[:, W.size // 2] for run in runs])
+                        for suffix in ("", "_stderr"))  # fmt: skip
         z.append((value - value.mean(axis=0)) / (error * np.sqrt(0.9)))
-        # Totals hold what first-order indices do, and more.
+        # Total indices include the first-order indices.
         assert (runs[0].total - runs[0].first_order > -3.0 * runs[0].total_stderr).all()
     judge_z(np.concatenate(z).ravel())
 
 
-def test_constant_reflectance_has_no_indices(product):
-    still = make_table(lambda a, b: np.where(W < 800.0, 0.5, 0.5 + 0.1 * a),
+def test_constant_reflectance_has_no_indices(product_table):
+    table = make_table(lambda a, b: np.where(W < 800.0, 0.5, 0.5 + 0.1 * a),
                      {"a": [0.0, 1.0, 2.0], "b": [0.0, 1.0]})  # fmt: skip
-    found = splits.sobol_indices(still, ["a", "b"], points=64)
-    assert (found.first_order.sel(wavelength=slice(None, 750.0)) == 0.0).all()
+    result = splits.sobol_indices(table, ["a", "b"], points=64)
+    assert (result.first_order.sel(wavelength=slice(None, 750.0)) == 0.0).all()
     np.testing.assert_allclose(
-        found.first_order.sel(parameter="a", wavelength=1000.0), 1.0, atol=0.1
+        result.first_order.sel(parameter="a", wavelength=1000.0), 1.0, atol=0.1
     )
 
 
@@ -78,7 +83,7 @@ INVALID_CALLS = {
 
 
 @pytest.mark.parametrize("name", INVALID_CALLS)
-def test_bad_input_is_rejected(product, name):
-    other, message = INVALID_CALLS[name]
+def test_invalid_input_is_rejected(product_table, name):
+    changes, message = INVALID_CALLS[name]
     with pytest.raises(InvalidValue, match=message):
-        splits.sobol_indices(**({"table": product, "free": ["a", "b"]} | other))
+        splits.sobol_indices(**({"table": product_table, "free": ["a", "b"]} | changes))

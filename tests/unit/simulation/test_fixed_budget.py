@@ -1,4 +1,4 @@
-"""Spectra from a fixed number of rays: right, reproducible, smooth in the medium's parameters."""
+"""Spectra from a fixed number of rays: accuracy, reproducibility, correlated noise."""
 
 from __future__ import annotations
 
@@ -36,38 +36,40 @@ def simulate_fixed(medium, rays, seed, threads=None):
 @pytest.mark.parametrize(
     "medium", [Sand(**SAND), Snow(saturation=0.3, depth_m=0.03)], ids=["sand", "snow"]
 )
-def test_it_agrees_with_the_spectrophotometer(medium):
-    mean, stderr, groups = simulate_fixed(medium, 32_768, 1)
-    other = spectrophotometer(medium, WAVELENGTHS, 10.0, max_stderr=0.003, seed=2)
+def test_fixed_budget_agrees_with_the_spectrophotometer(medium):
+    mean, stderr, batches = simulate_fixed(medium, 32_768, 1)
+    expected = spectrophotometer(medium, WAVELENGTHS, 10.0, max_stderr=0.003, seed=2)
     assert mean.shape == stderr.shape == (3, len(WAVELENGTHS))
     np.testing.assert_allclose(mean.sum(axis=0), 1.0, rtol=1e-12)
     assert (stderr > 0.0).all()
-    seen = mean[:2] > 0.0
-    np.testing.assert_allclose((groups**2).sum(axis=0)[seen], stderr[:2][seen] ** 2, rtol=1e-9)
+    detected = mean[:2] > 0.0
+    np.testing.assert_allclose(
+        (batches**2).sum(axis=0)[detected], stderr[:2][detected] ** 2, rtol=1e-9
+    )
     for row, name in enumerate(("reflectance", "transmittance", "absorptance")):
-        error = np.hypot(stderr[row], other[f"{name}_stderr"])
-        # 0.01 is what interpolation between three nodes may miss.
+        error = np.hypot(stderr[row], expected[f"{name}_stderr"])
+        # 0.01 is a bound of the interpolation error between three nodes.
         bound = 0.01 + compute_z_bound(3 * len(WAVELENGTHS)) * error
-        assert (np.abs(mean[row] - other[name]) < bound).all()
+        assert (np.abs(mean[row] - expected[name]) < bound).all()
 
 
 @NEEDS_JIT
-def test_more_rays_mean_smaller_errors():
-    few, many = (
+def test_errors_decrease_with_the_number_of_rays():
+    coarse, fine = (
         simulate_fixed(Sand(**SAND), rays, 1)[1][0]
         for rays in (4 * RAYS_PER_CHUNK, 64 * RAYS_PER_CHUNK)
     )
-    np.testing.assert_allclose(few / many, 4.0, rtol=0.3)
+    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.3)
 
 
 @NEEDS_JIT
-def test_the_same_seed_gives_the_same_numbers_on_any_number_of_threads():
-    one, two, other = (
+def test_result_is_independent_of_the_number_of_threads():
+    one_thread, three_threads, other_seed = (
         simulate_fixed(Sand(**SAND), 256, seed, threads)[0]
         for seed, threads in ((5, 1), (5, 3), (6, 1))
     )
-    np.testing.assert_array_equal(one, two)
-    assert (one[0] != other[0]).all()
+    np.testing.assert_array_equal(one_thread, three_threads)
+    assert (one_thread[0] != other_seed[0]).all()
 
 
 @pytest.fixture(scope="module")
@@ -77,15 +79,15 @@ def base():
 
 @NEEDS_JIT
 @pytest.mark.parametrize("neighbour", NEIGHBOURS)
-def test_neighbours_share_most_of_their_noise(base, neighbour):
+def test_noise_of_similar_media_is_correlated(base, neighbour):
     medium = Sand(**{**SAND, **NEIGHBOURS[neighbour]})
-    near = np.array([simulate_fixed(medium, 256, seed)[0][0] for seed in range(16)])
-    common = (near - base).var(axis=0, ddof=1).sum()
-    independent = (near.var(axis=0, ddof=1) + base.var(axis=0, ddof=1)).sum()
+    perturbed = np.array([simulate_fixed(medium, 256, seed)[0][0] for seed in range(16)])
+    common = (perturbed - base).var(axis=0, ddof=1).sum()
+    independent = (perturbed.var(axis=0, ddof=1) + base.var(axis=0, ddof=1)).sum()
     assert independent > 5.0 * common
 
 
-def test_nodes_at_given_wavelengths_are_kept_and_serve_all():
+def test_nodes_at_given_wavelengths_represent_the_spectrum():
     medium = Sand(**SAND)
     index = medium.compute_refractive_indices(WAVELENGTHS)
     nodes = make_nodes(index, medium.list_interfaces(), ROWS)
@@ -94,19 +96,19 @@ def test_nodes_at_given_wavelengths_are_kept_and_serve_all():
     assert ((nodes.weights > 0.0).sum(axis=0) <= 2).all()
     np.testing.assert_array_equal(nodes.weights[:, list(ROWS)], np.eye(len(ROWS)))
     assert (nodes.interpolation_bound[list(ROWS)] == 0.0).all()
-    own, drawn = (
+    exact, at_nodes = (
         compute_contrasts(i, medium.list_interfaces()).sum(axis=1) for i in (index, nodes.index)
     )
-    np.testing.assert_allclose(nodes.weights.T @ drawn, own, rtol=0.05)
+    np.testing.assert_allclose(nodes.weights.T @ at_nodes, exact, rtol=0.05)
 
 
 @NEEDS_JIT
-def test_a_node_that_nothing_draws_on_is_not_in_the_way():
-    # Snow of one index: the first node serves every wavelength.
+def test_unused_nodes_do_not_affect_the_result():
+    # With a constant index all wavelengths use the first node.
     snow = Snow(saturation=0.0, refractive_index={"ice": 1.31})
     mean, *_ = simulate_fixed(snow, 128, 1)
-    alone, *_ = estimate_fixed_budget(snow, WAVELENGTHS, 10.0, ROWS[:1], 128, 1)
-    np.testing.assert_array_equal(mean, alone)
+    single, *_ = estimate_fixed_budget(snow, WAVELENGTHS, 10.0, ROWS[:1], 128, 1)
+    np.testing.assert_array_equal(mean, single)
 
 
 @pytest.mark.parametrize(
@@ -123,8 +125,8 @@ def test_a_node_that_nothing_draws_on_is_not_in_the_way():
         ({"wavelength_nm": [500.0, 400.0]}, "increasing"),
     ],
 )
-def test_bad_input_is_refused(arguments, message):
-    good = {
+def test_invalid_input_is_rejected(arguments, message):
+    valid = {
         "wavelength_nm": WAVELENGTHS,
         "incidence_deg": 0.0,
         "node_rows": ROWS,
@@ -132,4 +134,4 @@ def test_bad_input_is_refused(arguments, message):
         "seed": 1,
     }
     with pytest.raises(ValueError, match=message):
-        estimate_fixed_budget(Snow(), **{**good, **arguments})
+        estimate_fixed_budget(Snow(), **{**valid, **arguments})

@@ -1,4 +1,4 @@
-"""Threads that work off jobs: in order, with errors passed on, and without waiting at the end."""
+"""Thread pool: order of results, propagation of errors, and immediate exit."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from splits.simulation.threads import DaemonThreadPool, count_cpus, limit_blas_t
 
 SNOW = splits.Snow(depth_m=0.02)
 LONG_TIME_S = 20.0
-"""How long a job would take that nobody waits for."""
+"""Duration of a job that an interrupted run does not wait for (s)."""
 
 
-def test_systems_without_affinity_count_their_cpus(monkeypatch):
+def test_cpu_count_without_affinity(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.delattr(os, "process_cpu_count", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
@@ -32,55 +32,55 @@ def test_systems_without_affinity_count_their_cpus(monkeypatch):
     assert count_cpus() == 1
 
 
-def test_cpus_are_those_that_this_process_may_use():
+def test_cpu_count_respects_affinity():
     if not hasattr(os, "sched_getaffinity"):
-        pytest.skip("this system does not tell")
+        pytest.skip("needs os.sched_getaffinity")
     assert count_cpus() == len(os.sched_getaffinity(0))
 
 
-def test_linear_algebra_is_left_one_thread():
-    def blas():
+def test_blas_is_limited_to_one_thread():
+    def count_blas_threads():
         return [lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"]
 
-    # Whatever it was given at the start: tests that run side by side leave it one thread, too.
+    # The initial number is set, as tests that run in parallel may have limited it already.
     with threadpool_limits(limits=2, user_api="blas"):
-        assert set(blas()) == {2}
+        assert set(count_blas_threads()) == {2}
         with limit_blas_threads():
-            assert set(blas()) == {1}
-        assert set(blas()) == {2}
+            assert set(count_blas_threads()) == {1}
+        assert set(count_blas_threads()) == {2}
 
 
-@pytest.mark.parametrize("number", [1, 2, 7])
-def test_results_come_in_order(number):
-    def late(x):
+@pytest.mark.parametrize("n_threads", [1, 2, 7])
+def test_results_are_in_order(n_threads):
+    def square_after_delay(x):
         time.sleep(0.002 * (x % 3))
         return x * x
 
-    with DaemonThreadPool(number) as threads:
-        assert list(threads.map(late, range(30))) == [x * x for x in range(30)]
-        assert list(threads.map(late, range(3))) == [0, 1, 4]
+    with DaemonThreadPool(n_threads) as threads:
+        assert list(threads.map(square_after_delay, range(30))) == [x * x for x in range(30)]
+        assert list(threads.map(square_after_delay, range(3))) == [0, 1, 4]
     with pytest.raises(CancelledError):
-        threads.submit(late, 1)
+        threads.submit(square_after_delay, 1)
 
 
-def test_no_more_threads_than_asked_for_nor_than_jobs():
-    seen = set()
+def test_number_of_threads_is_limited():
+    thread_ids = set()
 
-    def note(x):
+    def record_thread(x):
         time.sleep(0.01)
-        seen.add(threading.get_ident())
+        thread_ids.add(threading.get_ident())
 
     with DaemonThreadPool(3) as threads:
-        list(threads.map(note, range(20)))
-    assert len(seen) <= 3
+        list(threads.map(record_thread, range(20)))
+    assert len(thread_ids) <= 3
     before = threading.active_count()
     with DaemonThreadPool(100) as threads:
-        list(threads.map(note, range(2)))
+        list(threads.map(record_thread, range(2)))
         assert threading.active_count() <= before + 2
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_an_error_of_a_job_is_passed_on(error):
+def test_errors_of_jobs_are_propagated(error):
     def fail(x):
         if x == 1:
             raise error("at one")
@@ -90,42 +90,42 @@ def test_an_error_of_a_job_is_passed_on(error):
         list(threads.map(fail, range(5)))
 
 
-def test_nobody_waits_for_jobs_of_a_run_that_is_broken_off():
-    begun, go_on = [], threading.Event()
+def test_interrupted_runs_do_not_wait_for_jobs():
+    started, resume = [], threading.Event()
 
     def wait(x):
-        begun.append(x)
-        go_on.wait(LONG_TIME_S)
+        started.append(x)
+        resume.wait(LONG_TIME_S)
 
-    since = time.perf_counter()
+    start = time.perf_counter()
     with pytest.raises(KeyboardInterrupt), DaemonThreadPool(2) as threads:
         threads.map(wait, range(10))
-        while len(begun) < 2:
+        while len(started) < 2:
             time.sleep(0.001)
         raise KeyboardInterrupt
-    assert time.perf_counter() - since < LONG_TIME_S / 2
-    go_on.set()
+    assert time.perf_counter() - start < LONG_TIME_S / 2
+    resume.set()
     time.sleep(0.1)
-    assert begun == [0, 1]
+    assert started == [0, 1]
 
 
-def test_a_job_that_shares_out_work_ends_with_the_run_it_belongs_to():
-    inside, go_on, ended = threading.Event(), threading.Event(), []
+def test_nested_pools_end_with_the_outer_pool():
+    running, resume, ended = threading.Event(), threading.Event(), []
 
     def outer(x):
         try:
             with DaemonThreadPool(1) as inner:
                 while True:
                     list(inner.map(abs, [x]))
-                    inside.set()
-                    go_on.wait(LONG_TIME_S)
+                    running.set()
+                    resume.wait(LONG_TIME_S)
         except CancelledError:
             ended.append(x)
 
     with DaemonThreadPool(1) as threads:
         threads.submit(outer, 1)
-        assert inside.wait(LONG_TIME_S)
-    go_on.set()
+        assert running.wait(LONG_TIME_S)
+    resume.set()
     for _ in range(1000):
         if ended:
             break
@@ -133,32 +133,32 @@ def test_a_job_that_shares_out_work_ends_with_the_run_it_belongs_to():
     assert ended == [1]
 
 
-def report_at_once(runner, *told):
-    """Stand for `Runner._report_progress`, which reports twice a second at most."""
-    runner.progress_callback(told)
+def report_at_once(runner, *report):
+    """Replace `Runner._report_progress`, which reports at most twice a second."""
+    runner.progress_callback(report)
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, RuntimeError])
-def test_what_a_report_of_progress_raises_ends_the_run(error, monkeypatch):
-    def tell(progress):
+def test_errors_of_progress_callbacks_end_the_run(error, monkeypatch):
+    def fail(progress):
         raise error("enough")
 
     with pytest.raises(error, match="enough"):
-        splits.deep_transmittance(SNOW, [1000.0], relative_stderr=0.5, threads=2, progress=tell)
+        splits.deep_transmittance(SNOW, [1000.0], relative_stderr=0.5, threads=2, progress=fail)
     monkeypatch.setattr(Runner, "_report_progress", report_at_once)
     with pytest.raises(error, match="enough"):
-        splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=tell)
+        splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=fail)
 
 
 @NEEDS_JIT
-def test_numbers_are_the_same_after_a_run_that_was_broken_off(monkeypatch):
-    def enough(progress):
+def test_results_are_unchanged_after_an_interrupted_run(monkeypatch):
+    def interrupt(progress):
         raise KeyboardInterrupt
 
-    whole = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=2)
+    expected = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=2)
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
         patched.setattr(Runner, "_report_progress", report_at_once)
-        splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=enough)
-    again = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=1)
-    assert whole.equals(again)
+        splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=interrupt)
+    repeated = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=1)
+    assert expected.equals(repeated)

@@ -36,7 +36,7 @@ def to_object_labels(ds):
 
 
 CONVERSIONS = {
-    "as it was": lambda ds: ds,
+    "unchanged": lambda ds: ds,
     "one axis descends": lambda ds: ds.sortby(ANGLE, ascending=False),
     "all axes descend": lambda ds: ds.sortby(list(ds.dims), ascending=False),
     "shuffled": shuffle,
@@ -48,35 +48,35 @@ CONVERSIONS = {
 }
 
 
-@pytest.mark.parametrize("way", CONVERSIONS)
-def test_a_table_in_any_order_gives_the_same(way, dataset):
-    plain, other = splits.Table(dataset), splits.Table(CONVERSIONS[way](dataset))
-    for read in (
+@pytest.mark.parametrize("conversion", CONVERSIONS)
+def test_table_results_are_independent_of_axis_order(conversion, dataset):
+    original, converted = splits.Table(dataset), splits.Table(CONVERSIONS[conversion](dataset))
+    for evaluate in (
         lambda table: table.interp(**FIXED),
         lambda table: table.interp(**FIXED, wavelength=[777.0]),
         lambda table: table.derivatives([SIZE, SOOT], **FIXED),
         lambda table: table.to_isofit(**{SOOT: 0.0}),
     ):
-        expected, found = read(plain), read(other)
-        xr.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
-    assert other.axes[-1] == "wavelength" and set(other.axes) == set(plain.axes)
+        expected, actual = evaluate(original), evaluate(converted)
+        xr.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-15)
+    assert converted.axes[-1] == "wavelength" and set(converted.axes) == set(original.axes)
 
 
-@pytest.mark.parametrize("way", ["all axes descend", "shuffled", "transposed"])
-def test_a_file_of_a_table_in_any_order(way, dataset, tmp_path, monkeypatch):
-    splits.save(CONVERSIONS[way](dataset), tmp_path / "table.nc")
+@pytest.mark.parametrize("conversion", ["all axes descend", "shuffled", "transposed"])
+def test_table_files_may_have_any_axis_order(conversion, dataset, tmp_path, monkeypatch):
+    splits.save(CONVERSIONS[conversion](dataset), tmp_path / "table.nc")
     expected = splits.Table(dataset).interp(**FIXED)
     for limit in (2**28, 1):
         monkeypatch.setattr("splits.tables.table.MAX_BYTES_IN_MEMORY", limit)
-        found = splits.open_table(tmp_path / "table.nc").interp(**FIXED)
-        xr.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+        actual = splits.open_table(tmp_path / "table.nc").interp(**FIXED)
+        xr.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-15)
 
 
-def test_a_part_of_a_table(dataset):
-    at = {name: value for name, value in FIXED.items() if name != ANGLE}
-    part = splits.Table(dataset.isel({ANGLE: 1, "wavelength": [4, 2]}))
+def test_subsets_of_a_table_are_interpolated(dataset):
+    point = {name: value for name, value in FIXED.items() if name != ANGLE}
+    subset = splits.Table(dataset.isel({ANGLE: 1, "wavelength": [4, 2]}))
     expected = splits.Table(dataset).interp(**FIXED | {ANGLE: 30.0}, wavelength=[700.0, 900.0])
-    np.testing.assert_allclose(part.interp(**at).reflectance, expected.reflectance, rtol=1e-9)
+    np.testing.assert_allclose(subset.interp(**point).reflectance, expected.reflectance, rtol=1e-9)
 
 
 INVALID_TABLES = {
@@ -99,12 +99,12 @@ INVALID_TABLES = {
 
 @pytest.mark.parametrize("name", INVALID_TABLES)
 def test_incomplete_tables_are_rejected_on_construction(name, dataset):
-    change, line = INVALID_TABLES[name]
-    with pytest.raises(InvalidValue, match=line):
+    change, message = INVALID_TABLES[name]
+    with pytest.raises(InvalidValue, match=message):
         splits.Table(change(dataset))
 
 
-def test_directions_for_isofit_in_any_order(dataset):
+def test_isofit_directions_may_have_any_order(dataset):
     axes = {
         ANGLE: [0.0, 30.0, 60.0], "polar": [0.0, 20.0, 40.0], "azimuth": [0.0, 90.0, 180.0, 270.0],
         SIZE: dataset[SIZE].values[:3], "wavelength": [700.0, 900.0],
@@ -112,8 +112,8 @@ def test_directions_for_isofit_in_any_order(dataset):
     values = np.random.default_rng(1).random([len(row) for row in axes.values()])
     directions = xr.Dataset({"reflectance_factor": (tuple(axes), values)}, axes)
     expected = convert_to_isofit(dataset, directions, **{SOOT: 0.0})
-    found = convert_to_isofit(dataset, directions.sortby([*axes], ascending=False), **{SOOT: 0.0})
-    xr.testing.assert_equal(found, expected)
+    actual = convert_to_isofit(dataset, directions.sortby([*axes], ascending=False), **{SOOT: 0.0})
+    xr.testing.assert_equal(actual, expected)
 
 
 ORDERS = {
@@ -124,7 +124,7 @@ ORDERS = {
 
 @NEEDS_JIT
 @pytest.mark.parametrize("function", [splits.phase_function, splits.with_diffraction, to_eradiate])
-def test_moments_in_any_order(function):
+def test_moments_may_have_any_order(function):
     optics = splits.single_scattering(splits.Snow(), [500, 900], moments=64, rays=1000)
     for change in ORDERS.values():
         xr.testing.assert_equal(function(change(optics)), function(optics))

@@ -21,8 +21,8 @@ GRID = {
 
 
 @pytest.fixture(scope="module")
-def both(tmp_path_factory):
-    """Return one table put together in memory, and written block by block."""
+def tables(tmp_path_factory):
+    """Return the files of one table, written from memory and block by block."""
     folder = tmp_path_factory.mktemp("large")
     experiment = SimulationConfig.model_validate(
         {
@@ -35,46 +35,50 @@ def both(tmp_path_factory):
             "grid": GRID,
         }
     )  # fmt: skip
-    usual, large = folder / "usual.nc", folder / "large.nc"
-    module.write_table(experiment, ACCURACY, 1, folder, usual)
+    in_memory, blockwise = folder / "usual.nc", folder / "large.nc"
+    module.write_table(experiment, ACCURACY, 1, folder, in_memory)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "MAX_BYTES_IN_MEMORY", 0)
-        module.write_table(experiment, ACCURACY, 1, folder, large)
-    return experiment, folder, usual, large
+        module.write_table(experiment, ACCURACY, 1, folder, blockwise)
+    return experiment, folder, in_memory, blockwise
 
 
-def test_the_file_holds_the_same(both):
-    _, _, usual, large = both
-    a, b = splits.load(usual), splits.load(large)
+def test_blockwise_file_equals_the_one_from_memory(tables):
+    _, _, in_memory, blockwise = tables
+    a, b = splits.load(in_memory), splits.load(blockwise)
     xr.testing.assert_equal(a, b)
     differ = {key for key in {*a.attrs, *b.attrs} if not np.array_equal(a.attrs[key], b.attrs[key])}
     assert differ <= {"date_created", "history", "wall_time_s"}
     assert all(a[name].attrs == b[name].attrs for name in a.variables)
 
 
-def test_reading_from_the_file_gives_the_same(both, monkeypatch):
-    _, _, usual, large = both
-    at = {"optical_radius_um": 120.0, "ground": "camborthid", "impurities_ng_g.black_carbon": 200.0}
-    whole = splits.open_table(usual).interp(**at)
+def test_interpolation_from_the_file_is_identical(tables, monkeypatch):
+    _, _, in_memory, blockwise = tables
+    point = {
+        "optical_radius_um": 120.0,
+        "ground": "camborthid",
+        "impurities_ng_g.black_carbon": 200.0,
+    }
+    expected = splits.open_table(in_memory).interp(**point)
     monkeypatch.setattr(table_module, "MAX_BYTES_IN_MEMORY", 0)
-    table = splits.open_table(large)
+    table = splits.open_table(blockwise)
     assert not table.dataset.reflectance.variable._in_memory
-    xr.testing.assert_identical(table.interp(**at), whole)
+    xr.testing.assert_identical(table.interp(**point), expected)
     assert not table.dataset.reflectance.variable._in_memory
 
 
-def test_damage_is_found(both, tmp_path):
-    _, _, _, large = both
-    content = bytearray(large.read_bytes())
+def test_damage_is_detected(tables, tmp_path):
+    _, _, _, blockwise = tables
+    content = bytearray(blockwise.read_bytes())
     content[len(content) // 2] ^= 1
     damaged = tmp_path / "damaged.nc"
     damaged.write_bytes(content)
-    with pytest.raises(ValueError, match="damaged, its bytes have another checksum"):
+    with pytest.raises(ValueError, match="damaged, the checksum of its bytes differs"):
         splits.open_table(damaged)
 
 
-def test_a_file_that_does_not_hold_its_blocks_does_not_appear(both, tmp_path, monkeypatch):
-    experiment, folder, _, _ = both
+def test_incomplete_files_are_not_kept(tables, tmp_path, monkeypatch):
+    experiment, folder, _, _ = tables
     monkeypatch.setattr(module, "MAX_BYTES_IN_MEMORY", 0)
     monkeypatch.setattr("splits.tables.storage._write_block", lambda *_arguments: None)
     path = tmp_path / "never.nc"

@@ -126,7 +126,7 @@ def test_linearized_model_is_linear():
     np.testing.assert_allclose(value, 1.0 + linearization.jacobian @ [0.1, -0.1])
     np.testing.assert_array_equal(slopes, linearization.jacobian)
     np.testing.assert_array_equal(model.evaluate(state[np.newaxis])[0], value)
-    assert state_vector.transforms == ("logarithm", "itself")
+    assert state_vector.transforms == ("logarithm", "identity")
 
 
 def test_nonlinearity_is_measured_in_units_of_noise():
@@ -163,7 +163,7 @@ INVALID = {
         {"free": {"incidence_deg": (0, 60)}, "fixed": {"sza": "diffuse"}},
         "fixed.sza.*left out, as it is free",
     ),
-    "two angles": ({"fixed": {"sza": 10, "incidence_deg": 20}}, "left out beside"),
+    "two angles": ({"fixed": {"sza": 10, "incidence_deg": 20}}, "left out, because"),
     "no medium": ({"model": 3}, "a Table, or a medium"),
     "error": ({"max_stderr": 0.9}, "max_stderr"),
     "per cent": ({"measured": (W, np.full(W.size, 50.0))}, "not per cent"),

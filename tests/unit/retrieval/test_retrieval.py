@@ -278,7 +278,7 @@ INVALID_CALLS = {
         "one standard error or 11",
     ),
     "huge covariance": ({"noise": 10.0 * np.eye(W.size)}, "a variance of 10"),
-    "two angles": ({"fixed": {**FIXED, "sza": 20.0}}, "left out beside"),
+    "two angles": ({"fixed": {**FIXED, "sza": 20.0}}, "left out, because"),
     "no noise": ({"noise": 0.0}, "no measurement is without noise"),
     "noise of wrong length": ({"noise": np.full(W.size - 1, 0.01)}, "one or 11 of them"),
     "unknown": ({"free": ["optical_radius"]}, "did you mean"),

@@ -49,7 +49,7 @@ def merge_angular_bins(dataset: xr.Dataset, factor: int) -> xr.Dataset:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Output of `splits.goniophotometer` with bins of equal projected solid angle.
+        Output of `splits.goniophotometer` with bins of equal solid angle.
     factor : int
         Odd divisor of both numbers of bins, so that the first azimuth stays the centre of a bin.
 

@@ -38,23 +38,23 @@ DATE_VARIABLE = "SOURCE_DATE_EPOCH"
 """Environment variable that replaces the current time (seconds since 1970)."""
 README_TEMPLATE = """# Results of splits {version}
 
-Packed on {date} from commit {commit}. Licence of the results: {licence}. Authors: {authors}.
+Archived on {date} from commit {commit}. Licence of the results: {licence}. Authors: {authors}.
 
-| file or folder | what |
+| file or folder | content |
 |---|---|
 | `data/` | datasets, netCDF with CF attributes, which contain all inputs |
 | `figures/` | figures of these datasets, PNG, SVG and PDF |
 | `tables/` | tables, CSV |
 | `config/` | configuration of the run: settings (with those of the command line), experiments, \
-media, measured and published tables, users' own refractive indices |
+media, measured and published tables, user-defined refractive indices |
 | `ro-crate-metadata.json` | list of all files with sizes, types and SHA-256, software, authors \
 and licences (RO-Crate {crate}) |
 | `versions.json` | versions of all Python packages in use |
-| `requirements.txt` | the lock: packages with hashes that the repository pins (if it had one) |
+| `requirements.txt` | packages with versions and hashes that the repository pins (if it does) |
 | `LICENSE`, `CITATION.cff` | licence of the software, and how to cite it |
 | `SHA256SUMS` | checksums; `sha256sum -c SHA256SUMS` verifies them |
 
-To repeat: install splits {version} (commit {commit}) and run
+To repeat the run, install splits {version} (commit {commit}) and run
 
 ```
 splits unpack {archive} again

@@ -89,7 +89,7 @@ def _compute_layer_steps(
         zeros = np.zeros(len(absorption))
         return AbsorptionSteps(zeros, zeros, absorption[:, WET_PORE])
     grains, types = medium.make_grain_population(), medium.make_grain_population().types
-    segment = 1.0 / grains.attenuation
+    segment = 1.0 / grains.collision_coefficient
     pore = segment * compute_pore_fraction(medium)
     per_solid_fraction = (
         getattr(medium.interpretation, "attenuation_factor", "solid_fraction") == "solid_fraction"

@@ -130,7 +130,7 @@ def beam_spread(
             compute_radial_fractions(pilot, len(wavelengths)).mean(axis=0), (0.75,)
         )
         # One mean free path where no light leaves; the edge must be positive.
-        radius = radii[0].max() or 1.0 / runner.tracer.traits.attenuation
+        radius = radii[0].max() or 1.0 / runner.tracer.traits.collision_coefficient
         half_width_m = np.clip(radius, *HALF_WIDTH_RANGE_M["beam_spread"])
     half_width_m = float(half_width_m)
     tallies = make_tallies(0, half_width_m, N_MAP_PIXELS)

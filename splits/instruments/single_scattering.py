@@ -135,7 +135,7 @@ def single_scattering(
             "Single-scattering properties", "single_scattering", medium, start_time, seed, threads
         ),
         "diffraction": "none",
-        "extinction_by_grains_per_m": float(medium.make_grain_population().attenuation),
+        "extinction_by_grains_per_m": float(medium.make_grain_population().collision_coefficient),
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "wet_pores": wet_pores,
         "rays": rays * len(nodes.index),

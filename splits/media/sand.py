@@ -272,7 +272,7 @@ class Sand(ContentEquality):
             0.0, 1.0, 1.0 - self.roundness[0], self.roundness[1]
         )
         return GrainPopulation(
-            attenuation=1.0 / compute_mean_free_path_m(self),
+            collision_coefficient=1.0 / compute_mean_free_path_m(self),
             type_cdf=np.cumsum(self.composition.volume_fractions),
             types=GrainTypes(
                 n_shells=np.array(
@@ -280,7 +280,8 @@ class Sand(ContentEquality):
                 ),
                 material=material,
                 coating_thickness=thickness,
-                curvature=2.0 * self.size_distribution.tabulate_hit_inverse_sizes()[np.newaxis],
+                inverse_semi_major=2.0
+                * self.size_distribution.tabulate_hit_inverse_sizes()[np.newaxis],
                 sphericity=statistics.tabulate_hit_sphericities(*self.sphericity)[np.newaxis],
                 facetness=facetness[np.newaxis],
             ),

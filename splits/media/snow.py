@@ -260,13 +260,13 @@ class Snow(ContentEquality):
             *self._diameter_limits_m, self.interpretation.size_sampling
         )
         return GrainPopulation(
-            attenuation=1.0 / compute_mean_free_path_m(self),
+            collision_coefficient=1.0 / compute_mean_free_path_m(self),
             type_cdf=np.ones(1),
             types=GrainTypes(
                 n_shells=np.ones(1, dtype=np.int64),
                 material=np.array([[self._ice_column]], dtype=np.int64),
                 coating_thickness=np.zeros((1, 1)),
-                curvature=2.0 * sizes[np.newaxis],
+                inverse_semi_major=2.0 * sizes[np.newaxis],
                 sphericity=statistics.tabulate_hit_sphericities(*self.sphericity)[np.newaxis],
                 facetness=statistics.tabulate_truncated_normal(*self.facetness)[np.newaxis],
             ),

@@ -90,7 +90,7 @@ def truncate_deep_medium(
     if not isinstance(layer, GranularMedium):
         return None
     depth = float(layer.depth_m)
-    if depth * layer.make_grain_population().attenuation < MIN_DEPTH_MFP:
+    if depth * layer.make_grain_population().collision_coefficient < MIN_DEPTH_MFP:
         return None
     if any(one.pores or "air" in one.refractive_index for one in lowest):
         # The reflectance of the rest assumes pores of water and of air of index 1.

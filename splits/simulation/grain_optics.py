@@ -81,7 +81,7 @@ def compute_grain_optics(
     pore_extinction = (1.0 - wet_fraction) * absorption[:, DRY_PORE] + wet_fraction * absorption[
         :, WET_PORE
     ]
-    grain_extinction = medium.make_grain_population().attenuation
+    grain_extinction = medium.make_grain_population().collision_coefficient
     values["extinction"] = grain_extinction + pore_extinction
     for name in list(values):
         if name.startswith("single_scattering_albedo"):
@@ -151,9 +151,9 @@ def pool_optics_by_type(
     return xr.Dataset(means)
 
 
-def _compute_wet_fraction(saturation: float, index: np.ndarray, wet_pores: str) -> np.ndarray:
+def _compute_wet_fraction(wet_fraction: float, index: np.ndarray, wet_pores: str) -> np.ndarray:
     """Return the fraction of the light in pore space that is in wet pores, by row of indices."""
-    wet, dry = saturation, 1.0 - saturation
+    wet, dry = wet_fraction, 1.0 - wet_fraction
     if wet_pores == "saturation":
         return np.full(len(index), float(wet))
     index_squared = index[:, [DRY_PORE, WET_PORE]].real ** 2

@@ -25,7 +25,7 @@ from splits.media.medium import GranularMedium, LayeredMedium, Medium, compute_a
 from splits.media.stacked_particle_layer import StackedParticleLayer
 
 LayerModel = GranularMedium | StackedParticleLayer
-MIN_ATTENUATION_PER_M = 1e-12
+MIN_COLLISION_COEFFICIENT = 1e-12
 """Scatterings per metre of a layer without particles, so that its mean free path is finite."""
 
 
@@ -88,7 +88,7 @@ def build_scene(
     media = medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,)
     granular = [layer for layer in media if not isinstance(layer, StackedParticleLayer)]
     populations = [layer.make_grain_population() for layer in granular]
-    n_points = populations[0].types.curvature.shape[1] if populations else 2
+    n_points = populations[0].types.inverse_semi_major.shape[1] if populations else 2
     remaining = iter(populations)
     grains = [
         _make_placeholder_grains(layer.layer.extinction_per_m, n_points)
@@ -106,8 +106,8 @@ def build_scene(
         boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(fields.rms_height)
     layers = Layers(
         boundaries=boundaries,
-        attenuation=np.array([layer.attenuation for layer in grains]),
-        saturation=np.array([float(layer.wet_fraction) for layer in media]),
+        collision_coefficient=np.array([layer.collision_coefficient for layer in grains]),
+        wet_fraction=np.array([float(layer.wet_fraction) for layer in media]),
         type_cdf=np.array(
             [
                 np.pad(layer.type_cdf, (0, max_types - len(layer.type_cdf)), "edge")
@@ -115,7 +115,7 @@ def build_scene(
             ]
         ),
         first_type=first_types[:-1],
-        pore=first_materials[:-1],
+        first_pore_material=first_materials[:-1],
         pore_cdf=_compute_pore_cdf(media),
         particle_row=_find_particle_rows(media),
     )
@@ -162,18 +162,18 @@ def add_recording_planes(scene: Scene, depths_m: Sequence[float]) -> Scene:
     return scene._replace(layers=Layers(boundaries=boundaries, **rows), record_crossings=True)
 
 
-def _make_placeholder_grains(attenuation: float, points: int) -> GrainPopulation:
+def _make_placeholder_grains(collision_coefficient: float, points: int) -> GrainPopulation:
     """Return a placeholder for the grains of a particle layer, which no ray hits."""
     ones = np.ones((1, points))
     types = GrainTypes(
         n_shells=np.ones(1, dtype=np.int64),
         material=np.zeros((1, 1), dtype=np.int64),
         coating_thickness=np.zeros((1, 1)),
-        curvature=ones,
+        inverse_semi_major=ones,
         sphericity=ones,
         facetness=np.zeros((1, points)),
     )
-    return GrainPopulation(max(attenuation, MIN_ATTENUATION_PER_M), np.ones(1), types)
+    return GrainPopulation(max(collision_coefficient, MIN_COLLISION_COEFFICIENT), np.ones(1), types)
 
 
 def _find_particle_rows(media: Sequence[LayerModel]) -> np.ndarray:
@@ -237,7 +237,7 @@ def _merge_grain_types(
         coating_thickness=np.concatenate(
             [pad_columns(population.types.coating_thickness) for population in populations]
         ),
-        curvature=concatenate("curvature"),
+        inverse_semi_major=concatenate("inverse_semi_major"),
         sphericity=concatenate("sphericity"),
         facetness=concatenate("facetness"),
     )

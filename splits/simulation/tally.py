@@ -64,7 +64,7 @@ class TransportTraits(NamedTuple):
 
     Attributes
     ----------
-    attenuation : float
+    collision_coefficient : float
         Expected scatterings per metre.
     ground_column : int
         Column of hits of the ground, see `splits.kernels.grains.scene.Scene`.
@@ -74,7 +74,7 @@ class TransportTraits(NamedTuple):
         Whether absorption is analog, so that any ray may be absorbed.
     """
 
-    attenuation: float
+    collision_coefficient: float
     ground_column: int = NO_GROUND
     extra_absorption: bool = False
     analog: bool = False
@@ -104,7 +104,7 @@ class Tally(Protocol):
 def compute_absorption_per_mfp(absorption: np.ndarray, traits: TransportTraits) -> np.ndarray:
     """Return the absorption over one mean distance between scatterings, by wavelength."""
     materials = np.arange(absorption.shape[1]) != traits.ground_column
-    strength: np.ndarray = absorption[:, materials].max(axis=1) / traits.attenuation
+    strength: np.ndarray = absorption[:, materials].max(axis=1) / traits.collision_coefficient
     return strength
 
 

@@ -72,7 +72,7 @@ class GrainTracer:
             self.scene = add_recording_planes(self.scene, planes_m)
         self.height_fields = make_height_fields(medium)
         self.boundary_depths_m = -self.scene.layers.boundaries
-        densest = float(self.scene.layers.attenuation.max())
+        densest = float(self.scene.layers.collision_coefficient.max())
         fading = bool((self.scene.particles.albedo < 1.0).any())
         self.traits = TransportTraits(densest, self.scene.ground_column, fading, analog)
         self.normal_incidence = self.scene.source == (1.0, 0.0)

@@ -1,24 +1,24 @@
 #!/usr/bin/env bash
-# Make a table on the SLURM of start.sh while things go wrong, and compare it with one made without:
-# a job dies once, one is cancelled, the node daemon is killed with all its jobs, snakemake is
-# interrupted and started again.  As root, in a folder with config/:
+# Build a table on the SLURM of start.sh with injected faults, and compare it with one built without:
+# a job is killed, one is cancelled, the node daemon is killed with all its jobs, and snakemake is
+# interrupted and restarted.  As root, in a folder with config/:
 #
 #   tests/cluster/faults.sh EXPERIMENT [REFERENCE.nc]
 #
 # EXPERIMENT is one of config/experiments with instrument table; without a reference one is made
 # first, by two cores, in results/reference.
 set -euo pipefail
-# Each background job is a group of its own, and hears of Ctrl+C.
+# Each background job is its own process group, so that it receives the signal of Ctrl+C.
 set -m
 name=$1 host=$(hostname -s)
 table=results/data/$name.nc
 
 say() { echo "$(date +%T) $*"; }
 
-# The parts that run now, one job of the scheduler to a line.
+# List the running jobs of the scheduler, one per line.
 running() { squeue --noheader --states running --format %i | sort -n; }
 
-# Wait until so many ensembles are kept.
+# Wait until $1 ensembles are stored.
 kept() {
     until [ "$(find "results/blocks/$name" -name '*.nc' 2>/dev/null | wc -l)" -ge "$1" ]; do
         if ! kill -0 "$made" 2>/dev/null; then

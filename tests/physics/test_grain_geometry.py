@@ -190,7 +190,7 @@ def test_segment_overlap_agrees_with_sampled_points(random, psi):
 @njit
 def _sample_chord(state, types, entry):
     """Return the chord of a straight ray through a sampled grain."""
-    b = 1.0 / rng.interpolate_quantile(types.curvature, 0, rng.uniform(state))
+    b = 1.0 / rng.interpolate_quantile(types.inverse_semi_major, 0, rng.uniform(state))
     psi = rng.interpolate_quantile(types.sphericity, 0, rng.uniform(state))
     d = Vector(0.48, -0.64, 0.6)
     return spheroid.compute_chord(

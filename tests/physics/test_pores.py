@@ -198,7 +198,8 @@ def test_mean_free_path_as_printed_excludes_grains():
     including_grain = splits.Snow(**dry, interpretation={"mean_free_path": "including_grain"})
     assert paper.mean_grain_distance_m == including_grain.mean_grain_distance_m
     mean_free_paths = [
-        1.0 / snow.make_grain_population().attenuation for snow in (paper, including_grain)
+        1.0 / snow.make_grain_population().collision_coefficient
+        for snow in (paper, including_grain)
     ]
     assert mean_free_paths[0] == paper.mean_grain_distance_m
     assert mean_free_paths[1] == pytest.approx(paper.porosity * mean_free_paths[0])

@@ -143,7 +143,7 @@ def test_extinction_is_grain_attenuation_plus_pore_absorption():
     water = complex(1.33, alpha * 1500e-9 / (4.0 * math.pi))
     snow = splits.Snow(saturation=0.25, refractive_index={"ice": 1.31, "water": water})
     ds = single_scattering(snow, 1500.0, rays=RAYS, moments=2)
-    grains = snow.make_grain_population().attenuation
+    grains = snow.make_grain_population().collision_coefficient
     assert float(ds.extinction[0]) == pytest.approx(grains + 0.25 * alpha, rel=1e-12)
     assert float(ds.optical_thickness[0]) == pytest.approx(float(ds.extinction[0]) * snow.depth_m)
     # Neither ice nor reflection absorbs, so all absorption occurs between grains.

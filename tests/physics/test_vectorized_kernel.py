@@ -57,7 +57,7 @@ def make_ensembles(medium, wavelengths, attenuation):
 def trace_spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     """Return R and T, their standard errors, and the seconds elapsed on two threads."""
     runner = Runner(medium, incidence, seed, 2, False, kernel)
-    ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+    ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.collision_coefficient)
     start = time.perf_counter()
     runner.trace([(e, e.strata[0], rays) for e in ensembles], 1.0, 0.0)
     seconds = time.perf_counter() - start
@@ -114,7 +114,7 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
 def test_paths_are_independent_of_other_ensembles():
     runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "vectorized")
     ensembles = make_ensembles(
-        splits.Snow(), np.array([500.0, 800.0]), runner.tracer.traits.attenuation
+        splits.Snow(), np.array([500.0, 800.0]), runner.tracer.traits.collision_coefficient
     )
     ensemble_optics = [e.strata[0].optics for e in ensembles]
     features = runner.tracer.get_features(ensembles[0].strata[0])
@@ -146,7 +146,9 @@ def test_paths_are_independent_of_other_ensembles():
 def test_paths_are_independent_of_lane_and_batch():
     medium = splits.Snow(depth_m=0.02)
     runner = Runner(medium, 30.0, 3, 1, False, "vectorized")
-    (ensemble,) = make_ensembles(medium, np.array([900.0]), runner.tracer.traits.attenuation)
+    (ensemble,) = make_ensembles(
+        medium, np.array([900.0]), runner.tracer.traits.collision_coefficient
+    )
     optics = ensemble.strata[0].optics
     features = runner.tracer.get_features(ensemble.strata[0])
 
@@ -173,7 +175,7 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
 
     def trace_moments(threads=None):
         runner = Runner(medium, 10.0, 4, threads, False, kernel)
-        ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+        ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.collision_coefficient)
         runner.share_kernel(ensembles)
         runner.trace([(e, e.strata[0], batches * RAYS_PER_CHUNK) for e in ensembles], 1.0, 0.0)
         return np.stack([e.moments for e in ensembles])
@@ -183,7 +185,9 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
         tallies = {}
         for job in random.Random(1).sample(range(jobs), jobs):
             runner = Runner(medium, 10.0, 4, 1, False, kernel)
-            ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+            ensembles = make_ensembles(
+                medium, wavelengths, runner.tracer.traits.collision_coefficient
+            )
             runner.share_kernel(ensembles)
             for number, e in enumerate(ensembles):
                 for batch in range(job, batches, jobs):
@@ -191,7 +195,7 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
                         [(e, e.strata[0], batch * RAYS_PER_CHUNK, 1)]
                     )
                     tallies[number, batch] = tally
-        ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.attenuation)
+        ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.collision_coefficient)
         for (number, _), tally in sorted(tallies.items(), key=lambda item: item[0]):
             ensembles[number].add_scores(ensembles[number].strata[0], [tally])
         return np.stack([e.moments for e in ensembles])
@@ -206,7 +210,9 @@ def test_vectorized_kernel_conserves_energy():
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
     runner = Runner(medium, 60.0, 5, 1, False, "vectorized")
-    (ensemble,) = make_ensembles(medium, np.array([600.0]), runner.tracer.traits.attenuation)
+    (ensemble,) = make_ensembles(
+        medium, np.array([600.0]), runner.tracer.traits.collision_coefficient
+    )
     optics = ensemble.strata[0].optics
     features = runner.tracer.get_features(ensemble.strata[0])
     rows = allocate_exits(3000, 3)

@@ -55,7 +55,8 @@ def make_scene(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0
     """Return a slab of grains under a beam or diffuse light, with sampling rules."""
     rules = splits.Interpretation().to_sampling_rules() if rules is None else rules
     layers = Layers(
-        np.array([0.0, -depth]), np.array([grains.attenuation]), np.array([float(saturation)]),
+        np.array([0.0, -depth]), np.array([grains.collision_coefficient]),
+        np.array([float(saturation)]),
         grains.type_cdf[np.newaxis], np.array([0]), np.array([0]), np.empty((1, 0)),
         np.array([NO_PARTICLES]),
     )  # fmt: skip
@@ -86,7 +87,11 @@ def make_oracle_slab(medium, incidence):
     grains, rules = medium.make_grain_population(), medium.interpretation.to_sampling_rules(False)
     cos = make_medium_scene(medium, incidence).source.cos_incidence
     slab = oracle_scene.Slab(medium.depth_m, medium.saturation, cos, incidence == "diffuse")
-    return oracle_scene.Grains(grains.attenuation, grains.type_cdf, *grains.types), slab, rules
+    return (
+        oracle_scene.Grains(grains.collision_coefficient, grains.type_cdf, *grains.types),
+        slab,
+        rules,
+    )
 
 
 def make_optics(n, k=None, absorption=None):

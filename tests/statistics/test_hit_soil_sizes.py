@@ -98,7 +98,7 @@ def compute_struck_cdf(texture):
 def test_sizes_of_hit_grains_follow_their_distribution():
     p = {}
     for name, texture in TEXTURES.items():
-        curvature = splits.Sand(texture=texture).make_grain_population().types.curvature
+        curvature = splits.Sand(texture=texture).make_grain_population().types.inverse_semi_major
         sizes = 2.0 / draw_samples(evaluate_quantile, N_SAMPLES, curvature)
         cumulative = compute_struck_cdf(texture)
         p[name, "bins"] = compute_p_of_values(sizes, cumulative, EDGES)
@@ -113,7 +113,7 @@ def test_hit_fractions_of_the_separates():
         sizes = 2.0 / draw_samples(
             evaluate_quantile,
             N_SAMPLES,
-            splits.Sand(texture=texture).make_grain_population().types.curvature,
+            splits.Sand(texture=texture).make_grain_population().types.inverse_semi_major,
             ray=1,
         )
         counts, _ = np.histogram(np.log(sizes), [-np.inf, *LIMITS[1:3], np.inf])
@@ -135,7 +135,9 @@ def test_mean_size_of_hit_grains_is_consistent_with_attenuation():
 
 def test_sizes_between_separates_are_rare():
     """Without silt, only one interval of the table interpolates between 2 and 50 µm."""
-    curvature = splits.Sand(texture=(0.1, 0.0, 0.9)).make_grain_population().types.curvature
+    curvature = (
+        splits.Sand(texture=(0.1, 0.0, 0.9)).make_grain_population().types.inverse_semi_major
+    )
     x = np.log(2.0 / draw_samples(evaluate_quantile, N_SAMPLES, curvature, ray=2))
     inside = (x > LIMITS[1] + 1e-9) & (x < LIMITS[2] - 1e-9)
     assert inside.mean() < 2.0 / curvature.shape[1]
@@ -206,7 +208,7 @@ def test_nearest_of_independent_types_has_the_total_rate():
             "types": compute_p_of_counts(nearest, probabilities),
             "distance": compute_p_of_values(
                 distance.min(axis=1),
-                stats.expon(scale=1.0 / sand.make_grain_population().attenuation).cdf,
+                stats.expon(scale=1.0 / sand.make_grain_population().collision_coefficient).cdf,
             ),
         }
     )

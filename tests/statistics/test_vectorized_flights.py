@@ -41,7 +41,7 @@ def make_deep_scene(medium):
     scene = keep_all_grains(make_medium_scene(medium, depth=DEPTH_M, saturation=0.0))
     types = scene.types
     tables = (
-        types.curvature.astype(single),
+        types.inverse_semi_major.astype(single),
         (1.0 - types.sphericity**2).astype(single),
         (0.5 * types.facetness).astype(single),
     )

@@ -46,7 +46,7 @@ def enter_layer(state, direction, layer, roulette_state, scene, optics):
     layers = scene.layers
     pore_variate = uniform(state)
     near, far = (
-        refractive_index_of(optics, layers.pore[layer]),
+        refractive_index_of(optics, layers.first_pore_material[layer]),
         refractive_index_of(optics, pore_material(layers, layer, pore_variate)),
     )
     if not (scene.rules.boundary_fresnel or layers.particle_row[layer] != NO_PARTICLES):
@@ -64,9 +64,9 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
     """Return a ray after refraction or reflection at the layer boundary on which it is."""
     layers, payload = scene.layers, ray.payload
     next_layer = find_adjacent_layer(layers, payload.layer, payload.direction)
-    inside = 0 <= next_layer < layers.attenuation.size
+    inside = 0 <= next_layer < layers.collision_coefficient.size
     near = refractive_index_of(optics, pore_material(layers, payload.layer, payload.pore_variate))
-    far = refractive_index_of(optics, layers.pore[payload.layer])
+    far = refractive_index_of(optics, layers.first_pore_material[payload.layer])
     has_particles = layers.particle_row[payload.layer] != NO_PARTICLES
     if inside:
         far = refractive_index_of(optics, pore_material(layers, next_layer, payload.pore_variate))
@@ -161,7 +161,7 @@ def reflect_from_ground(state, ray, scene, optics, path_lengths):
     if not survival.alive or ray.order == ray.max_order:
         return terminate(ray, ABSORBED)
     direction = sample_cosine_lobe(UP, uniform(state), uniform(state))
-    bottom_layer = scene.layers.attenuation.size - 1
+    bottom_layer = scene.layers.collision_coefficient.size - 1
     entered, payload = enter_layer(state, direction, bottom_layer, survival.roulette, scene, optics)
     status = ALIVE if entered else TO_GROUND
     return Ray(

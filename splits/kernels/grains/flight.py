@@ -78,7 +78,7 @@ def locate_layer(geometry, payload, scene, optics, path_lengths, crossings):
         step = -1 if z > layers.boundaries[layer] else 1
         boundary = layers.boundaries[layer] if step < 0 else layers.boundaries[layer + 1]
         next_layer = layer + step
-        inside = 0 <= next_layer < layers.attenuation.size
+        inside = 0 <= next_layer < layers.collision_coefficient.size
         if not inside or not has_same_refractive_index(
             layers, optics, layer, next_layer, payload.pore_variate
         ):
@@ -127,7 +127,7 @@ def sample_next_event(state, geometry, payload, scene, optics):
             return NextEvent(grain_sample, collision, layer, False)
         if collision.leaves_layer:
             next_layer = find_adjacent_layer(layers, layer, geometry.direction)
-            inside = 0 <= next_layer < layers.attenuation.size
+            inside = 0 <= next_layer < layers.collision_coefficient.size
             if not inside or not has_same_refractive_index(
                 layers, optics, layer, next_layer, payload.pore_variate
             ):

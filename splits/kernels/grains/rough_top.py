@@ -105,7 +105,7 @@ def scatter_at_facet(state, ray, slope, side, scene, optics):
     # The layer below has particles, so light always reaches new pores.
     pore_variate = uniform(state)
     inside = refractive_index_of(optics, pore_material(scene.layers, 0, pore_variate))
-    outside = refractive_index_of(optics, scene.layers.pore[0])
+    outside = refractive_index_of(optics, scene.layers.first_pore_material[0])
     near = outside if side > 0.0 else inside
     far = inside if side > 0.0 else outside
     normal = compute_normal_from_slope(slope)

@@ -71,7 +71,7 @@ class GrainTypes(NamedTuple):
         Rows of the materials from the outermost coating to the core.
     coating_thickness : float64[types, shells]
         Thickness of the coatings as a fraction of the major axis; unused for the core.
-    curvature : float64[rows, m]
+    inverse_semi_major : float64[rows, m]
         Inverse semi-major axis of the grains hit (1/m).  Weighting with the cross section makes the
         inverse uniform, so that a table of it is exact for any range of sizes.
     sphericity : float64[rows, m]
@@ -83,7 +83,7 @@ class GrainTypes(NamedTuple):
     n_shells: np.ndarray
     material: np.ndarray
     coating_thickness: np.ndarray
-    curvature: np.ndarray
+    inverse_semi_major: np.ndarray
     sphericity: np.ndarray
     facetness: np.ndarray
 
@@ -93,14 +93,14 @@ class GrainPopulation(NamedTuple):
 
     Attributes
     ----------
-    attenuation : float
+    collision_coefficient : float
         Expected number of grains hit per metre of path in the pore space, all types together.
     type_cdf : float64[types]
         Cumulative probability that the grain hit is of type 0…i; the last entry is 1.
     types : GrainTypes
     """
 
-    attenuation: float
+    collision_coefficient: float
     type_cdf: np.ndarray
     types: GrainTypes
 
@@ -112,28 +112,28 @@ class Layers(NamedTuple):
     ----------
     boundaries : float64[layers + 1]
         Heights of the boundaries (m), 0 at the top; above a rough top, a height above all of it.
-    attenuation : float64[layers]
+    collision_coefficient : float64[layers]
         Expected number of grains hit per metre of path in the pore space.
-    saturation : float64[layers]
+    wet_fraction : float64[layers]
         Probability that a path segment in the pore space is in the wet medium.
     type_cdf : float64[layers, types]
         Cumulative probability that the grain hit is of type 0…i of the layer.
     first_type : int64[layers]
         Row of the first type of the layer.
-    pore : int64[layers]
+    first_pore_material : int64[layers]
         Material of the dry pores, followed by those of the wet pores and of further pore media.
     pore_cdf : float64[layers, media]
-        Cumulative probabilities, starting from the saturation, of the further pore media.
+        Cumulative probabilities, starting from the wet fraction, of the further pore media.
     particle_row : int64[layers]
         Row of `ParticleScattering` for a layer of particles, `NO_PARTICLES` for a layer of grains.
     """
 
     boundaries: np.ndarray
-    attenuation: np.ndarray
-    saturation: np.ndarray
+    collision_coefficient: np.ndarray
+    wet_fraction: np.ndarray
     type_cdf: np.ndarray
     first_type: np.ndarray
-    pore: np.ndarray
+    first_pore_material: np.ndarray
     pore_cdf: np.ndarray
     particle_row: np.ndarray
 

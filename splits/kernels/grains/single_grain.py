@@ -34,7 +34,7 @@ class ScatteringTally(NamedTuple):
 class IsolatedGrain(NamedTuple):
     """Isolated grain, which rays reach through a wet pore with `wet_probability`.
 
-    Of the layer of the scene only the saturation is used, not the boundaries.
+    Of the layer of the scene only the wet_fraction is used, not the boundaries.
     """
 
     wet_probability: float
@@ -95,14 +95,14 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
     sums = np.zeros((3, n_orders + 4, absorption.shape[0]))
     batches = np.zeros((N_SCATTERING_BATCHES, n_orders + 4, absorption.shape[0]))
     scores = np.zeros(n_orders + 4)
-    saturation = isolated_grain.scene.layers.saturation[0]
+    wet_fraction = isolated_grain.scene.layers.wet_fraction[0]
     path_lengths = np.zeros(absorption.shape[1])
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[1], work[1] + work[2]):
         start_stream(state, seed, work[0], number)
         path_lengths[:] = 0.0
         roulette_state = RouletteState(0.0, FIRST_ROULETTE_DEPTH, 1.0)
-        # A pore is wet if its variate is below the saturation.
+        # A pore is wet if its variate is below the wet_fraction.
         payload = RayPayload(
             UP, 0, 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0, roulette_state
         )
@@ -119,7 +119,7 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
         scores[n_orders] = displacement.z
         scores[n_orders + 1] = dot(displacement, d)
         scores[n_orders + 2] = dot(displacement, displacement)
-        scores[n_orders + 3] = 1.0 if transit.payload.pore_variate < saturation else 0.0
+        scores[n_orders + 3] = 1.0 if transit.payload.pore_variate < wet_fraction else 0.0
         score_ray(
             scores,
             path_lengths,

@@ -142,8 +142,8 @@ def attenuate(state, roulette_state, distance, material, optics, analog, path_le
 @inline_only
 def pore_material(layers, layer, pore_variate):
     """Return the material of the pore of a ray in a layer (SPLITS 4.3.2, SPLITSnow 3.4)."""
-    pore = layers.pore[layer]
-    if pore_variate < layers.saturation[layer]:
+    pore = layers.first_pore_material[layer]
+    if pore_variate < layers.wet_fraction[layer]:
         return pore + 1
     for other in range(layers.pore_cdf.shape[1]):
         if pore_variate < layers.pore_cdf[layer, other]:
@@ -163,7 +163,12 @@ def get_layer_geometry(layers, layer):
     slab_bottom, slab_top = layers.boundaries[layers.boundaries.size - 1], layers.boundaries[0]
     bottom, top = layers.boundaries[layer + 1], layers.boundaries[layer]
     return LayerGeometry(
-        1.0 / layers.attenuation[layer], bottom, top, slab_bottom, slab_top, min(slab_top, 0.0)
+        1.0 / layers.collision_coefficient[layer],
+        bottom,
+        top,
+        slab_bottom,
+        slab_top,
+        min(slab_top, 0.0),
     )
 
 
@@ -174,7 +179,7 @@ def sample_grain(state, scene, layer):
     grain_type = scene.layers.first_type[layer]
     if type_cdf.size > 1:
         grain_type += sample_discrete(type_cdf, uniform(state))
-    semi_major = 1.0 / interpolate_quantile(types.curvature, grain_type, uniform(state))
+    semi_major = 1.0 / interpolate_quantile(types.inverse_semi_major, grain_type, uniform(state))
     sphericity = interpolate_quantile(types.sphericity, grain_type, uniform(state))
     roughness = 0.5 * interpolate_quantile(types.facetness, grain_type, uniform(state))
     return GrainSample(grain_type, GrainSize(semi_major, 1.0 - sphericity * sphericity), roughness)

@@ -52,12 +52,12 @@ def make_pass_constants(scene):
         single(layers.boundaries[layers.boundaries.size - 1]),
     )
     layer_geometry = LayerGeometry(
-        single(1.0 / layers.attenuation[0]), bottom, top, bottom, top, top
+        single(1.0 / layers.collision_coefficient[0]), bottom, top, bottom, top, top
     )
     mirror_wrong_side = rules.wrong_side != WRONG_SIDE_LOBE
-    saturation = single(layers.saturation[0])
+    wet_fraction = single(layers.wet_fraction[0])
     return PassConstants(
-        layer_geometry, make_rejection_rules(rules), saturation, rules.facet_sampling,
+        layer_geometry, make_rejection_rules(rules), wet_fraction, rules.facet_sampling,
         mirror_wrong_side, rules.point_grains
     )  # fmt: skip
 
@@ -252,7 +252,7 @@ def trace_batch(seed, work, scene, optics, exits, features):
     align_stack()
     types = scene.types
     tables = (
-        types.curvature.astype(np.float32),
+        types.inverse_semi_major.astype(np.float32),
         (1.0 - types.sphericity * types.sphericity).astype(np.float32),
         (0.5 * types.facetness).astype(np.float32),
     )

@@ -55,26 +55,32 @@ def select_features(scene: Scene, optics: Optics) -> Features | None:
     depth = layers.boundaries[0] - layers.boundaries[-1]
     if (layers.particle_row != NO_PARTICLES).any() or layers.pore_cdf.shape[1] > 0:
         return None
-    if rules.analog or types.n_shells.max() > 2 or depth * layers.attenuation.max() > MAX_DEPTH_MFP:
+    if (
+        rules.analog
+        or types.n_shells.max() > 2
+        or depth * layers.collision_coefficient.max() > MAX_DEPTH_MFP
+    ):
         return None
-    first_depth = source.cos_incidence / layers.attenuation[0] * types.curvature.min()
+    first_depth = (
+        source.cos_incidence / layers.collision_coefficient[0] * types.inverse_semi_major.min()
+    )
     if source.diffuse_fraction < 1.0 and first_depth < MIN_FIRST_DEPTH:
         return None
     if max(optics.n.max(), optics.k.max()) > MAX_INDEX or optics.n.min() < 1.0 / MAX_INDEX:
         return None
-    layered = layers.attenuation.size > 1
+    layered = layers.collision_coefficient.size > 1
     mixed = layered or types.n_shells.size > 1 or types.n_shells.max() > 1
     absorbing = False
     if not mixed:
         core = types.material[0, 0]
-        pores = [DRY_PORE, WET_PORE] if layers.saturation.max() > 0.0 else [DRY_PORE]
+        pores = [DRY_PORE, WET_PORE] if layers.wet_fraction.max() > 0.0 else [DRY_PORE]
         pairs = [(pore, core) for pore in pores] + [(core, pore) for pore in pores]
         absorbing = any(
             compute_extinction_effect(optics, near, far) > EXTINCTION_TOLERANCE
             for near, far in pairs
         )
     return Features(
-        wet=_to_feature(layers.saturation.max() > 0.0),
+        wet=_to_feature(layers.wet_fraction.max() > 0.0),
         faceted=_to_feature(bool((types.facetness > 0.0).any())),
         absorbing=_to_feature(absorbing),
         mixed=_to_feature(bool(mixed)),

@@ -106,7 +106,7 @@ def run_flight_step(state, words, i, features, constants):
     # A rejected axial position has precedence over all other results of a sample, so that it does
     # not bias distances, shapes and types.
     size = GrainSize(
-        ONE / state[lane_state.NEW_CURVATURE + i], state[lane_state.NEW_FLATTENING + i]
+        ONE / state[lane_state.NEW_INVERSE_SEMI_MAJOR + i], state[lane_state.NEW_FLATTENING + i]
     )
     collision = sample_collision(
         geometry, size, variates.entry, variates.distance, layer_geometry, constants.rejection_rules

@@ -28,7 +28,7 @@ def reflect_from_ground(lanes, lane, job, crossings):
     ground counts as one order of scattering.
     """
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
-    ground, bottom_layer = job.scene.ground_column, job.scene.layers.attenuation.size - 1
+    ground, bottom_layer = job.scene.ground_column, job.scene.layers.collision_coefficient.size - 1
     flush_path_lengths(lanes, lane, job.scene)
     append_lane_crossing(lanes, lane, crossings, encode_crossing(bottom_layer + 1, False))
     lanes.path_lengths[lane, ground] += 1.0

@@ -138,10 +138,10 @@ def run_surface_step(state, words, i, features, constants):
     # lobe and has done so.
     new_wet = wet
     if features.wet is not None:
-        saturation = constants.saturation
+        wet_fraction = constants.wet_fraction
         if features.layered is not None:
-            saturation = state[lane_state.SATURATION + i]
-        drawn_wet = ONE if variates.u_pore < saturation else ZERO
+            wet_fraction = state[lane_state.WET_FRACTION + i]
+        drawn_wet = ONE if variates.u_pore < wet_fraction else ZERO
         new_wet = wet if interface.in_lobe & outward else drawn_wet
     pore_wet = (new_wet if outward else wet) > ZERO
     if features.mixed is not None:

@@ -27,10 +27,10 @@ def set_layer_optics(state, lane, scene, optics, item):
         layers.boundaries[layer],
         layers.boundaries[layer + 1],
     )
-    state[lane_state.MEAN_FREE_PATH + lane] = 1.0 / layers.attenuation[layer]
-    state[lane_state.SATURATION + lane] = layers.saturation[layer]
+    state[lane_state.MEAN_FREE_PATH + lane] = 1.0 / layers.collision_coefficient[layer]
+    state[lane_state.WET_FRACTION + lane] = layers.wet_fraction[layer]
     state[lane_state.FIRST_TYPE + lane] = layers.first_type[layer]
-    grain_type, pore = layers.first_type[layer], layers.pore[layer]
+    grain_type, pore = layers.first_type[layer], layers.first_pore_material[layer]
     core = types.material[grain_type, types.n_shells[grain_type] - 1]
     dry, wet = refractive_index_of(optics, item, pore), refractive_index_of(optics, item, pore + 1)
     core_index = refractive_index_of(optics, item, core)

@@ -45,14 +45,14 @@ STRIDE = 2 * VECTOR_WIDTH
     # Status; 1 if the pore is wet, and the random number that selected it.
     STATUS, PORE_WET, PORE_VARIATE,
     # Layer: boundaries, mean free path, saturation, first grain type.
-    LAYER_TOP, LAYER_BOTTOM, MEAN_FREE_PATH, SATURATION, FIRST_TYPE,
+    LAYER_TOP, LAYER_BOTTOM, MEAN_FREE_PATH, WET_FRACTION, FIRST_TYPE,
     # Optical depth of the next roulette, inverse probability of survival.
     NEXT_ROULETTE, WEIGHT,
     # Sampled grain: curvature, flattening, half facetness, type.
-    NEW_CURVATURE, NEW_FLATTENING, NEW_ROUGHNESS, NEW_TYPE,
+    NEW_INVERSE_SEMI_MAJOR, NEW_FLATTENING, NEW_ROUGHNESS, NEW_TYPE,
     # Its variates: positions in the tables (the second is replaced by the tabulated value); random
     # number of the type, and the chosen type.
-    QUANTILE_CURVATURE, QUANTILE_FLATTENING, QUANTILE_ROUGHNESS, U_TYPE, CHOSEN_TYPE,
+    QUANTILE_INVERSE_SEMI_MAJOR, QUANTILE_FLATTENING, QUANTILE_ROUGHNESS, U_TYPE, CHOSEN_TYPE,
     # Type of the grain; complex index and absorption of its outermost shell and core; coating.
     TYPE, INDEX_OUTER, EXTINCTION_OUTER, INDEX_CORE, EXTINCTION_CORE,
     ABSORPTION_OUTER, ABSORPTION_CORE, COATING_THICKNESS, N_SHELLS,
@@ -102,14 +102,14 @@ class PassConstants(NamedTuple):
     ----------
     layer_geometry : LayerGeometry
     rejection_rules : RejectionRules
-    saturation : float32
+    wet_fraction : float32
     facet_sampling : int32
     mirror_wrong_side, point_grains : bool
     """
 
     layer_geometry: LayerGeometry
     rejection_rules: RejectionRules
-    saturation: np.float32
+    wet_fraction: np.float32
     facet_sampling: np.int32
     mirror_wrong_side: np.bool_
     point_grains: np.bool_

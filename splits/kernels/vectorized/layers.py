@@ -24,8 +24,8 @@ from splits.kernels.vectorized.lifecycle import draw_uniform
 @inline_only
 def pore_material(lanes, lane, layers, layer):
     """Return the material of the pore of a ray in a layer."""
-    wet = lanes.state[lane_state.PORE_VARIATE + lane] < single(layers.saturation[layer])
-    return layers.pore[layer] + (1 if wet else 0)
+    wet = lanes.state[lane_state.PORE_VARIATE + lane] < single(layers.wet_fraction[layer])
+    return layers.first_pore_material[layer] + (1 if wet else 0)
 
 
 @inline_only
@@ -42,7 +42,7 @@ def set_layer(lanes, lane, job, layer):
     """Set the layer of a ray, with the pore that its variate selects."""
     state, layers = lanes.state, job.scene.layers
     state[lane_state.LAYER + lane] = single(layer)
-    wet = lanes.state[lane_state.PORE_VARIATE + lane] < single(layers.saturation[layer])
+    wet = lanes.state[lane_state.PORE_VARIATE + lane] < single(layers.wet_fraction[layer])
     state[lane_state.PORE_WET + lane] = ONE if wet else ZERO
     set_layer_optics(state, lane, job.scene, job.optics, lanes.item[lane])
 
@@ -158,7 +158,7 @@ def cross_interface(lanes, lane, job, crossings):
     layer = int(state[lane_state.LAYER + lane])
     boundary_hit = compute_boundary_hit(geometry, layer_geometry)
     next_layer = find_adjacent_layer(layers, layer, geometry.direction)
-    inside = 0 <= next_layer < layers.attenuation.size
+    inside = 0 <= next_layer < layers.collision_coefficient.size
     state[lane_state.STATUS + lane] = lane_state.IN_FLIGHT
     if inside and has_same_refractive_index(lanes, lane, job, layer, next_layer):
         set_layer(lanes, lane, job, next_layer)
@@ -172,7 +172,7 @@ def cross_interface(lanes, lane, job, crossings):
     state[lane_state.PREV_LENGTH + lane] = boundary_hit.distance
     attenuate_segment(lanes, lane, job, crossings)
     near = refractive_index_of(optics, item, pore_material(lanes, lane, layers, layer))
-    far = refractive_index_of(optics, item, layers.pore[layer])
+    far = refractive_index_of(optics, item, layers.first_pore_material[layer])
     if inside:
         far = refractive_index_of(optics, item, pore_material(lanes, lane, layers, next_layer))
     transmitted = True

@@ -115,10 +115,10 @@ def enter_layer(lanes, lane, job, layer, d):
     wet, pore_variate = False, 0.0
     if job.features.wet is not None:
         pore_variate = draw_uniform(words, lane)
-        wet = pore_variate < layers.saturation[layer]
+        wet = pore_variate < layers.wet_fraction[layer]
     transmitted = True
     if wet and job.scene.rules.boundary_fresnel:
-        dry = layers.pore[layer]
+        dry = layers.first_pore_material[layer]
         near, far = (
             refractive_index_of(optics, item, dry),
             refractive_index_of(optics, item, dry + 1),

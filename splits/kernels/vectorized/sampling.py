@@ -37,7 +37,7 @@ def draw_variates(state, words, first_lane, features, last_node):
     for j in range(lane_state.STRIDE):
         i = first_lane + j
         bits = compute_random_bits(words, i, 3)
-        state[lane_state.QUANTILE_CURVATURE + i] = compute_quantile_position(
+        state[lane_state.QUANTILE_INVERSE_SEMI_MAJOR + i] = compute_quantile_position(
             to_uniform_31(bits >> _SHIFT_33), last_node
         )
         state[lane_state.QUANTILE_FLATTENING + i] = compute_quantile_position(
@@ -109,8 +109,8 @@ def draw_grain_properties(state, words, width, features, tables, type_cdf):
             curvature,
             state,
             lane_state.NEW_TYPE + i,
-            lane_state.QUANTILE_CURVATURE + i,
-            lane_state.NEW_CURVATURE + i,
+            lane_state.QUANTILE_INVERSE_SEMI_MAJOR + i,
+            lane_state.NEW_INVERSE_SEMI_MAJOR + i,
         )
         gather_interpolate(
             flattening,

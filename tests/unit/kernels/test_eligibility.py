@@ -74,7 +74,7 @@ def test_features_match_the_scene(scene):
 
 def test_too_grazing_beams_use_the_scalar_kernel():
     grains, optics = splits.Snow().make_grain_population(), make_optics([1.0, 1.33, 1.31])
-    min_cos = MIN_FIRST_DEPTH * grains.attenuation / grains.types.curvature.min()
+    min_cos = MIN_FIRST_DEPTH * grains.collision_coefficient / grains.types.inverse_semi_major.min()
     assert min_cos < math.cos(math.radians(89.9999))
     for cos, diffuse, eligible in (
         (0.99 * min_cos, 0.0, False),

@@ -233,7 +233,7 @@ def test_mean_grain_distance_of_spheres():
     assert sand.mean_grain_distance_m == pytest.approx(1.0 / (0.6 * 1.5 * k1), rel=1e-12)
     printed = Sand(**spheres, interpretation={"attenuation_factor": "as_printed"})
     assert printed.mean_grain_distance_m == pytest.approx(1.0 / (1.5 * k1), rel=1e-12)
-    assert 1.0 / sand.make_grain_population().attenuation == pytest.approx(
+    assert 1.0 / sand.make_grain_population().collision_coefficient == pytest.approx(
         sand.mean_grain_distance_m, rel=1e-15
     )
     # Surface per mass of spheres: 6 per diameter and volume.

@@ -66,7 +66,7 @@ def test_layers_keep_order_types_and_materials():
     names = stack.list_materials()
     assert names[:3] == ("layers.0.air", "layers.0.water", "layers.0.ice")
     for number, medium in enumerate(stack.layers):
-        first, pore = scene.layers.first_type[number], scene.layers.pore[number]
+        first, pore = scene.layers.first_type[number], scene.layers.first_pore_material[number]
         types = medium.make_grain_population().types
         for grain_type, shells in enumerate(types.n_shells):
             assert scene.types.n_shells[first + grain_type] == shells

@@ -32,13 +32,16 @@ report: "workflow/report/workflow.rst"
 
 # Snakemake has parsed the files as YAML 1.1, where 045 is 37 and 1:15 is 75. They are parsed again
 # as YAML 1.2.
-GIVEN = workflow.config_settings
-OWN = workflow.configfiles[len(GIVEN.configfiles) :]
+COMMAND_LINE = workflow.config_settings
+DEFAULT_FILES = workflow.configfiles[len(COMMAND_LINE.configfiles) :]
 try:
     config.clear()
-    for FILE in [*([] if GIVEN.replace_workflow_config else OWN), *GIVEN.configfiles]:
+    for FILE in [
+        *([] if COMMAND_LINE.replace_workflow_config else DEFAULT_FILES),
+        *COMMAND_LINE.configfiles,
+    ]:
         update_config(config, read_yaml(Path(FILE)))
-    update_config(config, GIVEN.config)
+    update_config(config, COMMAND_LINE.config)
     SETTINGS = load_settings(config)
     AVAILABLE = load_experiments(
         SETTINGS.experiments_folder, SETTINGS.media_folder, SETTINGS.measured_folder
@@ -65,22 +68,28 @@ include: "workflow/rules/update_docs.smk"
 
 onstart:
     # A study of which only some experiments are selected is reported, since this may be unintended.
-    for name, line in LEFT_OUT.items():
+    for name, line in INCOMPLETE_STUDIES.items():
         if set(STUDIES[name].list_experiments()) & set(EXPERIMENTS):
             logger.info(line)
-    if UNEXPLORED and set(SETTINGS.explorer.values()) & set(EXPERIMENTS):
-        logger.info(f"the explorer is left out: {'; '.join(UNEXPLORED)}")
-    elif EXPLORED and UNSEEN:
-        logger.info(f"the explorer has no directions: {'; '.join(UNSEEN)}")
+    if MISSING_EXPLORER_TABLES and set(SETTINGS.explorer.values()) & set(
+        EXPERIMENTS
+    ):
+        logger.info(
+            f"the explorer is left out: {'; '.join(MISSING_EXPLORER_TABLES)}"
+        )
+    elif EXPLORER_TABLES and MISSING_DIRECTIONS:
+        logger.info(
+            f"the explorer has no directions: {'; '.join(MISSING_DIRECTIONS)}"
+        )
 
 
 rule all:
     default_target: True
     input:
-        [products(name) for name in EXPERIMENTS],
-        study_products(),
+        [list_products(name) for name in EXPERIMENTS],
+        list_study_products(),
         REPORTED,
-        [f"{RESULTS}/explorer.html"] if EXPLORED else [],
+        [f"{RESULTS}/explorer.html"] if EXPLORER_TABLES else [],
 
 
 for NAME in EXPERIMENTS:
@@ -89,4 +98,4 @@ for NAME in EXPERIMENTS:
         name:
             NAME
         input:
-            products(NAME),
+            list_products(NAME),

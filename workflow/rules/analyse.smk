@@ -1,13 +1,13 @@
-for NAME in of_kind("sensitivity"):
+for NAME in list_studies_of_kind("sensitivity"):
 
     rule:
         name:
             NAME
         input:
-            **study_files(NAME),
-            data=data(STUDIES[NAME].list_experiments()),
+            **list_study_files(NAME),
+            data=list_datasets(STUDIES[NAME].list_experiments()),
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
@@ -25,17 +25,17 @@ for NAME in of_kind("sensitivity"):
             "../scripts/sensitivity.py"
 
 
-for NAME in of_kind("agreement"):
+for NAME in list_studies_of_kind("agreement"):
 
     rule:
         name:
             NAME
         input:
-            **study_files(NAME),
-            data=data(STUDIES[NAME].inputs.values()),
-            sensitivity=study_output(STUDIES[NAME].sensitivity)["data"],
+            **list_study_files(NAME),
+            data=list_datasets(STUDIES[NAME].inputs.values()),
+            sensitivity=format_study_output(STUDIES[NAME].sensitivity)["data"],
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
@@ -51,15 +51,15 @@ for NAME in of_kind("agreement"):
             "../scripts/agreement.py"
 
 
-for NAME in of_kind("sand_tables"):
+for NAME in list_studies_of_kind("sand_tables"):
 
     rule:
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].inputs.values()),
+            data=list_datasets(STUDIES[NAME].inputs.values()),
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
@@ -75,15 +75,15 @@ for NAME in of_kind("sand_tables"):
             "../scripts/sand_tables.py"
 
 
-for NAME in of_kind("angular_trends"):
+for NAME in list_studies_of_kind("angular_trends"):
 
     rule:
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].inputs.values()),
+            data=list_datasets(STUDIES[NAME].inputs.values()),
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
@@ -99,15 +99,15 @@ for NAME in of_kind("angular_trends"):
             "../scripts/angular_trends.py"
 
 
-for NAME in of_kind("layer_trends"):
+for NAME in list_studies_of_kind("layer_trends"):
 
     rule:
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].inputs.values()),
+            data=list_datasets(STUDIES[NAME].inputs.values()),
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
@@ -123,22 +123,22 @@ for NAME in of_kind("layer_trends"):
             "../scripts/layer_trends.py"
 
 
-for NAME in of_kind("interpretation"):
+for NAME in list_studies_of_kind("interpretation"):
 
     rule:
         name:
             NAME
         input:
-            **study_files(NAME),
+            **list_study_files(NAME),
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
             f"{RESULTS}/benchmarks/{NAME}.tsv"
         conda:
             "../../environment.yml"
-        threads: lambda wildcards: all_cores()
+        threads: lambda wildcards: count_cores()
         params:
             physics=hash_physics_sources(),
             interpretation=STUDIES[NAME].interpretation,
@@ -151,16 +151,16 @@ for NAME in of_kind("interpretation"):
             "../scripts/interpretation.py"
 
 
-for NAME in of_kind("surface_area"):
+for NAME in list_studies_of_kind("surface_area"):
 
     rule:
         name:
             NAME
         input:
-            **study_files(NAME),
-            data=data(STUDIES[NAME].inputs.values()),
+            **list_study_files(NAME),
+            data=list_datasets(STUDIES[NAME].inputs.values()),
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
@@ -176,16 +176,16 @@ for NAME in of_kind("surface_area"):
             "../scripts/surface_area.py"
 
 
-for NAME in of_kind("anisotropy"):
+for NAME in list_studies_of_kind("anisotropy"):
 
     rule:
         name:
             NAME
         input:
-            **study_files(NAME),
-            data=data(STUDIES[NAME].inputs.values()),
+            **list_study_files(NAME),
+            data=list_datasets(STUDIES[NAME].inputs.values()),
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
@@ -199,15 +199,15 @@ for NAME in of_kind("anisotropy"):
             "../scripts/anisotropy.py"
 
 
-for NAME in of_kind("sobol"):
+for NAME in list_studies_of_kind("sobol"):
 
     rule:
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].inputs.values()),
+            data=list_datasets(STUDIES[NAME].inputs.values()),
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
@@ -225,15 +225,15 @@ for NAME in of_kind("sobol"):
             "../scripts/sobol.py"
 
 
-for NAME in of_kind("bands"):
+for NAME in list_studies_of_kind("bands"):
 
     rule:
         name:
             NAME
         input:
-            data=data(STUDIES[NAME].inputs.values()),
+            data=list_datasets(STUDIES[NAME].inputs.values()),
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
@@ -255,13 +255,13 @@ for NAME in of_kind("bands"):
             "../scripts/bands.py"
 
 
-for NAME in of_kind("sand_compositions"):
+for NAME in list_studies_of_kind("sand_compositions"):
 
     rule:
         name:
             NAME
         output:
-            **study_output(NAME),
+            **format_study_output(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:

@@ -1,7 +1,9 @@
 from splits.experiments.archive import get_packing_time, list_configuration_files
 
 ARCHIVED = SETTINGS.select_archived()
-PACKED = EXPERIMENTS if ARCHIVED.experiments == "all" else ARCHIVED.experiments
+ARCHIVED_EXPERIMENTS = (
+    EXPERIMENTS if ARCHIVED.experiments == "all" else ARCHIVED.experiments
+)
 if "archive" in sys.argv[1:]:
     # Invalid values are rejected before anything runs.
     try:
@@ -18,11 +20,15 @@ if "archive" in sys.argv[1:]:
 
 rule archive:
     input:
-        results=[products(name) for name in PACKED]
-        + (study_products() if SETTINGS.archive == "all" else []),
+        results=[list_products(name) for name in ARCHIVED_EXPERIMENTS]
+        + (list_study_products() if SETTINGS.archive == "all" else []),
         configuration=lambda wildcards: list_configuration_files(ARCHIVED).values(),
         tables=lambda wildcards: sorted(
-            {t for name in PACKED for t in EXPERIMENTS[name].list_table_paths()}
+            {
+                t
+                for name in ARCHIVED_EXPERIMENTS
+                for t in EXPERIMENTS[name].list_table_paths()
+            }
         ),
     output:
         f"{RESULTS}/archive/splits-results.zip",

@@ -1,4 +1,4 @@
-QUICK = [] if SETTINGS.accuracy == "standard" else ["--quick"]
+BENCHMARK_OPTIONS = [] if SETTINGS.accuracy == "standard" else ["--quick"]
 BENCHMARKED = [
     f"{RESULTS}/benchmarks/speed_against_error.csv",
     f"{RESULTS}/benchmarks/speed_against_error.png",
@@ -34,8 +34,8 @@ rule speed_against_error:
     threads: 64
     params:
         program="speed_against_error.py",
-        options=QUICK,
-        source=lambda wildcards: program_digest(
+        options=BENCHMARK_OPTIONS,
+        source=lambda wildcards: hash_program(
             "speed_against_error.py", "method_table.py", "theories.py"
         ),
         physics=hash_physics_sources(),
@@ -67,8 +67,8 @@ rule benchmark_kernels:
     threads: 64
     params:
         program="kernels.py",
-        options=QUICK,
-        source=lambda wildcards: program_digest("kernels.py"),
+        options=BENCHMARK_OPTIONS,
+        source=lambda wildcards: hash_program("kernels.py"),
         physics=hash_physics_sources(),
     message:
         "Comparing the times of the kernels"

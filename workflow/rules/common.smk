@@ -11,28 +11,34 @@ from splits.experiments.run_table import count_parts
 
 STUDIES = SETTINGS.studies
 # Studies with missing experiments, with a message for each.
-LEFT_OUT = find_incomplete_studies(STUDIES, EXPERIMENTS, AVAILABLE)
-for NAME in set(LEFT_OUT) & set(sys.argv[1:]):
-    raise WorkflowError(LEFT_OUT[NAME])
+INCOMPLETE_STUDIES = find_incomplete_studies(STUDIES, EXPERIMENTS, AVAILABLE)
+for NAME in set(INCOMPLETE_STUDIES) & set(sys.argv[1:]):
+    raise WorkflowError(INCOMPLETE_STUDIES[NAME])
 
 TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
 # Missing tables and directions of the explorer.  It requires all of its tables; directions are
 # optional.
-UNEXPLORED = describe_missing(SETTINGS.explorer.values(), EXPERIMENTS, AVAILABLE)
-UNSEEN = describe_missing(SETTINGS.explorer_directions.values(), EXPERIMENTS, AVAILABLE)
-EXPLORED = {} if UNEXPLORED else SETTINGS.explorer
-WHERE = {
+MISSING_EXPLORER_TABLES = describe_missing(
+    SETTINGS.explorer.values(), EXPERIMENTS, AVAILABLE
+)
+MISSING_DIRECTIONS = describe_missing(
+    SETTINGS.explorer_directions.values(), EXPERIMENTS, AVAILABLE
+)
+EXPLORER_TABLES = {} if MISSING_EXPLORER_TABLES else SETTINGS.explorer
+EXPLORER_DIRECTIONS = {
     label: name
     for label, name in SETTINGS.explorer_directions.items()
     if name in EXPERIMENTS
 }
-if "explorer" in sys.argv[1:] and not EXPLORED:
-    LACKING = "; ".join(UNEXPLORED) or "explorer names no tables"
+if "explorer" in sys.argv[1:] and not EXPLORER_TABLES:
+    LACKING = "; ".join(MISSING_EXPLORER_TABLES) or "explorer names no tables"
     raise WorkflowError(f"the explorer is left out: {LACKING}")
 # Experiments whose tables are used for retrievals.
-RETRIEVED = [name for name, e in EXPERIMENTS.items() if e.retrieve]
-DRAWN = [name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"]
-MADE = [name for name in STUDIES if name not in LEFT_OUT]
+EXPERIMENTS_WITH_RETRIEVAL = [name for name, e in EXPERIMENTS.items() if e.retrieve]
+EXPERIMENTS_WITH_FIGURE = [
+    name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"
+]
+COMPLETE_STUDIES = [name for name in STUDIES if name not in INCOMPLETE_STUDIES]
 
 # Caption and category in the report, by kind of study and product.
 REPORTS = {
@@ -84,65 +90,65 @@ REPORTS = {
 }
 
 
-def pattern(names):
+def match_any(names):
     """Return a regular expression that matches names of experiments, or nothing without names."""
     return "|".join(names) or "(?!)"
 
 
 wildcard_constraints:
-    experiment=pattern(EXPERIMENTS),
+    experiment=match_any(EXPERIMENTS),
 
 
-def data(names):
+def list_datasets(names):
     """Return the datasets of experiments."""
     return [f"{RESULTS}/data/{name}.nc" for name in names]
 
 
-def table_parts(name):
+def list_table_parts(name):
     """Return the manifests of the parts of a table."""
     number = count_parts(EXPERIMENTS[name])
     return [f"{RESULTS}/blocks/{name}/part_{part}.json" for part in range(number)]
 
 
-def products(name):
+def list_products(name):
     """Return all products of an experiment."""
-    suffixes = FIGURE_SUFFIXES if name in DRAWN else ()
+    suffixes = FIGURE_SUFFIXES if name in EXPERIMENTS_WITH_FIGURE else ()
     made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
     if EXPERIMENTS[name].fit:
         made.append(f"{RESULTS}/tables/{name}_parameters.csv")
-    if name in RETRIEVED:
+    if name in EXPERIMENTS_WITH_RETRIEVAL:
         made.append(f"{RESULTS}/tables/{name}_retrieved.csv")
-    return data([name]) + made
+    return list_datasets([name]) + made
 
 
-def study_products():
+def list_study_products():
     """Return the products of the studies whose experiments are all selected."""
     return [
         f"{RESULTS}/{path}"
-        for name in MADE
+        for name in COMPLETE_STUDIES
         for paths in STUDIES[name].list_product_paths(name).values()
         for path in paths
     ]
 
 
-def study_figures():
+def list_study_figures():
     """Return the names of the figures of the studies whose experiments are all selected."""
-    return [Path(path).stem for path in study_products() if path.endswith(".png")]
+    return [Path(path).stem for path in list_study_products() if path.endswith(".png")]
 
 
-def measured_files(name):
+def list_measured_files(name):
     """Return the measured table that an experiment's figure shows, if any."""
     measured = EXPERIMENTS[name].figure.measured
     return [f"{SETTINGS.measured_folder}/{measured}"] if measured else []
 
 
-def fitted_files(name):
+def list_fitted_files(name):
     """Return the measured table to which an experiment fits sands, if any."""
     fit = EXPERIMENTS[name].fit
     return [f"{SETTINGS.measured_folder}/{fit.measured}"] if fit else []
 
 
-def retrieved_files(name):
+def list_retrieved_files(name):
     """Return the measured table of an experiment's retrieval."""
     return [f"{SETTINGS.measured_folder}/{EXPERIMENTS[name].retrieve.measured}"]
 
@@ -155,12 +161,12 @@ def escape_param(value):
     return lambda wildcards: escape_json(value)
 
 
-def all_cores():
+def count_cores():
     """Return the number of cores, 1 for a report, which runs nothing."""
     return workflow.resource_settings.cores or 1
 
 
-def threads_of(name):
+def choose_threads(name):
     """Return the threads of a simulation.
 
     Up to four simulations run in parallel, which hides their start-up times.  A single requested
@@ -168,16 +174,16 @@ def threads_of(name):
     """
     requested = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
     n_parallel = min(4, len(requested or EXPERIMENTS))
-    cores = all_cores()
+    cores = count_cores()
     return cores if EXPERIMENTS[name].fit else max(1, cores // n_parallel)
 
 
-def of_kind(kind):
+def list_studies_of_kind(kind):
     """Return the names of the complete studies of a kind."""
-    return [name for name in MADE if STUDIES[name].kind == kind]
+    return [name for name in COMPLETE_STUDIES if STUDIES[name].kind == kind]
 
 
-def study_output(name):
+def format_study_output(name):
     """Return the products of a study by key; the first file of each is shown in the report."""
     made = {}
     for key, paths in STUDIES[name].list_product_paths(name).items():
@@ -195,7 +201,7 @@ def study_output(name):
     return made
 
 
-def study_files(name):
+def list_study_files(name):
     """Return the tables of numbers that a study reads, by key."""
     kind = STUDIES[name].kind
     return {
@@ -204,6 +210,6 @@ def study_files(name):
     }
 
 
-def program_digest(*names):
+def hash_program(*names):
     """Return the digest of the sources of a benchmark."""
     return hash_files(Path(workflow.basedir) / "benchmarks", list(names))

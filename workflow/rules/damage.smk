@@ -5,7 +5,9 @@ from snakemake.logging import logger
 from splits.core.atomic import remove_stale_files, rename_damaged_file
 from splits.io.integrity import find_damage
 
-DRY = any(re.fullmatch(r"-[a-zA-Z]*n[a-zA-Z]*|--dry-?run", word) for word in sys.argv)
+IS_DRY_RUN = any(
+    re.fullmatch(r"-[a-zA-Z]*n[a-zA-Z]*|--dry-?run", word) for word in sys.argv
+)
 
 
 def check_files():
@@ -14,17 +16,19 @@ def check_files():
     Renamed datasets are simulated again, since the job graph is made from the existing files.  A dry
     run only reports them.
     """
-    studies = [path for path in study_products() if path.endswith(".nc")]
-    for path in map(Path, data(EXPERIMENTS) + studies):
+    studies = [path for path in list_study_products() if path.endswith(".nc")]
+    for path in map(Path, list_datasets(EXPERIMENTS) + studies):
         experiment = path.stem if path.stem in EXPERIMENTS else ""
         try:
             wrong = find_damage(path, experiment) if path.is_file() else ""
         except OSError as error:
             raise WorkflowError(str(error)) from None
         if wrong:
-            done = "" if DRY else f"; set aside as {rename_damaged_file(path).name}"
+            done = (
+                "" if IS_DRY_RUN else f"; set aside as {rename_damaged_file(path).name}"
+            )
             logger.warning(wrong + done)
-    for folder in Path(RESULTS).glob("*") if not DRY else ():
+    for folder in Path(RESULTS).glob("*") if not IS_DRY_RUN else ():
         remove_stale_files(folder)
 
 

@@ -1,8 +1,8 @@
 rule explorer:
     input:
         # Lists, since labels given by users may equal names of methods of `snakemake.input`.
-        tables=data(EXPLORED.values()),
-        directions=data(WHERE.values()),
+        tables=list_datasets(EXPLORER_TABLES.values()),
+        directions=list_datasets(EXPLORER_DIRECTIONS.values()),
     output:
         f"{RESULTS}/explorer.html",
     log:
@@ -11,9 +11,9 @@ rule explorer:
         "../../environment.yml"
     threads: 1
     params:
-        labels=list(EXPLORED),
-        directions=list(WHERE),
-        about=[EXPERIMENTS[name].title for name in EXPLORED.values()],
+        labels=list(EXPLORER_TABLES),
+        directions=list(EXPLORER_DIRECTIONS),
+        about=[EXPERIMENTS[name].title for name in EXPLORER_TABLES.values()],
         page=hash_files(
             PACKAGE_FOLDER / "plotting" / "explorer",
             ["page.py", "page.html", "page.css", "page.js"],

@@ -1,7 +1,7 @@
 rule figure:
     input:
         data=f"{RESULTS}/data/{{experiment}}.nc",
-        measured=lambda wildcards: measured_files(wildcards.experiment),
+        measured=lambda wildcards: list_measured_files(wildcards.experiment),
     output:
         report(
             f"{RESULTS}/figures/{{experiment}}.png",
@@ -16,7 +16,9 @@ rule figure:
     benchmark:
         f"{RESULTS}/benchmarks/figure/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment=pattern(set(DRAWN) - set(RETRIEVED)),
+        experiment=match_any(
+            set(EXPERIMENTS_WITH_FIGURE) - set(EXPERIMENTS_WITH_RETRIEVAL)
+        ),
     conda:
         "../../environment.yml"
     threads: 1

@@ -1,7 +1,7 @@
 rule retrieve:
     input:
         table=f"{RESULTS}/data/{{experiment}}.nc",
-        measured=lambda wildcards: retrieved_files(wildcards.experiment),
+        measured=lambda wildcards: list_retrieved_files(wildcards.experiment),
     output:
         table=report(
             f"{RESULTS}/tables/{{experiment}}_retrieved.csv",
@@ -24,7 +24,7 @@ rule retrieve:
     benchmark:
         f"{RESULTS}/benchmarks/retrieve/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment=pattern(RETRIEVED),
+        experiment=match_any(EXPERIMENTS_WITH_RETRIEVAL),
     conda:
         "../../environment.yml"
     threads: 1

@@ -1,7 +1,7 @@
 rule simulate:
     input:
         tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].list_table_paths(),
-        measured=lambda wildcards: fitted_files(wildcards.experiment),
+        measured=lambda wildcards: list_fitted_files(wildcards.experiment),
     output:
         f"{RESULTS}/data/{{experiment}}.nc",
     log:
@@ -9,12 +9,12 @@ rule simulate:
     benchmark:
         f"{RESULTS}/benchmarks/simulate/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment=pattern(set(EXPERIMENTS) - set(TABLES)),
+        experiment=match_any(set(EXPERIMENTS) - set(TABLES)),
     priority: 1
     conda:
         "../../environment.yml"
     # Results do not depend on the number of threads.
-    threads: lambda wildcards: threads_of(wildcards.experiment)
+    threads: lambda wildcards: choose_threads(wildcards.experiment)
     params:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),

@@ -8,7 +8,7 @@ rule table_part:
     benchmark:
         f"{RESULTS}/benchmarks/table_part/{{experiment}}_{{part}}.tsv"
     wildcard_constraints:
-        experiment=pattern(TABLES),
+        experiment=match_any(TABLES),
         part=r"\d+",
     priority: 1
     conda:
@@ -28,7 +28,7 @@ rule table_part:
 
 rule table:
     input:
-        lambda wildcards: table_parts(wildcards.experiment),
+        lambda wildcards: list_table_parts(wildcards.experiment),
     output:
         f"{RESULTS}/data/{{experiment}}.nc",
     log:
@@ -36,7 +36,7 @@ rule table:
     benchmark:
         f"{RESULTS}/benchmarks/table/{{experiment}}.tsv"
     wildcard_constraints:
-        experiment=pattern(TABLES),
+        experiment=match_any(TABLES),
     priority: 1
     conda:
         "../../environment.yml"

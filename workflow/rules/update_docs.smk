@@ -7,15 +7,15 @@ if "update_docs" in sys.argv and SETTINGS.accuracy != "standard":
 # Documents are not outputs, because Snakemake removes outputs before a job; the rule always runs.
 rule update_docs:
     input:
-        [products(name) for name in EXPERIMENTS],
-        study_products(),
+        [list_products(name) for name in EXPERIMENTS],
+        list_study_products(),
     log:
         f"{RESULTS}/logs/update_docs.log",
     conda:
         "../../environment.yml"
     threads: 1
     params:
-        figures=DRAWN + study_figures(),
+        figures=EXPERIMENTS_WITH_FIGURE + list_study_figures(),
     message:
         "Writing numbers and figures of this run into README.md and docs"
     script:

@@ -39,22 +39,22 @@ def albedo(
     threads: int | None = None,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure the albedo of a medium under a sky (blue-sky albedo).
+    """Simulate the albedo of a medium under a sky (blue-sky albedo).
 
     Parameters
     ----------
     medium : GranularMedium or ParticleMedium, or a mapping
-        Names to media that share paths, as for `splits.spectrophotometer`: the errors of their
-        differences are much smaller than those of their albedos
-        (`splits.core.uncertainty.compute_difference`).
+        For example `splits.Snow`, or a mapping from names to media that share paths, as for
+        `splits.spectrophotometer`.  The errors of differences between these media are much smaller
+        than those of their albedos (`splits.core.uncertainty.compute_difference`).
     sky : Sky, str or mapping
         See `splits.sky`.
     wavelength_nm : array_like, optional
         Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from
         the first of the sky to 2495.
     max_stderr : float
-        Largest standard error at any wavelength, for direct sunlight and for diffuse light each,
-        1e-6 to 0.5.
+        Largest standard error of the reflectance at any wavelength, separately for direct sunlight
+        and for diffuse light, 1e-6 to 0.5.  The albedo combines both, so its error is at most this.
     seed : int
         Non-negative; diffuse light uses the next one.
     bands : mapping or str, optional
@@ -70,7 +70,8 @@ def albedo(
     -------
     xarray.Dataset
         ``albedo`` and its error ``albedo_stderr`` over ``wavelength``, with ``albedo_batches`` for
-        errors of combinations of wavelengths; ``direct_fraction`` of the light; and over ``band``,
+        errors of combinations of wavelengths; ``direct_fraction``, the fraction of direct light;
+        and over ``band``,
         the first of which is "broadband", ``band_albedo`` with ``band_albedo_stderr``, weighted by
         irradiance times response, ``band_albedo_batches``, and ``irradiance_covered``, the fraction
         of the band's light within the wavelengths.  With several media all but the last are over

@@ -52,7 +52,7 @@ def beam_spread(
     kernel: str = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure the distance between entry and exit of the light of an infinitely thin beam.
+    """Simulate the distances from an infinitely thin beam at which its light leaves the medium.
 
     Parameters
     ----------
@@ -61,14 +61,14 @@ def beam_spread(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     incidence_deg : float
-        Polar angle of the beam, 0 to 89.9999 degrees.
+        Incidence angle of the beam, 0 to 89.9999 degrees.
     rays : int
         Number of rays, rounded up.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
     half_width_m : float, optional
-        Half the edge of the maps; by default the largest of the radii within which 75 % of the
-        reflected light leaves, estimated from a first round of rays.
+        Half of the side length of the maps; by default the largest of the radii within which 75 %
+        of the reflected light leaves, estimated from a first round of rays.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}
@@ -80,10 +80,11 @@ def beam_spread(
     -------
     xarray.Dataset
         For scattered light, over ``side`` ("reflected", "transmitted") and ``wavelength``:
-        ``profile`` (m⁻²) over ``radius``, the BSSRDF integrated over directions of exit weighted
-        with their cosine and averaged around the point of entry; ``profile_map`` (m⁻²), the same
-        over ``x``, along the beam's direction of travel, and ``y``, across; ``mean_radius`` and
-        ``quantile_radius`` (m), the latter over ``quantile``, 0 where no light leaves;
+        ``profile`` (m⁻²) over ``radius``, the BSSRDF integrated over exit directions, weighted with
+        their cosine, and averaged over azimuth around the entry point; ``profile_map`` (m⁻²), the
+        same over ``x``, along the horizontal direction in which the beam travels, and ``y``,
+        perpendicular to it; ``mean_radius`` and ``quantile_radius`` (m), the latter over
+        ``quantile``, 0 where no light leaves;
         ``fraction``, the fraction of the incident light.  All with their standard errors
         ``…_stderr``; that of ``fraction`` includes the error of interpolation between refractive
         indices, which the attribute ``interpolation_error_bound`` bounds.

@@ -59,12 +59,12 @@ def deep_transmittance(
     threads: int | None = None,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure hemispherical transmittance to a relative error, however small the transmittance.
+    """Simulate the hemispherical transmittance to a relative error, also if it is very small.
 
-    Each wavelength is traced separately in double precision.  Rays are split as they get deeper and
-    terminated by roulette where their contribution is small (see
-    `splits.kernels.grains.splitting`). The splitting rate comes from three pilot runs, whose rays
-    are not scored, and does not bias the mean.
+    Each wavelength is traced separately in double precision.  Rays are split with increasing depth,
+    and terminated by Russian roulette where their contribution is small (see
+    `splits.kernels.grains.splitting`).  The splitting rate is determined by three pilot runs, whose
+    rays are not scored, and does not bias the mean.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def deep_transmittance(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.9999 degrees, or isotropic radiance.
+        Incidence angle of a beam, 0 to 89.9999 degrees, or isotropic radiance.
     relative_stderr : float
         Largest standard error relative to the transmittance, 0.001 to 0.5.
     seed : int

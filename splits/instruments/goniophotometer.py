@@ -74,7 +74,7 @@ def goniophotometer(
     kernel: str = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure the BRDF and the BTDF of a medium under a beam, or its factors under diffuse light.
+    """Simulate the BRDF and the BTDF of a medium under a beam, or its factors under diffuse light.
 
     Parameters
     ----------
@@ -83,11 +83,11 @@ def goniophotometer(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     incidence_deg : float or "diffuse"
-        Polar angle of the beam, 0 to 89.9999 degrees; above 89.9 a run takes minutes, because few
-        grains fit below the boundary there.  Or isotropic radiance, for the estimator ``expansion``
-        only.
+        Incidence angle of the beam, 0 to 89.9999 degrees, or isotropic radiance (for the estimator
+        ``expansion`` only).  Above 89.9 degrees a run takes minutes, because few sampled grains fit
+        below the boundary.
     rays : int, optional
-        Number of rays, rounded up; by default as many as `relative_stderr` requires.
+        Number of rays, rounded up; by default the number that `relative_stderr` requires.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
     relative_stderr : float
@@ -97,25 +97,28 @@ def goniophotometer(
     target : {"brdf", "btdf"}
         The function to which the error applies; wavelengths without light there are ignored.
     polar_deg : array_like
-        Angles from the normal, 0 to below 90 degrees, strictly increasing.
+        Angles from the vertical, 0 to below 90 degrees, strictly increasing: from straight up for
+        reflected light, and from straight down for transmitted light.
     azimuth_deg : array_like
-        Angles from the direction of travel of the beam, 0 to below 360 degrees, strictly
-        increasing: the principal plane is 0 (forward) and 180 (backward).
+        Angles from the direction in which the beam travels, 0 to below 360 degrees, strictly
+        increasing, for reflected and transmitted light.  The principal plane is 0 (forward) and 180
+        (backward).
     estimator : {"expansion", "bins", "next_event"}
-        Orthonormal polynomials over the hemisphere; or the collectors of the papers as a reference,
-        angular bins of equal solid angle; or, for a layer under a smooth surface, next-event
-        estimation: every scattering contributes to each direction.  Bins use `rays`, a million by
-        default; the cost of next-event estimation is proportional to the number of directions.
+        "expansion" uses orthonormal polynomials over the hemisphere.  "bins" counts rays in angular
+        bins of equal solid angle, the collectors of the papers, with `rays` rays, a million by
+        default.  "next_event", for a particle layer under a smooth surface, is next-event
+        estimation: every scattering contributes to each direction, so the cost is proportional to
+        the number of directions.
     n_bins : (int, int)
-        Bins in polar and in azimuth angle; results are at their centres, and `polar_deg` and
-        `azimuth_deg` are ignored.
+        Numbers of bins in polar angle and in azimuth.  Results are at the centres of the bins, and
+        `polar_deg` and `azimuth_deg` are ignored.
     max_rays : int
-        Number of rays after which a run to an error stops.  Attribute ``stop_reason`` is
-        "converged", "max_rays", or "max_degree" where the light is in lobes too narrow for the
-        polynomials, which more rays do not change; use bins then.  "unresolved_lobe" means
-        converged except for directions in a lobe, where terms that are insignificant individually
-        keep the stated error above the requested one (see ``relative_stderr_reached``); request a
-        smaller error then.
+        Number of rays after which a run to an error stops.  The attribute ``stop_reason`` is
+        "converged", "max_rays", "max_degree" or "unresolved_lobe".  "max_degree" means that the
+        light is in lobes too narrow for the polynomials, which more rays do not change; use bins.
+        "unresolved_lobe" means that the run has converged except for directions in a lobe, where
+        terms that are insignificant individually keep the reported error above the requested one
+        (see ``relative_stderr_reached``); request a smaller error.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}
@@ -128,16 +131,16 @@ def goniophotometer(
     -------
     xarray.Dataset
         Over ``wavelength``, ``polar`` and ``azimuth``: ``brdf`` and ``btdf`` (1/sr) of scattered
-        light; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor`` π·BRDF over the
-        reflectance of scattered light (its error is that of the BRDF alone), 0 where there is none.
+        light; the ``reflectance_factor`` π·BRDF; the ``anisotropy_factor``, π·BRDF divided by the
+        reflectance of scattered light (its error is that of the BRDF alone), 0 without such light.
         Over ``wavelength``: ``reflectance`` and ``transmittance`` of all light, and their
-        unscattered parts, which leave as sharp beams: ``specular_reflectance`` and
+        unscattered parts, which leave as collimated beams: ``specular_reflectance`` and
         ``direct_transmittance``.  All with their standard errors ``…_stderr``.
 
         Next-event estimation and bins of a polarized medium add ``brdf_q``, ``brdf_u``, ``brdf_v``
         and the same of the BTDF: Stokes parameters for unpolarized incidence, Q > 0 along the plane
-        that contains the normal.  Over a diffuse bottom the BTDF is that of light that arrives
-        there, at angles within the layer; next-event estimation omits it.
+        that contains the normal.  Over a diffuse bottom the BTDF is that of the light that arrives
+        there, at angles within the layer; next-event estimation does not compute it.
 
         Under diffuse light there is no BRDF: ``reflectance_factor`` is then the
         hemispherical-directional one, of all light, ``transmittance_factor`` the same below, and

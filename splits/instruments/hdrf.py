@@ -37,7 +37,7 @@ def hdrf(
     threads: int | None = None,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure the hemispherical-directional reflectance factor of a medium under a sky.
+    """Simulate the hemispherical-directional reflectance factor of a medium under a sky.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def hdrf(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm) within the spectrum of the sky.
     relative_stderr : float
-        Largest standard error relative to the value, under the sun and under diffuse light
-        each, see `splits.goniophotometer`.
+        Largest standard error relative to the value, separately for direct sunlight and for diffuse
+        light, see `splits.goniophotometer`.
     seed : int
         Non-negative; diffuse light uses the next one.
     polar_deg, azimuth_deg : array_like

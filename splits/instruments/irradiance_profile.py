@@ -70,7 +70,7 @@ def irradiance_profile(
     kernel: str = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure irradiances inside a medium, and the absorptance between depths.
+    """Simulate the irradiances inside a medium, and the absorptance between depths.
 
     Parameters
     ----------
@@ -79,10 +79,10 @@ def irradiance_profile(
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
     depth_m : array_like
-        Strictly increasing depths (m) inside the medium, at most 200.  Its top and its bottom are
-        added to them; of a semi-infinite medium, only the top.
+        Strictly increasing depths (m) inside the medium, at most 200.  The top of the medium and,
+        unless it is semi-infinite, its bottom are added.
     incidence_deg : float or "diffuse"
-        Polar angle of a beam, 0 to 89.9999 degrees, or isotropic radiance.
+        Incidence angle of a beam, 0 to 89.9999 degrees, or isotropic radiance.
     max_stderr : float
         Largest standard error, 1e-6 to 0.5; see `target`.
     seed : int
@@ -97,12 +97,12 @@ def irradiance_profile(
     -------
     xarray.Dataset
         Over ``wavelength`` and ``depth``, relative to the incident irradiance:
-        ``downward_irradiance`` and ``upward_irradiance``, the latter at the top the reflectance.
-        Over ``wavelength`` and ``interval``, between successive depths: ``absorptance``, the
-        fraction of the light that is absorbed there, and ``actinic_flux``, the mean path of the
-        light in the interval over its thickness, grains and pores together;
-        ``absorptance_of_material`` is also over ``material``.  All with standard errors
-        ``…_stderr``; irradiances and absorptances also with ``…_batches``, see
+        ``downward_irradiance`` and ``upward_irradiance``.  At the top, the latter is the
+        reflectance.  Over ``wavelength`` and ``interval``, between successive depths:
+        ``absorptance``, the fraction of the incident light that is absorbed there;
+        ``absorptance_of_material``, the same by ``material``; and ``actinic_flux``, the mean path
+        length of light in the interval, in grains and pores, divided by its thickness.  All with
+        standard errors ``…_stderr``; irradiances and absorptances also with ``…_batches``, see
         `splits.core.uncertainty`.  Reflectance, absorptances, and the net irradiance at the bottom
         add up to 1.  The last interval of a semi-infinite medium extends below all depths; its mean
         actinic flux is 0 if it absorbs.
@@ -114,17 +114,18 @@ def irradiance_profile(
 
     Notes
     -----
-    Small particles are treated as absorbing along the path, which is equivalent; their absorptance
-    is attributed to the matrix of their layer.
+    Absorption by the particles of a `splits.ParticleLayer` is treated as absorption along the path,
+    which is equivalent.  It is attributed to the matrix of their layer.
 
-    Light inside a grain that lies across a plane crosses the plane where the ray leaves the grain
-    on the other side, and the absorptance of that grain belongs to the interval of its entry.  A
-    plane at a boundary between layers of different saturation records transmitted light; the light
-    that the boundary reflects counts on neither side of it.
+    A ray through a grain that lies across a plane crosses the plane where it leaves the grain on
+    the other side.  The absorptance of this grain belongs to the interval in which the ray enters
+    it.  At a boundary between layers of different saturation, a plane records transmitted light;
+    the light that the boundary reflects is included on neither side.
 
-    Actinic flux and the absorptances of materials assume that weights decrease evenly along the
-    path between planes.  Where single grains or pores absorb much of the light that crosses them,
-    both are approximate; their errors include this (`splits.instruments.absorption_steps`).
+    For the actinic flux and the absorptance of each material, the absorption is assumed to be
+    evenly distributed along the path between planes.  Where single grains or pores absorb much of
+    the light that crosses them, both are approximate; their errors include this
+    (`splits.instruments.absorption_steps`).  The absorptance of an interval is not affected.
 
     References
     ----------

@@ -54,13 +54,13 @@ def lens(
     seed: int = 1,
     waves: Any = None,
 ) -> xr.Dataset:
-    """Trace a ring of vertical rays through the surface of a layer onto screens.
+    """Simulate the image of a ring of vertical rays, through a rough surface, on screens below.
 
     Parameters
     ----------
     medium : SurfaceMedium
-        A `splits.ParticleLayer` with a rough surface; only the surface and the refractive index
-        matter.
+        A `splits.ParticleLayer` with a rough surface.  Only its surface and its refractive index
+        have an effect.
     screen_depth_m : array_like
         Distances of screens below the surface under the ring's centre (m), increasing from above 0.
     radius_m : float
@@ -70,9 +70,9 @@ def lens(
     half_width_m : float
         Half the side of the square that is searched (m); not needed for the origin.
     rays : int
-        At least 3, evenly distributed around the ring.
+        Number of rays, at least 3, evenly distributed around the ring.
     realizations : int
-        Of the surface; at least 2 for standard errors.
+        Number of realizations of the surface; at least 2 for standard errors.
     seed : int
     waves : array_like, shape (waves, 4), optional
         Amplitudes (m), wave numbers along x and y (1/m) and phases (radians) of cosines, instead

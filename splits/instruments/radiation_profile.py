@@ -55,7 +55,7 @@ def radiation_profile(
     threads: int | None = None,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure irradiances inside a medium under a sky, and the power that it absorbs.
+    """Simulate the irradiances inside a medium under a sky, and the power that it absorbs.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ def radiation_profile(
         See `splits.sky`.
     depth_m : array_like
         Strictly increasing depths (m) inside the medium; its top and, if it is finite, its bottom
-        are added.  Include the boundaries of a stack's layers to obtain the power absorbed by each
-        layer.
+        are added.  Include the boundaries between the layers of a stack to obtain the power that
+        each layer absorbs.
     wavelength_nm : array_like, optional
         Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from the
-        first of the sky to 2495.  Light outside them is ignored, see ``irradiance_covered``.
+        first of the sky to 2495.  Other light is ignored, see ``irradiance_covered``.
     max_stderr : float
         Largest standard error in any band, relative to the band's incident irradiance; see
         `target`.
@@ -78,7 +78,7 @@ def radiation_profile(
     target : {"absorbed_power", "irradiance"}
         Quantities to which `max_stderr` applies: absorbed power and the light reflected at the
         top, or also irradiances at all depths.  In thick, weakly absorbing media the latter need
-        many times as many rays, since light crosses a plane there many times.
+        many times as many rays, since light crosses each plane many times.
     total_w_m2 : float, optional
         Incident irradiance at all wavelengths of the sky (W m⁻²), to which it is scaled; the
         skies of SNICAR require it.

@@ -54,11 +54,11 @@ def single_scattering(
     *,
     wet_pores: str = "saturation",
 ) -> xr.Dataset:
-    """Measure the single-scattering properties of the grains of a medium.
+    """Simulate the single-scattering properties of the grains of a medium.
 
-    Rays hit one grain each in free pore space, wet with the medium's `wet_fraction`, sampled
-    and traced by the rules of the full model (SPLITS sections 4.3.3-4.3.4, SPLITSnow 3.2-3.3)
-    except those for neighbours: neither a boundary nor the previous segment rejects a grain.
+    Each ray hits one grain.  The pore space around the grain is wet with the probability
+    `wet_fraction` of the medium.  Grains are sampled and traced by the rules of the full model
+    (SPLITS sections 4.3.3-4.3.4, SPLITSnow 3.2-3.3) without the rules for overlapping grains.
 
     As in the model of the papers, diffraction is excluded: the extinction is that of the geometric
     cross-section, half of that of Mie theory for large grains, and the phase function lacks the
@@ -80,9 +80,10 @@ def single_scattering(
     threads : int, optional
         Default: every CPU that this process may use.
     wet_pores : {"saturation", "equilibrium"}
-        Fraction of the light in wet pores where it hits grains or is absorbed between them: the
-        `wet_fraction` S, as where light enters the sample; or S n²/(S n² + 1 − S), n the index of
-        water over that of air, as deep in the sample, where radiance is proportional to n².
+        Fraction of the light between grains that is in wet pores.  "saturation" is the
+        `wet_fraction` S, which is correct where light enters the sample.  "equilibrium" is
+        S n²/(S n² + 1 − S), with the index n of water relative to air, which is correct deep in
+        the sample, where radiance is proportional to n².
 
     Returns
     -------
@@ -99,9 +100,9 @@ def single_scattering(
         entry to exit along the direction before and after; ``mean_square_displacement`` (m²); and
         ``wet_fraction``, the fraction of the scattered light that enters a wet pore.
 
-        For the correlations of errors: ``…_jackknife`` over ``batch`` holds each quantity without
+        For the correlations of errors: ``…_jackknife`` over ``batch`` is each quantity without
         one of `splits.kernels.grains.single_grain.N_SCATTERING_BATCHES` equal batches of the rays,
-        ``…_interpolation_bound`` a bound on its error from interpolation between refractive
+        and ``…_interpolation_bound`` is a bound on its error from interpolation between refractive
         indices.
 
     Raises

@@ -44,47 +44,51 @@ def spectrophotometer(
     kernel: str = "auto",
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
-    """Measure hemispherical reflectance, transmittance and absorptance of one medium or several.
+    """Simulate the hemispherical reflectance, transmittance and absorptance of one or more media.
 
-    Several media that differ only in absorption are simulated with the same paths: rays are traced
-    once, and the errors of differences between the media are much smaller than those of the
-    spectra, as the statistical noise is common to them.
+    Under a beam, the reflectance is directional-hemispherical (DHR, black-sky albedo); under
+    diffuse light, it is bihemispherical (BHR, white-sky albedo).
+
+    Several media that differ only in absorption are simulated with the same paths.  The statistical
+    noise is then common to the spectra, and the errors of differences between the media are much
+    smaller than those of the spectra.
 
     Parameters
     ----------
     medium : GranularMedium, LayeredMedium or ParticleMedium, or a mapping
-        For example `splits.Snow` or `splits.ParticleLayer`.  A mapping holds granular media, or
-        stacks of them, by name: alike except for impurities, or for the albedo of a reflecting
+        For example `splits.Snow` or `splits.ParticleLayer`.  A mapping from names to granular
+        media, or to stacks of them, that differ only in impurities or in the albedo of a reflecting
         ground.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
         medium's refractive indices.
     incidence_deg : float or "diffuse"
-        Polar angle of a collimated beam, 0 to 89.9999 degrees, or isotropic radiance.
+        Incidence angle of a collimated beam, 0 to 89.9999 degrees, or isotropic radiance.
     max_stderr : float
         Largest standard error of any quantity at any wavelength, 1e-6 to 0.5; of several media, of
         each.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
     estimator : {"spectral", "analog"}
-        Paths shared by all wavelengths, or, for one medium, the algorithm of the papers as a
-        reference: one wavelength at a time, with analog absorption sampled at each segment.
+        "spectral" uses the same paths at all wavelengths.  "analog", for one medium, is the
+        algorithm of the papers: each wavelength is traced separately, and absorption is sampled at
+        random on each segment.
     jacobian : sequence of str
-        Parameters of one medium to which derivatives are computed: numeric keywords of the medium,
-        such as ``depth_m`` or ``optical_radius_um``, distributions such as ``facetness``, amounts,
-        also absent ones (``impurities_ng_g.black_carbon``), one of these in a layer of a stack
-        (``layers.0.depth_m``), and ``incidence_deg``.  The other keywords are held constant.
-        Parameters that leave the paths unchanged have negligible cost, each of the others needs
-        four to a dozen additional runs (`splits.simulation.finite_differences`);
-        ``parameter_method`` indicates the method.
+        Parameters of one medium with respect to which derivatives are computed: numeric keywords of
+        the medium, such as ``depth_m`` or ``optical_radius_um``; distributions such as
+        ``facetness``; amounts, also those that are 0 (``impurities_ng_g.black_carbon``); one of
+        these in a layer of a stack (``layers.0.depth_m``); and ``incidence_deg``.  The other
+        keywords are held constant.  Parameters that leave the paths unchanged have a negligible
+        cost.  Each of the others needs four to a dozen additional runs
+        (`splits.simulation.finite_differences`).  ``parameter_method`` gives the method.
     max_rays : int
-        Number of rays after which the run stops (the first round is always completed);
+        Number of rays after which the run stops (the first round is always completed).  The
         attribute ``stop_reason`` indicates whether the error or this limit was reached.
     threads : int, optional
         Default: every CPU that this process may use.
     kernel : {"auto", "vectorized", "scalar"}
-        Many rays side by side in single precision where the sample allows it, or the plain
-        reference kernel in double precision.
+        "vectorized" traces many rays in parallel in single precision; "scalar" is the reference
+        kernel in double precision.  "auto" uses the vectorized kernel if it supports the sample.
     progress : callable or bool, optional
         True shows a progress bar; a function is called periodically with a `Progress`.
 
@@ -93,14 +97,16 @@ def spectrophotometer(
     xarray.Dataset
         ``reflectance``, ``transmittance``, ``absorptance`` and their standard errors
         ``…_stderr`` over ``wavelength``; the three add up to 1.  ``reflectance_batches`` and
-        ``transmittance_batches`` over ``batch`` and ``wavelength`` give the correlations of the
-        errors, see `splits.core.uncertainty`; those of absorptance are minus their sum.  The
-        attributes record all inputs.  ``reflectance_jacobian`` and ``transmittance_jacobian`` over
-        ``parameter`` and ``wavelength``, with errors and batches, if requested.
+        ``transmittance_batches`` over ``batch`` and ``wavelength`` are the contributions of each
+        batch of rays to the error, scaled so that the squares add up to the variance.  Errors of
+        combinations are computed from them, see `splits.core.uncertainty`; the contributions for
+        absorptance are minus their sum.  The attributes record all inputs.
+        ``reflectance_jacobian`` and ``transmittance_jacobian`` over ``parameter`` and
+        ``wavelength``, with errors and batches, if requested.
 
         With a mapping all variables are over ``medium``, too.  Sums over ``batch`` of products of
-        ``…_batches`` are covariances, between media as between wavelengths.  Inputs in which media
-        differ are coordinates over ``medium``.
+        ``…_batches`` are covariances, both between media and between wavelengths.  Inputs in which
+        media differ are coordinates over ``medium``.
 
         For optically deep media, which are truncated (`splits.simulation.deep_medium`), the
         attribute ``truncation_depth_m`` gives the truncation depth, and ``semi_infinite_depth_m``
@@ -114,8 +120,8 @@ def spectrophotometer(
 
     References
     ----------
-    SPLITSnow section 4.1, Eq 8: reflectance is the fraction of rays that leave upwards, n/N (the
-    printed 1/π belongs to a radiance, not to a fraction of rays).
+    SPLITSnow section 4.1, Eq 8: reflectance is the fraction of rays that leave upwards, n/N.  The
+    printed factor 1/π is that of a radiance, not of a fraction of rays.
 
     Examples
     --------

@@ -28,7 +28,7 @@ def surface_map(
     realizations: int = 100,
     seed: int = 1,
 ) -> xr.Dataset:
-    """Return the heights of a layer's surface around the origin.
+    """Return the heights of the rough surface of a layer around the origin.
 
     Parameters
     ----------
@@ -37,9 +37,10 @@ def surface_map(
     half_width_m : float
         Half the side of the mapped square (m).
     points : int
-        Per side, at least 2.
+        Number of points per side, at least 2.
     realizations : int
-        At least 2, from which the roughness is estimated; the first is mapped.
+        Number of realizations, at least 2, from which the roughness is estimated; the first is
+        mapped.
     seed : int
 
     Returns

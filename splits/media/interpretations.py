@@ -97,28 +97,29 @@ class TransportInterpretation:
         Sampling of the facet that is hit: facing the ray and weighted by projected area (SPLITS
         4.3.4), facing the ray with equal weight, or any facet.
     wrong_side_ray : {"cosine_lobe", "mirror"}
-        Treatment of a ray that a facet scatters to the wrong side of the grain's surface: it leaves
-        in a cosine lobe (SPLITS 4.3.4) or mirrored in the surface.
+        Treatment of a ray that a tilted facet scatters to the wrong side of the surface of the
+        grain: its direction is sampled from a cosine lobe on the correct side (SPLITS 4.3.4), or
+        mirrored in the surface.
     boundary_fresnel : {"yes", "no"}
-        Fresnel reflection and refraction at the extended boundaries where water fills the pores
-        (SPLITS 4.3.1).
+        Fresnel reflection and refraction at the boundaries of the sample where water fills the
+        pores (SPLITS 4.3.1).
     overlap_with_previous_segment : {"reject", "keep", "skip"}
-        Treatment of a new grain that overlaps the previous path segment through the pores.  It is
-        sampled again from the same origin, distance included (SPLITS 4.3.3); accepted; or skipped,
-        so that the next distance starts at its position.
+        Treatment of a sampled grain that overlaps the previous path segment through the pores.  It
+        is sampled again from the same origin, with a new distance (SPLITS 4.3.3); accepted; or
+        skipped, so that the next distance starts at its position.
     overlap_with_boundary : {"reject", "keep", "skip"}
-        Treatment of a new grain that overlaps a boundary of the sample (SPLITS 4.3.3, SPLITSnow
+        Treatment of a sampled grain that overlaps a boundary of the sample (SPLITS 4.3.3, SPLITSnow
         3.2), with the same choices.  With "keep", a ray that leaves a grain outside the sample is
         placed on the boundary.  With "skip", the number density of grains near the boundaries is
-        reduced to that of whole grains.
+        reduced to that of the grains that fit there.
     mean_free_path : {"pore_only", "including_grain"}
         The mean distance between grains is the length of a path segment through the pores, as in
         the papers, or the distance from one entry to the next, including the path through the
         grain.  With the latter, the fractions of path length in grains and in water equal their
         volume fractions, and the number of collisions per metre agrees with the surface area.
     grain_extent : {"finite", "point"}
-        The path through a grain displaces the ray, as in the papers, or a grain is a point
-        scatterer, as in radiative transfer.  The mean free path between point grains is 1/(𝓔 K).
+        The path through a grain displaces the ray, as in the papers, or grains are point
+        scatterers, as in radiative transfer.  The mean free path between point grains is 1/(𝓔 K).
         The fraction of it that is pore space is 1 − 𝓔 under ``mean_free_path: including_grain`` and
         1 under ``pore_only``.  Point grains overlap neither a boundary nor the previous segment, so
         both overlap rules must be "keep".
@@ -227,8 +228,9 @@ class Interpretation(TransportInterpretation):
     """Interpretation of SPLITSnow, in addition to that of `TransportInterpretation`.
 
     The default is the set ``splitsnow_2021``.  It follows the text of the paper where that is
-    unambiguous (entry point, overlap with boundaries), and elsewhere the combination that agrees
-    best with 24 statements of the paper (docs/theory/interpretation.md).
+    unambiguous (entry point, overlap with boundaries).  The other choices are a combination that
+    agrees with 24 statements of the paper as well as any other, within the errors
+    (docs/theory/interpretation.md).
 
     Parameters
     ----------
@@ -261,13 +263,13 @@ class SandInterpretation(TransportInterpretation):
         Refractive index of a mineral with inclusions: Maxwell Garnett (Eq 4), or the mean of the
         two indices by volume.
     size_distribution : {"separates", "single"}
-        A log-normal distribution per soil separate (section 4.2.6), or a single one over silt and
-        sand.
+        One log-normal distribution per soil separate (section 4.2.6), or a single one for all
+        separates.
     excess_magnetite : {"first", "clipped"}
-        Treatment of more magnetite than the fraction of pure particles (Eq 9); see
+        Treatment of more magnetite than the fraction of pure grains (Eq 9); see
         `splits.media.sand_composition`.
     attenuation_factor : {"solid_fraction", "as_printed"}
-        Whether the volume of particles per volume of sand, 1 − P, multiplies K (section 4.2.5), or
+        Whether the volume of grains per volume of sand, 1 − P, multiplies K (section 4.2.5), or
         K is that of Eqs 22-24 as printed.
     water : {"whole_pores", "narrow_pores", "film"}
         Every path segment through the pores is wet with the probability `saturation` (section

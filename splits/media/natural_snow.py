@@ -67,14 +67,14 @@ def make_natural_snow(
     refractive_index: Mapping[str, Any] | None = None,
     interpretation: Interpretation | str | Mapping[str, Any] | None = None,
 ) -> Any:
-    """Return natural snow by its specific surface area; dry, clean and semi-infinite by default.
+    """Return modelled natural snow; dry, clean and semi-infinite by default.
 
-    The grains have the absorption enhancement and the asymmetry parameter measured for natural snow
-    at 900 nm (`splits.media.natural_snow`).  They are point scatterers (interpretation
-    ``radiative_transfer``).  The reflectance of a dry half-space therefore does not depend on its
-    density, the BRDF is reciprocal, and the mean path length in ice follows from the B of the
-    grains.  The absorption of ice below 600 nm is that of Picard et al. (2016), and the refractive
-    index of water is that of Segelstein (1981).
+    The grains have the absorption enhancement B and the asymmetry parameter measured for natural
+    snow at 900 nm (`splits.media.natural_snow`).  They are point scatterers (interpretation
+    ``radiative_transfer``).  The reflectance of dry semi-infinite snow therefore does not depend on
+    its density, the BRDF is reciprocal, and the mean path length in ice follows from B.  The
+    absorption of ice below 600 nm is that of Picard et al. (2016), and the refractive index of
+    water is that of Segelstein (1981).
 
     Parameters
     ----------
@@ -83,8 +83,7 @@ def make_natural_snow(
     density_kg_m3 : float
         Mass of ice per volume of snow, from 10 kg/m³ to below the density of ice.
     depth_m : float
-        Thickness (m).  Infinite depths are for spectra, albedos and profiles; other instruments
-        require a finite depth.
+        Thickness (m).  An infinite depth is allowed for spectra, albedos and profiles only.
 
     Raises
     ------

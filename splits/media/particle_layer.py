@@ -51,6 +51,8 @@ PHASE_FUNCTIONS = ("henyey_greenstein", "rayleigh")
 class ParticleLayer(ContentEquality):
     """Homogeneous layer of small particles in a transparent matrix.
 
+    The properties do not depend on wavelength.
+
     Parameters
     ----------
     optical_thickness : float
@@ -70,7 +72,8 @@ class ParticleLayer(ContentEquality):
         Phase function; a mapping ``{"cosine": […], "density": […]}`` tabulates one, with linear
         interpolation.
     polarized : bool
-        Whether the Stokes vector is traced; the incident light is unpolarized.
+        Whether polarization is simulated (the Stokes vector of each ray); the incident light is
+        unpolarized.
     max_polarization : float
         Largest degree of polarization of single scattering, 0 to 1, for Henyey–Greenstein and
         tabulated phase functions (see `splits.kernels.optics.phase_function`).
@@ -78,7 +81,8 @@ class ParticleLayer(ContentEquality):
         Whether all light transmitted by the surface is absorbed; particles and bottom then have
         no effect.
     depth_m : float
-        Geometric thickness (m), 1e-9 to 1e6; for an infinite layer, the mean free path.
+        Geometric thickness (m), 1e-9 to 1e6.  For an infinite optical thickness, it is the mean
+        free path.
 
     Raises
     ------

@@ -46,19 +46,20 @@ class Sand(ContentEquality):
     """Homogeneous sand layer, after SPLITS.
 
     The default constants are those of SPLITS Table 2, the default composition is that of the base
-    case of Fig 8, and the default texture is that of most samples of Table 5.
+    case of Fig 8, and the default texture is that of most samples of Table 5.  With the default
+    refractive indices, wavelengths from 300 to 2053 nm are allowed.
 
     Parameters
     ----------
     iron_oxide : float
-        ϑ_hg, mass of hematite and goethite per mass of sand.  The capacity of the coatings limits
-        it: to 0.065 for hematite and 0.054 for goethite at the default thickness.
+        ϑ_hg, mass of hematite and goethite per mass of sand.  With coated grains it is at most the
+        capacity of the coatings, by default 0.065 for hematite and 0.054 for goethite.
     hematite_ratio : float
         r_hg, mass fraction of hematite in the iron oxide, 0 to 1.
     magnetite : float
         ϑ_m, mass of magnetite per mass of sand, 0 to 1 − iron_oxide.
     partition : (pure, mixed, coated)
-        Mass fractions of pure, mixed and coated particles, adding up to 1.
+        Mass fractions of pure, mixed and coated grains (particles in the paper); they add up to 1.
     texture : (clay, silt, sand)
         Mass fractions of the soil separates, adding up to 1; silt + 1.5 clay at most 0.15.
     saturation : float
@@ -77,10 +78,10 @@ class Sand(ContentEquality):
     relative_coating_thickness : float
         Thickness of coatings per major axis, above 0 and at most 0.05.
     depth_m : float
-        Thickness of the layer (m), more than the largest particle, to 1e4, or infinite for the
-        spectrophotometer.
+        Thickness of the layer (m), from more than the largest grain to 1e4, or infinite for
+        spectra, albedos and profiles.
     size_tail : float
-        Mass fraction outside the outermost size limits; see
+        Mass fraction of grains outside the outermost size limits; see
         `splits.media.soil_texture.make_size_distribution`.
     refractive_index : mapping, optional
         Refractive index by material ("quartz", "hematite", "goethite", "magnetite", "kaolinite",

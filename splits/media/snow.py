@@ -39,26 +39,28 @@ MIN_DENSITY_KG_M3 = 1e-12
 @accepts_measured_inputs
 @dataclass(frozen=True, eq=False, repr=False)
 class Snow(ContentEquality):
-    """Homogeneous snow layer, after SPLITSnow; the defaults are those of its Table 1.
+    """Homogeneous layer of snow, after SPLITSnow; the defaults are those of its Table 1.
 
-    `Snow.natural` describes natural snow by its measured specific surface area.
+    `Snow.natural` is a model of natural snow of a given specific surface area.  With the default
+    refractive indices, wavelengths from 200 nm to 100 µm are allowed.
 
     Parameters
     ----------
     grain_size_um : (min, max)
-        Limits of the major-axis diameter of the grains (µm), 1 to 100 000, with max at most
-        1000 min.  The paper calls the size distribution P(s) uniform; its attenuation K1 (Eq A.7)
-        is that of a number density ∝ s⁻⁴ P(s).  The distributions by number, area and volume are
-        then ∝ s⁻⁴, s⁻² and s⁻¹, and none of the three is uniform.
+        Limits of the major-axis diameter s of the grains (µm), 1 to 100 000, with max at most
+        1000 min.  The paper calls the size distribution P(s) uniform.  According to its attenuation
+        K1 (Eq A.7), the distributions of grains by number, area and volume are ∝ s⁻⁴, s⁻² and s⁻¹
+        between the limits, so none of the three is uniform.
     specific_surface_area_m2_kg, optical_radius_um : float
-        Replaces `grain_size_um`: surface area per mass of ice, 0.2 to 2000 m²/kg, or the radius
-        (µm) of spheres of the same specific surface area.  The ratio of the largest to the
-        smallest size is that of Table 1, 2.5.
+        Replaces `grain_size_um`: specific surface area (surface area per mass of ice), 0.2 to
+        2000 m²/kg, or the radius (µm) of spheres of the same specific surface area.  The ratio of
+        the largest to the smallest size is that of Table 1, 2.5.
     facetness : (min, max, mean, sd)
         Facetness of the grains, 0 (smooth) to 1; a normal distribution truncated to [min, max].
+        For a single value f, write ``(f, f, f, 0.0)``.
     sphericity : (min, max, mean, sd)
-        Inscribed-circle sphericity Ψ = √(minor/major), 0.1 to 1 (a sphere); a normal distribution
-        truncated to [min, max].
+        Inscribed-circle sphericity Ψ = √(minor/major), from the axes of the grains, 0.1 to 1 (a
+        sphere); a normal distribution truncated to [min, max].
     saturation : float
         Fraction of the pore space filled with water, 0 to 1.  The default sample is wet.
     liquid_water_content : float
@@ -80,8 +82,8 @@ class Snow(ContentEquality):
     temperature_c : float
         Temperature, −40 to 0 °C; determines the density of ice.
     depth_m : float
-        Thickness of the layer (m), above 0 to 1e4, or infinite for spectra and albedos.  The
-        whole sample, of one layer or several, must be thicker than its largest grain.
+        Thickness of the layer (m), above 0 and up to 1e4, or infinite for spectra, albedos and
+        profiles.  The sample, of one layer or several, must be thicker than its largest grain.
     refractive_index : mapping, optional
         Refractive index by material ("ice", "water", "air"): the name of a dataset, a complex
         constant n + kj or a table; see `splits.materials.refractive_index`.  Air, with an index of

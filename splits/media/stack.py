@@ -30,24 +30,25 @@ MAX_LAYERS = 200
 class Stack:
     """Layered medium, top layer first.
 
-    The pore fluid of a path segment is sampled once, so it changes at an interface between two
-    layers only where their saturations differ; Fresnel reflection and refraction act there.  A
-    grain belongs to the layer in which a ray hits it, and is accepted even if it overlaps an
-    interface.  Dividing a layer in two therefore changes no result.
+    The pore material of a path segment is sampled once.  It changes at a boundary between two
+    layers only if their saturations differ; light is reflected and refracted there.  A grain
+    belongs to the layer in which a ray hits it, and is accepted even if it overlaps a boundary
+    between layers.  Dividing a layer in two therefore changes no result.
 
     Parameters
     ----------
     layers : sequence of Snow, Sand or ParticleLayer
-        Layers from top to bottom, 1 to 200.  The transport interpretation must be the same in all
-        granular layers, and no layer has a ground of its own.  A `ParticleLayer` has no bottom in a
-        stack; only the top layer may have a rough surface.
+        Layers from top to bottom, 1 to 200.  All layers of grains must have the same choices of
+        `splits.media.interpretations.TransportInterpretation`, and no layer may have a ground.  A
+        `ParticleLayer` must have ``bottom_albedo=None`` and a finite optical thickness, and must be
+        neither opaque nor polarized.  Only the top layer may have a rough surface.
     ground : number, str, mapping or path, optional
         Lambertian ground below the stack: an albedo, "black", the name of a soil or a table; see
         `splits.media.ground.Ground.from_input`.  By default light leaves through the lower
         boundary ("open").
     interpretation : str, optional
         Name of a set of `splits.media.interpretations.INTERPRETATION_SETS`.  It replaces the
-        interpretation of all granular layers; the defaults of snow and sand differ.
+        interpretation of all layers of grains, because the defaults of snow and sand differ.
 
     Raises
     ------

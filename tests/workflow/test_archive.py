@@ -335,7 +335,7 @@ def test_hidden_files_are_skipped_and_unknown_types_rejected(tmp_path, monkeypat
     members = set(make_configuration_members(settings)) - {"config/config.yaml"}
     assert members == {f"config/measured/field/{name}" for name in ("snow.csv", "notes.md")}
     (folder / "snow.xlsx").write_text("x", encoding="utf-8")
-    line = r"^archive = 'config/measured/field/snow\.xlsx': must be .*no kind of file that archives"
+    line = r"^archive = 'config/measured/field/snow\.xlsx': must be .*not a file type of config"
     with pytest.raises(ValueError, match=line):
         make_configuration_members(settings)
 

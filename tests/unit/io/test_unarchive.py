@@ -223,7 +223,9 @@ def test_colliding_names_are_rejected(extra, members, tmp_path, assert_rejected)
     entries = [*list_members(members, {extra: b"x"}).items()]
     entries += [(DATA, b"x")] if extra == DATA else []
     reason = (
-        "no file" if extra.startswith("C") else "occurs twice, or its name differs in case only"
+        "not a file of an archive"
+        if extra.startswith("C")
+        else "occurs twice, or its name differs in case only"
     )
     assert_rejected(write_zip(tmp_path / "bad.zip", entries), reason)
 

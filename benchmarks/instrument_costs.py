@@ -22,7 +22,7 @@ from splits.experiments.papers.paper_tables import write_data_frame
 
 SPECTRUM_NM = range(400, 2501, 10)
 SKY = "midlatitude_winter"
-DEPTHS_M = [0.0, 0.02, 0.05, 0.1, 0.2]
+DEPTHS_M = [0.01, 0.02, 0.05, 0.1, 0.2]
 LARGE_ERRORS = {"max_stderr": 0.1, "relative_stderr": 0.5, "rays": 1000}
 """Accuracy of the first run, by keyword."""
 
@@ -58,7 +58,7 @@ def make_cases() -> list[CostCase]:
                  lambda **e: splits.irradiance_profile(
                      snow, [450, 600, 850, 1000, 1300], DEPTHS_M, **e)),
         CostCase("radiation_profile", "max_stderr", "snow under a winter sky, five depths",
-                 lambda **e: splits.radiation_profile(deep, SKY, DEPTHS_M, **e)),
+                 lambda **e: splits.radiation_profile(deep, SKY, DEPTHS_M, total_w_m2=500.0, **e)),
         CostCase("deep_transmittance", "relative_stderr", "snow of 0.5 m, one wavelength",
                  lambda **e: splits.deep_transmittance(snow, [600], **e)),
         CostCase("beam_spread", "rays", "snow, one wavelength",

@@ -5,21 +5,16 @@ from __future__ import annotations
 import math
 
 from splits.kernels.compiler.jit import inline_only
+from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.flight import find_adjacent_layer, record_crossing
-from splits.kernels.grains.free_path import RayGeometry, RouletteState, russian_roulette
+from splits.kernels.grains.free_path import russian_roulette
 from splits.kernels.grains.grain_path import trace_through_grain
 from splits.kernels.grains.scene import NO_GROUND, NO_PARTICLES
 from splits.kernels.grains.state import (
-    AttenuationResult,
-    EventResult,
-    Ray,
-    RayPayload,
     attenuate,
     pore_material,
     refractive_index_of,
     sample_scattering_direction,
-    terminate,
-    with_direction,
 )
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, UP, sample_cosine_lobe
@@ -28,118 +23,97 @@ from splits.kernels.tallies.exits import ABSORBED, ALIVE, REFLECTED, TO_GROUND, 
 
 
 @inline_only
-def apply_roulette(state, roulette_state):
+def apply_roulette(state, ray):
     """Play all due games of Russian roulette, see `splits.kernels.grains.free_path`."""
-    alive = True
-    while alive and roulette_state.optical_depth > roulette_state.next_roulette:
-        result = russian_roulette(roulette_state, uniform(state), True)
-        roulette_state, alive = result.roulette, not result.terminated
-    return AttenuationResult(roulette_state, alive)
+    while ray.status == ALIVE and ray.optical_depth > ray.next_roulette:
+        result = russian_roulette(ray, uniform(state), True)
+        ray = replace(
+            ray, weight=result.weight, next_roulette=result.next_roulette,
+            status=ABSORBED if result.terminated else ALIVE,
+        )  # fmt: skip
+    return ray
 
 
 @inline_only
-def enter_layer(state, direction, layer, roulette_state, scene, optics):
-    """Let a ray enter a layer from outside, through the interface of the sample.
+def enter_layer(state, ray, scene, optics):
+    """Let a ray enter its layer from outside, through the interface of the sample.
 
-    The pore is sampled first: the interface of a wet pore may reflect the ray.
+    The pore is sampled first: the interface of a wet pore may reflect the ray, whose status is then
+    `REFLECTED`.
     """
-    layers = scene.layers
+    layers, layer = scene.layers, ray.layer
     pore_variate = uniform(state)
-    near, far = (
-        refractive_index_of(optics, layers.first_pore_material[layer]),
-        refractive_index_of(optics, pore_material(layers, layer, pore_variate)),
-    )
+    near = refractive_index_of(optics, layers.first_pore_material[layer])
+    far = refractive_index_of(optics, pore_material(layers, layer, pore_variate))
     if not (scene.rules.boundary_fresnel or layers.particle_row[layer] != NO_PARTICLES):
         far = near
-    sample = sample_interface(
-        direction, orient_horizontal_normal(direction), near, far, uniform(state)
-    )
-    return EventResult(
-        sample.transmitted, RayPayload(sample.direction, layer, pore_variate, roulette_state)
-    )
+    normal = orient_horizontal_normal(ray.direction)
+    sample = sample_interface(ray.direction, normal, near, far, uniform(state))
+    return replace(
+        ray, direction=sample.direction, pore_variate=pore_variate,
+        status=ALIVE if sample.transmitted else REFLECTED,
+    )  # fmt: skip
 
 
 @inline_only
 def cross_interface(state, ray, scene, optics, path_lengths, crossings):
     """Return a ray after refraction or reflection at the layer boundary on which it is."""
-    layers, payload = scene.layers, ray.payload
-    next_layer = find_adjacent_layer(layers, payload.layer, payload.direction)
+    layers = scene.layers
+    next_layer = find_adjacent_layer(ray.layer, ray.direction)
     inside = 0 <= next_layer < layers.collision_coefficient.size
-    near = refractive_index_of(optics, pore_material(layers, payload.layer, payload.pore_variate))
-    far = refractive_index_of(optics, layers.first_pore_material[payload.layer])
-    has_particles = layers.particle_row[payload.layer] != NO_PARTICLES
+    near = refractive_index_of(optics, pore_material(layers, ray.layer, ray.pore_variate))
+    far = refractive_index_of(optics, layers.first_pore_material[ray.layer])
+    has_particles = layers.particle_row[ray.layer] != NO_PARTICLES
     if inside:
-        far = refractive_index_of(optics, pore_material(layers, next_layer, payload.pore_variate))
+        far = refractive_index_of(optics, pore_material(layers, next_layer, ray.pore_variate))
         has_particles |= layers.particle_row[next_layer] != NO_PARTICLES
     # The rule concerns wet pores; the medium of particles always has an interface.
     if not (scene.rules.boundary_fresnel or has_particles):
         far = near
-    sample = sample_interface(
-        payload.direction, orient_horizontal_normal(payload.direction), near, far, uniform(state)
-    )
-    status, layer, pore_variate = ALIVE, payload.layer, payload.pore_variate
+    normal = orient_horizontal_normal(ray.direction)
+    sample = sample_interface(ray.direction, normal, near, far, uniform(state))
+    status, layer, pore_variate = ALIVE, ray.layer, ray.pore_variate
     if sample.transmitted and inside:
+        record_crossing(ray, next_layer < layer, scene, path_lengths, crossings)
         layer = next_layer
-        record_crossing(
-            crossings, scene, payload.layer, layer < payload.layer, payload.roulette, path_lengths
-        )
     elif sample.transmitted:
         exit_status = TRANSMITTED if scene.ground_column == NO_GROUND else TO_GROUND
         status = REFLECTED if next_layer < 0 else exit_status
     if layers.particle_row[layer] != NO_PARTICLES:
         # The pore is sampled again, independently of the one before the layer of particles.
         pore_variate = uniform(state)
-    payload = RayPayload(sample.direction, layer, pore_variate, payload.roulette)
-    return Ray(
-        status,
-        with_direction(ray.geometry, payload.direction),
-        payload,
-        ray.n_segments,
-        ray.order,
-        ray.max_order,
+    return replace(
+        ray, status=status, direction=sample.direction, layer=layer, pore_variate=pore_variate
     )
 
 
 @inline_only
-def scatter_at_particle(state, payload, scene):
+def scatter_at_particle(state, ray, scene):
     """Scatter a ray at a particle, or absorb it."""
-    row = scene.layers.particle_row[payload.layer]
-    albedo, roulette_state = scene.particles.albedo[row], payload.roulette
+    row = scene.layers.particle_row[ray.layer]
+    albedo = scene.particles.albedo[row]
     if albedo == 0.0 or (scene.rules.analog and uniform(state) >= albedo):
-        return EventResult(False, payload)
+        return replace(ray, status=ABSORBED)
     if not scene.rules.analog:
         # The loss is the same for all wavelengths, and counts as optical depth for the roulette.
-        roulette_state = RouletteState(
-            roulette_state.optical_depth - math.log(albedo),
-            roulette_state.next_roulette,
-            roulette_state.weight * albedo,
+        ray = replace(
+            ray, weight=ray.weight * albedo, optical_depth=ray.optical_depth - math.log(albedo)
         )
-    direction = sample_scattering_direction(state, scene.particles, row, payload.direction)
+    direction = sample_scattering_direction(state, scene.particles, row, ray.direction)
     # A new segment starts; its pore matters if the next layer has two kinds of pores.
-    return EventResult(True, RayPayload(direction, payload.layer, uniform(state), roulette_state))
+    return replace(ray, direction=direction, pore_variate=uniform(state))
 
 
 @inline_only
 def collide(state, ray, event, scene, optics, path_lengths):
     """Return a ray after a collision with a particle or a grain."""
     if ray.order == ray.max_order:
-        return terminate(ray, ABSORBED)
-    if scene.layers.particle_row[ray.payload.layer] != NO_PARTICLES:
-        result = scatter_at_particle(state, ray.payload, scene)
-        status = ALIVE if result.continues else ABSORBED
-        geometry = with_direction(ray.geometry, result.payload.direction)
-        return Ray(status, geometry, result.payload, ray.n_segments, ray.order + 1, ray.max_order)
-    transit = trace_through_grain(state, ray.payload, event, scene, optics, path_lengths)
-    status = ALIVE if transit.alive else ABSORBED
-    exit_offset = ORIGIN if scene.rules.point_grains else transit.displacement
-    geometry = RayGeometry(
-        ray.geometry.position,
-        exit_offset,
-        transit.payload.direction,
-        ray.geometry.previous_segment,
-        0.0,
-    )
-    return Ray(status, geometry, transit.payload, ray.n_segments, ray.order + 1, ray.max_order)
+        return replace(ray, status=ABSORBED)
+    ray = replace(ray, order=ray.order + 1)
+    if scene.layers.particle_row[ray.layer] != NO_PARTICLES:
+        return scatter_at_particle(state, ray, scene)
+    ray = trace_through_grain(state, ray, event, scene, optics, path_lengths)
+    return replace(ray, exit_offset=ORIGIN) if scene.rules.point_grains else ray
 
 
 @inline_only
@@ -150,25 +124,16 @@ def reflect_from_ground(state, ray, scene, optics, path_lengths):
     ground counts as one order of scattering.  Its column of `path_lengths` counts the hits, and its
     absorption coefficient is −ln(albedo), so that a hit is a segment of length 1.
     """
-    roulette_state, analog = ray.payload.roulette, scene.rules.analog
-    attenuation = attenuate(
-        state, roulette_state, 1.0, scene.ground_column, optics, analog, path_lengths
-    )
-    if not attenuation.alive:
+    ray = replace(ray, status=ALIVE)
+    ray = attenuate(state, ray, 1.0, scene.ground_column, optics, scene.rules.analog, path_lengths)
+    if ray.status != ALIVE:
         # Light that the ground absorbs counts as transmitted.
-        return terminate(ray, TRANSMITTED)
-    survival = apply_roulette(state, attenuation.roulette)
-    if not survival.alive or ray.order == ray.max_order:
-        return terminate(ray, ABSORBED)
+        return replace(ray, status=TRANSMITTED)
+    ray = apply_roulette(state, ray)
+    if ray.status != ALIVE or ray.order == ray.max_order:
+        return replace(ray, status=ABSORBED)
     direction = sample_cosine_lobe(UP, uniform(state), uniform(state))
     bottom_layer = scene.layers.collision_coefficient.size - 1
-    entered, payload = enter_layer(state, direction, bottom_layer, survival.roulette, scene, optics)
-    status = ALIVE if entered else TO_GROUND
-    return Ray(
-        status,
-        with_direction(ray.geometry, payload.direction),
-        payload,
-        ray.n_segments,
-        ray.order + 1,
-        ray.max_order,
-    )
+    ray = replace(ray, direction=direction, layer=bottom_layer, order=ray.order + 1)
+    ray = enter_layer(state, ray, scene, optics)
+    return replace(ray, status=ALIVE if ray.status == ALIVE else TO_GROUND)

@@ -10,18 +10,13 @@ unchanged.
 from __future__ import annotations
 
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.grains.free_path import (
-    RayGeometry,
-    RejectionRules,
-    compute_boundary_hit,
-    sample_collision,
-)
+from splits.kernels.compiler.replace import replace
+from splits.kernels.grains.free_path import RejectionRules, compute_boundary_hit, sample_collision
+from splits.kernels.grains.ray import compute_position
 from splits.kernels.grains.scene import MAX_REJECTIONS, NO_PARTICLES
 from splits.kernels.grains.spheroid import Segment
 from splits.kernels.grains.state import (
-    AttenuationResult,
     NextEvent,
-    RayPayload,
     attenuate,
     get_layer_geometry,
     make_rejection_rules,
@@ -33,10 +28,11 @@ from splits.kernels.grains.state import (
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing
+from splits.kernels.tallies.exits import ALIVE
 
 
 @inline_only
-def find_adjacent_layer(layers, layer, direction):
+def find_adjacent_layer(layer, direction):
     """Return the layer on the other side of the boundary ahead of a ray.
 
     Above the sample it is −1, below the sample the number of layers.
@@ -45,172 +41,135 @@ def find_adjacent_layer(layers, layer, direction):
 
 
 @inline_only
-def has_same_refractive_index(layers, optics, layer, other, pore_variate):
-    """Return whether the pores of two layers have the same complex refractive index."""
+def is_continuous(layers, optics, layer, other, pore_variate):
+    """Return whether `other` is a layer whose pores have the refractive index of those of `layer`.
+
+    Rays then pass from one to the other without an interface.
+    """
+    if not 0 <= other < layers.collision_coefficient.size:
+        return False
     a = refractive_index_of(optics, pore_material(layers, layer, pore_variate))
     b = refractive_index_of(optics, pore_material(layers, other, pore_variate))
     return a.n == b.n and a.k == b.k
 
 
 @inline_only
-def record_crossing(crossings, scene, layer, upward, roulette_state, path_lengths):
+def record_crossing(ray, upward, scene, path_lengths, crossings):
     """Record the crossing of a ray into the next layer, if the scene records crossings."""
     if crossings is not None and scene.record_crossings:
-        append_crossing(
-            crossings,
-            encode_crossing(layer if upward else layer + 1, upward),
-            roulette_state.weight,
-            path_lengths,
-        )
+        event = encode_crossing(ray.layer if upward else ray.layer + 1, upward)
+        append_crossing(crossings, event, ray.weight, path_lengths)
 
 
 @inline_only
-def locate_layer(geometry, payload, scene, optics, path_lengths, crossings):
+def locate_layer(ray, scene, optics, path_lengths, crossings):
     """Return a ray after a grain, with the layer in which it is now.
 
     A grain that extends across a boundary may release a ray on the other side.  If the pores there
     have another index, as outside the sample, the ray is placed on that boundary.
     """
-    layers = scene.layers
-    z = geometry.position.z + geometry.exit_offset.z
-    layer = payload.layer
-    while z > layers.boundaries[layer] or z < layers.boundaries[layer + 1]:
-        step = -1 if z > layers.boundaries[layer] else 1
-        boundary = layers.boundaries[layer] if step < 0 else layers.boundaries[layer + 1]
-        next_layer = layer + step
-        inside = 0 <= next_layer < layers.collision_coefficient.size
-        if not inside or not has_same_refractive_index(
-            layers, optics, layer, next_layer, payload.pore_variate
-        ):
-            z = boundary
+    layers, z = scene.layers, compute_position(ray).z
+    while z > layers.boundaries[ray.layer] or z < layers.boundaries[ray.layer + 1]:
+        upward = z > layers.boundaries[ray.layer]
+        next_layer = ray.layer - 1 if upward else ray.layer + 1
+        if not is_continuous(layers, optics, ray.layer, next_layer, ray.pore_variate):
+            z = layers.boundaries[ray.layer if upward else ray.layer + 1]
             break
-        record_crossing(crossings, scene, layer, step < 0, payload.roulette, path_lengths)
-        layer = next_layer
-    exit_offset = Vector(geometry.exit_offset.x, geometry.exit_offset.y, z - geometry.position.z)
-    return RayGeometry(
-        geometry.position, exit_offset, payload.direction, geometry.previous_segment, 0.0
-    ), RayPayload(payload.direction, layer, payload.pore_variate, payload.roulette)
+        record_crossing(ray, upward, scene, path_lengths, crossings)
+        ray = replace(ray, layer=next_layer)
+    exit_offset = Vector(ray.exit_offset.x, ray.exit_offset.y, z - ray.position.z)
+    return replace(ray, exit_offset=exit_offset, start_distance=0.0)
 
 
 @inline_only
-def sample_next_event(state, geometry, payload, scene, optics):
+def sample_next_event(state, ray, scene, optics):
     """Sample the next grain on a ray, or find the boundary that it reaches first.
 
     After a rejected grain, another one is sampled from the start of the segment, from the last
     skipped grain, or from the end of the last layer of particles.
     """
-    layers, default_rules = scene.layers, make_rejection_rules(scene.rules)
-    restart_layer, layer = payload.layer, payload.layer
-    flight_geometry = RayGeometry(
-        geometry.position, geometry.exit_offset, geometry.direction, geometry.previous_segment, 0.0
-    )
+    layers, grain_rules = scene.layers, make_rejection_rules(scene.rules)
+    restart = replace(ray, start_distance=0.0)
+    flight = restart
     n_rejected = 0
     while True:
-        layer_geometry = get_layer_geometry(layers, layer)
-        grain_sample = sample_grain(state, scene, layer)
+        layer_geometry = get_layer_geometry(layers, flight.layer)
+        grain_sample = sample_grain(state, scene, flight.layer)
         variates = sample_entry_variates(state, grain_sample.size.flattening)
-        rejection_rules = default_rules
-        if layers.particle_row[layer] != NO_PARTICLES:
+        rules, has_particles = grain_rules, layers.particle_row[flight.layer] != NO_PARTICLES
+        if has_particles:
             # Particles are points and never overlap anything.
-            rejection_rules = RejectionRules(
-                default_rules.entry_sampling, False, False, False, False
-            )
+            rules = RejectionRules(rules.entry_sampling, False, False, False, False)
         collision = sample_collision(
-            flight_geometry,
-            grain_sample.size,
-            variates,
-            uniform(state),
-            layer_geometry,
-            rejection_rules,
+            flight, grain_sample.size, variates, uniform(state), layer_geometry, rules
         )
         if collision.accepted:
-            return NextEvent(grain_sample, collision, layer, False)
+            return NextEvent(grain_sample, collision, flight.layer, False)
         if collision.leaves_layer:
-            next_layer = find_adjacent_layer(layers, layer, geometry.direction)
-            inside = 0 <= next_layer < layers.collision_coefficient.size
-            if not inside or not has_same_refractive_index(
-                layers, optics, layer, next_layer, payload.pore_variate
-            ):
-                return NextEvent(grain_sample, collision, layer, False)
-            boundary_distance = compute_boundary_hit(geometry, layer_geometry).distance
-            flight_geometry = RayGeometry(
-                geometry.position,
-                geometry.exit_offset,
-                geometry.direction,
-                geometry.previous_segment,
-                boundary_distance,
-            )
-            if layers.particle_row[layer] != NO_PARTICLES:
-                # After a rejected grain, a layer of particles that was passed is not sampled again.
-                restart_layer, geometry = next_layer, flight_geometry
-            layer = next_layer
+            next_layer = find_adjacent_layer(flight.layer, ray.direction)
+            if not is_continuous(layers, optics, flight.layer, next_layer, ray.pore_variate):
+                return NextEvent(grain_sample, collision, flight.layer, False)
+            distance = compute_boundary_hit(ray, layer_geometry).distance
+            flight = replace(flight, layer=next_layer, start_distance=distance)
+            # After a rejected grain, a layer of particles that was passed is not sampled again.
+            restart = flight if has_particles else restart
             continue
         if collision.start_distance == collision.distance:
-            restart_layer = layer
-            geometry = RayGeometry(
-                geometry.position,
-                geometry.exit_offset,
-                geometry.direction,
-                geometry.previous_segment,
-                collision.start_distance,
-            )
-        layer = restart_layer
-        flight_geometry = geometry
+            restart = replace(flight, start_distance=collision.start_distance)
+        flight = restart
         n_rejected += 1
         if n_rejected == MAX_REJECTIONS:
-            return NextEvent(grain_sample, collision, layer, True)
+            return NextEvent(grain_sample, collision, flight.layer, True)
 
 
 @inline_only
-def move_to_event(geometry, event, layer_geometry):
+def move_to_event(ray, event, layer_geometry):
     """Return a ray at the grain that it hits, or at the boundary that comes first."""
     distance, height = event.collision.distance, event.collision.height
     if event.collision.leaves_layer:
-        boundary_hit = compute_boundary_hit(geometry, layer_geometry)
+        boundary_hit = compute_boundary_hit(ray, layer_geometry)
         distance, height = boundary_hit.distance, boundary_hit.position.z
-    x = geometry.position.x + geometry.exit_offset.x + distance * geometry.direction.x
-    y = geometry.position.y + geometry.exit_offset.y + distance * geometry.direction.y
-    return RayGeometry(
-        Vector(x, y, height),
-        ORIGIN,
-        geometry.direction,
-        Segment(ORIGIN, geometry.direction, distance),
-        0.0,
-    )
+    x = ray.position.x + ray.exit_offset.x + distance * ray.direction.x
+    y = ray.position.y + ray.exit_offset.y + distance * ray.direction.y
+    return end_segment(ray, Vector(x, y, height), distance)
 
 
 @inline_only
-def attenuate_segment(state, payload, event, segment, scene, optics, path_lengths, crossings):
-    """Attenuate a ray along a segment through the pores of all layers that it crosses.
+def end_segment(ray, position, length):
+    """Return a ray at the end of a path segment."""
+    segment = Segment(ORIGIN, ray.direction, length)
+    return replace(
+        ray, position=position, exit_offset=ORIGIN, previous_segment=segment, start_distance=0.0,
+        n_segments=ray.n_segments + 1,
+    )  # fmt: skip
+
+
+@inline_only
+def attenuate_segment(state, ray, last_layer, scene, optics, path_lengths, crossings):
+    """Attenuate a ray along its previous segment, through the pores of all layers that it crosses.
 
     Parameters
     ----------
-    payload : RayPayload
-        At the start of the segment.
-    event : NextEvent
-        At its end.
-    segment : Segment
-        With its end as a position (m).
+    ray : Ray
+        At the end of the segment, with the layer of its start.
+    last_layer : int
+        Layer of its end.
     path_lengths, crossings
         See `splits.kernels.grains.history.trace_history`.
     """
-    layers, d, analog = scene.layers, payload.direction, scene.rules.analog
-    attenuation = AttenuationResult(payload.roulette, True)
-    remaining, layer = segment.length, payload.layer
-    z = segment.end.z - segment.length * d.z
-    while layer != event.layer and attenuation.alive:
-        boundary = layers.boundaries[layer] if d.z > 0.0 else layers.boundaries[layer + 1]
+    layers, d, analog = scene.layers, ray.direction, scene.rules.analog
+    remaining = ray.previous_segment.length
+    z = ray.position.z - remaining * d.z
+    while ray.layer != last_layer and ray.status == ALIVE:
+        boundary = layers.boundaries[ray.layer] if d.z > 0.0 else layers.boundaries[ray.layer + 1]
         length = min(max((boundary - z) / d.z, 0.0), remaining)
-        pore = pore_material(layers, layer, payload.pore_variate)
-        attenuation = attenuate(
-            state, attenuation.roulette, length, pore, optics, analog, path_lengths
-        )
-        if attenuation.alive:
-            record_crossing(crossings, scene, layer, d.z > 0.0, attenuation.roulette, path_lengths)
-        z, remaining, layer = boundary, remaining - length, find_adjacent_layer(layers, layer, d)
-    if attenuation.alive:
-        pore = pore_material(layers, layer, payload.pore_variate)
-        attenuation = attenuate(
-            state, attenuation.roulette, remaining, pore, optics, analog, path_lengths
-        )
-    return attenuation
+        pore = pore_material(layers, ray.layer, ray.pore_variate)
+        ray = attenuate(state, ray, length, pore, optics, analog, path_lengths)
+        if ray.status == ALIVE:
+            record_crossing(ray, d.z > 0.0, scene, path_lengths, crossings)
+        z, remaining = boundary, remaining - length
+        ray = replace(ray, layer=find_adjacent_layer(ray.layer, d))
+    if ray.status == ALIVE:
+        pore = pore_material(layers, ray.layer, ray.pore_variate)
+        ray = attenuate(state, ray, remaining, pore, optics, analog, path_lengths)
+    return ray

@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 from splits.kernels.compiler.jit import ONE, ZERO, float32_constant, inline
+from splits.kernels.grains.ray import compute_position
 from splits.kernels.grains.spheroid import (
     EntryPoint,
     Segment,
@@ -38,55 +39,12 @@ _SURVIVAL_PROBABILITY = float32_constant(ROULETTE_SURVIVAL_PROBABILITY)
 _SURVIVOR_WEIGHT_FACTOR = float32_constant(1.0 / ROULETTE_SURVIVAL_PROBABILITY)
 
 
-class RouletteState(NamedTuple):
-    """Statistical weight of a ray and the optical depths of Russian roulette.
-
-    Attributes
-    ----------
-    optical_depth : float
-        Absorption optical depth so far, the minimum over the wavelengths that use the path.
-    next_roulette : float
-        Optical depth at which roulette is next played.
-    weight : float
-        Statistical weight without absorption in materials: the inverse probability of survival,
-        times the single-scattering albedos of the particles hit.
-    """
-
-    optical_depth: float
-    next_roulette: float
-    weight: float
-
-
 class RouletteResult(NamedTuple):
-    """Roulette state after a game, and whether the ray is terminated."""
+    """Roulette state of a ray after a game, and whether the game terminates the ray."""
 
-    roulette: RouletteState
+    weight: float
+    next_roulette: float
     terminated: bool
-
-
-class RayGeometry(NamedTuple):
-    """Geometric state of a ray between grains.
-
-    Attributes
-    ----------
-    position : Vector
-        Entry point of the last grain (m).
-    exit_offset : Vector
-        Vector from there to the exit point of that grain (m).
-    direction : Vector
-        Direction of travel.
-    previous_segment : Segment
-        Segment that ended at `position`; its end is unused.
-    start_distance : float
-        Distance at which the sampling of the next grain starts (m): that of the last skipped grain,
-        or of the boundary through which the ray entered its layer.
-    """
-
-    position: Vector
-    exit_offset: Vector
-    direction: Vector
-    previous_segment: Segment
-    start_distance: float
 
 
 class LayerGeometry(NamedTuple):
@@ -167,30 +125,25 @@ class BoundaryHit(NamedTuple):
 
 
 @inline
-def russian_roulette(roulette_state, u, active):
+def russian_roulette(ray, u, active):
     """Play Russian roulette: terminate a low-weight ray or raise its weight."""
-    played = active & (roulette_state.optical_depth > roulette_state.next_roulette)
-    next_roulette = (
-        roulette_state.next_roulette + _NEXT_ROULETTE_STEP
-        if played
-        else roulette_state.next_roulette
-    )
-    weight = roulette_state.weight * _SURVIVOR_WEIGHT_FACTOR if played else roulette_state.weight
+    played = active & (ray.optical_depth > ray.next_roulette)
     return RouletteResult(
-        RouletteState(roulette_state.optical_depth, next_roulette, weight),
+        ray.weight * _SURVIVOR_WEIGHT_FACTOR if played else ray.weight,
+        ray.next_roulette + _NEXT_ROULETTE_STEP if played else ray.next_roulette,
         played & (u > _SURVIVAL_PROBABILITY),
     )
 
 
 @inline
-def sample_collision(geometry, size, variates, u, layer_geometry, rejection_rules):
+def sample_collision(ray, size, variates, u, layer_geometry, rejection_rules):
     """Sample the next grain on a ray.
 
     SPLITS 4.3.3: the distance from Eq 21 (SPLITSnow Eq 1), then the entry point.
 
     Parameters
     ----------
-    geometry : RayGeometry
+    ray : Ray
     size : GrainSize
     variates : EntryVariates
         Accepted by `spheroid.accept_axial_position`.
@@ -203,12 +156,12 @@ def sample_collision(geometry, size, variates, u, layer_geometry, rejection_rule
     -------
     Collision
     """
-    d, exit_offset = geometry.direction, geometry.exit_offset
+    d, exit_offset = ray.direction, ray.exit_offset
     distance = -log(u) * layer_geometry.mean_free_path
-    distance += geometry.start_distance
+    distance += ray.start_distance
     # A ray may leave a grain that overlaps a boundary outside: it then starts on the boundary.
     start_height = min(
-        max(geometry.position.z + exit_offset.z, layer_geometry.slab_bottom),
+        max(ray.position.z + exit_offset.z, layer_geometry.slab_bottom),
         layer_geometry.slab_top,
     )
     height = fma(distance, d.z, start_height)
@@ -219,8 +172,8 @@ def sample_collision(geometry, size, variates, u, layer_geometry, rejection_rule
     )
     previous_segment = Segment(
         linear_combination(-distance, d, -ONE, exit_offset),
-        geometry.previous_segment.direction,
-        geometry.previous_segment.length,
+        ray.previous_segment.direction,
+        ray.previous_segment.length,
     )
     overlaps_previous = rejection_rules.reject_segment_overlap & overlaps_segment(
         entry.grain, previous_segment
@@ -231,26 +184,22 @@ def sample_collision(geometry, size, variates, u, layer_geometry, rejection_rule
         if overlaps_slab
         else rejection_rules.skip_segment_overlap & overlaps_previous
     )
-    start_distance = distance if (not outside) & skip else geometry.start_distance
+    start_distance = distance if (not outside) & skip else ray.start_distance
     start_distance = ZERO if accepted | outside else start_distance
     return Collision(distance, height, entry, outside, accepted, start_distance)
 
 
 @inline
-def compute_boundary_hit(geometry, layer_geometry):
+def compute_boundary_hit(ray, layer_geometry):
     """Return the intersection of a ray with the boundary of its layer ahead."""
-    position = Vector(
-        geometry.position.x + geometry.exit_offset.x,
-        geometry.position.y + geometry.exit_offset.y,
-        geometry.position.z + geometry.exit_offset.z,
-    )
-    boundary = layer_geometry.bottom if geometry.direction.z < ZERO else layer_geometry.top
+    position = compute_position(ray)
+    boundary = layer_geometry.bottom if ray.direction.z < ZERO else layer_geometry.top
     height = min(max(position.z, layer_geometry.slab_bottom), layer_geometry.slab_top)
-    distance = (boundary - height) / geometry.direction.z
+    distance = (boundary - height) / ray.direction.z
     return BoundaryHit(
         Vector(
-            position.x + distance * geometry.direction.x,
-            position.y + distance * geometry.direction.y,
+            position.x + distance * ray.direction.x,
+            position.y + distance * ray.direction.y,
             boundary,
         ),
         distance,

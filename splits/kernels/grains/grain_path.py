@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.compiler.jit import inline_only
+from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.interaction import (
     InteractionVariates,
     InterfaceState,
@@ -18,18 +19,11 @@ from splits.kernels.grains.interaction import (
 from splits.kernels.grains.microfacet import make_smooth_facet, sample_microfacet
 from splits.kernels.grains.scene import WRONG_SIDE_LOBE
 from splits.kernels.grains.spheroid import compute_chord
-from splits.kernels.grains.state import RayPayload, attenuate, pore_material, refractive_index_of
+from splits.kernels.grains.state import attenuate, pore_material, refractive_index_of
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import sample_azimuth, sample_half_normal, uniform
-from splits.kernels.math.vectors import ORIGIN, Vector, add_scaled
-
-
-class GrainTransit(NamedTuple):
-    """Ray after a grain: survival, displacement from entry to exit point (m), and payload."""
-
-    alive: bool
-    displacement: Vector
-    payload: RayPayload
+from splits.kernels.math.vectors import add_scaled
+from splits.kernels.tallies.exits import ALIVE
 
 
 class AdjacentMedia(NamedTuple):
@@ -40,30 +34,22 @@ class AdjacentMedia(NamedTuple):
 
 
 @inline_only
-def sample_adjacent_media(state, interface, grain_type, payload, scene, optics):
+def sample_adjacent_media(state, interface, grain_type, ray, scene, optics):
     """Sample the media on both sides of an interface of a grain."""
     shell, next_shell = int(interface.shell), int(interface.shell + interface.side)
     materials, layers = scene.types.material, scene.layers
-    pore_variate = payload.pore_variate
+    pore_variate = ray.pore_variate
     # A ray in a lobe keeps the pore into which it was transmitted.
     if next_shell == 0 and not interface.in_lobe:
         pore_variate = uniform(state)
-    near_material = (
-        materials[grain_type, shell - 1]
-        if shell > 0
-        else pore_material(layers, payload.layer, pore_variate)
+    pore = pore_material(layers, ray.layer, pore_variate)
+    near_material = materials[grain_type, shell - 1] if shell > 0 else pore
+    far_material = materials[grain_type, next_shell - 1] if next_shell > 0 else pore
+    near, far = (
+        refractive_index_of(optics, near_material),
+        refractive_index_of(optics, far_material),
     )
-    far_material = (
-        materials[grain_type, next_shell - 1]
-        if next_shell > 0
-        else pore_material(layers, payload.layer, pore_variate)
-    )
-    return AdjacentMedia(
-        relative_index(
-            refractive_index_of(optics, near_material), refractive_index_of(optics, far_material)
-        ),
-        pore_variate,
-    )
+    return AdjacentMedia(relative_index(near, far), pore_variate)
 
 
 @inline_only
@@ -87,13 +73,13 @@ def sample_interaction(state, d, interface, grain, roughness, media, rules):
 
 
 @inline_only
-def trace_through_grain(state, payload, event, scene, optics, path_lengths):
+def trace_through_grain(state, ray, event, scene, optics, path_lengths):
     """Trace a ray from its entry point on a grain until it is back in the pore space.
 
     Parameters
     ----------
     state : uint64[1]
-    payload : RayPayload
+    ray : Ray
         At the entry point.
     event : NextEvent
     scene, optics
@@ -103,48 +89,37 @@ def trace_through_grain(state, payload, event, scene, optics, path_lengths):
 
     Returns
     -------
-    GrainTransit
+    Ray
+        At the exit point, or `ABSORBED`.
     """
     grain_type, size, roughness = event.grain_sample
     grain, types = event.collision.entry.grain, scene.types
-    displacement = ORIGIN
     interface = InterfaceState(0.0, 1.0, False, False)
     while True:
-        media = sample_adjacent_media(state, interface, grain_type, payload, scene, optics)
+        media = sample_adjacent_media(state, interface, grain_type, ray, scene, optics)
         result = sample_interaction(
-            state, payload.direction, interface, grain, roughness, media.relative_index, scene.rules
+            state, ray.direction, interface, grain, roughness, media.relative_index, scene.rules
         )
+        ray = replace(ray, pore_variate=media.pore_variate)
         if not result.accepted:
-            payload = RayPayload(
-                payload.direction, payload.layer, media.pore_variate, payload.roulette
-            )
             interface = InterfaceState(
                 interface.shell, interface.side, result.needs_lobe, result.transmitted
             )
             continue
+        ray = replace(ray, direction=result.direction)
         region = find_next_region(interface, result, float(types.n_shells[grain_type]), True)
         interface = region.interface
         if region.in_pore:
-            pore_variate = media.pore_variate if result.transmitted else uniform(state)
-            return GrainTransit(
-                True,
-                displacement,
-                RayPayload(result.direction, payload.layer, pore_variate, payload.roulette),
-            )
+            pore_variate = ray.pore_variate if result.transmitted else uniform(state)
+            return replace(ray, pore_variate=pore_variate)
         shell = int(interface.shell) - 1
         if region.in_core:
-            length, grain = compute_chord(grain, result.direction)
-            displacement = add_scaled(length, result.direction, displacement)
+            length, grain = compute_chord(grain, ray.direction)
+            ray = replace(ray, exit_offset=add_scaled(length, ray.direction, ray.exit_offset))
         else:
-            length = compute_coating_path_length(
-                2.0 * size.semi_major * types.coating_thickness[grain_type, shell], result, True
-            )
+            thickness = 2.0 * size.semi_major * types.coating_thickness[grain_type, shell]
+            length = compute_coating_path_length(thickness, result, True)
         material = types.material[grain_type, shell]
-        attenuation = attenuate(
-            state, payload.roulette, length, material, optics, scene.rules.analog, path_lengths
-        )
-        payload = RayPayload(
-            result.direction, payload.layer, media.pore_variate, attenuation.roulette
-        )
-        if not attenuation.alive:
-            return GrainTransit(False, displacement, payload)
+        ray = attenuate(state, ray, length, material, optics, scene.rules.analog, path_lengths)
+        if ray.status != ALIVE:
+            return ray

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline_only
+from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.events import (
     apply_roulette,
     collide,
@@ -24,22 +25,24 @@ from splits.kernels.grains.flight import (
     move_to_event,
     sample_next_event,
 )
-from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, RayGeometry, RouletteState
+from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
+from splits.kernels.grains.ray import make_ray
 from splits.kernels.grains.rough_top import (
     interact_at_rough_top,
     intersect_rough_top,
-    make_incident_ray,
     stop_at_facet,
     trace_above_surface,
 )
-from splits.kernels.grains.spheroid import Segment
-from splits.kernels.grains.state import NO_SEGMENT, Ray, RayPayload, get_layer_geometry, terminate
+from splits.kernels.grains.state import get_layer_geometry
 from splits.kernels.grains.weight_window import check_weight_window
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN
 from splits.kernels.optics.source import sample_source_direction
 from splits.kernels.rough_surface.intersection import NO_HIT
-from splits.kernels.rough_surface.realization import sample_realization_if_rough
+from splits.kernels.rough_surface.realization import (
+    compute_entry_position,
+    sample_realization_if_rough,
+)
 from splits.kernels.tallies.crossings import (
     allocate_crossings,
     append_crossing,
@@ -95,37 +98,20 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
     while ray.status == ALIVE:
         if crossings is not None and not has_capacity(crossings, 2 * layers.boundaries.size):
             break
-        survival = apply_roulette(state, ray.payload.roulette)
-        if not survival.alive:
-            return terminate(ray, ABSORBED)
-        payload = RayPayload(
-            ray.payload.direction, ray.payload.layer, ray.payload.pore_variate, survival.roulette
-        )
-        geometry, payload = locate_layer(
-            ray.geometry, payload, scene, optics, path_lengths, crossings
-        )
-        event = sample_next_event(state, geometry, payload, scene, optics)
-        event_geometry = move_to_event(geometry, event, get_layer_geometry(layers, event.layer))
-        hit = intersect_rough_top(
-            rough_top, geometry, event, event_geometry.previous_segment.length
-        )
+        ray = apply_roulette(state, ray)
+        if ray.status != ALIVE:
+            break
+        ray = locate_layer(ray, scene, optics, path_lengths, crossings)
+        event = sample_next_event(state, ray, scene, optics)
+        end = move_to_event(ray, event, get_layer_geometry(layers, event.layer))
+        hit = intersect_rough_top(rough_top, ray, event, end.previous_segment.length)
         if hit.distance != NO_HIT:
-            event_geometry, event = stop_at_facet(geometry, event, hit, layers.boundaries[1])
-        ray = Ray(ALIVE, event_geometry, payload, ray.n_segments + 1, ray.order, ray.max_order)
+            end, event = stop_at_facet(ray, event, hit, layers.boundaries[1])
         if event.lost:
-            return terminate(ray, LOST)
-        segment = Segment(
-            event_geometry.position, payload.direction, event_geometry.previous_segment.length
-        )
-        attenuation = attenuate_segment(
-            state, payload, event, segment, scene, optics, path_lengths, crossings
-        )
-        payload = RayPayload(
-            payload.direction, event.layer, payload.pore_variate, attenuation.roulette
-        )
-        ray = Ray(ALIVE, event_geometry, payload, ray.n_segments, ray.order, ray.max_order)
-        if not attenuation.alive:
-            return terminate(ray, ABSORBED)
+            return replace(end, status=LOST)
+        ray = attenuate_segment(state, end, event.layer, scene, optics, path_lengths, crossings)
+        if ray.status != ALIVE:
+            break
         if hit.distance != NO_HIT:
             ray = interact_at_rough_top(state, ray, hit.slope, scene, optics, rough_top)
         elif event.collision.leaves_layer:
@@ -148,27 +134,13 @@ def sample_source(state, scene, optics, rough_top, max_order):
     direction = sample_source_direction(
         source, uniform(state) if source.diffuse_fraction > 0.0 else 1.0
     )
-    roulette_state = RouletteState(
-        0.0, math.inf if scene.rules.analog else FIRST_ROULETTE_DEPTH, 1.0
-    )
-    if rough_top is not None:
-        return trace_above_surface(
-            state,
-            make_incident_ray(direction, roulette_state, rough_top, max_order),
-            scene,
-            optics,
-            rough_top,
-        )
-    entered, payload = enter_layer(state, direction, 0, roulette_state, scene, optics)
-    status = ALIVE if entered else REFLECTED
-    return Ray(
-        status,
-        RayGeometry(ORIGIN, ORIGIN, payload.direction, NO_SEGMENT, 0.0),
-        payload,
-        0,
-        0,
-        max_order,
-    )
+    next_roulette = math.inf if scene.rules.analog else FIRST_ROULETTE_DEPTH
+    if rough_top is None:
+        ray = make_ray(ORIGIN, direction, 0.0, next_roulette, max_order)
+        return enter_layer(state, ray, scene, optics)
+    position = compute_entry_position(direction, rough_top)
+    ray = make_ray(position, direction, 0.0, next_roulette, max_order)
+    return trace_above_surface(state, ray, scene, optics, rough_top)
 
 
 @entry_point
@@ -218,7 +190,7 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
                     append_crossing(
                         crossings,
                         encode_crossing(n_boundaries - 1, False),
-                        ray.payload.roulette.weight,
+                        ray.weight,
                         path_lengths,
                     )
                 ray = reflect_from_ground(state, ray, scene, optics, path_lengths)
@@ -229,9 +201,9 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
             record_exit(
                 exits[number],
                 ray.status == REFLECTED,
-                ray.geometry.position,
-                ray.payload.direction,
-                ray.payload.roulette.weight,
+                ray.position,
+                ray.direction,
+                ray.weight,
                 ray.order,
             )
             copy_into_row(exits[number], EXIT_LENGTH, path_lengths)

@@ -8,20 +8,12 @@ leaves.  For a smooth top, `rough_top` is None and all of this is compiled away.
 from __future__ import annotations
 
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.grains.free_path import RayGeometry
-from splits.kernels.grains.spheroid import Segment
-from splits.kernels.grains.state import (
-    NO_SEGMENT,
-    NextEvent,
-    Ray,
-    RayPayload,
-    pore_material,
-    refractive_index_of,
-    terminate,
-    with_direction,
-)
+from splits.kernels.compiler.replace import replace
+from splits.kernels.grains.flight import end_segment
+from splits.kernels.grains.ray import NO_SEGMENT, compute_position
+from splits.kernels.grains.state import NextEvent, pore_material, refractive_index_of
 from splits.kernels.math.rng import uniform
-from splits.kernels.math.vectors import ORIGIN, Vector, add_scaled, scale
+from splits.kernels.math.vectors import ORIGIN, add_scaled, scale
 from splits.kernels.optics.interface import sample_interface
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
@@ -31,8 +23,7 @@ from splits.kernels.rough_surface.intersection import (
     make_no_hit,
     nudge_off_surface,
 )
-from splits.kernels.rough_surface.realization import compute_entry_position
-from splits.kernels.tallies.exits import ABSORBED, ALIVE, LOST, REFLECTED
+from splits.kernels.tallies.exits import ABSORBED, LOST, REFLECTED
 
 MAX_HEIGHT_SIGMA = 50.0
 """Bound of the height of realizations in standard deviations.
@@ -42,51 +33,28 @@ MAX_HEIGHT_SIGMA = 50.0
 
 
 @inline_only
-def intersect_rough_top(rough_top, geometry, event, segment_length):
+def intersect_rough_top(rough_top, ray, event, segment_length):
     """Return the first `Hit` of the rough top by a ray in the sample within its path segment."""
     if rough_top is None:
         return make_no_hit(NO_HIT, 0)
-    start = _compute_segment_start(geometry)
-    if (
-        event.lost
-        or max(start.z, start.z + segment_length * geometry.direction.z) <= -rough_top.max_height
-    ):
+    start, d = compute_position(ray), ray.direction
+    is_below = max(start.z, start.z + segment_length * d.z) <= -rough_top.max_height
+    if event.lost or is_below:
         return make_no_hit(NO_HIT, 0)
-    return find_first_intersection(rough_top, start, geometry.direction, -1.0, segment_length)
+    return find_first_intersection(rough_top, start, d, -1.0, segment_length)
 
 
 @inline_only
-def _compute_segment_start(geometry):
-    """Return the start of the path segment of a ray."""
-    position, exit_offset = geometry.position, geometry.exit_offset
-    return Vector(
-        position.x + exit_offset.x, position.y + exit_offset.y, position.z + exit_offset.z
-    )
-
-
-@inline_only
-def stop_at_facet(geometry, event, hit, layer_bottom):
+def stop_at_facet(ray, event, hit, layer_bottom):
     """Return a ray that stops at a facet, with its event in the top layer.
 
-    The sampled collision no longer applies.
-
-    The ray is lost if the surface extends below `layer_bottom` (m), see `ParticleLayer.depth_m`.
+    The sampled collision no longer applies.  The ray is lost if the surface extends below
+    `layer_bottom` (m), see `ParticleLayer.depth_m`.
     """
-    position = add_scaled(hit.distance, geometry.direction, _compute_segment_start(geometry))
-    geometry = RayGeometry(
-        position, ORIGIN, geometry.direction, Segment(ORIGIN, geometry.direction, hit.distance), 0.0
-    )
+    position = add_scaled(hit.distance, ray.direction, compute_position(ray))
     lost = hit.distance == STEP_LIMIT_REACHED or position.z < layer_bottom
-    return geometry, NextEvent(event.grain_sample, event.collision, 0, lost)
-
-
-@inline_only
-def make_incident_ray(direction, roulette_state, rough_top, max_order):
-    """Return a ray from outside towards the origin of the mean surface."""
-    geometry = RayGeometry(
-        compute_entry_position(direction, rough_top), ORIGIN, direction, NO_SEGMENT, 0.0
-    )
-    return Ray(ALIVE, geometry, RayPayload(direction, 0, 0.0, roulette_state), 0, 0, max_order)
+    event = NextEvent(event.grain_sample, event.collision, 0, lost)
+    return end_segment(ray, position, hit.distance), event
 
 
 @inline_only
@@ -109,18 +77,11 @@ def scatter_at_facet(state, ray, slope, side, scene, optics):
     near = outside if side > 0.0 else inside
     far = inside if side > 0.0 else outside
     normal = compute_normal_from_slope(slope)
-    sample = sample_interface(ray.payload.direction, scale(side, normal), near, far, uniform(state))
+    sample = sample_interface(ray.direction, scale(side, normal), near, far, uniform(state))
     side = -side if sample.transmitted else side
     direction = nudge_off_surface(sample.direction, scale(side, normal))
-    payload = RayPayload(direction, 0, pore_variate, ray.payload.roulette)
-    return Ray(
-        ray.status,
-        with_direction(ray.geometry, direction),
-        payload,
-        ray.n_segments,
-        ray.order + 1,
-        ray.max_order,
-    ), side
+    ray = replace(ray, direction=direction, layer=0, pore_variate=pore_variate, order=ray.order + 1)
+    return ray, side
 
 
 @inline_only
@@ -135,15 +96,17 @@ def trace_above_surface(state, ray, scene, optics, rough_top):
     """
     side = 1.0
     while side > 0.0:
-        hit = find_first_intersection(rough_top, ray.geometry.position, ray.payload.direction, side)
+        hit = find_first_intersection(rough_top, ray.position, ray.direction, side)
         if hit.distance < 0.0:
-            leaves = hit.distance == NO_HIT and ray.payload.direction.z > 0.0
-            return terminate(ray, REFLECTED if leaves else LOST)
+            leaves = hit.distance == NO_HIT and ray.direction.z > 0.0
+            return replace(ray, status=REFLECTED if leaves else LOST)
         if ray.order >= ray.max_order:
-            return terminate(ray, ABSORBED)
-        position = add_scaled(hit.distance, ray.payload.direction, ray.geometry.position)
-        geometry = RayGeometry(position, ORIGIN, ray.payload.direction, NO_SEGMENT, 0.0)
-        ray = Ray(ALIVE, geometry, ray.payload, ray.n_segments, ray.order, ray.max_order)
+            return replace(ray, status=ABSORBED)
+        position = add_scaled(hit.distance, ray.direction, ray.position)
+        ray = replace(
+            ray, position=position, exit_offset=ORIGIN, previous_segment=NO_SEGMENT,
+            start_distance=0.0,
+        )  # fmt: skip
         ray, side = scatter_at_facet(state, ray, hit.slope, side, scene, optics)
     return ray
 
@@ -157,6 +120,6 @@ def interact_at_rough_top(state, ray, slope, scene, optics, rough_top):
     if rough_top is None:
         return ray
     if ray.order >= ray.max_order:
-        return terminate(ray, ABSORBED)
+        return replace(ray, status=ABSORBED)
     ray, side = scatter_at_facet(state, ray, slope, -1.0, scene, optics)
     return trace_above_surface(state, ray, scene, optics, rough_top) if side > 0.0 else ray

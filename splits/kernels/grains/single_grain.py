@@ -12,13 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline
-from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, Collision, RouletteState
+from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, Collision
 from splits.kernels.grains.grain_path import trace_through_grain
-from splits.kernels.grains.scene import Optics, Scene
+from splits.kernels.grains.ray import make_ray
+from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, Scene
 from splits.kernels.grains.spheroid import sample_entry_point
-from splits.kernels.grains.state import NextEvent, RayPayload, sample_entry_variates, sample_grain
+from splits.kernels.grains.state import NextEvent, sample_entry_variates, sample_grain
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN, UP, dot
+from splits.kernels.tallies.exits import ALIVE
 
 N_SCATTERING_BATCHES = 16
 """Batches of rays for the standard errors of derived quantities, known to 18 %."""
@@ -101,29 +103,27 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
     for number in range(work[1], work[1] + work[2]):
         start_stream(state, seed, work[0], number)
         path_lengths[:] = 0.0
-        roulette_state = RouletteState(0.0, FIRST_ROULETTE_DEPTH, 1.0)
-        # A pore is wet if its variate is below the wet_fraction.
-        payload = RayPayload(
-            UP, 0, 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0, roulette_state
-        )
+        # A pore is wet if its variate is below the wet fraction.
+        pore_variate = 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0
+        ray = make_ray(ORIGIN, UP, pore_variate, FIRST_ROULETTE_DEPTH, NO_MAX_ORDER)
         event = sample_hit_grain(state, isolated_grain)
-        transit = trace_through_grain(
-            state, payload, event, isolated_grain.scene, isolated_grain.optics, path_lengths
+        ray = trace_through_grain(
+            state, ray, event, isolated_grain.scene, isolated_grain.optics, path_lengths
         )
-        if not transit.alive:
+        if ray.status != ALIVE:
             continue
-        d = transit.payload.direction
-        displacement = ORIGIN if isolated_grain.scene.rules.point_grains else transit.displacement
+        d = ray.direction
+        displacement = ORIGIN if isolated_grain.scene.rules.point_grains else ray.exit_offset
         # Rounding may bring the cosine above 1, which high orders would amplify.
         fill_legendre(min(1.0, max(-1.0, d.z)), scores[:n_orders])
         scores[n_orders] = displacement.z
         scores[n_orders + 1] = dot(displacement, d)
         scores[n_orders + 2] = dot(displacement, displacement)
-        scores[n_orders + 3] = 1.0 if transit.payload.pore_variate < wet_fraction else 0.0
+        scores[n_orders + 3] = 1.0 if ray.pore_variate < wet_fraction else 0.0
         score_ray(
             scores,
             path_lengths,
-            transit.payload.roulette.weight,
+            ray.weight,
             absorption,
             sums,
             batches[number % N_SCATTERING_BATCHES],

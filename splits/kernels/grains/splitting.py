@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline_allocating
-from splits.kernels.grains.free_path import RouletteState
+from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.history import sample_source, trace_history
+from splits.kernels.grains.ray import Ray
 from splits.kernels.grains.scene import NO_MAX_ORDER
-from splits.kernels.grains.state import Ray, RayPayload
 from splits.kernels.grains.weight_window import WeightWindow, compute_relative_weight
 from splits.kernels.math.rng import mix64, start_stream, uniform
 from splits.kernels.tallies.exits import ALIVE, LOST, REFLECTED, TRANSMITTED, BatchStats
@@ -87,7 +87,7 @@ def trace_history_with_splitting(state, source_ray, scene, optics, kappa, profil
                 split_ray = SplitRay(ray, split_ray.weight / relative_weight, split_ray.stream)
             elif relative_weight > WINDOW_UPPER and len(bank) + MAX_SPLIT < BANK_SIZE:
                 split_ray = split(state, split_ray, relative_weight, bank)
-        weight = split_ray.weight * math.exp(-ray.payload.roulette.optical_depth)
+        weight = split_ray.weight * math.exp(-ray.optical_depth)
         if ray.status == LOST:
             return HistoryScore(reflected, transmitted, n_segments, True)
         if ray.status == REFLECTED:
@@ -127,13 +127,7 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
         start_stream(state, seed, work[0], number)
         ray = sample_source(state, scene, optics, None, NO_MAX_ORDER)
         # The weight window replaces the roulette by optical depth.
-        payload = RayPayload(
-            ray.payload.direction,
-            ray.payload.layer,
-            ray.payload.pore_variate,
-            RouletteState(0.0, math.inf, 1.0),
-        )
-        ray = Ray(ray.status, ray.geometry, payload, ray.n_segments, ray.order, ray.max_order)
+        ray = replace(ray, weight=1.0, optical_depth=0.0, next_roulette=math.inf)
         source_ray = SplitRay(ray, 1.0, state[0])
         score = trace_history_with_splitting(state, source_ray, scene, optics, kappa, profile)
         n_segments += score.n_segments

@@ -1,4 +1,4 @@
-"""State of a ray in the scalar kernel, and sampling of its random variates."""
+"""Properties of layers, sampling of grains, and attenuation, for the scalar kernel."""
 
 from __future__ import annotations
 
@@ -6,70 +6,17 @@ import math
 from typing import NamedTuple
 
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.grains.free_path import (
-    Collision,
-    LayerGeometry,
-    RayGeometry,
-    RejectionRules,
-    RouletteState,
-)
+from splits.kernels.compiler.replace import replace
+from splits.kernels.grains.free_path import Collision, LayerGeometry, RejectionRules
 from splits.kernels.grains.scene import OVERLAP_KEEP, OVERLAP_SKIP
-from splits.kernels.grains.spheroid import EntryVariates, GrainSize, Segment, accept_axial_position
+from splits.kernels.grains.spheroid import EntryVariates, GrainSize, accept_axial_position
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
-from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.optics.phase_function import PhaseFunction, sample_phase_function
+from splits.kernels.tallies.exits import ABSORBED
 
 _ZERO_ANGLE = Angle(1.0, 0.0)
-
-NO_SEGMENT = Segment(ORIGIN, Vector(0.0, 0.0, -1.0), -1.0)
-"""Previous segment of a ray that starts."""
-
-
-class RayPayload(NamedTuple):
-    """Direction, layer, pore and roulette state of a ray.
-
-    Attributes
-    ----------
-    direction : Vector
-    layer : int
-        Layer of the scene in which the ray is.
-    pore_variate : float
-        Random number that selects the pore: wet if it is below the saturation of the layer.
-    roulette : RouletteState
-    """
-
-    direction: Vector
-    layer: int
-    pore_variate: float
-    roulette: RouletteState
-
-
-class Ray(NamedTuple):
-    """State of a ray between grains, or at its end.
-
-    Attributes
-    ----------
-    status : int
-        `ALIVE`, or the way it ended, see `splits.kernels.tallies.exits`.
-    geometry : RayGeometry
-    payload : RayPayload
-    n_segments : int
-        Path segments in the sample, a measure of the cost.
-    order : int
-        Order of scattering: collisions with grains and particles, and hits of a rough surface and
-        of the ground.
-    max_order : int
-        Order after which the ray counts as absorbed.
-    """
-
-    status: int
-    geometry: RayGeometry
-    payload: RayPayload
-    n_segments: int
-    order: int
-    max_order: int
 
 
 class GrainSample(NamedTuple):
@@ -89,36 +36,8 @@ class NextEvent(NamedTuple):
     lost: bool
 
 
-class EventResult(NamedTuple):
-    """Whether a ray continues after an event, and its payload."""
-
-    continues: bool
-    payload: RayPayload
-
-
-class AttenuationResult(NamedTuple):
-    """Roulette state after a segment or a game of roulette, and whether the ray survived."""
-
-    roulette: RouletteState
-    alive: bool
-
-
 @inline_only
-def terminate(ray, status):
-    """Return a ray with a final status."""
-    return Ray(status, ray.geometry, ray.payload, ray.n_segments, ray.order, ray.max_order)
-
-
-@inline_only
-def with_direction(geometry, direction):
-    """Return a ray at the same position with a new direction."""
-    return RayGeometry(
-        geometry.position, geometry.exit_offset, direction, geometry.previous_segment, 0.0
-    )
-
-
-@inline_only
-def attenuate(state, roulette_state, distance, material, optics, analog, path_lengths):
+def attenuate(state, ray, distance, material, optics, analog, path_lengths):
     """Attenuate a ray along a distance in a material.
 
     Beer-Lambert law, SPLITS section 4.3.4 and SPLITSnow Eqs 5-6: exp(−αd) is the probability of
@@ -127,16 +46,10 @@ def attenuate(state, roulette_state, distance, material, optics, analog, path_le
     """
     path_lengths[material] += distance
     depth = optics.absorption[material] * distance
-    if analog:
-        return AttenuationResult(roulette_state, depth == 0.0 or uniform(state) < math.exp(-depth))
-    return AttenuationResult(
-        RouletteState(
-            roulette_state.optical_depth + depth,
-            roulette_state.next_roulette,
-            roulette_state.weight,
-        ),
-        True,
-    )
+    if not analog:
+        return replace(ray, optical_depth=ray.optical_depth + depth)
+    survives = depth == 0.0 or uniform(state) < math.exp(-depth)
+    return replace(ray, status=ray.status if survives else ABSORBED)
 
 
 @inline_only

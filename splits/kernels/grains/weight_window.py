@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import inline_only
+from splits.kernels.grains.ray import compute_position
 
 
 class WeightWindow(NamedTuple):
@@ -37,15 +38,13 @@ class WeightWindow(NamedTuple):
 def compute_ray_height(ray, layers):
     """Return the height of a ray (m)."""
     bottom = layers.boundaries[layers.boundaries.size - 1]
-    return min(max(ray.geometry.position.z + ray.geometry.exit_offset.z, bottom), 0.0)
+    return min(max(compute_position(ray).z, bottom), 0.0)
 
 
 @inline_only
 def compute_relative_weight(ray, layers, weight, kappa):
     """Return the weight of a ray relative to the centre of the window at its depth."""
-    return weight * math.exp(
-        -ray.payload.roulette.optical_depth - kappa * compute_ray_height(ray, layers)
-    )
+    return weight * math.exp(-ray.optical_depth - kappa * compute_ray_height(ray, layers))
 
 
 @inline_only
@@ -55,6 +54,6 @@ def check_weight_window(window, ray, layers):
     slices = window.profile.shape[1]
     slice_index = min(int(compute_ray_height(ray, layers) / bottom * slices), slices - 1)
     window.profile[0, slice_index] += 1.0
-    window.profile[1, slice_index] += window.weight * math.exp(-ray.payload.roulette.optical_depth)
+    window.profile[1, slice_index] += window.weight * math.exp(-ray.optical_depth)
     relative_weight = compute_relative_weight(ray, layers, window.weight, window.kappa)
     return relative_weight < window.lower or relative_weight > window.upper

@@ -11,7 +11,7 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.kernels.compiler.jit import ONE, ZERO, entry_point_no_refcount, inline_only
-from splits.kernels.grains.free_path import RouletteState, russian_roulette, sample_collision
+from splits.kernels.grains.free_path import russian_roulette, sample_collision
 from splits.kernels.grains.scene import MAX_REJECTIONS
 from splits.kernels.grains.spheroid import EntryVariates, GrainSize, accept_axial_position
 from splits.kernels.math.elementary import sample_circle
@@ -67,7 +67,7 @@ def draw_flight_variates(words, i, active):
 
 
 @inline_only
-def update_restart(state, i, geometry, collision, rejected):
+def update_restart(state, i, collision, rejected):
     """Set the start of the next sampling attempt; return whether it is in another layer."""
     skipped = rejected & (collision.start_distance == collision.distance)
     start_distance, skip_distance, draw_layer = (
@@ -91,17 +91,10 @@ def run_flight_step(state, words, i, features, constants):
     status = state[lane_state.STATUS + i]
     active = status == lane_state.IN_FLIGHT
     variates = draw_flight_variates(words, i, active)
-    roulette_state = RouletteState(
-        state[lane_state.OPTICAL_DEPTH + i],
-        state[lane_state.NEXT_ROULETTE + i],
-        state[lane_state.WEIGHT + i],
-    )
-    result = russian_roulette(roulette_state, variates.roulette, active)
-    state[lane_state.NEXT_ROULETTE + i], state[lane_state.WEIGHT + i] = (
-        result.roulette.next_roulette,
-        result.roulette.weight,
-    )
-    geometry = load_ray(state, i, features.layered)
+    ray = load_ray(state, i, features.layered)
+    result = russian_roulette(ray, variates.roulette, active)
+    state[lane_state.NEXT_ROULETTE + i] = result.next_roulette
+    state[lane_state.WEIGHT + i] = result.weight
     layer_geometry = load_layer_geometry(state, i, constants, features.layered)
     # A rejected axial position has precedence over all other results of a sample, so that it does
     # not bias distances, shapes and types.
@@ -109,15 +102,13 @@ def run_flight_step(state, words, i, features, constants):
         ONE / state[lane_state.NEW_INVERSE_SEMI_MAJOR + i], state[lane_state.NEW_FLATTENING + i]
     )
     collision = sample_collision(
-        geometry, size, variates.entry, variates.distance, layer_geometry, constants.rejection_rules
+        ray, size, variates.entry, variates.distance, layer_geometry, constants.rejection_rules
     )
     axial_ok = accept_axial_position(variates.entry, size.flattening)
     in_flight = active & axial_ok & (not result.terminated)
     relocates = False
     if features.layered is not None:
-        relocates = (
-            active & (not result.terminated) & has_left_layer(state, i, geometry, layer_geometry)
-        )
+        relocates = active & (not result.terminated) & has_left_layer(state, i, ray, layer_geometry)
         in_flight = in_flight & (not relocates)
     accepted = in_flight & collision.accepted
     next_status = lane_state.AT_SURFACE if accepted else lane_state.IN_FLIGHT
@@ -125,22 +116,20 @@ def run_flight_step(state, words, i, features, constants):
     if features.layered is not None:
         rejected = in_flight & (not collision.accepted) & (not collision.leaves_layer)
         next_status = (
-            lane_state.RESTART
-            if update_restart(state, i, geometry, collision, rejected)
-            else next_status
+            lane_state.RESTART if update_restart(state, i, collision, rejected) else next_status
         )
         next_status = lane_state.RELOCATE if relocates else next_status
         attenuated = state[lane_state.SEGMENT_ATTENUATED + i]
         state[lane_state.SEGMENT_ATTENUATED + i] = ZERO if accepted else attenuated
     else:
         state[lane_state.SKIP_DISTANCE + i] = (
-            collision.start_distance if in_flight else geometry.start_distance
+            collision.start_distance if in_flight else ray.start_distance
         )
     state[lane_state.KEEP_SHAPE + i] = ONE if active & (not axial_ok) else ZERO
     n_rejected = state[lane_state.N_REJECTED + i]
     n_rejected = n_rejected + ONE if active & (not accepted) else ZERO
     state[lane_state.N_REJECTED + i] = n_rejected
-    move_to_grain(state, i, geometry, collision, accepted, features)
+    move_to_grain(state, i, ray, collision, accepted, features)
     store_grain(state, i, collision.entry.grain, accepted, features)
     next_status = lane_state.LOST if n_rejected > _MAX_REJECTIONS else next_status
     next_status = lane_state.ABSORBED if result.terminated else next_status

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from splits.kernels.compiler.jit import ONE, ZERO, inline_only
-from splits.kernels.grains.free_path import LayerGeometry, RayGeometry
+from splits.kernels.grains.free_path import LayerGeometry
+from splits.kernels.grains.ray import Ray
 from splits.kernels.grains.spheroid import Segment
 from splits.kernels.math.vectors import Vector, select
 from splits.kernels.vectorized import lane_state
@@ -12,7 +13,7 @@ from splits.kernels.vectorized.lane_state import load_vector, store_vector
 
 @inline_only
 def load_ray(state, i, layered):
-    """Return the `RayGeometry` of a lane."""
+    """Return the `Ray` of a lane, with None for the fields that a flight does not need."""
     previous_segment = Segment(
         load_vector(state, lane_state.PREV_DIR_X + i),
         load_vector(state, lane_state.PREV_DIR_X + i),
@@ -25,13 +26,11 @@ def load_ray(state, i, layered):
     start_distance = state[lane_state.SKIP_DISTANCE + i]
     if layered is not None:
         start_distance = state[lane_state.START_DISTANCE + i]
-    return RayGeometry(
-        position,
-        exit_offset,
-        load_vector(state, lane_state.DIR_X + i),
-        previous_segment,
-        start_distance,
-    )
+    return Ray(
+        None, position, exit_offset, load_vector(state, lane_state.DIR_X + i), previous_segment,
+        start_distance, None, None, state[lane_state.WEIGHT + i],
+        state[lane_state.OPTICAL_DEPTH + i], state[lane_state.NEXT_ROULETTE + i], None, None, None,
+    )  # fmt: skip
 
 
 @inline_only
@@ -55,9 +54,9 @@ def load_layer_geometry(state, i, constants, layered):
 
 
 @inline_only
-def has_left_layer(state, i, geometry, layer_geometry):
+def has_left_layer(state, i, ray, layer_geometry):
     """Return whether a ray left a grain on the other side of a boundary between layers."""
-    z = geometry.position.z + geometry.exit_offset.z
+    z = ray.position.z + ray.exit_offset.z
     above = (z > layer_geometry.top) & (layer_geometry.top < layer_geometry.slab_top)
     below = (z < layer_geometry.bottom) & (layer_geometry.bottom > layer_geometry.slab_bottom)
     starts = (state[lane_state.LAYER + i] == state[lane_state.FLIGHT_LAYER + i]) & (
@@ -67,12 +66,12 @@ def has_left_layer(state, i, geometry, layer_geometry):
 
 
 @inline_only
-def move_to_grain(state, i, geometry, collision, accepted, features):
+def move_to_grain(state, i, ray, collision, accepted, features):
     """Move the ray of a lane to the accepted grain, if there is one."""
     position, exit_offset, direction, distance = (
-        geometry.position,
-        geometry.exit_offset,
-        geometry.direction,
+        ray.position,
+        ray.exit_offset,
+        ray.direction,
         collision.distance,
     )
     state[lane_state.X + i] = (
@@ -88,9 +87,9 @@ def move_to_grain(state, i, geometry, collision, accepted, features):
     store_vector(
         state,
         lane_state.PREV_DIR_X + i,
-        select(accepted, direction, geometry.previous_segment.direction),
+        select(accepted, direction, ray.previous_segment.direction),
     )
-    state[lane_state.PREV_LENGTH + i] = distance if accepted else geometry.previous_segment.length
+    state[lane_state.PREV_LENGTH + i] = distance if accepted else ray.previous_segment.length
     # In layered scenes the segment is attenuated between the passes.
     if features.layered is None:
         attenuate(state, i, distance if accepted else ZERO, features)

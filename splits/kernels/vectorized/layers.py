@@ -153,11 +153,11 @@ def cross_interface(lanes, lane, job, crossings):
     """
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
     layers, optics = job.scene.layers, job.optics
-    geometry = load_ray(state, lane, True)
+    ray = load_ray(state, lane, True)
     layer_geometry = load_layer_geometry(state, lane, job.constants, True)
     layer = int(state[lane_state.LAYER + lane])
-    boundary_hit = compute_boundary_hit(geometry, layer_geometry)
-    next_layer = find_adjacent_layer(layers, layer, geometry.direction)
+    boundary_hit = compute_boundary_hit(ray, layer_geometry)
+    next_layer = find_adjacent_layer(layer, ray.direction)
     inside = 0 <= next_layer < layers.collision_coefficient.size
     state[lane_state.STATUS + lane] = lane_state.IN_FLIGHT
     if inside and has_same_refractive_index(lanes, lane, job, layer, next_layer):
@@ -168,7 +168,7 @@ def cross_interface(lanes, lane, job, crossings):
         return False
     store_vector(state, lane_state.X + lane, boundary_hit.position)
     store_vector(state, lane_state.EXIT_OFFSET_X + lane, Vector(ZERO, ZERO, ZERO))
-    store_vector(state, lane_state.PREV_DIR_X + lane, geometry.direction)
+    store_vector(state, lane_state.PREV_DIR_X + lane, ray.direction)
     state[lane_state.PREV_LENGTH + lane] = boundary_hit.distance
     attenuate_segment(lanes, lane, job, crossings)
     near = refractive_index_of(optics, item, pore_material(lanes, lane, layers, layer))
@@ -178,9 +178,9 @@ def cross_interface(lanes, lane, job, crossings):
     transmitted = True
     if job.scene.rules.boundary_fresnel and (near.n != far.n or near.k != far.k):
         d = Vector(
-            np.float64(geometry.direction.x),
-            np.float64(geometry.direction.y),
-            np.float64(geometry.direction.z),
+            np.float64(ray.direction.x),
+            np.float64(ray.direction.y),
+            np.float64(ray.direction.z),
         )
         transmitted, e = sample_interface(
             d, orient_horizontal_normal(d), near, far, draw_uniform(words, lane)

@@ -156,21 +156,21 @@ def flush_path_lengths(lanes, lane, scene):
 def cross_boundary(lanes, lane, job):
     """Move a ray to the boundary ahead; return whether it leaves the sample there."""
     state, words, item = lanes.state, lanes.words, lanes.item[lane]
-    geometry = load_ray(state, lane, None)
-    boundary_hit = compute_boundary_hit(geometry, job.constants.layer_geometry)
+    ray = load_ray(state, lane, None)
+    boundary_hit = compute_boundary_hit(ray, job.constants.layer_geometry)
     store_vector(state, lane_state.X + lane, boundary_hit.position)
     store_vector(state, lane_state.EXIT_OFFSET_X + lane, Vector(ZERO, ZERO, ZERO))
     attenuate(state, lane, boundary_hit.distance, job.features)
-    store_vector(state, lane_state.PREV_DIR_X + lane, geometry.direction)
+    store_vector(state, lane_state.PREV_DIR_X + lane, ray.direction)
     state[lane_state.PREV_LENGTH + lane] = boundary_hit.distance
     if state[lane_state.PORE_WET + lane] == ZERO:
         return True
     if not job.scene.rules.boundary_fresnel:
         return True
     d = Vector(
-        np.float64(geometry.direction.x),
-        np.float64(geometry.direction.y),
-        np.float64(geometry.direction.z),
+        np.float64(ray.direction.x),
+        np.float64(ray.direction.y),
+        np.float64(ray.direction.z),
     )
     near = refractive_index_of(job.optics, item, WET_PORE)
     sample = sample_interface(

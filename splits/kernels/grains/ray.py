@@ -1,0 +1,86 @@
+"""State of a ray between grains, or at its end."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from splits.kernels.compiler.jit import inline_only
+from splits.kernels.grains.spheroid import Segment
+from splits.kernels.math.vectors import ORIGIN, Vector
+from splits.kernels.tallies.exits import ALIVE
+
+NO_SEGMENT = Segment(ORIGIN, Vector(0.0, 0.0, -1.0), -1.0)
+"""Previous segment of a ray that starts."""
+
+
+class Ray(NamedTuple):
+    """State of a ray.
+
+    Attributes
+    ----------
+    status : int
+        `ALIVE`, or the way it ended, see `splits.kernels.tallies.exits`.
+    position : Vector
+        Entry point of the last grain, or a point on a boundary (m).
+    exit_offset : Vector
+        Vector from `position` to the exit point of that grain (m).  The ray is at their sum.
+    direction : Vector
+        Direction of travel.
+    previous_segment : Segment
+        Segment that ended at `position`; its end is unused.
+    start_distance : float
+        Distance at which the sampling of the next grain starts (m): that of the last skipped grain,
+        or of the boundary through which the ray entered its layer.
+    layer : int
+        Layer of the scene in which the ray is.
+    pore_variate : float
+        Random number that selects the pore: wet if it is below the wet fraction of the layer.
+    weight : float
+        Statistical weight without absorption in materials: the inverse probability of survival,
+        times the single-scattering albedos of the particles hit.
+    optical_depth : float
+        Absorption optical depth so far, the minimum over the wavelengths that use the path.
+    next_roulette : float
+        Optical depth at which Russian roulette is next played.
+    n_segments : int
+        Path segments in the sample, a measure of the cost.
+    order : int
+        Order of scattering: collisions with grains and particles, and hits of a rough surface and
+        of the ground.
+    max_order : int
+        Order after which the ray counts as absorbed.
+    """
+
+    status: int
+    position: Vector
+    exit_offset: Vector
+    direction: Vector
+    previous_segment: Segment
+    start_distance: float
+    layer: int
+    pore_variate: float
+    weight: float
+    optical_depth: float
+    next_roulette: float
+    n_segments: int
+    order: int
+    max_order: int
+
+
+@inline_only
+def make_ray(position, direction, pore_variate, next_roulette, max_order):
+    """Return a new ray in the top layer."""
+    return Ray(
+        ALIVE, position, ORIGIN, direction, NO_SEGMENT, 0.0, 0, pore_variate, 1.0, 0.0,
+        next_roulette, 0, 0, max_order,
+    )  # fmt: skip
+
+
+@inline_only
+def compute_position(ray):
+    """Return the position of a ray (m)."""
+    return Vector(
+        ray.position.x + ray.exit_offset.x,
+        ray.position.y + ray.exit_offset.y,
+        ray.position.z + ray.exit_offset.z,
+    )

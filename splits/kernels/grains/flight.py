@@ -1,10 +1,10 @@
 """Free flights of the scalar kernel through layers of grains: next event, motion and attenuation.
 
-A boundary between layers has no interface of its own.  A flight spends one exponential number of
-mean free paths across the layers, and a grain belongs to the layer in which the ray hits it.  The
-pore of a path segment is sampled once, so it changes at a boundary between layers only where their
-wet fractions or pore fluids differ.  Splitting a layer in two therefore leaves the results
-unchanged.
+A boundary between layers reflects and refracts only where the pore media on its sides differ.
+Elsewhere the distance is sampled anew from the boundary, because free paths have no memory, and a
+grain belongs to the layer in which the ray hits it.  The pore of a path segment is sampled once, so
+it changes at a boundary between layers only where their wet fractions or pore fluids differ.
+Splitting a layer in two therefore leaves the distribution of results unchanged.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def locate_layer(geometry, payload, scene, optics, path_lengths, crossings):
     """Return a ray after a grain, with the layer in which it is now.
 
     A grain that extends across a boundary may release a ray on the other side.  If the pores there
-    have another index, as outside the sample, the ray is placed on that boundary.
+    have another index, as outside the sample, the ray is moved vertically to that boundary.
     """
     layers = scene.layers
     z = geometry.position.z + geometry.exit_offset.z
@@ -111,7 +111,7 @@ def sample_next_event(state, geometry, payload, scene, optics):
         variates = sample_entry_variates(state, grain_sample.size.flattening)
         rejection_rules = default_rules
         if layers.particle_row[layer] != NO_PARTICLES:
-            # Particles are points and never overlap anything.
+            # Particles are points and never overlap anything; the grain is a placeholder.
             rejection_rules = RejectionRules(
                 default_rules.entry_sampling, False, False, False, False
             )
@@ -146,6 +146,7 @@ def sample_next_event(state, geometry, payload, scene, optics):
             layer = next_layer
             continue
         if collision.start_distance == collision.distance:
+            # The rejected grain was skipped.
             restart_layer = layer
             geometry = RayGeometry(
                 geometry.position,

@@ -2,7 +2,8 @@
 
 Every ray has its own realization of the surface.  In the sample a ray may hit facets on its way to
 the next particle; outside it is traced from facet to facet until it is in the sample again or
-leaves.  For a smooth top, `rough_top` is None and all of this is compiled away.
+leaves.  A facet is the tangent plane at the point hit.  For a smooth top, `rough_top` is None and
+all of this is compiled away.
 """
 
 from __future__ import annotations
@@ -70,7 +71,8 @@ def stop_at_facet(geometry, event, hit, layer_bottom):
 
     The sampled collision no longer applies.
 
-    The ray is lost if the surface extends below `layer_bottom` (m), see `ParticleLayer.depth_m`.
+    The ray is lost if the search was undecided, or if the surface extends below `layer_bottom` (m),
+    see `ParticleLayer.depth_m`.
     """
     position = add_scaled(hit.distance, geometry.direction, _compute_segment_start(geometry))
     geometry = RayGeometry(
@@ -102,7 +104,7 @@ def scatter_at_facet(state, ray, slope, side, scene, optics):
     side : float
         1 if the ray comes from outside, −1 from the sample.
     """
-    # The layer below has particles, so light always reaches new pores.
+    # The top layer has particles, and one medium.  The new variate selects the pore behind it.
     pore_variate = uniform(state)
     inside = refractive_index_of(optics, pore_material(scene.layers, 0, pore_variate))
     outside = refractive_index_of(optics, scene.layers.first_pore_material[0])

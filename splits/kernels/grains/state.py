@@ -36,7 +36,7 @@ class RayPayload(NamedTuple):
     layer : int
         Layer of the scene in which the ray is.
     pore_variate : float
-        Random number that selects the pore: wet if it is below the saturation of the layer.
+        Random number that selects the pore medium, see `pore_material`.
     roulette : RouletteState
     """
 
@@ -90,7 +90,7 @@ class NextEvent(NamedTuple):
 
 
 class EventResult(NamedTuple):
-    """Whether a ray continues after an event, and its payload."""
+    """Whether a ray continues after an event, or has entered a layer, and its payload."""
 
     continues: bool
     payload: RayPayload

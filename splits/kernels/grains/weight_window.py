@@ -11,7 +11,7 @@ from splits.kernels.compiler.jit import inline_only
 
 
 class WeightWindow(NamedTuple):
-    """Bounds of the relative weight of a ray, weight · exp(κ·depth).
+    """Bounds of the relative weight of a ray, weight · exp(−optical depth + κ·depth).
 
     Attributes
     ----------

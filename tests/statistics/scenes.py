@@ -78,7 +78,7 @@ def make_medium_scene(medium, incidence=0.0, analog=False, depth=None, saturatio
     if depth is not None:
         layers = layers._replace(boundaries=np.array([0.0, -float(depth)]))
     if saturation is not None:
-        layers = layers._replace(saturation=np.array([float(saturation)]))
+        layers = layers._replace(wet_fraction=np.array([float(saturation)]))
     return scene._replace(layers=layers)
 
 

@@ -67,7 +67,7 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
     if inside:
         far = refractive_index_of(optics, pore_material(layers, next_layer, ray.pore_variate))
         has_particles |= layers.particle_row[next_layer] != NO_PARTICLES
-    # The rule concerns wet pores; the medium of particles always has an interface.
+    # `boundary_fresnel` concerns wet pores; the matrix of particles always has an interface.
     if not (scene.rules.boundary_fresnel or has_particles):
         far = near
     normal = orient_horizontal_normal(ray.direction)
@@ -80,7 +80,7 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
         exit_status = TRANSMITTED if scene.ground_column == NO_GROUND else TO_GROUND
         status = REFLECTED if next_layer < 0 else exit_status
     if layers.particle_row[layer] != NO_PARTICLES:
-        # The pore is sampled again, independently of the one before the layer of particles.
+        # A layer of particles has one medium.  The new variate selects the pore behind it.
         pore_variate = uniform(state)
     return replace(
         ray, status=status, direction=sample.direction, layer=layer, pore_variate=pore_variate

@@ -1,10 +1,10 @@
 """Free flights of the scalar kernel through layers of grains: next event, motion and attenuation.
 
-A boundary between layers has no interface of its own.  A flight spends one exponential number of
-mean free paths across the layers, and a grain belongs to the layer in which the ray hits it.  The
-pore of a path segment is sampled once, so it changes at a boundary between layers only where their
-wet fractions or pore fluids differ.  Splitting a layer in two therefore leaves the results
-unchanged.
+A boundary between layers reflects and refracts only where the pore media on its sides differ.
+Elsewhere the distance is sampled anew from the boundary, because free paths have no memory, and a
+grain belongs to the layer in which the ray hits it.  The pore of a path segment is sampled once, so it changes at a boundary between layers only where their
+wet fractions or pore fluids differ.  Splitting a layer in two therefore leaves the
+distribution of results unchanged.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def locate_layer(ray, scene, optics, path_lengths, crossings):
     """Return a ray after a grain, with the layer in which it is now.
 
     A grain that extends across a boundary may release a ray on the other side.  If the pores there
-    have another index, as outside the sample, the ray is placed on that boundary.
+    have another index, as outside the sample, the ray is moved vertically to that boundary.
     """
     layers, z = scene.layers, compute_position(ray).z
     while z > layers.boundaries[ray.layer] or z < layers.boundaries[ray.layer + 1]:
@@ -98,7 +98,7 @@ def sample_next_event(state, ray, scene, optics):
         variates = sample_entry_variates(state, grain_sample.size.flattening)
         rules, has_particles = grain_rules, layers.particle_row[flight.layer] != NO_PARTICLES
         if has_particles:
-            # Particles are points and never overlap anything.
+            # Particles are points and never overlap anything; the grain is a placeholder.
             rules = RejectionRules(rules.entry_sampling, False, False, False, False)
         collision = sample_collision(
             flight, grain_sample.size, variates, uniform(state), layer_geometry, rules
@@ -115,6 +115,7 @@ def sample_next_event(state, ray, scene, optics):
             restart = flight if has_particles else restart
             continue
         if collision.start_distance == collision.distance:
+            # The rejected grain was skipped.
             restart = replace(flight, start_distance=collision.start_distance)
         flight = restart
         n_rejected += 1

@@ -1,8 +1,8 @@
 """Roulette, sampling of the next grain and of the distance to it, and distance to a boundary.
 
 SPLITS section 4.3.3 and SPLITSnow section 3.1: only the grain that the ray hits exists.  Distance,
-type, size, shape, orientation and entry point are sampled; a grain that overlaps a boundary or the
-previous path segment is rejected.  The functions serve the scalar and the vectorized kernel, in
+type, size, shape, orientation and entry point are sampled.  A grain that extends beyond the sample
+or overlaps the previous path segment is rejected unless the rules keep it.  The functions serve the scalar and the vectorized kernel, in
 either precision, without loops and without branches.
 """
 
@@ -31,8 +31,8 @@ FIRST_ROULETTE_DEPTH = -math.log(ROULETTE_THRESHOLD)
 
 The cost of a path grows with its length, not its weight, so low-weight paths are terminated by
 roulette.  The optical depth is that of absorption, the minimum over the wavelengths that use the
-path, so its weight is low for all of them.  The estimate stays unbiased.  The product of the weight
-of a survivor and exp(−optical depth) never exceeds 1.
+path, so its weight is low for all of them.  The estimate stays unbiased.  The product of the inverse
+probability of survival and exp(−optical depth) never exceeds 1.
 """
 _NEXT_ROULETTE_STEP = float32_constant(-math.log(ROULETTE_SURVIVAL_PROBABILITY))
 _SURVIVAL_PROBABILITY = float32_constant(ROULETTE_SURVIVAL_PROBABILITY)
@@ -71,7 +71,7 @@ class LayerGeometry(NamedTuple):
 
 
 class RejectionRules(NamedTuple):
-    """Treatment of sampled grains that overlap a boundary or the previous segment.
+    """Treatment of sampled grains that extend beyond the sample or overlap the previous segment.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ def sample_collision(ray, size, variates, u, layer_geometry, rejection_rules):
     d, exit_offset = ray.direction, ray.exit_offset
     distance = -log(u) * layer_geometry.mean_free_path
     distance += ray.start_distance
-    # A ray may leave a grain that overlaps a boundary outside: it then starts on the boundary.
+    # A grain may extend beyond the sample.  A ray that leaves it there starts on the boundary.
     start_height = min(
         max(ray.position.z + exit_offset.z, layer_geometry.slab_bottom),
         layer_geometry.slab_top,
@@ -167,7 +167,7 @@ def sample_collision(ray, size, variates, u, layer_geometry, rejection_rules):
     height = fma(distance, d.z, start_height)
     outside = (height > layer_geometry.top) if d.z > ZERO else (height < layer_geometry.bottom)
     entry = sample_entry_point(d, size, variates, rejection_rules.entry_sampling)
-    overlaps_slab = rejection_rules.reject_boundary_overlap & overlaps_boundary(
+    extends_beyond_slab = rejection_rules.reject_boundary_overlap & overlaps_boundary(
         entry, height, layer_geometry.slab_bottom, layer_geometry.grain_ceiling
     )
     previous_segment = Segment(
@@ -178,10 +178,10 @@ def sample_collision(ray, size, variates, u, layer_geometry, rejection_rules):
     overlaps_previous = rejection_rules.reject_segment_overlap & overlaps_segment(
         entry.grain, previous_segment
     )
-    accepted = (not outside) & (not overlaps_slab) & (not overlaps_previous)
+    accepted = (not outside) & (not extends_beyond_slab) & (not overlaps_previous)
     skip = (
         rejection_rules.skip_boundary_overlap
-        if overlaps_slab
+        if extends_beyond_slab
         else rejection_rules.skip_segment_overlap & overlaps_previous
     )
     start_distance = distance if (not outside) & skip else ray.start_distance

@@ -129,7 +129,7 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
 
 @inline_only
 def sample_source(state, scene, optics, rough_top, max_order):
-    """Sample a ray of the light source and let it enter the sample at the top."""
+    """Sample a ray of the light source, and its entry into the medium at the top."""
     source = scene.source
     direction = sample_source_direction(
         source, uniform(state) if source.diffuse_fraction > 0.0 else 1.0
@@ -151,13 +151,13 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
     ----------
     seed : int
     work : int64[4]
-        Ensemble, first ray, number of rays, and order of scattering after which a ray counts as
-        absorbed.  Seed, ensemble and ray determine the random stream, so that results do not depend
-        on the batch.
+        Stream number of the paths that wavelengths share, first ray, number of rays, and order of
+        scattering after which a ray counts as absorbed.  Seed, ensemble and ray determine the
+        random stream, so that results do not depend on the batch.
     scene, optics
         See `splits.kernels.grains.scene`.
     exits : float64[rays, columns]
-        A row for each ray; must come from `exits.allocate_exits`.
+        A row for each ray, from `splits.kernels.tallies.exits.allocate_exits`.
     height_fields, surface_buffer : HeightFields, SurfaceRealization, or None
         The rough surface on top, of which every ray has its own realization, and the buffer of
         realizations, see `realization.allocate_realization`; None for a smooth top.

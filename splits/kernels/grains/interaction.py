@@ -2,8 +2,8 @@
 
 SPLITS section 4.3.4 and SPLITSnow section 3.3: at each hit of the surface a microfacet is sampled,
 the Fresnel reflectance decides between reflection and refraction, and inside the grain the ray goes
-from surface to surface until it leaves or is absorbed.  A rejected attempt leaves the ray unchanged
-and is repeated.
+from surface to surface until it leaves or is absorbed.  After a rejected attempt the ray has not
+moved, and the interaction is repeated, with a cosine lobe if the direction was on the wrong side.
 
 The shells of a grain are numbered inwards: 0 is the pore space, then come the coatings and the
 core.  A coating is so thin that it acts as a flat slab where the ray hits it: a path segment

@@ -21,9 +21,11 @@ class Ray(NamedTuple):
     status : int
         `ALIVE`, or the way it ended, see `splits.kernels.tallies.exits`.
     position : Vector
-        Entry point of the last grain, or a point on a boundary (m).
+        Point of the last event (m): the start, a boundary, a facet, a particle, or the entry point
+        of a grain.
     exit_offset : Vector
-        Vector from `position` to the exit point of that grain (m).  The ray is at their sum.
+        Vector from there to the exit point of the grain (m); zero except after a grain.  The ray is
+        at the sum of both.
     direction : Vector
         Direction of travel.
     previous_segment : Segment
@@ -34,12 +36,13 @@ class Ray(NamedTuple):
     layer : int
         Layer of the scene in which the ray is.
     pore_variate : float
-        Random number that selects the pore: wet if it is below the wet fraction of the layer.
+        Random number that selects the pore medium, see `state.pore_material`.
     weight : float
         Statistical weight without absorption in materials: the inverse probability of survival,
         times the single-scattering albedos of the particles hit.
     optical_depth : float
-        Absorption optical depth so far, the minimum over the wavelengths that use the path.
+        Lower bound, over the wavelengths that use the path, of the optical depth of absorption so
+        far, including −ln of the albedos of particles and of the ground; for roulette only.
     next_roulette : float
         Optical depth at which Russian roulette is next played.
     n_segments : int

@@ -2,7 +2,7 @@
 
 Every ray has its own realization of the surface.  In the sample a ray may hit facets on its way to
 the next particle; outside it is traced from facet to facet until it is in the sample again or
-leaves.  For a smooth top, `rough_top` is None and all of this is compiled away.
+leaves.  A facet is the tangent plane at the point hit.  For a smooth top, `rough_top` is None and all of this is compiled away.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def intersect_rough_top(rough_top, ray, event, segment_length):
 def stop_at_facet(ray, event, hit, layer_bottom):
     """Return a ray that stops at a facet, with its event in the top layer.
 
-    The sampled collision no longer applies.  The ray is lost if the surface extends below
-    `layer_bottom` (m), see `ParticleLayer.depth_m`.
+    The sampled collision no longer applies.  The ray is lost if the search was undecided, or
+    if the surface extends below `layer_bottom` (m), see `ParticleLayer.depth_m`.
     """
     position = add_scaled(hit.distance, ray.direction, compute_position(ray))
     lost = hit.distance == STEP_LIMIT_REACHED or position.z < layer_bottom
@@ -70,7 +70,7 @@ def scatter_at_facet(state, ray, slope, side, scene, optics):
     side : float
         1 if the ray comes from outside, −1 from the sample.
     """
-    # The layer below has particles, so light always reaches new pores.
+    # The top layer has particles, and one medium.  The new variate selects the pore behind it.
     pore_variate = uniform(state)
     inside = refractive_index_of(optics, pore_material(scene.layers, 0, pore_variate))
     outside = refractive_index_of(optics, scene.layers.first_pore_material[0])

@@ -1,8 +1,8 @@
 """Scene of the kernels for layers of grains: plain numbers and arrays, in SI units.
 
 These named tuples are the interface between media and kernels.  Materials are rows of the arrays of
-optical constants: row 0 fills the dry pores, row 1 the wet ones, the following rows are cores and
-coatings.
+optical constants.  Each layer has its own block of rows from `Layers.first_pore_material`: dry
+pores, wet pores, further pore media, then cores and coatings.  A reflecting ground adds a last row.
 """
 
 from __future__ import annotations
@@ -111,9 +111,11 @@ class Layers(NamedTuple):
     Attributes
     ----------
     boundaries : float64[layers + 1]
-        Heights of the boundaries (m), 0 at the top; above a rough top, a height above all of it.
+        Heights of the boundaries (m).  The first is 0; with a rough top, whose mean height is 0, it
+        is a height that no point of the surface exceeds.
     collision_coefficient : float64[layers]
-        Expected number of grains hit per metre of path in the pore space.
+        Expected number of collisions per metre of path in the pore space; the extinction
+        coefficient in a layer of particles.
     wet_fraction : float64[layers]
         Probability that a path segment in the pore space is in the wet medium.
     type_cdf : float64[layers, types]
@@ -121,7 +123,9 @@ class Layers(NamedTuple):
     first_type : int64[layers]
         Row of the first type of the layer.
     first_pore_material : int64[layers]
-        Material of the dry pores, followed by those of the wet pores and of further pore media.
+        Material of the dry pores, which is also that outside the sample, followed by those of the
+        wet pores and of further pore media.  A layer of particles is all wet: its matrix is the
+        second.
     pore_cdf : float64[layers, media]
         Cumulative probabilities, starting from the wet fraction, of the further pore media.
     particle_row : int64[layers]

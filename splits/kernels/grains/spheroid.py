@@ -189,12 +189,12 @@ def sample_entry_point(d, size, variates, entry_sampling):
     )
     polar = Angle(cos_incidence, sqrt(max(ONE - cos_incidence * cos_incidence, ZERO)))
     n = rotate_around(Vector(-d.x, -d.y, -d.z), polar, variates.normal_azimuth)
-    per_slope = rsqrt(square)
-    slope = square * per_slope
-    cos_axis = (ONE - flattening) * axial * per_slope
-    sin_axis = sqrt(max(ONE - axial * axial, ZERO)) * per_slope
+    per_length = rsqrt(square)
+    normal_length = square * per_length
+    cos_axis = (ONE - flattening) * axial * per_length
+    sin_axis = sqrt(max(ONE - axial * axial, ZERO)) * per_length
     w = rotate_around(n, Angle(cos_axis, sin_axis), variates.axis_azimuth)
-    q = linear_combination(flattening * axial, w, slope, n)
+    q = linear_combination(flattening * axial, w, normal_length, n)
     minor = (ONE - flattening) * size.semi_major
     return EntryPoint(Spheroid(q, w, flattening, minor), n, axial, size.semi_major)
 

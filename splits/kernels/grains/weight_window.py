@@ -12,7 +12,7 @@ from splits.kernels.grains.ray import compute_position
 
 
 class WeightWindow(NamedTuple):
-    """Bounds of the relative weight of a ray, weight · exp(κ·depth).
+    """Bounds of the relative weight of a ray, weight · exp(−optical depth + κ·depth).
 
     Attributes
     ----------

@@ -26,7 +26,9 @@ class Source(NamedTuple):
 
 @inline
 def sample_source_direction(source, u):
-    """Sample the direction of an incident ray, from above.
+    """Sample the direction of an incident ray, from above, with azimuth 0.
+
+    Media are azimuthally symmetric, so that only the polar angle of diffuse light is sampled.
 
     Parameters
     ----------

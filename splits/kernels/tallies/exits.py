@@ -28,8 +28,8 @@ scattering."""
 REFLECTED = 1
 TRANSMITTED = 2
 LOST = 3
-"""Lost ray: no grain was accepted, or no intersection with a surface was found.  This should not
-happen and is reported."""
+"""Lost ray: no grain was accepted, no intersection with a surface was found, or a rough surface
+extends below the top layer.  This should not happen and is reported."""
 ALIVE = 4
 TO_GROUND = 5
 """The ray left below, towards a reflecting ground."""

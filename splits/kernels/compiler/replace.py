@@ -17,11 +17,10 @@ def replace(value: Any, **changes: Any) -> Any:
 @overload(replace, strict=False, jit_options=INLINE_OPTIONS)
 def _replace_in_kernel(value: Any, **changes: Any) -> Any:
     # Numba has no keyword arguments of unknown names, so the function is written for these ones.
+    # It finds the compiled code by the types of all arguments, so the last one carries the names.
     kind = value.instance_class
-    fields = (name if name in changes else f"value.{name}" for name in kind._fields)
+    arguments = ", ".join(name if name in changes else f"value.{name}" for name in kind._fields)
+    parameters = ", ".join(["value", *changes, f"names={' '.join(changes)!r}"])
     scope = {"Kind": kind}
-    exec(
-        f"def replace({', '.join(['value', *changes])}):\n    return Kind({', '.join(fields)})",
-        scope,
-    )
+    exec(f"def replace({parameters}):\n    return Kind({arguments})", scope)
     return scope["replace"]

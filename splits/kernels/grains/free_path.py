@@ -2,9 +2,8 @@
 
 SPLITS section 4.3.3 and SPLITSnow section 3.1: only the grain that the ray hits exists.  Distance,
 type, size, shape, orientation and entry point are sampled.  A grain that extends beyond the sample
-or overlaps the previous path segment is rejected unless the rules keep it.  The functions serve the scalar and the vectorized kernel, in
-either precision, without loops and without branches.
-"""
+or overlaps the previous path segment is rejected unless the rules keep it.  The functions serve the
+scalar and the vectorized kernel, in either precision, without loops and without branches."""
 
 from __future__ import annotations
 
@@ -31,8 +30,8 @@ FIRST_ROULETTE_DEPTH = -math.log(ROULETTE_THRESHOLD)
 
 The cost of a path grows with its length, not its weight, so low-weight paths are terminated by
 roulette.  The optical depth is that of absorption, the minimum over the wavelengths that use the
-path, so its weight is low for all of them.  The estimate stays unbiased.  The product of the inverse
-probability of survival and exp(−optical depth) never exceeds 1.
+path, so its weight is low for all of them.  The estimate stays unbiased.  The product of the
+inverse probability of survival and exp(−optical depth) never exceeds 1.
 """
 _NEXT_ROULETTE_STEP = float32_constant(-math.log(ROULETTE_SURVIVAL_PROBABILITY))
 _SURVIVAL_PROBABILITY = float32_constant(ROULETTE_SURVIVAL_PROBABILITY)

@@ -33,12 +33,12 @@ def _trace(state, psi, facetness, scene, optics, true_absorption, length):
     """
     d = Vector(0.48, -0.64, 0.6)
     size = GrainSize(RADIUS, 1.0 - psi * psi)
-    grain_path, _ = trace_grain(state, d, size, facetness, False, scene, optics, length)
-    score = play_roulette(state, grain_path)
+    ray, _ = trace_grain(state, d, size, facetness, False, scene, optics, length)
+    score = play_roulette(state, ray)
     if not scene.rules.analog:
         score *= math.exp(-(true_absorption * length).sum())
-    pore = float(sample_pore(grain_path.payload.pore_variate, scene))
-    return dot(d, grain_path.payload.direction), length[2], length[3:].sum(), score, pore
+    pore = float(sample_pore(ray.pore_variate, scene))
+    return dot(d, ray.direction), length[2], length[3:].sum(), score, pore
 
 
 def make_coated(thickness, materials=None):

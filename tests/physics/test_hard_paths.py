@@ -113,7 +113,7 @@ def test_grains_of_index_1_do_not_deviate_a_ray():
     snow = splits.Snow(saturation=0.0, depth_m=depth)
     scene = make_medium_scene(snow, 30.0)
     ray, length = trace_ray(start_random_stream(), scene, make_optics(np.ones(3)))
-    (x, y, z), d, n_segments = ray.geometry.position, ray.payload.direction, ray.n_segments
+    (x, y, z), d, n_segments = ray.position, ray.direction, ray.n_segments
     assert n_segments >= N_SCATTERINGS
     assert ray.order == n_segments - 1
     assert (ray.status, z) == (exits.TRANSMITTED, -depth)
@@ -141,7 +141,7 @@ def test_long_paths_between_reflecting_boundaries_stay_valid():
     print(f"ray {number} has {ray.n_segments} segments")
     assert ray.n_segments >= N_SCATTERINGS
     assert ray.status in (exits.REFLECTED, exits.TRANSMITTED)
-    position, d = ray.geometry.position, ray.payload.direction
+    position, d = ray.position, ray.direction
     assert position.z == (0.0 if ray.status == exits.REFLECTED else -snow.depth_m)
     assert (d.z > 0.0) == (ray.status == exits.REFLECTED)
     assert abs(math.hypot(*d) - 1.0) < MAX_DRIFT
@@ -324,8 +324,8 @@ def test_tangents_reflection_and_refraction_along_axes(axis):
 @njit
 def _sample_bubble(state, scene, optics, length):
     d = Vector(0.0, 0.0, -1.0)
-    grain_path, _ = trace_grain(state, d, GrainSize(1e-4, 0.0), 0.0, True, scene, optics, length)
-    return -grain_path.payload.direction.z, length[2]
+    ray, _ = trace_grain(state, d, GrainSize(1e-4, 0.0), 0.0, True, scene, optics, length)
+    return -ray.direction.z, length[2]
 
 
 @NEEDS_JIT

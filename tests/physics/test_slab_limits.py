@@ -135,9 +135,9 @@ def test_ray_without_collisions_is_straight(mu):
         snow.make_grain_population(), 0.12, rules=snow.interpretation.to_sampling_rules(), cos=mu
     )
     ray, length = trace_ray(start_random_stream(), scene, make_optics([1.0, 1.0, 1.31]))
-    position, d = ray.geometry.position, ray.payload.direction
+    position, d = ray.position, ray.direction
     sine = math.sqrt(1.0 - mu * mu)
-    assert (ray.status, ray.payload.roulette.weight, position.y, d.y) == (
+    assert (ray.status, ray.weight, position.y, d.y) == (
         TRANSMITTED,
         1.0,
         0.0,

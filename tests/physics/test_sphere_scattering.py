@@ -16,6 +16,7 @@ from spheroids import compute_normal, evaluate_quadratic, to_real_space
 import splits
 from splits.kernels.grains.spheroid import GrainSize
 from splits.kernels.math.vectors import Vector, dot
+from splits.kernels.tallies.exits import ALIVE
 
 pytestmark = NEEDS_JIT
 
@@ -30,10 +31,10 @@ DIRECTION = Vector(0.48, -0.64, 0.6)
 def _scatter(state, psi, facetness, scene, optics, length):
     """Return cosθ of scattering, path inside, survival, entry, axis, displacement, direction."""
     size = GrainSize(RADIUS, 1.0 - psi * psi)
-    grain_path, entry = trace_grain(state, DIRECTION, size, facetness, False, scene, optics, length)
-    q, w, g, e = entry.grain.q, entry.grain.w, grain_path.displacement, grain_path.payload.direction
+    ray, entry = trace_grain(state, DIRECTION, size, facetness, False, scene, optics, length)
+    q, w, g, e = entry.grain.q, entry.grain.w, ray.exit_offset, ray.direction
     return (
-        dot(DIRECTION, e), length[2], 1.0 if grain_path.alive else 0.0,
+        dot(DIRECTION, e), length[2], 1.0 if ray.status == ALIVE else 0.0,
         q.x, q.y, q.z, w.x, w.y, w.z, g.x, g.y, g.z, e.x, e.y, e.z,
     )  # fmt: skip
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from chi2 import start_random_stream
 from numba import njit
-from scenes import make_beam_state
+from scenes import make_ray_at
 
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.grains import history, interaction, microfacet, spheroid
@@ -25,6 +25,7 @@ from splits.kernels.math import rng
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import UP, Vector
 from splits.kernels.optics.interface import InterfaceSample
+from splits.kernels.tallies.exits import ALIVE
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.interaction import draw_interaction_variates
 
@@ -79,16 +80,15 @@ def trace_grain(state, d, size, facetness, wet, scene, optics, length):
     limit = math.inf if scene.rules.analog else FIRST_ROULETTE_DEPTH
     grain_sample = GrainSample(0, size, 0.5 * facetness)
     event = NextEvent(grain_sample, Collision(0.0, 0.0, entry, False, True, 0.0), 0, False)
-    return trace_through_grain(
-        state, make_beam_state(d, wet, limit), event, scene, optics, length
-    ), entry
+    ray = make_ray_at(0.0, d, wet, limit)
+    return trace_through_grain(state, ray, event, scene, optics, length), entry
 
 
 @njit
-def play_roulette(state, grain_path):
+def play_roulette(state, ray):
     """Return the weight of a ray after a grain and roulette, 0 if it is terminated."""
-    result = history.apply_roulette(state, grain_path.payload.roulette)
-    return result.roulette.weight if grain_path.alive and result.alive else 0.0
+    ray = history.apply_roulette(state, ray)
+    return ray.weight if ray.status == ALIVE else 0.0
 
 
 # --- surfaces ---------------------------------------------------------------------------------

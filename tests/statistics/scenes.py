@@ -9,9 +9,10 @@ from numba import njit
 from oracle import scene as oracle_scene
 
 import splits
+from splits.kernels.compiler.replace import replace
 from splits.kernels.grains import history
 from splits.kernels.grains import state as ray_state
-from splits.kernels.grains.free_path import RayGeometry, RouletteState
+from splits.kernels.grains.ray import make_ray
 from splits.kernels.grains.scene import (
     NO_GROUND,
     NO_MAX_ORDER,
@@ -25,7 +26,6 @@ from splits.kernels.grains.scene import (
     make_bounding_optics,
 )
 from splits.kernels.grains.spheroid import Segment
-from splits.kernels.grains.state import RayPayload
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.optics.source import Source
 from splits.kernels.vectorized.batch import make_pass_constants
@@ -138,28 +138,25 @@ def sample_pore(u, scene):
 
 
 @njit
-def make_beam_state(d, wet=False, limit=math.inf):
-    """Return the payload of a new ray in wet pores, or in dry ones."""
-    return RayPayload(d, 0, 0.0 if wet else 1.0, RouletteState(0.0, limit, 1.0))
-
-
-@njit
-def make_new_ray(z, d):
-    """Return a ray at a height, without a previous segment."""
-    return RayGeometry(Vector(0.0, 0.0, z), ORIGIN, d, ray_state.NO_SEGMENT, 0.0)
+def make_ray_at(z, d, wet=False, limit=math.inf):
+    """Return a new ray at a height, in wet pores or in dry ones."""
+    return make_ray(Vector(0.0, 0.0, z), d, 0.0 if wet else 1.0, limit, NO_MAX_ORDER)
 
 
 @njit
 def make_ray_after_segment(z, displacement, d, direction_back, length):
     """Return a ray at a height, displaced from the end of its previous segment."""
     position = Vector(-displacement.x, -displacement.y, z - displacement.z)
-    return RayGeometry(position, displacement, d, Segment(ORIGIN, direction_back, length), 0.0)
+    return replace(
+        make_ray_at(z, d), position=position, exit_offset=displacement,
+        previous_segment=Segment(ORIGIN, direction_back, length),
+    )  # fmt: skip
 
 
 @njit
 def find_next_event(state, ray, scene, optics):
     """Return the next sampled event of a ray."""
-    return history.sample_next_event(state, ray, make_beam_state(ray.direction), scene, optics)
+    return history.sample_next_event(state, ray, scene, optics)
 
 
 @njit

@@ -37,7 +37,7 @@ from spheroids import compute_normal, dot_product, find_closest_approach, to_rea
 
 import splits
 from splits.kernels.grains import history
-from splits.kernels.grains import state as ray_state
+from splits.kernels.grains import ray as ray_module
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import ORIGIN, UP, Vector
@@ -48,7 +48,7 @@ from splits.media import grain_statistics
 
 N_SAMPLES = scale_sample_size(200_000)
 # Displacement from the end of the previous segment, direction back along it, its length.
-NO_SEGMENT = (ORIGIN, ray_state.NO_SEGMENT.direction, ray_state.NO_SEGMENT.length)
+NO_SEGMENT = (ORIGIN, ray_module.NO_SEGMENT.direction, ray_module.NO_SEGMENT.length)
 TRANSPARENT_OPTICS = make_optics([1.0, 1.0, 1.0])
 # Semi-major axes of SPLITSnow Table 1 (m).
 MIN_SEMI_AXIS_M, MAX_SEMI_AXIS_M = 1.5e-4, 3.75e-4

@@ -15,7 +15,7 @@ from chi2 import (
     scale_sample_size,
 )
 from numba import njit
-from scenes import find_next_event, make_medium_scene, make_new_ray, make_optics
+from scenes import find_next_event, make_medium_scene, make_optics, make_ray_at
 from scipy import stats
 
 import splits
@@ -49,7 +49,7 @@ def evaluate_quantile(state, table):
 @njit
 def sample_hit_grain(state, z, scene, optics):
     """Return distance, type and size of the next grain, far from all boundaries."""
-    event = find_next_event(state, make_new_ray(z, Vector(0.6, 0.0, 0.8)), scene, optics)
+    event = find_next_event(state, make_ray_at(z, Vector(0.6, 0.0, 0.8)), scene, optics)
     grain_type, size, _ = event.grain_sample
     distance = math.nan if event.collision.leaves_layer else event.collision.distance
     return distance, float(grain_type), 2.0 * size.semi_major, math.sqrt(1.0 - size.flattening)

@@ -4,7 +4,8 @@ A boundary between layers reflects and refracts only where the pore media on its
 Elsewhere the distance is sampled anew from the boundary, because free paths have no memory, and a
 grain belongs to the layer in which the ray hits it.  The pore of a path segment is sampled once, so
 it changes at a boundary between layers only where their wet fractions or pore fluids differ.
-Splitting a layer in two therefore leaves the distribution of results unchanged."""
+Splitting a layer in two therefore leaves the distribution of results unchanged.
+"""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 SPLITS section 4.3.3 and SPLITSnow section 3.1: only the grain that the ray hits exists.  Distance,
 type, size, shape, orientation and entry point are sampled.  A grain that extends beyond the sample
 or overlaps the previous path segment is rejected unless the rules keep it.  The functions serve the
-scalar and the vectorized kernel, in either precision, without loops and without branches."""
+scalar and the vectorized kernel, in either precision, without loops and without branches.
+"""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 Every ray has its own realization of the surface.  In the sample a ray may hit facets on its way to
 the next particle; outside it is traced from facet to facet until it is in the sample again or
 leaves.  A facet is the tangent plane at the point hit.  For a smooth top, `rough_top` is None and
-all of this is compiled away."""
+all of this is compiled away.
+"""
 
 from __future__ import annotations
 

@@ -15,8 +15,9 @@ from numba import njit
 
 from splits.kernels.compiler.features import ALL_FEATURES, Features
 from splits.kernels.grains import free_path, interaction, microfacet, spheroid
-from splits.kernels.grains.free_path import LayerGeometry, RayGeometry, RejectionRules
+from splits.kernels.grains.free_path import LayerGeometry, RejectionRules
 from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
+from splits.kernels.grains.ray import Ray
 from splits.kernels.grains.spheroid import EntryPoint, EntryVariates, GrainSize, Segment, Spheroid
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import Vector
@@ -319,7 +320,10 @@ def _sample_collisions(x, rules, out):
         zero = row[12]
         position, exit_offset = Vector(zero, zero, row[13]), Vector(row[14], row[15], row[16])
         previous_segment = Segment(exit_offset, Vector(row[17], row[18], row[19]), row[20])
-        ray = RayGeometry(position, exit_offset, d, previous_segment, row[21])
+        ray = Ray(
+            None, position, exit_offset, d, previous_segment, row[21], None, None, None, None, None,
+            None, None, None,
+        )  # fmt: skip
         layer = LayerGeometry(row[22], row[23], row[25], row[26], zero, zero)
         collision = free_path.sample_collision(ray, size, variates, row[24], layer, rules)
         boundary = free_path.compute_boundary_hit(ray, layer)
@@ -377,10 +381,12 @@ def test_collisions_and_boundary_hits(random, name):
 def _play_roulettes(x, out):
     for i in range(len(x)):
         row = x[i]
-        result = free_path.russian_roulette(
-            free_path.RouletteState(row[0], row[1], row[2]), row[3], row[4] > row[5]
-        )
-        out[i, 0], out[i, 1] = result.roulette.next_roulette, result.roulette.weight
+        ray = Ray(
+            None, None, None, None, None, None, None, None, row[2], row[0], row[1], None, None,
+            None,
+        )  # fmt: skip
+        result = free_path.russian_roulette(ray, row[3], row[4] > row[5])
+        out[i, 0], out[i, 1] = result.next_roulette, result.weight
         out[i, 2] = result.terminated
 
 

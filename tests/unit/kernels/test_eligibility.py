@@ -15,10 +15,10 @@ import splits
 from splits.kernels.compiler.features import Features
 from splits.kernels.grains.free_path import (
     LayerGeometry,
-    RayGeometry,
     RejectionRules,
     sample_collision,
 )
+from splits.kernels.grains.ray import Ray
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE
 from splits.kernels.grains.spheroid import UNIFORM_ENTRY, EntryVariates, GrainSize, Segment
 from splits.kernels.math.elementary import sample_circle
@@ -109,9 +109,10 @@ def test_grazing_collisions_agree_in_both_precisions():
             real(0.5),
         )
         origin, downward = Vector(*map(real, (0, 0, 0))), Vector(*map(real, (0, 0, -1)))
-        ray = RayGeometry(
-            origin, origin, Vector(*map(real, d)), Segment(downward, downward, real(-1)), real(0)
-        )
+        ray = Ray(
+            None, origin, origin, Vector(*map(real, d)), Segment(downward, downward, real(-1)),
+            real(0), None, None, None, None, None, None, None, None,
+        )  # fmt: skip
         layer = LayerGeometry(*map(real, (mean_distance, -0.1, 0.0, -0.1, 0.0, 0.0)))
         return sample_collision(
             ray, GrainSize(real(major), real(flattening)), variates, real(distance), layer, rules

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from splits.kernels.compiler.jit import inline_only
+from splits.kernels.compiler.replace import replace
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import UP, scale
 from splits.kernels.particle_layer.next_event import score_bottom
@@ -15,14 +16,7 @@ from splits.kernels.particle_layer.scattering import (
     sample_scattering,
 )
 from splits.kernels.particle_layer.scene import OPEN_BOTTOM
-from splits.kernels.particle_layer.state import (
-    LayerRay,
-    increment_order,
-    set_status,
-    snap_to_plane,
-    update_ray,
-    with_weight,
-)
+from splits.kernels.particle_layer.state import set_height
 from splits.kernels.rough_surface.intersection import nudge_off_surface
 from splits.kernels.tallies.exits import ABSORBED, ALIVE, REFLECTED, TRANSMITTED
 
@@ -37,10 +31,9 @@ Both are low: every scattering contributes to the detectors, and rays of low wei
 @inline_only
 def russian_roulette(ray, u):
     """Play Russian roulette with the uniform random number u, and return the ray."""
-    if ray.history.weight == 0.0 or u > ROULETTE_SURVIVAL_PROBABILITY:
-        return set_status(ray, ABSORBED)
-    history = with_weight(ray.history, ray.history.weight / ROULETTE_SURVIVAL_PROBABILITY)
-    return update_ray(ray, ray.direction, ray.stokes, history, ray.status)
+    if ray.weight == 0.0 or u > ROULETTE_SURVIVAL_PROBABILITY:
+        return replace(ray, status=ABSORBED)
+    return replace(ray, weight=ray.weight / ROULETTE_SURVIVAL_PROBABILITY)
 
 
 @inline_only
@@ -49,56 +42,59 @@ def _reflect_or_refract(state, ray, normal, layer):
     if layer.extinction == math.inf:
         # Light that enters an opaque layer is absorbed.
         reflected = reflect_only(ray.direction, ray.stokes, normal, layer.refractive_index)
-        history = with_weight(ray.history, ray.history.weight * reflected.reflectance)
-        return update_ray(ray, reflected.direction, reflected.stokes, history, ALIVE)
+        return replace(
+            ray, direction=reflected.direction, stokes=reflected.stokes,
+            weight=ray.weight * reflected.reflectance, status=ALIVE,
+        )  # fmt: skip
     near, far = (layer.refractive_index, 1.0) if ray.inside else (1.0, layer.refractive_index)
     facing_normal = scale(-1.0 if ray.inside else 1.0, normal)
     sample = reflect_or_refract_ray(state, ray.direction, ray.stokes, facing_normal, near, far)
-    inside = ray.inside != sample.transmitted
-    return LayerRay(ray.position, sample.direction, sample.stokes, inside, ray.history, ALIVE)
+    return replace(
+        ray, direction=sample.direction, stokes=sample.stokes,
+        inside=ray.inside != sample.transmitted, status=ALIVE,
+    )  # fmt: skip
 
 
 @inline_only
 def scatter_at_surface(state, ray, layer):
     """Return a ray after reflection or refraction at the smooth surface."""
-    ray = _reflect_or_refract(state, snap_to_plane(ray, 0.0), UP, layer)
-    return set_status(ray, ALIVE if ray.inside else REFLECTED)
+    ray = _reflect_or_refract(state, set_height(ray, 0.0), UP, layer)
+    return replace(ray, status=ALIVE if ray.inside else REFLECTED)
 
 
 @inline_only
 def scatter_at_facet(state, ray, normal, layer, max_order):
     """Return a ray after reflection or refraction at a facet of the rough surface."""
-    terminated = ray.history.order == max_order
+    terminated = ray.order == max_order
     ray = _reflect_or_refract(state, ray, normal, layer)
     d = nudge_off_surface(ray.direction, scale(-1.0 if ray.inside else 1.0, normal))
-    ray = update_ray(ray, d, ray.stokes, increment_order(ray.history), ALIVE)
-    opaque = layer.extinction == math.inf
-    if opaque and ray.history.order > 1 and ray.history.weight < ROULETTE_THRESHOLD:
+    ray = replace(ray, direction=d, order=ray.order + 1)
+    if layer.extinction == math.inf and ray.order > 1 and ray.weight < ROULETTE_THRESHOLD:
         ray = russian_roulette(ray, uniform(state))
-    return set_status(ray, ABSORBED if terminated else ray.status)
+    return replace(ray, status=ABSORBED if terminated else ray.status)
 
 
 @inline_only
 def scatter_at_bottom(state, ray, layer, phase, detectors, max_order):
     """Return a ray after an interaction with the open lower boundary or the diffuse bottom."""
-    ray = snap_to_plane(ray, -layer.depth)
+    ray = set_height(ray, -layer.depth)
     if layer.bottom_albedo == OPEN_BOTTOM:
         sample = reflect_or_refract_ray(
             state, ray.direction, ray.stokes, UP, layer.refractive_index, 1.0
         )
-        status = TRANSMITTED if sample.transmitted else ALIVE
-        return update_ray(ray, sample.direction, sample.stokes, ray.history, status)
+        return replace(
+            ray, direction=sample.direction, stokes=sample.stokes,
+            status=TRANSMITTED if sample.transmitted else ALIVE,
+        )  # fmt: skip
     if detectors is not None:
-        weight = ray.history.weight * layer.bottom_albedo
+        weight = ray.weight * layer.bottom_albedo
         score_bottom(state, detectors, layer, phase, ray.stokes, weight)
     if uniform(state) >= layer.bottom_albedo:
-        return set_status(ray, TRANSMITTED)
-    if ray.history.order == max_order:
-        return set_status(ray, ABSORBED)
+        return replace(ray, status=TRANSMITTED)
+    if ray.order == max_order:
+        return replace(ray, status=ABSORBED)
     reflected = sample_lambertian_reflection(state, UP, ray.stokes)
-    return update_ray(
-        ray, reflected.direction, reflected.stokes, increment_order(ray.history), ALIVE
-    )
+    return replace(ray, direction=reflected.direction, stokes=reflected.stokes, order=ray.order + 1)
 
 
 @inline_only
@@ -114,15 +110,15 @@ def absorb_at_particle(ray, layer, u, max_order):
     max_order : int
         See `particle_history.trace_history`.
     """
-    history = increment_order(ray.history)
-    if not layer.analog:
-        history = with_weight(history, history.weight * layer.albedo)
-    terminated = ray.history.order == max_order or (layer.analog and u >= layer.albedo)
-    return update_ray(ray, ray.direction, ray.stokes, history, ABSORBED if terminated else ALIVE)
+    terminated = ray.order == max_order or (layer.analog and u >= layer.albedo)
+    return replace(
+        ray, weight=ray.weight if layer.analog else ray.weight * layer.albedo,
+        order=ray.order + 1, status=ABSORBED if terminated else ALIVE,
+    )  # fmt: skip
 
 
 @inline_only
 def scatter_at_particle(state, ray, phase):
     """Return a ray after scattering by a particle."""
     scattered = sample_scattering(state, phase, ray.direction, ray.stokes)
-    return update_ray(ray, scattered.direction, scattered.stokes, ray.history, ALIVE)
+    return replace(ray, direction=scattered.direction, stokes=scattered.stokes)

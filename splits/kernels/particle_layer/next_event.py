@@ -233,7 +233,7 @@ def score_scattering(state, detectors, layer, phase, ray):
 @inline_only
 def score_scattering_at_detector(state, detectors, layer, phase, peak_order, ray, detector, k):
     """Score a scattering that is followed by `peak_order` scatterings into the peak."""
-    weight, stokes, t, plane = ray.history.weight, ray.stokes, detector.direction, detector.plane
+    weight, stokes, t, plane = ray.weight, ray.stokes, detector.direction, detector.plane
     up = connect_scattering(state, detectors, layer, phase, peak_order, ray, t, plane)
     score_direct(detectors, layer, detector, k, stokes, weight, up)
     if detectors.has_lower_side or (peak_order > 0 and detector.reflection.plus > 0.0):

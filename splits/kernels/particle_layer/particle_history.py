@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline_allocating, inline_only
+from splits.kernels.compiler.replace import replace
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.source import sample_source_direction
@@ -29,12 +30,10 @@ from splits.kernels.particle_layer.collisions import (
 from splits.kernels.particle_layer.next_event import score_scattering
 from splits.kernels.particle_layer.state import (
     LayerRay,
-    RayHistory,
     advance_ray,
     intersect_smooth_surface,
     is_near_surface,
     sample_event_distances,
-    set_status,
     to_surface_hit,
 )
 from splits.kernels.rough_surface.intersection import (
@@ -91,9 +90,8 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
     )
     surface = sample_realization_if_rough(state, scene.fields, surface_buffer)
     stokes = make_unpolarized(d, scene.stokes)
-    ray = LayerRay(
-        compute_entry_position(d, surface), d, stokes, False, RayHistory(1.0, 0.0, 0, 0), ALIVE
-    )
+    position = compute_entry_position(d, surface)
+    ray = LayerRay(position, d, stokes, False, 1.0, 0.0, 0, 0, ALIVE)
     while ray.status == ALIVE:
         distances = sample_event_distances(ray, layer, uniform(state) if ray.inside else 1.0)
         if surface_buffer is None:
@@ -106,10 +104,12 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
                     surface, ray.position, ray.direction, side, distances.nearest
                 )
             if hit.distance == STEP_LIMIT_REACHED:
-                return set_status(ray, LOST)
+                return replace(ray, status=LOST)
             surface_hit = to_surface_hit(hit)
         if surface_hit.distance == math.inf and not ray.inside:
-            ray = set_status(advance_ray(ray, 0.0), REFLECTED if ray.direction.z > 0.0 else LOST)
+            ray = replace(
+                advance_ray(ray, 0.0), status=REFLECTED if ray.direction.z > 0.0 else LOST
+            )
             continue
         ray = advance_ray(ray, min(distances.nearest, surface_hit.distance))
         if surface_hit.distance <= distances.nearest:
@@ -123,7 +123,7 @@ def trace_history(state, scene, surface_buffer, detectors, max_order):
             ray = absorb_at_particle(ray, layer, uniform(state) if layer.analog else 1.0, max_order)
             if detectors is not None and ray.status == ALIVE:
                 score_scattering(state, detectors, layer, phase, ray)
-            if ray.history.weight < ROULETTE_THRESHOLD:
+            if ray.weight < ROULETTE_THRESHOLD:
                 ray = russian_roulette(ray, uniform(state))
             if ray.status == ALIVE:
                 ray = scatter_at_particle(state, ray, phase)
@@ -165,7 +165,7 @@ def trace_batch(seed, work, scene, surface_buffer, stokes_column, exits):
     for number in range(work[N_RAYS]):
         start_stream(state, seed, work[ENSEMBLE], work[FIRST_RAY] + number)
         ray = trace_history(state, scene, surface_buffer, None, work[MAX_ORDER])
-        n_segments += ray.history.n_segments
+        n_segments += ray.n_segments
         if ray.status == LOST:
             return BatchStats(n_segments, True)
         if ray.status == ABSORBED:
@@ -176,10 +176,10 @@ def trace_batch(seed, work, scene, surface_buffer, stokes_column, exits):
             ray.status == REFLECTED,
             ray.position,
             ray.direction,
-            ray.history.weight,
-            ray.history.order,
+            ray.weight,
+            ray.order,
         )
-        row[EXIT_LENGTH] = ray.history.path_length
+        row[EXIT_LENGTH] = ray.path_length
         _record_stokes(row, stokes_column, ray.direction, ray.stokes)
     return BatchStats(n_segments, False)
 
@@ -202,10 +202,10 @@ def trace_to_detectors(seed, work, scene, detectors, totals):
     for number in range(work[N_RAYS]):
         start_stream(state, seed, work[ENSEMBLE], work[FIRST_RAY] + number)
         ray = trace_history(state, scene, None, detectors, work[MAX_ORDER])
-        n_segments += ray.history.n_segments
+        n_segments += ray.n_segments
         if ray.status != ABSORBED:
             total = totals[0 if ray.status == REFLECTED else 1]
-            total[TOTAL] += ray.history.weight
-            if ray.history.order == 0:
-                total[UNSCATTERED] += ray.history.weight
+            total[TOTAL] += ray.weight
+            if ray.order == 0:
+                total[UNSCATTERED] += ray.weight
     return n_segments

@@ -230,7 +230,7 @@ def connect_scattering(state, detectors, layer, phase, peak_order, ray, t, plane
     """
     direction = sample_peak_directions(state, detectors, peak_order, t)
     contribution = evaluate_scattering(phase, ray.direction, ray.stokes, direction)
-    if detectors.peak is not None and ray.history.order > 1:
+    if detectors.peak is not None and ray.order > 1:
         wide_fraction = compute_wide_fraction(detectors.peak, phase, dot(ray.direction, direction))
         contribution = ScatteredDensity(contribution.density * wide_fraction, contribution.stokes)
     connection = DetectorConnection(ray.position.z, direction, contribution, 1.0)

@@ -6,28 +6,9 @@ import math
 from typing import Any, NamedTuple
 
 from splits.kernels.compiler.jit import inline_only
+from splits.kernels.compiler.replace import replace
 from splits.kernels.math.vectors import UP, Vector, add_scaled
 from splits.kernels.rough_surface.intersection import NO_HIT, compute_normal_from_slope
-
-
-class RayHistory(NamedTuple):
-    """Weight, path length and counters of a ray.
-
-    Attributes
-    ----------
-    weight : float
-    path_length : float
-        Path length within the layer (m).
-    order : int
-        Number of scatterings and hits of the bottom or a rough surface.
-    n_segments : int
-        Number of path segments.
-    """
-
-    weight: float
-    path_length: float
-    order: int
-    n_segments: int
 
 
 class LayerRay(NamedTuple):
@@ -40,7 +21,13 @@ class LayerRay(NamedTuple):
     stokes : Stokes or None
     inside : bool
         Whether it is below the surface.
-    history : RayHistory
+    weight : float
+    path_length : float
+        Path length within the layer (m).
+    order : int
+        Number of scatterings and hits of the bottom or a rough surface.
+    n_segments : int
+        Number of path segments.
     status : int
         `ALIVE`, or the way it ended: `ABSORBED`, `REFLECTED`, `TRANSMITTED` (through the open lower
         boundary or into the bottom), `LOST`.
@@ -50,7 +37,10 @@ class LayerRay(NamedTuple):
     direction: Vector
     stokes: Any
     inside: bool
-    history: RayHistory
+    weight: float
+    path_length: float
+    order: int
+    n_segments: int
     status: int
 
 
@@ -75,30 +65,6 @@ class SurfaceHit(NamedTuple):
 
     distance: float
     normal: Vector
-
-
-@inline_only
-def update_ray(ray, d, stokes, history, status):
-    """Return a ray at the same position with a new direction, polarization, history and status."""
-    return LayerRay(ray.position, d, stokes, ray.inside, history, status)
-
-
-@inline_only
-def set_status(ray, status):
-    """Return a ray with another status."""
-    return LayerRay(ray.position, ray.direction, ray.stokes, ray.inside, ray.history, status)
-
-
-@inline_only
-def with_weight(history, weight):
-    """Return a history with another weight."""
-    return RayHistory(weight, history.path_length, history.order, history.n_segments)
-
-
-@inline_only
-def increment_order(history):
-    """Return a history with the order of scattering increased by 1."""
-    return RayHistory(history.weight, history.path_length, history.order + 1, history.n_segments)
 
 
 @inline_only
@@ -139,15 +105,14 @@ def to_surface_hit(hit):
 @inline_only
 def advance_ray(ray, length):
     """Return a ray advanced by a distance (m)."""
-    history = ray.history
-    path_length = history.path_length + (length if ray.inside else 0.0)
-    history = RayHistory(history.weight, path_length, history.order, history.n_segments + 1)
-    position = add_scaled(length, ray.direction, ray.position)
-    return LayerRay(position, ray.direction, ray.stokes, ray.inside, history, ray.status)
+    return replace(
+        ray, position=add_scaled(length, ray.direction, ray.position),
+        path_length=ray.path_length + (length if ray.inside else 0.0),
+        n_segments=ray.n_segments + 1,
+    )  # fmt: skip
 
 
 @inline_only
-def snap_to_plane(ray, z):
+def set_height(ray, z):
     """Return a ray placed exactly at the height of a smooth interface."""
-    position = Vector(ray.position.x, ray.position.y, z)
-    return LayerRay(position, ray.direction, ray.stokes, ray.inside, ray.history, ray.status)
+    return replace(ray, position=Vector(ray.position.x, ray.position.y, z))

@@ -10,11 +10,12 @@ from numba import config, njit
 from numba.extending import overload
 
 from splits.kernels.compiler.cache import enable_caching
-from splits.kernels.compiler.passes import DEFERRED_CODEGEN_OPTIONS, RefcountCheckedCompiler
+from splits.kernels.compiler.deferred import make_deferred_options
+from splits.kernels.compiler.passes import RefcountCheckedCompiler
 
 COMMON_OPTIONS: Any = {"error_model": "numpy", "forceinline": True}
 """Options of all small functions, see `inline`."""
-INLINE_OPTIONS: Any = {**COMMON_OPTIONS, **DEFERRED_CODEGEN_OPTIONS, "_nrt": False}
+INLINE_OPTIONS: Any = {**COMMON_OPTIONS, **make_deferred_options(), "_nrt": False}
 """Options of functions that only kernels call and that do not allocate, see `passes`."""
 ALLOCATING_OPTIONS: Any = {**INLINE_OPTIONS, "_nrt": True}
 """Options of functions that allocate or return arrays."""

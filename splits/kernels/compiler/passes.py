@@ -1,10 +1,4 @@
-"""Numba compiler passes: deferred code generation, reference-count check, pruning of None fields.
-
-Deferred code generation.  Numba generates and optimizes machine code for every function, although
-all of it is repeated in each function into which that one is inlined; this took most of the
-compile time of a kernel.  Functions that only kernels call stay unoptimized LLVM code and are
-optimized once, within the kernel.  (Passes within one function still run: they dissolve its named
-tuples.)
+"""Numba compiler passes: reference-count check, and pruning of None fields.
 
 Reference counting is enabled only in functions that allocate or return arrays.  Numba counts
 references to an array in and out of every function that takes it.  Kernels pass the dozens of
@@ -25,9 +19,7 @@ from __future__ import annotations
 import operator
 from typing import Any
 
-from numba import _dynfunc  # type: ignore[attr-defined]
 from numba.core import ir, types
-from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import AnalysisPass, FunctionPass, register_pass
 from numba.core.typed_passes import NativeLowering
@@ -155,65 +147,3 @@ class RefcountCheckedCompiler(NonePruningCompiler):
         return insert_pass(
             pipelines, NativeLowering, _RefcountCheck, "check that no values are reference-counted"
         )
-
-
-class _DeferredLibrary(JITCodeLibrary):
-    """LLVM library that is optimized only after it is linked into a caller."""
-
-    def _optimize_final_module(self) -> None:
-        """Do nothing: the caller optimizes this code."""
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _DeferredLowering(NativeLowering):
-    """Lower a function to LLVM code without generating machine code."""
-
-    _name = "deferred_lowering"
-
-    def run_pass(self, state: Any) -> bool:
-        state.library = _DeferredLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.flags = state.flags.copy()
-        state.flags.no_compile = True
-        super().run_pass(state)
-        result = state["cr"]
-        # Numba looks the code up by the function that Python would call: here an empty one.
-        placeholder = _dynfunc.make_function(
-            result.fndesc.lookup_module(),
-            result.fndesc.qualname,
-            "",
-            0,
-            result.env,
-            (state.library,),
-        )
-        state.targetctx.insert_user_function(placeholder, result.fndesc, [state.library])
-        state["cr"] = result._replace(cfunc=placeholder)
-        return True
-
-
-class DeferredCodegenCompiler(RefcountCheckedCompiler):
-    """Compiler of functions that only other functions call."""
-
-    def define_pipelines(self) -> list[Any]:
-        """Return the pipelines with deferred lowering as their last pass."""
-        pipelines = super().define_pipelines()
-        for pipeline in pipelines:
-            pipeline.passes = [
-                (
-                    _DeferredLowering if compiler_pass is NativeLowering else compiler_pass,
-                    description,
-                )
-                for compiler_pass, description in pipeline.passes
-            ]
-        return pipelines
-
-
-DEFERRED_CODEGEN_OPTIONS: Any = {
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-    "pipeline_class": DeferredCodegenCompiler,
-}
-"""Numba options of functions that only other functions call."""

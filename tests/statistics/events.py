@@ -15,15 +15,15 @@ from scenes import make_ray_at
 
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.grains import history, interaction, microfacet, spheroid
-from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, Collision
+from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
 from splits.kernels.grains.grain_path import sample_interaction, trace_through_grain
 from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
 from splits.kernels.grains.scene import NO_MAX_ORDER, WRONG_SIDE_LOBE
 from splits.kernels.grains.spheroid import Spheroid
-from splits.kernels.grains.state import GrainSample, NextEvent, sample_entry_variates
+from splits.kernels.grains.state import COLLISION, GrainSample, make_event, sample_entry_variates
 from splits.kernels.math import rng
 from splits.kernels.math.elementary import Angle
-from splits.kernels.math.vectors import UP, Vector
+from splits.kernels.math.vectors import ORIGIN, UP, Vector
 from splits.kernels.optics.interface import InterfaceSample
 from splits.kernels.tallies.exits import ALIVE
 from splits.kernels.vectorized import lane_state
@@ -79,7 +79,7 @@ def trace_grain(state, d, size, facetness, wet, scene, optics, length):
     entry = sample_entry(state, d, size, scene.rules.entry_sampling)
     limit = math.inf if scene.rules.analog else FIRST_ROULETTE_DEPTH
     grain_sample = GrainSample(0, size, 0.5 * facetness)
-    event = NextEvent(grain_sample, Collision(0.0, 0.0, entry, False, True, 0.0), 0, False)
+    event = make_event(COLLISION, 0, 0.0, ORIGIN, grain_sample, entry)
     ray = make_ray_at(0.0, d, wet, limit)
     return trace_through_grain(state, ray, event, scene, optics, length), entry
 

@@ -26,7 +26,6 @@ from events import (
 from numba import njit
 from scenes import (
     find_next_event,
-    get_pore_space,
     make_medium_scene,
     make_optics,
     make_ray_after_segment,
@@ -36,9 +35,9 @@ from scenes import (
 from spheroids import compute_normal, dot_product, find_closest_approach, to_real_space
 
 import splits
-from splits.kernels.grains import history
 from splits.kernels.grains import ray as ray_module
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE
+from splits.kernels.grains.state import BOUNDARY, NO_EVENT
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import ORIGIN, UP, Vector
 from splits.kernels.optics import fresnel, interface
@@ -73,12 +72,11 @@ def _sample_next_grain(state, z, d, scene, optics, displacement, direction_back,
     """Return distance, semi-minor axis, flattening, entry point, major axis and normal."""
     ray = make_ray_after_segment(z, displacement, d, direction_back, length)
     event = find_next_event(state, ray, scene, optics)
-    collision = event.collision
-    grain, n = collision.entry.grain, collision.entry.normal
+    grain, n = event.entry.grain, event.entry.normal
     q, w = grain.q, grain.w
-    outside = 1.0 if collision.leaves_layer else 0.0
+    outside = 1.0 if event.kind == BOUNDARY else 0.0
     return (
-        collision.distance, grain.semi_minor, grain.flattening, q.x, q.y, q.z, w.x, w.y, w.z,
+        event.distance, grain.semi_minor, grain.flattening, q.x, q.y, q.z, w.x, w.y, w.z,
         n.x, n.y, n.z, outside,
     )  # fmt: skip
 
@@ -157,9 +155,9 @@ def _sample_next_segment(state, z, scene, optics):
     """Return where the segment of a vertical ray ends, and whether at the boundary."""
     ray = make_ray_after_segment(z, Vector(0.0, 0.0, 0.0), UP, UP, -1.0)
     event = find_next_event(state, ray, scene, optics)
-    moved = history.move_to_event(ray, event, get_pore_space(scene))
-    outside = 1.0 if event.collision.leaves_layer else 0.0
-    return moved.previous_segment.length, moved.position.z, outside, 1.0 if event.lost else 0.0
+    outside = 1.0 if event.kind == BOUNDARY else 0.0
+    lost = 1.0 if event.kind == NO_EVENT else 0.0
+    return event.distance, event.position.z, outside, lost
 
 
 @njit

@@ -19,6 +19,7 @@ from scenes import find_next_event, make_medium_scene, make_optics, make_ray_at
 from scipy import stats
 
 import splits
+from splits.kernels.grains.state import BOUNDARY
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import Vector
 
@@ -51,7 +52,7 @@ def sample_hit_grain(state, z, scene, optics):
     """Return distance, type and size of the next grain, far from all boundaries."""
     event = find_next_event(state, make_ray_at(z, Vector(0.6, 0.0, 0.8)), scene, optics)
     grain_type, size, _ = event.grain_sample
-    distance = math.nan if event.collision.leaves_layer else event.collision.distance
+    distance = math.nan if event.kind == BOUNDARY else event.distance
     return distance, float(grain_type), 2.0 * size.semi_major, math.sqrt(1.0 - size.flattening)
 
 

@@ -16,9 +16,12 @@ from splits.kernels.grains.ray import compute_position
 from splits.kernels.grains.scene import MAX_REJECTIONS, NO_PARTICLES
 from splits.kernels.grains.spheroid import Segment
 from splits.kernels.grains.state import (
-    NextEvent,
+    BOUNDARY,
+    COLLISION,
+    NO_EVENT,
     attenuate,
     get_layer_geometry,
+    make_event,
     make_rejection_rules,
     pore_material,
     refractive_index_of,
@@ -28,7 +31,7 @@ from splits.kernels.grains.state import (
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing
-from splits.kernels.tallies.exits import ALIVE
+from splits.kernels.tallies.exits import ALIVE, LOST
 
 
 @inline_only
@@ -104,12 +107,15 @@ def sample_next_event(state, ray, scene, optics):
             flight, grain_sample.size, variates, uniform(state), layer_geometry, rules
         )
         if collision.accepted:
-            return NextEvent(grain_sample, collision, flight.layer, False)
+            kind, distance, height = COLLISION, collision.distance, collision.height
+            break
         if collision.leaves_layer:
+            boundary_hit = compute_boundary_hit(ray, layer_geometry)
+            distance, height = boundary_hit.distance, boundary_hit.position.z
             next_layer = find_adjacent_layer(flight.layer, ray.direction)
             if not is_continuous(layers, optics, flight.layer, next_layer, ray.pore_variate):
-                return NextEvent(grain_sample, collision, flight.layer, False)
-            distance = compute_boundary_hit(ray, layer_geometry).distance
+                kind = BOUNDARY
+                break
             flight = replace(flight, layer=next_layer, start_distance=distance)
             # After a rejected grain, a layer of particles that was passed is not sampled again.
             restart = flight if has_particles else restart
@@ -120,28 +126,21 @@ def sample_next_event(state, ray, scene, optics):
         flight = restart
         n_rejected += 1
         if n_rejected == MAX_REJECTIONS:
-            return NextEvent(grain_sample, collision, flight.layer, True)
-
-
-@inline_only
-def move_to_event(ray, event, layer_geometry):
-    """Return a ray at the grain that it hits, or at the boundary that comes first."""
-    distance, height = event.collision.distance, event.collision.height
-    if event.collision.leaves_layer:
-        boundary_hit = compute_boundary_hit(ray, layer_geometry)
-        distance, height = boundary_hit.distance, boundary_hit.position.z
+            kind, distance, height = NO_EVENT, collision.distance, collision.height
+            break
     x = ray.position.x + ray.exit_offset.x + distance * ray.direction.x
     y = ray.position.y + ray.exit_offset.y + distance * ray.direction.y
-    return end_segment(ray, Vector(x, y, height), distance)
+    position = Vector(x, y, height)
+    return make_event(kind, flight.layer, distance, position, grain_sample, collision.entry)
 
 
 @inline_only
-def end_segment(ray, position, length):
-    """Return a ray at the end of a path segment."""
-    segment = Segment(ORIGIN, ray.direction, length)
+def end_segment(ray, event):
+    """Return a ray at its next event, `LOST` without one."""
     return replace(
-        ray, position=position, exit_offset=ORIGIN, previous_segment=segment, start_distance=0.0,
-        n_segments=ray.n_segments + 1,
+        ray, status=LOST if event.kind == NO_EVENT else ray.status, position=event.position,
+        exit_offset=ORIGIN, previous_segment=Segment(ORIGIN, ray.direction, event.distance),
+        start_distance=0.0, n_segments=ray.n_segments + 1,
     )  # fmt: skip
 
 

@@ -81,7 +81,7 @@ def trace_through_grain(state, ray, event, scene, optics, path_lengths):
     state : uint64[1]
     ray : Ray
         At the entry point.
-    event : NextEvent
+    event : Event
     scene, optics
         See `splits.kernels.grains.scene`.
     path_lengths : float64[materials]
@@ -93,7 +93,7 @@ def trace_through_grain(state, ray, event, scene, optics, path_lengths):
         At the exit point, or `ABSORBED`.
     """
     grain_type, size, roughness = event.grain_sample
-    grain, types = event.collision.entry.grain, scene.types
+    grain, types = event.entry.grain, scene.types
     interface = InterfaceState(0.0, 1.0, False, False)
     while True:
         media = sample_adjacent_media(state, interface, grain_type, ray, scene, optics)

@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline_only
-from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.events import (
     apply_roulette,
     collide,
@@ -21,8 +20,8 @@ from splits.kernels.grains.events import (
 )
 from splits.kernels.grains.flight import (
     attenuate_segment,
+    end_segment,
     locate_layer,
-    move_to_event,
     sample_next_event,
 )
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
@@ -30,15 +29,13 @@ from splits.kernels.grains.ray import make_ray
 from splits.kernels.grains.rough_top import (
     interact_at_rough_top,
     intersect_rough_top,
-    stop_at_facet,
     trace_above_surface,
 )
-from splits.kernels.grains.state import get_layer_geometry
+from splits.kernels.grains.state import BOUNDARY, COLLISION, ROUGH_TOP
 from splits.kernels.grains.weight_window import check_weight_window
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN
 from splits.kernels.optics.source import sample_source_direction
-from splits.kernels.rough_surface.intersection import NO_HIT
 from splits.kernels.rough_surface.realization import (
     compute_entry_position,
     sample_realization_if_rough,
@@ -70,7 +67,7 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
     """Trace the history of a ray until it ends or leaves its weight window.
 
     The loop plays roulette, samples the next event (a collision, a layer boundary or a facet of the
-    rough top), attenuates the ray on the way there, and applies the event.
+    rough top), attenuates the ray on the way there, and lets it interact.
 
     Parameters
     ----------
@@ -103,28 +100,29 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
             break
         ray = locate_layer(ray, scene, optics, path_lengths, crossings)
         event = sample_next_event(state, ray, scene, optics)
-        end = move_to_event(ray, event, get_layer_geometry(layers, event.layer))
-        hit = intersect_rough_top(rough_top, ray, event, end.previous_segment.length)
-        if hit.distance != NO_HIT:
-            end, event = stop_at_facet(ray, event, hit, layers.boundaries[1])
-        if event.lost:
-            return replace(end, status=LOST)
-        ray = attenuate_segment(state, end, event.layer, scene, optics, path_lengths, crossings)
-        if ray.status != ALIVE:
+        event = intersect_rough_top(rough_top, ray, event, layers.boundaries[1])
+        ray = end_segment(ray, event)
+        ray = attenuate_segment(state, ray, event.layer, scene, optics, path_lengths, crossings)
+        if ray.status == ALIVE:
+            ray = interact(state, ray, event, scene, optics, path_lengths, crossings, rough_top)
+        if (
+            window is not None
+            and ray.status == ALIVE
+            and event.kind == COLLISION
+            and check_weight_window(window, ray, layers)
+        ):
             break
-        if hit.distance != NO_HIT:
-            ray = interact_at_rough_top(state, ray, hit.slope, scene, optics, rough_top)
-        elif event.collision.leaves_layer:
-            ray = cross_interface(state, ray, scene, optics, path_lengths, crossings)
-        else:
-            ray = collide(state, ray, event, scene, optics, path_lengths)
-            if (
-                window is not None
-                and ray.status == ALIVE
-                and check_weight_window(window, ray, layers)
-            ):
-                break
     return ray
+
+
+@inline_only
+def interact(state, ray, event, scene, optics, path_lengths, crossings, rough_top):
+    """Return a ray after its event; parameters are those of `trace_history`."""
+    if event.kind == ROUGH_TOP:
+        return interact_at_rough_top(state, ray, event.slope, scene, optics, rough_top)
+    if event.kind == BOUNDARY:
+        return cross_interface(state, ray, scene, optics, path_lengths, crossings)
+    return collide(state, ray, event, scene, optics, path_lengths)
 
 
 @inline_only

@@ -10,9 +10,13 @@ from __future__ import annotations
 
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.flight import end_segment
 from splits.kernels.grains.ray import NO_SEGMENT, compute_position
-from splits.kernels.grains.state import NextEvent, pore_material, refractive_index_of
+from splits.kernels.grains.state import (
+    NO_EVENT,
+    ROUGH_TOP,
+    pore_material,
+    refractive_index_of,
+)
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, add_scaled, scale
 from splits.kernels.optics.interface import sample_interface
@@ -21,7 +25,6 @@ from splits.kernels.rough_surface.intersection import (
     STEP_LIMIT_REACHED,
     compute_normal_from_slope,
     find_first_intersection,
-    make_no_hit,
     nudge_off_surface,
 )
 from splits.kernels.tallies.exits import ABSORBED, LOST, REFLECTED
@@ -34,28 +37,27 @@ MAX_HEIGHT_SIGMA = 50.0
 
 
 @inline_only
-def intersect_rough_top(rough_top, ray, event, segment_length):
-    """Return the first `Hit` of the rough top by a ray in the sample within its path segment."""
-    if rough_top is None:
-        return make_no_hit(NO_HIT, 0)
-    start, d = compute_position(ray), ray.direction
-    is_below = max(start.z, start.z + segment_length * d.z) <= -rough_top.max_height
-    if event.lost or is_below:
-        return make_no_hit(NO_HIT, 0)
-    return find_first_intersection(rough_top, start, d, -1.0, segment_length)
+def intersect_rough_top(rough_top, ray, event, layer_bottom):
+    """Return the event of a ray in the sample, which is a hit of the rough top if that comes first.
 
-
-@inline_only
-def stop_at_facet(ray, event, hit, layer_bottom):
-    """Return a ray that stops at a facet, with its event in the top layer.
-
-    The sampled collision no longer applies.  The ray is lost if the search was undecided, or
-    if the surface extends below `layer_bottom` (m), see `ParticleLayer.depth_m`.
+    The ray is lost if the search was undecided, or if the surface extends below `layer_bottom` (m),
+    see `ParticleLayer.depth_m`.
     """
-    position = add_scaled(hit.distance, ray.direction, compute_position(ray))
+    if rough_top is None:
+        return event
+    start, d = compute_position(ray), ray.direction
+    is_below = max(start.z, start.z + event.distance * d.z) <= -rough_top.max_height
+    if event.kind == NO_EVENT or is_below:
+        return event
+    hit = find_first_intersection(rough_top, start, d, -1.0, event.distance)
+    if hit.distance == NO_HIT:
+        return event
+    position = add_scaled(hit.distance, d, start)
     lost = hit.distance == STEP_LIMIT_REACHED or position.z < layer_bottom
-    event = NextEvent(event.grain_sample, event.collision, 0, lost)
-    return end_segment(ray, position, hit.distance), event
+    return replace(
+        event, kind=NO_EVENT if lost else ROUGH_TOP, layer=0, distance=hit.distance,
+        position=position, slope=hit.slope,
+    )  # fmt: skip
 
 
 @inline_only

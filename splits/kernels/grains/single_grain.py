@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline
-from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, Collision
+from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
 from splits.kernels.grains.grain_path import trace_through_grain
 from splits.kernels.grains.ray import make_ray
 from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, Scene
 from splits.kernels.grains.spheroid import sample_entry_point
-from splits.kernels.grains.state import NextEvent, sample_entry_variates, sample_grain
+from splits.kernels.grains.state import COLLISION, make_event, sample_entry_variates, sample_grain
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN, UP, dot
 from splits.kernels.tallies.exits import ALIVE
@@ -52,7 +52,7 @@ def sample_hit_grain(state, isolated_grain):
     entry = sample_entry_point(
         UP, grain_sample.size, variates, isolated_grain.scene.rules.entry_sampling
     )
-    return NextEvent(grain_sample, Collision(0.0, 0.0, entry, False, True, 0.0), 0, False)
+    return make_event(COLLISION, 0, 0.0, ORIGIN, grain_sample, entry)
 
 
 @inline

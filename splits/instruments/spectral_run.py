@@ -36,7 +36,7 @@ class SpectralResult(NamedTuple):
 
 
 class SpectralRequest(NamedTuple):
-    """Checked arguments of a spectrophotometer; see there."""
+    """Validated arguments of `splits.spectrophotometer`."""
 
     wavelengths: np.ndarray
     incidence: float | str
@@ -98,7 +98,7 @@ class SpectralRequest(NamedTuple):
         estimator: str = "spectral",
         progress: ProgressCallback = None,
     ) -> SpectralResult:
-        """Return the result of `estimate` for a known truncation."""
+        """Return the result of `estimate` for media whose truncation is given."""
         analog = estimator == "analog"
         wavelengths, n_media = self.wavelengths, len(path_sharing.media) - len(perturbations.media)
         traced = (

@@ -147,7 +147,7 @@ def _truncate(
     path_sharing: PathSharingMedia, wavelengths: np.ndarray, optics: Sequence[xr.Dataset],
     max_stderr: float, undisturbed_depth_m: float,
 ) -> TruncatedMedium | None:  # fmt: skip
-    """Return what `truncate_deep_medium` returns, from the single-scattering properties."""
+    """Truncate media with given single-scattering properties, see `truncate_deep_medium`."""
     media, scales = path_sharing
     properties = [DiffusionProperties.from_optics(one) for one in optics]
     layer = get_lowest_layer(media[0])

@@ -37,7 +37,7 @@ PARAMETER_STEP = 1e-4
 
 
 class Perturbations(NamedTuple):
-    """Parameters whose derivatives come from the paths of a spectrum itself.
+    """Parameters that change only absorption, so that the paths of a spectrum give derivatives.
 
     Attributes
     ----------

@@ -1,7 +1,8 @@
 """Random-number streams of the instruments: with one seed, no two use the same numbers.
 
-A stream is identified by seed, stratum and ray (`splits.kernels.math.rng`).  Each constant is the
-number of the first stratum of an instrument, which owns all numbers up to the next.
+A stream is identified by seed, stream number and ray (`splits.kernels.math.rng`).  Each stratum of
+a tally has a stream number.  Each constant is the first of an instrument, which owns all numbers up
+to the next.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ WorkItem = tuple[Tally, Stratum, int, int]
 
 
 class Runner:
-    """Tracer of rays of a medium on several threads, with the same results on any number of them.
+    """Runs tracing jobs on several threads, with the same results on any number of them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Interface of tracers, the kernels of scenes."""
+"""Interface to the kernels: tracers of scenes."""
 
 from __future__ import annotations
 

@@ -167,11 +167,12 @@ class ParticleScattering(NamedTuple):
 
 
 class SamplingRules(NamedTuple):
-    """Interpretations of the papers as numbers on which kernels branch, see `ENTRY_SAMPLING` etc.
+    """Sampling options of the kernels, as integer codes; they implement the interpretations.
 
     With `analog`, absorption is sampled on each segment; otherwise path lengths are recorded and
-    converted to weights at the exit.  With `point_grains`, grains are point scatterers: a ray
-    leaves a grain at the point at which it entered.
+    converted to weights at the exit.  Without `boundary_fresnel`, wet pores at boundaries refract
+    and reflect nothing.  With `point_grains`, grains are point scatterers: a ray leaves a grain at
+    the point at which it entered.
     """
 
     entry_sampling: int

@@ -44,7 +44,7 @@ _RSQRT_MAGIC = np.int32(0x5F3759DF)
 
 
 def rsqrt(x):
-    """Return 1/√x of x > 0; in single precision to 2e-7 from 1e-36 on, and finite of 0.
+    """Return 1/√x of x > 0; in single precision to 2e-7 from 1e-36 on, and finite at 0.
 
     Single precision uses three steps of Newton's method from an estimate by half of the exponent
     (error 3.5 %, Lomont 2003): the vectorized kernel needs more roots than the single unit for

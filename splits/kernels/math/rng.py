@@ -48,7 +48,7 @@ def uniform(state):
     """Return the next number of the stream, uniform on the open interval (0, 1).
 
     It has 52 random bits and lies at the centre of its interval.  The sum below is exact, so that
-    neither 0 nor 1 occurs, the logarithm is finite, and a free path ends at 36 mean free paths.
+    neither 0 nor 1 occurs, the logarithm is finite, and no free path exceeds 37 mean free paths.
     """
     state[0] += GOLDEN_GAMMA
     return (float(mix64(state[0]) >> _S12) + 0.5) * _TO_UNIT

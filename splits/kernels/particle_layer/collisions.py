@@ -99,7 +99,7 @@ def scatter_at_bottom(state, ray, layer, phase, detectors, max_order):
 
 @inline_only
 def absorb_at_particle(ray, layer, u, max_order):
-    """Apply absorption to a ray at a particle: terminate it or reduce its weight.
+    """Apply absorption to a ray at a particle: analog, or by implicit capture.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Intersection of rays with a rough surface.
+"""Intersection of rays with a rough surface, by ray marching with Lipschitz bounds.
 
 Rays advance in steps that are proven free of intersections by bounds on the slope and curvature of
 the surface along the ray.  On surfaces of many scales the finest waves keep the steps short.  Waves

@@ -1,4 +1,4 @@
-"""Vectorized kernel: batches of rays on SIMD lanes, in single precision.
+"""Vectorized, event-based kernel: many rays on SIMD lanes, in single precision.
 
 A scalar kernel spends much of its time in rejection loops and branches.  Here `N_LANES` rays
 advance together.  Two passes over all lanes alternate; each is a loop without branches, in which
@@ -8,7 +8,7 @@ every ``if`` selects values only:
 `run_surface_pass`  samples one interaction (facet, Fresnel, direction, chord), for lanes at a
 grain.
 
-After a rejected interaction or grain a lane is served by the next pass.  Rare events (boundaries,
+After a rejected interaction or grain a lane is handled by the next pass.  Rare events (boundaries,
 new rays) are handled in a plain loop between the passes.  The formulas are those of the scalar
 kernel: `microfacet`, `fresnel` and `spheroid` serve both.
 """

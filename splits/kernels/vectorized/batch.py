@@ -9,6 +9,7 @@ from numpy import float32 as single
 
 from splits.kernels.compiler.alignment import align_stack, allocate_aligned
 from splits.kernels.compiler.jit import ZERO, entry_point, inline_allocating, inline_only
+from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.free_path import LayerGeometry
 from splits.kernels.grains.scene import WRONG_SIDE_LOBE
 from splits.kernels.grains.state import make_rejection_rules
@@ -130,7 +131,7 @@ def skip_finished_items(queue, work):
     while number == work[item, 2]:
         item += 1
         number = 0
-    return SourceQueue(queue.next_ray, queue.n_rays, item, number, queue.n_active, False)
+    return replace(queue, item=item, ray_in_item=number)
 
 
 @inline_only
@@ -144,8 +145,8 @@ def launch_next_ray(lanes, lane, job, exits, queue):
         lanes.item[lane] = queue.item
         entered = sample_source(lanes, lane, job, queue.ray_in_item)
         n_active = queue.n_active + 1 if entered else queue.n_active
-        queue = SourceQueue(
-            queue.next_ray + 1, queue.n_rays, queue.item, queue.ray_in_item + 1, n_active, False
+        queue = replace(
+            queue, next_ray=queue.next_ray + 1, ray_in_item=queue.ray_in_item + 1, n_active=n_active
         )
         if entered:
             return queue
@@ -175,39 +176,28 @@ def handle_waiting_lanes(lanes, width, job, crossings, exits, n_segments, queue)
     """Record finished rays, handle rays at boundaries, and launch new rays."""
     state = lanes.state
     for lane in range(width):
-        while state[lane_state.STATUS + lane] >= lane_state.AT_BOUNDARY:
-            status = state[lane_state.STATUS + lane]
-            if status == lane_state.LOST:
-                return SourceQueue(
-                    queue.next_ray,
-                    queue.n_rays,
-                    queue.item,
-                    queue.ray_in_item,
-                    queue.n_active,
-                    True,
-                )
-            if status == lane_state.IDLE and queue.next_ray == queue.n_rays:
-                break
-            leaves = False
-            if status <= lane_state.RELOCATE:
-                leaves = handle_boundary(lanes, lane, job, crossings, status)
-                if leaves and reaches_ground(lanes, lane, job):
-                    reflect_from_ground(lanes, lane, job, crossings)
-                    leaves = False
-                if not leaves:
-                    break
-            n_active = queue.n_active
-            if status != lane_state.IDLE:
-                n_active -= 1
-                n_segments[lanes.item[lane]] += lanes.words[lane_state.N_SEGMENTS + lane]
-            if leaves:
-                flush_path_lengths(lanes, lane, job.scene)
-                record_lane_exit(lanes, lane, exits)
-            queue = SourceQueue(
-                queue.next_ray, queue.n_rays, queue.item, queue.ray_in_item, n_active, False
-            )
-            queue = launch_next_ray(lanes, lane, job, exits, queue)
-            break
+        status = state[lane_state.STATUS + lane]
+        if status < lane_state.AT_BOUNDARY:
+            continue
+        if status == lane_state.LOST:
+            return replace(queue, lost=True)
+        if status == lane_state.IDLE and queue.next_ray == queue.n_rays:
+            continue
+        leaves = False
+        if status <= lane_state.RELOCATE:
+            leaves = handle_boundary(lanes, lane, job, crossings, status)
+            if leaves and reaches_ground(lanes, lane, job):
+                reflect_from_ground(lanes, lane, job, crossings)
+                leaves = False
+            if not leaves:
+                continue
+        if status != lane_state.IDLE:
+            queue = replace(queue, n_active=queue.n_active - 1)
+            n_segments[lanes.item[lane]] += lanes.words[lane_state.N_SEGMENTS + lane]
+        if leaves:
+            flush_path_lengths(lanes, lane, job.scene)
+            record_lane_exit(lanes, lane, exits)
+        queue = launch_next_ray(lanes, lane, job, exits, queue)
     return queue
 
 

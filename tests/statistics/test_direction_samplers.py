@@ -234,7 +234,7 @@ def test_rotate_around_keeps_the_polar_angle():
         sine = np.sqrt(1.0 - cosine**2)
         for normal in NORMALS[:6]:
             d = np.array(
-                vectors.rotate_around(Vector(*normal), Angle(cosine, sine), Angle(0.28, -0.96))
+                vectors.direction_around(Vector(*normal), Angle(cosine, sine), Angle(0.28, -0.96))
             )
             assert abs(d @ normal - cosine) < 1e-14
             assert abs(d @ d - 1.0) < 1e-14

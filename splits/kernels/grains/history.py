@@ -32,7 +32,7 @@ from splits.kernels.grains.rough_top import (
     trace_above_surface,
 )
 from splits.kernels.grains.state import BOUNDARY, COLLISION, ROUGH_TOP
-from splits.kernels.grains.weight_window import check_weight_window
+from splits.kernels.grains.weight_window import leaves_weight_window
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN
 from splits.kernels.optics.source import sample_source_direction
@@ -109,7 +109,7 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
             window is not None
             and ray.status == ALIVE
             and event.kind == COLLISION
-            and check_weight_window(window, ray, layers)
+            and leaves_weight_window(window, ray, layers)
         ):
             break
     return ray

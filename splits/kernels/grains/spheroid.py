@@ -17,10 +17,10 @@ from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import (
     Vector,
     add_scaled,
+    direction_around,
     dot,
     linear_combination,
     normalize,
-    rotate_around,
     scale,
 )
 
@@ -188,12 +188,12 @@ def sample_entry_point(d, size, variates, entry_sampling):
         else variates.u_cos_incidence
     )
     polar = Angle(cos_incidence, sqrt(max(ONE - cos_incidence * cos_incidence, ZERO)))
-    n = rotate_around(Vector(-d.x, -d.y, -d.z), polar, variates.normal_azimuth)
+    n = direction_around(Vector(-d.x, -d.y, -d.z), polar, variates.normal_azimuth)
     per_length = rsqrt(square)
     normal_length = square * per_length
     cos_axis = (ONE - flattening) * axial * per_length
     sin_axis = sqrt(max(ONE - axial * axial, ZERO)) * per_length
-    w = rotate_around(n, Angle(cos_axis, sin_axis), variates.axis_azimuth)
+    w = direction_around(n, Angle(cos_axis, sin_axis), variates.axis_azimuth)
     q = linear_combination(flattening * axial, w, normal_length, n)
     minor = (ONE - flattening) * size.semi_major
     return EntryPoint(Spheroid(q, w, flattening, minor), n, axial, size.semi_major)

@@ -48,7 +48,7 @@ def compute_relative_weight(ray, layers, weight, kappa):
 
 
 @inline_only
-def check_weight_window(window, ray, layers):
+def leaves_weight_window(window, ray, layers):
     """Tally the depth of a ray, and return whether it is outside its weight window."""
     bottom = layers.boundaries[layers.boundaries.size - 1]
     slices = window.profile.shape[1]

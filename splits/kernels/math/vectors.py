@@ -97,7 +97,7 @@ def make_tangents(n):
 
 
 @inline
-def rotate_around(n, polar, azimuth):
+def direction_around(n, polar, azimuth):
     """Return the unit vector at the given polar and azimuth angles around the unit vector n."""
     t = make_tangents(n)
     p = polar.sin * azimuth.cos
@@ -115,4 +115,4 @@ def sample_cosine_lobe(n, u, u_azimuth):
     u, u_azimuth : float
         Two uniform random numbers.
     """
-    return rotate_around(n, Angle(sqrt(u), sqrt(ONE - u)), sample_circle(u_azimuth))
+    return direction_around(n, Angle(sqrt(u), sqrt(ONE - u)), sample_circle(u_azimuth))

@@ -24,7 +24,7 @@ import numpy as np
 from splits.kernels.compiler.jit import TINY, inline
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import sample_azimuth, uniform
-from splits.kernels.math.vectors import rotate_around
+from splits.kernels.math.vectors import direction_around
 
 HENYEY_GREENSTEIN = 0
 RAYLEIGH = 1
@@ -209,4 +209,4 @@ def sample_phase_function(state, phase, d):
     """Sample the direction into which unpolarized light along d is scattered."""
     mu = sample_scattering_cosine(state, phase)
     c, s = sample_azimuth(state)
-    return rotate_around(d, Angle(mu, math.sqrt((1.0 - mu) * (1.0 + mu))), Angle(c, s))
+    return direction_around(d, Angle(mu, math.sqrt((1.0 - mu) * (1.0 + mu))), Angle(c, s))

@@ -7,7 +7,7 @@ import math
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import sample_azimuth, uniform
-from splits.kernels.math.vectors import dot, reflect, rotate_around
+from splits.kernels.math.vectors import direction_around, dot, reflect
 from splits.kernels.optics.fresnel import fresnel
 from splits.kernels.optics.interface import MIN_COS_INCIDENCE, ComplexIndex, sample_interface
 from splits.kernels.optics.phase_function import sample_phase_function
@@ -81,5 +81,5 @@ def sample_lambertian_reflection(state, normal, stokes):
     """
     u = uniform(state)
     c, s = sample_azimuth(state)
-    d = rotate_around(normal, Angle(math.sqrt(u), math.sqrt(1.0 - u)), Angle(c, s))
+    d = direction_around(normal, Angle(math.sqrt(u), math.sqrt(1.0 - u)), Angle(c, s))
     return DirectionSample(d, make_unpolarized(d, stokes))

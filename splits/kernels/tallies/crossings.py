@@ -16,7 +16,7 @@ from splits.kernels.compiler.jit import inline, inline_allocating
 CROSSING_RAY = 0
 """Column of the ray, as its row in the exits."""
 CROSSING_CODE = 1
-"""Column of the event, see `encode_crossing`."""
+"""Column of the code, see `encode_crossing`."""
 CROSSING_WEIGHT = 2
 """Column of the statistical weight without absorption in materials."""
 CROSSING_LENGTH = 3
@@ -41,16 +41,16 @@ class CrossingBuffer(NamedTuple):
 
 @inline_allocating
 def allocate_crossings(n_lengths):
-    """Return an empty bank of crossing records with `n_lengths` path lengths."""
+    """Return an empty buffer of crossing records with `n_lengths` path lengths."""
     return CrossingBuffer(
         np.empty((_INITIAL_CAPACITY, CROSSING_LENGTH + n_lengths)), np.zeros(2, dtype=np.int64)
     )
 
 
 @inline_allocating
-def get_recorded(bank):
+def get_recorded(buffer):
     """Return the crossing records, float64[crossings, columns]."""
-    return bank.rows[: bank.state[_N_RECORDED]]
+    return buffer.rows[: buffer.state[_N_RECORDED]]
 
 
 @inline
@@ -64,27 +64,27 @@ def copy_into_row(row, first, values):
 
 
 @inline
-def has_capacity(bank, n_new):
-    """Return whether the bank has capacity for `n_new` more records."""
-    return bank.state[_N_RECORDED] + n_new <= bank.rows.shape[0]
+def has_capacity(buffer, n_new):
+    """Return whether the buffer has capacity for `n_new` more records."""
+    return buffer.state[_N_RECORDED] + n_new <= buffer.rows.shape[0]
 
 
 @inline_allocating
-def ensure_capacity(bank, n_new):
-    """Return a bank with capacity for `n_new` more records, the same one if it suffices."""
-    if has_capacity(bank, n_new):
-        return bank
-    count = bank.state[_N_RECORDED]
-    rows = np.empty((2 * (count + n_new), bank.rows.shape[1]))
+def ensure_capacity(buffer, n_new):
+    """Return a buffer with capacity for `n_new` more records, the same one if it suffices."""
+    if has_capacity(buffer, n_new):
+        return buffer
+    count = buffer.state[_N_RECORDED]
+    rows = np.empty((2 * (count + n_new), buffer.rows.shape[1]))
     for i in range(count):
-        copy_into_row(rows[i], 0, bank.rows[i])
-    return CrossingBuffer(rows, bank.state)
+        copy_into_row(rows[i], 0, buffer.rows[i])
+    return CrossingBuffer(rows, buffer.state)
 
 
 @inline
-def set_current_ray(bank, ray):
+def set_current_ray(buffer, ray):
     """Set the ray of the records that follow."""
-    bank.state[_CURRENT_RAY] = ray
+    buffer.state[_CURRENT_RAY] = ray
 
 
 @inline
@@ -97,22 +97,22 @@ def encode_crossing(boundary, upward):
 
 
 @inline
-def append_crossing(bank, event, weight, path_lengths):
+def append_crossing(buffer, code, weight, path_lengths):
     """Record a boundary crossing.  The caller guarantees capacity.
 
     Parameters
     ----------
-    bank : CrossingBuffer
-    event : int
+    buffer : CrossingBuffer
+    code : int
     weight : float
     path_lengths : float64[columns]
         Path lengths so far (m).
     """
-    row = bank.rows[bank.state[_N_RECORDED]]
+    row = buffer.rows[buffer.state[_N_RECORDED]]
     row[CROSSING_RAY], row[CROSSING_CODE], row[CROSSING_WEIGHT] = (
-        bank.state[_CURRENT_RAY],
-        event,
+        buffer.state[_CURRENT_RAY],
+        code,
         weight,
     )
     copy_into_row(row, CROSSING_LENGTH, path_lengths)
-    bank.state[_N_RECORDED] += 1
+    buffer.state[_N_RECORDED] += 1

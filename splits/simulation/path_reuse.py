@@ -116,29 +116,17 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
     scene = build_scene(_make_finite(medium) if semi_infinite else medium, 0.0, False)
     layers, types = scene.layers, scene.types
     # A rough surface has a length scale of its own.
-    unit = (
-        1.0
-        if make_height_fields(medium) is not None
-        else float(1.0 / layers.collision_coefficient[0])
-    )
+    has_rough_surface = make_height_fields(medium) is not None
+    unit = 1.0 if has_rough_surface else float(1.0 / layers.collision_coefficient[0])
     boundaries = layers.boundaries / unit
     if semi_infinite:
         boundaries[-1] = -math.inf
     digest = hashlib.sha256()
     for table in (
-        boundaries,
-        unit * layers.collision_coefficient,
-        unit * types.inverse_semi_major,
-        *(
-            array
-            for array, field in zip(layers, layers._fields, strict=True)
-            if field not in ("boundaries", "collision_coefficient")
+        *layers._replace(
+            boundaries=boundaries, collision_coefficient=unit * layers.collision_coefficient
         ),
-        *(
-            array
-            for array, field in zip(types, types._fields, strict=True)
-            if field != "inverse_semi_major"
-        ),
+        *types._replace(inverse_semi_major=unit * types.inverse_semi_major),
         *scene.particles,
         np.array(scene.rules, dtype=float),
         np.array(

@@ -20,8 +20,7 @@ from splits.instruments import (
     spectrophotometer,
     surface_map,
 )
-from splits.instruments.shared_spectra import simulate_spectra
-from splits.instruments.spectral_run import SpectralRequest
+from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import to_netcdf_attributes
 from splits.media.medium import GranularMedium, LayeredMedium, Medium
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths

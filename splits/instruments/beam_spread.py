@@ -11,15 +11,9 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
 from splits.core.validation import check_choice, check_integer
-from splits.instruments.angular_tally import RAYS_PER_ROUND
-from splits.instruments.beam_spread_tally import (
-    N_MAP_PIXELS,
-    BeamSpreadTally,
-    compute_quantile_radii,
-    compute_radial_fractions,
-    make_beam_spread_dataset,
-)
+from splits.instruments.beam_spread_tally import BeamSpreadTally, compute_quantile_radii
 from splits.media.medium import Medium
+from splits.simulation import random_streams
 from splits.simulation.arguments import (
     HALF_WIDTH_RANGE_M,
     check_beam_angle,
@@ -29,10 +23,12 @@ from splits.simulation.arguments import (
     check_wavelengths,
 )
 from splits.simulation.attributes import make_run_attributes
-from splits.simulation.runner import Runner
+from splits.simulation.engine import simulate
 from splits.simulation.scene import compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.tracer import KERNELS
+from splits.simulation.tally import Outcome, StoppingRule
+from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer_interface import KERNELS
 
 _INTERPOLATION_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""
@@ -110,41 +106,31 @@ def beam_spread(
     start_time = time.perf_counter()
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_TOLERANCE)
-    runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
+    tracer = make_tracer(medium, incidence)
 
-    def make_tallies(first_number: int, half_width: float, n_pixels: int) -> list[BeamSpreadTally]:
-        numbered_nodes = enumerate(zip(nodes.index, nodes.weights, strict=True), start=first_number)
-        return [
-            BeamSpreadTally(number, indices, absorption, weights, half_width, n_pixels)
-            for number, (indices, weights) in numbered_nodes
-        ]
-
-    def trace(tallies: list[BeamSpreadTally], rays: int) -> None:
-        runner.trace(
-            [(tally, stratum, rays) for tally in tallies for stratum in tally.strata], 1.0, 0.0
+    def trace(tally: BeamSpreadTally, rays: int) -> Outcome:
+        stop = StoppingRule(0.0, rays, fixed=True)
+        return simulate(
+            tracer, tally, stop, seed=seed, threads=threads, kernel=kernel, progress=progress
         )
 
     if half_width_m is None:
-        pilot = make_tallies(len(nodes.index), 0.0, 0)
-        trace(pilot, RAYS_PER_ROUND)
-        radii = compute_quantile_radii(
-            compute_radial_fractions(pilot, len(wavelengths)).mean(axis=0), (0.75,)
-        )
+        pilot_stream = random_streams.BEAM_SPREAD + len(nodes.index)
+        pilot = BeamSpreadTally(nodes, absorption, 0.0, 0, pilot_stream)
+        trace(pilot, 1)
+        radii = compute_quantile_radii(pilot.compute_radial_fractions().mean(axis=0), (0.75,))
         # One mean free path where no light leaves; the edge must be positive.
-        radius = radii[0].max() or 1.0 / runner.tracer.traits.collision_coefficient
+        radius = radii[0].max() or 1.0 / tracer.traits.collision_coefficient
         half_width_m = np.clip(radius, *HALF_WIDTH_RANGE_M["beam_spread"])
-    half_width_m = float(half_width_m)
-    tallies = make_tallies(0, half_width_m, N_MAP_PIXELS)
-    trace(tallies, RAYS_PER_ROUND * -(-rays // (RAYS_PER_ROUND * len(tallies))))
+    tally = BeamSpreadTally(nodes, absorption, float(half_width_m))
+    outcome = trace(tally, rays)
     attributes = {
         **make_run_attributes("Spread of a beam", "beam_spread", medium, start_time, seed, threads),
         "incidence_deg": incidence,
-        "half_width_m": half_width_m,
-        "rays": sum(stratum.n_rays for tally in tallies for stratum in tally.strata),
-        "ensembles": len(tallies),
+        "half_width_m": tally.half_width,
+        "rays": outcome.n_rays,
+        "ensembles": len(nodes.index),
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
-        "kernel": runner.format_kernels(tallies),
+        "kernel": outcome.kernel,
     }
-    return make_beam_spread_dataset(
-        tallies, wavelengths, half_width_m, nodes.interpolation_bound, attributes
-    )
+    return tally.to_dataset(wavelengths, attributes)

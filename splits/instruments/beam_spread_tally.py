@@ -15,14 +15,12 @@ from splits.core.uncertainty import (
     compute_leave_one_out_means,
     make_variable,
 )
-from splits.instruments.angular_estimate import bound_interpolation_error
-from splits.instruments.angular_tally import N_ANGULAR_BATCHES
-from splits.kernels.grains.scene import make_bounding_optics
-from splits.kernels.tallies.radial import tally_radial
+from splits.instruments.angular_estimate import N_ANGULAR_BATCHES, bound_interpolation_error
+from splits.kernels.tallies.radial import RadialTally, tally_radial
 from splits.simulation import random_streams
 from splits.simulation.attributes import make_wavelength_coordinate
-from splits.simulation.runner import RAYS_PER_CHUNK
-from splits.simulation.tally import Stratum
+from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.tally import RAYS_PER_CHUNK, Stratum, Tally
 
 RADIUS_QUANTILES = (0.25, 0.5, 0.75, 0.9)
 """Fractions of the light that leave within the quantile radii."""
@@ -35,71 +33,139 @@ _N_FINE_BINS = BINS_PER_DECADE * N_DECADES + 2
 _FINE_BINS_PER_BIN = 5
 """Fine bins per bin of the profile."""
 SIDES = {"reflected": 0, "transmitted": 1}
-RadialScore = tuple[int, np.ndarray, np.ndarray, np.ndarray]
-"""Score of a chunk: batch, weights by distance, first moment, map."""
 
 
-class BeamSpreadTally:
-    """Tally of paths traced with one set of refractive indices, by position of exit."""
+class BeamSpreadTally(Tally):
+    """Tally of exits by their distance and direction from the point of entry.
+
+    Parameters
+    ----------
+    nodes, absorption
+        See `Tally`.
+    half_width : float
+        Half of the side length of the maps (m).
+    n_pixels : int
+        Pixels of the maps along each edge; 0 for none.
+    first_stream : int
+        Of the random streams, by node.
+
+    Attributes
+    ----------
+    radial_sums : float, shape (batches, 2, node rows, bins)
+    moment_sums : float, shape (batches, 2, node rows)
+    map_sums : float, shape (2, 2, node rows, pixels, pixels)
+        See `splits.kernels.tallies.radial.RadialTally`.
+    """
+
+    rays_per_round = N_ANGULAR_BATCHES * RAYS_PER_CHUNK
 
     def __init__(
         self,
-        stream_index: int,
-        index: np.ndarray,
+        nodes: IndexNodes,
         absorption: np.ndarray,
-        weights: np.ndarray,
         half_width: float,
-        n_pixels: int,
+        n_pixels: int = N_MAP_PIXELS,
+        first_stream: int = random_streams.BEAM_SPREAD,
     ) -> None:
-        wavelength_mask = weights > 0.0
-        self.wavelength_mask = wavelength_mask
-        self.absorption = absorption[wavelength_mask]
-        self.weights = weights[wavelength_mask]
-        self.half_width = half_width
-        self.n_pixels = n_pixels
-        optics = make_bounding_optics(index, self.absorption)
-        self.strata = [
-            Stratum(random_streams.BEAM_SPREAD + stream_index, optics, wavelength_mask, 400.0)
-        ]
-        self.radial_sums = np.zeros((N_ANGULAR_BATCHES, 2, len(self.absorption), _N_FINE_BINS))
-        self.moment_sums = np.zeros((N_ANGULAR_BATCHES, 2, len(self.absorption)))
-        self.map_sums = np.zeros((2, 2, len(self.absorption), n_pixels, n_pixels))
+        super().__init__(nodes, absorption)
+        self.half_width, self.n_pixels = half_width, n_pixels
+        n_rows = len(self.rows)
+        self.radial_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows, _N_FINE_BINS))
+        self.moment_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows))
+        self.map_sums = np.zeros((2, 2, n_rows, n_pixels, n_pixels))
+        self.add_strata(first_stream)
 
     def count_score_values(self) -> int:
-        """Return the number of values in the score of a chunk."""
-        return int(self.radial_sums[0].size + self.moment_sums[0].size + self.map_sums.size)
+        """Return the largest number of values in the score of a chunk."""
+        n_rows = int(np.diff(self.first_rows).max())
+        return n_rows * (2 * (_N_FINE_BINS + 1) + 4 * self.n_pixels**2)
 
-    def score_chunk(
-        self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
-    ) -> RadialScore:
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> RadialTally:
         """Return the sums of a chunk of exits."""
-        sums = tally_radial(
-            exits,
-            self.absorption,
-            MIN_RADIUS_M,
-            BINS_PER_DECADE,
-            _N_FINE_BINS,
-            self.half_width,
-            self.n_pixels,
+        absorption = self.absorption[self.rows[stratum.rows]]
+        bins = (MIN_RADIUS_M, BINS_PER_DECADE, _N_FINE_BINS)
+        sums: RadialTally = tally_radial(exits, absorption, *bins, self.half_width, self.n_pixels)
+        return sums
+
+    def merge(self, stratum: Stratum, score: RadialTally) -> None:
+        """Add the sums of the next chunk of a stratum."""
+        batch, rows = self.get_batch(stratum, N_ANGULAR_BATCHES), stratum.rows
+        self.radial_sums[batch, :, rows] += score.radial
+        self.moment_sums[batch, :, rows] += score.first_moment
+        self.map_sums[:, :, rows] += score.exit_map
+
+    def compute_radial_fractions(self) -> np.ndarray:
+        """Return the fraction of light by batch, side, wavelength and fine bin of distance."""
+        return self._combine(self.radial_sums)
+
+    def _combine(self, batch_sums: np.ndarray) -> np.ndarray:
+        """Return means by batch, from sums whose third axis is the node row."""
+        per_batch = np.moveaxis(batch_sums, 2, -1) / (self.count_rays() / N_ANGULAR_BATCHES)
+        return np.moveaxis(self.combine_nodes(per_batch), -1, 2)
+
+    def _compute_maps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the light that leaves through each pixel, and its standard error."""
+        n_rays = self.count_rays()
+        total, square = np.moveaxis(self.map_sums, 2, -1)
+        variance = (square - total**2 / n_rays) / n_rays**2
+        mean, variance = self.combine_nodes(total / n_rays), self.combine_nodes(variance, power=2)
+        stderr = np.sqrt(np.maximum(variance, 0.0))
+        return np.moveaxis(mean, -1, 1), np.moveaxis(stderr, -1, 1)
+
+    def to_dataset(self, wavelengths: np.ndarray, attributes: dict[str, Any]) -> xr.Dataset:
+        """Return the labelled dataset of `splits.beam_spread`."""
+        radial, moment = self.compute_radial_fractions(), self._combine(self.moment_sums)
+        binned = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _FINE_BINS_PER_BIN).sum(axis=-1)
+        edges = MIN_RADIUS_M * 10.0 ** (
+            np.arange(binned.shape[-1] + 1) * _FINE_BINS_PER_BIN / BINS_PER_DECADE
         )
-        return (first_ray // RAYS_PER_CHUNK) % N_ANGULAR_BATCHES, *sums
-
-    def add_scores(self, stratum: Stratum, scores: Sequence[RadialScore]) -> None:
-        """Add the sums of chunks one by one: they do not depend on the threads."""
-        stratum.n_rays += RAYS_PER_CHUNK * len(scores)
-        for batch, radial, moment, pixels in scores:
-            self.radial_sums[batch] += radial
-            self.moment_sums[batch] += moment
-            self.map_sums += pixels
-
-
-def compute_radial_fractions(tallies: Sequence[BeamSpreadTally], n_wavelengths: int) -> np.ndarray:
-    """Return the fraction of light by distance and batch."""
-    total = np.zeros((N_ANGULAR_BATCHES, 2, n_wavelengths, _N_FINE_BINS))
-    for tally in tallies:
-        ray_weight = tally.weights[:, np.newaxis] / (tally.strata[0].n_rays / N_ANGULAR_BATCHES)
-        total[:, :, tally.wavelength_mask] += ray_weight * tally.radial_sums
-    return total
+        profile = binned / (np.pi * np.diff(edges**2))
+        fraction = radial.sum(axis=-1)
+        mean_fraction = fraction.mean(axis=0)
+        # Without any light recorded, the error is that of one more ray.
+        statistical_error = np.where(
+            mean_fraction > 0.0, compute_batch_stderr(fraction), 1.0 / self.stratum_rays.min()
+        )
+        fraction_error = np.hypot(
+            statistical_error,
+            bound_interpolation_error(self.nodes.interpolation_bound, mean_fraction),
+        )
+        jackknife_radius = _divide_or_zero(
+            *(compute_leave_one_out_means(one) for one in (moment, fraction))
+        )
+        quantile = compute_quantile_radii(radial.mean(axis=0), RADIUS_QUANTILES)
+        jackknife_quantile = compute_quantile_radii(
+            compute_leave_one_out_means(radial), RADIUS_QUANTILES
+        )
+        pixel_area = (2.0 * self.half_width / N_MAP_PIXELS) ** 2
+        map_mean, map_error = self._compute_maps()
+        results = {
+            "fraction": ("fraction of light", "1", (), mean_fraction, fraction_error),
+            "mean_radius": (
+                "mean distance between entry and exit", "m", (),
+                _divide_or_zero(moment.mean(axis=0), mean_fraction),
+                compute_jackknife_stderr(jackknife_radius),
+            ),
+            "quantile_radius": (
+                "radius within which a part of the light leaves", "m", ("quantile",),
+                quantile, compute_jackknife_stderr(jackknife_quantile),
+            ),
+            "profile": (
+                "light leaving per area", "m-2", ("radius",),
+                profile.mean(axis=0), compute_batch_stderr(profile),
+            ),
+            "profile_map": (
+                "light leaving per area", "m-2", ("x", "y"),
+                map_mean / pixel_area, map_error / pixel_area,
+            ),
+        }  # fmt: skip
+        variables: dict[str, Variable] = {}
+        for name, (long_name, units, dims, values, stderr) in results.items():
+            variable_dims = ("side", "wavelength", *dims)
+            variables |= make_variable(name, variable_dims, values, stderr, long_name, units)
+        radius = np.sqrt(edges[1:] * edges[:-1])
+        coordinates = _make_coordinates(wavelengths, radius, self.half_width)
+        return xr.Dataset(variables, coordinates, attributes)
 
 
 def compute_quantile_radii(radial_fractions: np.ndarray, quantiles: Sequence[float]) -> np.ndarray:
@@ -115,69 +181,6 @@ def compute_quantile_radii(radial_fractions: np.ndarray, quantiles: Sequence[flo
         if total > 0.0:
             radii[index] = np.exp(np.interp(quantiles, cumulative[index][:-1] / total, edges))
     return radii
-
-
-def make_beam_spread_dataset(
-    tallies: Sequence[BeamSpreadTally],
-    wavelengths: np.ndarray,
-    half_width: float,
-    interpolation_bound: np.ndarray,
-    attributes: dict[str, Any],
-) -> xr.Dataset:
-    """Return the sums as a labelled dataset."""
-    radial = compute_radial_fractions(tallies, len(wavelengths))
-    moment = np.zeros(radial.shape[:-1])
-    for tally in tallies:
-        moment[:, :, tally.wavelength_mask] += (
-            tally.weights * tally.moment_sums / (tally.strata[0].n_rays / N_ANGULAR_BATCHES)
-        )
-    maps = _compute_maps(tallies, len(wavelengths))
-    binned = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _FINE_BINS_PER_BIN).sum(axis=-1)
-    edges = MIN_RADIUS_M * 10.0 ** (
-        np.arange(binned.shape[-1] + 1) * _FINE_BINS_PER_BIN / BINS_PER_DECADE
-    )
-    profile = binned / (np.pi * np.diff(edges**2))
-    radius = np.sqrt(edges[1:] * edges[:-1])
-    fraction = radial.sum(axis=-1)
-    jackknife_radial = compute_leave_one_out_means(radial)
-    jackknife_fraction = compute_leave_one_out_means(fraction)
-    mean = _divide_or_zero(moment.mean(axis=0), fraction.mean(axis=0))
-    quantile = compute_quantile_radii(radial.mean(axis=0), RADIUS_QUANTILES)
-    pixel_area = (2.0 * half_width / N_MAP_PIXELS) ** 2
-    # Without any light recorded, the error is that of one more ray.
-    single_ray_error = max(1.0 / tally.strata[0].n_rays for tally in tallies)
-    mean_fraction = fraction.mean(axis=0)
-    fraction_error = np.hypot(
-        np.where(mean_fraction > 0.0, compute_batch_stderr(fraction), single_ray_error),
-        bound_interpolation_error(interpolation_bound, mean_fraction),
-    )
-    jackknife_moment = compute_leave_one_out_means(moment)
-    jackknife_quantile = compute_quantile_radii(jackknife_radial, RADIUS_QUANTILES)
-    results = {
-        "fraction": ("fraction of light", "1", (), fraction.mean(axis=0), fraction_error),
-        "mean_radius": (
-            "mean distance between entry and exit", "m", (),
-            mean, compute_jackknife_stderr(_divide_or_zero(jackknife_moment, jackknife_fraction)),
-        ),
-        "quantile_radius": (
-            "radius within which a part of the light leaves", "m", ("quantile",),
-            quantile, compute_jackknife_stderr(jackknife_quantile),
-        ),
-        "profile": (
-            "light leaving per area", "m-2", ("radius",),
-            profile.mean(axis=0), compute_batch_stderr(profile),
-        ),
-        "profile_map": (
-            "light leaving per area", "m-2", ("x", "y"),
-            maps[0] / pixel_area, np.sqrt(np.maximum(maps[1], 0.0)) / pixel_area,
-        ),
-    }  # fmt: skip
-    variables: dict[str, Variable] = {}
-    for name, (long_name, units, dims, values, stderr) in results.items():
-        variable_dims = ("side", "wavelength", *dims)
-        variables |= make_variable(name, variable_dims, values, stderr, long_name, units)
-    coordinates = _make_coordinates(wavelengths, radius, half_width)
-    return xr.Dataset(variables, coordinates, attributes)
 
 
 def _make_coordinates(
@@ -197,19 +200,6 @@ def _make_coordinates(
         "x": ("x", positions, {"long_name": "distance along the beam's travel", "units": "m"}),
         "y": ("y", positions, {"long_name": "distance across the beam's travel", "units": "m"}),
     }
-
-
-def _compute_maps(tallies: Sequence[BeamSpreadTally], n_wavelengths: int) -> np.ndarray:
-    """Return the light that leaves through each pixel, and its variance, along the first axis."""
-    maps = np.zeros((2, 2, n_wavelengths, N_MAP_PIXELS, N_MAP_PIXELS))
-    for tally in tallies:
-        n_rays = tally.strata[0].n_rays
-        w = tally.weights[:, np.newaxis, np.newaxis]
-        maps[0][:, tally.wavelength_mask] += w * tally.map_sums[0] / n_rays
-        maps[1][:, tally.wavelength_mask] += (
-            w**2 * (tally.map_sums[1] - tally.map_sums[0] ** 2 / n_rays) / n_rays**2
-        )
-    return maps
 
 
 def _divide_or_zero(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.progress import Progress, ProgressCallback, with_progress
+from splits.core.progress import ProgressCallback, with_progress
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_integer, check_range, invalid
 from splits.instruments.single_scattering import single_scattering
-from splits.kernels.grains.scene import Optics, Scene, make_bounding_optics
-from splits.kernels.grains.splitting import trace_batch_with_splitting
+from splits.instruments.transmittance_tally import (
+    N_PILOTS,
+    PILOT_HISTORIES,
+    SplittingTracer,
+    TransmittanceTally,
+)
 from splits.media.medium import GranularMedium
-from splits.simulation import random_streams
 from splits.simulation.arguments import (
     check_incidence,
     check_medium,
@@ -24,22 +27,10 @@ from splits.simulation.arguments import (
     check_wavelengths,
 )
 from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.simulation.engine import simulate
 from splits.simulation.scene import build_scene, compute_optical_constants, get_reflecting_ground
-from splits.simulation.threads import DaemonThreadPool
+from splits.simulation.tally import StoppingRule
 
-HISTORIES_PER_CHUNK = 64
-"""Histories per chunk, the unit of parallel work."""
-PILOT_HISTORIES = 512
-"""Histories of each pilot run and of the first round."""
-MAX_HISTORY_FRACTION = 0.05
-"""Largest fraction of the sum from a single history for convergence: the error would be
-underestimated if rare large contributions dominate it that were mostly not sampled yet."""
-N_PILOTS = 3
-"""Pilot runs, each of which samples deeper than the one before."""
-N_DEPTH_SLICES = 24
-"""Depth slices in which pilot runs record the decrease of the light."""
-_MIN_SLICE_COLLISIONS = 200
-"""Smallest number of collisions in a slice for the fit."""
 _RATE_SAFETY_FACTOR = 0.6
 """Fraction of the diffusion-theory rate for the first pilot run: too high a rate splits
 excessively."""
@@ -82,8 +73,8 @@ def deep_transmittance(
     threads : int, optional
         Default: every CPU that this process may use.
     progress : callable or bool, optional
-        True shows a progress bar; a function is called after every round with a `Progress` of
-        relative errors.
+        True shows a progress bar; a function is called periodically with a `Progress` of relative
+        errors.
 
     Returns
     -------
@@ -111,20 +102,20 @@ def deep_transmittance(
     if ground is not None:
         raise invalid("ground", ground.name, "open", "no light leaves through a ground")
     start_time = time.perf_counter()
-    scene = build_scene(medium, incidence, False)
-    index, absorption = compute_optical_constants(medium, wavelengths)
-    initial_rates = estimate_attenuation_rate(medium, wavelengths, seed, threads)
-    results = np.zeros((5, len(wavelengths)))
-    stopping_rule = _DeepStoppingRule(relative_stderr, max_rays, start_time, progress)
-    with DaemonThreadPool(threads) as pool:
-        for row, initial_rate in enumerate(initial_rates):
-            optics = make_bounding_optics(index[row], absorption[row : row + 1])
-            tracer = _HistoryTracer(pool, seed, scene, optics)
-            first_stream = random_streams.DEEP_TRANSMITTANCE + (N_PILOTS + 1) * row
-            rate = _run_pilots(tracer, first_stream, initial_rate, float(medium.depth_m))
-            tally = _trace_to_error(stopping_rule, tracer, first_stream + N_PILOTS, rate)
-            results[:, row] = *tally.estimate(), tally.n_histories, rate
-    transmittance, errors, fractions, n_rays, rates = results
+    tracer = SplittingTracer(build_scene(medium, incidence, False))
+    constants = compute_optical_constants(medium, wavelengths)
+    diffusion_rates = estimate_attenuation_rate(medium, wavelengths, seed, threads)
+    rates = _RATE_SAFETY_FACTOR * diffusion_rates
+    n_wavelengths = len(wavelengths)
+    for stage in range(N_PILOTS):
+        pilot = TransmittanceTally(constants, rates, stage)
+        pilot_stop = StoppingRule(0.0, PILOT_HISTORIES * n_wavelengths, fixed=True)
+        simulate(tracer, pilot, pilot_stop, seed=seed, threads=threads)
+        rates = np.minimum(pilot.fit_attenuation_rates(float(medium.depth_m)), diffusion_rates)
+    tally = TransmittanceTally(constants, rates, N_PILOTS)
+    stop = StoppingRule(relative_stderr, max_rays * n_wavelengths)
+    outcome = simulate(tracer, tally, stop, seed=seed, threads=threads, progress=progress)
+    transmittance, errors, fractions = tally.estimate()
     illumination = "hemispherical" if incidence == "diffuse" else "directional"
     long_name = f"{illumination}-hemispherical transmittance"
     dim, fraction_label = "wavelength", "largest fraction of the sum from one history"
@@ -134,143 +125,17 @@ def deep_transmittance(
         **make_variable(
             "attenuation_rate", dim, rates, None, "rate of splitting with depth", "m-1"
         ),
-        **make_variable("rays", dim, n_rays.astype(np.int64), None, "rays"),
+        **make_variable("rays", dim, tally.stratum_rays, None, "rays"),
     }
-    converged = (errors <= relative_stderr * transmittance) & (fractions <= MAX_HISTORY_FRACTION)
     attributes = {
         **make_run_attributes("Deep transmittance", "deep_transmittance", medium, start_time, seed),
         "incidence_deg": incidence,
         "relative_stderr": relative_stderr,
-        "stop_reason": "converged" if converged.all() else "max_rays",
+        "stop_reason": outcome.stop_reason,
         "max_rays": max_rays,
     }
     coordinates = {"wavelength": make_wavelength_coordinate(wavelengths)}
     return xr.Dataset(variables, coordinates, attributes)
-
-
-class _DeepStoppingRule(NamedTuple):
-    """Stopping rule of a run, its start time and its progress callback."""
-
-    relative_stderr: float
-    max_rays: int
-    start_time: float
-    progress: ProgressCallback
-
-
-def _trace_to_error(
-    stopping_rule: _DeepStoppingRule, tracer: _HistoryTracer, stream: int, splitting_rate: float
-) -> _TransmittanceTally:
-    """Return the tally of one wavelength, traced to the requested error or number of rays."""
-    tally = _TransmittanceTally()
-    n_histories = PILOT_HISTORIES
-    while True:
-        tally.trace_histories(tracer, stream, n_histories, splitting_rate)
-        mean, stderr, fraction = tally.estimate()
-        error = stderr / mean if mean > 0.0 else np.inf
-        if callable(stopping_rule.progress):
-            seconds = time.perf_counter() - stopping_rule.start_time
-            seconds_left = seconds * max((error / stopping_rule.relative_stderr) ** 2 - 1.0, 0.0)
-            stopping_rule.progress(
-                Progress(
-                    tally.n_histories, error, stopping_rule.relative_stderr, seconds, seconds_left
-                )
-            )
-        converged = error <= stopping_rule.relative_stderr and fraction <= MAX_HISTORY_FRACTION
-        if converged or tally.n_histories >= stopping_rule.max_rays:
-            return tally
-        predicted = 1.1 * tally.n_histories * (error / stopping_rule.relative_stderr) ** 2
-        n_histories = int(
-            min(
-                max(predicted, 1.5 * tally.n_histories),
-                4.0 * tally.n_histories,
-                2.0 * stopping_rule.max_rays,
-            )
-        )
-
-
-class _HistoryTracer(NamedTuple):
-    """Tracer of histories of one wavelength."""
-
-    pool: DaemonThreadPool
-    seed: int
-    scene: Scene
-    optics: Optics
-
-    def trace(
-        self, stream: int, first_history: int, splitting_rate: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return moments and depth profile of a chunk.
-
-        See `splits.kernels.grains.splitting.trace_batch_with_splitting`.
-        """
-        moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
-        work = np.array([stream, first_history, HISTORIES_PER_CHUNK])
-        result = trace_batch_with_splitting(
-            self.seed, work, self.scene, self.optics, splitting_rate, moments, profile
-        )
-        if result.lost:
-            raise RuntimeError("no grain fits between the boundaries along a ray")
-        return moments[1], profile
-
-
-class _TransmittanceTally:
-    """Sums over histories in a fixed order.
-
-    Attributes
-    ----------
-    n_histories : int
-    """
-
-    def __init__(self) -> None:
-        self.n_histories = 0
-        self._sum, self._sum_of_squares, self._max_score = 0.0, 0.0, 0.0
-        self._depth_profile = np.zeros((2, N_DEPTH_SLICES))
-
-    def trace_histories(
-        self, tracer: _HistoryTracer, stream: int, n_histories: int, splitting_rate: float
-    ) -> None:
-        """Trace whole chunks up to a number of histories."""
-        first_histories = range(self.n_histories, n_histories, HISTORIES_PER_CHUNK)
-        for moments, profile in tracer.pool.map(
-            lambda first: tracer.trace(stream, first, splitting_rate), first_histories
-        ):
-            self._sum += moments[0]
-            self._sum_of_squares += moments[1]
-            self._max_score = max(self._max_score, moments[2])
-            self._depth_profile += profile
-            self.n_histories += HISTORIES_PER_CHUNK
-
-    def estimate(self) -> tuple[float, float, float]:
-        """Return the mean, its standard error, and the largest fraction from one history."""
-        mean = self._sum / self.n_histories
-        stderr = np.sqrt(
-            max(self._sum_of_squares / self.n_histories - mean**2, 0.0) / self.n_histories
-        )
-        fraction = self._max_score / self._sum if self._sum > 0.0 else 1.0
-        return float(mean), float(stderr), float(fraction)
-
-    def estimate_attenuation_rate(self, depth: float, fallback: float) -> float:
-        """Return the rate (1/m) at which the weight decreases with depth, from sampled slices."""
-        count, weight = self._depth_profile
-        # Without the slices at the top and bottom, where light escapes.
-        inside = (count >= _MIN_SLICE_COLLISIONS) & (weight > 0.0)
-        inside[[0, -1]] = False
-        if inside.sum() < 3:
-            return fallback
-        depths = depth * (np.arange(N_DEPTH_SLICES)[inside] + 0.5) / N_DEPTH_SLICES
-        return max(-float(np.polyfit(depths, np.log(weight[inside]), 1)[0]), 0.0)
-
-
-def _run_pilots(
-    tracer: _HistoryTracer, first_stream: int, initial_rate: float, depth: float
-) -> float:
-    """Return the splitting rate (1/m) from pilot runs."""
-    rate = _RATE_SAFETY_FACTOR * initial_rate
-    for stage in range(N_PILOTS):
-        pilot = _TransmittanceTally()
-        pilot.trace_histories(tracer, first_stream + stage, PILOT_HISTORIES, rate)
-        rate = min(pilot.estimate_attenuation_rate(depth, rate), initial_rate)
-    return rate
 
 
 def estimate_attenuation_rate(

@@ -2,135 +2,163 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 
+from splits.instruments.angular_bins import STOKES_NAMES
 from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
-from splits.simulation.runner import RAYS_PER_CHUNK
+from splits.kernels.particle_layer.next_event import Detectors
+from splits.kernels.particle_layer.scene import LayerScene
+from splits.simulation import random_streams
+from splits.simulation.engine import MAX_ROUND_GROWTH
+from splits.simulation.spectral_nodes import make_separate_nodes
+from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum, Tally
+
+PILOT_BATCHES = 128
+"""Batches of the first round."""
+_EMPTY_PILOTS = 64
+"""Multiple of the first round without any light after which a run ends."""
 
 
-@dataclass(frozen=True)
-class DetectorResult:
-    """Result of detectors.
+class DetectorTally(Tally):
+    """Sums over batches of rays of their contributions to detectors.
+
+    A batch is a chunk of rays; the layer is the same at all wavelengths.
+
+    Parameters
+    ----------
+    scene : LayerScene
+    detectors : Detectors
+    side : int
+        0 reflected, 1 transmitted, to which the requested error applies.
+    n_wavelengths : int
 
     Attributes
     ----------
-    mean, stderr : float, shape (2, directions, 4)
-        I, Q, U, V of the BRDF and the BTDF (1/sr) for unpolarized light.
-    stopping_error : float, shape (2, directions)
-        Errors of I for the stopping rule: larger, so that no run stops on batches that agree by
-        chance.
-    hemispherical, hemispherical_stderr : float, shape (2, 2)
-        [reflected, transmitted][all light, unscattered light].
-    n_rays : int
-    stop_reason : str
-        "converged" or "max_rays".
-    polarized : bool
-    has_lower_side : bool
-        Whether light is detected below.
-    """
-
-    mean: np.ndarray
-    stderr: np.ndarray
-    stopping_error: np.ndarray
-    hemispherical: np.ndarray
-    hemispherical_stderr: np.ndarray
-    n_rays: int
-    stop_reason: str
-    polarized: bool
-    has_lower_side: bool
-
-    def compute_max_error(self, side: int) -> float:
-        """Return the largest relative error of one side for the stopping rule."""
-        return compute_max_relative_error(
-            self.to_angular_estimate(1), side, use_stopping_error=True
-        )
-
-    def to_angular_estimate(self, n_wavelengths: int) -> AngularEstimate:
-        """Return BRDF and BTDF, the same at all wavelengths."""
-        sums = np.empty((4, 2, n_wavelengths))
-        sums[0::2] = self.hemispherical.T[:, :, np.newaxis]
-        sums[1::2] = self.hemispherical_stderr.T[:, :, np.newaxis]
-        mean, stderr, stopping_error = (
-            np.repeat(x[:, np.newaxis], n_wavelengths, axis=1)
-            for x in (self.mean[..., 0], self.stderr[..., 0], self.stopping_error)
-        )
-        degree = np.zeros((2, n_wavelengths), dtype=int)
-        return AngularEstimate(mean, stderr, stopping_error, sums, degree, np.zeros_like(mean))
-
-    def to_stokes(self, n_wavelengths: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
-        return {
-            f"{function}_{name}": (
-                np.repeat(self.mean[np.newaxis, side, :, component], n_wavelengths, axis=0),
-                np.repeat(self.stderr[np.newaxis, side, :, component], n_wavelengths, axis=0),
-            )
-            for side, function in enumerate(("brdf", "btdf")[: 1 + self.has_lower_side])
-            for component, name in ((1, "q"), (2, "u"), (3, "v"))
-        }
-
-
-class DetectorTally:
-    """Sums of batch scores in a fixed order.
-
-    Attributes
-    ----------
-    n_batches : int
     sums, sums_of_squares, max_scores : float, shape (values,)
-        Sums, sums of squares, and the score of largest magnitude of a batch, with its sign.
+        Sums, sums of squares, and the score of largest magnitude of a batch, with its sign: of
+        detectors [side, direction, Stokes parameter], then of [reflected, transmitted][all light,
+        unscattered light].
     """
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.shape = shape
-        self.n_batches = 0
-        self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, int(np.prod(shape)) + 4))
+    def __init__(
+        self, scene: LayerScene, detectors: Detectors, side: int, n_wavelengths: int
+    ) -> None:
+        super().__init__(make_separate_nodes(np.ones((1, 1), dtype=complex)), np.zeros((1, 1)))
+        layer = scene.layer
+        self.shape, self.side, self.n_wavelengths = detectors.sums.shape, side, n_wavelengths
+        self.has_lower_side, self.polarized = detectors.has_lower_side, scene.stokes is not None
+        # Light that reaches the bottom has other angles than at detectors outside.
+        self.undefined_variables = () if self.has_lower_side else ("btdf",)
+        self.no_signal = (
+            not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom_albedo <= 0.0
+        )
+        self.lossless = layer.albedo == 1.0 and layer.bottom_albedo == 1.0
+        self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, math.prod(self.shape) + 4))
+        # For forward-peaked phase functions few events dominate the estimate.
+        g = abs(scene.phase.g)
+        self.pilot_rays = RAYS_PER_CHUNK * int(
+            PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0)
+        )
+        self.add_strata(random_streams.NEXT_EVENT)
 
-    def add_batch(self, score: np.ndarray) -> None:
-        """Add the score of one batch."""
-        self.n_batches += 1
+    def count_score_values(self) -> int:
+        """Return the number of values in the score of a batch."""
+        return len(self.sums)
+
+    def plan_first_round(self, stop: StoppingRule) -> np.ndarray:
+        """Return the rays of the first round, at least two batches."""
+        return np.maximum(super().plan_first_round(stop), 2 * RAYS_PER_CHUNK)
+
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> np.ndarray:
+        """Return what the kernel has scored: mean contributions of a batch."""
+        return exits
+
+    def merge(self, stratum: Stratum, score: np.ndarray) -> None:
+        """Add the score of the next batch."""
         self.sums += score
         self.sums_of_squares += score**2
         self.max_scores = np.where(np.abs(score) > np.abs(self.max_scores), score, self.max_scores)
 
-    def compute_result(
-        self, has_lower_side: bool, polarized: bool, no_signal: bool, lossless: bool
-    ) -> DetectorResult:
-        """Return means and standard errors.
+    def compute_errors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the standard errors of all values, and those for the stopping rule.
 
-        One more batch with the largest score so far is included in the errors; where nothing was
-        scored, one ray, except where no signal is possible (`no_signal`) or no light can be lost
-        (`lossless`).
+        One more batch with the largest score so far is included; for the stopping rule, its scatter
+        is computed about the mean without it, so that no run stops on batches that agree by chance.
         """
-        n, n_rays = self.n_batches, self.n_batches * RAYS_PER_CHUNK
-        mean = self.sums / n
-        mean_square = (self.sums_of_squares + self.max_scores**2) / (n + 1)
-        # The additional batch enters the mean about which scatter is computed, but not the result.
-        mean_with_extra = (self.sums + self.max_scores) / (n + 1)
-        count = int(np.prod(self.shape))
-        (scores, hemispherical), (stderr, hemispherical_stderr), (stopping_error, _) = (
-            (values[:count].reshape(self.shape), values[count:].reshape(2, 2))
-            for values in (
-                mean,
-                *(
-                    np.sqrt(np.maximum(mean_square - centre**2, 0.0) / n)
-                    for centre in (mean_with_extra, mean)
-                ),
+        n_batches = self.n_rays // RAYS_PER_CHUNK
+        mean_square = (self.sums_of_squares + self.max_scores**2) / (n_batches + 1)
+        stderr, stopping_error = (
+            np.sqrt(np.maximum(mean_square - centre**2, 0.0) / n_batches)
+            for centre in (
+                (self.sums + self.max_scores) / (n_batches + 1),
+                self.sums / n_batches,
             )
         )
-        for side in range(1 + has_lower_side) if not no_signal else ():
-            unscored = scores[side, :, 0] == 0.0
-            stderr[side, unscored, 0] = stopping_error[side, unscored, 0] = 1.0 / (np.pi * n_rays)
-        if not lossless:
-            hemispherical_stderr = np.maximum(hemispherical_stderr, 1.0 / n_rays)
-        return DetectorResult(
-            scores,
-            stderr,
-            stopping_error[..., 0],
-            hemispherical,
-            hemispherical_stderr,
-            n_rays,
-            "",
-            polarized,
-            has_lower_side,
+        return stderr, stopping_error
+
+    def make_estimate(self) -> AngularEstimate:
+        """Return BRDF and BTDF, the same at all wavelengths.
+
+        Where nothing was scored, the error is that of one ray, except where no signal is possible,
+        or no light can be lost.
+        """
+        batch_mean = self.sums / (self.n_rays // RAYS_PER_CHUNK)
+        (mean, hemispherical_mean), (stderr, hemispherical_stderr), (stopping_error, _) = (
+            self._split(values) for values in (batch_mean, *self.compute_errors())
         )
+        mean, stderr, stopping_error = mean[..., 0], stderr[..., 0], stopping_error[..., 0]
+        if not self.no_signal:
+            unscored = mean == 0.0
+            unscored[1] &= self.has_lower_side
+            stderr[unscored] = stopping_error[unscored] = 1.0 / (np.pi * self.n_rays)
+        if not self.lossless:
+            hemispherical_stderr = np.maximum(hemispherical_stderr, 1.0 / self.n_rays)
+        hemispherical = np.stack([hemispherical_mean.T, hemispherical_stderr.T], axis=1)
+        shape = (2, self.n_wavelengths, mean.shape[1])
+        mean, stderr, stopping_error = (
+            np.broadcast_to(one[:, np.newaxis], shape) for one in (mean, stderr, stopping_error)
+        )
+        return AngularEstimate(
+            mean, stderr, stopping_error,
+            np.repeat(hemispherical.reshape(4, 2, 1), self.n_wavelengths, axis=2),
+            np.zeros(shape[:2], dtype=int), np.zeros(shape),
+        )  # fmt: skip
+
+    def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
+        mean, _ = self._split(self.sums / (self.n_rays // RAYS_PER_CHUNK))
+        stderr, _ = self._split(self.compute_errors()[0])
+        shape = (self.n_wavelengths, mean.shape[1])
+        return {
+            f"{function}_{name}": (
+                np.broadcast_to(mean[side, :, component], shape),
+                np.broadcast_to(stderr[side, :, component], shape),
+            )
+            for side, function in enumerate(("brdf", "btdf")[: 1 + self.has_lower_side])
+            for component, name in enumerate(STOKES_NAMES if self.polarized else "", start=1)
+        }
+
+    def evaluate(self, stop: StoppingRule) -> Evaluation:
+        """Return the largest relative error, and why tracing stops."""
+        estimate = self.make_estimate()
+        error = compute_max_relative_error(estimate, self.side, use_stopping_error=True)
+        self._error = error
+        self._is_empty = not self.no_signal and not estimate.mean[self.side].any()
+        if not stop.fixed and error <= stop.max_error and not self._is_empty:
+            return Evaluation(error, "converged")
+        exhausted = self._is_empty and self.n_rays >= _EMPTY_PILOTS * self.pilot_rays
+        return Evaluation(error, "max_rays" if exhausted else "")
+
+    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
+        """Return the rays that would satisfy a stopping rule."""
+        factor = 1.05 * (self._error / stop.max_error) ** 2
+        n_batches = self.n_rays // RAYS_PER_CHUNK
+        wanted = n_batches * (MAX_ROUND_GROWTH if self._is_empty else factor)
+        return RAYS_PER_CHUNK * np.array([np.floor(max(wanted, n_batches + 1))])
+
+    def _split(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the values of detectors, and the hemispherical ones."""
+        n_scores = math.prod(self.shape)
+        return values[:n_scores].reshape(self.shape), values[n_scores:].reshape(2, 2)

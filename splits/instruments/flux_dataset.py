@@ -19,8 +19,8 @@ from splits.instruments.absorption_steps import (
     compute_absorption_steps,
 )
 from splits.instruments.flux_errors import compute_nonstatistical_error
-from splits.instruments.flux_estimate import FluxEstimate, FluxResult, compute_absorbed_fractions
 from splits.instruments.flux_media import TracedMedium
+from splits.instruments.flux_tally import FluxEstimate, FluxResult
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD
 from splits.simulation.attributes import make_wavelength_coordinate
 
@@ -178,3 +178,31 @@ def _add_in_quadrature(errors: list[np.ndarray]) -> np.ndarray:
     """Return errors added in quadrature."""
     total: np.ndarray = np.sqrt(np.sum(np.square(errors), axis=0))
     return total
+
+
+def compute_absorbed_fractions(estimate: FluxEstimate) -> np.ndarray:
+    """Return the absorptance of each material; the sum over materials is the total absorptance.
+
+    The shape is (N_BATCHES, intervals, materials, wavelengths); the materials' parts vary by batch
+    to first order.  Where no path scores an interval, the fractions are those of the whole sample,
+    and equal for all materials where none scores that either; the errors include this
+    (`bound_material_absorptance_error`).
+    """
+    parts = estimate.material_absorptance
+    total_scored = parts.sum(axis=2, keepdims=True)
+    mean_scored = total_scored.mean(axis=0)
+    sample_parts = parts.mean(axis=0).sum(axis=0, keepdims=True)
+    sample_total = sample_parts.sum(axis=1, keepdims=True)
+    equal = np.full_like(sample_parts, 1.0 / sample_parts.shape[1])
+    fraction = np.broadcast_to(
+        np.divide(sample_parts, sample_total, out=equal, where=sample_total > 0.0),
+        mean_scored.shape[:1] + sample_parts.shape[1:],
+    ).copy()
+    np.divide(parts.mean(axis=0), mean_scored, out=fraction, where=mean_scored > 0.0)
+    absorbed = estimate.absorptance[:, :, np.newaxis]
+    mean_absorbed = absorbed.mean(axis=0)
+    scale = np.divide(
+        mean_absorbed, mean_scored, out=np.zeros_like(mean_absorbed), where=mean_scored > 0.0
+    )
+    absorptance: np.ndarray = absorbed * fraction + scale * (parts - fraction * total_scored)
+    return absorptance

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.instruments.flux_tally import FluxPathTally
 from splits.kernels.tallies.flux import DOWNWARD
 from splits.simulation.interpolation_bounds import MAX_LOG_SLOPE
 
@@ -54,7 +53,7 @@ def estimate_systematic_error(
     Parameters
     ----------
     estimates, perturbed_estimates : sequence of float
-        Irradiance and absorptance, see `splits.instruments.flux_estimate.FluxEstimate`; the same
+        Irradiance and absorptance, see `splits.instruments.flux_tally.FluxEstimate`; the same
         with a more absorbing substrate, None without truncation.
     interpolation_bound : float, shape (wavelengths,)
         Bound on the interpolation error, see `splits.simulation.spectral_nodes.IndexNodes`.
@@ -180,10 +179,3 @@ def bound_flux_interpolation_error(
     elastic = size * np.maximum(8.0, np.abs(np.log(size)) / MAX_LOG_SLOPE)
     bound: np.ndarray = interpolation_bound * np.minimum(np.maximum(1.0, size), elastic)
     return bound
-
-
-def compute_single_ray_error(tallies: Sequence[FluxPathTally], weights: np.ndarray) -> np.ndarray:
-    """Return the contribution of one more ray to the mean by wavelength, shape (wavelengths,)."""
-    n_rays = np.stack([np.maximum(tally.n_rays, 1.0) for tally in tallies])
-    contribution: np.ndarray = (weights / n_rays).max(axis=0)
-    return contribution

@@ -19,7 +19,7 @@ from splits.core.validation import invalid
 from splits.instruments.absorption_steps import compute_absorption_steps
 from splits.kernels.grains.scene import WET_PORE
 from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
-from splits.media.medium import GranularMedium, LayeredMedium
+from splits.media.medium import GranularMedium, LayeredMedium, compute_path_fractions
 from splits.media.particle_layer import (
     CLEARANCE_SIGMA,
     SEMI_INFINITE_TRANSPORT_MFP,
@@ -32,13 +32,13 @@ from splits.media.stacked_particle_layer import (
     StackedParticleLayer,
 )
 from splits.simulation.deep_medium import truncate_deep_medium
-from splits.simulation.path_tally import PathSharingMedia
 from splits.simulation.scene import (
     OpticalConstants,
     compute_optical_constants,
     get_reflecting_ground,
     make_height_fields,
 )
+from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
 
 _MATRIX_GAP_FRACTION = 1e-6
@@ -78,6 +78,14 @@ class TracedMedium(NamedTuple):
     def edges_m(self) -> np.ndarray:
         """Edges of the intervals (m)."""
         return np.append(self.planes_m[:-1], np.inf) if self.semi_infinite else self.planes_m
+
+    @property
+    def path_fractions(self) -> np.ndarray:
+        """Path over recorded length, see `splits.media.medium.compute_path_fractions`."""
+        fractions = np.ones(self.constants.absorption.shape[1])
+        material_fractions = compute_path_fractions(self.medium)
+        fractions[: material_fractions.size] = material_fractions
+        return fractions
 
     def is_absorbing(self) -> np.ndarray:
         """Return at which wavelengths the lowest layer absorbs, shape (wavelengths,)."""

@@ -1,122 +1,227 @@
-"""Tallies of radiative fluxes at planes in a medium, by batch."""
+"""Tally of radiative fluxes at planes in a medium, by batch."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.tallies.flux import FluxTally, tally_flux
-from splits.simulation import random_streams
-from splits.simulation.tally import (
-    N_BATCHES,
-    STRATUM_BOUNDS,
-    Stratum,
-    TransportTraits,
-    make_strata,
+from splits.core.uncertainty import compute_batch_stderr
+from splits.instruments.flux_errors import SystematicError, estimate_systematic_error
+from splits.instruments.flux_media import TracedMedium
+from splits.instruments.flux_target import (
+    MIN_SCATTER_FRACTION,
+    FluxTarget,
+    NodeQuantities,
+    allocate_flux_rays,
 )
+from splits.kernels.tallies.exits import N_BATCHES
+from splits.kernels.tallies.flux import DOWNWARD, UPWARD, FluxSums, tally_flux
+from splits.simulation import random_streams
+from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.tally import STRATUM_BOUNDS, Evaluation, StoppingRule, Stratum, Tally
+from splits.simulation.tracer_interface import ExitTracer
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of all batches is short."""
-FLUX_RAYS_PER_ROUND = FLUX_RAYS_PER_CHUNK * N_BATCHES
-"""Rays of one chunk for each batch."""
 CROSSINGS_PER_BOUNDARY = 4
 """Expected crossings of a boundary per ray, for the memory of a job."""
 
-FluxScore = tuple[int, FluxTally]
-"""Score of a chunk: its batch, and sums over its rays."""
 
-
-class FluxByBatch(NamedTuple):
-    """Means by batch of rays.
+class FluxEstimate(NamedTuple):
+    """Batch means at the requested depths, and between them.
 
     Attributes
     ----------
-    irradiance : float, shape (N_BATCHES, 2, boundaries, wavelengths)
-        Of light that crosses a boundary, downwards and upwards; at the top, incident light counts.
-    absorptance : float, shape (N_BATCHES, layers, materials, wavelengths)
-    path_length : float, shape (N_BATCHES, layers, wavelengths)
-        Metres.
+    irradiance : float, shape (N_BATCHES, 2, depths, wavelengths)
+        Downward and upward irradiances, relative to the incident irradiance.
+    absorptance : float, shape (N_BATCHES, intervals, wavelengths)
+        Difference of the net irradiances at the planes of an interval.
+    material_absorptance : float, shape (N_BATCHES, intervals, materials, wavelengths)
+        From the lengths in each material.
+    path_length : float, shape (N_BATCHES, intervals, wavelengths)
+        Metres; of a semi-infinite interval, down to the end of tracing.
     """
 
     irradiance: np.ndarray
     absorptance: np.ndarray
+    material_absorptance: np.ndarray
     path_length: np.ndarray
 
+    def select_wavelengths(self, wavelengths: slice) -> FluxEstimate:
+        """Return the estimate at some wavelengths."""
+        return FluxEstimate(*(array[..., wavelengths] for array in self))
 
-class FluxPathTally:
-    """Tally of paths traced with one set of refractive indices, at the boundaries of all layers.
+
+class FluxResult(NamedTuple):
+    """Estimate with its systematic error.
+
+    Attributes
+    ----------
+    estimate : FluxEstimate
+    systematic_error : SystematicError
+    perturbed_estimate : FluxEstimate or None
+        Estimate with a more absorbing substrate below a truncation depth, see `TracedMedium`.
+    """
+
+    estimate: FluxEstimate
+    systematic_error: SystematicError
+    perturbed_estimate: FluxEstimate | None
+
+
+class FluxTally(Tally):
+    """Tally of light that crosses the boundaries of all layers, and of paths between them.
 
     Parameters
     ----------
-    stream_index : int
-        Position among the tallies of a run, which determines the random streams.
-    index : complex, shape (materials,)
-    absorption : float, shape (wavelengths, materials)
-    wavelength_mask : bool, shape (wavelengths,)
-    traits : TransportTraits
-    n_layers : int
-    path_fractions : float, shape (materials,)
-        Path over recorded length, see `splits.media.medium.compute_path_fractions`.
+    nodes : IndexNodes
+    traced_medium : TracedMedium
+    tracer : ExitTracer
+        Of the medium, with its planes.
+    target : FluxTarget
+        Quantities to which the requested error applies.
+
+    Attributes
+    ----------
+    irradiance_sums : float, shape (N_BATCHES, 2, boundaries, node rows)
+        Of light that crosses a boundary, downwards and upwards.
+    absorptance_sums : float, shape (N_BATCHES, layers, materials, node rows)
+    path_length_sums : float, shape (N_BATCHES, layers, node rows)
+        Metres.
+    result : FluxResult
+        After the last round.
     """
+
+    rays_per_chunk = FLUX_RAYS_PER_CHUNK
+    rays_per_round = pilot_rays = FLUX_RAYS_PER_CHUNK * N_BATCHES
+    shares_kernel = True
 
     def __init__(
         self,
-        stream_index: int,
-        index: np.ndarray,
-        absorption: np.ndarray,
-        wavelength_mask: np.ndarray,
-        traits: TransportTraits,
-        n_layers: int,
-        path_fractions: np.ndarray,
+        nodes: IndexNodes,
+        traced_medium: TracedMedium,
+        tracer: ExitTracer,
+        target: FluxTarget,
     ) -> None:
-        self.absorption = absorption
-        self.path_fractions = path_fractions
-        self.traits = traits
-        self.n_layers = n_layers
-        self.n_rays = np.zeros(len(absorption))
-        wavelengths, materials = absorption.shape
-        self.irradiance_sums = np.zeros((N_BATCHES, 2, n_layers + 1, wavelengths))
-        self.absorptance_sums = np.zeros((N_BATCHES, n_layers, materials, wavelengths))
-        self.path_length_sums = np.zeros((N_BATCHES, n_layers, wavelengths))
-        first_stream = random_streams.IRRADIANCE_PROFILE + stream_index * len(STRATUM_BOUNDS)
-        self.strata = make_strata(
-            first_stream, index, absorption, wavelength_mask, traits, STRATUM_BOUNDS
+        absorption = traced_medium.constants.absorption
+        traits = tracer.traits
+        super().__init__(nodes, absorption, traits.compute_absorption_per_mfp(absorption))
+        self.traced_medium, self.target, self.traits = traced_medium, target, traits
+        self.path_fractions = traced_medium.path_fractions
+        # The boundary above a rough surface is above the depth 0.
+        self.boundary_rows = np.append(
+            0, np.searchsorted(tracer.boundary_depths_m, traced_medium.planes_m[1:])
+        )
+        self.n_layers = len(tracer.boundary_depths_m) - 1
+        n_rows, n_materials = len(self.rows), absorption.shape[1]
+        self.irradiance_sums = np.zeros((N_BATCHES, 2, self.n_layers + 1, n_rows))
+        self.absorptance_sums = np.zeros((N_BATCHES, self.n_layers, n_materials, n_rows))
+        self.path_length_sums = np.zeros((N_BATCHES, self.n_layers, n_rows))
+        self.add_strata_by_absorption(
+            random_streams.IRRADIANCE_PROFILE, absorption, traits, STRATUM_BOUNDS
         )
 
     def count_score_values(self) -> int:
         """Return the number of values in the score and the crossings of a chunk."""
-        wavelengths, materials = self.absorption.shape
-        crossings = FLUX_RAYS_PER_CHUNK * CROSSINGS_PER_BOUNDARY * self.n_layers * (materials + 3)
-        return crossings + self.n_layers * (3 + materials) * wavelengths
+        n_materials, n_rows = self.absorption.shape[1], int(np.diff(self.first_rows).max())
+        n_crossings = FLUX_RAYS_PER_CHUNK * CROSSINGS_PER_BOUNDARY * self.n_layers
+        return n_crossings * (n_materials + 3) + self.n_layers * (3 + n_materials) * n_rows
 
-    def score_chunk(
-        self, stratum: Stratum, first_ray: int, exits: np.ndarray, crossings: np.ndarray
-    ) -> FluxScore:
-        """Return the sums of a chunk of `FLUX_RAYS_PER_CHUNK` rays of a stratum."""
-        absorption = self.absorption[stratum.wavelength_mask]
-        ground = self.traits.ground_column
-        sums = tally_flux(exits, crossings, absorption, self.path_fractions, self.n_layers, ground)
-        return (first_ray // FLUX_RAYS_PER_CHUNK) % N_BATCHES, sums
-
-    def add_scores(self, stratum: Stratum, scores: Sequence[FluxScore]) -> None:
-        """Add the sums of chunks one by one: they do not depend on the threads."""
-        mask = stratum.wavelength_mask
-        stratum.n_rays += FLUX_RAYS_PER_CHUNK * len(scores)
-        self.n_rays[mask] += FLUX_RAYS_PER_CHUNK * len(scores)
-        for batch, sums in scores:
-            self.irradiance_sums[batch][..., mask] += sums.boundary_weight
-            self.absorptance_sums[batch][..., mask] += sums.absorbed
-            self.path_length_sums[batch][..., mask] += sums.path_length
-
-    def compute_batch_means(self) -> FluxByBatch:
-        """Return the means of every batch, zero where no ray was traced."""
-        rays_per_batch = np.maximum(self.n_rays, 1.0) / N_BATCHES
-        irradiance = self.irradiance_sums / rays_per_batch
-        irradiance[:, 0, 0] = self.n_rays > 0.0
-        return FluxByBatch(
-            irradiance,
-            self.absorptance_sums / rays_per_batch,
-            self.path_length_sums / rays_per_batch,
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> FluxSums:
+        """Return the sums of a chunk of rays of a stratum."""
+        absorption, fractions = (
+            self.absorption[self.rows[stratum.rows]],
+            self.traced_medium.path_fractions,
         )
+        ground_column = self.traits.ground_column
+        sums: FluxSums = tally_flux(
+            exits, crossings, absorption, fractions, self.n_layers, ground_column
+        )
+        return sums
+
+    def merge(self, stratum: Stratum, score: FluxSums) -> None:
+        """Add the sums of the next chunk of a stratum."""
+        batch, rows = self.get_batch(stratum, N_BATCHES), stratum.rows
+        self.irradiance_sums[batch][..., rows] += score.boundary_weight
+        self.absorptance_sums[batch][..., rows] += score.absorbed
+        self.path_length_sums[batch][..., rows] += score.path_length
+
+    def estimate_node_rows(self) -> FluxEstimate:
+        """Return the estimate of each node row at the planes.
+
+        In a semi-infinite medium, the last boundary is the end of tracing, and the last interval
+        continues below it.
+        """
+        planes, n_batch_rays = self.boundary_rows, self.count_rays() / N_BATCHES
+        irradiance = self.irradiance_sums[:, :, planes] / n_batch_rays
+        irradiance[:, 0, 0] = 1.0
+        absorbed = self.absorptance_sums[:, : planes[-1]] / n_batch_rays
+        path_length = self.path_length_sums[:, : planes[-1]] / n_batch_rays
+        net = irradiance[:, DOWNWARD] - irradiance[:, UPWARD]
+        absorptance = net[:, :-1] - net[:, 1:]
+        by_material = np.add.reduceat(absorbed, planes[:-1], axis=1)
+        path_length = np.add.reduceat(path_length, planes[:-1], axis=1)
+        if self.traced_medium.semi_infinite:
+            irradiance, absorptance[:, -1] = irradiance[:, :, :-1], net[:, -2]
+            # Light that enters the rest is absorbed in proportion to the layer just above.
+            last = absorbed[:, -1].mean(axis=0)
+            total = last.sum(axis=0)
+            fraction = np.divide(last, total, out=np.zeros_like(last), where=total > 0.0)
+            by_material[:, -1] += fraction * net[:, -1, np.newaxis]
+        return FluxEstimate(irradiance, absorptance, by_material, path_length)
+
+    def evaluate(self, stop: StoppingRule) -> Evaluation:
+        """Return the largest standard error, and why tracing stops.
+
+        It stops with "interpolation_bound" where the rest of the error is a bound that more rays do
+        not reduce.
+        """
+        n_wavelengths, target = self.traced_medium.n_wavelengths, self.target
+        self._by_node = self.estimate_node_rows()
+        whole = FluxEstimate(*(self.combine_nodes(array) for array in self._by_node))
+        estimate = whole.select_wavelengths(slice(n_wavelengths))
+        perturbed = None
+        if self.traced_medium.truncated:
+            perturbed = whole.select_wavelengths(slice(n_wavelengths, None))
+        single_ray_error = np.zeros(len(self.absorption))
+        np.maximum.at(single_ray_error, self.rows, self.weights / self.count_rays())
+        systematic_error = estimate_systematic_error(
+            estimate[:2],
+            None if perturbed is None else perturbed[:2],
+            self.nodes.interpolation_bound[:n_wavelengths],
+            single_ray_error[:n_wavelengths],
+        )
+        self.result = FluxResult(estimate, systematic_error, perturbed)
+        stderr, self._irreducible = self._compute_target_errors()
+        limits = target.stderr_limits
+        error = float((stderr / limits).max()) * target.max_stderr
+        if error <= target.max_stderr:
+            return Evaluation(error, "converged")
+        scatter = stderr**2 - self._irreducible**2
+        is_irreducible = (self._irreducible > limits).any() and (
+            scatter < MIN_SCATTER_FRACTION * limits**2
+        ).all()
+        return Evaluation(error, "interpolation_bound" if is_irreducible else "")
+
+    def _compute_target_errors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the standard errors of the target's quantities, and their irreducible parts."""
+        estimate, systematic_error, _ = self.result
+
+        def select(irradiance: np.ndarray, absorptance: np.ndarray) -> np.ndarray:
+            quantities = self.target.select_quantities(irradiance, absorptance)
+            return self.target.average_over_bands(quantities)
+
+        scatter = compute_batch_stderr(select(estimate.irradiance, estimate.absorptance))
+        systematic = select(systematic_error.irradiance, systematic_error.absorptance)
+        return np.hypot(scatter, systematic), select(*systematic_error.irreducible)
+
+    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
+        """Return the rays of each stratum that would satisfy the target."""
+        requested = self.rows < self.traced_medium.n_wavelengths
+        values = self.target.select_quantities(self._by_node.irradiance, self._by_node.absorptance)
+        quantities = NodeQuantities(
+            (self.weights * values)[..., requested],
+            self.rows[requested],
+            self.find_contributions()[:, requested],
+        )
+        return allocate_flux_rays(self.target, self.strata, quantities, self._irreducible)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,20 +10,15 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
-from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_choice, check_integer, check_range, invalid
-from splits.instruments.angular_bins import DEFAULT_N_BINS, compute_bin_centres
-from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
-from splits.instruments.angular_expansion import make_direction_mask, trace_expansion
-from splits.instruments.angular_result import (
-    AngularResult,
-    count_traced_rays,
-    estimate_by_bins,
-    from_detectors,
-    make_angular_attributes,
-    relabel_for_diffuse_light,
-)
-from splits.instruments.next_event import StoppingRule, estimate_at_detectors
+from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
+from splits.instruments.angular_dataset import make_angular_dataset, relabel_for_diffuse_light
+from splits.instruments.angular_estimate import ErrorTarget, compute_max_relative_error
+from splits.instruments.angular_truncation import make_direction_grid
+from splits.instruments.detector_tally import DetectorTally
+from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
+from splits.instruments.next_event import DetectorTracer
+from splits.kernels.tallies.angular import make_basis
 from splits.media.medium import Medium
 from splits.simulation.arguments import (
     check_dataset_size,
@@ -35,15 +29,20 @@ from splits.simulation.arguments import (
     check_threads,
     check_wavelengths,
 )
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
-from splits.simulation.runner import Runner
+from splits.simulation.attributes import make_run_attributes
+from splits.simulation.engine import simulate
 from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
-from splits.simulation.tracer import KERNELS
+from splits.simulation.tally import StoppingRule
+from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer_interface import KERNELS, ExitTracer, Tracer
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
 
+MAX_CONVERGED_POLAR_DEG = 82.5
+"""Largest polar angle at which the requested error must be reached."""
+DEFAULT_BIN_RAYS = 1_000_000
 ANGULAR_ESTIMATORS = ("expansion", "bins", "next_event")
 TARGET_SIDES = {"brdf": 0, "btdf": 1}
 TRANSMITTED_VARIABLES = ("btdf", "transmittance", "direct_transmittance")
@@ -92,7 +91,7 @@ def goniophotometer(
         Non-negative; results with the same seed are identical on any number of threads.
     relative_stderr : float
         Largest standard error relative to the value, 1e-4 to 0.5, for polar angles up to
-        `splits.instruments.angular_expansion.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
+        `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
         all.
     target : {"brdf", "btdf"}
         The function to which the error applies; wavelengths without light there are ignored.
@@ -168,24 +167,30 @@ def goniophotometer(
         check_integer("rays", rays, 1)
     threads = check_threads(threads)
     start_time = time.perf_counter()
-    index, absorption = compute_optical_constants(medium, wavelengths)
-    nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
-    runner = Runner(medium, incidence, seed, threads, False, kernel, progress)
-    bins = n_bins if estimator == "bins" else None
+    bins = check_n_bins(n_bins) if estimator == "bins" else None
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
-    stopping_rule = StoppingRule(side, relative_stderr, rays, max_rays)
-    if estimator == "bins":
-        result = estimate_by_bins(runner, nodes, absorption, n_bins, rays or 1_000_000)
-    elif estimator == "next_event":
-        result = from_detectors(
-            estimate_at_detectors(medium, float(incidence), polar, azimuth, stopping_rule, runner),
-            wavelengths,
-        )
-    else:
-        result = _estimate_by_expansion(runner, nodes, absorption, polar, azimuth, stopping_rule)
+    index, absorption = compute_optical_constants(medium, wavelengths)
+    nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
+    tracer: Tracer
+    tally: ExpansionTally | AngularBinTally | DetectorTally
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
-    max_error = compute_max_relative_error(result.estimate, side, direction_mask)
+    if estimator == "next_event":
+        tracer = DetectorTracer(medium, float(incidence), polar, azimuth, side)
+        tally = DetectorTally(tracer.scene, tracer.detectors, side, len(wavelengths))
+    else:
+        tracer = make_tracer(medium, incidence)
+        directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
+        axisymmetric = tracer.normal_incidence or tracer.diffuse
+        target_error = ErrorTarget(directions, axisymmetric, side, direction_mask)
+        tally = _make_tally(tracer, nodes, absorption, target_error, bins)
+    is_fixed = rays is not None or bins is not None
+    n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
+    outcome = simulate(
+        tracer, tally, StoppingRule(relative_stderr, n_rays, is_fixed), seed=seed, threads=threads,
+        kernel=kernel, progress=progress,
+    )  # fmt: skip
+    estimate = tally.make_estimate()
     attributes = {
         **make_run_attributes(
             "Virtual goniophotometer", "goniophotometer", medium, start_time, seed, threads
@@ -193,28 +198,41 @@ def goniophotometer(
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
-        "relative_stderr_reached": max_error,
-        **make_angular_attributes(result, stopping_rule, nodes, runner),
+        "relative_stderr_reached": compute_max_relative_error(estimate, side, direction_mask),
+        "relative_stderr": relative_stderr,
+        "max_rays": max_rays,
+        "degree": estimate.degree[side],
+        "stop_reason": outcome.stop_reason,
+        "interpolation_error_bound": float(nodes.interpolation_bound.max()),
+        "rays": outcome.n_rays,
+        "ensembles": len(nodes.index),
+        "kernel": outcome.kernel,
     }
-    dataset = _make_dataset(result.estimate, result.stokes, wavelengths, polar, azimuth, attributes)
-    undefined = TRANSMITTED_VARIABLES if has_ground else result.undefined_variables
+    dataset = make_angular_dataset(
+        estimate, tally.make_stokes(), wavelengths, (polar, azimuth), attributes
+    )
+    undefined = TRANSMITTED_VARIABLES if has_ground else tally.undefined_variables
     dataset = dataset.drop_vars([name + suffix for name in undefined for suffix in ("", "_stderr")])
     return relabel_for_diffuse_light(dataset) if incidence == "diffuse" else dataset
 
 
-def _estimate_by_expansion(
-    runner: Runner,
+def _make_tally(
+    tracer: ExitTracer,
     nodes: IndexNodes,
     absorption: np.ndarray,
-    polar: np.ndarray,
-    azimuth: np.ndarray,
-    stopping_rule: StoppingRule,
-) -> AngularResult:
-    """Return the result of the expansion in polynomials."""
-    tallies, estimate, stop_reason = trace_expansion(
-        runner, nodes, absorption, polar, azimuth, stopping_rule
-    )
-    return AngularResult(estimate, stop_reason, count_traced_rays(tallies), tallies)
+    target: ErrorTarget,
+    n_bins: tuple[int, int] | None,
+) -> ExpansionTally | AngularBinTally:
+    """Return the tally of an estimator that records exits."""
+    if n_bins is not None:
+        return AngularBinTally(nodes, absorption, n_bins, tracer.stokes_columns)
+    return ExpansionTally(nodes, absorption, target, exclude_unscattered=not tracer.diffuse)
+
+
+def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+    """Return the directions of the stopping rule: all if only steeper ones are requested."""
+    low = polar <= MAX_CONVERGED_POLAR_DEG
+    return np.repeat(low if low.any() else ~low, len(azimuth))
 
 
 def _check_estimator(estimator: str, incidence: float | str) -> None:
@@ -238,61 +256,7 @@ def _make_directions(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the requested directions (degrees), or those of bin centres."""
     if n_bins is not None:
-        return compute_bin_centres(check_n_bins(n_bins))
+        return compute_bin_centres(n_bins)
     return check_direction_angles("polar_deg", polar_deg, 90.0), check_direction_angles(
         "azimuth_deg", azimuth_deg, 360.0
     )
-
-
-def _make_dataset(
-    estimate: AngularEstimate,
-    stokes: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    wavelengths: np.ndarray,
-    polar: np.ndarray,
-    azimuth: np.ndarray,
-    attributes: dict[str, Any],
-) -> xr.Dataset:
-    """Return an estimate as a labelled dataset."""
-    grid = ("wavelength", "polar", "azimuth")
-    shape = (len(wavelengths), len(polar), len(azimuth))
-    scattered = estimate.compute_scattered()[0][:, np.newaxis]
-    anisotropy_scale = np.divide(
-        np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0
-    )
-    variables: dict[str, Variable] = {}
-    directional = {
-        "brdf": ("bidirectional reflectance distribution function", "sr-1", 0, 1.0),
-        "btdf": ("bidirectional transmittance distribution function", "sr-1", 1, 1.0),
-        "reflectance_factor": ("bidirectional reflectance factor", "1", 0, np.pi),
-        "anisotropy_factor": ("anisotropy factor", "1", 0, anisotropy_scale),
-    }
-    for name, (long_name, units, side, factor) in directional.items():
-        mean = (factor * estimate.mean[side]).reshape(shape)
-        stderr = (factor * estimate.stderr[side]).reshape(shape)
-        variables |= make_variable(name, grid, mean, stderr, long_name, units)
-    for name, (values, error) in stokes.items():
-        component = name[-1].upper()
-        label = f"Stokes {component} of the light of the {name[:4].upper()}"
-        variables |= make_variable(
-            name, grid, values.reshape(shape), error.reshape(shape), label, "sr-1"
-        )
-    hemispherical = {
-        "reflectance": ("directional-hemispherical reflectance", 0, 0),
-        "transmittance": ("directional-hemispherical transmittance", 0, 1),
-        "specular_reflectance": ("reflectance without scattering", 2, 0),
-        "direct_transmittance": ("transmittance without scattering", 2, 1),
-    }
-    for name, (long_name, row, side) in hemispherical.items():
-        mean, stderr = estimate.hemispherical[row : row + 2, side]
-        variables |= make_variable(name, "wavelength", mean, stderr, long_name)
-    angle_attributes = {"units": "degree"}
-    coordinates = {
-        "wavelength": make_wavelength_coordinate(wavelengths),
-        "polar": ("polar", polar, {**angle_attributes, "long_name": "angle from the normal"}),
-        "azimuth": (
-            "azimuth",
-            azimuth,
-            {**angle_attributes, "long_name": "angle from the direction in which the beam travels"},
-        ),
-    }
-    return xr.Dataset(variables, coordinates, attributes)

@@ -19,17 +19,11 @@ from splits.core.validation import (
     invalid,
 )
 from splits.instruments.flux_dataset import make_flux_dataset
-from splits.instruments.flux_estimate import estimate_flux
 from splits.instruments.flux_media import TracedMedium, get_thickness, prepare_medium
-from splits.instruments.flux_stopping_rule import FluxStoppingRule
-from splits.instruments.flux_tally import FLUX_RAYS_PER_CHUNK, FluxPathTally
-from splits.media.medium import (
-    GranularMedium,
-    LayeredMedium,
-    Medium,
-    ParticleMedium,
-    compute_path_fractions,
-)
+from splits.instruments.flux_tally import FluxTally
+from splits.instruments.flux_target import FluxTarget
+from splits.kernels.tallies.exits import N_BATCHES
+from splits.media.medium import GranularMedium, LayeredMedium, Medium, ParticleMedium
 from splits.simulation.arguments import (
     check_incidence,
     check_medium,
@@ -37,10 +31,11 @@ from splits.simulation.arguments import (
     check_wavelengths,
 )
 from splits.simulation.attributes import make_run_attributes
-from splits.simulation.runner import Runner
+from splits.simulation.engine import simulate
 from splits.simulation.spectral_nodes import MAX_NODES, IndexNodes, choose_nodes
-from splits.simulation.tally import N_BATCHES
-from splits.simulation.tracer import KERNELS
+from splits.simulation.tally import StoppingRule
+from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer_interface import KERNELS
 
 MAX_DEPTHS = 200
 MAX_TALLY_VALUES = 100_000_000
@@ -137,7 +132,7 @@ def irradiance_profile(
     ).validate()
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     limit_irradiance = check_choice("target", target, ERROR_QUANTITIES) == ERROR_QUANTITIES[0]
-    return simulate_flux(request, FluxStoppingRule(max_stderr, limit_irradiance))
+    return simulate_flux(request, FluxTarget(max_stderr, limit_irradiance))
 
 
 class FluxRequest(NamedTuple):
@@ -169,69 +164,48 @@ class FluxRequest(NamedTuple):
         )
 
 
-def simulate_flux(request: FluxRequest, stopping_rule: FluxStoppingRule) -> xr.Dataset:
-    """Return the dataset of `irradiance_profile` for a stopping rule."""
+def simulate_flux(request: FluxRequest, target: FluxTarget) -> xr.Dataset:
+    """Return the dataset of `irradiance_profile` to an error."""
     start_time = time.perf_counter()
     medium, seed, threads = request.medium, request.seed, request.threads
     traced_medium = prepare_medium(
-        medium, request.wavelengths, request.depths, stopping_rule.max_stderr, seed, threads
+        medium, request.wavelengths, request.depths, target.max_stderr, seed, threads
     )
-    runner = Runner(
-        traced_medium.medium, request.incidence, seed, threads, False, request.kernel,
-        request.progress, planes_m=request.depths.tolist(),
+    tracer = make_tracer(traced_medium.medium, request.incidence, planes_m=request.depths.tolist())
+    nodes = _choose_nodes(traced_medium, target)
+    _check_memory(traced_medium, len(tracer.boundary_depths_m) - 1, nodes)
+    tally = FluxTally(nodes, traced_medium, tracer, target)
+    outcome = simulate(
+        tracer, tally, StoppingRule(target.max_stderr, request.max_rays), seed=seed,
+        threads=threads, kernel=request.kernel, progress=request.progress,
     )  # fmt: skip
-    runner.rays_per_chunk = FLUX_RAYS_PER_CHUNK
-    index, absorption = traced_medium.constants
-    nodes = _choose_nodes(index, traced_medium.medium, stopping_rule)
-    n_layers = len(runner.tracer.boundary_depths_m) - 1
-    _check_memory(traced_medium, n_layers, len(nodes.index))
-    path_fractions = np.ones(absorption.shape[1])
-    material_fractions = compute_path_fractions(traced_medium.medium)
-    path_fractions[: material_fractions.size] = material_fractions
-    tallies = [
-        FluxPathTally(
-            number,
-            indices,
-            absorption,
-            weights > 0.0,
-            runner.tracer.traits,
-            n_layers,
-            path_fractions,
-        )
-        for number, (indices, weights) in enumerate(zip(nodes.index, nodes.weights, strict=True))
-    ]
-    runner.share_kernel(tallies)
-    result = estimate_flux(runner, tallies, nodes, traced_medium, stopping_rule, request.max_rays)
     attributes = {
         **make_run_attributes(
             "Light inside", "irradiance_profile", medium, start_time, seed, threads
         ),
         "incidence_deg": request.incidence,
-        "max_stderr": stopping_rule.max_stderr,
-        "target": ERROR_QUANTITIES[0] if stopping_rule.limit_irradiance else ERROR_QUANTITIES[1],
-        "stop_reason": result.stop_reason,
-        "max_stderr_reached": result.max_stderr_reached,
+        "max_stderr": target.max_stderr,
+        "target": ERROR_QUANTITIES[0] if target.limit_irradiance else ERROR_QUANTITIES[1],
+        "stop_reason": outcome.stop_reason,
+        "max_stderr_reached": outcome.error,
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "max_rays": request.max_rays,
-        "rays": sum(stratum.n_rays for tally in tallies for stratum in tally.strata),
-        "ensembles": len(tallies),
-        "kernel": runner.format_kernels(tallies),
+        "rays": outcome.n_rays,
+        "ensembles": len(nodes.index),
+        "kernel": outcome.kernel,
     }
     if traced_medium.semi_infinite:
         attributes["truncation_depth_m"] = float(traced_medium.planes_m[-1])
-    return make_flux_dataset(result, traced_medium, request.wavelengths, attributes)
+    return make_flux_dataset(tally.result, traced_medium, request.wavelengths, attributes)
 
 
-def _choose_nodes(index: np.ndarray, medium: Medium, stopping_rule: FluxStoppingRule) -> IndexNodes:
+def _choose_nodes(traced_medium: TracedMedium, target: FluxTarget) -> IndexNodes:
     """Return the index nodes: more of them for bands, whose wavelengths share the rays."""
-    nodes = choose_nodes(
-        index, medium.list_interfaces(), INTERPOLATION_FRACTION * stopping_rule.max_stderr
-    )
-    if stopping_rule.band_weights is None:
+    index, interfaces = traced_medium.constants.indices, traced_medium.medium.list_interfaces()
+    nodes = choose_nodes(index, interfaces, INTERPOLATION_FRACTION * target.max_stderr)
+    if target.band_weights is None:
         return nodes
-    band_nodes = choose_nodes(
-        index, medium.list_interfaces(), BAND_INTERPOLATION_FRACTION * stopping_rule.max_stderr
-    )
+    band_nodes = choose_nodes(index, interfaces, BAND_INTERPOLATION_FRACTION * target.max_stderr)
     return band_nodes if len(band_nodes.index) <= MAX_NODES else nodes
 
 
@@ -249,13 +223,12 @@ def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:
     )
 
 
-def _check_memory(traced_medium: TracedMedium, n_layers: int, n_nodes: int) -> None:
-    """Check that the tallies fit into memory."""
-    n_rows, n_columns = traced_medium.constants.absorption.shape
-    n_wavelengths, n_values = (
-        traced_medium.n_wavelengths,
-        N_BATCHES * n_layers * (n_columns + 3) * n_rows * n_nodes,
-    )
+def _check_memory(traced_medium: TracedMedium, n_layers: int, nodes: IndexNodes) -> None:
+    """Check that the sums of the tally fit into memory."""
+    n_columns = traced_medium.constants.absorption.shape[1]
+    n_node_rows = np.count_nonzero(nodes.weights)
+    n_wavelengths = traced_medium.n_wavelengths
+    n_values = N_BATCHES * n_layers * (n_columns + 3) * n_node_rows
     if n_values > MAX_TALLY_VALUES:
         max_wavelengths = max(1, n_wavelengths * MAX_TALLY_VALUES // n_values)
         raise invalid(

@@ -7,55 +7,28 @@ without collectors of finite size.  Errors come from the scatter of batches of r
 from __future__ import annotations
 
 import math
-import time
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
-from splits.core.progress import Progress
 from splits.core.validation import invalid
-from splits.instruments.detector_tally import DetectorResult, DetectorTally
-from splits.kernels.grains.scene import NO_MAX_ORDER
 from splits.kernels.optics.forward_peak import PhaseFunctionPeak, separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
-from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.particle_layer import particle_history as kernels
 from splits.kernels.particle_layer.next_event import Detectors
 from splits.kernels.particle_layer.scene import OPEN_BOTTOM, LayerScene
 from splits.media.medium import Medium, ParticleMedium
-from splits.simulation import random_streams
-from splits.simulation.runner import RAYS_PER_CHUNK, Runner
-from splits.simulation.threads import DaemonThreadPool
+from splits.simulation.jobs import WorkItem
+from splits.simulation.scene import make_source
+from splits.simulation.tally import Tally
+from splits.simulation.tracer_interface import ItemScores, Tracer
 
-PILOT_BATCHES = 128
-"""Batches of the first round."""
-_MAX_ROUND_GROWTH = 8.0
 NEGLIGIBLE_PROBABILITY = 1e-16
 """Probability of more successive scatterings into a peak than are stored."""
 MAX_PEAK_FRACTION = 0.99
 """Largest probability of scattering into a peak: above it, light needs hundreds of scatterings to
 change its direction."""
-MAX_PENDING_BATCHES = 4096
-"""Largest number of batches that wait for a thread."""
-
-
-@dataclass(frozen=True)
-class StoppingRule:
-    """Stopping rule of a run: a relative error on one side, or a number of rays."""
-
-    side: int
-    relative_stderr: float
-    n_rays: int | None
-    max_rays: int
-
-    def count_batches(self, pilot_batches: int) -> tuple[int, int]:
-        """Return the numbers of batches of the first round and of the whole run at most."""
-        if self.n_rays is None:
-            return pilot_batches, max(2, self.max_rays // RAYS_PER_CHUNK)
-        n_batches = max(2, -(-self.n_rays // RAYS_PER_CHUNK))
-        return n_batches, n_batches
 
 
 def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarray) -> Detectors:
@@ -111,15 +84,8 @@ def _check_forward_peak(medium: ParticleMedium) -> PhaseFunctionPeak | None:
     return peak
 
 
-def estimate_at_detectors(
-    medium: Medium,
-    incidence_deg: float,
-    polar: np.ndarray,
-    azimuth: np.ndarray,
-    stopping_rule: StoppingRule,
-    runner: Runner,
-) -> DetectorResult:
-    """Trace rays until every direction has the requested relative error, or a number of rays.
+class DetectorTracer(Tracer):
+    """Tracer of rays in a layer of particles under a smooth surface that contribute to detectors.
 
     Parameters
     ----------
@@ -127,97 +93,56 @@ def estimate_at_detectors(
     incidence_deg : float
     polar, azimuth : float
         Degrees, see `make_detectors`.
-    stopping_rule : StoppingRule
-    runner : Runner
-        For its seed, its threads and its progress callback.
+    side : int
+        0 reflected, 1 transmitted, to which the requested error applies.
 
     Raises
     ------
     ValueError
         For grains, for a rough surface, and for a phase function that is nearly all peak.
     """
-    if not isinstance(medium, ParticleMedium):
-        raise invalid("estimator", "next_event", "expansion or bins for grains and stacks")
-    if medium.make_height_fields() is not None:
-        raise invalid(
-            "estimator", "next_event", "expansion or bins under a rough surface",
-            "no single path leads through it to a given direction; bins have Stokes parameters",
-        )  # fmt: skip
-    source = Source(float(np.cos(np.radians(incidence_deg))), 0.0)
-    layer = medium.make_scattering_layer(False)
-    stokes = UNPOLARIZED if medium.polarized else None
-    scene = LayerScene(source, layer, medium.kernel_phase_function, None, stokes)
-    detectors = make_detectors(medium, polar, azimuth)
-    if stopping_rule.side == 1 and not detectors.has_lower_side:
-        allowed = "brdf with estimator = next_event"
-        raise invalid("target", "btdf", allowed, "the layer has no open lower boundary")
-    return _trace_to_error(
-        _DetectorTracer(runner.seed, scene, detectors), medium, stopping_rule, runner
-    )
 
-
-class _DetectorTracer(NamedTuple):
-    """Tracer of batches of rays that contribute to detectors."""
-
-    seed: int
-    scene: LayerScene
-    detectors: Detectors
-
-    def trace_batch(self, batch: int) -> np.ndarray:
-        """Return the mean contributions to detectors, and to hemispherical quantities."""
-        scores, hemispherical = np.zeros_like(self.detectors.sums), np.zeros((2, 2))
-        batch_detectors = self.detectors._replace(
-            sums=scores, peak_directions=np.zeros_like(self.detectors.peak_directions)
+    def __init__(
+        self,
+        medium: Medium,
+        incidence_deg: float,
+        polar: np.ndarray,
+        azimuth: np.ndarray,
+        side: int,
+    ) -> None:
+        if not isinstance(medium, ParticleMedium):
+            raise invalid("estimator", "next_event", "expansion or bins for grains and stacks")
+        if medium.make_height_fields() is not None:
+            raise invalid(
+                "estimator", "next_event", "expansion or bins under a rough surface",
+                "no single path leads through it to a given direction; bins have Stokes parameters",
+            )  # fmt: skip
+        self.scene = LayerScene(
+            make_source(incidence_deg),
+            medium.make_scattering_layer(False),
+            medium.kernel_phase_function,
+            None,
+            UNPOLARIZED if medium.polarized else None,
         )
-        work = np.array(
-            [random_streams.NEXT_EVENT, batch * RAYS_PER_CHUNK, RAYS_PER_CHUNK, NO_MAX_ORDER]
-        )
-        kernels.trace_to_detectors(self.seed, work, self.scene, batch_detectors, hemispherical)
-        return np.concatenate([scores.ravel(), hemispherical.ravel()]) / RAYS_PER_CHUNK
+        self.detectors = make_detectors(medium, polar, azimuth)
+        if side == 1 and not self.detectors.has_lower_side:
+            allowed = "brdf with estimator = next_event"
+            raise invalid("target", "btdf", allowed, "the layer has no open lower boundary")
 
-    def trace_up_to(self, tally: DetectorTally, n_batches: int, pool: DaemonThreadPool) -> None:
-        """Trace further batches up to a number and add them in order."""
-        while tally.n_batches < n_batches:
-            last = min(n_batches, tally.n_batches + MAX_PENDING_BATCHES)
-            for score in pool.map(self.trace_batch, range(tally.n_batches, last)):
-                tally.add_batch(score)
-
-
-def _trace_to_error(
-    tracer: _DetectorTracer, medium: ParticleMedium, stopping_rule: StoppingRule, runner: Runner
-) -> DetectorResult:
-    """Trace batches until the stopping rule is satisfied."""
-    start_time = time.perf_counter()
-    layer, has_lower_side = tracer.scene.layer, tracer.detectors.has_lower_side
-    # For forward-peaked phase functions few events dominate the estimate, so the pilot is longer.
-    g = abs(medium.kernel_phase_function.g)
-    pilot_batches = int(PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
-    to_error = stopping_rule.n_rays is None
-    target_batches, max_batches = stopping_rule.count_batches(pilot_batches)
-    no_signal = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom_albedo <= 0.0
-    lossless = not runner.tracer.traits.extra_absorption and layer.bottom_albedo == 1.0
-    tally = DetectorTally(tracer.detectors.sums.shape)
-    with DaemonThreadPool(runner.threads) as pool:
-        while True:
-            tracer.trace_up_to(tally, target_batches, pool)
-            n_batches = tally.n_batches
-            result = tally.compute_result(has_lower_side, medium.polarized, no_signal, lossless)
-            error = result.compute_max_error(stopping_rule.side)
-            is_empty = not no_signal and not result.mean[stopping_rule.side].any()
-            converged = to_error and error <= stopping_rule.relative_stderr and not is_empty
-            exhausted = n_batches >= max_batches or (is_empty and n_batches >= 64 * pilot_batches)
-            if converged or exhausted:
-                return replace(result, stop_reason="converged" if converged else "max_rays")
-            factor = 1.05 * (error / stopping_rule.relative_stderr) ** 2
-            needed_batches = n_batches * (_MAX_ROUND_GROWTH if is_empty else factor)
-            target_batches = int(
-                min(max(needed_batches, n_batches + 1), _MAX_ROUND_GROWTH * n_batches, max_batches)
-            )
-            if runner.progress_callback:
-                seconds = time.perf_counter() - start_time
-                seconds_left = seconds * (needed_batches / n_batches - 1.0)
-                n_rays = target_batches * RAYS_PER_CHUNK
-                relative_stderr = stopping_rule.relative_stderr
-                runner.progress_callback(
-                    Progress(n_rays, error, relative_stderr, seconds, seconds_left)
+    def trace_job(self, seed: int, tally: Tally, job: Sequence[WorkItem]) -> list[ItemScores]:
+        """Return the mean contributions of each batch of rays, and the segments traced."""
+        results = []
+        for stratum, first_ray, n_rays in job:
+            n_segments, scores = 0, []
+            for first in range(first_ray, first_ray + n_rays, tally.rays_per_chunk):
+                detectors = self.detectors._replace(
+                    sums=np.zeros_like(self.detectors.sums),
+                    peak_directions=np.zeros_like(self.detectors.peak_directions),
                 )
+                totals = np.zeros((2, 2))
+                work = np.array([stratum.stream, first, tally.rays_per_chunk, stratum.max_order])
+                n_segments += kernels.trace_to_detectors(seed, work, self.scene, detectors, totals)
+                sums = np.concatenate([detectors.sums.ravel(), totals.ravel()])
+                scores.append(sums / tally.rays_per_chunk)
+            results.append((scores, n_segments))
+        return results

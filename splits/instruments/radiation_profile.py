@@ -14,7 +14,7 @@ from splits.core.progress import ProgressCallback, with_progress
 from splits.core.uncertainty import Variable, compute_weighted_error, make_variable
 from splits.core.validation import check_choice, check_integer, check_range
 from splits.illumination.sky import Sky
-from splits.instruments.flux_stopping_rule import FluxStoppingRule
+from splits.instruments.flux_target import FluxTarget
 from splits.instruments.irradiance_profile import FluxRequest, simulate_flux
 from splits.instruments.sky_mixing import (
     as_sky,
@@ -125,7 +125,7 @@ def radiation_profile(
     weights = np.array([sky_spectrum.compute_weights(wavelengths, band) for band in named.values()])
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
     limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
-    rules = _make_stopping_rules(direct_fraction, weights, max_stderr, limit_irradiance)
+    targets = _make_targets(direct_fraction, weights, max_stderr, limit_irradiance)
     coordinates: dict[str, Any] = {}
     run_attributes: list[dict[str, Any]] = []
 
@@ -134,7 +134,7 @@ def radiation_profile(
             medium, wavelengths, depth_m, incidence, seed + number, max_rays, threads, "auto",
             progress,
         )  # fmt: skip
-        dataset = simulate_flux(request.validate(), rules[number])
+        dataset = simulate_flux(request.validate(), targets[number])
         run_attributes.append(dataset.attrs)
         names = ("depth", "interval_top", "interval_bottom")
         coordinates.update({name: dataset[name] for name in names})
@@ -182,10 +182,10 @@ def _make_variables(
     return variables | {"irradiance_covered": ("band", covered, {"long_name": label, "units": "1"})}
 
 
-def _make_stopping_rules(
+def _make_targets(
     direct_fraction: np.ndarray, band_weights: np.ndarray, max_stderr: float, limit_irradiance: bool
-) -> list[FluxStoppingRule]:
-    """Return the stopping rules for sunlight and for diffuse light.
+) -> list[FluxTarget]:
+    """Return the targets for sunlight and for diffuse light.
 
     Each may contribute to a band's variance in proportion to its fraction of the band's light.
 
@@ -200,11 +200,11 @@ def _make_stopping_rules(
         Whether errors of irradiances are limited, too.
     """
     normalized = band_weights / band_weights.sum(axis=1, keepdims=True)
-    rules = []
+    targets = []
     for fraction in (direct_fraction, 1.0 - direct_fraction):
         band_fraction = (normalized * fraction).sum(axis=1)
         variance_fraction = np.where(band_fraction > 0.0, band_fraction, 1.0)
-        rules.append(
-            FluxStoppingRule(max_stderr, limit_irradiance, normalized * fraction, variance_fraction)
+        targets.append(
+            FluxTarget(max_stderr, limit_irradiance, normalized * fraction, variance_fraction)
         )
-    return rules
+    return targets

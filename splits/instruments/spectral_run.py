@@ -1,38 +1,43 @@
-"""Requests and results of spectra, of one medium or of several that share paths."""
+"""Simulation of spectra, of one medium or of several that share paths."""
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.kernels.grains.scene import NO_GROUND
+from splits.kernels.tallies.exits import N_BATCHES
+from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_threads, check_wavelengths
+from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.derivatives import NO_PERTURBATIONS, Perturbations
-from splits.simulation.estimators import ESTIMATORS, SpectralEstimate
-from splits.simulation.path_tally import PathSharingMedia, SpectralRows
-from splits.simulation.runner import Runner
-from splits.simulation.tracer import KERNELS
-from splits.simulation.truncated_medium import TruncatedMedium
+from splits.simulation.engine import simulate
+from splits.simulation.spectral_nodes import choose_nodes, make_separate_nodes
+from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
+from splits.simulation.spectral_tally import SpectralEstimate, SpectralTally
+from splits.simulation.tally import StoppingRule
+from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer_interface import KERNELS
+from splits.simulation.truncated_medium import ERROR_BUDGET_FRACTION, TruncatedMedium
 
-TITLE = "Virtual spectrophotometer"
+MAX_ATTEMPTS = 3
+"""Runs of a truncated medium, each to half the error of the one before."""
+INTERPOLATION_FRACTION = 0.4
+"""Fraction of the requested error that interpolation between indices may contribute."""
 SIDE_QUANTITIES = ("reflectance", "transmittance")
 QUANTITY_LABELS = {
     "reflectance": "hemispherical reflectance",
     "transmittance": "hemispherical transmittance",
     "absorptance": "absorptance",
 }
-
-
-class SpectralResult(NamedTuple):
-    """Estimates, and the truncation of the media."""
-
-    estimate: SpectralEstimate
-    truncation: TruncatedMedium | None
 
 
 class SpectralRequest(NamedTuple):
@@ -74,96 +79,175 @@ class SpectralRequest(NamedTuple):
             path_sharing, self.wavelengths, self.max_stderr, self.seed, self.threads
         )
 
-    def estimate(
+    def simulate(
         self,
         path_sharing: PathSharingMedia,
-        perturbations: Perturbations = NO_PERTURBATIONS,
-        estimator: str = "spectral",
-        progress: ProgressCallback = None,
-    ) -> SpectralResult:
-        """Return estimates for media that share paths, or for one with its derivatives."""
-        if perturbations.media:
-            size_ratios = np.concatenate([path_sharing.size_ratios, perturbations.size_ratios])
-            path_sharing = PathSharingMedia(
-                (*path_sharing.media, *perturbations.media), size_ratios
-            )
-        truncation = None if estimator == "analog" else self.truncate(path_sharing)
-        return self.estimate_truncated(truncation, path_sharing, perturbations, estimator, progress)
-
-    def estimate_truncated(
-        self,
         truncation: TruncatedMedium | None,
-        path_sharing: PathSharingMedia,
         perturbations: Perturbations = NO_PERTURBATIONS,
-        estimator: str = "spectral",
+        *,
+        analog: bool = False,
         progress: ProgressCallback = None,
-    ) -> SpectralResult:
-        """Return the result of `estimate` for media whose truncation is given."""
-        analog = estimator == "analog"
-        wavelengths, n_media = self.wavelengths, len(path_sharing.media) - len(perturbations.media)
-        traced = (
-            path_sharing if truncation is None else path_sharing._replace(media=truncation.media)
-        )
-        rows = SpectralRows.from_media(traced.select(slice(n_media)), wavelengths)
-        if perturbations.media:
-            lossless = (
-                [] if truncation is None else wavelengths[truncation.ground_absorption[0] == 0.0]
-            )
-            if len(lossless):
-                allowed = "left out for deep media at wavelengths where nothing absorbs"
-                hint = f"as at {lossless[0]:g} nm"
-                raise invalid("jacobian", list(perturbations.parameters), allowed, hint)
-            ground_column = NO_GROUND if truncation is None else rows.absorption.shape[1] - 1
-            rows = rows.with_derivatives(
-                traced.select(slice(n_media, None)), perturbations.steps, wavelengths, ground_column
-            )
+    ) -> SpectralEstimate:
+        """Return estimates for media that share paths, or for one with its derivatives.
 
-        def run_estimator(target_stderr: float) -> SpectralEstimate:
-            settings = (self.seed, self.threads, analog, self.kernel, progress)
-            runner = Runner(traced.media[0], self.incidence, *settings)
-            return ESTIMATORS[estimator](runner, rows, target_stderr, self.max_rays)
+        A truncated medium is traced to a smaller error than requested, since the error of the
+        theory adds to it.  If more light than predicted reaches the truncation depth, it is traced
+        again, to an even smaller error.
 
-        if truncation is None:
-            return SpectralResult(run_estimator(self.max_stderr), None)
-        return SpectralResult(
-            truncation.estimate_to_error(run_estimator, self.max_stderr, perturbations.steps),
-            truncation,
-        )
-
-    def make_variables(
-        self, estimate: SpectralEstimate, dims: tuple[str, ...]
-    ) -> dict[str, Variable]:
-        """Return the estimates with errors and batch deviations, over media and wavelengths."""
-        illumination = "hemispherical" if self.incidence == "diffuse" else "directional"
-        shape = (self.wavelengths.size,) if len(dims) == 1 else (-1, self.wavelengths.size)
-        variables: dict[str, Variable] = {}
-        for row, (name, label) in enumerate(QUANTITY_LABELS.items()):
-            long_name = label if name == "absorptance" else f"{illumination}-{label}"
-            mean, stderr = estimate.mean[row].reshape(shape), estimate.stderr[row].reshape(shape)
-            variables |= make_variable(name, dims, mean, stderr, long_name)
-            if name in SIDE_QUANTITIES:
-                batch_deviations = estimate.batch_deviations[:, row]
-                batch_deviations = batch_deviations.reshape(len(batch_deviations), *shape)
-                variables |= make_deviation_variable(name, dims, batch_deviations, long_name)
-        return variables
-
-    def make_attributes(self, spectral_result: SpectralResult) -> dict[str, Any]:
-        """Return the attributes of a result."""
-        result, truncation = spectral_result
-        attributes = {
-            "incidence_deg": self.incidence,
-            "max_stderr": self.max_stderr,
-            "stop_reason": "converged" if result.converged else "max_rays",
-            "max_stderr_reached": float(result.stderr.max()),
-            "interpolation_error_bound": float(result.interpolation_error.max()),
-            "max_rays": self.max_rays,
-            "rays": result.n_rays,
-            "ensembles": result.n_ensembles,
-            "kernel": result.kernel,
-        }
+        Parameters
+        ----------
+        path_sharing : PathSharingMedia
+            With the media of the perturbations, which are the last.
+        truncation : TruncatedMedium or None
+            Their truncation.
+        perturbations : Perturbations
+        analog : bool
+            Trace each row separately, with analog absorption.  This is the algorithm of SPLITS
+            section 4.3 and SPLITSnow section 3, kept as the reference.
+        progress : callable, optional
+        """
+        traced = path_sharing
         if truncation is not None:
-            attributes |= {
-                "truncation_depth_m": truncation.depth_m,
-                "semi_infinite_depth_m": truncation.semi_infinite_depth_m,
-            }
-        return attributes
+            traced = path_sharing._replace(media=truncation.media)
+        rows = self._make_rows(traced, truncation, perturbations)
+        tracer = make_tracer(traced.media[0], self.incidence, analog=analog)
+        above_truncation = (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
+        target = self.max_stderr * (1.0 if truncation is None else above_truncation)
+        for _ in range(MAX_ATTEMPTS):
+            nodes = (
+                make_separate_nodes(rows.index)
+                if analog
+                else choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * target)
+            )
+            tally = SpectralTally(rows, nodes, tracer.traits)
+            outcome = simulate(
+                tracer, tally, StoppingRule(target, self.max_rays), seed=self.seed,
+                threads=self.threads, kernel=self.kernel, progress=progress,
+            )  # fmt: skip
+            above = tally.make_estimate(outcome)
+            if truncation is None:
+                return above
+            estimate = truncation.complete_estimate(above, self.max_stderr)
+            if estimate.stop_reason == "converged" or above.stop_reason == "max_rays":
+                break
+            target *= 0.5
+        if truncation is not None and perturbations.media:
+            derivatives = truncation.complete_derivatives(above, perturbations.steps)
+            estimate = replace(estimate, derivatives=derivatives)
+        return estimate
+
+    def _make_rows(
+        self,
+        traced: PathSharingMedia,
+        truncation: TruncatedMedium | None,
+        perturbations: Perturbations,
+    ) -> SpectralRows:
+        """Return the rows of media, or of one with its derivatives."""
+        n_media = len(traced.media) - len(perturbations.media)
+        rows = SpectralRows.from_media(traced.select(slice(n_media)), self.wavelengths)
+        if not perturbations.media:
+            return rows
+        if truncation is not None and (truncation.ground_absorption[0] == 0.0).any():
+            lossless = self.wavelengths[truncation.ground_absorption[0] == 0.0]
+            allowed = "left out for deep media at wavelengths where nothing absorbs"
+            hint = f"as at {lossless[0]:g} nm"
+            raise invalid("jacobian", list(perturbations.parameters), allowed, hint)
+        ground_column = NO_GROUND if truncation is None else rows.absorption.shape[1] - 1
+        perturbed = traced.select(slice(n_media, None))
+        return rows.with_derivatives(
+            perturbed, perturbations.steps, self.wavelengths, ground_column
+        )
+
+
+def make_spectrum(
+    request: SpectralRequest,
+    medium: Medium,
+    estimate: SpectralEstimate,
+    start_time: float,
+    *,
+    truncation: TruncatedMedium | None,
+    size_ratio: float = 1.0,
+    dims: tuple[str, ...] = ("wavelength",),
+) -> xr.Dataset:
+    """Return the dataset of `splits.spectrophotometer`.
+
+    Parameters
+    ----------
+    request : SpectralRequest
+    medium : Medium
+        Its inputs are attributes.
+    estimate : SpectralEstimate
+    start_time : float
+        `time.perf_counter` at the start.
+    truncation : TruncatedMedium or None
+    size_ratio : float
+        Size of the medium relative to the traced one.
+    dims : tuple of str
+        Dimensions of the variables: over media, too, where there are several.
+    """
+    illumination = "hemispherical" if request.incidence == "diffuse" else "directional"
+    shape = (*[-1] * (len(dims) - 1), request.wavelengths.size)
+    variables: dict[str, Variable] = {}
+    for row, (name, label) in enumerate(QUANTITY_LABELS.items()):
+        long_name = label if name == "absorptance" else f"{illumination}-{label}"
+        mean, stderr = estimate.mean[row].reshape(shape), estimate.stderr[row].reshape(shape)
+        variables |= make_variable(name, dims, mean, stderr, long_name)
+        if name in SIDE_QUANTITIES:
+            deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)
+            variables |= make_deviation_variable(name, dims, deviations, long_name)
+    attributes = {
+        **make_run_attributes(
+            "Virtual spectrophotometer", "spectrophotometer", medium, start_time, request.seed,
+            request.threads,
+        ),
+        "estimator": "spectral",
+        "incidence_deg": request.incidence,
+        "max_stderr": request.max_stderr,
+        "stop_reason": estimate.stop_reason,
+        "max_stderr_reached": float(estimate.stderr.max()),
+        "interpolation_error_bound": float(estimate.interpolation_error.max()),
+        "max_rays": request.max_rays,
+        "rays": estimate.n_rays,
+        "ensembles": estimate.n_ensembles,
+        "kernel": estimate.kernel,
+    }  # fmt: skip
+    if truncation is not None:
+        attributes["truncation_depth_m"] = size_ratio * truncation.depth_m
+        attributes["semi_infinite_depth_m"] = size_ratio * truncation.semi_infinite_depth_m
+    coordinates = {"wavelength": make_wavelength_coordinate(request.wavelengths)}
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+def simulate_spectra(
+    path_sharing: PathSharingMedia, request: SpectralRequest, progress: ProgressCallback = None
+) -> list[xr.Dataset]:
+    """Return the dataset of `splits.spectrophotometer` for each medium of a set that shares paths.
+
+    Each has the requested error.  The `…_batches` of different media give the correlations of their
+    errors.
+
+    Parameters
+    ----------
+    path_sharing : PathSharingMedia
+    request : SpectralRequest
+    progress : callable, optional
+
+    Returns
+    -------
+    list of xarray.Dataset
+        The attribute ``rays`` counts those used by all media.
+    """
+    start_time, n_wavelengths = time.perf_counter(), request.wavelengths.size
+    truncation = request.truncate(path_sharing)
+    estimate = request.simulate(path_sharing, truncation, progress=progress)
+    datasets = []
+    for number, (medium, size_ratio) in enumerate(zip(*path_sharing, strict=True)):
+        rows = slice(number * n_wavelengths, (number + 1) * n_wavelengths)
+        medium_estimate = estimate.select(rows, request.max_stderr)
+        datasets.append(
+            make_spectrum(
+                request, medium, medium_estimate, start_time, truncation=truncation,
+                size_ratio=size_ratio,
+            )
+        )  # fmt: skip
+    return datasets

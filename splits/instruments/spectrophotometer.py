@@ -12,10 +12,9 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
 from splits.core.validation import check_choice, invalid, to_text_keys
-from splits.instruments.spectral_run import SIDE_QUANTITIES, TITLE, SpectralRequest
+from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest, make_spectrum
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_medium
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.derivatives import (
     Perturbations,
     check_jacobian,
@@ -23,9 +22,12 @@ from splits.simulation.derivatives import (
     make_jacobian_variables,
     make_parameter_coordinates,
 )
-from splits.simulation.estimators import ESTIMATORS, SpectralEstimate
 from splits.simulation.finite_differences import compute_finite_difference
-from splits.simulation.path_tally import PathSharingMedia, check_path_sharing
+from splits.simulation.path_reuse import check_path_sharing
+from splits.simulation.spectral_rows import PathSharingMedia
+from splits.simulation.spectral_tally import SpectralEstimate
+
+ESTIMATORS = ("spectral", "analog")
 
 
 @reject_unknown_arguments
@@ -183,37 +185,36 @@ def _simulate_medium(
 ) -> xr.Dataset:
     """Return the dataset of one medium, with derivatives with respect to parameters."""
     perturbations = Perturbations.select_exact(medium, parameters, request.wavelengths)
-    start_time = time.perf_counter()
-    media = PathSharingMedia.from_media([medium])
-    result = request.estimate(media, perturbations, estimator, progress)
+    start_time, analog = time.perf_counter(), estimator == "analog"
+    media = PathSharingMedia(
+        (medium, *perturbations.media), np.append(1.0, perturbations.size_ratios)
+    )
+    truncation = None if analog else request.truncate(media)
+    estimate = request.simulate(media, truncation, perturbations, analog=analog, progress=progress)
 
-    def estimate_perturbed(perturbed: Medium, incidence: float | str) -> SpectralEstimate:
+    def simulate_perturbed(perturbed: Medium, incidence: float | str) -> SpectralEstimate:
         perturbed_request = request._replace(incidence=incidence)
         perturbed_media = PathSharingMedia.from_media([perturbed])
-        return perturbed_request.estimate(perturbed_media, progress=progress).estimate
+        return perturbed_request.simulate(
+            perturbed_media, request.truncate(perturbed_media), progress=progress
+        )
 
     differences = [
-        compute_finite_difference(estimate_perturbed, medium, request.incidence, name)
+        compute_finite_difference(simulate_perturbed, medium, request.incidence, name)
         for name in parameters
         if name not in perturbations.parameters
     ]
-    variables = request.make_variables(result.estimate, ("wavelength",))
+    dataset = make_spectrum(request, medium, estimate, start_time, truncation=truncation)
+    dataset.attrs["estimator"] = estimator
     if parameters:
         derivatives = combine_derivatives(
-            parameters, result.estimate.derivatives, perturbations, differences
+            parameters, estimate.derivatives, perturbations, differences
         )
-        variables |= make_jacobian_variables(derivatives, parameters, SIDE_QUANTITIES)
-    attributes = make_run_attributes(
-        TITLE, "spectrophotometer", medium, start_time, request.seed, request.threads
-    )
+        dataset = dataset.assign_coords(make_parameter_coordinates(parameters, perturbations))
+        dataset = dataset.assign(make_jacobian_variables(derivatives, parameters, SIDE_QUANTITIES))
     if differences:
-        attributes["finite_difference_rays"] = sum(one.n_rays for one in differences)
-    coordinates = {
-        "wavelength": make_wavelength_coordinate(request.wavelengths),
-        **make_parameter_coordinates(parameters, perturbations),
-    }
-    attributes |= {"estimator": estimator} | request.make_attributes(result)
-    return xr.Dataset(variables, coordinates, attributes)
+        dataset.attrs["finite_difference_rays"] = sum(one.n_rays for one in differences)
+    return dataset
 
 
 def _simulate_media(
@@ -221,21 +222,17 @@ def _simulate_media(
 ) -> xr.Dataset:
     """Return the dataset of several media that share paths."""
     start_time = time.perf_counter()
-    result = request.estimate(PathSharingMedia.from_media(list(media.values())), progress=progress)
-    differing = _find_differing_inputs(list(media.values()))
-    first = next(iter(media.values()))
-    attributes = make_run_attributes(
-        TITLE, "spectrophotometer", first, start_time, request.seed, request.threads
-    )
-    attributes = {key: value for key, value in attributes.items() if key not in differing}
-    coordinates = {
-        "medium": ("medium", list(media), {"long_name": "name of the medium"}),
-        "wavelength": make_wavelength_coordinate(request.wavelengths),
-        **differing,
-    }
-    variables = request.make_variables(result.estimate, ("medium", "wavelength"))
-    attributes |= {"estimator": "spectral"} | request.make_attributes(result)
-    return xr.Dataset(variables, coordinates, attributes)
+    path_sharing = PathSharingMedia.from_media(list(media.values()))
+    truncation = request.truncate(path_sharing)
+    estimate = request.simulate(path_sharing, truncation, progress=progress)
+    dataset = make_spectrum(
+        request, path_sharing.media[0], estimate, start_time, truncation=truncation,
+        dims=("medium", "wavelength"),
+    )  # fmt: skip
+    differing = _find_differing_inputs(path_sharing.media)
+    dataset.attrs = {key: value for key, value in dataset.attrs.items() if key not in differing}
+    names = ("medium", list(media), {"long_name": "name of the medium"})
+    return dataset.assign_coords({"medium": names, **differing})
 
 
 def _find_differing_inputs(media: Sequence[Medium]) -> dict[str, Any]:

@@ -32,8 +32,8 @@ from splits.simulation.grain_optics import (
     estimate_pilot_optics,
     pool_optics_by_type,
 )
-from splits.simulation.path_tally import PathSharingMedia
 from splits.simulation.scene import OpticalConstants
+from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.substrate import (
     MIN_TRANSPORT_FACTOR,
     DiffusionProperties,

@@ -25,7 +25,8 @@ from splits.media.parameters import (
 )
 from splits.simulation.finite_differences import FiniteDifference
 from splits.simulation.path_reuse import compute_path_signature
-from splits.simulation.path_tally import Derivatives, PathSharingMedia
+from splits.simulation.spectral_rows import PathSharingMedia
+from splits.simulation.spectral_tally import Derivatives
 
 MAX_ABSORPTION_STEP = 1e-3
 """Largest relative change of the absorption at any wavelength: absorption is linear in amounts of

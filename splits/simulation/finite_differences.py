@@ -17,8 +17,7 @@ import numpy as np
 from splits.core.validation import invalid
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
-from splits.simulation.estimators import SpectralEstimate
-from splits.simulation.path_tally import Derivatives
+from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 
 FIRST_STEP_FRACTION = 0.25
 """First step relative to the value: larger steps have less noise, but more truncation error."""

@@ -9,6 +9,7 @@ that their difference has a much smaller error than either spectrum, as fits and
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,12 @@ import numpy as np
 from splits.core.validation import check_integer, invalid
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_medium, check_wavelengths
-from splits.simulation.runner import Runner
-from splits.simulation.scene import compute_optical_constants
+from splits.simulation.engine import simulate
 from splits.simulation.spectral_nodes import make_nodes
-from splits.simulation.tally import N_BATCHES, PathTally, rescale_deviations
-
-SINGLE_STRATUM = (-1.0,)
-"""One stratum per tally: all wavelengths use every ray, so that their noise is common."""
+from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
+from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
+from splits.simulation.tally import StoppingRule
+from splits.simulation.tracer import make_tracer
 
 
 def estimate_fixed_budget(
@@ -60,7 +60,7 @@ def estimate_fixed_budget(
         error of interpolation between nodes.
     batch_deviations : float, shape (N_BATCHES, 2, wavelengths)
         Contributions of batches to the deviations of the reflected and transmitted means, see
-        `splits.simulation.estimators.SpectralEstimate`.
+        `splits.simulation.spectral_tally.SpectralEstimate`.
 
     Raises
     ------
@@ -69,39 +69,18 @@ def estimate_fixed_budget(
     """
     check_medium(medium)
     wavelengths = check_wavelengths(wavelength_nm)
-    rows = _check_node_rows(node_rows, len(wavelengths))
+    node_rows = _check_node_rows(node_rows, len(wavelengths))
     check_integer("rays_per_node", rays_per_node, 1)
-    check_integer("seed", seed, 0)
-    index, absorption = compute_optical_constants(medium, wavelengths)
-    nodes = make_nodes(index, medium.list_interfaces(), rows)
-    runner = Runner(medium, check_incidence(incidence_deg), int(seed), threads, False)
-    # A tally keeps its number, hence its streams, if no wavelength uses its neighbour.
-    tallies = [
-        PathTally(
-            number, indices, absorption, weight > 0.0, runner.tracer.traits, bounds=SINGLE_STRATUM
-        )
-        for number, (indices, weight) in enumerate(zip(nodes.index, nodes.weights, strict=True))
-        if weight.any()
-    ]
-    weights = nodes.weights[nodes.weights.any(axis=1)]
-    runner.trace(
-        [(tally, stratum, rays_per_node) for tally in tallies for stratum in tally.strata], 1.0, 0.0
-    )
-    mean = np.einsum(
-        "jw,jqw->qw",
-        weights,
-        np.stack([tally.expand_to_all_rows(tally.compute_means()) for tally in tallies]),
-    )
-    variance = np.zeros((3, len(wavelengths)))
-    batch_deviations = np.zeros((N_BATCHES, 2, len(wavelengths)))
-    for tally, weight in zip(tallies, weights, strict=True):
-        tally_weights = weight[tally.rows]
-        variance[:, tally.rows] += (
-            tally_weights**2 * tally.compute_variances() / np.maximum(tally.n_rays, 1.0)
-        )
-        batch_deviations[..., tally.rows] += tally_weights * tally.compute_batch_deviations()
-    mean = np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
-    return mean, np.sqrt(variance), rescale_deviations(batch_deviations, variance[:2])
+    seed = check_integer("seed", seed, 0)
+    rows = SpectralRows.from_media(PathSharingMedia.from_media([medium]), wavelengths)
+    nodes = make_nodes(rows.index, rows.interfaces, node_rows)
+    nodes = replace(nodes, interpolation_bound=np.zeros(len(wavelengths)))
+    tracer = make_tracer(medium, check_incidence(incidence_deg))
+    # A node keeps its streams if no wavelength uses its neighbour.
+    tally = SpectralTally(rows, nodes, tracer.traits, SINGLE_STRATUM)
+    stop = StoppingRule(0.0, rays_per_node * len(tally.strata), fixed=True)
+    estimate = tally.make_estimate(simulate(tracer, tally, stop, seed=seed, threads=threads))
+    return estimate.mean, estimate.stderr, estimate.batch_deviations
 
 
 def choose_node_rows(n_wavelengths: int) -> tuple[int, ...]:

@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.media.medium import GranularMedium, LayeredMedium, compute_absorption
+from splits.media.medium import GranularMedium, LayeredMedium, Medium, compute_absorption
 from splits.media.stack import Stack
 from splits.media.stacked_particle_layer import StackedParticleLayer
-from splits.simulation.path_tally import PathSharingMedia
 from splits.simulation.scene import (
     OpticalConstants,
     build_scene,
@@ -28,6 +27,7 @@ from splits.simulation.scene import (
     get_reflecting_ground,
     make_height_fields,
 )
+from splits.simulation.spectral_rows import PathSharingMedia
 
 MAX_SHARED_ROWS = 200_000
 """Largest number of rows (wavelengths of different media) of one tally: this limits its memory."""
@@ -67,8 +67,7 @@ def group_by_shared_paths(media: Sequence[Any], wavelength_nm: np.ndarray) -> li
     """
     by_signature: dict[bytes, list[tuple[float, int]]] = {}
     for position, medium in enumerate(media):
-        if not isinstance(medium, GranularMedium | LayeredMedium):
-            raise invalid("medium", medium.kind, "a granular medium, or a stack")
+        _check_granular("medium", medium)
         key, unit = compute_path_signature(medium)
         by_signature.setdefault(key, []).append((unit, position))
     max_media = max(1, MAX_SHARED_ROWS // wavelength_nm.size)
@@ -93,6 +92,34 @@ def group_by_shared_paths(media: Sequence[Any], wavelength_nm: np.ndarray) -> li
                 MediaGroup(path_sharing, np.array(all_positions), np.array(media_indices))
             )
     return groups
+
+
+def check_path_sharing(media: Mapping[str, Medium]) -> None:
+    """Check that media differ only in absorption.
+
+    Raises
+    ------
+    ValueError
+        Names the first medium that cannot share the paths of the first one.
+    """
+    (first, base), *others = media.items()
+    _check_granular(f"medium[{first!r}]", base)
+    signature, unit = compute_path_signature(base)
+    for name, medium in others:
+        _check_granular(f"medium[{name!r}]", medium)
+        other_signature, other_unit = compute_path_signature(medium)
+        if other_signature != signature or not math.isclose(other_unit, unit):
+            raise invalid(
+                f"medium[{name!r}]", medium.kind, f"like medium[{first!r}] except for absorption",
+                "grains, depths, pores and interpretation must be the same; impurities, and the "
+                "albedo of a reflecting ground, may differ",
+            )  # fmt: skip
+
+
+def _check_granular(key: str, medium: Any) -> None:
+    """Check that paths of a medium may be shared."""
+    if not isinstance(medium, GranularMedium | LayeredMedium):
+        raise invalid(key, medium.kind, "a granular medium, or a stack")
 
 
 def compute_absorption_signature(medium: Any, wavelength_nm: np.ndarray) -> bytes:

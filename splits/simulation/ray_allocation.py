@@ -3,122 +3,107 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from splits.simulation.tally import (
-    RAYS_PER_CHUNK,
-    Stratum,
-    Tally,
-)
+from splits.simulation.tally import RAYS_PER_CHUNK, Stratum
 
 LARGE_PROBLEM_ROWS = 4000
 """Number of rows up to which ray allocation considers all of them."""
 
 
-def allocate_spectral_rays(
-    weighted_variances: np.ndarray, target_variances: np.ndarray, tallies: Sequence[Tally]
-) -> np.ndarray:
-    """Return the rays per stratum that bring every variance to its target at the least cost.
+class VarianceTerms(NamedTuple):
+    """Terms whose sum over the strata and nodes is the variance of a column of results.
 
-    Parameters
+    Attributes
     ----------
-    weighted_variances : float, shape (tallies, quantities, wavelengths)
-        Variance per ray times squared weight.
-    target_variances : float, shape (quantities, wavelengths)
-        Variances to reach.
-    tallies : sequence of Tally
+    variances : float, shape (quantities, terms)
+        Variances per ray, in units of the variance to reach.
+    columns : int, shape (terms,)
+        Column to whose variance a term contributes.
+    contributes : bool, shape (strata, terms)
+        Where the rays of a stratum contribute.
     """
-    strata = [stratum for tally in tallies for stratum in tally.strata]
-    membership = np.repeat(np.eye(len(tallies)), [len(tally.strata) for tally in tallies], axis=1)
-    return allocate_rays(
-        weighted_variances / target_variances,
-        membership,
-        np.stack([stratum.wavelength_mask for stratum in strata]),
-        strata,
-    )
+
+    variances: np.ndarray
+    columns: np.ndarray
+    contributes: np.ndarray
+
+    def select(self, columns: np.ndarray) -> VarianceTerms:
+        """Return the terms of some columns, which are numbered anew."""
+        terms = np.isin(self.columns, columns)
+        numbers = np.searchsorted(columns, self.columns[terms])
+        return VarianceTerms(self.variances[:, terms], numbers, self.contributes[:, terms])
+
+    def sum_columns(self, values: np.ndarray) -> np.ndarray:
+        """Return sums of the terms of each column, shape (quantities, columns)."""
+        n_columns = int(self.columns.max()) + 1
+        return np.stack([np.bincount(self.columns, value, n_columns) for value in values])
 
 
-def allocate_rays(
-    relative_variances: np.ndarray,
-    membership: np.ndarray,
-    column_mask: np.ndarray,
-    strata: Sequence[Stratum],
-) -> np.ndarray:
-    """Return the rays per stratum that bring sums of variances to their targets at the least cost.
+def allocate_rays(terms: VarianceTerms, strata: Sequence[Stratum]) -> np.ndarray:
+    """Return the rays per stratum that bring all variances to their targets at the least cost.
 
     The cost of a ray is its number of segments.  At the optimum the marginal gain of a stratum,
-    summed over wavelengths with multipliers that are nonzero where the target binds, equals its
-    cost; multipliers and rays are iterated by multiplicative updates, and then scaled to
-    feasibility.
+    summed over columns with multipliers that are nonzero where the target binds, equals its cost;
+    multipliers and rays are iterated by multiplicative updates, and then scaled to feasibility.
 
     Parameters
     ----------
-    relative_variances : float, shape (members, quantities, columns)
-        Variances per ray of the terms that add up, in units of the targets.
-    membership : float, shape (members, strata)
-        1 where the rays of a stratum contribute to a member, 0 elsewhere.
-    column_mask : bool, shape (strata, columns)
-        Where the rays of a stratum contribute.
+    terms : VarianceTerms
     strata : sequence of Stratum
     """
     floor = np.array([stratum.n_rays for stratum in strata], dtype=float)
     cost = np.array([stratum.n_segments / stratum.n_rays for stratum in strata]) + 1.0
-    binding = _select_binding_rows(relative_variances, column_mask)
-    variances, mask = relative_variances[..., binding], column_mask[:, binding].astype(float)
+    binding = terms.select(_select_binding_columns(terms))
+    mask = binding.contributes.astype(float)
     stratum_rays = floor.copy()
-    multipliers = np.full(variances.shape[1:], 1.0 / variances[0].size)
-
-    def compute_relative_variance(
-        stratum_rays: np.ndarray, variances: np.ndarray = variances, mask: np.ndarray = mask
-    ) -> np.ndarray:
-        n_rays = np.maximum((membership * stratum_rays) @ mask, 1e-9)
-        return (variances / n_rays[:, np.newaxis]).sum(axis=0)
-
+    multipliers = np.full((len(terms.variances), int(binding.columns.max()) + 1), 1.0)
+    multipliers /= multipliers.size
     for _ in range(200):
         before = stratum_rays.copy()
-        ratio = compute_relative_variance(stratum_rays)
+        ratio = binding.sum_columns(binding.variances / np.maximum(stratum_rays @ mask, 1e-9))
         multipliers *= (ratio / ratio.max()) ** 0.5
         multipliers /= multipliers.sum()
-        n_rays = np.maximum((membership * stratum_rays) @ mask, 1e-9)
-        gain = (multipliers * variances).sum(axis=1) / n_rays**2
-        stratum_rays *= np.sqrt((((membership.T @ gain) * mask).sum(axis=1) / cost).clip(1e-30))
-        stratum_rays *= compute_relative_variance(stratum_rays).max()
+        gain = (multipliers[:, binding.columns] * binding.variances).sum(axis=0)
+        gain /= np.maximum(stratum_rays @ mask, 1e-9) ** 2
+        stratum_rays *= np.sqrt((mask @ gain / cost).clip(1e-30))
+        rays_per_term = np.maximum(stratum_rays @ mask, 1e-9)
+        stratum_rays *= binding.sum_columns(binding.variances / rays_per_term).max()
         if (np.abs(stratum_rays - before) <= 1e-4 * before).all():
             break
     stratum_rays = np.maximum(stratum_rays, floor)
     # Rays above the optimum in one stratum allow fewer in others.  A margin of 3 % is added, but
     # only where more rays are needed, or strata that have enough would grow with every round.
-    target_rays = stratum_rays * max(
-        compute_relative_variance(
-            stratum_rays, relative_variances, column_mask.astype(float)
-        ).max(),
-        0.1,
-    )
+    rays_per_term = np.maximum(stratum_rays @ terms.contributes, 1e-9)
+    largest = terms.sum_columns(terms.variances / rays_per_term).max()
+    target_rays = stratum_rays * max(largest, 0.1)
     more = target_rays > floor * (1.0 + 1e-6)
     return (
         np.where(more, np.ceil(1.03 * target_rays), floor) if more.any() else floor + RAYS_PER_CHUNK
     )
 
 
-def _select_binding_rows(relative_variances: np.ndarray, column_mask: np.ndarray) -> np.ndarray:
-    """Return the rows that determine the number of rays: of few rows all of them.
+def _select_binding_columns(terms: VarianceTerms) -> np.ndarray:
+    """Return the columns that determine the number of rays: of few columns all of them.
 
-    Of many rows served by the same strata, those with the largest variance in a tally or in total.
-
-    Parameters
-    ----------
-    relative_variances : float, shape (tallies, quantities, rows)
-    column_mask : bool, shape (strata, rows)
+    Of many columns served by the same strata, those with the largest variance in a term or in
+    total.
     """
-    n_rows = relative_variances.shape[2]
-    if n_rows <= LARGE_PROBLEM_ROWS:
-        return np.arange(n_rows)
-    _, pattern = np.unique(np.packbits(column_mask, axis=0), axis=1, return_inverse=True)
+    columns = np.unique(terms.columns)
+    if len(columns) <= LARGE_PROBLEM_ROWS:
+        return columns
+    served = np.stack([np.bincount(terms.columns, one) > 0.0 for one in terms.contributes])
+    _, pattern = np.unique(np.packbits(served, axis=0), axis=1, return_inverse=True)
+    total = terms.sum_columns(terms.variances)
     chosen: list[int] = []
     for number in range(int(pattern.max()) + 1):
-        rows = np.flatnonzero(pattern.ravel() == number)
-        variances = relative_variances[..., rows]
-        chosen += rows[variances.argmax(axis=2)].ravel().tolist()
-        chosen += rows[variances.sum(axis=0).argmax(axis=1)].tolist()
+        same = np.flatnonzero(pattern.ravel() == number)
+        chosen += same[total[:, same].argmax(axis=1)].tolist()
+        members = np.flatnonzero(np.isin(terms.columns, same))
+        first_stratum = terms.contributes[:, members].argmax(axis=0)
+        for stratum in np.unique(first_stratum):
+            part = members[first_stratum == stratum]
+            chosen += terms.columns[part[terms.variances[:, part].argmax(axis=1)]].tolist()
     return np.unique(chosen)

@@ -134,6 +134,11 @@ def make_nodes(
     )
 
 
+def make_separate_nodes(index: np.ndarray) -> IndexNodes:
+    """Return a node for each wavelength, see `choose_nodes`."""
+    return IndexNodes(index, np.eye(len(index)), np.zeros(len(index)))
+
+
 class _NodeAssignment:
     """Assignment of wavelengths to nodes: one, or a weighted pair.
 

@@ -1,7 +1,4 @@
-"""Tracers: the kernel of a scene, for grains or for a layer of small particles.
-
-A runner handles chunks, jobs and threads; a tracer calls the kernel that suits a scene.
-"""
+"""Tracers of media: the kernel of a scene, for grains or for a layer of small particles."""
 
 from __future__ import annotations
 
@@ -9,9 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splits.core.validation import invalid
 from splits.kernels import vectorized
-from splits.kernels.compiler.features import Features
 from splits.kernels.grains import history
 from splits.kernels.grains.scene import Optics
 from splits.kernels.optics.source import Source
@@ -31,23 +26,18 @@ from splits.simulation.scene import (
     make_source,
 )
 from splits.simulation.tally import Stratum, TransportTraits
-from splits.simulation.tracer_interface import Tracer, TraceResult
-
-KERNELS = ("auto", "vectorized", "scalar")
-"""Choices of kernel: vectorized where the scene allows it, vectorized or an error, or scalar."""
+from splits.simulation.tracer_interface import ExitTracer, TraceResult
 
 
-class GrainTracer:
+class GrainTracer(ExitTracer):
     """Tracer of rays among grains, vectorized where possible.
 
     Parameters
     ----------
     medium : GranularMedium or LayeredMedium
     incidence_deg : float or "diffuse"
-    seed : int
     analog : bool
         Whether absorption is analog, sampled at each segment.
-    kernel : {"auto", "vectorized", "scalar"}
     planes_m : sequence of float
         Depths (m) of recording planes, besides all boundaries between layers; without any,
         crossings are not recorded.
@@ -62,10 +52,8 @@ class GrainTracer:
         self,
         medium: GranularMedium | LayeredMedium,
         incidence_deg: float | str,
-        seed: int,
-        analog: bool,
-        kernel: str,
-        planes_m: Sequence[float],
+        analog: bool = False,
+        planes_m: Sequence[float] = (),
     ) -> None:
         self.scene = build_scene(medium, incidence_deg, analog)
         if planes_m:
@@ -77,110 +65,77 @@ class GrainTracer:
         self.traits = TransportTraits(densest, self.scene.ground_column, fading, analog)
         self.normal_incidence = self.scene.source == (1.0, 0.0)
         self.diffuse = self.scene.source.diffuse_fraction > 0.0
-        self.stokes_columns: tuple[int, ...] = ()
-        self.n_columns = count_length_columns(medium)
-        self.seed = seed
-        self.kernel = kernel
-        self._features: dict[Stratum, Features | None] = {}
+        self.n_length_columns = count_length_columns(medium)
 
-    def share_kernel(self, strata: Sequence[Stratum]) -> None:
-        """Let strata use one kernel, if they differ only in extinction.
+    def select_kernel(self, strata: Sequence[Stratum], kernel: str, share: bool) -> None:
+        """Set the features of the vectorized kernel of each stratum, None for the scalar kernel.
 
-        The kernel for reflection with extinction also handles negligible extinction, and rays of
-        all strata then fill the lanes together.
+        The kernel for reflection with extinction also handles negligible extinction, so that strata
+        that differ only in extinction can share it.
         """
-        all_features = [self.get_features(stratum) for stratum in strata]
-        if any(features is not None and features.absorbing for features in all_features):
-            for stratum, features in zip(strata, all_features, strict=True):
-                if features is not None and not features.mixed:
-                    self._features[stratum] = features._replace(absorbing=True)
+        if kernel == "scalar":
+            return
+        for stratum in strata:
+            stratum.features = select_features(self.scene, stratum.optics)
+            if stratum.features is None:
+                super().select_kernel(strata, kernel, share)
+        if share and any(one.features and one.features.absorbing for one in strata):
+            for stratum in strata:
+                if stratum.features and not stratum.features.mixed:
+                    stratum.features = stratum.features._replace(absorbing=True)
 
-    def get_features(self, stratum: Stratum) -> Features | None:
-        """Return the vectorized kernel's features for a stratum, or None for the scalar kernel.
-
-        Raises
-        ------
-        ValueError
-            If the vectorized kernel is requested and does not support the scene.
-        """
-        if self.kernel == "scalar":
-            return None
-        if stratum not in self._features:
-            self._features[stratum] = select_features(self.scene, stratum.optics)
-        features = self._features[stratum]
-        if features is None and self.kernel == "vectorized":
-            raise invalid(
-                "kernel",
-                "vectorized",
-                "'auto' or 'scalar' for this sample",
-                "not for particle layers, analog absorption, stacked coatings, extreme inputs",
-            )
-        return features
-
-    def allocate_exits(self, n_rays: int) -> np.ndarray:
-        """Return an array for the exits of `n_rays` rays."""
-        return allocate_exits(n_rays, self.n_columns)
-
-    def trace(self, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray) -> TraceResult:
-        """Trace items of strata that share features, see `Tracer`."""
-        features = self.get_features(strata[0])
+    def trace(
+        self, seed: int, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray
+    ) -> TraceResult:
+        """Trace items of strata that share features."""
+        features = strata[0].features
+        end_rays = np.cumsum(work[:, 2])
         if features is None:
-            item_parts = np.split(exits, np.cumsum(work[:, 2])[:-1])
             fields = self.height_fields
             realization = None if fields is None else allocate_realization(fields)
-            result = [
+            results = [
                 history.trace_batch(
-                    self.seed, item, self.scene, stratum.optics, item_part, fields, realization
+                    seed, item, self.scene, stratum.optics, item_exits, fields, realization
                 )
-                for item, item_part, stratum in zip(work, item_parts, strata, strict=True)
+                for item, item_exits, stratum in zip(
+                    work, np.split(exits, end_rays[:-1]), strata, strict=True
+                )
             ]
-            return TraceResult(
-                np.array([item_result.n_segments for item_result in result]),
-                [item_result.crossings for item_result in result],
-                self.LOST_MESSAGE if any(item_result.lost for item_result in result) else "",
-            )
+            n_segments, lost, crossings = zip(*results, strict=True)
+            return TraceResult(n_segments, list(crossings), any(lost))
         optics = Optics(*map(np.stack, zip(*(stratum.optics for stratum in strata), strict=True)))
-        result = vectorized.trace_batch(self.seed, work, self.scene, optics, exits, features)
+        result = vectorized.trace_batch(seed, work, self.scene, optics, exits, features)
         # Stable, so that the crossings of each ray remain in order of time.
-        crossings = result.crossings[np.argsort(result.crossings[:, CROSSING_RAY], kind="stable")]
-        end_rays = np.cumsum(work[:, 2])
-        item_parts = np.split(crossings, np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1]))
-        for item_part, first_ray in zip(item_parts[1:], end_rays[:-1], strict=True):
-            item_part[:, CROSSING_RAY] -= first_ray
-        return TraceResult(result.n_segments, item_parts, self.LOST_MESSAGE if result.lost else "")
+        sorted_crossings = result.crossings[
+            np.argsort(result.crossings[:, CROSSING_RAY], kind="stable")
+        ]
+        starts = np.searchsorted(sorted_crossings[:, CROSSING_RAY], end_rays[:-1])
+        by_item = np.split(sorted_crossings, starts)
+        for item_crossings, first_ray in zip(by_item[1:], end_rays[:-1], strict=True):
+            item_crossings[:, CROSSING_RAY] -= first_ray
+        return TraceResult(result.n_segments, by_item, result.lost)
 
 
-class ParticleLayerTracer:
+class ParticleLayerTracer(ExitTracer):
     """Tracer of rays in a layer of small particles.
 
     Parameters
     ----------
     medium : ParticleMedium
     source : Source
-    seed, analog, kernel
+    analog : bool
         As in `GrainTracer`.
     """
 
     LOST_MESSAGE = "a ray was lost at the rough surface: please report this with the configuration"
 
-    def __init__(
-        self,
-        medium: ParticleMedium,
-        source: Source,
-        seed: int,
-        analog: bool,
-        kernel: str,
-    ) -> None:
-        if kernel == "vectorized":
-            hint = "the vectorized kernel supports grains only"
-            raise invalid("kernel", kernel, "'auto' or 'scalar' for a particle layer", hint)
-        stokes = UNPOLARIZED if medium.polarized else None
+    def __init__(self, medium: ParticleMedium, source: Source, analog: bool) -> None:
         self.scene = LayerScene(
             source,
             medium.make_scattering_layer(analog),
             medium.kernel_phase_function,
             medium.make_height_fields(),
-            stokes,
+            UNPOLARIZED if medium.polarized else None,
         )
         self.boundary_depths_m = np.array([0.0, self.scene.layer.depth])
         extinction = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
@@ -188,53 +143,38 @@ class ParticleLayerTracer:
         self.traits = TransportTraits(extinction, extra_absorption=fading, analog=analog)
         self.normal_incidence = source.diffuse_fraction == 0.0 and source.cos_incidence == 1.0
         self.diffuse = source.diffuse_fraction > 0.0
-        self.n_materials = len(medium.list_materials())
+        self.n_length_columns = len(medium.list_materials())
         # After the path lengths in all materials.
-        self.first_stokes_column = EXIT_LENGTH + self.n_materials
-        self.stokes_columns: tuple[int, ...] = ()
-        if medium.polarized:
-            self.stokes_columns = tuple(
-                range(self.first_stokes_column, self.first_stokes_column + 3)
-            )
-        self.seed = seed
+        first = EXIT_LENGTH + self.n_length_columns
+        self.stokes_columns = (first, first + 1, first + 2) if medium.polarized else ()
 
-    def share_kernel(self, strata: Sequence[Stratum]) -> None:
-        """Do nothing: there is one kernel."""
-
-    def get_features(self, stratum: Stratum) -> None:
-        """Return None: the kernel is scalar."""
-        return None
-
-    def allocate_exits(self, n_rays: int) -> np.ndarray:
-        """Return an array for the exits of `n_rays` rays."""
-        return allocate_exits(n_rays, self.n_materials, len(self.stokes_columns))
-
-    def trace(self, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray) -> TraceResult:
-        """Trace items of strata, see `Tracer`."""
+    def trace(
+        self, seed: int, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray
+    ) -> TraceResult:
+        """Trace items of strata."""
         realization = None if self.scene.fields is None else allocate_realization(self.scene.fields)
-        exits_by_item = np.split(exits, np.cumsum(work[:, particle_history.N_RAYS])[:-1])
+        stokes_column = EXIT_LENGTH + self.n_length_columns
         results = [
             particle_history.trace_batch(
-                self.seed, item, self.scene, realization, self.first_stokes_column, item_exits
+                seed, item, self.scene, realization, stokes_column, item_exits
             )
-            for item, item_exits in zip(work, exits_by_item, strict=True)
+            for item, item_exits in zip(
+                work, np.split(exits, np.cumsum(work[:, 2])[:-1]), strict=True
+            )
         ]
-        return TraceResult(
-            np.array([one.n_segments for one in results]),
-            [allocate_exits(0, self.n_materials)] * len(results),
-            self.LOST_MESSAGE if any(one.lost for one in results) else "",
-        )
+        n_segments, lost = zip(*results, strict=True)
+        no_crossings = [allocate_exits(0, self.n_length_columns)] * len(results)
+        return TraceResult(n_segments, no_crossings, any(lost))
 
 
 def make_tracer(
     medium: Medium,
     incidence_deg: float | str,
-    seed: int,
-    analog: bool,
-    kernel: str,
-    planes_m: Sequence[float],
-) -> Tracer:
+    *,
+    analog: bool = False,
+    planes_m: Sequence[float] = (),
+) -> ExitTracer:
     """Return the tracer of a medium; see `GrainTracer` for the parameters."""
     if isinstance(medium, ParticleMedium):
-        return ParticleLayerTracer(medium, make_source(incidence_deg), seed, analog, kernel)
-    return GrainTracer(medium, incidence_deg, seed, analog, kernel, planes_m)
+        return ParticleLayerTracer(medium, make_source(incidence_deg), analog)
+    return GrainTracer(medium, incidence_deg, analog, planes_m)

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from splits.media.medium import Medium
-from splits.simulation.estimators import SpectralEstimate
-from splits.simulation.path_tally import Derivatives
+from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 
 THEORY_UNCERTAINTY = 0.3
 """Relative uncertainty of the diffusion-theory absorptance below the truncation depth."""
 ERROR_BUDGET_FRACTION = 0.4
 """Fraction of the requested error that the truncation may contribute."""
-MAX_ATTEMPTS = 3
-"""Runs of a truncated medium, each to half the error of the one before."""
-NO_STEPS = np.zeros(0)
 
 
 class TruncatedMedium(NamedTuple):
@@ -51,39 +46,6 @@ class TruncatedMedium(NamedTuple):
     escape_probability: np.ndarray
     ground_absorption: np.ndarray
     semi_infinite_depth_m: float
-
-    def estimate_to_error(
-        self,
-        estimate_above: Callable[[float], SpectralEstimate],
-        max_stderr: float,
-        steps: np.ndarray = NO_STEPS,
-    ) -> SpectralEstimate:
-        """Return the estimate of the whole medium to an error.
-
-        If more light than predicted reaches the truncation depth, the error of the theory is
-        larger: the part above is then simulated again, to a smaller error.
-
-        Parameters
-        ----------
-        estimate_above : callable
-            Takes a largest error, returns the estimate of the part above the truncation depth.
-        max_stderr : float
-        steps : float, shape (parameters,)
-            Changes of parameters in all media but the first, where derivatives are requested: those
-            of the estimate, and one more to the absorption of the ground at the truncation depth.
-        """
-        target_stderr = max_stderr * (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
-        for _ in range(MAX_ATTEMPTS):
-            above = estimate_above(target_stderr)
-            result = self.complete_estimate(above, max_stderr)
-            if result.converged or not above.converged:
-                break
-            target_stderr *= 0.5
-        return (
-            replace(result, derivatives=self.complete_derivatives(above, steps))
-            if steps.size
-            else result
-        )
 
     def complete_estimate(self, above: SpectralEstimate, max_stderr: float) -> SpectralEstimate:
         """Return the estimate of the whole medium from that of the part above."""
@@ -125,14 +87,13 @@ class TruncatedMedium(NamedTuple):
             conservative, -batch_deviations[:, 0], batch_deviations[:, 1]
         )
         interpolation_error = np.hypot(scale * above.interpolation_error, theory_error)
-        converged = bool(stderr.max() <= max_stderr)
         return replace(
             above,
             mean=mean,
             stderr=stderr,
             interpolation_error=interpolation_error,
             batch_deviations=batch_deviations,
-            converged=converged,
+            stop_reason="converged" if stderr.max() <= max_stderr else "max_rays",
         )
 
     def complete_derivatives(self, above: SpectralEstimate, steps: np.ndarray) -> Derivatives:

@@ -12,8 +12,8 @@ import xarray as xr
 from splits.core.progress import ProgressCallback
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.io.netcdf import load, make_provenance, save
-from splits.simulation.path_tally import PathSharingMedia
-from splits.simulation.tally import N_BATCHES
+from splits.kernels.tallies.exits import N_BATCHES
+from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import TruncatedMedium
 from splits.tables.plan import PathGroup
 
@@ -78,9 +78,7 @@ def compute_block(
     start_time = time.perf_counter()
     spectral_request = request.spectral_request._replace(incidence=path_group.incidence)
     truncation = truncations.get(spectral_request, path_group.path_sharing)
-    estimate = spectral_request.estimate_truncated(
-        truncation, path_group.path_sharing, progress=progress
-    ).estimate
+    estimate = spectral_request.simulate(path_group.path_sharing, truncation, progress=progress)
     shape = (len(path_group.path_sharing.media), spectral_request.wavelengths.size)
     variables: dict[str, Any] = {}
     for side in request.quantities:
@@ -103,7 +101,7 @@ def compute_block(
         "max_stderr_reached": float(estimate.stderr.max()),
         "interpolation_error_bound": float(estimate.interpolation_error.max()),
         "kernel": estimate.kernel,
-        "stop_reason": "converged" if estimate.converged else "max_rays",
+        "stop_reason": estimate.stop_reason,
         "wall_time_s": round(time.perf_counter() - start_time, 3),
     }
     point_coordinate = ("point", path_group.positions, {"long_name": "flat index in the table"})

@@ -12,7 +12,7 @@ import xarray as xr
 
 from splits.io.cf_encoding import encode_for_netcdf
 from splits.io.integrity import atomic_netcdf, write_checksums
-from splits.simulation.tally import N_BATCHES
+from splits.kernels.tallies.exits import N_BATCHES
 from splits.tables.assembly import assemble_dataset, compute_array_shapes
 from splits.tables.block import TableRequest
 from splits.tables.plan import TablePlan

@@ -31,7 +31,7 @@ _HALF, _SIXTH, _TWENTY_FOURTH = (
 )
 
 
-class FluxTally(NamedTuple):
+class FluxSums(NamedTuple):
     """Flux and absorption tallies, summed over rays.
 
     Attributes
@@ -76,7 +76,7 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
 
     Returns
     -------
-    FluxTally
+    FluxSums
     """
     wavelengths, materials = absorption.shape
     alpha = np.empty((materials, wavelengths), dtype=np.float32)
@@ -84,7 +84,7 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
     for material in range(materials):
         for i in range(wavelengths):
             alpha[material, i] = absorption[i, material]
-    sums = FluxTally(
+    sums = FluxSums(
         np.zeros((2, n_layers + 1, wavelengths)),
         np.zeros((n_layers, materials, wavelengths)),
         np.zeros((n_layers, wavelengths)),

@@ -1,0 +1,165 @@
+"""Tally of the transmittance of optically thick samples, with splitting and roulette."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from splits.kernels.grains.scene import Scene, make_bounding_optics
+from splits.kernels.grains.splitting import trace_batch_with_splitting
+from splits.simulation import random_streams
+from splits.simulation.jobs import WorkItem
+from splits.simulation.scene import OpticalConstants
+from splits.simulation.spectral_nodes import make_separate_nodes
+from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
+from splits.simulation.tracer_interface import ItemScores, Tracer
+
+HISTORIES_PER_CHUNK = 64
+"""Histories per chunk, the unit of parallel work."""
+PILOT_HISTORIES = 512
+"""Histories of each pilot run and of the first round."""
+MAX_HISTORY_FRACTION = 0.05
+"""Largest fraction of the sum from a single history for convergence: the error would be
+underestimated if rare large contributions dominate it that were mostly not sampled yet."""
+N_PILOTS = 3
+"""Pilot runs, each of which samples deeper than the one before."""
+N_DEPTH_SLICES = 24
+"""Depth slices in which pilot runs record the decrease of the light."""
+_MIN_SLICE_COLLISIONS = 200
+"""Smallest number of collisions in a slice for the fit."""
+
+TransmittanceScore = tuple[np.ndarray, np.ndarray]
+"""Σ weight, Σ weight² and the largest weight of transmitted histories; and the depth profile."""
+
+
+class SplittingTracer(Tracer):
+    """Tracer of rays that are split with depth, see `splits.kernels.grains.splitting`."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    def trace_job(self, seed: int, tally: Tally, job: Sequence[WorkItem]) -> list[ItemScores]:
+        """Return the scores of each chunk of histories.
+
+        Raises
+        ------
+        RuntimeError
+            If no grain fits between the boundaries along a ray.
+        """
+        results = []
+        for stratum, first_ray, n_rays in job:
+            n_segments, scores = 0, []
+            for first in range(first_ray, first_ray + n_rays, HISTORIES_PER_CHUNK):
+                moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
+                work = np.array([stratum.stream, first, HISTORIES_PER_CHUNK])
+                result = trace_batch_with_splitting(
+                    seed, work, self.scene, stratum.optics, stratum.splitting_rate, moments, profile
+                )
+                if result.lost:
+                    raise RuntimeError("no grain fits between the boundaries along a ray")
+                n_segments += result.n_segments
+                scores.append((moments[1], profile))
+            results.append((scores, n_segments))
+        return results
+
+
+class TransmittanceTally(Tally):
+    """Tally of transmitted weights, and of the weight at collisions by depth; see `Tally`.
+
+    Each wavelength is traced separately, until its own error is reached.
+
+    Parameters
+    ----------
+    constants : OpticalConstants
+    splitting_rates : float, shape (wavelengths,)
+        Rates (1/m) at which rays are split with depth.
+    stage : int
+        0 to `N_PILOTS`; each has its own random streams.
+
+    Attributes
+    ----------
+    moments : float, shape (3, wavelengths)
+        Σ weight, Σ weight², largest weight of a history.
+    depth_profile : float, shape (2, slices, wavelengths)
+        Number of collisions, and their total weight.
+    """
+
+    rays_per_chunk = rays_per_round = HISTORIES_PER_CHUNK
+    pilot_rays = PILOT_HISTORIES
+
+    def __init__(
+        self, constants: OpticalConstants, splitting_rates: np.ndarray, stage: int
+    ) -> None:
+        super().__init__(make_separate_nodes(constants.indices), constants.absorption)
+        self.splitting_rates = splitting_rates
+        self.moments = np.zeros((3, len(splitting_rates)))
+        self.depth_profile = np.zeros((2, N_DEPTH_SLICES, len(splitting_rates)))
+        for row, rate in enumerate(splitting_rates):
+            stream = random_streams.DEEP_TRANSMITTANCE + (N_PILOTS + 1) * row + stage
+            optics = make_bounding_optics(constants.indices[row], self.absorption[row : row + 1])
+            stratum = Stratum(stream, optics, self.select_node(row), splitting_rate=float(rate))
+            self.strata.append(stratum)
+
+    def count_score_values(self) -> int:
+        """Return the number of values in the score of a chunk."""
+        return 3 + 2 * N_DEPTH_SLICES
+
+    def score(
+        self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
+    ) -> TransmittanceScore:
+        """Return what the kernel has scored."""
+        return exits, crossings
+
+    def merge(self, stratum: Stratum, score: TransmittanceScore) -> None:
+        """Add the score of the next chunk of a stratum."""
+        (total, square, largest), profile = score
+        moments = self.moments[:, stratum.rows.start]
+        moments[:2] += total, square
+        moments[2] = max(moments[2], largest)
+        self.depth_profile[..., stratum.rows.start] += profile
+
+    def estimate(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the means, their standard errors, and the largest fractions from one history."""
+        total, square, largest = self.moments
+        n_rays = self.stratum_rays
+        mean = total / n_rays
+        stderr = np.sqrt(np.maximum(square / n_rays - mean**2, 0.0) / n_rays)
+        fraction = np.divide(largest, total, out=np.ones_like(total), where=total > 0.0)
+        return mean, stderr, fraction
+
+    def evaluate(self, stop: StoppingRule) -> Evaluation:
+        """Return the largest relative error, and whether every wavelength has converged."""
+        mean, stderr, fraction = self.estimate()
+        self._errors = np.divide(stderr, mean, out=np.full_like(mean, np.inf), where=mean > 0.0)
+        self._is_converged = (self._errors <= stop.max_error) & (fraction <= MAX_HISTORY_FRACTION)
+        is_done = self._is_converged | (self.stratum_rays >= self._get_max_rays(stop))
+        stop_reason = "converged" if self._is_converged.all() else "max_rays"
+        return Evaluation(float(self._errors.max()), stop_reason if is_done.all() else "")
+
+    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
+        """Return the histories that would satisfy a stopping rule at each wavelength."""
+        n_rays = self.stratum_rays
+        predicted = 1.1 * n_rays * (self._errors / stop.max_error) ** 2
+        target_rays = np.clip(predicted, 1.5 * n_rays, 4.0 * n_rays)
+        target_rays = np.minimum(target_rays, self._get_max_rays(stop))
+        return np.floor(np.where(self._is_converged, n_rays, target_rays))
+
+    def _get_max_rays(self, stop: StoppingRule) -> float:
+        """Return the largest number of histories of a wavelength."""
+        return stop.max_rays / len(self.strata)
+
+    def fit_attenuation_rates(self, depth: float) -> np.ndarray:
+        """Return the rates (1/m) at which the weight decreases with depth, from sampled slices.
+
+        Where too few slices are sampled, they are the splitting rates.
+        """
+        rates = self.splitting_rates.copy()
+        for row, (count, weight) in enumerate(np.moveaxis(self.depth_profile, -1, 0)):
+            # Without the slices at the top and bottom, where light escapes.
+            inside = (count >= _MIN_SLICE_COLLISIONS) & (weight > 0.0)
+            inside[[0, -1]] = False
+            if inside.sum() >= 3:
+                depths = depth * (np.arange(N_DEPTH_SLICES)[inside] + 0.5) / N_DEPTH_SLICES
+                rates[row] = max(-float(np.polyfit(depths, np.log(weight[inside]), 1)[0]), 0.0)
+        return rates

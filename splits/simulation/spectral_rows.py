@@ -1,0 +1,137 @@
+"""Media that share paths, and the rows of their spectra.
+
+The lengths of a path in the materials give its weight for any absorption (SPLITSnow Eqs 5-6), so
+that one ensemble of paths gives results for every medium with the same grains, layers and
+refractive indices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.kernels.grains.scene import NO_GROUND
+from splits.media.medium import Interface, Medium
+from splits.simulation.scene import (
+    OpticalConstants,
+    compute_optical_constants,
+    get_reflecting_ground,
+)
+
+
+class PathSharingMedia(NamedTuple):
+    """Media that share paths: alike except for absorption, the ground, and a length scale.
+
+    Where all lengths of a medium are s times those of another, light takes the same paths in both,
+    s times as long, which is equivalent to s times the absorption per metre.
+
+    Attributes
+    ----------
+    media : tuple of Medium
+        Rays are traced in the first.
+    size_ratios : float, shape (media,)
+        Sizes in units of the first's.
+    """
+
+    media: tuple[Medium, ...]
+    size_ratios: np.ndarray
+
+    @classmethod
+    def from_media(cls, media: Sequence[Medium]) -> PathSharingMedia:
+        """Return path-sharing media of equal size."""
+        return cls(tuple(media), np.ones(len(media)))
+
+    def select(self, selection: slice) -> PathSharingMedia:
+        """Return a subset of the media."""
+        return PathSharingMedia(self.media[selection], self.size_ratios[selection])
+
+    def compute_constants(self, wavelength_nm: np.ndarray) -> list[OpticalConstants]:
+        """Return the optical constants of each at wavelengths (nm), in units of the first's size.
+
+        The optical depth of a ground is not scaled.
+        """
+        scaled = []
+        for medium, size_ratio in zip(*self, strict=True):
+            constants = compute_optical_constants(medium, wavelength_nm)
+            absorption = size_ratio * constants.absorption
+            if get_reflecting_ground(medium) is not None:
+                absorption[:, -1] = constants.absorption[:, -1]
+            scaled.append(constants._replace(absorption=absorption))
+        return scaled
+
+
+@dataclass(frozen=True)
+class SpectralRows:
+    """Rows of spectra: one for every wavelength of every medium.
+
+    Attributes
+    ----------
+    index : complex, shape (rows, columns)
+        Refractive indices.
+    absorption : float, shape (rows, columns)
+        Absorption coefficients (1/m); of the ground, −ln of its albedo.
+    min_absorption : float, shape (rows, columns)
+        The smallest absorption among the media of one size at a row's wavelength.  It determines
+        roulette and the strata of a row, so that these media use the same rays.
+    absorption_derivatives : float, shape (parameters, rows, columns)
+        Derivatives of absorption.
+    interfaces : sequence of Interface
+    """
+
+    index: np.ndarray
+    absorption: np.ndarray
+    min_absorption: np.ndarray
+    absorption_derivatives: np.ndarray
+    interfaces: Sequence[Interface]
+
+    @classmethod
+    def from_media(cls, path_sharing: PathSharingMedia, wavelength_nm: np.ndarray) -> SpectralRows:
+        """Return the rows of media that share paths, medium after medium."""
+        constants = path_sharing.compute_constants(wavelength_nm)
+        absorption = np.stack([one.absorption for one in constants])
+        min_absorption = np.empty_like(absorption)
+        for size_ratio in np.unique(path_sharing.size_ratios):
+            same_size = path_sharing.size_ratios == size_ratio
+            min_absorption[same_size] = absorption[same_size].min(axis=0)
+        columns = absorption.shape[-1]
+        return cls(
+            np.concatenate([one.indices for one in constants]),
+            absorption.reshape(-1, columns),
+            min_absorption.reshape(-1, columns),
+            np.zeros((0, absorption[..., 0].size, columns)),
+            path_sharing.media[0].list_interfaces(),
+        )
+
+    def with_derivatives(
+        self,
+        perturbed: PathSharingMedia,
+        steps: np.ndarray,
+        wavelength_nm: np.ndarray,
+        ground_column: int,
+    ) -> SpectralRows:
+        """Return these rows, of one medium, with absorption derivatives from perturbed media.
+
+        Parameters
+        ----------
+        perturbed : PathSharingMedia
+            The medium with one parameter after the other changed.
+        steps : float, shape (media,)
+            Changes of the parameters.
+        wavelength_nm : float, shape (rows,)
+        ground_column : int
+            Column of a ground; the last derivative is to its absorption.  `NO_GROUND` for none.
+        """
+        perturbed_absorption = [
+            one.absorption for one in perturbed.compute_constants(wavelength_nm)
+        ]
+        derivatives = [
+            (other - self.absorption) / step
+            for other, step in zip(perturbed_absorption, steps, strict=True)
+        ]
+        if ground_column != NO_GROUND:
+            derivatives.append(np.zeros_like(self.absorption))
+            derivatives[-1][:, ground_column] = 1.0
+        return replace(self, absorption_derivatives=np.stack(derivatives))

@@ -1,0 +1,300 @@
+"""Tally of spectra: paths shared by all wavelengths, by several media, and by derivatives.
+
+The lengths of a path in the materials give its weight for any absorption (SPLITSnow Eqs 5-6).  One
+ensemble of paths therefore gives results at all wavelengths with about the same refractive indices,
+for every medium with the same grains and layers, and derivatives with respect to all absorption
+parameters, without more tracing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.kernels.tallies.derivatives import tally_derivatives
+from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, tally_weights
+from splits.simulation import random_streams
+from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
+from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.spectral_rows import SpectralRows
+from splits.simulation.tally import (
+    STRATUM_BOUNDS,
+    Evaluation,
+    Outcome,
+    StoppingRule,
+    Stratum,
+    Tally,
+    TransportTraits,
+)
+
+PILOT_RAYS = 256
+ANALOG_PILOT_RAYS = 2048
+"""Rays of the first round per stratum, and with analog absorption.  The number of rays still needed
+is predicted from them.  Stopping on the variance of the rays that also form the mean biases small
+values low; a first round that is large against the few events seen keeps this bias far below the
+error."""
+RAYS_PER_LARGE_CHUNK = 1024
+"""Rays of a chunk for sums over many rows, which take more memory than the rays."""
+SINGLE_STRATUM = (-1.0,)
+"""Bound of a single stratum per node: all its rows use every ray, so that their noise is common."""
+
+
+class Derivatives(NamedTuple):
+    """Derivatives of reflected and transmitted fractions.
+
+    Attributes
+    ----------
+    mean : float, shape (2, parameters, rows)
+    batch_deviations : float, shape (N_BATCHES, 2, parameters, rows)
+        Contributions of batches to the deviations of the means: sums of products are covariances.
+    bias_bound : float, shape (2, parameters, rows)
+        Bound on the systematic error.
+    """
+
+    mean: np.ndarray
+    batch_deviations: np.ndarray
+    bias_bound: np.ndarray
+
+    def select(self, selection: slice) -> Derivatives:
+        """Return the derivatives with respect to some of the parameters."""
+        return Derivatives(
+            self.mean[:, selection],
+            self.batch_deviations[:, :, selection],
+            self.bias_bound[:, selection],
+        )
+
+    @property
+    def stderr(self) -> np.ndarray:
+        """Standard errors, shaped like the means."""
+        return np.sqrt((self.batch_deviations**2).sum(axis=0) + self.bias_bound**2)
+
+
+@dataclass(frozen=True)
+class SpectralEstimate:
+    """Means and standard errors, shape (3, rows): reflected, transmitted, absorbed.
+
+    A row is a wavelength of one medium; several media may share paths.
+
+    Attributes
+    ----------
+    interpolation_error : float, shape (3, rows)
+        Part of the standard error due to interpolation between refractive indices.
+    batch_deviations : float, shape (N_BATCHES, 2, rows)
+        Contributions of batches to the deviations of the reflected and transmitted means: sums over
+        them of squares are unbiased variances, sums of products covariances.
+    n_rays : int
+        All rays traced.
+    n_ensembles : int
+        Number of path ensembles, one per index node.
+    kernel : str
+        "vectorized", "scalar", or both where ensembles differ.
+    stop_reason : str
+        "converged" or "max_rays".
+    derivatives : Derivatives
+        Derivatives to the requested parameters.
+    """
+
+    mean: np.ndarray
+    stderr: np.ndarray
+    interpolation_error: np.ndarray
+    batch_deviations: np.ndarray
+    n_rays: int
+    n_ensembles: int
+    kernel: str
+    stop_reason: str
+    derivatives: Derivatives
+
+    def select(self, rows: slice, max_stderr: float) -> SpectralEstimate:
+        """Return the estimate of some rows, which may have converged before the others."""
+        stderr = self.stderr[:, rows]
+        return replace(
+            self,
+            mean=self.mean[:, rows],
+            stderr=stderr,
+            interpolation_error=self.interpolation_error[:, rows],
+            batch_deviations=self.batch_deviations[..., rows],
+            stop_reason="converged" if stderr.max() <= max_stderr else "max_rays",
+        )
+
+
+class SpectralTally(Tally):
+    """Tally of reflected and transmitted weights, see `Tally`.
+
+    Parameters
+    ----------
+    rows : SpectralRows
+    nodes : IndexNodes
+    traits : TransportTraits
+    bounds : sequence of float
+        Absorption at which strata begin, at most as many as `STRATUM_BOUNDS`; an analog tally has
+        one stratum per node only.
+
+    Attributes
+    ----------
+    moments : float, shape (3, 3, node rows)
+        Over the rays, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
+    min_weight : float, shape (node rows,)
+        Smallest weight of a ray that left the medium; 0 once one was absorbed.
+    batch_sums, derivative_sums : float, shape (N_BATCHES, 2, …, node rows)
+        Σ weight of the rays of every batch, reflected and transmitted, and its derivatives.
+    """
+
+    shares_kernel = True
+
+    def __init__(
+        self,
+        rows: SpectralRows,
+        nodes: IndexNodes,
+        traits: TransportTraits,
+        bounds: Sequence[float] = STRATUM_BOUNDS,
+    ) -> None:
+        strength = traits.compute_absorption_per_mfp(rows.min_absorption)
+        super().__init__(nodes, rows.absorption, strength)
+        self.absorption_derivatives, self.traits = rows.absorption_derivatives, traits
+        n_parameters, n_rows = len(rows.absorption_derivatives), len(self.rows)
+        self.moments = np.zeros((3, 3, n_rows))
+        self.min_weight = np.full(n_rows, np.inf)
+        self.batch_sums = np.zeros((N_BATCHES, 2, n_rows))
+        self.derivative_sums = np.zeros((N_BATCHES, 2, n_parameters, n_rows))
+        self.pilot_rays = ANALOG_PILOT_RAYS if traits.analog else PILOT_RAYS
+        if len(rows.absorption) > LARGE_PROBLEM_ROWS and not n_parameters:
+            self.rays_per_chunk = self.rays_per_round = RAYS_PER_LARGE_CHUNK
+        self.add_strata_by_absorption(
+            random_streams.ANALOG if traits.analog else random_streams.SPECTRAL,
+            rows.min_absorption,
+            traits,
+            bounds[:1] if traits.analog else bounds,
+        )
+
+    def count_score_values(self) -> int:
+        """Return the largest number of values in the score of a chunk."""
+        n_rows = max(stratum.rows.stop - stratum.rows.start for stratum in self.strata)
+        n_parameters = len(self.absorption_derivatives)
+        return (10 + N_BATCHES + n_parameters * (1 + BLOCK_SIZE)) * n_rows
+
+    def score(
+        self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Return moments, smallest weights, block sums and their derivatives."""
+        rows, ground_column = self.rows[stratum.rows], self.traits.ground_column
+        absorption = self.absorption[rows]
+        sums = tally_weights(exits, crossings, absorption, not self.traits.analog, ground_column)
+        if not len(self.absorption_derivatives):
+            return sums  # type: ignore[no-any-return]
+        derivatives = self.absorption_derivatives[:, rows]
+        return *sums, tally_derivatives(exits, crossings, absorption, derivatives, ground_column)
+
+    def merge(self, stratum: Stratum, score: tuple[np.ndarray, ...]) -> None:
+        """Add the score of the next chunk of a stratum to the sums."""
+        moments, min_weight, block_sums, *block_derivatives = score
+        rows, first = stratum.rows, stratum.n_rays // BLOCK_SIZE % N_BATCHES
+        self.moments[:, :2, rows] += moments[:, :2]
+        self.moments[:, 2, rows] = np.maximum(self.moments[:, 2, rows], moments[:, 2])
+        self.min_weight[rows] = np.minimum(self.min_weight[rows], min_weight)
+        self.batch_sums[first : first + len(block_sums), :, rows] += block_sums
+        for derivatives in block_derivatives:
+            self.derivative_sums[first : first + len(derivatives), :, :, rows] += derivatives
+
+    def compute_variances(self) -> np.ndarray:
+        """Return the variance per ray of reflected, transmitted and absorbed weight.
+
+        Two rays are added, of the largest and of the smallest weight that the data allow (after
+        Agresti & Coull 1998), so that few or no arrivals do not give a zero variance.
+        """
+        total, square, largest = self.moments[:, 0], self.moments[:, 1], self.moments[:, 2]
+        largest = np.where(largest == 0.0, 1.0, largest)
+        smallest = np.zeros_like(largest)
+        is_absorbing = self.absorption[self.rows].max(axis=1) > 0.0
+        may_vanish = self.traits.extra_absorption | (self.traits.analog & is_absorbing)
+        smallest[2] = np.where(may_vanish, 0.0, self.min_weight)
+        n = self.count_rays() + 2.0
+        mean = (total + largest + smallest) / n
+        return np.maximum((square + largest**2 + smallest**2) / n - mean**2, 0.0)
+
+    def compute_means(self) -> np.ndarray:
+        """Return the reflected, transmitted and absorbed fractions, shape (3, rows)."""
+        mean = self.combine_nodes(self.moments[:2, 0] / self.count_rays())
+        return np.concatenate([mean, 1.0 - mean.sum(axis=0, keepdims=True)])
+
+    def bound_interpolation_error(self) -> np.ndarray:
+        """Return the bound on the error of interpolation between nodes, shape (3, rows)."""
+        mean = self.compute_means()
+        # Near 0 and 1 a fraction changes in proportion to its distance from there; 8 allows for
+        # elasticities up to 2.4; that of a single reflection is 4/(2 + c).
+        return self.nodes.interpolation_bound * np.clip(8.0 * mean * (1.0 - mean), 0.0, 1.0)
+
+    def evaluate(self, stop: StoppingRule) -> Evaluation:
+        """Return the largest standard error, and whether it is that requested."""
+        variance = self.combine_nodes(self.compute_variances() / self.count_rays(), power=2)
+        error = float(np.sqrt(variance + self.bound_interpolation_error() ** 2).max())
+        return Evaluation(error, "converged" if error <= stop.max_error else "")
+
+    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
+        """Return the rays of each stratum that would satisfy a stopping rule."""
+        target = stop.max_error**2 - self.bound_interpolation_error() ** 2
+        variances = self.weights**2 * self.compute_variances() / target[:, self.rows]
+        terms = VarianceTerms(variances, self.rows, self.find_contributions())
+        return allocate_rays(terms, self.strata)
+
+    def make_estimate(self, outcome: Outcome) -> SpectralEstimate:
+        """Return means, errors, batch deviations and derivatives after a run."""
+        variance = self.combine_nodes(self.compute_variances() / self.count_rays(), power=2)
+        bias = self.bound_interpolation_error()
+        means, derivative_means = self.moments[:2, 0], self.derivative_sums.sum(axis=0)
+        deviations = self.combine_nodes(self._compute_deviations(self.batch_sums, means))
+        derivatives = self.combine_nodes(derivative_means / self.count_rays())
+        # The relative bound is that of light that is nearly all reflected or nearly all absorbed.
+        relative_bound = np.clip(8.0 * self.nodes.interpolation_bound, 0.0, 1.0)
+        return SpectralEstimate(
+            self.compute_means(),
+            np.sqrt(variance + bias**2),
+            bias,
+            rescale_deviations(deviations, variance[:2]),
+            outcome.n_rays,
+            len(self.nodes.index),
+            outcome.kernel,
+            outcome.stop_reason,
+            Derivatives(
+                derivatives,
+                self.combine_nodes(
+                    self._compute_deviations(self.derivative_sums, derivative_means)
+                ),
+                relative_bound * np.abs(derivatives),
+            ),
+        )
+
+    def _compute_deviations(self, batch_sums: np.ndarray, total: np.ndarray) -> np.ndarray:
+        """Return contributions of batches to the deviations of means, from sums of weights.
+
+        Sums over batches of products of two of them estimate covariances of means (random groups;
+        Wolter 2007, Introduction to Variance Estimation, chapter 2).
+        """
+        rays_per_batch = np.zeros((N_BATCHES, len(self.rows)))
+        for stratum in self.strata:
+            n_cycles, remainder = divmod(stratum.n_rays // BLOCK_SIZE, N_BATCHES)
+            n_blocks = n_cycles + (np.arange(N_BATCHES) < remainder)
+            rays_per_batch[:, stratum.rows] += BLOCK_SIZE * n_blocks[:, np.newaxis]
+        n_rays = self.count_rays()
+        rays_per_batch = rays_per_batch.reshape(N_BATCHES, *[1] * (batch_sums.ndim - 2), -1)
+        deviations: np.ndarray = (batch_sums - rays_per_batch * (total / n_rays)) / n_rays
+        return deviations
+
+
+def rescale_deviations(deviations: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return batch deviations whose squares add up to a more precisely known variance.
+
+    Their correlations are preserved; zero deviations remain zero.
+
+    Parameters
+    ----------
+    deviations : float, shape (batches, ...)
+    variance : float, shape (...)
+    """
+    sum_of_squares = (deviations**2).sum(axis=0)
+    nonzero = sum_of_squares > 0.0
+    return deviations * np.sqrt(
+        np.divide(variance, sum_of_squares, out=np.zeros_like(sum_of_squares), where=nonzero)
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,7 +11,7 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import compute_weighted_error, make_deviation_variable, make_variable
-from splits.core.validation import check_integer, check_range
+from splits.core.validation import check_range
 from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.instruments.sky_mixing import (
@@ -23,8 +22,7 @@ from splits.instruments.sky_mixing import (
 )
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_threads
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 
 
 @reject_unknown_arguments
@@ -82,11 +80,10 @@ def albedo(
     ValueError
         For a value outside its range, or wavelengths outside the spectrum of the sky.
     """
-    start_time = time.perf_counter()
     sky_spectrum = as_sky(sky)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
-    seed, threads = check_integer("seed", seed, 0), check_threads(threads)
+    run = RunOptions.from_arguments(seed, threads, progress=progress)
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
 
@@ -98,16 +95,14 @@ def albedo(
             wavelengths,
             incidence,
             max_stderr,
-            seed + number,
-            threads=threads,
+            run.seed + number,
+            threads=run.threads,
             progress=progress,
         )
 
     mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, ["reflectance"])
     attributes = {
-        **make_run_attributes(
-            "Albedo under a sky", "albedo", _get_first_medium(medium), start_time, seed, threads
-        ),
+        **run.make_attributes("Albedo under a sky", "albedo", _get_first_medium(medium)),
         **make_sky_attributes(sky_spectrum),
         "max_stderr": max_stderr,
     }

@@ -12,7 +12,6 @@ import numpy as np
 
 from splits.instruments.angular_estimate import AngularEstimate, add_interpolation_error
 from splits.kernels.tallies.angular import AngularSums, tally_angular_bins
-from splits.simulation import random_streams
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Stratum, Tally
 
@@ -41,6 +40,7 @@ class AngularBinTally(Tally):
     unscattered_sums : float, shape (2, 2, node rows)
     """
 
+    first_stream = 5_000_000
     undefined_variables: tuple[str, ...] = ()
 
     def __init__(
@@ -56,7 +56,7 @@ class AngularBinTally(Tally):
         n_rows = len(self.rows)
         self.bin_sums = np.zeros((len(self.factor_columns), 2, 2, n_rows, *n_bins))
         self.unscattered_sums = np.zeros((2, 2, n_rows))
-        self.add_strata(random_streams.ANGULAR_BINS)
+        self.add_strata()
 
     def count_score_values(self) -> int:
         """Return the largest number of values in the score of a chunk."""

@@ -10,7 +10,7 @@ import xarray as xr
 
 from splits.core.uncertainty import Variable, make_variable
 from splits.instruments.angular_estimate import AngularEstimate
-from splits.simulation.attributes import make_wavelength_coordinate
+from splits.simulation.run_options import make_wavelength_coordinate
 
 
 def make_angular_dataset(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -10,25 +9,22 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback, with_progress
-from splits.core.validation import check_choice, check_integer
+from splits.core.validation import check_integer
 from splits.instruments.beam_spread_tally import BeamSpreadTally, compute_quantile_radii
 from splits.media.medium import Medium
-from splits.simulation import random_streams
 from splits.simulation.arguments import (
     HALF_WIDTH_RANGE_M,
     check_beam_angle,
     check_half_width,
     check_medium,
-    check_threads,
     check_wavelengths,
 )
-from splits.simulation.attributes import make_run_attributes
 from splits.simulation.engine import simulate
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.tally import Outcome, StoppingRule
+from splits.simulation.tally import StoppingRule
 from splits.simulation.tracer import make_tracer
-from splits.simulation.tracer_interface import KERNELS
 
 _INTERPOLATION_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""
@@ -97,35 +93,25 @@ def beam_spread(
     check_medium(medium)
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_beam_angle(incidence_deg)
-    check_choice("kernel", kernel, KERNELS)
     check_integer("rays", rays, 1)
-    seed = check_integer("seed", seed, 0)
-    threads = check_threads(threads)
+    run = RunOptions.from_arguments(seed, threads, kernel, progress)
     if half_width_m is not None:
         check_half_width("beam_spread", half_width_m)
-    start_time = time.perf_counter()
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_TOLERANCE)
     tracer = make_tracer(medium, incidence)
 
-    def trace(tally: BeamSpreadTally, rays: int) -> Outcome:
-        stop = StoppingRule(0.0, rays, fixed=True)
-        return simulate(
-            tracer, tally, stop, seed=seed, threads=threads, kernel=kernel, progress=progress
-        )
-
     if half_width_m is None:
-        pilot_stream = random_streams.BEAM_SPREAD + len(nodes.index)
-        pilot = BeamSpreadTally(nodes, absorption, 0.0, 0, pilot_stream)
-        trace(pilot, 1)
+        pilot = BeamSpreadTally(nodes, absorption, 0.0, 0, first_node=len(nodes.index))
+        simulate(tracer, pilot, StoppingRule(0.0, 1, fixed=True), run)
         radii = compute_quantile_radii(pilot.compute_radial_fractions().mean(axis=0), (0.75,))
         # One mean free path where no light leaves; the edge must be positive.
         radius = radii[0].max() or 1.0 / tracer.traits.collision_coefficient
         half_width_m = np.clip(radius, *HALF_WIDTH_RANGE_M["beam_spread"])
     tally = BeamSpreadTally(nodes, absorption, float(half_width_m))
-    outcome = trace(tally, rays)
+    outcome = simulate(tracer, tally, StoppingRule(0.0, rays, fixed=True), run)
     attributes = {
-        **make_run_attributes("Spread of a beam", "beam_spread", medium, start_time, seed, threads),
+        **run.make_attributes("Spread of a beam", "beam_spread", medium),
         "incidence_deg": incidence,
         "half_width_m": tally.half_width,
         "rays": outcome.n_rays,

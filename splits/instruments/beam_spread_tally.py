@@ -17,8 +17,7 @@ from splits.core.uncertainty import (
 )
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES, bound_interpolation_error
 from splits.kernels.tallies.radial import RadialTally, tally_radial
-from splits.simulation import random_streams
-from splits.simulation.attributes import make_wavelength_coordinate
+from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import RAYS_PER_CHUNK, Stratum, Tally
 
@@ -46,8 +45,8 @@ class BeamSpreadTally(Tally):
         Half of the side length of the maps (m).
     n_pixels : int
         Pixels of the maps along each edge; 0 for none.
-    first_stream : int
-        Of the random streams, by node.
+    first_node : int
+        Number of the first node, which determines the random streams.
 
     Attributes
     ----------
@@ -57,6 +56,7 @@ class BeamSpreadTally(Tally):
         See `splits.kernels.tallies.radial.RadialTally`.
     """
 
+    first_stream = 6_000_000
     rays_per_round = N_ANGULAR_BATCHES * RAYS_PER_CHUNK
 
     def __init__(
@@ -65,7 +65,7 @@ class BeamSpreadTally(Tally):
         absorption: np.ndarray,
         half_width: float,
         n_pixels: int = N_MAP_PIXELS,
-        first_stream: int = random_streams.BEAM_SPREAD,
+        first_node: int = 0,
     ) -> None:
         super().__init__(nodes, absorption)
         self.half_width, self.n_pixels = half_width, n_pixels
@@ -73,7 +73,8 @@ class BeamSpreadTally(Tally):
         self.radial_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows, _N_FINE_BINS))
         self.moment_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows))
         self.map_sums = np.zeros((2, 2, n_rows, n_pixels, n_pixels))
-        self.add_strata(first_stream)
+        self.first_stream += first_node
+        self.add_strata()
 
     def count_score_values(self) -> int:
         """Return the largest number of values in the score of a chunk."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -23,11 +22,10 @@ from splits.media.medium import GranularMedium
 from splits.simulation.arguments import (
     check_incidence,
     check_medium,
-    check_threads,
     check_wavelengths,
 )
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.engine import simulate
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import build_scene, compute_optical_constants, get_reflecting_ground
 from splits.simulation.tally import StoppingRule
 
@@ -95,26 +93,24 @@ def deep_transmittance(
     wavelengths = check_wavelengths(wavelength_nm)
     incidence = check_incidence(incidence_deg)
     relative_stderr = check_range("relative_stderr", relative_stderr, 0.001, 0.5)
-    seed = check_integer("seed", seed, 0)
+    run = RunOptions.from_arguments(seed, threads, progress=progress)
     max_rays = check_integer("max_rays", max_rays, 1)
-    threads = check_threads(threads)
     ground = get_reflecting_ground(medium)
     if ground is not None:
         raise invalid("ground", ground.name, "open", "no light leaves through a ground")
-    start_time = time.perf_counter()
     tracer = SplittingTracer(build_scene(medium, incidence, False))
     constants = compute_optical_constants(medium, wavelengths)
-    diffusion_rates = estimate_attenuation_rate(medium, wavelengths, seed, threads)
+    diffusion_rates = estimate_attenuation_rate(medium, wavelengths, run.seed, run.threads)
     rates = _RATE_SAFETY_FACTOR * diffusion_rates
     n_wavelengths = len(wavelengths)
     for stage in range(N_PILOTS):
         pilot = TransmittanceTally(constants, rates, stage)
         pilot_stop = StoppingRule(0.0, PILOT_HISTORIES * n_wavelengths, fixed=True)
-        simulate(tracer, pilot, pilot_stop, seed=seed, threads=threads)
+        simulate(tracer, pilot, pilot_stop, run._replace(progress=None))
         rates = np.minimum(pilot.fit_attenuation_rates(float(medium.depth_m)), diffusion_rates)
     tally = TransmittanceTally(constants, rates, N_PILOTS)
     stop = StoppingRule(relative_stderr, max_rays * n_wavelengths)
-    outcome = simulate(tracer, tally, stop, seed=seed, threads=threads, progress=progress)
+    outcome = simulate(tracer, tally, stop, run)
     transmittance, errors, fractions = tally.estimate()
     illumination = "hemispherical" if incidence == "diffuse" else "directional"
     long_name = f"{illumination}-hemispherical transmittance"
@@ -128,7 +124,7 @@ def deep_transmittance(
         **make_variable("rays", dim, tally.stratum_rays, None, "rays"),
     }
     attributes = {
-        **make_run_attributes("Deep transmittance", "deep_transmittance", medium, start_time, seed),
+        **run.make_attributes("Deep transmittance", "deep_transmittance", medium),
         "incidence_deg": incidence,
         "relative_stderr": relative_stderr,
         "stop_reason": outcome.stop_reason,

@@ -10,7 +10,6 @@ from splits.instruments.angular_bins import STOKES_NAMES
 from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
 from splits.kernels.particle_layer.next_event import Detectors
 from splits.kernels.particle_layer.scene import LayerScene
-from splits.simulation import random_streams
 from splits.simulation.engine import MAX_ROUND_GROWTH
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum, Tally
@@ -42,6 +41,8 @@ class DetectorTally(Tally):
         unscattered light].
     """
 
+    first_stream = 7_000_000
+
     def __init__(
         self, scene: LayerScene, detectors: Detectors, side: int, n_wavelengths: int
     ) -> None:
@@ -61,7 +62,7 @@ class DetectorTally(Tally):
         self.pilot_rays = RAYS_PER_CHUNK * int(
             PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0)
         )
-        self.add_strata(random_streams.NEXT_EVENT)
+        self.add_strata()
 
     def count_score_values(self) -> int:
         """Return the number of values in the score of a batch."""

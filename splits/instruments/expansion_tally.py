@@ -22,7 +22,6 @@ from splits.instruments.angular_estimate import (
 from splits.kernels.grains.scene import NO_MAX_ORDER
 from splits.kernels.tallies.angular import AngularSums, tally_expansion
 from splits.kernels.tallies.exits import EXIT_ORDER
-from splits.simulation import random_streams
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum, Tally
 
@@ -55,6 +54,7 @@ class ExpansionTally(Tally):
     unscattered_sums : float, shape (batches, 2, node rows)
     """
 
+    first_stream = 4_000_000
     rays_per_round = N_ANGULAR_BATCHES * RAYS_PER_CHUNK
     undefined_variables: tuple[str, ...] = ()
 
@@ -74,7 +74,7 @@ class ExpansionTally(Tally):
             (N_ANGULAR_BATCHES, n_classes, 2, n_rows, self.basis.norms.size)
         )
         self.unscattered_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows))
-        self.add_strata(random_streams.ANGULAR_EXPANSION, ORDER_CLASSES)
+        self.add_strata(ORDER_CLASSES)
         self._earlier_errors: list[tuple[int, float]] = []
 
     def count_score_values(self) -> int:

@@ -22,7 +22,7 @@ from splits.instruments.flux_errors import compute_nonstatistical_error
 from splits.instruments.flux_media import TracedMedium
 from splits.instruments.flux_tally import FluxEstimate, FluxResult
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD
-from splits.simulation.attributes import make_wavelength_coordinate
+from splits.simulation.run_options import make_wavelength_coordinate
 
 DEPTH_DIMS, INTERVAL_DIMS = ("wavelength", "depth"), ("wavelength", "interval")
 ACTINIC_FLUX_LABEL = "mean path over thickness"

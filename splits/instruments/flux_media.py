@@ -139,7 +139,7 @@ def get_thickness(medium: Any) -> float:
 def prepare_medium(
     medium: Any,
     wavelengths: np.ndarray,
-    depths_m: Sequence[float],
+    depths_m: Sequence[float] | np.ndarray,
     max_stderr: float,
     seed: int,
     threads: int,
@@ -195,7 +195,7 @@ def prepare_medium(
 def _prepare_finite_medium(
     medium: Any,
     wavelengths: np.ndarray,
-    depths_m: Sequence[float],
+    depths_m: Sequence[float] | np.ndarray,
     end_m: float,
     semi_infinite: bool,
     material_columns: dict[str, int],
@@ -229,7 +229,7 @@ def _append_darker_ground(constants: OpticalConstants) -> OpticalConstants:
 
 
 def _prepare_particle_layer(
-    layer: ParticleLayer, wavelengths: np.ndarray, depths_m: Sequence[float]
+    layer: ParticleLayer, wavelengths: np.ndarray, depths_m: Sequence[float] | np.ndarray
 ) -> TracedMedium:
     """Return a single layer of particles in the form in which it is traced."""
     for name in ("polarized", "opaque"):

@@ -17,9 +17,8 @@ from splits.instruments.flux_target import (
 )
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD, FluxSums, tally_flux
-from splits.simulation import random_streams
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import STRATUM_BOUNDS, Evaluation, StoppingRule, Stratum, Tally
+from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
 from splits.simulation.tracer_interface import ExitTracer
 
 FLUX_RAYS_PER_CHUNK = 32
@@ -92,6 +91,7 @@ class FluxTally(Tally):
         After the last round.
     """
 
+    first_stream = 8_000_000
     rays_per_chunk = FLUX_RAYS_PER_CHUNK
     rays_per_round = pilot_rays = FLUX_RAYS_PER_CHUNK * N_BATCHES
     shares_kernel = True
@@ -117,9 +117,7 @@ class FluxTally(Tally):
         self.irradiance_sums = np.zeros((N_BATCHES, 2, self.n_layers + 1, n_rows))
         self.absorptance_sums = np.zeros((N_BATCHES, self.n_layers, n_materials, n_rows))
         self.path_length_sums = np.zeros((N_BATCHES, self.n_layers, n_rows))
-        self.add_strata_by_absorption(
-            random_streams.IRRADIANCE_PROFILE, absorption, traits, STRATUM_BOUNDS
-        )
+        self.add_strata_by_absorption(absorption, traits)
 
     def count_score_values(self) -> int:
         """Return the number of values in the score and the crossings of a chunk."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -26,16 +25,15 @@ from splits.simulation.arguments import (
     check_incidence,
     check_medium,
     check_n_bins,
-    check_threads,
     check_wavelengths,
 )
-from splits.simulation.attributes import make_run_attributes
 from splits.simulation.engine import simulate
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.tally import StoppingRule
 from splits.simulation.tracer import make_tracer
-from splits.simulation.tracer_interface import KERNELS, ExitTracer, Tracer
+from splits.simulation.tracer_interface import ExitTracer, Tracer
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
@@ -161,12 +159,10 @@ def goniophotometer(
     has_ground = get_reflecting_ground(medium) is not None
     side = _get_target_side(target, has_ground)
     _check_estimator(estimator, incidence)
-    check_choice("kernel", kernel, KERNELS)
-    seed, max_rays = check_integer("seed", seed, 0), check_integer("max_rays", max_rays, 1)
+    max_rays = check_integer("max_rays", max_rays, 1)
     if rays is not None:
         check_integer("rays", rays, 1)
-    threads = check_threads(threads)
-    start_time = time.perf_counter()
+    run = RunOptions.from_arguments(seed, threads, kernel, progress)
     bins = check_n_bins(n_bins) if estimator == "bins" else None
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
@@ -186,15 +182,10 @@ def goniophotometer(
         tally = _make_tally(tracer, nodes, absorption, target_error, bins)
     is_fixed = rays is not None or bins is not None
     n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
-    outcome = simulate(
-        tracer, tally, StoppingRule(relative_stderr, n_rays, is_fixed), seed=seed, threads=threads,
-        kernel=kernel, progress=progress,
-    )  # fmt: skip
+    outcome = simulate(tracer, tally, StoppingRule(relative_stderr, n_rays, is_fixed), run)
     estimate = tally.make_estimate()
     attributes = {
-        **make_run_attributes(
-            "Virtual goniophotometer", "goniophotometer", medium, start_time, seed, threads
-        ),
+        **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +9,6 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
-from splits.core.validation import check_integer
 from splits.illumination.sky import Sky
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, goniophotometer
 from splits.instruments.sky_mixing import (
@@ -20,8 +18,7 @@ from splits.instruments.sky_mixing import (
     mix_direct_and_diffuse,
 )
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_threads
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 
 
 @reject_unknown_arguments
@@ -74,14 +71,13 @@ def hdrf(
     ----------
     Schaepman-Strub et al. (2006), Remote Sensing of Environment 103, 27-42, section 2.
     """
-    start_time = time.perf_counter()
     sky_spectrum = as_sky(sky)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 1)
-    seed, threads = check_integer("seed", seed, 0), check_threads(threads)
+    run = RunOptions.from_arguments(seed, threads, progress=progress)
 
     def simulate(incidence: float | str, number: int) -> xr.Dataset:
         return goniophotometer(
-            medium, wavelengths, incidence, seed=seed + number, relative_stderr=relative_stderr,
+            medium, wavelengths, incidence, seed=run.seed + number, relative_stderr=relative_stderr,
             polar_deg=polar_deg, azimuth_deg=azimuth_deg, threads=threads, progress=progress,
         )  # fmt: skip
 
@@ -91,9 +87,7 @@ def hdrf(
     error_attributes = {"long_name": f"standard error of {term}", "units": "1"}
     value_attributes = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
     mixed[name].attrs, mixed[f"{name}_stderr"].attrs = value_attributes, error_attributes
-    attributes = make_run_attributes(
-        "Reflectance factor under a sky", "hdrf", medium, start_time, seed, threads
-    )
+    attributes = run.make_attributes("Reflectance factor under a sky", "hdrf", medium)
     requested = {"relative_stderr": relative_stderr}
     mixed = mixed.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))
     return mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum) | requested)

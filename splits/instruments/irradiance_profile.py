@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,15 +26,13 @@ from splits.media.medium import GranularMedium, LayeredMedium, Medium, ParticleM
 from splits.simulation.arguments import (
     check_incidence,
     check_medium,
-    check_threads,
     check_wavelengths,
 )
-from splits.simulation.attributes import make_run_attributes
 from splits.simulation.engine import simulate
+from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_nodes import MAX_NODES, IndexNodes, choose_nodes
 from splits.simulation.tally import StoppingRule
 from splits.simulation.tracer import make_tracer
-from splits.simulation.tracer_interface import KERNELS
 
 MAX_DEPTHS = 200
 MAX_TALLY_VALUES = 100_000_000
@@ -127,76 +124,66 @@ def irradiance_profile(
     Paths and weights are those of SPLITSnow Eqs 5-6; actinic flux as path per volume, for example
     Mayer (2009), EPJ Web of Conferences 1, 75, section 4.
     """
-    request = FluxRequest(
-        medium, wavelength_nm, depth_m, incidence_deg, seed, max_rays, threads, kernel, progress
-    ).validate()
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     limit_irradiance = check_choice("target", target, ERROR_QUANTITIES) == ERROR_QUANTITIES[0]
-    return simulate_flux(request, FluxTarget(max_stderr, limit_irradiance))
+    request = FluxRequest.from_arguments(medium, wavelength_nm, depth_m, incidence_deg, max_rays)
+    run = RunOptions.from_arguments(seed, threads, kernel, progress)
+    return simulate_flux(request, FluxTarget(max_stderr, limit_irradiance), run)
 
 
 class FluxRequest(NamedTuple):
     """Request for fluxes inside a medium, see `irradiance_profile`."""
 
-    medium: Any
-    wavelengths: Any
-    depths: Any
-    incidence: Any
-    seed: Any
-    max_rays: Any
-    threads: Any
-    kernel: str
-    progress: ProgressCallback
+    medium: Medium
+    wavelengths: np.ndarray
+    depths: np.ndarray
+    incidence: float | str
+    max_rays: int
 
-    def validate(self) -> FluxRequest:
-        """Return the request with checked values."""
+    @classmethod
+    def from_arguments(
+        cls, medium: Any, wavelength_nm: Any, depth_m: Any, incidence_deg: Any, max_rays: Any
+    ) -> FluxRequest:
+        """Return the request, after checking all values."""
         check_medium(
-            self.medium, GranularMedium, LayeredMedium, ParticleMedium, allow_semi_infinite=True
+            medium, GranularMedium, LayeredMedium, ParticleMedium, allow_semi_infinite=True
         )
-        return self._replace(
-            wavelengths=check_wavelengths(self.wavelengths),
-            depths=_check_depths(self.depths, get_thickness(self.medium)),
-            incidence=check_incidence(self.incidence),
-            seed=check_integer("seed", self.seed, 0),
-            max_rays=check_integer("max_rays", self.max_rays, 1),
-            threads=check_threads(self.threads),
-            kernel=check_choice("kernel", self.kernel, KERNELS),
+        return cls(
+            medium,
+            check_wavelengths(wavelength_nm),
+            _check_depths(depth_m, get_thickness(medium)),
+            check_incidence(incidence_deg),
+            check_integer("max_rays", max_rays, 1),
         )
 
 
-def simulate_flux(request: FluxRequest, target: FluxTarget) -> xr.Dataset:
+def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> xr.Dataset:
     """Return the dataset of `irradiance_profile` to an error."""
-    start_time = time.perf_counter()
-    medium, seed, threads = request.medium, request.seed, request.threads
+    medium, wavelengths, depths, incidence, max_rays = request
     traced_medium = prepare_medium(
-        medium, request.wavelengths, request.depths, target.max_stderr, seed, threads
+        medium, wavelengths, depths, target.max_stderr, run.seed, run.threads
     )
-    tracer = make_tracer(traced_medium.medium, request.incidence, planes_m=request.depths.tolist())
+    tracer = make_tracer(traced_medium.medium, incidence, planes_m=depths.tolist())
     nodes = _choose_nodes(traced_medium, target)
     _check_memory(traced_medium, len(tracer.boundary_depths_m) - 1, nodes)
     tally = FluxTally(nodes, traced_medium, tracer, target)
-    outcome = simulate(
-        tracer, tally, StoppingRule(target.max_stderr, request.max_rays), seed=seed,
-        threads=threads, kernel=request.kernel, progress=request.progress,
-    )  # fmt: skip
+    outcome = simulate(tracer, tally, StoppingRule(target.max_stderr, max_rays), run)
     attributes = {
-        **make_run_attributes(
-            "Light inside", "irradiance_profile", medium, start_time, seed, threads
-        ),
-        "incidence_deg": request.incidence,
+        **run.make_attributes("Light inside", "irradiance_profile", medium),
+        "incidence_deg": incidence,
         "max_stderr": target.max_stderr,
         "target": ERROR_QUANTITIES[0] if target.limit_irradiance else ERROR_QUANTITIES[1],
         "stop_reason": outcome.stop_reason,
         "max_stderr_reached": outcome.error,
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
-        "max_rays": request.max_rays,
+        "max_rays": max_rays,
         "rays": outcome.n_rays,
         "ensembles": len(nodes.index),
         "kernel": outcome.kernel,
     }
     if traced_medium.semi_infinite:
         attributes["truncation_depth_m"] = float(traced_medium.planes_m[-1])
-    return make_flux_dataset(tally.result, traced_medium, request.wavelengths, attributes)
+    return make_flux_dataset(tally.result, traced_medium, wavelengths, attributes)
 
 
 def _choose_nodes(traced_medium: TracedMedium, target: FluxTarget) -> IndexNodes:

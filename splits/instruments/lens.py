@@ -5,7 +5,6 @@ Budak & Grimailo 2020, section 3.1 and Fig 2.
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, N_WAVE_LANES, PHASE, WAVE_ROWS
 from splits.media.medium import SurfaceMedium
 from splits.simulation.arguments import check_half_width, check_medium
-from splits.simulation.attributes import make_run_attributes
+from splits.simulation.run_options import RunOptions
 
 CENTRE_CHOICES = ("crest", "trough", "origin")
 DEFAULT_RAYS = 360
@@ -95,7 +94,6 @@ def lens(
     ValueError
         For a value outside its range, or a layer with a smooth surface.
     """
-    start_time = time.perf_counter()
     check_medium(medium, SurfaceMedium)
     depths = check_screen_depths("screen_depth_m", screen_depth_m)
     radius = check_ring_radius(radius_m)
@@ -106,14 +104,14 @@ def lens(
         raise invalid("half_width_m", None, "given (m)", hint)
     width = 0.0 if half_width_m is None else check_half_width("lens", half_width_m)
     rays, realizations = check_ring_size(rays, realizations, depths.size)
-    seed = check_integer("seed", seed, 0)
+    run = RunOptions.from_arguments(seed, threads=1)
     plane_waves = _get_plane_waves(medium, waves, realizations)
     angles = 2.0 * np.pi * np.arange(rays) / rays
     contraction = np.empty((realizations, depths.size))
     detected_fraction = np.empty_like(contraction)
     for realization in range(realizations):
         surface_waves = (
-            medium.surface.sample_realization(seed, realization)
+            medium.surface.sample_realization(run.seed, realization)
             if plane_waves is None
             else plane_waves
         )
@@ -135,7 +133,7 @@ def lens(
             "a smaller ring, or other depths",
         )  # fmt: skip
     attributes = {
-        **make_run_attributes("Statistical lens", "lens", medium, start_time, seed),
+        **run.make_attributes("Statistical lens", "lens", medium),
         "radius_m": radius, "centre_on": centre_on, "half_width_m": width,
         "realizations": realizations, "rays": rays * realizations,
     }  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,8 +22,7 @@ from splits.instruments.sky_mixing import (
     mix_direct_and_diffuse,
 )
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_threads
-from splits.simulation.attributes import make_run_attributes
+from splits.simulation.run_options import RunOptions
 
 OUTPUT_VARIABLES = {
     "downward_irradiance": ("downward_irradiance", "downward irradiance"),
@@ -113,12 +111,11 @@ def radiation_profile(
     >>> ds.absorbed_power.dims
     ('band', 'interval')
     """
-    start_time = time.perf_counter()
     sky_spectrum = as_sky(sky).scale_to(total_w_m2)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     check_choice("target", target, POWER_ERROR_QUANTITIES)
-    seed, threads = check_integer("seed", seed, 0), check_threads(threads)
+    run = RunOptions.from_arguments(seed, threads, progress=progress)
     max_rays = check_integer("max_rays", max_rays, 1)
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
@@ -130,11 +127,8 @@ def radiation_profile(
     run_attributes: list[dict[str, Any]] = []
 
     def simulate(incidence: float | str, number: int) -> xr.Dataset:
-        request = FluxRequest(
-            medium, wavelengths, depth_m, incidence, seed + number, max_rays, threads, "auto",
-            progress,
-        )  # fmt: skip
-        dataset = simulate_flux(request.validate(), targets[number])
+        request = FluxRequest.from_arguments(medium, wavelengths, depth_m, incidence, max_rays)
+        dataset = simulate_flux(request, targets[number], run._replace(seed=run.seed + number))
         run_attributes.append(dataset.attrs)
         names = ("depth", "interval_top", "interval_bottom")
         coordinates.update({name: dataset[name] for name in names})
@@ -147,9 +141,7 @@ def radiation_profile(
     ]
     variables = _make_variables(dataset, wavelengths, weights, band_irradiance)
     attributes = {
-        **make_run_attributes(
-            "Sunlight inside", "radiation_profile", medium, start_time, seed, threads
-        ),
+        **run.make_attributes("Sunlight inside", "radiation_profile", medium),
         **make_sky_attributes(sky_spectrum),
         "irradiance_w_m2": band_irradiance[0],
         "max_stderr": max_stderr,

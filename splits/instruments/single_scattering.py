@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -12,17 +11,17 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_choice, check_integer, invalid
 from splits.media.medium import GranularMedium
-from splits.simulation.arguments import check_medium, check_threads, check_wavelengths
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
+from splits.simulation.arguments import check_medium, check_wavelengths
 from splits.simulation.grain_optics import (
-    GRAIN_RAYS_PER_CHUNK,
     INTERPOLATION_TOLERANCE,
     WET_PORE_MODELS,
     GrainOpticsRequest,
     compute_grain_optics,
     compute_material_constants,
 )
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import build_scene
+from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.spectral_nodes import choose_nodes
 
 VARIABLE_LABELS = {
@@ -74,7 +73,7 @@ def single_scattering(
         Highest order l of the Legendre moments, 1 to 4096.
     rays : int
         Rays per refractive-index node, at least 2; rounded up to whole chunks of
-        `splits.simulation.grain_optics.GRAIN_RAYS_PER_CHUNK`.
+        `splits.simulation.single_scattering_tally.GRAIN_RAYS_PER_CHUNK`.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
     threads : int, optional
@@ -121,20 +120,16 @@ def single_scattering(
     wavelengths = check_wavelengths(wavelength_nm)
     moments = check_integer("moments", moments, 1, 4096)
     rays = GRAIN_RAYS_PER_CHUNK * -(-check_integer("rays", rays, 2) // GRAIN_RAYS_PER_CHUNK)
-    seed = check_integer("seed", seed, 0)
-    threads = check_threads(threads)
+    run = RunOptions.from_arguments(seed, threads)
     check_choice("wet_pores", wet_pores, WET_PORE_MODELS)
-    start_time = time.perf_counter()
     scene = build_scene(medium, 0.0, False)
-    request = GrainOpticsRequest(moments, rays, seed, threads, wet_pores)
+    request = GrainOpticsRequest(moments, rays, run.seed, run.threads, wet_pores)
     constants = compute_material_constants(medium, wavelengths)
     nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION_TOLERANCE)
     values = compute_grain_optics(medium, scene, constants, request, nodes)
     values["optical_thickness"] = values["extinction"] * medium.depth_m
     attributes = {
-        **make_run_attributes(
-            "Single-scattering properties", "single_scattering", medium, start_time, seed, threads
-        ),
+        **run.make_attributes("Single-scattering properties", "single_scattering", medium),
         "diffraction": "none",
         "extinction_by_grains_per_m": float(medium.make_grain_population().collision_coefficient),
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,16 +15,15 @@ from splits.kernels.grains.scene import NO_GROUND
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_threads, check_wavelengths
-from splits.simulation.attributes import make_run_attributes, make_wavelength_coordinate
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.derivatives import NO_PERTURBATIONS, Perturbations
 from splits.simulation.engine import simulate
+from splits.simulation.run_options import KERNELS, RunOptions, make_wavelength_coordinate
 from splits.simulation.spectral_nodes import choose_nodes, make_separate_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SpectralEstimate, SpectralTally
 from splits.simulation.tally import StoppingRule
 from splits.simulation.tracer import make_tracer
-from splits.simulation.tracer_interface import KERNELS
 from splits.simulation.truncated_medium import ERROR_BUDGET_FRACTION, TruncatedMedium
 
 MAX_ATTEMPTS = 3
@@ -73,6 +71,10 @@ class SpectralRequest(NamedTuple):
             check_choice("kernel", kernel, KERNELS),
         )
 
+    def start_run(self, progress: ProgressCallback = None) -> RunOptions:
+        """Return the options of a run that starts now."""
+        return RunOptions.from_arguments(self.seed, self.threads, self.kernel, progress)
+
     def truncate(self, path_sharing: PathSharingMedia) -> TruncatedMedium | None:
         """Return the truncated media, which do not depend on the incidence."""
         return truncate_deep_medium(
@@ -83,10 +85,10 @@ class SpectralRequest(NamedTuple):
         self,
         path_sharing: PathSharingMedia,
         truncation: TruncatedMedium | None,
+        run: RunOptions,
         perturbations: Perturbations = NO_PERTURBATIONS,
         *,
         analog: bool = False,
-        progress: ProgressCallback = None,
     ) -> SpectralEstimate:
         """Return estimates for media that share paths, or for one with its derivatives.
 
@@ -100,11 +102,11 @@ class SpectralRequest(NamedTuple):
             With the media of the perturbations, which are the last.
         truncation : TruncatedMedium or None
             Their truncation.
+        run : RunOptions
         perturbations : Perturbations
         analog : bool
             Trace each row separately, with analog absorption.  This is the algorithm of SPLITS
             section 4.3 and SPLITSnow section 3, kept as the reference.
-        progress : callable, optional
         """
         traced = path_sharing
         if truncation is not None:
@@ -120,10 +122,7 @@ class SpectralRequest(NamedTuple):
                 else choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * target)
             )
             tally = SpectralTally(rows, nodes, tracer.traits)
-            outcome = simulate(
-                tracer, tally, StoppingRule(target, self.max_rays), seed=self.seed,
-                threads=self.threads, kernel=self.kernel, progress=progress,
-            )  # fmt: skip
+            outcome = simulate(tracer, tally, StoppingRule(target, self.max_rays), run)
             above = tally.make_estimate(outcome)
             if truncation is None:
                 return above
@@ -163,7 +162,7 @@ def make_spectrum(
     request: SpectralRequest,
     medium: Medium,
     estimate: SpectralEstimate,
-    start_time: float,
+    run: RunOptions,
     *,
     truncation: TruncatedMedium | None,
     size_ratio: float = 1.0,
@@ -177,8 +176,7 @@ def make_spectrum(
     medium : Medium
         Its inputs are attributes.
     estimate : SpectralEstimate
-    start_time : float
-        `time.perf_counter` at the start.
+    run : RunOptions
     truncation : TruncatedMedium or None
     size_ratio : float
         Size of the medium relative to the traced one.
@@ -196,10 +194,7 @@ def make_spectrum(
             deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)
             variables |= make_deviation_variable(name, dims, deviations, long_name)
     attributes = {
-        **make_run_attributes(
-            "Virtual spectrophotometer", "spectrophotometer", medium, start_time, request.seed,
-            request.threads,
-        ),
+        **run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),
         "estimator": "spectral",
         "incidence_deg": request.incidence,
         "max_stderr": request.max_stderr,
@@ -210,7 +205,7 @@ def make_spectrum(
         "rays": estimate.n_rays,
         "ensembles": estimate.n_ensembles,
         "kernel": estimate.kernel,
-    }  # fmt: skip
+    }
     if truncation is not None:
         attributes["truncation_depth_m"] = size_ratio * truncation.depth_m
         attributes["semi_infinite_depth_m"] = size_ratio * truncation.semi_infinite_depth_m
@@ -237,17 +232,16 @@ def simulate_spectra(
     list of xarray.Dataset
         The attribute ``rays`` counts those used by all media.
     """
-    start_time, n_wavelengths = time.perf_counter(), request.wavelengths.size
+    run, n_wavelengths = request.start_run(progress), request.wavelengths.size
     truncation = request.truncate(path_sharing)
-    estimate = request.simulate(path_sharing, truncation, progress=progress)
+    estimate = request.simulate(path_sharing, truncation, run)
     datasets = []
     for number, (medium, size_ratio) in enumerate(zip(*path_sharing, strict=True)):
         rows = slice(number * n_wavelengths, (number + 1) * n_wavelengths)
         medium_estimate = estimate.select(rows, request.max_stderr)
         datasets.append(
             make_spectrum(
-                request, medium, medium_estimate, start_time, truncation=truncation,
-                size_ratio=size_ratio,
+                request, medium, medium_estimate, run, truncation=truncation, size_ratio=size_ratio
             )
-        )  # fmt: skip
+        )
     return datasets

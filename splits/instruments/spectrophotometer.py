@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -185,26 +184,24 @@ def _simulate_medium(
 ) -> xr.Dataset:
     """Return the dataset of one medium, with derivatives with respect to parameters."""
     perturbations = Perturbations.select_exact(medium, parameters, request.wavelengths)
-    start_time, analog = time.perf_counter(), estimator == "analog"
+    run, analog = request.start_run(progress), estimator == "analog"
     media = PathSharingMedia(
         (medium, *perturbations.media), np.append(1.0, perturbations.size_ratios)
     )
     truncation = None if analog else request.truncate(media)
-    estimate = request.simulate(media, truncation, perturbations, analog=analog, progress=progress)
+    estimate = request.simulate(media, truncation, run, perturbations, analog=analog)
 
     def simulate_perturbed(perturbed: Medium, incidence: float | str) -> SpectralEstimate:
         perturbed_request = request._replace(incidence=incidence)
         perturbed_media = PathSharingMedia.from_media([perturbed])
-        return perturbed_request.simulate(
-            perturbed_media, request.truncate(perturbed_media), progress=progress
-        )
+        return perturbed_request.simulate(perturbed_media, request.truncate(perturbed_media), run)
 
     differences = [
         compute_finite_difference(simulate_perturbed, medium, request.incidence, name)
         for name in parameters
         if name not in perturbations.parameters
     ]
-    dataset = make_spectrum(request, medium, estimate, start_time, truncation=truncation)
+    dataset = make_spectrum(request, medium, estimate, run, truncation=truncation)
     dataset.attrs["estimator"] = estimator
     if parameters:
         derivatives = combine_derivatives(
@@ -221,12 +218,12 @@ def _simulate_media(
     media: Mapping[str, Medium], request: SpectralRequest, progress: ProgressCallback
 ) -> xr.Dataset:
     """Return the dataset of several media that share paths."""
-    start_time = time.perf_counter()
+    run = request.start_run(progress)
     path_sharing = PathSharingMedia.from_media(list(media.values()))
     truncation = request.truncate(path_sharing)
-    estimate = request.simulate(path_sharing, truncation, progress=progress)
+    estimate = request.simulate(path_sharing, truncation, run)
     dataset = make_spectrum(
-        request, path_sharing.media[0], estimate, start_time, truncation=truncation,
+        request, path_sharing.media[0], estimate, run, truncation=truncation,
         dims=("medium", "wavelength"),
     )  # fmt: skip
     differing = _find_differing_inputs(path_sharing.media)

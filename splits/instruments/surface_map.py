@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import xarray as xr
 
@@ -13,7 +11,7 @@ from splits.core.validation import check_integer, invalid
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.media.medium import SurfaceMedium
 from splits.simulation.arguments import check_half_width, check_medium
-from splits.simulation.attributes import make_run_attributes
+from splits.simulation.run_options import RunOptions
 
 DEFAULT_POINTS = 201
 MAX_REALIZATIONS = 10_000_000
@@ -58,12 +56,11 @@ def surface_map(
     ----------
     Budak & Grimailo 2020, Eq 3 and Fig 1.
     """
-    start_time = time.perf_counter()
     check_medium(medium, SurfaceMedium)
     width = check_half_width("surface_map", half_width_m)
     points = check_integer("points", points, 2, 3000)
     realizations = check_integer("realizations", realizations, 2, MAX_REALIZATIONS)
-    seed = check_integer("seed", seed, 0)
+    run = RunOptions.from_arguments(seed, threads=1)
     if medium.surface is None:
         raise invalid("surface", None, "given for a map")
     positions = np.linspace(-width, width, points)
@@ -73,7 +70,7 @@ def surface_map(
     u, v = (axis.ravel() for axis in np.meshgrid(coarse_line, coarse_line, indexing="ij"))
     roughness = np.empty((2, realizations))
     for realization in range(realizations):
-        waves = medium.surface.sample_realization(seed, realization)
+        waves = medium.surface.sample_realization(run.seed, realization)
         if realization == 0:
             height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
         z, slope = compute_heights_and_slopes(waves, u, v)
@@ -82,7 +79,7 @@ def surface_map(
             np.sqrt(np.mean(slope.x**2 + slope.y**2)),
         )
     attributes = {
-        **make_run_attributes("Rough surface", "surface_map", medium, start_time, seed),
+        **run.make_attributes("Rough surface", "surface_map", medium),
         "realizations": realizations,
         "rays": 0,
     }

@@ -8,7 +8,6 @@ import numpy as np
 
 from splits.kernels.grains.scene import Scene, make_bounding_optics
 from splits.kernels.grains.splitting import trace_batch_with_splitting
-from splits.simulation import random_streams
 from splits.simulation.jobs import WorkItem
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.spectral_nodes import make_separate_nodes
@@ -87,6 +86,7 @@ class TransmittanceTally(Tally):
 
     rays_per_chunk = rays_per_round = HISTORIES_PER_CHUNK
     pilot_rays = PILOT_HISTORIES
+    first_stream = 3_000_000
 
     def __init__(
         self, constants: OpticalConstants, splitting_rates: np.ndarray, stage: int
@@ -96,7 +96,7 @@ class TransmittanceTally(Tally):
         self.moments = np.zeros((3, len(splitting_rates)))
         self.depth_profile = np.zeros((2, N_DEPTH_SLICES, len(splitting_rates)))
         for row, rate in enumerate(splitting_rates):
-            stream = random_streams.DEEP_TRANSMITTANCE + (N_PILOTS + 1) * row + stage
+            stream = self.first_stream + (N_PILOTS + 1) * row + stage
             optics = make_bounding_optics(constants.indices[row], self.absorption[row : row + 1])
             stratum = Stratum(stream, optics, self.select_node(row), splitting_rate=float(rate))
             self.strata.append(stratum)

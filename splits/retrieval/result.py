@@ -21,7 +21,7 @@ from splits.retrieval.optimal_estimation import (
 )
 from splits.retrieval.posterior import MIN_EFFECTIVE_DRAWS, N_DRAWS, PosteriorDraws
 from splits.retrieval.state_vector import SCALE, StateVector
-from splits.simulation.attributes import make_wavelength_coordinate
+from splits.simulation.run_options import make_wavelength_coordinate
 
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
 UNDETERMINED_FRACTION = 0.5

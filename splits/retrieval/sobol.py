@@ -20,7 +20,7 @@ from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import SCALE, StateVector
-from splits.simulation.attributes import make_wavelength_coordinate
+from splits.simulation.run_options import make_wavelength_coordinate
 from splits.tables.table import Table
 
 N_REPEATS = 16

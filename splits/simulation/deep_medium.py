@@ -26,13 +26,13 @@ from splits.media.ground import Ground
 from splits.media.medium import GranularMedium, Medium
 from splits.media.stack import Stack
 from splits.simulation.grain_optics import (
-    GRAIN_RAYS_PER_CHUNK,
     GrainOpticsRequest,
     compute_material_constants,
     estimate_pilot_optics,
     pool_optics_by_type,
 )
 from splits.simulation.scene import OpticalConstants
+from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.substrate import (
     MIN_TRANSPORT_FACTOR,

@@ -9,8 +9,9 @@ import numpy as np
 
 from splits.core.progress import Progress, ProgressCallback
 from splits.simulation.jobs import estimate_cost, make_jobs
+from splits.simulation.run_options import RunOptions
 from splits.simulation.tally import Outcome, StoppingRule, Tally
-from splits.simulation.threads import DaemonThreadPool, count_cpus, limit_blas_threads
+from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 from splits.simulation.tracer_interface import Tracer
 
 MAX_ROUND_GROWTH = 8.0
@@ -18,16 +19,7 @@ MAX_ROUND_GROWTH = 8.0
 MIN_REPORT_INTERVAL_S = 0.5
 
 
-def simulate(
-    tracer: Tracer,
-    tally: Tally,
-    stop: StoppingRule,
-    *,
-    seed: int,
-    threads: int | None = None,
-    kernel: str = "auto",
-    progress: ProgressCallback = None,
-) -> Outcome:
+def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) -> Outcome:
     """Trace rounds of rays and merge their scores, until a stopping rule is satisfied.
 
     Parameters
@@ -37,12 +29,8 @@ def simulate(
     tally : Tally
         Receives the scores.
     stop : StoppingRule
-    seed : int
-    threads : int, optional
-        Default: every CPU that this process may use.  Results do not depend on it.
-    kernel : {"auto", "vectorized", "scalar"}
-    progress : callable, optional
-        Receives a `Progress` at most twice per second.
+    run : RunOptions
+        Seed, threads, kernel and progress.  Results do not depend on the threads.
 
     Raises
     ------
@@ -51,16 +39,16 @@ def simulate(
     RuntimeError
         If a ray was lost.
     """
-    strata, threads = tally.strata, threads or count_cpus()
-    tracer.select_kernel(strata, kernel, tally.shares_kernel)
-    report = ProgressReport(progress, stop.max_error)
+    strata = tally.strata
+    tracer.select_kernel(strata, run.kernel, tally.shares_kernel)
+    report = ProgressReport(run.progress, stop.max_error)
     new_rays, remaining_rays = tally.plan_first_round(stop), 0.0
-    with DaemonThreadPool(threads) as pool:
+    with DaemonThreadPool(run.threads) as pool:
         while True:
-            jobs = make_jobs(tracer, tally, new_rays, threads)
+            jobs = make_jobs(tracer, tally, new_rays, run.threads)
             costs = [sum(estimate_cost(item.stratum) * item.n_rays for item in job) for job in jobs]
             report.begin_round(int(new_rays.sum()), sum(costs), remaining_rays)
-            traced = pool.map(partial(tracer.trace_job, seed, tally), jobs)
+            traced = pool.map(partial(tracer.trace_job, run.seed, tally), jobs)
             for job, cost, results in zip(jobs, costs, traced, strict=True):
                 for item, (scores, n_segments) in zip(job, results, strict=True):
                     # In a fixed order, so that sums do not depend on the threads.

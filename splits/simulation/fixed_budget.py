@@ -18,6 +18,7 @@ from splits.core.validation import check_integer, invalid
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_medium, check_wavelengths
 from splits.simulation.engine import simulate
+from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_nodes import make_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
@@ -71,7 +72,7 @@ def estimate_fixed_budget(
     wavelengths = check_wavelengths(wavelength_nm)
     node_rows = _check_node_rows(node_rows, len(wavelengths))
     check_integer("rays_per_node", rays_per_node, 1)
-    seed = check_integer("seed", seed, 0)
+    run = RunOptions.from_arguments(seed, threads)
     rows = SpectralRows.from_media(PathSharingMedia.from_media([medium]), wavelengths)
     nodes = make_nodes(rows.index, rows.interfaces, node_rows)
     nodes = replace(nodes, interpolation_bound=np.zeros(len(wavelengths)))
@@ -79,7 +80,7 @@ def estimate_fixed_budget(
     # A node keeps its streams if no wavelength uses its neighbour.
     tally = SpectralTally(rows, nodes, tracer.traits, SINGLE_STRATUM)
     stop = StoppingRule(0.0, rays_per_node * len(tally.strata), fixed=True)
-    estimate = tally.make_estimate(simulate(tracer, tally, stop, seed=seed, threads=threads))
+    estimate = tally.make_estimate(simulate(tracer, tally, stop, run))
     return estimate.mean, estimate.stderr, estimate.batch_deviations
 
 

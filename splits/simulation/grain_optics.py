@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from splits.kernels.grains.scene import DRY_PORE, WET_PORE, Optics, Scene, make_bounding_optics
-from splits.kernels.grains.single_grain import (
-    N_SCATTERING_BATCHES,
-    IsolatedGrain,
-    tally_single_scattering,
-)
+from splits.kernels.grains.scene import DRY_PORE, WET_PORE, Scene
 from splits.media.medium import GranularMedium, compute_absorption
-from splits.simulation import random_streams
-from splits.simulation.grain_optics_means import WEIGHTED_MEANS, NodeTally, estimate_grain_means
+from splits.simulation.engine import simulate
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import OpticalConstants, build_scene
+from splits.simulation.single_scattering_tally import (
+    WEIGHTED_MEANS,
+    IsolatedGrainTracer,
+    SingleScatteringTally,
+)
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes, make_nodes
-from splits.simulation.threads import DaemonThreadPool
-
-GRAIN_RAYS_PER_CHUNK = 2048
-"""Rays per chunk, the unit of parallel work."""
+from splits.simulation.tally import StoppingRule
 
 INTERPOLATION_TOLERANCE = 0.0005
 """Interpolation error allowed, as for a reflectance (see `splits.simulation.spectral_nodes`)."""
@@ -34,8 +30,8 @@ WET_PORE_MODELS = ("saturation", "equilibrium")
 class GrainOpticsRequest(NamedTuple):
     """Request for single-scattering properties, see `splits.instruments.single_scattering`.
 
-    The number of rays is a multiple of `GRAIN_RAYS_PER_CHUNK`, or a smaller one of
-    `N_SCATTERING_BATCHES`.
+    The number of rays is a multiple of `single_scattering_tally.GRAIN_RAYS_PER_CHUNK`, or a smaller
+    one of `N_SCATTERING_BATCHES`.
     """
 
     max_moment: int
@@ -74,10 +70,13 @@ def compute_grain_optics(
     index, absorption = constants
     wet_fraction = _compute_wet_fraction(medium.wet_fraction, index, request.wet_pores)
     node_wet_fractions = _compute_wet_fraction(medium.wet_fraction, nodes.index, request.wet_pores)
-    node_tallies = _trace_nodes(scene, nodes, node_wet_fractions, absorption, request)
-    values = estimate_grain_means(
-        node_tallies, nodes.interpolation_bound, request.max_moment + 1, request.n_rays
-    )
+    n_orders = request.max_moment + 1
+    tally = SingleScatteringTally(nodes, absorption, n_orders, request.n_rays)
+    tracer = IsolatedGrainTracer(scene, node_wet_fractions, n_orders)
+    stop = StoppingRule(0.0, request.n_rays * len(nodes.index), fixed=True)
+    run = RunOptions.from_arguments(request.seed, request.threads)
+    simulate(tracer, tally, stop, run)
+    values = tally.compute_grain_means()
     pore_extinction = (1.0 - wet_fraction) * absorption[:, DRY_PORE] + wet_fraction * absorption[
         :, WET_PORE
     ]
@@ -158,59 +157,3 @@ def _compute_wet_fraction(wet_fraction: float, index: np.ndarray, wet_pores: str
         return np.full(len(index), float(wet))
     index_squared = index[:, [DRY_PORE, WET_PORE]].real ** 2
     return wet * index_squared[:, 1] / (wet * index_squared[:, 1] + dry * index_squared[:, 0])
-
-
-def _trace_nodes(
-    scene: Scene,
-    nodes: IndexNodes,
-    wet_fractions: np.ndarray,
-    absorption: np.ndarray,
-    request: GrainOpticsRequest,
-) -> list[NodeTally]:
-    """Trace `request.n_rays` rays at each node."""
-    orders, rays, seed = request.max_moment + 1, request.n_rays, request.seed
-
-    def trace_chunk(job: tuple[int, int, Optics, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        node, first, optics, node_absorption = job
-        work = np.array(
-            [
-                random_streams.SINGLE_SCATTERING + node,
-                first,
-                min(rays - first, GRAIN_RAYS_PER_CHUNK),
-            ]
-        )
-        return tally_single_scattering(
-            seed, work, orders, IsolatedGrain(wet_fractions[node], scene, optics), node_absorption
-        )
-
-    masks = nodes.weights > 0.0
-    absorption_by_node = [absorption[mask] for mask in masks]
-    optics = [
-        make_bounding_optics(m, node_absorption)
-        for m, node_absorption in zip(nodes.index, absorption_by_node, strict=True)
-    ]
-    firsts = range(0, rays, GRAIN_RAYS_PER_CHUNK)
-    jobs = [
-        (i, first, optics[i], node_absorption)
-        for i, node_absorption in enumerate(absorption_by_node)
-        for first in firsts
-    ]
-    node_tallies = []
-    with DaemonThreadPool(request.threads) as pool:
-        results = pool.map(trace_chunk, jobs)
-        for mask, weight, node_absorption in zip(
-            masks, nodes.weights, absorption_by_node, strict=True
-        ):
-            sums = np.zeros((3, orders + len(WEIGHTED_MEANS), len(node_absorption)))
-            batch_sums = np.zeros((N_SCATTERING_BATCHES, *sums.shape[1:]))
-            # In a fixed order, so that rounding does not depend on the threads.
-            for chunk_sums, chunk_batch_sums in itertools.islice(results, len(firsts)):
-                sums += chunk_sums
-                batch_sums += chunk_batch_sums
-            # Batch sums per ray of the batch: their mean is that of all rays.
-            node_tallies.append(
-                NodeTally(
-                    mask, weight[mask], sums / rays, batch_sums * (N_SCATTERING_BATCHES / rays)
-                )
-            )
-    return node_tallies

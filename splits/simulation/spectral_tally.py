@@ -16,7 +16,6 @@ import numpy as np
 
 from splits.kernels.tallies.derivatives import tally_derivatives
 from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, tally_weights
-from splits.simulation import random_streams
 from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.spectral_rows import SpectralRows
@@ -36,6 +35,8 @@ ANALOG_PILOT_RAYS = 2048
 is predicted from them.  Stopping on the variance of the rays that also form the mean biases small
 values low; a first round that is large against the few events seen keeps this bias far below the
 error."""
+ANALOG_STREAM = 9_000_000
+"""First random stream with analog absorption."""
 RAYS_PER_LARGE_CHUNK = 1024
 """Rays of a chunk for sums over many rows, which take more memory than the rays."""
 SINGLE_STRATUM = (-1.0,)
@@ -142,6 +143,7 @@ class SpectralTally(Tally):
         Σ weight of the rays of every batch, reflected and transmitted, and its derivatives.
     """
 
+    first_stream = 0
     shares_kernel = True
 
     def __init__(
@@ -162,12 +164,9 @@ class SpectralTally(Tally):
         self.pilot_rays = ANALOG_PILOT_RAYS if traits.analog else PILOT_RAYS
         if len(rows.absorption) > LARGE_PROBLEM_ROWS and not n_parameters:
             self.rays_per_chunk = self.rays_per_round = RAYS_PER_LARGE_CHUNK
-        self.add_strata_by_absorption(
-            random_streams.ANALOG if traits.analog else random_streams.SPECTRAL,
-            rows.min_absorption,
-            traits,
-            bounds[:1] if traits.analog else bounds,
-        )
+        self.first_stream = ANALOG_STREAM if traits.analog else self.first_stream
+        bounds = bounds[:1] if traits.analog else bounds
+        self.add_strata_by_absorption(rows.min_absorption, traits, bounds)
 
     def count_score_values(self) -> int:
         """Return the largest number of values in the score of a chunk."""

@@ -159,6 +159,10 @@ class Tally(ABC):
         The rays of a stratum are a multiple of this.
     pilot_rays : int
         Rays of each stratum in the first round.
+    first_stream : int
+        First number of the random streams, which are identified by seed, stream number and ray
+        (`splits.kernels.math.rng`).  Each class of tallies owns a million numbers, so that with one
+        seed no two instruments use the same random numbers.
     shares_kernel : bool
         Whether all strata are traced by one kernel, if possible, so that they fill its lanes.
     """
@@ -167,6 +171,7 @@ class Tally(ABC):
     rays_per_round = RAYS_PER_CHUNK
     pilot_rays = RAYS_PER_CHUNK
     shares_kernel = False
+    first_stream: int
 
     def __init__(
         self, nodes: IndexNodes, absorption: np.ndarray, order: np.ndarray | None = None
@@ -185,28 +190,26 @@ class Tally(ABC):
         """Return the node rows of a node."""
         return slice(int(self.first_rows[node]), int(self.first_rows[node + 1]))
 
-    def add_strata(self, first_stream: int, max_orders: Sequence[int] = (NO_MAX_ORDER,)) -> None:
+    def add_strata(self, max_orders: Sequence[int] = (NO_MAX_ORDER,)) -> None:
         """Add a stratum for each node and largest order of scattering."""
         for node, index in enumerate(self.nodes.index):
             rows = self.select_node(node)
             optics = make_bounding_optics(index, self.absorption[self.rows[rows]])
             for max_order in max_orders:
-                stream = first_stream + len(self.strata)
+                stream = self.first_stream + len(self.strata)
                 segments = min(3.0 * max_order, INITIAL_SEGMENTS)
                 self.strata.append(Stratum(stream, optics, rows, segments, max_order))
 
     def add_strata_by_absorption(
         self,
-        first_stream: int,
         absorption: np.ndarray,
         traits: TransportTraits,
-        bounds: Sequence[float],
+        bounds: Sequence[float] = STRATUM_BOUNDS,
     ) -> None:
         """Add strata for increasingly absorbed rows of each node, which are in this order.
 
         Parameters
         ----------
-        first_stream : int
         absorption : float, shape (rows, columns)
             Absorption that determines strata and roulette.
         traits : TransportTraits
@@ -222,7 +225,7 @@ class Tally(ABC):
                 if len(rows) in (0, last_count):
                     continue
                 last_count = len(rows)
-                stream = first_stream + node * len(STRATUM_BOUNDS) + step
+                stream = self.first_stream + node * len(STRATUM_BOUNDS) + step
                 optics = make_bounding_optics(index, absorption[rows])
                 segments = INITIAL_SEGMENTS / 1.5**step
                 self.strata.append(Stratum(stream, optics, slice(end - len(rows), end), segments))

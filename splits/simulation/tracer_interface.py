@@ -16,9 +16,6 @@ from splits.simulation.tally import Stratum, Tally, TransportTraits
 if TYPE_CHECKING:
     from splits.simulation.jobs import WorkItem
 
-KERNELS = ("auto", "vectorized", "scalar")
-"""Choices of kernel: vectorized where the scene allows it, vectorized or an error, or scalar."""
-
 ItemScores = tuple[list[Any], int]
 """The score of each chunk of a work item, in order, and the segments traced."""
 

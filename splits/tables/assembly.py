@@ -12,7 +12,7 @@ from splits.core.provenance import hash_physics_sources
 from splits.instruments.spectral_run import QUANTITY_LABELS
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.kernels.tallies.exits import N_BATCHES
-from splits.simulation.attributes import make_wavelength_coordinate
+from splits.simulation.run_options import make_wavelength_coordinate
 from splits.tables.axes import INCIDENCE
 from splits.tables.block import TableRequest
 from splits.tables.plan import TablePlan

@@ -78,7 +78,9 @@ def compute_block(
     start_time = time.perf_counter()
     spectral_request = request.spectral_request._replace(incidence=path_group.incidence)
     truncation = truncations.get(spectral_request, path_group.path_sharing)
-    estimate = spectral_request.simulate(path_group.path_sharing, truncation, progress=progress)
+    estimate = spectral_request.simulate(
+        path_group.path_sharing, truncation, spectral_request.start_run(progress)
+    )
     shape = (len(path_group.path_sharing.media), spectral_request.wavelengths.size)
     variables: dict[str, Any] = {}
     for side in request.quantities:

@@ -26,7 +26,7 @@ N_SCATTERING_BATCHES = 16
 """Batches of rays for the standard errors of derived quantities, known to 18 %."""
 
 
-class ScatteringTally(NamedTuple):
+class ScatteringSums(NamedTuple):
     """Sums over all rays and over batches of rays, see `tally_single_scattering`."""
 
     sums: np.ndarray
@@ -128,7 +128,7 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
             sums,
             batches[number % N_SCATTERING_BATCHES],
         )
-    return ScatteringTally(sums, batches)
+    return ScatteringSums(sums, batches)
 
 
 @inline

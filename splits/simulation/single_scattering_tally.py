@@ -1,0 +1,159 @@
+"""Tally of light scattered by single grains: means over grains, and their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from splits.core.uncertainty import compute_leave_one_out_means
+from splits.kernels.grains.scene import Scene
+from splits.kernels.grains.single_grain import (
+    N_SCATTERING_BATCHES,
+    IsolatedGrain,
+    ScatteringSums,
+    tally_single_scattering,
+)
+from splits.simulation.jobs import WorkItem
+from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.tally import Stratum, Tally
+from splits.simulation.tracer_interface import ItemScores, Tracer
+
+GRAIN_RAYS_PER_CHUNK = 2048
+"""Rays per chunk, the unit of parallel work."""
+MOMENT_SLOPE_RATIO = 2.0
+"""Ratio of the largest slope of a Legendre moment to that of a reflectance: a forward lobe as wide
+as the contrast c has χ_l ~ exp(−c² l²/2), and |dχ/d(ln c)| up to 2/e."""
+WEIGHTED_MEANS = (
+    "displacement_along_incident",
+    "displacement_along_exit",
+    "mean_square_displacement",
+    "wet_fraction",
+)
+"""Other means weighted by scattered light, in the order of `tally_single_scattering`."""
+
+
+class IsolatedGrainTracer(Tracer):
+    """Tracer of rays that hit one grain each.
+
+    Parameters
+    ----------
+    scene : Scene
+    wet_fractions : float, shape (nodes,)
+        Fraction of the light in pore space that is in wet pores, at each index node.
+    n_orders : int
+        Number of Legendre moments.
+    """
+
+    def __init__(self, scene: Scene, wet_fractions: np.ndarray, n_orders: int) -> None:
+        self.scene, self.wet_fractions, self.n_orders = scene, wet_fractions, n_orders
+
+    def trace_job(self, seed: int, tally: Tally, job: Sequence[WorkItem]) -> list[ItemScores]:
+        """Return the sums of each chunk of rays."""
+        return [(list(self._trace_item(seed, tally, item)), item.n_rays) for item in job]
+
+    def _trace_item(self, seed: int, tally: Tally, item: WorkItem) -> Iterator[ScatteringSums]:
+        stratum, first_ray, n_rays = item
+        rows, size = stratum.rows, tally.rays_per_chunk
+        wet_fraction = self.wet_fractions[tally.node_of_row[rows.start]]
+        grain = IsolatedGrain(wet_fraction, self.scene, stratum.optics)
+        absorption = tally.absorption[tally.rows[rows]]
+        for first in range(first_ray, first_ray + n_rays, size):
+            work = np.array([stratum.stream, first, size])
+            yield tally_single_scattering(seed, work, self.n_orders, grain, absorption)
+
+
+class SingleScatteringTally(Tally):
+    """Tally of the directions and displacements of scattered rays, see `Tally`.
+
+    Parameters
+    ----------
+    nodes, absorption
+        See `Tally`.
+    n_orders : int
+        Number of Legendre moments.
+    n_rays : int
+        Rays per node: a multiple of `GRAIN_RAYS_PER_CHUNK`, or a smaller one of
+        `N_SCATTERING_BATCHES`.
+
+    Attributes
+    ----------
+    sums : float, shape (3, orders + 4, node rows)
+    batch_sums : float, shape (N_SCATTERING_BATCHES, orders + 4, node rows)
+        See `splits.kernels.grains.single_grain.tally_single_scattering`.
+    """
+
+    first_stream = 2_000_000
+
+    def __init__(
+        self, nodes: IndexNodes, absorption: np.ndarray, n_orders: int, n_rays: int
+    ) -> None:
+        super().__init__(nodes, absorption)
+        self.n_orders = n_orders
+        self.rays_per_chunk = self.rays_per_round = min(n_rays, GRAIN_RAYS_PER_CHUNK)
+        self.sums = np.zeros((3, n_orders + len(WEIGHTED_MEANS), len(self.rows)))
+        self.batch_sums = np.zeros((N_SCATTERING_BATCHES, *self.sums.shape[1:]))
+        self.add_strata()
+
+    def count_score_values(self) -> int:
+        """Return the largest number of values in the score of a chunk."""
+        n_values = (3 + N_SCATTERING_BATCHES) * self.sums.shape[1]
+        return n_values * int(np.diff(self.first_rows).max())
+
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> ScatteringSums:
+        """Return what the kernel has scored."""
+        return ScatteringSums(exits, crossings)
+
+    def merge(self, stratum: Stratum, score: ScatteringSums) -> None:
+        """Add the sums of the next chunk of a stratum."""
+        self.sums[..., stratum.rows] += score.sums
+        self.batch_sums[..., stratum.rows] += score.batches
+
+    def compute_grain_means(self) -> dict[str, np.ndarray]:
+        """Return means over grains and their standard errors, by name.
+
+        All but the albedo are ratios of means, <w x>/<w>; the error is that of w (x − <w x>/<w>),
+        to first order.
+        """
+        n_rays, bound, orders = self.count_rays(), self.nodes.interpolation_bound, self.n_orders
+        mean_sum, product_sum, square_sum = self.sums / n_rays
+        mean = self.combine_nodes(mean_sum)
+        batch_means = self.combine_nodes(self.batch_sums * (N_SCATTERING_BATCHES / n_rays))
+        albedo = mean[0]
+        # Where nothing is scattered, the moments are 0 instead of NaN.
+        scattered = np.maximum(albedo, np.finfo(float).tiny)
+        ratio = mean / scattered
+        node_ratio = ratio[:, self.rows]
+        residual = square_sum - 2.0 * node_ratio * product_sum + node_ratio**2 * square_sum[0]
+        residual -= (mean_sum - node_ratio * mean_sum[0]) ** 2
+        ratio_variance = self.combine_nodes(np.maximum(residual, 0.0) / n_rays, power=2)
+        albedo_variance = np.maximum(square_sum[0] - mean_sum[0] ** 2, 0.0) / n_rays
+        error_bound = MOMENT_SLOPE_RATIO * bound * np.abs(ratio)
+        moment_slope = np.clip(8.0 * np.abs(_bernoulli_variance(ratio[:orders])), 0.0, 1.0)
+        error_bound[:orders] = MOMENT_SLOPE_RATIO * bound * moment_slope
+        error = np.sqrt(ratio_variance / scattered**2 + error_bound**2)
+        jackknife_means = compute_leave_one_out_means(batch_means)
+        jackknife_ratios = jackknife_means / np.maximum(
+            jackknife_means[:, :1], np.finfo(float).tiny
+        )
+        albedo_bound = bound * np.clip(8.0 * _bernoulli_variance(albedo), 0.0, 1.0)
+        values = {
+            "single_scattering_albedo": albedo,
+            "single_scattering_albedo_stderr": np.sqrt(
+                self.combine_nodes(albedo_variance, power=2) + albedo_bound**2
+            ),
+            "single_scattering_albedo_jackknife": jackknife_means[:, 0],
+            "single_scattering_albedo_interpolation_bound": albedo_bound,
+        }
+        rows = {"legendre_moment": slice(orders), "asymmetry_parameter": 1}
+        rows |= {name: orders + row for row, name in enumerate(WEIGHTED_MEANS)}
+        tables = {"": ratio, "_stderr": error, "_interpolation_bound": error_bound}
+        for name, row in rows.items():
+            values |= {f"{name}{suffix}": table[row].T for suffix, table in tables.items()}
+            values[f"{name}_jackknife"] = np.moveaxis(jackknife_ratios[:, row], 1, -1)
+        return values
+
+
+def _bernoulli_variance(probability: np.ndarray) -> np.ndarray:
+    """Return x (1 − x), which is 0 where a fraction cannot depend on the refractive index."""
+    return probability * (1.0 - probability)

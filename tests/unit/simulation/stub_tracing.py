@@ -1,0 +1,80 @@
+"""A tracer without a kernel and a tally of given variances, for tests of the adaptive loop."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from splits.simulation.spectral_nodes import make_separate_nodes
+from splits.simulation.tally import Evaluation, Stratum, Tally
+from splits.simulation.tracer_interface import Tracer
+
+
+class StubTracer(Tracer):
+    """Tracer whose rays have a given number of segments by stratum, and random scores by chunk.
+
+    Parameters
+    ----------
+    segments_per_ray : sequence of int
+    lost_ray : int, optional
+        Ray of the first stratum that is lost.
+    delay_s : float
+        Time of a job (s) is 0, 1 or 2 times this, so that jobs end in another order.
+    """
+
+    def __init__(self, segments_per_ray, lost_ray=None, delay_s=0.0):
+        self.segments_per_ray, self.lost_ray, self.delay_s = segments_per_ray, lost_ray, delay_s
+
+    def trace_job(self, seed, tally, job):
+        time.sleep(self.delay_s * (2 - job[0].first_ray // tally.rays_per_chunk % 3))
+        results = []
+        for stratum, first_ray, n_rays in job:
+            chunks = range(first_ray, first_ray + n_rays, tally.rays_per_chunk)
+            if stratum.stream == 0 and self.lost_ray in range(first_ray, first_ray + n_rays):
+                raise RuntimeError("a ray was lost")
+            scores = [
+                (first, np.random.default_rng((seed, stratum.stream, first)).random())
+                for first in chunks
+            ]
+            results.append((scores, n_rays * self.segments_per_ray[stratum.stream]))
+        return results
+
+
+class StubTally(Tally):
+    """Tally of independent rows, one of each stratum, with given variances per ray.
+
+    Attributes
+    ----------
+    sums : float, shape (strata,)
+    rounds : list of int, shape (strata,)
+        Rays of each stratum after each round.
+    """
+
+    def __init__(self, variances, rays_per_round=Tally.rays_per_round):
+        self.variances, self.rays_per_round = np.array(variances), rays_per_round
+        self.pilot_rays = rays_per_round
+        n_rows = len(variances)
+        super().__init__(make_separate_nodes(np.ones((n_rows, 1)) + 0j), np.zeros((n_rows, 1)))
+        self.strata = [Stratum(row, None, self.select_node(row)) for row in range(n_rows)]
+        self.sums, self.rounds = np.zeros(n_rows), []
+
+    def count_score_values(self):
+        return 1
+
+    def score(self, stratum, exits, crossings):
+        return exits, crossings
+
+    def merge(self, stratum, score):
+        first, value = score
+        assert first == stratum.n_rays
+        self.sums[stratum.rows] += value
+
+    def evaluate(self, stop):
+        self.rounds.append(self.stratum_rays)
+        error = float(np.sqrt((self.variances / self.stratum_rays).max()))
+        is_converged = error <= stop.max_error and not stop.fixed
+        return Evaluation(error, "converged" if is_converged else "")
+
+    def allocate_rays(self, stop):
+        return self.variances / stop.max_error**2

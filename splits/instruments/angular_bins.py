@@ -13,14 +13,14 @@ import numpy as np
 from splits.instruments.angular_estimate import AngularEstimate, add_interpolation_error
 from splits.kernels.tallies.angular import AngularSums, tally_angular_bins
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import Stratum, Tally
+from splits.simulation.tally import ExitTally, Stratum
 
 DEFAULT_N_BINS = (18, 72)
 """Bins in polar and in azimuth angle: as many as bins of 5° by 5°."""
 STOKES_NAMES = "quv"
 
 
-class AngularBinTally(Tally):
+class AngularBinTally(ExitTally):
     """Tally of exits by angular bin.
 
     Parameters

@@ -19,7 +19,7 @@ from splits.instruments.angular_estimate import N_ANGULAR_BATCHES, bound_interpo
 from splits.kernels.tallies.radial import RadialTally, tally_radial
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Stratum, Tally
+from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally, Stratum
 
 RADIUS_QUANTILES = (0.25, 0.5, 0.75, 0.9)
 """Fractions of the light that leave within the quantile radii."""
@@ -34,7 +34,7 @@ _FINE_BINS_PER_BIN = 5
 SIDES = {"reflected": 0, "transmitted": 1}
 
 
-class BeamSpreadTally(Tally):
+class BeamSpreadTally(ExitTally):
     """Tally of exits by their distance and direction from the point of entry.
 
     Parameters

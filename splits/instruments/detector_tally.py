@@ -72,10 +72,6 @@ class DetectorTally(Tally):
         """Return the rays of the first round, at least two batches."""
         return np.maximum(super().plan_first_round(stop), 2 * RAYS_PER_CHUNK)
 
-    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> np.ndarray:
-        """Return what the kernel has scored: mean contributions of a batch."""
-        return exits
-
     def merge(self, stratum: Stratum, score: np.ndarray) -> None:
         """Add the score of the next batch."""
         self.sums += score

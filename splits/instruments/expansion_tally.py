@@ -23,7 +23,7 @@ from splits.kernels.grains.scene import NO_MAX_ORDER
 from splits.kernels.tallies.angular import AngularSums, tally_expansion
 from splits.kernels.tallies.exits import EXIT_ORDER
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum, Tally
+from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, ExitTally, StoppingRule, Stratum
 
 MAX_DEGREE = 24
 """Largest degree of the polynomials, which resolve details of about 180°/24."""
@@ -34,7 +34,7 @@ _IDLE_GROWTH = 1.25
 detail was resolved."""
 
 
-class ExpansionTally(Tally):
+class ExpansionTally(ExitTally):
     """Tally of exits by direction, as coefficients of orthonormal polynomials.
 
     Parameters

@@ -18,7 +18,7 @@ from splits.instruments.flux_target import (
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD, FluxSums, tally_flux
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
+from splits.simulation.tally import Evaluation, ExitTally, StoppingRule, Stratum
 from splits.simulation.tracer_interface import ExitTracer
 
 FLUX_RAYS_PER_CHUNK = 32
@@ -68,7 +68,7 @@ class FluxResult(NamedTuple):
     perturbed_estimate: FluxEstimate | None
 
 
-class FluxTally(Tally):
+class FluxTally(ExitTally):
     """Tally of light that crosses the boundaries of all layers, and of paths between them.
 
     Parameters

@@ -19,10 +19,9 @@ from splits.kernels.particle_layer import particle_history as kernels
 from splits.kernels.particle_layer.next_event import Detectors
 from splits.kernels.particle_layer.scene import OPEN_BOTTOM, LayerScene
 from splits.media.medium import Medium, ParticleMedium
-from splits.simulation.jobs import WorkItem
 from splits.simulation.scene import make_source
 from splits.simulation.tally import Tally
-from splits.simulation.tracer_interface import ItemScores, Tracer
+from splits.simulation.tracer_interface import ItemScores, Tracer, WorkItem
 
 NEGLIGIBLE_PROBABILITY = 1e-16
 """Probability of more successive scatterings into a peak than are stored."""

@@ -8,11 +8,10 @@ import numpy as np
 
 from splits.kernels.grains.scene import Scene, make_bounding_optics
 from splits.kernels.grains.splitting import trace_batch_with_splitting
-from splits.simulation.jobs import WorkItem
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
-from splits.simulation.tracer_interface import ItemScores, Tracer
+from splits.simulation.tracer_interface import ItemScores, Tracer, WorkItem
 
 HISTORIES_PER_CHUNK = 64
 """Histories per chunk, the unit of parallel work."""
@@ -104,12 +103,6 @@ class TransmittanceTally(Tally):
     def count_score_values(self) -> int:
         """Return the number of values in the score of a chunk."""
         return 3 + 2 * N_DEPTH_SLICES
-
-    def score(
-        self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
-    ) -> TransmittanceScore:
-        """Return what the kernel has scored."""
-        return exits, crossings
 
     def merge(self, stratum: Stratum, score: TransmittanceScore) -> None:
         """Add the score of the next chunk of a stratum."""

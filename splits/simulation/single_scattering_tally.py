@@ -14,10 +14,9 @@ from splits.kernels.grains.single_grain import (
     ScatteringSums,
     tally_single_scattering,
 )
-from splits.simulation.jobs import WorkItem
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Stratum, Tally
-from splits.simulation.tracer_interface import ItemScores, Tracer
+from splits.simulation.tracer_interface import ItemScores, Tracer, WorkItem
 
 GRAIN_RAYS_PER_CHUNK = 2048
 """Rays per chunk, the unit of parallel work."""
@@ -99,10 +98,6 @@ class SingleScatteringTally(Tally):
         """Return the largest number of values in the score of a chunk."""
         n_values = (3 + N_SCATTERING_BATCHES) * self.sums.shape[1]
         return n_values * int(np.diff(self.first_rows).max())
-
-    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> ScatteringSums:
-        """Return what the kernel has scored."""
-        return ScatteringSums(exits, crossings)
 
     def merge(self, stratum: Stratum, score: ScatteringSums) -> None:
         """Add the sums of the next chunk of a stratum."""

@@ -22,10 +22,10 @@ from splits.simulation.spectral_rows import SpectralRows
 from splits.simulation.tally import (
     STRATUM_BOUNDS,
     Evaluation,
+    ExitTally,
     Outcome,
     StoppingRule,
     Stratum,
-    Tally,
     TransportTraits,
 )
 
@@ -121,7 +121,7 @@ class SpectralEstimate:
         )
 
 
-class SpectralTally(Tally):
+class SpectralTally(ExitTally):
     """Tally of reflected and transmitted weights, see `Tally`.
 
     Parameters

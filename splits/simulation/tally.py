@@ -235,10 +235,6 @@ class Tally(ABC):
         """Return the largest number of values in the score of a chunk."""
 
     @abstractmethod
-    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> Any:
-        """Return the score of a chunk of a stratum's rays, from their exits and crossings."""
-
-    @abstractmethod
     def merge(self, stratum: Stratum, score: Any) -> None:
         """Add the score of the next chunk of a stratum to the sums."""
 
@@ -303,3 +299,11 @@ class Tally(ABC):
             rows = self.select_node(node)
             total[..., self.rows[rows]] += self.weights[rows] ** power * values[..., rows]
         return total
+
+
+class ExitTally(Tally):
+    """Tally of the exits and crossings of rays, see `Tally`."""
+
+    @abstractmethod
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> Any:
+        """Return the score of a chunk of a stratum's rays, from their exits and crossings."""

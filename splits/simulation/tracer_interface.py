@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.core.validation import invalid
 from splits.kernels.tallies.crossings import CROSSING_RAY
 from splits.kernels.tallies.exits import allocate_exits
-from splits.simulation.tally import Stratum, Tally, TransportTraits
-
-if TYPE_CHECKING:
-    from splits.simulation.jobs import WorkItem
+from splits.simulation.tally import ExitTally, Stratum, TransportTraits
 
 ItemScores = tuple[list[Any], int]
 """The score of each chunk of a work item, in order, and the segments traced."""
+
+
+class WorkItem(NamedTuple):
+    """Successive rays of a stratum, a multiple of the rays of a chunk."""
+
+    stratum: Stratum
+    first_ray: int
+    n_rays: int
 
 
 class TraceResult(NamedTuple):
@@ -71,8 +76,8 @@ class Tracer(ABC):
             )  # fmt: skip
 
     @abstractmethod
-    def trace_job(self, seed: int, tally: Tally, job: Sequence[WorkItem]) -> list[ItemScores]:
-        """Trace the items of a job, which use one kernel; return the scores of each.
+    def trace_job(self, seed: int, tally: Any, job: Sequence[WorkItem]) -> list[ItemScores]:
+        """Trace the items of a job, which use one kernel; return the scores of each, for a tally of its kind.
 
         Raises
         ------
@@ -133,7 +138,7 @@ class ExitTracer(Tracer):
             Of all items together.
         """
 
-    def trace_job(self, seed: int, tally: Tally, job: Sequence[WorkItem]) -> list[ItemScores]:
+    def trace_job(self, seed: int, tally: ExitTally, job: Sequence[WorkItem]) -> list[ItemScores]:
         """Trace the items of a job and score their chunks."""
         work = np.array(
             [(one.stratum.stream, one.first_ray, one.n_rays, one.stratum.max_order) for one in job]
@@ -152,7 +157,7 @@ class ExitTracer(Tracer):
 
 
 def _score_chunks(
-    tally: Tally, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
+    tally: ExitTally, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
 ) -> Iterator[Any]:
     """Yield the score of each chunk of an item, in order."""
     starts = np.arange(0, len(exits), tally.rays_per_chunk)

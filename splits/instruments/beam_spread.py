@@ -114,9 +114,6 @@ def beam_spread(
         **run.make_attributes("Spread of a beam", "beam_spread", medium),
         "incidence_deg": incidence,
         "half_width_m": tally.half_width,
-        "rays": outcome.n_rays,
-        "ensembles": len(nodes.index),
-        "interpolation_error_bound": float(nodes.interpolation_bound.max()),
-        "kernel": outcome.kernel,
+        **tally.describe_run(outcome),
     }
     return tally.to_dataset(wavelengths, attributes)

@@ -193,11 +193,7 @@ def goniophotometer(
         "relative_stderr": relative_stderr,
         "max_rays": max_rays,
         "degree": estimate.degree[side],
-        "stop_reason": outcome.stop_reason,
-        "interpolation_error_bound": float(nodes.interpolation_bound.max()),
-        "rays": outcome.n_rays,
-        "ensembles": len(nodes.index),
-        "kernel": outcome.kernel,
+        **tally.describe_run(outcome),
     }
     dataset = make_angular_dataset(
         estimate, tally.make_stokes(), wavelengths, (polar, azimuth), attributes

@@ -173,13 +173,9 @@ def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> 
         "incidence_deg": incidence,
         "max_stderr": target.max_stderr,
         "target": ERROR_QUANTITIES[0] if target.limit_irradiance else ERROR_QUANTITIES[1],
-        "stop_reason": outcome.stop_reason,
         "max_stderr_reached": outcome.error,
-        "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "max_rays": max_rays,
-        "rays": outcome.n_rays,
-        "ensembles": len(nodes.index),
-        "kernel": outcome.kernel,
+        **tally.describe_run(outcome),
     }
     if traced_medium.semi_infinite:
         attributes["truncation_depth_m"] = float(traced_medium.planes_m[-1])

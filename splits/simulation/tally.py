@@ -257,6 +257,16 @@ class Tally(ABC):
         rounds = -(-stop.max_rays // (n_strata * self.rays_per_round))
         return np.full(n_strata, rounds * self.rays_per_round)
 
+    def describe_run(self, outcome: Outcome) -> dict[str, Any]:
+        """Return the attributes of a dataset about the cost of a run, and why it stopped."""
+        return {
+            "stop_reason": outcome.stop_reason,
+            "interpolation_error_bound": float(self.nodes.interpolation_bound.max()),
+            "rays": outcome.n_rays,
+            "ensembles": len(self.nodes.index),
+            "kernel": outcome.kernel,
+        }
+
     @property
     def stratum_rays(self) -> np.ndarray:
         """Rays traced of each stratum, shape (strata,)."""

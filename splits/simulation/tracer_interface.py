@@ -77,7 +77,7 @@ class Tracer(ABC):
 
     @abstractmethod
     def trace_job(self, seed: int, tally: Any, job: Sequence[WorkItem]) -> list[ItemScores]:
-        """Trace the items of a job, which use one kernel; return the scores of each, for a tally of its kind.
+        """Trace the items of a job, which use one kernel, and return the scores of each.
 
         Raises
         ------

@@ -14,7 +14,7 @@ from splits.core.uncertainty import make_variable
 from splits.core.validation import check_integer, check_range, invalid
 from splits.instruments.single_scattering import single_scattering
 from splits.kernels.grains.scene import Optics, Scene, make_bounding_optics
-from splits.kernels.grains.splitting import trace_batch_with_splitting
+from splits.kernels.transport.splitting import trace_batch_with_splitting
 from splits.media.medium import GranularMedium
 from splits.simulation import random_streams
 from splits.simulation.arguments import (
@@ -63,8 +63,8 @@ def deep_transmittance(
 
     Each wavelength is traced separately in double precision.  Rays are split with increasing depth,
     and terminated by Russian roulette where their contribution is small (see
-    `splits.kernels.grains.splitting`).  The splitting rate is determined by three pilot runs, whose
-    rays are not scored, and does not bias the mean.
+    `splits.kernels.transport.splitting`).  The splitting rate is determined by three pilot runs,
+    whose rays are not scored, and does not bias the mean.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class _HistoryTracer(NamedTuple):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return moments and depth profile of a chunk.
 
-        See `splits.kernels.grains.splitting.trace_batch_with_splitting`.
+        See `splits.kernels.transport.splitting.trace_batch_with_splitting`.
         """
         moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
         work = np.array([stream, first_history, HISTORIES_PER_CHUNK])

@@ -179,7 +179,7 @@ def goniophotometer(
         result = estimate_by_bins(runner, nodes, absorption, n_bins, rays or 1_000_000)
     elif estimator == "next_event":
         result = from_detectors(
-            estimate_at_detectors(medium, float(incidence), polar, azimuth, stopping_rule, runner),
+            estimate_at_detectors(medium, polar, azimuth, stopping_rule, runner),
             wavelengths,
         )
     else:

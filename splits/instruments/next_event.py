@@ -16,14 +16,11 @@ import numpy as np
 from splits.core.progress import Progress
 from splits.core.validation import invalid
 from splits.instruments.detector_tally import DetectorResult, DetectorTally
-from splits.kernels.grains.scene import NO_MAX_ORDER
+from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, Scene, make_bounding_optics
 from splits.kernels.optics.forward_peak import PhaseFunctionPeak, separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
-from splits.kernels.optics.source import Source
-from splits.kernels.optics.stokes import UNPOLARIZED
-from splits.kernels.particle_layer import particle_history as kernels
-from splits.kernels.particle_layer.next_event import Detectors
-from splits.kernels.particle_layer.scene import OPEN_BOTTOM, LayerScene
+from splits.kernels.transport.history import trace_to_detectors
+from splits.kernels.transport.next_event import Detectors
 from splits.media.medium import Medium, ParticleMedium
 from splits.simulation import random_streams
 from splits.simulation.runner import RAYS_PER_CHUNK, Runner
@@ -67,20 +64,20 @@ def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarra
     polar, azimuth : float
         Degrees, of the directions outside.
     """
-    layer = medium.make_scattering_layer(False)
+    n, bottom = medium.refractive_index, medium.scene_bottom
     outer_polar, azimuth_rad = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
-    sine = np.sin(outer_polar) / layer.refractive_index
+    sine = np.sin(outer_polar) / n
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     directions = np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), cosine], axis=1)
-    interfaces = [compute_fresnel_mueller(layer.refractive_index, 1.0, c) for c in cosine]
+    interfaces = [compute_fresnel_mueller(n, 1.0, c) for c in cosine]
     reflection = np.array([interface.reflection for interface in interfaces])
     transmission = np.array([interface.transmission for interface in interfaces])
     if not medium.polarized:
         reflection = reflection * [1.0, 0.0, 0.0, 0.0]
         transmission = transmission * [1.0, 0.0, 0.0]
     # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
-    transmission = transmission / (layer.refractive_index**2 * cosine[:, np.newaxis])
-    has_lower_side = layer.bottom_albedo == OPEN_BOTTOM and np.isfinite(layer.depth)
+    transmission = transmission / (n**2 * cosine[:, np.newaxis])
+    has_lower_side = bottom.albedo is None and np.isfinite(bottom.depth_m) and not medium.opaque
     sums = np.zeros((2, len(directions), 4))
     plane = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
     peak = _check_forward_peak(medium)
@@ -93,9 +90,13 @@ def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarra
         plane,
         transmission,
         reflection,
+        n,
+        medium.extinction_per_m * bottom.depth_m,
         bool(has_lower_side),
         sums,
+        medium.kernel_phase_function,
         peak,
+        0.0 if peak is None else peak.fraction * medium.single_scattering_albedo,
         peak_directions,
     )
 
@@ -113,7 +114,6 @@ def _check_forward_peak(medium: ParticleMedium) -> PhaseFunctionPeak | None:
 
 def estimate_at_detectors(
     medium: Medium,
-    incidence_deg: float,
     polar: np.ndarray,
     azimuth: np.ndarray,
     stopping_rule: StoppingRule,
@@ -124,7 +124,6 @@ def estimate_at_detectors(
     Parameters
     ----------
     medium : ParticleMedium
-    incidence_deg : float
     polar, azimuth : float
         Degrees, see `make_detectors`.
     stopping_rule : StoppingRule
@@ -143,16 +142,15 @@ def estimate_at_detectors(
             "estimator", "next_event", "expansion or bins under a rough surface",
             "no single path leads through it to a given direction; bins have Stokes parameters",
         )  # fmt: skip
-    source = Source(float(np.cos(np.radians(incidence_deg))), 0.0)
-    layer = medium.make_scattering_layer(False)
-    stokes = UNPOLARIZED if medium.polarized else None
-    scene = LayerScene(source, layer, medium.kernel_phase_function, None, stokes)
     detectors = make_detectors(medium, polar, azimuth)
     if stopping_rule.side == 1 and not detectors.has_lower_side:
         allowed = "brdf with estimator = next_event"
         raise invalid("target", "btdf", allowed, "the layer has no open lower boundary")
+    index = medium.compute_refractive_indices(np.zeros(1))
+    optics = make_bounding_optics(index[0], np.zeros(index.shape))
+    scene = runner.tracer.scene._replace(detectors=detectors)
     return _trace_to_error(
-        _DetectorTracer(runner.seed, scene, detectors), medium, stopping_rule, runner
+        _DetectorTracer(runner.seed, scene, optics), medium, stopping_rule, runner
     )
 
 
@@ -160,19 +158,22 @@ class _DetectorTracer(NamedTuple):
     """Tracer of batches of rays that contribute to detectors."""
 
     seed: int
-    scene: LayerScene
-    detectors: Detectors
+    scene: Scene
+    optics: Optics
 
     def trace_batch(self, batch: int) -> np.ndarray:
         """Return the mean contributions to detectors, and to hemispherical quantities."""
-        scores, hemispherical = np.zeros_like(self.detectors.sums), np.zeros((2, 2))
-        batch_detectors = self.detectors._replace(
-            sums=scores, peak_directions=np.zeros_like(self.detectors.peak_directions)
+        detectors = self.scene.detectors
+        scores, hemispherical = np.zeros_like(detectors.sums), np.zeros((2, 2))
+        scene = self.scene._replace(
+            detectors=detectors._replace(
+                sums=scores, peak_directions=np.zeros_like(detectors.peak_directions)
+            )
         )
         work = np.array(
             [random_streams.NEXT_EVENT, batch * RAYS_PER_CHUNK, RAYS_PER_CHUNK, NO_MAX_ORDER]
         )
-        kernels.trace_to_detectors(self.seed, work, self.scene, batch_detectors, hemispherical)
+        trace_to_detectors(self.seed, work, scene, self.optics, hemispherical)
         return np.concatenate([scores.ravel(), hemispherical.ravel()]) / RAYS_PER_CHUNK
 
     def trace_up_to(self, tally: DetectorTally, n_batches: int, pool: DaemonThreadPool) -> None:
@@ -188,15 +189,17 @@ def _trace_to_error(
 ) -> DetectorResult:
     """Trace batches until the stopping rule is satisfied."""
     start_time = time.perf_counter()
-    layer, has_lower_side = tracer.scene.layer, tracer.detectors.has_lower_side
+    detectors, bottom_albedo = tracer.scene.detectors, tracer.scene.bottom_albedo
+    has_lower_side = detectors.has_lower_side
     # For forward-peaked phase functions few events dominate the estimate, so the pilot is longer.
     g = abs(medium.kernel_phase_function.g)
     pilot_batches = int(PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
     to_error = stopping_rule.n_rays is None
     target_batches, max_batches = stopping_rule.count_batches(pilot_batches)
-    no_signal = not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom_albedo <= 0.0
-    lossless = not runner.tracer.traits.extra_absorption and layer.bottom_albedo == 1.0
-    tally = DetectorTally(tracer.detectors.sums.shape)
+    scatters = medium.single_scattering_albedo > 0.0 and medium.extinction_per_m > 0.0
+    no_signal = medium.opaque or (not scatters and not bottom_albedo)
+    lossless = not runner.tracer.traits.extra_absorption and bottom_albedo == 1.0
+    tally = DetectorTally(detectors.sums.shape)
     with DaemonThreadPool(runner.threads) as pool:
         while True:
             tracer.trace_up_to(tally, target_batches, pool)

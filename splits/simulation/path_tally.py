@@ -267,5 +267,7 @@ def check_path_sharing(media: Mapping[str, Medium]) -> None:
 def tables_equal(first: Any, second: Any) -> bool:
     """Return whether tables of a scene hold the same numbers."""
     if isinstance(first, tuple) and hasattr(first, "_fields"):
-        return all(tables_equal(a, b) for a, b in zip(first, second, strict=True))
+        return isinstance(second, tuple) and all(
+            tables_equal(a, b) for a, b in zip(first, second, strict=True)
+        )
     return np.array_equal(first, second)

@@ -14,7 +14,7 @@ from splits.kernels.tallies.crossings import CROSSING_RAY
 from splits.media.medium import Medium
 from splits.simulation.tally import RAYS_PER_CHUNK, Stratum, Tally
 from splits.simulation.threads import DaemonThreadPool, count_cpus
-from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer import SceneTracer
 
 MAX_JOB_BYTES = 2**27
 MAX_SEGMENTS_PER_JOB = 2e7
@@ -42,7 +42,7 @@ class Runner:
     progress_callback : callable, optional
         Receives a `Progress` at most twice per second.
     planes_m : sequence of float
-        Depths (m) of recording planes, see `splits.simulation.tracer.GrainTracer`.
+        Depths (m) of recording planes, see `splits.simulation.tracer.SceneTracer`.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Runner:
         planes_m: Sequence[float] = (),
     ) -> None:
         self.seed = seed
-        self.tracer = make_tracer(medium, incidence_deg, seed, analog, kernel, planes_m)
+        self.tracer = SceneTracer(medium, incidence_deg, seed, analog, kernel, planes_m)
         self.threads = threads or count_cpus()
         self.rays_per_chunk = RAYS_PER_CHUNK
         self.progress_callback = progress_callback if callable(progress_callback) else None

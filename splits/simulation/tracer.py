@@ -1,4 +1,4 @@
-"""Tracers: the kernel of a scene, for grains or for a layer of small particles.
+"""Tracer: the kernel of a scene.
 
 A runner handles chunks, jobs and threads; a tracer calls the kernel that suits a scene.
 """
@@ -12,37 +12,32 @@ import numpy as np
 from splits.core.validation import invalid
 from splits.kernels import vectorized
 from splits.kernels.compiler.features import Features
-from splits.kernels.grains import history
 from splits.kernels.grains.scene import Optics
-from splits.kernels.optics.source import Source
-from splits.kernels.optics.stokes import UNPOLARIZED
-from splits.kernels.particle_layer import particle_history
-from splits.kernels.particle_layer.scene import LayerScene
 from splits.kernels.rough_surface.realization import allocate_realization
 from splits.kernels.tallies.crossings import CROSSING_RAY
 from splits.kernels.tallies.exits import EXIT_LENGTH, allocate_exits
+from splits.kernels.transport import history
 from splits.kernels.vectorized.eligibility import select_features
-from splits.media.medium import GranularMedium, LayeredMedium, Medium, ParticleMedium
+from splits.media.medium import Medium
 from splits.simulation.scene import (
     add_recording_planes,
     build_scene,
     count_length_columns,
     make_height_fields,
-    make_source,
 )
 from splits.simulation.tally import Stratum, TransportTraits
-from splits.simulation.tracer_interface import Tracer, TraceResult
+from splits.simulation.tracer_interface import TraceResult
 
 KERNELS = ("auto", "vectorized", "scalar")
 """Choices of kernel: vectorized where the scene allows it, vectorized or an error, or scalar."""
 
 
-class GrainTracer:
-    """Tracer of rays among grains, vectorized where possible.
+class SceneTracer:
+    """Tracer of rays in a medium, vectorized where possible.
 
     Parameters
     ----------
-    medium : GranularMedium or LayeredMedium
+    medium : Medium
     incidence_deg : float or "diffuse"
     seed : int
     analog : bool
@@ -60,7 +55,7 @@ class GrainTracer:
 
     def __init__(
         self,
-        medium: GranularMedium | LayeredMedium,
+        medium: Medium,
         incidence_deg: float | str,
         seed: int,
         analog: bool,
@@ -73,12 +68,15 @@ class GrainTracer:
         self.height_fields = make_height_fields(medium)
         self.boundary_depths_m = -self.scene.layers.boundaries
         densest = float(self.scene.layers.collision_coefficient.max())
-        fading = bool((self.scene.particles.albedo < 1.0).any())
+        particles = self.scene.particles
+        fading = particles is not None and bool((particles.albedo < 1.0).any())
         self.traits = TransportTraits(densest, self.scene.ground_column, fading, analog)
         self.normal_incidence = self.scene.source == (1.0, 0.0)
         self.diffuse = self.scene.source.diffuse_fraction > 0.0
-        self.stokes_columns: tuple[int, ...] = ()
         self.n_columns = count_length_columns(medium)
+        first = EXIT_LENGTH + self.n_columns
+        is_polarized = self.scene.stokes is not None
+        self.stokes_columns = tuple(range(first, first + 3)) if is_polarized else ()
         self.seed = seed
         self.kernel = kernel
         self._features: dict[Stratum, Features | None] = {}
@@ -119,7 +117,7 @@ class GrainTracer:
 
     def allocate_exits(self, n_rays: int) -> np.ndarray:
         """Return an array for the exits of `n_rays` rays."""
-        return allocate_exits(n_rays, self.n_columns)
+        return allocate_exits(n_rays, self.n_columns, len(self.stokes_columns))
 
     def trace(self, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray) -> TraceResult:
         """Trace items of strata that share features, see `Tracer`."""
@@ -148,93 +146,3 @@ class GrainTracer:
         for item_part, first_ray in zip(item_parts[1:], end_rays[:-1], strict=True):
             item_part[:, CROSSING_RAY] -= first_ray
         return TraceResult(result.n_segments, item_parts, self.LOST_MESSAGE if result.lost else "")
-
-
-class ParticleLayerTracer:
-    """Tracer of rays in a layer of small particles.
-
-    Parameters
-    ----------
-    medium : ParticleMedium
-    source : Source
-    seed, analog, kernel
-        As in `GrainTracer`.
-    """
-
-    LOST_MESSAGE = "a ray was lost at the rough surface: please report this with the configuration"
-
-    def __init__(
-        self,
-        medium: ParticleMedium,
-        source: Source,
-        seed: int,
-        analog: bool,
-        kernel: str,
-    ) -> None:
-        if kernel == "vectorized":
-            hint = "the vectorized kernel supports grains only"
-            raise invalid("kernel", kernel, "'auto' or 'scalar' for a particle layer", hint)
-        stokes = UNPOLARIZED if medium.polarized else None
-        self.scene = LayerScene(
-            source,
-            medium.make_scattering_layer(analog),
-            medium.kernel_phase_function,
-            medium.make_height_fields(),
-            stokes,
-        )
-        self.boundary_depths_m = np.array([0.0, self.scene.layer.depth])
-        extinction = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
-        fading = self.scene.layer.albedo < 1.0
-        self.traits = TransportTraits(extinction, extra_absorption=fading, analog=analog)
-        self.normal_incidence = source.diffuse_fraction == 0.0 and source.cos_incidence == 1.0
-        self.diffuse = source.diffuse_fraction > 0.0
-        self.n_materials = len(medium.list_materials())
-        # After the path lengths in all materials.
-        self.first_stokes_column = EXIT_LENGTH + self.n_materials
-        self.stokes_columns: tuple[int, ...] = ()
-        if medium.polarized:
-            self.stokes_columns = tuple(
-                range(self.first_stokes_column, self.first_stokes_column + 3)
-            )
-        self.seed = seed
-
-    def share_kernel(self, strata: Sequence[Stratum]) -> None:
-        """Do nothing: there is one kernel."""
-
-    def get_features(self, stratum: Stratum) -> None:
-        """Return None: the kernel is scalar."""
-        return None
-
-    def allocate_exits(self, n_rays: int) -> np.ndarray:
-        """Return an array for the exits of `n_rays` rays."""
-        return allocate_exits(n_rays, self.n_materials, len(self.stokes_columns))
-
-    def trace(self, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray) -> TraceResult:
-        """Trace items of strata, see `Tracer`."""
-        realization = None if self.scene.fields is None else allocate_realization(self.scene.fields)
-        exits_by_item = np.split(exits, np.cumsum(work[:, particle_history.N_RAYS])[:-1])
-        results = [
-            particle_history.trace_batch(
-                self.seed, item, self.scene, realization, self.first_stokes_column, item_exits
-            )
-            for item, item_exits in zip(work, exits_by_item, strict=True)
-        ]
-        return TraceResult(
-            np.array([one.n_segments for one in results]),
-            [allocate_exits(0, self.n_materials)] * len(results),
-            self.LOST_MESSAGE if any(one.lost for one in results) else "",
-        )
-
-
-def make_tracer(
-    medium: Medium,
-    incidence_deg: float | str,
-    seed: int,
-    analog: bool,
-    kernel: str,
-    planes_m: Sequence[float],
-) -> Tracer:
-    """Return the tracer of a medium; see `GrainTracer` for the parameters."""
-    if isinstance(medium, ParticleMedium):
-        return ParticleLayerTracer(medium, make_source(incidence_deg), seed, analog, kernel)
-    return GrainTracer(medium, incidence_deg, seed, analog, kernel, planes_m)

@@ -69,7 +69,7 @@ class Tracer(Protocol):
         Parameters
         ----------
         work : int64, shape (items, 4)
-            See `splits.kernels.grains.history.trace_batch`.
+            See `splits.kernels.transport.history.trace_batch`.
         strata : sequence of Stratum
             One for each item.
         exits : float, shape (rays, columns)

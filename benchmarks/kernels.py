@@ -38,9 +38,9 @@ from splits.core.paths import expand_path
 from splits.experiments.papers.paper_tables import write_data_frame
 from splits.kernels import vectorized
 from splits.kernels.compiler.features import Features
-from splits.kernels.grains import history
 from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, make_bounding_optics
 from splits.kernels.tallies.exits import allocate_exits
+from splits.kernels.transport import history
 from splits.kernels.vectorized.eligibility import select_features
 from splits.materials.lookup import absorption_coefficient
 from splits.simulation.scene import build_scene

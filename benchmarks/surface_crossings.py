@@ -3,7 +3,7 @@
     python benchmarks/surface_crossings.py [--quick]
 
 Every ray has its own realization of the surface, and is reflected and refracted there until it
-leaves upwards (`splits.kernels.particle_layer.missed_intersections`).  Prints, for every surface:
+leaves upwards (`splits.kernels.rough_surface.missed_intersections`).  Prints, for every surface:
 crossings; points of segments on the wrong side of the surface; lost rays; evaluations of the
 surface, and time on one thread, per crossing.  Then, for given realizations, the time per wave of
 an evaluation, and per crossing.
@@ -19,14 +19,14 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from splits.kernels.math.vectors import Vector
-from splits.kernels.particle_layer.missed_intersections import (
+from splits.kernels.rough_surface.intersection import find_first_intersection
+from splits.kernels.rough_surface.missed_intersections import (
     EVALUATIONS,
     INTERSECTIONS,
     LEAKS,
     LOST_RAYS,
     count_leaks,
 )
-from splits.kernels.rough_surface.intersection import find_first_intersection
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes, make_realization
 from splits.media.rough_surface import RoughSurface
 

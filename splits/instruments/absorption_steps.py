@@ -8,7 +8,7 @@ import numpy as np
 
 from splits.kernels.grains.scene import WET_PORE
 from splits.media.medium import GranularMedium, LayeredMedium, compute_pore_fraction
-from splits.media.stacked_particle_layer import StackedParticleLayer
+from splits.media.particle_layer import ParticleLayer
 
 
 class AbsorptionSteps(NamedTuple):
@@ -77,7 +77,7 @@ def compute_absorption_steps(
 
 
 def _compute_layer_steps(
-    medium: GranularMedium | StackedParticleLayer, absorption: np.ndarray
+    medium: GranularMedium | ParticleLayer, absorption: np.ndarray
 ) -> AbsorptionSteps:
     """Return the steps in a layer by wavelength; 0 where particles absorb along paths.
 
@@ -85,7 +85,7 @@ def _compute_layer_steps(
     between two of them is that of a ray in the pore space.  A ray crosses some three thicknesses of
     a coating on its way in and out; the chord of a sphere is two thirds of the diameter.
     """
-    if isinstance(medium, StackedParticleLayer):
+    if isinstance(medium, ParticleLayer):
         zeros = np.zeros(len(absorption))
         return AbsorptionSteps(zeros, zeros, absorption[:, WET_PORE])
     grains, types = medium.make_grain_population(), medium.make_grain_population().types

@@ -24,7 +24,7 @@ from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer import SceneTracer
 
 _INTERPOLATION_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""
@@ -99,7 +99,7 @@ def beam_spread(
         check_half_width("beam_spread", half_width_m)
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_TOLERANCE)
-    tracer = make_tracer(medium, incidence)
+    tracer = SceneTracer(medium, incidence)
 
     if half_width_m is None:
         pilot = BeamSpreadTally(nodes, absorption, 0.0, 0, first_node=len(nodes.index))

@@ -52,8 +52,8 @@ def deep_transmittance(
 
     Each wavelength is traced separately in double precision.  Rays are split with increasing depth,
     and terminated by Russian roulette where their contribution is small (see
-    `splits.kernels.grains.splitting`).  The splitting rate is determined by three pilot runs, whose
-    rays are not scored, and does not bias the mean.
+    `splits.kernels.transport.splitting`).  The splitting rate is determined by three pilot runs,
+    whose rays are not scored, and does not bias the mean.
 
     Parameters
     ----------

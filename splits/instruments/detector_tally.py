@@ -8,8 +8,7 @@ import numpy as np
 
 from splits.instruments.angular_bins import STOKES_NAMES
 from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
-from splits.kernels.particle_layer.next_event import Detectors
-from splits.kernels.particle_layer.scene import LayerScene
+from splits.instruments.next_event import DetectorTracer
 from splits.simulation.engine import MAX_ROUND_GROWTH
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum, Tally
@@ -27,8 +26,7 @@ class DetectorTally(Tally):
 
     Parameters
     ----------
-    scene : LayerScene
-    detectors : Detectors
+    tracer : DetectorTracer
     side : int
         0 reflected, 1 transmitted, to which the requested error applies.
     n_wavelengths : int
@@ -43,22 +41,21 @@ class DetectorTally(Tally):
 
     first_stream = 7_000_000
 
-    def __init__(
-        self, scene: LayerScene, detectors: Detectors, side: int, n_wavelengths: int
-    ) -> None:
-        super().__init__(make_separate_nodes(np.ones((1, 1), dtype=complex)), np.zeros((1, 1)))
-        layer = scene.layer
+    def __init__(self, tracer: DetectorTracer, side: int, n_wavelengths: int) -> None:
+        medium, detectors = tracer.medium, tracer.detectors
+        index = medium.compute_refractive_indices(np.zeros(1))
+        super().__init__(make_separate_nodes(index), np.zeros(index.shape))
         self.shape, self.side, self.n_wavelengths = detectors.sums.shape, side, n_wavelengths
-        self.has_lower_side, self.polarized = detectors.has_lower_side, scene.stokes is not None
+        self.has_lower_side, self.polarized = detectors.has_lower_side, medium.polarized
         # Light that reaches the bottom has other angles than at detectors outside.
         self.undefined_variables = () if self.has_lower_side else ("btdf",)
-        self.no_signal = (
-            not (layer.albedo > 0.0 and layer.extinction > 0.0) and layer.bottom_albedo <= 0.0
-        )
-        self.lossless = layer.albedo == 1.0 and layer.bottom_albedo == 1.0
+        albedo, bottom_albedo = medium.single_scattering_albedo, medium.scene_bottom.albedo
+        scatters = albedo > 0.0 and medium.extinction_per_m > 0.0
+        self.no_signal = medium.opaque or not (scatters or bottom_albedo)
+        self.lossless = albedo == 1.0 and bottom_albedo == 1.0
         self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, math.prod(self.shape) + 4))
         # For forward-peaked phase functions few events dominate the estimate.
-        g = abs(scene.phase.g)
+        g = abs(medium.kernel_phase_function.g)
         self.pilot_rays = RAYS_PER_CHUNK * int(
             PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0)
         )

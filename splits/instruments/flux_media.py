@@ -18,19 +18,15 @@ import numpy as np
 from splits.core.validation import invalid
 from splits.instruments.absorption_steps import compute_absorption_steps
 from splits.kernels.grains.scene import WET_PORE
-from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
+from splits.media.absorbing_matrix_layer import AbsorbingMatrixLayer
+from splits.media.ground import BLACK_OPTICAL_DEPTH
 from splits.media.medium import GranularMedium, LayeredMedium, compute_path_fractions
 from splits.media.particle_layer import (
     CLEARANCE_SIGMA,
     SEMI_INFINITE_TRANSPORT_MFP,
     ParticleLayer,
 )
-from splits.media.stack import Stack
-from splits.media.stacked_particle_layer import (
-    UNSUPPORTED_IN_STACK,
-    AbsorbingMatrixLayer,
-    StackedParticleLayer,
-)
+from splits.media.stack import UNSUPPORTED_IN_STACK, Stack
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.scene import (
     OpticalConstants,
@@ -41,8 +37,6 @@ from splits.simulation.scene import (
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
 
-_MATRIX_GAP_FRACTION = 1e-6
-"""Thickness, relative to its layer, of the matrix between the end of a layer and its bottom."""
 _MAX_OPTICAL_DISTANCE = 5e5
 """Optical thickness above which absorption at that distance from the light is negligible."""
 
@@ -103,31 +97,14 @@ class _AbsorbingStack(Stack):
     """Stack whose particles absorb along the path."""
 
     @cached_property
-    def scene_layers(self) -> tuple[Any, ...]:
+    def scene_layers(self) -> tuple[Any, ...]:  # type: ignore[override]
         """The layers in the form of scenes."""
         return tuple(
             AbsorbingMatrixLayer.from_particle_layer(layer)
-            if isinstance(layer, StackedParticleLayer)
+            if isinstance(layer, ParticleLayer)
             else layer
-            for layer in super().scene_layers
+            for layer in self.layers
         )
-
-
-@dataclass(frozen=True)
-class _ParticleSlab(_AbsorbingStack):
-    """Single layer of particles whose bottom is in contact with the matrix."""
-
-    @cached_property
-    def scene_layers(self) -> tuple[Any, ...]:
-        """The layer and, if it has a bottom, a thin layer with the index of the matrix below it."""
-        (particle_layer,) = super().scene_layers
-        if self.ground is None:
-            return (particle_layer,)
-        n = particle_layer.layer.refractive_index
-        gap = ParticleLayer(
-            0.0, 1.0, 0.0, n, None, depth_m=_MATRIX_GAP_FRACTION * particle_layer.depth_m
-        )
-        return particle_layer, AbsorbingMatrixLayer(gap, outer_index=n)
 
 
 def get_thickness(medium: Any) -> float:
@@ -156,11 +133,7 @@ def prepare_medium(
     max_stderr, seed, threads
         As for the spectrophotometer.
     """
-    height_fields = (
-        medium.make_height_fields()
-        if isinstance(medium, ParticleLayer)
-        else make_height_fields(medium)
-    )
+    height_fields = make_height_fields(medium)
     if height_fields is not None:
         min_depth = CLEARANCE_SIGMA * float(np.linalg.norm(height_fields.rms_height))
         if depths_m[0] < min_depth:
@@ -182,9 +155,7 @@ def prepare_medium(
             path_sharing, wavelengths, max_stderr, seed, threads, undisturbed_depth
         )
         traced = truncation.media[0]
-    if any(
-        isinstance(layer, StackedParticleLayer) for layer in getattr(traced, "scene_layers", ())
-    ):
+    if any(isinstance(layer, ParticleLayer) for layer in getattr(traced, "scene_layers", ())):
         traced = _AbsorbingStack(traced.layers, traced.ground)
     columns = {name: column for column, name in enumerate(medium.list_materials())}
     return _prepare_finite_medium(
@@ -205,7 +176,7 @@ def _prepare_finite_medium(
     # A ground of a semi-infinite medium is the one that replaces the rest.
     truncated = (
         semi_infinite
-        and not isinstance(medium, _ParticleSlab)
+        and not isinstance(medium, ParticleLayer)
         and get_reflecting_ground(medium) is not None
     )
     if truncated:
@@ -232,26 +203,17 @@ def _prepare_particle_layer(
     layer: ParticleLayer, wavelengths: np.ndarray, depths_m: Sequence[float] | np.ndarray
 ) -> TracedMedium:
     """Return a single layer of particles in the form in which it is traced."""
-    for name in ("polarized", "opaque"):
-        if getattr(layer, name):
-            hint = (
-                "profiles are not polarized"
-                if name == "polarized"
-                else UNSUPPORTED_IN_STACK[name][1]
-            )
-            raise invalid(name, True, "false", hint)
+    if layer.opaque:
+        raise invalid("opaque", True, "false", UNSUPPORTED_IN_STACK["opaque"][1])
     semi_infinite = math.isinf(layer.optical_thickness)
-    ground: Ground | None = Ground.from_input(layer.bottom_albedo)
-    open_layer = replace(layer, bottom_albedo=None)
     if semi_infinite:
         end_m = depths_m[-1] + _compute_truncation_distance(layer)
         thickness = layer.extinction_per_m * end_m
-        open_layer = replace(open_layer, optical_thickness=thickness, depth_m=end_m)
-        ground = Ground.from_input(1.0)
-    slab = _ParticleSlab((open_layer,), ground)
+        layer = replace(layer, optical_thickness=thickness, depth_m=end_m, bottom_albedo=1.0)
+    traced = AbsorbingMatrixLayer.from_particle_layer(layer)
     names = {"matrix": WET_PORE}
     return _prepare_finite_medium(
-        slab, wavelengths, depths_m, float(open_layer.depth_m), semi_infinite, names
+        traced, wavelengths, depths_m, float(layer.depth_m), semi_infinite, names
     )
 
 

@@ -19,7 +19,7 @@ from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD, FluxSums, tally_flux
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Evaluation, ExitTally, StoppingRule, Stratum
-from splits.simulation.tracer_interface import ExitTracer
+from splits.simulation.tracer import SceneTracer
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of all batches is short."""
@@ -75,7 +75,7 @@ class FluxTally(ExitTally):
     ----------
     nodes : IndexNodes
     traced_medium : TracedMedium
-    tracer : ExitTracer
+    tracer : SceneTracer
         Of the medium, with its planes.
     target : FluxTarget
         Quantities to which the requested error applies.
@@ -100,7 +100,7 @@ class FluxTally(ExitTally):
         self,
         nodes: IndexNodes,
         traced_medium: TracedMedium,
-        tracer: ExitTracer,
+        tracer: SceneTracer,
         target: FluxTarget,
     ) -> None:
         absorption = traced_medium.constants.absorption

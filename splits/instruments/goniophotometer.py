@@ -32,8 +32,7 @@ from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import make_tracer
-from splits.simulation.tracer_interface import ExitTracer, Tracer
+from splits.simulation.tracer import SceneTracer, Tracer
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
@@ -173,9 +172,9 @@ def goniophotometer(
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     if estimator == "next_event":
         tracer = DetectorTracer(medium, float(incidence), polar, azimuth, side)
-        tally = DetectorTally(tracer.scene, tracer.detectors, side, len(wavelengths))
+        tally = DetectorTally(tracer, side, len(wavelengths))
     else:
-        tracer = make_tracer(medium, incidence)
+        tracer = SceneTracer(medium, incidence)
         directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
         axisymmetric = tracer.normal_incidence or tracer.diffuse
         target_error = ErrorTarget(directions, axisymmetric, side, direction_mask)
@@ -204,7 +203,7 @@ def goniophotometer(
 
 
 def _make_tally(
-    tracer: ExitTracer,
+    tracer: SceneTracer,
     nodes: IndexNodes,
     absorption: np.ndarray,
     target: ErrorTarget,

@@ -32,7 +32,7 @@ from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_nodes import MAX_NODES, IndexNodes, choose_nodes
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer import SceneTracer
 
 MAX_DEPTHS = 200
 MAX_TALLY_VALUES = 100_000_000
@@ -163,7 +163,7 @@ def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> 
     traced_medium = prepare_medium(
         medium, wavelengths, depths, target.max_stderr, run.seed, run.threads
     )
-    tracer = make_tracer(traced_medium.medium, incidence, planes_m=depths.tolist())
+    tracer = SceneTracer(traced_medium.medium, incidence, planes_m=depths.tolist())
     nodes = _choose_nodes(traced_medium, target)
     _check_memory(traced_medium, len(tracer.boundary_depths_m) - 1, nodes)
     tally = FluxTally(nodes, traced_medium, tracer, target)

@@ -14,14 +14,12 @@ import numpy as np
 from splits.core.validation import invalid
 from splits.kernels.optics.forward_peak import PhaseFunctionPeak, separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
-from splits.kernels.optics.stokes import UNPOLARIZED
-from splits.kernels.particle_layer import particle_history as kernels
-from splits.kernels.particle_layer.next_event import Detectors
-from splits.kernels.particle_layer.scene import OPEN_BOTTOM, LayerScene
+from splits.kernels.transport.history import trace_to_detectors
+from splits.kernels.transport.next_event import Detectors
 from splits.media.medium import Medium, ParticleMedium
-from splits.simulation.scene import make_source
+from splits.simulation.scene import build_scene
 from splits.simulation.tally import Tally
-from splits.simulation.tracer_interface import ItemScores, Tracer, WorkItem
+from splits.simulation.tracer import ItemScores, Tracer, WorkItem
 
 NEGLIGIBLE_PROBABILITY = 1e-16
 """Probability of more successive scatterings into a peak than are stored."""
@@ -39,20 +37,20 @@ def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarra
     polar, azimuth : float
         Degrees, of the directions outside.
     """
-    layer = medium.make_scattering_layer(False)
+    n, bottom = medium.refractive_index, medium.scene_bottom
     outer_polar, azimuth_rad = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
-    sine = np.sin(outer_polar) / layer.refractive_index
+    sine = np.sin(outer_polar) / n
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     directions = np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), cosine], axis=1)
-    interfaces = [compute_fresnel_mueller(layer.refractive_index, 1.0, c) for c in cosine]
+    interfaces = [compute_fresnel_mueller(n, 1.0, c) for c in cosine]
     reflection = np.array([interface.reflection for interface in interfaces])
     transmission = np.array([interface.transmission for interface in interfaces])
     if not medium.polarized:
         reflection = reflection * [1.0, 0.0, 0.0, 0.0]
         transmission = transmission * [1.0, 0.0, 0.0]
     # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
-    transmission = transmission / (layer.refractive_index**2 * cosine[:, np.newaxis])
-    has_lower_side = layer.bottom_albedo == OPEN_BOTTOM and np.isfinite(layer.depth)
+    transmission = transmission / (n**2 * cosine[:, np.newaxis])
+    has_lower_side = bottom.albedo is None and np.isfinite(bottom.depth_m) and not medium.opaque
     sums = np.zeros((2, len(directions), 4))
     plane = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
     peak = _check_forward_peak(medium)
@@ -65,9 +63,13 @@ def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarra
         plane,
         transmission,
         reflection,
+        n,
+        medium.extinction_per_m * bottom.depth_m,
         bool(has_lower_side),
         sums,
+        medium.kernel_phase_function,
         peak,
+        0.0 if peak is None else peak.fraction * medium.single_scattering_albedo,
         peak_directions,
     )
 
@@ -116,14 +118,9 @@ class DetectorTracer(Tracer):
                 "estimator", "next_event", "expansion or bins under a rough surface",
                 "no single path leads through it to a given direction; bins have Stokes parameters",
             )  # fmt: skip
-        self.scene = LayerScene(
-            make_source(incidence_deg),
-            medium.make_scattering_layer(False),
-            medium.kernel_phase_function,
-            None,
-            UNPOLARIZED if medium.polarized else None,
-        )
+        self.medium: ParticleMedium = medium
         self.detectors = make_detectors(medium, polar, azimuth)
+        self.scene = build_scene(medium, incidence_deg, False)
         if side == 1 and not self.detectors.has_lower_side:
             allowed = "brdf with estimator = next_event"
             raise invalid("target", "btdf", allowed, "the layer has no open lower boundary")
@@ -140,7 +137,8 @@ class DetectorTracer(Tracer):
                 )
                 totals = np.zeros((2, 2))
                 work = np.array([stratum.stream, first, tally.rays_per_chunk, stratum.max_order])
-                n_segments += kernels.trace_to_detectors(seed, work, self.scene, detectors, totals)
+                scene = self.scene._replace(detectors=detectors)
+                n_segments += trace_to_detectors(seed, work, scene, stratum.optics, totals)
                 sums = np.concatenate([detectors.sums.ravel(), totals.ravel()])
                 scores.append(sums / tally.rays_per_chunk)
             results.append((scores, n_segments))

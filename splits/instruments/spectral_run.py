@@ -23,7 +23,7 @@ from splits.simulation.spectral_nodes import choose_nodes, make_separate_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SpectralEstimate, SpectralTally
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer import SceneTracer
 from splits.simulation.truncated_medium import ERROR_BUDGET_FRACTION, TruncatedMedium
 
 MAX_ATTEMPTS = 3
@@ -112,7 +112,7 @@ class SpectralRequest(NamedTuple):
         if truncation is not None:
             traced = path_sharing._replace(media=truncation.media)
         rows = self._make_rows(traced, truncation, perturbations)
-        tracer = make_tracer(traced.media[0], self.incidence, analog=analog)
+        tracer = SceneTracer(traced.media[0], self.incidence, analog=analog)
         above_truncation = (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
         target = self.max_stderr * (1.0 if truncation is None else above_truncation)
         for _ in range(MAX_ATTEMPTS):

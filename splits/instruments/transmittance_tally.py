@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from splits.kernels.grains.scene import Scene, make_bounding_optics
-from splits.kernels.grains.splitting import trace_batch_with_splitting
+from splits.kernels.transport.splitting import trace_batch_with_splitting
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
-from splits.simulation.tracer_interface import ItemScores, Tracer, WorkItem
+from splits.simulation.tracer import ItemScores, Tracer, WorkItem
 
 HISTORIES_PER_CHUNK = 64
 """Histories per chunk, the unit of parallel work."""
@@ -32,7 +32,7 @@ TransmittanceScore = tuple[np.ndarray, np.ndarray]
 
 
 class SplittingTracer(Tracer):
-    """Tracer of rays that are split with depth, see `splits.kernels.grains.splitting`."""
+    """Tracer of rays that are split with depth, see `splits.kernels.transport.splitting`."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

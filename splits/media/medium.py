@@ -10,7 +10,6 @@ import numpy as np
 from splits.core.validation import invalid
 from splits.kernels.grains.scene import GrainPopulation
 from splits.kernels.optics.phase_function import PhaseFunction
-from splits.kernels.particle_layer.scene import ScatteringLayer
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.materials.lookup import absorption_coefficient
 from splits.media.ground import Ground
@@ -242,6 +241,21 @@ def check_thickness(medium: GranularMedium | LayeredMedium) -> None:
         )
 
 
+class LayerBottom(NamedTuple):
+    """Lower end of a layer in a scene.
+
+    Attributes
+    ----------
+    depth_m : float
+        Depth (m); may be infinite.
+    albedo : float or None
+        Albedo of the Lambertian bottom, None for an open lower boundary.
+    """
+
+    depth_m: float
+    albedo: float | None
+
+
 @runtime_checkable
 class ParticleMedium(OpticalMedium, Protocol):
     """Protocol of layers of particles much smaller than their separation."""
@@ -252,6 +266,26 @@ class ParticleMedium(OpticalMedium, Protocol):
         ...
 
     @property
+    def single_scattering_albedo(self) -> float:
+        """Single-scattering albedo."""
+        ...
+
+    @property
+    def refractive_index(self) -> float:
+        """Refractive index of the matrix, relative to the medium above."""
+        ...
+
+    @property
+    def opaque(self) -> bool:
+        """Whether all light that enters is absorbed."""
+        ...
+
+    @property
+    def scene_bottom(self) -> LayerBottom:
+        """Lower end of the layer in a scene."""
+        ...
+
+    @property
     def kernel_phase_function(self) -> PhaseFunction:
         """Phase function."""
         ...
@@ -259,10 +293,6 @@ class ParticleMedium(OpticalMedium, Protocol):
     @property
     def polarized(self) -> bool:
         """Whether the Stokes vector is traced."""
-        ...
-
-    def make_scattering_layer(self, analog: bool) -> ScatteringLayer:
-        """Return the layer in the form the kernels take; `analog` samples absorption events."""
         ...
 
     def make_height_fields(self) -> HeightFields | None:
@@ -276,11 +306,6 @@ Medium = GranularMedium | LayeredMedium | ParticleMedium
 @runtime_checkable
 class SurfaceMedium(ParticleMedium, Protocol):
     """Protocol of media for instruments that measure the surface alone."""
-
-    @property
-    def refractive_index(self) -> float:
-        """Refractive index below the surface, relative to the medium above."""
-        ...
 
     @property
     def surface(self) -> Any:

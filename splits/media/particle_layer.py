@@ -23,15 +23,16 @@ from splits.core.validation import (
     invalid,
     snap_to_limits,
 )
+from splits.kernels.grains.scene import WET_PORE
 from splits.kernels.optics.phase_function import (
     PhaseFunction,
     make_henyey_greenstein,
     make_rayleigh,
     make_tabulated,
 )
-from splits.kernels.particle_layer.scene import OPEN_BOTTOM, ScatteringLayer
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.media.formatting import find_differences, format_call
+from splits.media.medium import LayerBottom
 from splits.media.rough_surface import RoughSurface
 
 CLEARANCE_SIGMA = 8.0
@@ -106,6 +107,8 @@ class ParticleLayer(ContentEquality):
     """
 
     kind = "particle_layer"
+    wet_fraction = 1.0
+    largest_grain_m = 0.0
 
     optical_thickness: float = 10.0
     single_scattering_albedo: float = 0.99
@@ -189,32 +192,22 @@ class ParticleLayer(ContentEquality):
         phase: PhaseFunction = self._phase  # type: ignore[attr-defined]
         return phase
 
-    def make_scattering_layer(self, analog: bool) -> ScatteringLayer:
-        """Return the layer in the form the kernels take.
+    @property
+    def scene_bottom(self) -> LayerBottom:
+        """Lower end of the layer in a scene.
 
         An infinite conservative layer reflects all light, after an infinite mean number of
         scatterings.  A deep finite layer over a white bottom replaces it, with the same
         reflectance at finite cost.
         """
-        depth, albedo = self.depth_m, self.single_scattering_albedo
-        bottom = OPEN_BOTTOM if self.bottom_albedo is None else self.bottom_albedo
-        if self.opaque:
-            albedo, bottom = 0.0, 0.0
-        elif self.optical_thickness == math.inf:
-            depth = math.inf
-            if albedo == 1.0:
-                transport_ratio = max(1.0, 1.0 / (1.0 - self.kernel_phase_function.g))
-                clearance_m = (
-                    0.0 if self.surface is None else CLEARANCE_SIGMA * self.surface.rms_height_m
-                )
-                depth, bottom = (
-                    SEMI_INFINITE_TRANSPORT_MFP * transport_ratio / self.extinction_per_m
-                    + clearance_m,
-                    1.0,
-                )
-        return ScatteringLayer(
-            depth, self.extinction_per_m, albedo, self.refractive_index, bottom, analog
-        )
+        if self.opaque or self.optical_thickness != math.inf:
+            return LayerBottom(self.depth_m, self.bottom_albedo)
+        if self.single_scattering_albedo < 1.0:
+            return LayerBottom(math.inf, self.bottom_albedo)
+        transport_ratio = max(1.0, 1.0 / (1.0 - self.kernel_phase_function.g))
+        clearance_m = 0.0 if self.surface is None else CLEARANCE_SIGMA * self.surface.rms_height_m
+        depth_m = SEMI_INFINITE_TRANSPORT_MFP * transport_ratio / self.extinction_per_m
+        return LayerBottom(depth_m + clearance_m, 1.0)
 
     def make_height_fields(self) -> HeightFields | None:
         """Return the rough surface in the form the kernels take, or None for a smooth surface."""
@@ -224,16 +217,18 @@ class ParticleLayer(ContentEquality):
         return height_fields
 
     def list_materials(self) -> tuple[str, ...]:
-        """Return the name of the single material of index arrays."""
-        return ("matrix",)
+        """Return the names of the materials: that above the layer, and the matrix."""
+        return ("air", "matrix")
 
     def list_interfaces(self) -> list[Any]:
         """Return no interfaces: the refractive index does not depend on wavelength."""
         return []
 
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return the refractive index, shape (wavelengths, 1)."""
-        return np.full((np.size(wavelength_nm), 1), complex(self.refractive_index))
+        """Return complex refractive indices, shape (wavelengths, 2)."""
+        index = np.ones((np.size(wavelength_nm), 2), dtype=complex)
+        index[:, WET_PORE] = self.refractive_index
+        return index
 
     def describe(self) -> dict[str, Any]:
         """Return all inputs as dataset attributes."""

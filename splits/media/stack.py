@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any, cast
 
@@ -20,9 +19,15 @@ from splits.media.interpretations import INTERPRETATION_SETS
 from splits.media.medium import GranularMedium, Interface
 from splits.media.particle_layer import ParticleLayer
 from splits.media.pore_fluids import PoreFluids
-from splits.media.stacked_particle_layer import StackedParticleLayer
 
 MAX_LAYERS = 200
+UNSUPPORTED_IN_STACK = {
+    "bottom_albedo": (None, "the stack's ground is below all layers: bottom_albedo=None"),
+    "surface": (None, "only the top layer of a stack may be rough"),
+    "opaque": (False, "all layers of a stack scatter light"),
+}
+"""Settings of particle layers that are not supported in a stack, with the required value and the
+reason."""
 
 
 @reject_unknown_keywords
@@ -40,8 +45,9 @@ class Stack:
     layers : sequence of Snow, Sand or ParticleLayer
         Layers from top to bottom, 1 to 200.  All layers of grains must have the same choices of
         `splits.media.interpretations.TransportInterpretation`, and no layer may have a ground.  A
-        `ParticleLayer` must have ``bottom_albedo=None`` and a finite optical thickness, and must be
-        neither opaque nor polarized.  Only the top layer may have a rough surface.
+        `ParticleLayer` must have ``bottom_albedo=None`` and a finite optical thickness, and must
+        not be opaque.  Only the top layer may have a rough surface.  Polarization requires that
+        all layers are polarized particle layers.
     ground : number, str, mapping or path, optional
         Lambertian ground below the stack: an albedo, "black", the name of a soil or a table; see
         `splits.media.ground.Ground.from_input`.  By default light leaves through the lower
@@ -80,7 +86,7 @@ class Stack:
         for number, layer in enumerate(layers):
             if isinstance(layer, ParticleLayer):
                 with key_prefix(f"layers[{number}]"):
-                    StackedParticleLayer(layer, number == 0)
+                    _check_particle_layer(layer, number == 0)
                 continue
             if isinstance(layer, type) or not isinstance(layer, GranularMedium):
                 kind = getattr(layer, "kind", layer)
@@ -97,6 +103,10 @@ class Stack:
                 raise invalid(f"layers[{number}].ground", layer.ground.name, "left out", hint)
         if self.interpretation is not None:
             layers = tuple(self._apply_interpretation(layer) for layer in layers)
+        polarized = [getattr(layer, "polarized", False) for layer in layers]
+        if any(polarized) and not all(polarized):
+            key = f"layers[{polarized.index(True)}].polarized"
+            raise invalid(key, True, "false, or true for all layers", "grains are not polarized")
         granular_layers = [
             (i, layer_i)
             for i, layer_i in enumerate(layers)
@@ -139,13 +149,15 @@ class Stack:
             ),
         )
 
-    @cached_property
-    def scene_layers(self) -> tuple[GranularMedium | StackedParticleLayer, ...]:
+    @property
+    def scene_layers(self) -> tuple[GranularMedium | ParticleLayer, ...]:
         """Layers in the form scenes take."""
-        return tuple(
-            StackedParticleLayer(layer, number == 0) if isinstance(layer, ParticleLayer) else layer
-            for number, layer in enumerate(self.layers)
-        )
+        return self.layers
+
+    @property
+    def polarized(self) -> bool:
+        """Whether polarization is simulated."""
+        return all(getattr(layer, "polarized", False) for layer in self.layers)
 
     @property
     def depth_m(self) -> float:
@@ -192,10 +204,10 @@ class Stack:
     ) -> list[Interface]:
         """Return the interfaces between the pores of a granular layer and its neighbour."""
         layer, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
-        if isinstance(layer, StackedParticleLayer):
+        if isinstance(layer, ParticleLayer):
             return []
         fractions = PoreFluids.from_saturation(layer.wet_fraction, layer.pores).fractions
-        faces_matrix = isinstance(neighbour, StackedParticleLayer)
+        faces_matrix = isinstance(neighbour, ParticleLayer)
         if not faces_matrix and not layer.interpretation.to_sampling_rules().boundary_fresnel:
             return []
         # Air and water of two granular layers may have different tables.
@@ -231,3 +243,13 @@ class Stack:
             layer_attrs.pop("ground", None)
             attrs |= {f"layers_{number}_{key}": value for key, value in layer_attrs.items()}
         return attrs | describe_ground(self.ground)
+
+
+def _check_particle_layer(layer: ParticleLayer, is_top: bool) -> None:
+    """Check that a particle layer is supported in a stack."""
+    for name, (allowed, reason) in UNSUPPORTED_IN_STACK.items():
+        value = getattr(layer, name)
+        if value != allowed and not (name == "surface" and is_top):
+            raise invalid(name, value, "left out" if allowed is None else "false", reason)
+    if layer.optical_thickness == math.inf:
+        raise invalid("optical_thickness", math.inf, "finite", "other layers lie below")

@@ -13,7 +13,7 @@ from splits.kernels.compiler.features import Features
 from splits.simulation.run_options import RunOptions
 from splits.simulation.tally import Outcome, StoppingRule, Stratum, Tally
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
-from splits.simulation.tracer_interface import Tracer, WorkItem
+from splits.simulation.tracer import Tracer, WorkItem
 
 MAX_JOB_BYTES = 2**27
 MAX_SEGMENTS_PER_JOB = 2e7

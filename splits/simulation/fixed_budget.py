@@ -23,7 +23,7 @@ from splits.simulation.spectral_nodes import make_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer import SceneTracer
 
 
 def estimate_fixed_budget(
@@ -76,7 +76,7 @@ def estimate_fixed_budget(
     rows = SpectralRows.from_media(PathSharingMedia.from_media([medium]), wavelengths)
     nodes = make_nodes(rows.index, rows.interfaces, node_rows)
     nodes = replace(nodes, interpolation_bound=np.zeros(len(wavelengths)))
-    tracer = make_tracer(medium, check_incidence(incidence_deg))
+    tracer = SceneTracer(medium, check_incidence(incidence_deg))
     # A node keeps its streams if no wavelength uses its neighbour.
     tally = SpectralTally(rows, nodes, tracer.traits, SINGLE_STRATUM)
     stop = StoppingRule(0.0, rays_per_node * len(tally.strata), fixed=True)

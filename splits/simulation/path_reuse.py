@@ -18,8 +18,8 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.media.medium import GranularMedium, LayeredMedium, Medium, compute_absorption
+from splits.media.particle_layer import ParticleLayer
 from splits.media.stack import Stack
-from splits.media.stacked_particle_layer import StackedParticleLayer
 from splits.simulation.scene import (
     OpticalConstants,
     build_scene,
@@ -153,8 +153,8 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
         *layers._replace(
             boundaries=boundaries, collision_coefficient=unit * layers.collision_coefficient
         ),
-        *types._replace(inverse_semi_major=unit * types.inverse_semi_major),
-        *scene.particles,
+        *(types._replace(inverse_semi_major=unit * types.inverse_semi_major) if types else ()),
+        *(scene.particles or ()),
         np.array(scene.rules, dtype=float),
         np.array(
             [
@@ -172,6 +172,7 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
             [
                 len(medium.list_materials()),
                 not semi_infinite and get_reflecting_ground(medium) is not None,
+                scene.stokes is not None,
             ]
         ),
     ):
@@ -180,9 +181,9 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
     names = [type(medium).__name__, *(interface.location for interface in medium.list_interfaces())]
     # The matrix of particles has one index at all wavelengths and appears in no interface.
     matrices = [
-        float(layer.layer.refractive_index)
+        float(layer.refractive_index)
         for layer in (medium.scene_layers if isinstance(medium, LayeredMedium) else ())
-        if isinstance(layer, StackedParticleLayer)
+        if isinstance(layer, ParticleLayer)
     ]
     digest.update(repr([names, matrices]).encode())
     for table in make_height_fields(medium) or ():

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.grains.rough_top import MAX_HEIGHT_SIGMA
 from splits.kernels.grains.scene import (
     NO_GROUND,
     NO_PARTICLES,
@@ -18,15 +17,18 @@ from splits.kernels.grains.scene import (
     Scene,
 )
 from splits.kernels.optics.source import Source
+from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.rough_surface.realization import HeightFields
+from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
 from splits.media.ground import Ground
 from splits.media.interpretations import Interpretation
 from splits.media.medium import GranularMedium, LayeredMedium, Medium, compute_absorption
-from splits.media.stacked_particle_layer import StackedParticleLayer
+from splits.media.particle_layer import ParticleLayer
 
-LayerModel = GranularMedium | StackedParticleLayer
-MIN_COLLISION_COEFFICIENT = 1e-12
-"""Scatterings per metre of a layer without particles, so that its mean free path is finite."""
+LayerModel = GranularMedium | ParticleLayer
+COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
+"""Scatterings per metre of a layer without particles, so that its mean free path is finite, and of
+an opaque layer."""
 
 
 class OpticalConstants(NamedTuple):
@@ -60,7 +62,7 @@ def get_reflecting_ground(medium: Medium) -> Ground | None:
 def make_height_fields(medium: Medium) -> HeightFields | None:
     """Return the rough surface on top of layers in the form of kernels, None where it is smooth."""
     top = medium.scene_layers[0] if isinstance(medium, LayeredMedium) else medium
-    return top.make_height_fields() if isinstance(top, StackedParticleLayer) else None
+    return top.make_height_fields() if isinstance(top, ParticleLayer) else None
 
 
 def count_length_columns(medium: Medium) -> int:
@@ -81,60 +83,78 @@ def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opti
     )
 
 
-def build_scene(
-    medium: GranularMedium | LayeredMedium, incidence_deg: float | str, analog: bool
-) -> Scene:
-    """Return illuminated granular media; `analog` samples absorption at each segment."""
-    media = medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,)
-    granular = [layer for layer in media if not isinstance(layer, StackedParticleLayer)]
-    populations = [layer.make_grain_population() for layer in granular]
-    n_points = populations[0].types.inverse_semi_major.shape[1] if populations else 2
-    remaining = iter(populations)
-    grains = [
-        _make_placeholder_grains(layer.layer.extinction_per_m, n_points)
-        if isinstance(layer, StackedParticleLayer)
-        else next(remaining)
+def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Scene:
+    """Return an illuminated medium; `analog` samples absorption at each segment."""
+    media: Sequence[Any] = medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,)
+    particle_layers = [layer for layer in media if isinstance(layer, ParticleLayer)]
+    granular = [layer for layer in media if not isinstance(layer, ParticleLayer)]
+    polarized = any(layer.polarized for layer in particle_layers)
+    first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
+    populations = [
+        None if isinstance(layer, ParticleLayer) else layer.make_grain_population()
         for layer in media
     ]
-    first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
-    first_types = np.cumsum([0, *(len(layer.type_cdf) for layer in grains)])
-    max_types = max(len(layer.type_cdf) for layer in grains)
-    boundaries = -np.cumsum([0.0, *(float(layer.depth_m) for layer in media)])
-    fields = make_height_fields(medium)
-    if fields is not None:
+    rules = (granular[0].interpretation if granular else Interpretation()).to_sampling_rules(analog)
+    has_ground, lowest = get_reflecting_ground(medium) is not None, media[-1]
+    bottom_albedo = lowest.scene_bottom.albedo if isinstance(lowest, ParticleLayer) else None
+    return Scene(
+        make_source(incidence_deg),
+        _make_layers(media, populations, first_materials, make_height_fields(medium)),
+        _merge_grain_types(populations, first_materials) if granular else None,
+        rules,
+        make_particle_table(particle_layers) if particle_layers else None,
+        int(first_materials[-1]) if has_ground else NO_GROUND,
+        False,
+        ground_contact=None if bottom_albedo is None else True,
+        bottom_albedo=None if has_ground else bottom_albedo,
+        stokes=UNPOLARIZED if polarized else None,
+        opaque=True if any(layer.opaque for layer in particle_layers) else None,
+    )
+
+
+def _make_layers(
+    media: Sequence[LayerModel],
+    populations: Sequence[GrainPopulation | None],
+    first_materials: np.ndarray,
+    height_fields: HeightFields | None,
+) -> Layers:
+    """Return the layers of a scene, with None for the grains of layers of particles."""
+    type_cdfs = [np.ones(1) if grains is None else grains.type_cdf for grains in populations]
+    n_types = [0 if grains is None else len(grains.type_cdf) for grains in populations]
+    max_types = max(len(cdf) for cdf in type_cdfs)
+    depths = [
+        layer.scene_bottom.depth_m if isinstance(layer, ParticleLayer) else float(layer.depth_m)
+        for layer in media
+    ]
+    boundaries = -np.cumsum([0.0, *depths])
+    if height_fields is not None:
         # Above the highest point that a realization of the surface may have.
-        boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(fields.rms_height)
-    layers = Layers(
+        boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(height_fields.rms_height)
+    return Layers(
         boundaries=boundaries,
-        collision_coefficient=np.array([layer.collision_coefficient for layer in grains]),
-        wet_fraction=np.array([float(layer.wet_fraction) for layer in media]),
-        type_cdf=np.array(
-            [
-                np.pad(layer.type_cdf, (0, max_types - len(layer.type_cdf)), "edge")
-                for layer in grains
-            ]
+        collision_coefficient=np.array(
+            list(map(_get_collision_coefficient, media, populations)), dtype=float
         ),
-        first_type=first_types[:-1],
+        wet_fraction=np.array([float(layer.wet_fraction) for layer in media]),
+        type_cdf=np.array([np.pad(cdf, (0, max_types - len(cdf)), "edge") for cdf in type_cdfs]),
+        first_type=np.cumsum([0, *n_types])[:-1],
         first_pore_material=first_materials[:-1],
         pore_cdf=_compute_pore_cdf(media),
         particle_row=_find_particle_rows(media),
     )
-    rules = (granular[0].interpretation if granular else Interpretation()).to_sampling_rules(analog)
-    particles = make_particle_table(
-        [layer for layer in media if isinstance(layer, StackedParticleLayer)]
-    )
-    ground_column = NO_GROUND if get_reflecting_ground(medium) is None else int(first_materials[-1])
-    grain_types = _merge_grain_types(grains, first_materials)
-    return Scene(
-        make_source(incidence_deg), layers, grain_types, rules, particles, ground_column, False
-    )
+
+
+def _get_collision_coefficient(layer: LayerModel, grains: GrainPopulation | None) -> float:
+    """Return the expected number of collisions per metre in a layer."""
+    if not isinstance(layer, ParticleLayer):
+        return grains.collision_coefficient  # type: ignore[union-attr]
+    return float(np.clip(layer.extinction_per_m, *COLLISION_COEFFICIENT_RANGE))
 
 
 def _compute_pore_cdf(media: Sequence[LayerModel]) -> np.ndarray:
     """Return cumulative fractions of the pore materials other than air and water."""
     fractions = [
-        [] if isinstance(layer, StackedParticleLayer) else list(layer.pores.values())
-        for layer in media
+        [] if isinstance(layer, ParticleLayer) else list(layer.pores.values()) for layer in media
     ]
     n_columns = max(len(layer_fractions) for layer_fractions in fractions)
     return np.array(
@@ -162,43 +182,36 @@ def add_recording_planes(scene: Scene, depths_m: Sequence[float]) -> Scene:
     return scene._replace(layers=Layers(boundaries=boundaries, **rows), record_crossings=True)
 
 
-def _make_placeholder_grains(collision_coefficient: float, points: int) -> GrainPopulation:
-    """Return a placeholder for the grains of a particle layer, which no ray hits."""
-    ones = np.ones((1, points))
-    types = GrainTypes(
-        n_shells=np.ones(1, dtype=np.int64),
-        material=np.zeros((1, 1), dtype=np.int64),
-        coating_thickness=np.zeros((1, 1)),
-        inverse_semi_major=ones,
-        sphericity=ones,
-        facetness=np.zeros((1, points)),
-    )
-    return GrainPopulation(max(collision_coefficient, MIN_COLLISION_COEFFICIENT), np.ones(1), types)
-
-
 def _find_particle_rows(media: Sequence[LayerModel]) -> np.ndarray:
     """Return the row of each layer in the particle table, `NO_PARTICLES` for granular layers."""
-    has_particles = np.array([isinstance(layer, StackedParticleLayer) for layer in media])
+    has_particles = np.array([isinstance(layer, ParticleLayer) for layer in media])
     return np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES)
 
 
-def make_particle_table(media: Sequence[StackedParticleLayer]) -> ParticleScattering:
+def make_particle_table(layers: Sequence[ParticleLayer]) -> ParticleScattering:
     """Return the table of the particles of these layers."""
-    phase_functions = [layer.layer.kernel_phase_function for layer in media]
-    n_columns = max((len(layer.cosines) for layer in phase_functions), default=2)
+    phase_functions = [layer.kernel_phase_function for layer in layers]
+    n_columns = max(len(phase.cosines) for phase in phase_functions)
+
+    def collect(name: str) -> np.ndarray:
+        return np.array([getattr(phase, name) for phase in phase_functions])
 
     def pad_columns(name: str) -> np.ndarray:
-        rows = [
-            np.pad(row, (0, n_columns - len(row)))
-            for row in (getattr(phase, name) for phase in phase_functions)
-        ]
-        return np.array(rows).reshape(len(phase_functions), n_columns)
+        rows = [getattr(phase, name) for phase in phase_functions]
+        return np.array([np.pad(row, (0, n_columns - len(row))) for row in rows])
 
+    albedo = np.array(
+        [0.0 if layer.opaque else float(layer.single_scattering_albedo) for layer in layers]
+    )
+    with np.errstate(divide="ignore"):
+        absorption_depth = -np.log(albedo)
     return ParticleScattering(
-        albedo=np.array([layer.layer.single_scattering_albedo for layer in media], dtype=float),
-        kind=np.array([layer.kind for layer in phase_functions], dtype=np.int64),
-        g=np.array([layer.g for layer in phase_functions], dtype=float),
-        table_size=np.array([len(layer.cosines) for layer in phase_functions], dtype=np.int64),
+        albedo=albedo,
+        absorption_depth=absorption_depth,
+        kind=collect("kind"),
+        g=collect("g"),
+        max_polarization=collect("max_polarization"),
+        table_size=np.array([len(phase.cosines) for phase in phase_functions]),
         cosines=pad_columns("cosines"),
         density=pad_columns("density"),
         cdf=pad_columns("cdf"),
@@ -206,10 +219,13 @@ def make_particle_table(media: Sequence[StackedParticleLayer]) -> ParticleScatte
 
 
 def _merge_grain_types(
-    populations: Sequence[GrainPopulation], first_materials: np.ndarray
+    all_populations: Sequence[GrainPopulation | None], all_first_materials: np.ndarray
 ) -> GrainTypes:
     """Return one table of the grain types of all layers, given the first material of each layer."""
-    if len(populations) == 1:
+    by_layer = zip(all_populations, all_first_materials, strict=False)
+    granular = [(grains, first) for grains, first in by_layer if grains is not None]
+    populations = [grains for grains, _ in granular]
+    if len(all_populations) == 1:
         return populations[0].types
     max_shells = max(population.types.material.shape[1] for population in populations)
 
@@ -225,13 +241,12 @@ def _merge_grain_types(
         # Kernels read tables row by row; concatenation keeps the memory order of broadcast rows.
         return np.ascontiguousarray(np.concatenate(rows))
 
-    population_materials = zip(populations, first_materials, strict=False)
     return GrainTypes(
         n_shells=np.concatenate([population.types.n_shells for population in populations]),
         material=np.concatenate(
             [
                 pad_columns(population.types.material + first_material)
-                for population, first_material in population_materials
+                for population, first_material in granular
             ]
         ),
         coating_thickness=np.concatenate(

@@ -16,7 +16,7 @@ from splits.kernels.grains.single_grain import (
 )
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Stratum, Tally
-from splits.simulation.tracer_interface import ItemScores, Tracer, WorkItem
+from splits.simulation.tracer import ItemScores, Tracer, WorkItem
 
 GRAIN_RAYS_PER_CHUNK = 2048
 """Rays per chunk, the unit of parallel work."""

@@ -12,8 +12,8 @@ import xarray as xr
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE
 from splits.media.ground import Ground
 from splits.media.medium import GranularMedium, Medium, compute_absorption
+from splits.media.particle_layer import ParticleLayer
 from splits.media.stack import Stack
-from splits.media.stacked_particle_layer import StackedParticleLayer
 from splits.simulation.diffusion import (
     DiffusiveSubstrate,
     diffuse_reflectance,
@@ -169,9 +169,9 @@ def _has_absorption_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray
         medium, medium.compute_refractive_indices(wavelengths), wavelengths
     )
     particles_absorb = [
-        p.layer.single_scattering_albedo < 1.0
+        p.single_scattering_albedo < 1.0
         for p in medium.scene_layers
-        if isinstance(p, StackedParticleLayer)
+        if isinstance(p, ParticleLayer)
     ]
     materials_absorb = (absorption[:, :n_materials_above] > 0.0).any(axis=1)
     return np.asarray(materials_absorb | any(particles_absorb))

@@ -1,57 +1,122 @@
-"""Tracers of media: the kernel of a scene, for grains or for a layer of small particles."""
+"""Tracers: what traces the rays of a scene on a thread, and scores them for a tally."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.core.validation import invalid
 from splits.kernels import vectorized
-from splits.kernels.grains import history
 from splits.kernels.grains.scene import Optics
-from splits.kernels.optics.source import Source
-from splits.kernels.optics.stokes import UNPOLARIZED
-from splits.kernels.particle_layer import particle_history
-from splits.kernels.particle_layer.scene import LayerScene
 from splits.kernels.rough_surface.realization import allocate_realization
 from splits.kernels.tallies.crossings import CROSSING_RAY
-from splits.kernels.tallies.exits import EXIT_LENGTH, allocate_exits
+from splits.kernels.tallies.exits import EXIT_LENGTH, BatchResult, allocate_exits
+from splits.kernels.transport import history
 from splits.kernels.vectorized.eligibility import select_features
-from splits.media.medium import GranularMedium, LayeredMedium, Medium, ParticleMedium
+from splits.media.medium import Medium
 from splits.simulation.scene import (
     add_recording_planes,
     build_scene,
     count_length_columns,
     make_height_fields,
-    make_source,
 )
-from splits.simulation.tally import Stratum, TransportTraits
-from splits.simulation.tracer_interface import ExitTracer, TraceResult
+from splits.simulation.tally import ExitTally, Stratum, TransportTraits
+
+LOST_MESSAGE = (
+    "no grain fits between the boundaries along a ray, or a ray is lost at a rough surface: "
+    "the sample is barely thicker than its grains, or the incidence too close to 90 degrees"
+)
+
+ItemScores = tuple[list[Any], int]
+"""The score of each chunk of a work item, in order, and the segments traced."""
 
 
-class GrainTracer(ExitTracer):
-    """Tracer of rays among grains, vectorized where possible.
+class WorkItem(NamedTuple):
+    """Successive rays of a stratum, a multiple of the rays of a chunk."""
+
+    stratum: Stratum
+    first_ray: int
+    n_rays: int
+
+
+class Tracer(ABC):
+    """Traces rays of a scene and scores them.
+
+    Attributes
+    ----------
+    n_exit_columns : int
+        Numbers that are recorded of each ray.
+    """
+
+    n_exit_columns = 0
+
+    def select_kernel(self, strata: Sequence[Stratum], kernel: str, share: bool) -> None:
+        """Set the features of the kernel of each stratum; here, there is a scalar kernel only.
+
+        Parameters
+        ----------
+        strata : sequence of Stratum
+        kernel : {"auto", "vectorized", "scalar"}
+        share : bool
+            Let all strata use one kernel, if possible.
+
+        Raises
+        ------
+        ValueError
+            If the vectorized kernel is requested and does not support the scene.
+        """
+        if kernel == "vectorized":
+            raise invalid(
+                "kernel", "vectorized", "'auto' or 'scalar' for this sample",
+                "not for particle layers, analog absorption, stacked coatings, extreme inputs",
+            )  # fmt: skip
+
+    @abstractmethod
+    def trace_job(self, seed: int, tally: Any, job: Sequence[WorkItem]) -> list[ItemScores]:
+        """Trace the items of a job, which use one kernel, and return the scores of each.
+
+        Raises
+        ------
+        RuntimeError
+            If a ray was lost.
+        """
+
+
+class SceneTracer(Tracer):
+    """Tracer that records exits and crossings of rays in a medium, vectorized where possible.
 
     Parameters
     ----------
-    medium : GranularMedium or LayeredMedium
+    medium : Medium
     incidence_deg : float or "diffuse"
     analog : bool
         Whether absorption is analog, sampled at each segment.
     planes_m : sequence of float
         Depths (m) of recording planes, besides all boundaries between layers; without any,
         crossings are not recorded.
-    """
 
-    LOST_MESSAGE = (
-        "no grain fits between the boundaries along a ray, or a ray is lost at a rough surface: "
-        "the sample is barely thicker than its grains, or the incidence too close to 90 degrees"
-    )
+    Attributes
+    ----------
+    scene : Scene
+    traits : TransportTraits
+    normal_incidence : bool
+        Whether the beam is along the normal, so that the scene is axisymmetric.
+    diffuse : bool
+        Whether the incident light is diffuse.
+    boundary_depths_m : float, shape (boundaries,)
+        Depths (m) of all boundaries of the scene; of a rough top, a height above it.
+    stokes_columns : tuple of int
+        Columns of exits that hold Q, U, V over I, or nothing.
+    """
 
     def __init__(
         self,
-        medium: GranularMedium | LayeredMedium,
+        medium: Medium,
         incidence_deg: float | str,
+        *,
         analog: bool = False,
         planes_m: Sequence[float] = (),
     ) -> None:
@@ -61,11 +126,17 @@ class GrainTracer(ExitTracer):
         self.height_fields = make_height_fields(medium)
         self.boundary_depths_m = -self.scene.layers.boundaries
         densest = float(self.scene.layers.collision_coefficient.max())
-        fading = bool((self.scene.particles.albedo < 1.0).any())
+        particles = self.scene.particles
+        fading = particles is not None and bool((particles.albedo < 1.0).any())
         self.traits = TransportTraits(densest, self.scene.ground_column, fading, analog)
         self.normal_incidence = self.scene.source == (1.0, 0.0)
         self.diffuse = self.scene.source.diffuse_fraction > 0.0
         self.n_length_columns = count_length_columns(medium)
+        # After the path lengths in all materials.
+        first = EXIT_LENGTH + self.n_length_columns
+        is_polarized = self.scene.stokes is not None
+        self.stokes_columns = (first, first + 1, first + 2) if is_polarized else ()
+        self.n_exit_columns = first + len(self.stokes_columns)
 
     def select_kernel(self, strata: Sequence[Stratum], kernel: str, share: bool) -> None:
         """Set the features of the vectorized kernel of each stratum, None for the scalar kernel.
@@ -84,97 +155,68 @@ class GrainTracer(ExitTracer):
                 if stratum.features and not stratum.features.mixed:
                     stratum.features = stratum.features._replace(absorbing=True)
 
-    def trace(
-        self, seed: int, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray
-    ) -> TraceResult:
-        """Trace items of strata that share features."""
-        features = strata[0].features
-        end_rays = np.cumsum(work[:, 2])
-        if features is None:
-            fields = self.height_fields
-            realization = None if fields is None else allocate_realization(fields)
-            results = [
-                history.trace_batch(
-                    seed, item, self.scene, stratum.optics, item_exits, fields, realization
-                )
-                for item, item_exits, stratum in zip(
-                    work, np.split(exits, end_rays[:-1]), strata, strict=True
-                )
-            ]
-            n_segments, lost, crossings = zip(*results, strict=True)
-            return TraceResult(n_segments, list(crossings), any(lost))
-        optics = Optics(*map(np.stack, zip(*(stratum.optics for stratum in strata), strict=True)))
-        result = vectorized.trace_batch(seed, work, self.scene, optics, exits, features)
-        # Stable, so that the crossings of each ray remain in order of time.
-        sorted_crossings = result.crossings[
-            np.argsort(result.crossings[:, CROSSING_RAY], kind="stable")
+    def trace_job(self, seed: int, tally: ExitTally, job: Sequence[WorkItem]) -> list[ItemScores]:
+        """Trace the items of a job and score their chunks."""
+        work = np.array(
+            [(one.stratum.stream, one.first_ray, one.n_rays, one.stratum.max_order) for one in job]
+        )
+        exits = allocate_exits(
+            int(work[:, 2].sum()), self.n_length_columns, len(self.stokes_columns)
+        )
+        exits_by_item = np.split(exits, np.cumsum(work[:, 2])[:-1])
+        strata = [item.stratum for item in job]
+        if strata[0].features is None:
+            results = self._trace_scalar(seed, work, strata, exits_by_item)
+        else:
+            results = self._trace_vectorized(seed, work, strata, exits)
+        if any(result.lost for result in results):
+            raise RuntimeError(LOST_MESSAGE)
+        return [
+            (list(_score_chunks(tally, stratum, item_exits, result.crossings)), result.n_segments)
+            for stratum, item_exits, result in zip(strata, exits_by_item, results, strict=True)
         ]
-        starts = np.searchsorted(sorted_crossings[:, CROSSING_RAY], end_rays[:-1])
-        by_item = np.split(sorted_crossings, starts)
+
+    def _trace_scalar(
+        self,
+        seed: int,
+        work: np.ndarray,
+        strata: Sequence[Stratum],
+        exits_by_item: Sequence[np.ndarray],
+    ) -> list[BatchResult]:
+        """Trace items one by one; see `splits.kernels.transport.history.trace_batch`."""
+        fields = self.height_fields
+        realization = None if fields is None else allocate_realization(fields)
+        return [
+            history.trace_batch(seed, item, self.scene, stratum.optics, exits, fields, realization)
+            for item, stratum, exits in zip(work, strata, exits_by_item, strict=True)
+        ]
+
+    def _trace_vectorized(
+        self, seed: int, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray
+    ) -> list[BatchResult]:
+        """Trace items together; see `splits.kernels.vectorized.batch.trace_batch`."""
+        optics = Optics(*map(np.stack, zip(*(stratum.optics for stratum in strata), strict=True)))
+        n_segments, lost, crossings = vectorized.trace_batch(
+            seed, work, self.scene, optics, exits, strata[0].features
+        )
+        # Stable, so that the crossings of each ray remain in order of time.
+        crossings = crossings[np.argsort(crossings[:, CROSSING_RAY], kind="stable")]
+        end_rays = np.cumsum(work[:, 2])
+        by_item = np.split(crossings, np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1]))
         for item_crossings, first_ray in zip(by_item[1:], end_rays[:-1], strict=True):
             item_crossings[:, CROSSING_RAY] -= first_ray
-        return TraceResult(result.n_segments, by_item, result.lost)
-
-
-class ParticleLayerTracer(ExitTracer):
-    """Tracer of rays in a layer of small particles.
-
-    Parameters
-    ----------
-    medium : ParticleMedium
-    source : Source
-    analog : bool
-        As in `GrainTracer`.
-    """
-
-    LOST_MESSAGE = "a ray was lost at the rough surface: please report this with the configuration"
-
-    def __init__(self, medium: ParticleMedium, source: Source, analog: bool) -> None:
-        self.scene = LayerScene(
-            source,
-            medium.make_scattering_layer(analog),
-            medium.kernel_phase_function,
-            medium.make_height_fields(),
-            UNPOLARIZED if medium.polarized else None,
-        )
-        self.boundary_depths_m = np.array([0.0, self.scene.layer.depth])
-        extinction = float(np.clip(medium.extinction_per_m, 1e-300, 1e300))
-        fading = self.scene.layer.albedo < 1.0
-        self.traits = TransportTraits(extinction, extra_absorption=fading, analog=analog)
-        self.normal_incidence = source.diffuse_fraction == 0.0 and source.cos_incidence == 1.0
-        self.diffuse = source.diffuse_fraction > 0.0
-        self.n_length_columns = len(medium.list_materials())
-        # After the path lengths in all materials.
-        first = EXIT_LENGTH + self.n_length_columns
-        self.stokes_columns = (first, first + 1, first + 2) if medium.polarized else ()
-
-    def trace(
-        self, seed: int, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray
-    ) -> TraceResult:
-        """Trace items of strata."""
-        realization = None if self.scene.fields is None else allocate_realization(self.scene.fields)
-        stokes_column = EXIT_LENGTH + self.n_length_columns
-        results = [
-            particle_history.trace_batch(
-                seed, item, self.scene, realization, stokes_column, item_exits
-            )
-            for item, item_exits in zip(
-                work, np.split(exits, np.cumsum(work[:, 2])[:-1]), strict=True
-            )
+        return [
+            BatchResult(int(count), lost, item_crossings)
+            for count, item_crossings in zip(n_segments, by_item, strict=True)
         ]
-        n_segments, lost = zip(*results, strict=True)
-        no_crossings = [allocate_exits(0, self.n_length_columns)] * len(results)
-        return TraceResult(n_segments, no_crossings, any(lost))
 
 
-def make_tracer(
-    medium: Medium,
-    incidence_deg: float | str,
-    *,
-    analog: bool = False,
-    planes_m: Sequence[float] = (),
-) -> ExitTracer:
-    """Return the tracer of a medium; see `GrainTracer` for the parameters."""
-    if isinstance(medium, ParticleMedium):
-        return ParticleLayerTracer(medium, make_source(incidence_deg), analog)
-    return GrainTracer(medium, incidence_deg, analog, planes_m)
+def _score_chunks(
+    tally: ExitTally, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
+) -> Iterator[Any]:
+    """Yield the score of each chunk of an item, in order."""
+    starts = np.arange(0, len(exits), tally.rays_per_chunk)
+    rays = np.searchsorted(crossings[:, CROSSING_RAY], starts[1:])
+    for start, chunk_crossings in zip(starts, np.split(crossings, rays), strict=True):
+        chunk_crossings[:, CROSSING_RAY] -= start
+        yield tally.score(stratum, exits[start : start + tally.rays_per_chunk], chunk_crossings)

@@ -61,7 +61,9 @@ def cross_interface(state, dx, dy, dz, n1, n2, k2):
 
 
 class WeightWindow(NamedTuple):
-    """Bounds on the importance of a ray, weight · exp(κ·depth) (`splits.kernels.grains.splitting`).
+    """Bounds on the importance of a ray, weight · exp(κ·depth).
+
+    See `splits.kernels.transport.splitting`.
 
     Attributes
     ----------

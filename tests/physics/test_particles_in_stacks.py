@@ -1,6 +1,8 @@
-"""Particle layers in stacks: particle-layer kernel, subdivision, ground, analog estimator."""
+"""Particle layers in stacks: single layers, subdivision, ground, analog estimator."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -148,8 +150,9 @@ def test_matrix_of_pore_index_needs_no_interface():
 def test_transparent_plate_on_wet_snow_conserves_energy(thickness):
     """Light enters the plate from wet pores at angles that dry pores and air reflect totally."""
     plate = splits.ParticleLayer(
-        optical_thickness=thickness, refractive_index=1.5, bottom_albedo=None, depth_m=0.01
-    )
+        optical_thickness=thickness, single_scattering_albedo=1.0, refractive_index=1.5,
+        bottom_albedo=None, depth_m=0.01,
+    )  # fmt: skip
     transparent = {"refractive_index": {"ice": 1.31, "water": 1.33}}
     snow = splits.Snow(depth_m=0.004, saturation=0.3, **transparent)
     one = measure(splits.Stack([plate, snow]), 30.0, 40)
@@ -174,7 +177,6 @@ def test_matrix_interfaces_ignore_boundary_fresnel_of_pores():
     ("settings", "message"),
     [
         ({}, r"layers\[0\].bottom_albedo = 0.5: must be left out"),
-        ({"bottom_albedo": None, "polarized": True}, r"layers\[0\].polarized = True"),
         ({"bottom_albedo": None, "opaque": True}, r"layers\[0\].opaque = True"),
         ({"bottom_albedo": None, "optical_thickness": np.inf}, "must be finite"),
     ],
@@ -182,6 +184,15 @@ def test_matrix_interfaces_ignore_boundary_fresnel_of_pores():
 def test_invalid_settings_of_stacked_layers_are_rejected(settings, message):
     with pytest.raises(ValueError, match=message):
         splits.Stack([splits.ParticleLayer(**settings)])
+
+
+@pytest.mark.parametrize("others", [[SNOW], [TOP], [TOP, SNOW]])
+def test_polarization_requires_that_all_layers_are_polarized(others):
+    polarized = replace(TOP, polarized=True)
+    with pytest.raises(ValueError, match=r"layers\[0\].polarized = True: must be false, or true"):
+        splits.Stack([polarized, *others])
+    with pytest.raises(ValueError, match=r"polarized = True: must be false, or true for all"):
+        splits.Stack([*others, polarized])
 
 
 def test_only_the_top_layer_may_be_rough():

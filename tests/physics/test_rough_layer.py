@@ -157,4 +157,4 @@ def test_depth_of_an_infinite_layer_includes_its_surface():
         optical_thickness=math.inf, single_scattering_albedo=1.0, asymmetry=0.0, depth_m=0.02,
         surface={"rms_height_m": 1.0, "wave_number_per_m": 1.0, "correlation": "gaussian"},
     )  # fmt: skip
-    assert layer.make_scattering_layer(False).depth > 8.0
+    assert layer.scene_bottom.depth_m > 8.0

@@ -11,10 +11,10 @@ from scenes import make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
-from splits.kernels.grains import history
 from splits.kernels.grains.scene import NO_GROUND, NO_MAX_ORDER
 from splits.kernels.optics.fresnel import fresnel
 from splits.kernels.tallies.exits import TRANSMITTED, allocate_exits, tally_weights
+from splits.kernels.transport import history
 
 pytestmark = NEEDS_JIT
 

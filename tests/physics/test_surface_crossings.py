@@ -14,14 +14,14 @@ from scipy import stats
 
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import Vector, add_scaled, scale
-from splits.kernels.particle_layer.missed_intersections import (
+from splits.kernels.rough_surface.intersection import NO_HIT, find_first_intersection
+from splits.kernels.rough_surface.missed_intersections import (
     INTERSECTIONS,
     LEAKS,
     LOST_RAYS,
     SEGMENTS,
     count_leaks,
 )
-from splits.kernels.rough_surface.intersection import NO_HIT, find_first_intersection
 from splits.kernels.rough_surface.realization import (
     allocate_realization,
     compute_height_and_slope,

@@ -14,7 +14,7 @@ from numba import njit
 from scenes import make_ray_at
 
 from splits.kernels.compiler.features import ALL_FEATURES
-from splits.kernels.grains import history, interaction, microfacet, spheroid
+from splits.kernels.grains import interaction, microfacet, spheroid
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
 from splits.kernels.grains.grain_path import sample_interaction, trace_through_grain
 from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
@@ -26,6 +26,7 @@ from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import ORIGIN, UP, Vector
 from splits.kernels.optics.interface import InterfaceSample
 from splits.kernels.tallies.exits import ALIVE
+from splits.kernels.transport import history
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.interaction import draw_interaction_variates
 
@@ -87,7 +88,7 @@ def trace_grain(state, d, size, facetness, wet, scene, optics, length):
 @njit
 def play_roulette(state, ray):
     """Return the weight of a ray after a grain and roulette, 0 if it is terminated."""
-    ray = history.apply_roulette(state, ray)
+    ray = history.apply_roulette(state, ray, None)
     return ray.weight if ray.status == ALIVE else 0.0
 
 

@@ -10,7 +10,6 @@ from oracle import scene as oracle_scene
 
 import splits
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains import history
 from splits.kernels.grains import state as ray_state
 from splits.kernels.grains.ray import make_ray
 from splits.kernels.grains.scene import (
@@ -28,9 +27,10 @@ from splits.kernels.grains.scene import (
 from splits.kernels.grains.spheroid import Segment
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.optics.source import Source
+from splits.kernels.transport import history
 from splits.kernels.vectorized.batch import make_pass_constants
 from splits.materials.lookup import absorption_coefficient
-from splits.simulation.scene import build_scene, make_particle_table
+from splits.simulation.scene import build_scene
 
 
 def make_coated_grains(thickness, materials, facetness=0.0):
@@ -65,7 +65,7 @@ def make_scene(grains, depth=1.0, saturation=0.0, rules=None, cos=1.0, diffuse=0
         layers,
         grains.types,
         rules,
-        make_particle_table([]),
+        None,
         NO_GROUND,
         False,
     )
@@ -140,7 +140,7 @@ def sample_pore(u, scene):
 @njit
 def make_ray_at(z, d, wet=False, limit=math.inf):
     """Return a new ray at a height, in wet pores or in dry ones."""
-    return make_ray(Vector(0.0, 0.0, z), d, 0.0 if wet else 1.0, limit, NO_MAX_ORDER)
+    return make_ray(Vector(0.0, 0.0, z), d, None, 0.0 if wet else 1.0, limit, NO_MAX_ORDER)
 
 
 @njit

@@ -17,7 +17,7 @@ LAYERS = (
 """Packages from the lowest to the highest layer."""
 INNER_LAYERS = {
     "kernels": (
-        "compiler", "math", "optics", "tallies", "rough_surface", "particle_layer", "grains",
+        "compiler", "math", "optics", "tallies", "rough_surface", "grains", "transport",
         "vectorized",
     ),
     "experiments": ("config", "papers"),
@@ -81,7 +81,7 @@ def test_no_circular_imports():
         pytest.fail(f"circular: {error.args[1]}")
 
 
-KERNELS = ("grains", "particle_layer", "vectorized")
+KERNELS = ("grains", "transport", "vectorized")
 """Packages of `splits.kernels` that implement the same steps of a history, under the same names."""
 
 

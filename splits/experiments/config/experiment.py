@@ -212,7 +212,7 @@ class ExperimentConfig(SimulationConfig):
         if "btdf" in self.figure.quantity and get_reflecting_ground(medium) is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a ground")
         if self.figure.kind == "polarization":
-            if not (isinstance(medium, ParticleMedium) and medium.polarized):
+            if not getattr(medium, "polarized", False):
                 raise invalid("medium.polarized", False, "true for figure.kind = 'polarization'")
             if self.instrument.estimator not in ("next_event", "bins"):
                 raise invalid(

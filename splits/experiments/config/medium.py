@@ -33,7 +33,7 @@ LAYER_CLASSES: dict[str, Any] = {
 """Media that a stack may hold."""
 MEDIUM_FACTORIES: dict[str, Callable[..., Any]] = LAYER_CLASSES | {"natural_snow": Snow.natural}
 """Functions that make a medium from its settings, by kind."""
-STACK_EXCLUDED_KEYWORDS = ("ground", "bottom_albedo", "polarized", "max_polarization", "opaque")
+STACK_EXCLUDED_KEYWORDS = ("ground", "bottom_albedo", "opaque")
 """Keywords that these media do not have as layers of a stack."""
 
 

@@ -1,1 +1,1 @@
-"""Layers of grains: shape and surface of grains, free flights, and the scalar kernel."""
+"""Grains: scenes, shape and surface of grains, free paths, and paths through a grain."""

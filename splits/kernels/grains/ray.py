@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.grains.spheroid import Segment
@@ -52,6 +52,8 @@ class Ray(NamedTuple):
         of the ground.
     max_order : int
         Order after which the ray counts as absorbed.
+    stokes : Stokes or None
+        Polarization; None in scenes without polarization.
     """
 
     status: int
@@ -68,14 +70,15 @@ class Ray(NamedTuple):
     n_segments: int
     order: int
     max_order: int
+    stokes: Any
 
 
 @inline_only
-def make_ray(position, direction, pore_variate, next_roulette, max_order):
+def make_ray(position, direction, stokes, pore_variate, next_roulette, max_order):
     """Return a new ray in the top layer."""
     return Ray(
         ALIVE, position, ORIGIN, direction, NO_SEGMENT, 0.0, 0, pore_variate, 1.0, 0.0,
-        next_roulette, 0, 0, max_order,
+        next_roulette, 0, 0, max_order, stokes,
     )  # fmt: skip
 
 

@@ -1,18 +1,20 @@
-"""Scene of the kernels for layers of grains: plain numbers and arrays, in SI units.
+"""Scene of the kernels: plain numbers and arrays, in SI units.
 
 These named tuples are the interface between media and kernels.  Materials are rows of the arrays of
 optical constants.  Each layer has its own block of rows from `Layers.first_pore_material`: dry
 pores, wet pores, further pore media, then cores and coatings.  A reflecting ground adds a last row.
+Features that a scene lacks are None, and their code is compiled away.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.kernels.grains import microfacet, spheroid
 from splits.kernels.optics.source import Source
+from splits.kernels.optics.stokes import Stokes
 
 DRY_PORE = 0
 WET_PORE = 1
@@ -112,7 +114,7 @@ class Layers(NamedTuple):
     ----------
     boundaries : float64[layers + 1]
         Heights of the boundaries (m).  The first is 0; with a rough top, whose mean height is 0, it
-        is a height that no point of the surface exceeds.
+        is a height that no point of the surface exceeds.  The last may be −inf below particles.
     collision_coefficient : float64[layers]
         Expected number of collisions per metre of path in the pore space; the extinction
         coefficient in a layer of particles.
@@ -149,8 +151,11 @@ class ParticleScattering(NamedTuple):
     ----------
     albedo : float64[rows]
         Single-scattering albedo.
+    absorption_depth : float64[rows]
+        Optical depth of absorption at a collision, −ln(albedo).
     kind : int64[rows]
     g : float64[rows]
+    max_polarization : float64[rows]
     table_size : int64[rows]
         Length of the table.
     cosines, density, cdf : float64[rows, m]
@@ -158,8 +163,10 @@ class ParticleScattering(NamedTuple):
     """
 
     albedo: np.ndarray
+    absorption_depth: np.ndarray
     kind: np.ndarray
     g: np.ndarray
+    max_polarization: np.ndarray
     table_size: np.ndarray
     cosines: np.ndarray
     density: np.ndarray
@@ -186,29 +193,47 @@ class SamplingRules(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Light source, layers, grains and ground, with the sampling rules.
+    """Light source, layers, grains, particles and ground, with the sampling rules.
 
     Attributes
     ----------
     source : Source
     layers : Layers
-    types : GrainTypes
+    types : GrainTypes or None
+        None without layers of grains.
     rules : SamplingRules
-    particles : ParticleScattering
+    particles : ParticleScattering or None
+        None without layers of particles.
     ground_column : int
         Column of the path lengths that counts the hits of the ground, whose "absorption" is −ln of
         its albedo; `NO_GROUND` without a reflecting ground.
     record_crossings : bool
         Whether crossings of boundaries between layers are recorded.
+    ground_contact : True or None
+        Whether the ground is in contact with the matrix of the lowest layer; otherwise the lower
+        boundary of the sample is an interface.
+    bottom_albedo : float or None
+        Albedo of a Lambertian bottom whose absorption is analog; it replaces the ground.
+    stokes : Stokes or None
+        Polarization of the incident light; None without polarization.
+    opaque : True or None
+        Whether the top layer absorbs all light that enters.
+    detectors : Detectors or None
+        Detectors of next-event estimation, see `splits.kernels.transport.next_event`.
     """
 
     source: Source
     layers: Layers
-    types: GrainTypes
+    types: Any
     rules: SamplingRules
-    particles: ParticleScattering
+    particles: ParticleScattering | None
     ground_column: int
     record_crossings: bool
+    ground_contact: bool | None = None
+    bottom_albedo: float | None = None
+    stokes: Stokes | None = None
+    opaque: bool | None = None
+    detectors: Any = None
 
 
 class Optics(NamedTuple):

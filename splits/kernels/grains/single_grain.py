@@ -105,7 +105,7 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
         path_lengths[:] = 0.0
         # A pore is wet if its variate is below the wet fraction.
         pore_variate = 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0
-        ray = make_ray(ORIGIN, UP, pore_variate, FIRST_ROULETTE_DEPTH, NO_MAX_ORDER)
+        ray = make_ray(ORIGIN, UP, None, pore_variate, FIRST_ROULETTE_DEPTH, NO_MAX_ORDER)
         event = sample_hit_grain(state, isolated_grain)
         ray = trace_through_grain(
             state, ray, event, isolated_grain.scene, isolated_grain.optics, path_lengths

@@ -19,7 +19,6 @@ from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.optics.phase_function import PhaseFunction, sample_phase_function
 from splits.kernels.rough_surface.realization import SurfaceSlope
 from splits.kernels.tallies.exits import ABSORBED
 
@@ -150,17 +149,6 @@ def sample_entry_variates(state, flattening):
                 variates.u_axial,
                 variates.u_accept,
             )
-
-
-@inline_only
-def sample_scattering_direction(state, particles, row, direction):
-    """Sample the direction into which a particle of a layer scatters light."""
-    size = particles.table_size[row]
-    phase = PhaseFunction(
-        particles.kind[row], particles.g[row], 0.0, particles.cosines[row, :size],
-        particles.density[row, :size], particles.cdf[row, :size],
-    )  # fmt: skip
-    return sample_phase_function(state, phase, direction)
 
 
 @inline_only

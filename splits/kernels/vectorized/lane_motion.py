@@ -30,6 +30,7 @@ def load_ray(state, i, layered):
         None, position, exit_offset, load_vector(state, lane_state.DIR_X + i), previous_segment,
         start_distance, None, None, state[lane_state.WEIGHT + i],
         state[lane_state.OPTICAL_DEPTH + i], state[lane_state.NEXT_ROULETTE + i], None, None, None,
+        None,
     )  # fmt: skip
 
 

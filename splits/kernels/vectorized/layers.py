@@ -1,6 +1,6 @@
 """Layer boundaries and segments through several layers for the rays of lanes, between the passes.
 
-See `splits.kernels.grains.flight` and `splits.kernels.grains.events` for the physics.
+See `splits.kernels.transport.flight` and `splits.kernels.transport.events` for the physics.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.kernels.compiler.jit import ONE, ZERO, inline_only
-from splits.kernels.grains.flight import find_adjacent_layer
 from splits.kernels.grains.free_path import compute_boundary_hit
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import orient_horizontal_normal, sample_interface
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing, set_current_ray
+from splits.kernels.transport.flight import find_adjacent_layer
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.lane_motion import load_layer_geometry, load_ray
 from splits.kernels.vectorized.lane_optics import refractive_index_of, set_layer_optics

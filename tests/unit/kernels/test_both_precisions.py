@@ -322,7 +322,7 @@ def _sample_collisions(x, rules, out):
         previous_segment = Segment(exit_offset, Vector(row[17], row[18], row[19]), row[20])
         ray = Ray(
             None, position, exit_offset, d, previous_segment, row[21], None, None, None, None, None,
-            None, None, None,
+            None, None, None, None,
         )  # fmt: skip
         layer = LayerGeometry(row[22], row[23], row[25], row[26], zero, zero)
         collision = free_path.sample_collision(ray, size, variates, row[24], layer, rules)
@@ -383,7 +383,7 @@ def _play_roulettes(x, out):
         row = x[i]
         ray = Ray(
             None, None, None, None, None, None, None, None, row[2], row[0], row[1], None, None,
-            None,
+            None, None,
         )  # fmt: skip
         result = free_path.russian_roulette(ray, row[3], row[4] > row[5])
         out[i, 0], out[i, 1] = result.next_roulette, result.weight

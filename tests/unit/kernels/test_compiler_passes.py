@@ -15,8 +15,8 @@ import splits
 from splits.kernels.compiler import cache
 from splits.kernels.compiler.cache_folders import CacheFolder
 from splits.kernels.compiler.jit import entry_point, inline, inline_allocating, inline_only
-from splits.kernels.grains import history
 from splits.kernels.tallies.exits import allocate_exits
+from splits.kernels.transport import history
 
 
 @inline

@@ -111,7 +111,7 @@ def test_grazing_collisions_agree_in_both_precisions():
         origin, downward = Vector(*map(real, (0, 0, 0))), Vector(*map(real, (0, 0, -1)))
         ray = Ray(
             None, origin, origin, Vector(*map(real, d)), Segment(downward, downward, real(-1)),
-            real(0), None, None, None, None, None, None, None, None,
+            real(0), *[None] * 9,
         )  # fmt: skip
         layer = LayerGeometry(*map(real, (mean_distance, -0.1, 0.0, -0.1, 0.0, 0.0)))
         return sample_collision(

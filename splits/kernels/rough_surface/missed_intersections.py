@@ -8,12 +8,9 @@ import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline_only
 from splits.kernels.math.rng import start_stream, uniform
-from splits.kernels.math.vectors import UP, Vector, add_scaled, scale
+from splits.kernels.math.vectors import UP, Vector, add_scaled, sample_cosine_lobe, scale
+from splits.kernels.optics.interface import ComplexIndex, sample_interface
 from splits.kernels.optics.source import Source, sample_source_direction
-from splits.kernels.particle_layer.scattering import (
-    reflect_or_refract_ray,
-    sample_lambertian_reflection,
-)
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
     STEP_LIMIT_REACHED,
@@ -74,8 +71,10 @@ def _count_leaks(state, surface, ray, length):
 def _scatter_at_facet(state, ray, hit, refractive_index):
     """Return a ray after reflection or refraction at a facet."""
     upward = compute_normal_from_slope(hit.slope)
-    near, far = (1.0, refractive_index) if ray.side > 0.0 else (refractive_index, 1.0)
-    sample = reflect_or_refract_ray(state, ray.direction, None, scale(ray.side, upward), near, far)
+    above, below = ComplexIndex(1.0, 0.0), ComplexIndex(refractive_index, 0.0)
+    near, far = (above, below) if ray.side > 0.0 else (below, above)
+    normal = scale(ray.side, upward)
+    sample = sample_interface(ray.direction, normal, near, far, uniform(state))
     side = -ray.side if sample.transmitted else ray.side
     position = add_scaled(hit.distance, ray.direction, ray.position)
     return SurfaceRay(position, nudge_off_surface(sample.direction, scale(side, upward)), side)
@@ -100,9 +99,8 @@ def _trace_ray(state, surface, refractive_index, ray, counts):
             if ray.side > 0.0:
                 break
             position = Vector(ray.position.x, ray.position.y, -2.0 * surface.max_height)
-            ray = SurfaceRay(
-                position, sample_lambertian_reflection(state, UP, None).direction, ray.side
-            )
+            direction = sample_cosine_lobe(UP, uniform(state), uniform(state))
+            ray = SurfaceRay(position, direction, ray.side)
             continue
         counts[LEAKS] += _count_leaks(state, surface, ray, hit.distance)
         hits += 1

@@ -17,12 +17,12 @@ import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline_allocating
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.history import sample_source, trace_history
 from splits.kernels.grains.ray import Ray
 from splits.kernels.grains.scene import NO_MAX_ORDER
-from splits.kernels.grains.weight_window import WeightWindow, compute_relative_weight
 from splits.kernels.math.rng import mix64, start_stream, uniform
 from splits.kernels.tallies.exits import ALIVE, LOST, REFLECTED, TRANSMITTED, BatchStats
+from splits.kernels.transport.history import sample_source, trace_history
+from splits.kernels.transport.weight_window import WeightWindow, compute_relative_weight
 
 BANK_SIZE = 4096
 """Capacity of the bank of split rays; rays are not split while it is full."""
@@ -115,7 +115,7 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
         For [reflected, transmitted]: sum, sum of squares and maximum of the weights of histories,
         accumulated in place.
     profile : float64[2, slices]
-        See `splits.kernels.grains.weight_window.WeightWindow`; accumulated in place.
+        See `splits.kernels.transport.weight_window.WeightWindow`; accumulated in place.
 
     Returns
     -------

@@ -12,20 +12,21 @@ estimate of Buras & Mayer 2011 (J.  Quant.  Spectrosc.  Radiat.  Transfer 112, 4
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.math.rng import uniform
-from splits.kernels.math.vectors import UP, Vector, dot, scale
+from splits.kernels.math.vectors import Vector, dot
 from splits.kernels.optics.forward_peak import compute_wide_fraction
+from splits.kernels.optics.interface import ComplexIndex, orient_horizontal_normal
 from splits.kernels.optics.phase_function import evaluate_phase_function, sample_phase_function
+from splits.kernels.optics.scattering import reflect_or_refract_ray
 from splits.kernels.optics.stokes import (
     ScatteredDensity,
     evaluate_polarized_scattering,
     make_unpolarized,
     rotate_reference_to,
 )
-from splits.kernels.particle_layer.scattering import reflect_or_refract_ray
 
 
 class StokesVector(NamedTuple):
@@ -37,20 +38,41 @@ class StokesVector(NamedTuple):
     v: float
 
 
+class ScatteringEvent(NamedTuple):
+    """Light at a particle.
+
+    Attributes
+    ----------
+    direction : Vector
+        Direction before the scattering.
+    stokes : Stokes or None
+        Polarization before the scattering.
+    order : int
+        Order of scattering, including this one.
+    depth : float
+        Vertical optical depth below the upper boundary.
+    """
+
+    direction: Vector
+    stokes: Any
+    order: int
+    depth: float
+
+
 class LastScattering(NamedTuple):
     """Light after its last scattering.
 
     Attributes
     ----------
-    height : float
-        Height of the last scattering (m).
+    depth : float
+        Vertical optical depth of the last scattering.
     vertical_sign : float
         1 if the light travels upwards, −1 downwards.
     stokes_vector : StokesVector
         Per steradian.
     """
 
-    height: float
+    depth: float
     vertical_sign: float
     stokes_vector: StokesVector
 
@@ -60,29 +82,28 @@ class DetectorConnection(NamedTuple):
 
     Attributes
     ----------
-    height : float
-        Height (m).
+    depth : float
+        Vertical optical depth.
     direction : Vector
     contribution : ScatteredDensity
-        Density (1/sr), 0 after the light has left the layer elsewhere, and polarization.
+        Density (1/sr), 0 after the light has left elsewhere, and polarization.
     mirror_sign : float
         −1 after an odd number of reflections, which mirror the sampled directions.
     """
 
-    height: float
+    depth: float
     direction: Vector
     contribution: ScatteredDensity
     mirror_sign: float
 
 
 @inline_only
-def sample_peak_order(state, detectors, layer):
+def sample_peak_order(state, detectors):
     """Sample the number n of scatterings into the peak that follow, with probability (1 − q) qⁿ."""
     order = 0
     if detectors.peak is not None:
         max_order = detectors.peak_directions.shape[0] - 1
-        probability = detectors.peak.fraction * layer.albedo
-        while order < max_order and uniform(state) < probability:
+        while order < max_order and uniform(state) < detectors.peak_probability:
             order += 1
     return order
 
@@ -109,28 +130,28 @@ def _store_direction(directions, row, d):
 
 
 @inline_only
-def advance_to_collision(state, layer, connection):
+def advance_to_collision(state, detectors, connection):
     """Return a connection at the next particle, after reflections at smooth interfaces."""
-    z, d, contribution, mirror_sign = connection
+    depth, d, contribution, mirror_sign = connection
     density, stokes = contribution
-    remaining = -math.log(uniform(state)) / layer.extinction
+    matrix, outside = ComplexIndex(detectors.refractive_index, 0.0), ComplexIndex(1.0, 0.0)
+    remaining = -math.log(uniform(state))
     while density > 0.0:
         distance = math.inf
         if d.z != 0.0:
-            distance = -(z if d.z > 0.0 else z + layer.depth) / d.z
+            distance = (depth - (0.0 if d.z > 0.0 else detectors.optical_thickness)) / d.z
         if remaining < distance:
-            z += remaining * d.z
+            depth -= remaining * d.z
             break
         remaining -= distance
         below = d.z < 0.0
-        z = -layer.depth if below else 0.0
-        sample = reflect_or_refract_ray(
-            state, d, stokes, scale(1.0 if below else -1.0, UP), layer.refractive_index, 1.0
-        )
-        if sample.transmitted or (below and layer.bottom_albedo >= 0.0):
+        depth = detectors.optical_thickness if below else 0.0
+        normal = orient_horizontal_normal(d)
+        sample = reflect_or_refract_ray(state, d, stokes, normal, matrix, outside)
+        if sample.transmitted or (below and not detectors.has_lower_side):
             density = 0.0
         d, stokes, mirror_sign = sample.direction, sample.stokes, -mirror_sign
-    return DetectorConnection(z, d, ScatteredDensity(density, stokes), mirror_sign)
+    return DetectorConnection(depth, d, ScatteredDensity(density, stokes), mirror_sign)
 
 
 @inline_only
@@ -156,29 +177,28 @@ def apply_polarization(phase, d, contribution, stokes, t):
 
 
 @inline_only
-def trace_peak_directions(state, detectors, layer, phase, peak_order, connection):
+def trace_peak_directions(state, detectors, phase, peak_order, connection):
     """Return a `DetectorConnection` after the scatterings of `sample_peak_directions`."""
     directions = detectors.peak_directions
     for row in range(peak_order - 1, -1, -1):
-        connection = advance_to_collision(state, layer, connection)
+        connection = advance_to_collision(state, detectors, connection)
         if connection.contribution.density == 0.0:
             break
-        z, d, contribution, mirror_sign = connection
+        depth, d, contribution, mirror_sign = connection
         t = Vector(directions[row, 0], directions[row, 1], mirror_sign * directions[row, 2])
-        connection = DetectorConnection(
-            z, t, apply_polarization(phase, d, contribution, contribution.stokes, t), mirror_sign
-        )
+        contribution = apply_polarization(phase, d, contribution, contribution.stokes, t)
+        connection = DetectorConnection(depth, t, contribution, mirror_sign)
     return connection
 
 
 @inline_only
-def complete_connection(state, detectors, layer, phase, peak_order, connection, plane):
+def complete_connection(state, detectors, phase, peak_order, connection, plane):
     """Return the `LastScattering` of light towards a detector.
 
     Parameters
     ----------
-    state, detectors, layer, phase
-        See `splits.kernels.particle_layer.next_event.score_scattering`.
+    state, detectors, phase
+        See `splits.kernels.transport.next_event.score_scattering`.
     peak_order : int
         Number of scatterings into the peak that follow, 0 or from `sample_peak_order`.
     connection : DetectorConnection
@@ -187,18 +207,18 @@ def complete_connection(state, detectors, layer, phase, peak_order, connection, 
         Horizontal unit vector of the reference plane of Q.
     """
     if detectors.peak is not None and peak_order > 0:
-        normalization = 1.0 / (1.0 - detectors.peak.fraction * layer.albedo)
-        connection = trace_peak_directions(state, detectors, layer, phase, peak_order, connection)
+        normalization = 1.0 / (1.0 - detectors.peak_probability)
+        connection = trace_peak_directions(state, detectors, phase, peak_order, connection)
         contribution = ScatteredDensity(
             normalization * connection.contribution.density, connection.contribution.stokes
         )
         connection = DetectorConnection(
-            connection.height, connection.direction, contribution, connection.mirror_sign
+            connection.depth, connection.direction, contribution, connection.mirror_sign
         )
     density, stokes = connection.contribution
     stokes_vector = resolve_stokes_vector(density, stokes, connection.direction, plane)
     return LastScattering(
-        connection.height, math.copysign(1.0, connection.direction.z), stokes_vector
+        connection.depth, math.copysign(1.0, connection.direction.z), stokes_vector
     )
 
 
@@ -220,25 +240,26 @@ def evaluate_scattering(phase, d, stokes, t):
 
 
 @inline_only
-def connect_scattering(state, detectors, layer, phase, peak_order, ray, t, plane):
+def connect_scattering(state, detectors, phase, peak_order, event, t, plane):
     """Return the `LastScattering` towards t of light at a particle.
 
     Light that was not scattered before has a single direction, which none of the directions sampled
     backwards would hit: it contributes with the whole phase function.
 
-    Parameters are those of `complete_connection`, and the ray before the scattering.
+    Parameters are those of `complete_connection`, and the `ScatteringEvent`.
     """
     direction = sample_peak_directions(state, detectors, peak_order, t)
-    contribution = evaluate_scattering(phase, ray.direction, ray.stokes, direction)
-    if detectors.peak is not None and ray.order > 1:
-        wide_fraction = compute_wide_fraction(detectors.peak, phase, dot(ray.direction, direction))
+    contribution = evaluate_scattering(phase, event.direction, event.stokes, direction)
+    if detectors.peak is not None and event.order > 1:
+        cosine = dot(event.direction, direction)
+        wide_fraction = compute_wide_fraction(detectors.peak, phase, cosine)
         contribution = ScatteredDensity(contribution.density * wide_fraction, contribution.stokes)
-    connection = DetectorConnection(ray.position.z, direction, contribution, 1.0)
-    return complete_connection(state, detectors, layer, phase, peak_order, connection, plane)
+    connection = DetectorConnection(event.depth, direction, contribution, 1.0)
+    return complete_connection(state, detectors, phase, peak_order, connection, plane)
 
 
 @inline_only
-def connect_bottom(state, detectors, layer, phase, peak_order, stokes, t, plane):
+def connect_bottom(state, detectors, phase, peak_order, stokes, t, plane):
     """Return the `LastScattering` towards t of light that the bottom reflects.
 
     Parameters are those of `complete_connection`; `stokes` is None without polarization.
@@ -247,5 +268,5 @@ def connect_bottom(state, detectors, layer, phase, peak_order, stokes, t, plane)
     contribution = ScatteredDensity(
         max(direction.z, 0.0) / math.pi, make_unpolarized(direction, stokes)
     )
-    connection = DetectorConnection(-layer.depth, direction, contribution, 1.0)
-    return complete_connection(state, detectors, layer, phase, peak_order, connection, plane)
+    connection = DetectorConnection(detectors.optical_thickness, direction, contribution, 1.0)
+    return complete_connection(state, detectors, phase, peak_order, connection, plane)

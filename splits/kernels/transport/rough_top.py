@@ -17,9 +17,8 @@ from splits.kernels.grains.state import (
     pore_material,
     refractive_index_of,
 )
-from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, add_scaled, scale
-from splits.kernels.optics.interface import sample_interface
+from splits.kernels.optics.scattering import reflect_or_refract_ray
 from splits.kernels.rough_surface.intersection import (
     NO_HIT,
     STEP_LIMIT_REACHED,
@@ -28,6 +27,7 @@ from splits.kernels.rough_surface.intersection import (
     nudge_off_surface,
 )
 from splits.kernels.tallies.exits import ABSORBED, LOST, REFLECTED
+from splits.kernels.transport.events import reflect_from_opaque, sample_pore_variate
 
 MAX_HEIGHT_SIGMA = 50.0
 """Bound of the height of realizations in standard deviations.
@@ -67,22 +67,28 @@ def scatter_at_facet(state, ray, slope, side, scene, optics):
     Parameters
     ----------
     state, ray, scene, optics
-        See `splits.kernels.grains.history.trace_history`.
+        See `splits.kernels.transport.history.trace_history`.
     slope : SurfaceSlope
         Slope of the facet.
     side : float
         1 if the ray comes from outside, −1 from the sample.
     """
     # The top layer has particles, and one medium.  The new variate selects the pore behind it.
-    pore_variate = uniform(state)
+    pore_variate = sample_pore_variate(state, scene)
     inside = refractive_index_of(optics, pore_material(scene.layers, 0, pore_variate))
     outside = refractive_index_of(optics, scene.layers.first_pore_material[0])
-    near = outside if side > 0.0 else inside
-    far = inside if side > 0.0 else outside
     normal = compute_normal_from_slope(slope)
-    sample = sample_interface(ray.direction, scale(side, normal), near, far, uniform(state))
-    side = -side if sample.transmitted else side
-    direction = nudge_off_surface(sample.direction, scale(side, normal))
+    if scene.opaque is not None:
+        ray = reflect_from_opaque(ray, normal, outside, inside)
+    else:
+        near = outside if side > 0.0 else inside
+        far = inside if side > 0.0 else outside
+        sample = reflect_or_refract_ray(
+            state, ray.direction, ray.stokes, scale(side, normal), near, far
+        )
+        ray = replace(ray, direction=sample.direction, stokes=sample.stokes)
+        side = -side if sample.transmitted else side
+    direction = nudge_off_surface(ray.direction, scale(side, normal))
     ray = replace(ray, direction=direction, layer=0, pore_variate=pore_variate, order=ray.order + 1)
     return ray, side
 

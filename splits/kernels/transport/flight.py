@@ -1,4 +1,4 @@
-"""Free flights of the scalar kernel through layers of grains: next event, motion and attenuation.
+"""Free flights through layers of grains and of particles: next event, motion and attenuation.
 
 A boundary between layers reflects and refracts only where the pore media on its sides differ.
 Elsewhere the distance is sampled anew from the boundary, because free paths have no memory, and a
@@ -9,16 +9,20 @@ Splitting a layer in two therefore leaves the distribution of results unchanged.
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.free_path import RejectionRules, compute_boundary_hit, sample_collision
+from splits.kernels.grains.free_path import Collision, compute_boundary_hit, sample_collision
 from splits.kernels.grains.ray import compute_position
 from splits.kernels.grains.scene import MAX_REJECTIONS, NO_PARTICLES
-from splits.kernels.grains.spheroid import Segment
+from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Segment, Spheroid
 from splits.kernels.grains.state import (
     BOUNDARY,
     COLLISION,
     NO_EVENT,
+    GrainSample,
     attenuate,
     get_layer_geometry,
     make_event,
@@ -29,9 +33,22 @@ from splits.kernels.grains.state import (
     sample_grain,
 )
 from splits.kernels.math.rng import uniform
-from splits.kernels.math.vectors import ORIGIN, Vector
+from splits.kernels.math.vectors import ORIGIN, UP, Vector
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing
 from splits.kernels.tallies.exits import ALIVE, LOST
+
+_NO_GRAIN = GrainSample(0, GrainSize(1.0, 0.0), 0.0)
+_NO_ENTRY = EntryPoint(Spheroid(UP, UP, 0.0, 1.0), UP, 0.0, 1.0)
+
+
+class LayerCollision(NamedTuple):
+    """Sampled collision in a layer: a `GrainSample` and a `Collision`.
+
+    In a layer of particles the grain is a placeholder.
+    """
+
+    grain_sample: GrainSample
+    collision: Collision
 
 
 @inline_only
@@ -71,6 +88,8 @@ def locate_layer(ray, scene, optics, path_lengths, crossings):
     A grain that extends across a boundary may release a ray on the other side.  If the pores there
     have another index, as outside the sample, the ray is moved vertically to that boundary.
     """
+    if scene.types is None:
+        return ray
     layers, z = scene.layers, compute_position(ray).z
     while z > layers.boundaries[ray.layer] or z < layers.boundaries[ray.layer + 1]:
         upward = z > layers.boundaries[ray.layer]
@@ -85,40 +104,70 @@ def locate_layer(ray, scene, optics, path_lengths, crossings):
 
 
 @inline_only
+def sample_particle_collision(flight, u, layer_geometry):
+    """Sample the `Collision` with a particle; particles are points and never overlap anything."""
+    distance = flight.start_distance - math.log(u) * layer_geometry.mean_free_path
+    height = compute_position(flight).z + distance * flight.direction.z
+    outside = height < layer_geometry.bottom
+    if flight.direction.z > 0.0:
+        outside = height > layer_geometry.top
+    return Collision(distance, height, _NO_ENTRY, outside, not outside, 0.0)
+
+
+@inline_only
+def sample_layer_collision(state, flight, scene, layer_geometry, rules):
+    """Sample the `LayerCollision` of a ray, which may lie outside its layer.
+
+    Parameters
+    ----------
+    state, scene
+        See `splits.kernels.transport.history.trace_history`.
+    flight : Ray
+        With the layer and the distance at which the sampling starts.
+    layer_geometry : LayerGeometry
+    rules : RejectionRules
+    """
+    if scene.types is None or (
+        scene.particles is not None and scene.layers.particle_row[flight.layer] != NO_PARTICLES
+    ):
+        collision = sample_particle_collision(flight, uniform(state), layer_geometry)
+        return LayerCollision(_NO_GRAIN, collision)
+    grain_sample = sample_grain(state, scene, flight.layer)
+    variates = sample_entry_variates(state, grain_sample.size.flattening)
+    collision = sample_collision(
+        flight, grain_sample.size, variates, uniform(state), layer_geometry, rules
+    )
+    return LayerCollision(grain_sample, collision)
+
+
+@inline_only
 def sample_next_event(state, ray, scene, optics):
-    """Sample the next grain on a ray, or find the boundary that it reaches first.
+    """Sample the next grain or particle on a ray, or find the boundary that it reaches first.
 
     After a rejected grain, another one is sampled from the start of the segment, from the last
     skipped grain, or from the end of the last layer of particles.
     """
-    layers, grain_rules = scene.layers, make_rejection_rules(scene.rules)
+    layers, rules = scene.layers, make_rejection_rules(scene.rules)
     restart = replace(ray, start_distance=0.0)
     flight = restart
     n_rejected = 0
     while True:
-        layer_geometry = get_layer_geometry(layers, flight.layer)
-        grain_sample = sample_grain(state, scene, flight.layer)
-        variates = sample_entry_variates(state, grain_sample.size.flattening)
-        rules, has_particles = grain_rules, layers.particle_row[flight.layer] != NO_PARTICLES
-        if has_particles:
-            # Particles are points and never overlap anything; the grain is a placeholder.
-            rules = RejectionRules(rules.entry_sampling, False, False, False, False)
-        collision = sample_collision(
-            flight, grain_sample.size, variates, uniform(state), layer_geometry, rules
-        )
+        geometry = get_layer_geometry(layers, flight.layer)
+        grain_sample, collision = sample_layer_collision(state, flight, scene, geometry, rules)
         if collision.accepted:
             kind, distance, height = COLLISION, collision.distance, collision.height
             break
         if collision.leaves_layer:
-            boundary_hit = compute_boundary_hit(ray, layer_geometry)
+            boundary_hit = compute_boundary_hit(ray, geometry)
             distance, height = boundary_hit.distance, boundary_hit.position.z
             next_layer = find_adjacent_layer(flight.layer, ray.direction)
             if not is_continuous(layers, optics, flight.layer, next_layer, ray.pore_variate):
                 kind = BOUNDARY
                 break
-            flight = replace(flight, layer=next_layer, start_distance=distance)
             # After a rejected grain, a layer of particles that was passed is not sampled again.
-            restart = flight if has_particles else restart
+            passed_particles = layers.particle_row[flight.layer] != NO_PARTICLES
+            flight = replace(flight, layer=next_layer, start_distance=distance)
+            restart = flight if passed_particles else restart
             continue
         if collision.start_distance == collision.distance:
             # The rejected grain was skipped.
@@ -155,7 +204,7 @@ def attenuate_segment(state, ray, last_layer, scene, optics, path_lengths, cross
     last_layer : int
         Layer of its end.
     path_lengths, crossings
-        See `splits.kernels.grains.history.trace_history`.
+        See `splits.kernels.transport.history.trace_history`.
     """
     layers, d, analog = scene.layers, ray.direction, scene.rules.analog
     remaining = ray.previous_segment.length

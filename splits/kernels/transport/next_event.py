@@ -1,11 +1,11 @@
 """Next-event (local) estimation: every scattering contributes to the detectors.
 
 The method is that of Budak & Grimailo 2020, Eqs 4-5.  Detectors are at infinity, in given
-directions above and below a layer with smooth boundaries.  A scattering at depth contributes the
-density of its phase function towards each detector (Eq 5), and a reflection at the bottom a cosine
-over π (Eq 4), attenuated by the layer and transmitted through its boundary, where refraction
-changes the solid angle.  Between two smooth boundaries, light after any number of reflections
-contributes, too.
+directions above and below layers of particles in one matrix, with smooth boundaries.  A scattering
+at depth contributes the density of its phase function towards each detector (Eq 5), and a
+reflection at the bottom a cosine over π (Eq 4), attenuated on the way and transmitted through the
+boundary, where refraction changes the solid angle.  Between two smooth boundaries, light after any
+number of reflections contributes, too.
 """
 
 from __future__ import annotations
@@ -16,9 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import inline_only
+from splits.kernels.grains.ray import compute_position
 from splits.kernels.math.vectors import Vector
+from splits.kernels.optics.phase_function import PhaseFunction
 from splits.kernels.optics.polarized_interface import ReflectionMueller, TransmissionMueller
-from splits.kernels.particle_layer.peak_next_event import (
+from splits.kernels.transport.peak_next_event import (
+    ScatteringEvent,
     StokesVector,
     connect_bottom,
     connect_scattering,
@@ -28,7 +31,7 @@ from splits.kernels.particle_layer.peak_next_event import (
 _I, _Q, _U, _V = range(4)
 """Columns of the Stokes parameters of detectors."""
 ABOVE, BELOW = range(2)
-"""Sides of the layer with detectors."""
+"""Sides of the sample with detectors."""
 
 
 class Detectors(NamedTuple):
@@ -37,7 +40,7 @@ class Detectors(NamedTuple):
     Attributes
     ----------
     direction : float64[detectors, 3]
-        Unit directions within the layer, upwards.
+        Unit directions within the matrix, upwards.
     plane : float64[detectors, 2]
         Horizontal unit vector that, with the normal, spans the reference plane of Q.
     transmission : float64[detectors, 3]
@@ -45,13 +48,21 @@ class Detectors(NamedTuple):
         and outside, divided by the outer cosine.
     reflection : float64[detectors, 4]
         `ReflectionMueller` of the boundary, from inside.
+    refractive_index : float
+        Refractive index of the matrix, with 1 outside.
+    optical_thickness : float
+        Vertical optical thickness of all layers; may be infinite.
     has_lower_side : bool
-        Whether there are detectors below the layer, too.
+        Whether there are detectors below the sample, too: its lower boundary is open.
     sums : float64[2, detectors, 4]
         Scores of I, Q, U, V `ABOVE` and `BELOW` (1/sr), Q along the plane of the normal; advanced
         in place.
+    phase : PhaseFunction
+        Phase function of the lowest layer.
     peak : PhaseFunctionPeak or None
         Peak of the phase function, None if it has none.
+    peak_probability : float
+        Probability that light at a particle is scattered into the peak.
     peak_directions : float64[orders, 3]
         Buffer of `peak_next_event.sample_peak_directions`.
     """
@@ -60,27 +71,41 @@ class Detectors(NamedTuple):
     plane: np.ndarray
     transmission: np.ndarray
     reflection: np.ndarray
+    refractive_index: float
+    optical_thickness: float
     has_lower_side: bool
     sums: np.ndarray
+    phase: PhaseFunction
     peak: Any
+    peak_probability: float
     peak_directions: np.ndarray
 
 
 class Detector(NamedTuple):
     """One of the detectors, see `Detectors`.
 
-    `layer_transmittance` is the direct transmittance of the whole layer in its direction.
+    `transmittance` is the direct transmittance of all layers in its direction.
     """
 
     direction: Vector
     plane: Vector
     transmission: TransmissionMueller
     reflection: ReflectionMueller
-    layer_transmittance: float
+    transmittance: float
 
 
 @inline_only
-def load_detector(detectors, layer, k):
+def compute_optical_depth(layers, layer, z):
+    """Return the vertical optical depth of a point in a layer below the upper boundary."""
+    depth = layers.collision_coefficient[layer] * (layers.boundaries[layer] - z)
+    for above in range(layer):
+        thickness = layers.boundaries[above] - layers.boundaries[above + 1]
+        depth += layers.collision_coefficient[above] * thickness
+    return depth
+
+
+@inline_only
+def load_detector(detectors, k):
     """Return the k-th detector."""
     x, y, z = detectors.direction[k]
     along, across = detectors.plane[k]
@@ -88,7 +113,7 @@ def load_detector(detectors, layer, k):
     transmission = TransmissionMueller(plus, minus, root)
     plus, minus, real, imaginary = detectors.reflection[k]
     reflection = ReflectionMueller(plus, minus, real, imaginary)
-    transmittance = math.exp(-layer.extinction * layer.depth / z)
+    transmittance = math.exp(-detectors.optical_thickness / z)
     return Detector(
         Vector(x, y, z), Vector(along, across, 0.0), transmission, reflection, transmittance
     )
@@ -147,13 +172,12 @@ def score_detector(sums, transmission, stokes, weight, stokes_vector):
 
 
 @inline_only
-def score_direct(detectors, layer, detector, k, stokes, weight, last_scattering):
+def score_direct(detectors, detector, k, stokes, weight, last_scattering):
     """Score light from its last scattering, and after 2, 4, … internal reflections.
 
     Parameters
     ----------
-    detectors, layer
-        See `score_scattering`.
+    detectors : Detectors
     detector : Detector
         The k-th detector, in whose direction the light travels.
     k : int
@@ -164,52 +188,44 @@ def score_direct(detectors, layer, detector, k, stokes, weight, last_scattering)
     """
     side = ABOVE if last_scattering.vertical_sign > 0.0 else BELOW
     if side == ABOVE or detectors.has_lower_side:
-        arriving = weight * math.exp(
-            -layer.extinction
-            * _vertical_distance(layer, last_scattering, side)
-            / detector.direction.z
-        )
-        sums = detectors.sums[side, k]
-        score_detector(sums, detector.transmission, stokes, arriving, last_scattering.stokes_vector)
-        if layer.bottom_albedo < 0.0 and detector.reflection.plus != 0.0:
+        depth = _find_depth_from_side(detectors, last_scattering, side)
+        arriving = weight * math.exp(-depth / detector.direction.z)
+        sums, stokes_vector = detectors.sums[side, k], last_scattering.stokes_vector
+        score_detector(sums, detector.transmission, stokes, arriving, stokes_vector)
+        if detectors.has_lower_side and detector.reflection.plus != 0.0:
             reflected = sum_interreflections(
-                detector.reflection,
-                stokes,
-                detector.layer_transmittance,
-                False,
-                last_scattering.stokes_vector,
+                detector.reflection, stokes, detector.transmittance, False, stokes_vector
             )
             score_detector(sums, detector.transmission, stokes, arriving, reflected)
 
 
 @inline_only
-def score_reflected(detectors, layer, detector, k, stokes, weight, last_scattering):
+def score_reflected(detectors, detector, k, stokes, weight, last_scattering):
     """Score light that leaves on the other side, after 1, 3, … internal reflections.
 
     Parameters are those of `score_direct`.
     """
-    if layer.bottom_albedo < 0.0 and detector.reflection.plus != 0.0:
+    if detectors.has_lower_side and detector.reflection.plus != 0.0:
         side = BELOW if last_scattering.vertical_sign > 0.0 else ABOVE
-        distance = layer.depth - _vertical_distance(layer, last_scattering, side)
-        arriving = weight * math.exp(-layer.extinction * distance / detector.direction.z)
+        depth = detectors.optical_thickness - _find_depth_from_side(
+            detectors, last_scattering, side
+        )
+        arriving = weight * math.exp(-depth / detector.direction.z)
         reflected = sum_interreflections(
-            detector.reflection,
-            stokes,
-            detector.layer_transmittance,
-            True,
-            last_scattering.stokes_vector,
+            detector.reflection, stokes, detector.transmittance, True, last_scattering.stokes_vector
         )
         score_detector(detectors.sums[side, k], detector.transmission, stokes, arriving, reflected)
 
 
 @inline_only
-def _vertical_distance(layer, last_scattering, side):
-    """Return the vertical distance of the last scattering from the boundary of a side (m)."""
-    return -last_scattering.height if side == ABOVE else layer.depth + last_scattering.height
+def _find_depth_from_side(detectors, last_scattering, side):
+    """Return the vertical optical depth of the last scattering from the boundary of a side."""
+    depth = last_scattering.depth
+    return depth if side == ABOVE else detectors.optical_thickness - depth
 
 
 @inline_only
-def score_scattering(state, detectors, layer, phase, ray):
+def score_scattering(state, detectors, layers, phase, ray):
     """Score a scattering at all detectors.
 
     Parameters
@@ -217,49 +233,55 @@ def score_scattering(state, detectors, layer, phase, ray):
     state : uint64[1]
         Random stream, used for scatterings into the peak of the phase function.
     detectors : Detectors
-    layer : ScatteringLayer
+    layers : Layers
     phase : PhaseFunction
-    ray : LayerRay
+    ray : Ray
         Position, direction and polarization before the scattering, and the weight after it.
     """
+    depth = compute_optical_depth(layers, ray.layer, compute_position(ray).z)
     for k in range(detectors.direction.shape[0]):
-        detector = load_detector(detectors, layer, k)
-        score_scattering_at_detector(state, detectors, layer, phase, 0, ray, detector, k)
-        order = sample_peak_order(state, detectors, layer)
+        score_scattering_at_detector(state, detectors, phase, 0, ray, depth, k)
+        order = sample_peak_order(state, detectors)
         if order > 0:
-            score_scattering_at_detector(state, detectors, layer, phase, order, ray, detector, k)
+            score_scattering_at_detector(state, detectors, phase, order, ray, depth, k)
 
 
 @inline_only
-def score_scattering_at_detector(state, detectors, layer, phase, peak_order, ray, detector, k):
+def score_scattering_at_detector(state, detectors, phase, peak_order, ray, depth, k):
     """Score a scattering that is followed by `peak_order` scatterings into the peak."""
+    detector = load_detector(detectors, k)
     weight, stokes, t, plane = ray.weight, ray.stokes, detector.direction, detector.plane
-    up = connect_scattering(state, detectors, layer, phase, peak_order, ray, t, plane)
-    score_direct(detectors, layer, detector, k, stokes, weight, up)
+    event = ScatteringEvent(ray.direction, stokes, ray.order, depth)
+    up = connect_scattering(state, detectors, phase, peak_order, event, t, plane)
+    score_direct(detectors, detector, k, stokes, weight, up)
     if detectors.has_lower_side or (peak_order > 0 and detector.reflection.plus > 0.0):
         t = Vector(t.x, t.y, -t.z)
-        down = connect_scattering(state, detectors, layer, phase, peak_order, ray, t, plane)
-        score_direct(detectors, layer, detector, k, stokes, weight, down)
-        score_reflected(detectors, layer, detector, k, stokes, weight, up)
-        score_reflected(detectors, layer, detector, k, stokes, weight, down)
+        down = connect_scattering(state, detectors, phase, peak_order, event, t, plane)
+        score_direct(detectors, detector, k, stokes, weight, down)
+        score_reflected(detectors, detector, k, stokes, weight, up)
+        score_reflected(detectors, detector, k, stokes, weight, down)
 
 
 @inline_only
-def score_bottom(state, detectors, layer, phase, stokes, weight):
+def score_ground(state, scene, ray):
     """Score light that the diffuse bottom reflects at all detectors above."""
+    detectors, stokes = scene.detectors, ray.stokes
+    if scene.bottom_albedo is None:
+        return
+    weight, phase = ray.weight * scene.bottom_albedo, detectors.phase
     for k in range(detectors.direction.shape[0]):
-        detector = load_detector(detectors, layer, k)
+        detector = load_detector(detectors, k)
         t, plane = detector.direction, detector.plane
-        weight_at_boundary = weight * detector.layer_transmittance * t.z / math.pi
+        weight_at_boundary = weight * detector.transmittance * t.z / math.pi
         sums = detectors.sums[ABOVE, k]
         sums[_I] += weight_at_boundary * detector.transmission.plus
         sums[_Q] += weight_at_boundary * detector.transmission.minus
-        order = sample_peak_order(state, detectors, layer)
+        order = sample_peak_order(state, detectors)
         if order > 0:
-            last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)
-            score_direct(detectors, layer, detector, k, stokes, weight, last)
+            last = connect_bottom(state, detectors, phase, order, stokes, t, plane)
+            score_direct(detectors, detector, k, stokes, weight, last)
         if order > 0 and detector.reflection.plus > 0.0:
             # Light that the upper boundary reflects down may still be scattered upwards.
             t = Vector(t.x, t.y, -t.z)
-            last = connect_bottom(state, detectors, layer, phase, order, stokes, t, plane)
-            score_direct(detectors, layer, detector, k, stokes, weight, last)
+            last = connect_bottom(state, detectors, phase, order, stokes, t, plane)
+            score_direct(detectors, detector, k, stokes, weight, last)

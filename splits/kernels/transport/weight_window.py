@@ -1,4 +1,4 @@
-"""Weight windows for splitting, see `splits.kernels.grains.splitting`."""
+"""Weight windows for splitting, see `splits.kernels.transport.splitting`."""
 
 from __future__ import annotations
 

@@ -1,1 +1,0 @@
-"""Layers of small particles under smooth or rough surfaces, with next-event estimation."""

@@ -1,0 +1,1 @@
+"""Histories of rays in layers of grains and of particles: the scalar kernel."""

@@ -1,0 +1,218 @@
+"""Events in the history of a ray: roulette, interfaces, particles, grains, and the ground."""
+
+from __future__ import annotations
+
+import math
+
+from splits.kernels.compiler.jit import inline_only
+from splits.kernels.compiler.replace import replace
+from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, RouletteResult, russian_roulette
+from splits.kernels.grains.grain_path import trace_through_grain
+from splits.kernels.grains.scene import NO_GROUND, NO_PARTICLES
+from splits.kernels.grains.state import attenuate, pore_material, refractive_index_of
+from splits.kernels.math.rng import uniform
+from splits.kernels.math.vectors import ORIGIN, UP, sample_cosine_lobe
+from splits.kernels.optics.interface import orient_horizontal_normal
+from splits.kernels.optics.phase_function import PhaseFunction
+from splits.kernels.optics.scattering import (
+    reflect_only,
+    reflect_or_refract_ray,
+    sample_scattering,
+)
+from splits.kernels.optics.stokes import make_unpolarized
+from splits.kernels.tallies.exits import ABSORBED, ALIVE, REFLECTED, TO_GROUND, TRANSMITTED
+from splits.kernels.transport.flight import find_adjacent_layer, record_crossing
+from splits.kernels.transport.next_event import score_ground, score_scattering
+
+FIRST_DETECTOR_ROULETTE_DEPTH = -math.log(0.1)
+DETECTOR_SURVIVAL_PROBABILITY = 0.3
+"""Roulette of rays that score at detectors: optical depth of the first game, and probability of
+survival.  Both weights are low: every scattering scores, and rays of low weight hardly do."""
+
+
+@inline_only
+def find_first_roulette(scene):
+    """Return the optical depth at which a ray of the source first plays Russian roulette."""
+    if scene.rules.analog:
+        return math.inf
+    return FIRST_ROULETTE_DEPTH if scene.detectors is None else FIRST_DETECTOR_ROULETTE_DEPTH
+
+
+@inline_only
+def apply_roulette(state, ray, detectors):
+    """Play all due games of Russian roulette, see `splits.kernels.grains.free_path`."""
+    while ray.status == ALIVE and ray.optical_depth > ray.next_roulette:
+        if detectors is None:
+            result = russian_roulette(ray, uniform(state), True)
+        else:
+            result = RouletteResult(
+                ray.weight / DETECTOR_SURVIVAL_PROBABILITY,
+                ray.next_roulette - math.log(DETECTOR_SURVIVAL_PROBABILITY),
+                uniform(state) > DETECTOR_SURVIVAL_PROBABILITY,
+            )
+        ray = replace(
+            ray, weight=result.weight, next_roulette=result.next_roulette,
+            status=ABSORBED if result.terminated else ALIVE,
+        )  # fmt: skip
+    return ray
+
+
+@inline_only
+def sample_pore_variate(state, scene):
+    """Sample the random number that selects a pore; layers of particles have one medium."""
+    if scene.types is None:
+        return 0.0
+    return uniform(state)
+
+
+@inline_only
+def enter_layer(state, ray, scene, optics):
+    """Let a ray enter its layer from outside, through the interface of the sample.
+
+    The pore is sampled first: the interface of a wet pore may reflect the ray, whose status is then
+    `REFLECTED`.
+    """
+    layers, layer = scene.layers, ray.layer
+    pore_variate = sample_pore_variate(state, scene)
+    near = refractive_index_of(optics, layers.first_pore_material[layer])
+    far = refractive_index_of(optics, pore_material(layers, layer, pore_variate))
+    if not (scene.rules.boundary_fresnel or layers.particle_row[layer] != NO_PARTICLES):
+        far = near
+    normal = orient_horizontal_normal(ray.direction)
+    if scene.opaque is not None:
+        return replace(reflect_from_opaque(ray, normal, near, far), status=REFLECTED)
+    sample = reflect_or_refract_ray(state, ray.direction, ray.stokes, normal, near, far)
+    return replace(
+        ray, direction=sample.direction, stokes=sample.stokes, pore_variate=pore_variate,
+        status=ALIVE if sample.transmitted else REFLECTED,
+    )  # fmt: skip
+
+
+@inline_only
+def reflect_from_opaque(ray, normal, near, far):
+    """Return a ray after reflection at a facet of a layer that absorbs all light that enters."""
+    reflected = reflect_only(ray.direction, ray.stokes, normal, near, far)
+    return replace(
+        ray, direction=reflected.direction, stokes=reflected.stokes,
+        weight=ray.weight * reflected.reflectance,
+    )  # fmt: skip
+
+
+@inline_only
+def cross_interface(state, ray, scene, optics, path_lengths, crossings):
+    """Return a ray after refraction or reflection at the layer boundary on which it is."""
+    layers = scene.layers
+    next_layer = find_adjacent_layer(ray.layer, ray.direction)
+    inside = 0 <= next_layer < layers.collision_coefficient.size
+    if scene.ground_contact is not None and next_layer == layers.collision_coefficient.size:
+        return replace(ray, status=TO_GROUND)
+    near = refractive_index_of(optics, pore_material(layers, ray.layer, ray.pore_variate))
+    far = refractive_index_of(optics, layers.first_pore_material[ray.layer])
+    has_particles = layers.particle_row[ray.layer] != NO_PARTICLES
+    if inside:
+        far = refractive_index_of(optics, pore_material(layers, next_layer, ray.pore_variate))
+        has_particles |= layers.particle_row[next_layer] != NO_PARTICLES
+    # `boundary_fresnel` concerns wet pores; the matrix of particles always has an interface.
+    if not (scene.rules.boundary_fresnel or has_particles):
+        far = near
+    normal = orient_horizontal_normal(ray.direction)
+    sample = reflect_or_refract_ray(state, ray.direction, ray.stokes, normal, near, far)
+    status, layer, pore_variate = ALIVE, ray.layer, ray.pore_variate
+    if sample.transmitted and inside:
+        record_crossing(ray, next_layer < layer, scene, path_lengths, crossings)
+        layer = next_layer
+    elif sample.transmitted:
+        exit_status = TRANSMITTED if scene.ground_column == NO_GROUND else TO_GROUND
+        status = REFLECTED if next_layer < 0 else exit_status
+    if layers.particle_row[layer] != NO_PARTICLES:
+        # A layer of particles has one medium.  The new variate selects the pore behind it.
+        pore_variate = sample_pore_variate(state, scene)
+    return replace(
+        ray, status=status, direction=sample.direction, stokes=sample.stokes, layer=layer,
+        pore_variate=pore_variate,
+    )  # fmt: skip
+
+
+@inline_only
+def scatter_at_particle(state, ray, scene):
+    """Scatter a ray at a particle, or absorb it."""
+    row = scene.layers.particle_row[ray.layer]
+    albedo = scene.particles.albedo[row]
+    if albedo == 0.0 or (scene.rules.analog and uniform(state) >= albedo):
+        return replace(ray, status=ABSORBED)
+    if not scene.rules.analog:
+        # The loss is the same for all wavelengths, and counts as optical depth for the roulette.
+        depth = ray.optical_depth + scene.particles.absorption_depth[row]
+        ray = replace(ray, weight=ray.weight * albedo, optical_depth=depth)
+    particles, size = scene.particles, scene.particles.table_size[row]
+    phase = PhaseFunction(
+        particles.kind[row], particles.g[row], particles.max_polarization[row],
+        particles.cosines[row, :size], particles.density[row, :size], particles.cdf[row, :size],
+    )  # fmt: skip
+    if scene.detectors is not None:
+        score_scattering(state, scene.detectors, scene.layers, phase, ray)
+    scattered = sample_scattering(state, phase, ray.direction, ray.stokes)
+    # A new segment starts; its pore matters if the next layer has two kinds of pores.
+    pore_variate = sample_pore_variate(state, scene)
+    return replace(
+        ray, direction=scattered.direction, stokes=scattered.stokes, pore_variate=pore_variate
+    )
+
+
+@inline_only
+def collide(state, ray, event, scene, optics, path_lengths):
+    """Return a ray after a collision with a particle or a grain."""
+    if ray.order == ray.max_order:
+        return replace(ray, status=ABSORBED)
+    ray = replace(ray, order=ray.order + 1)
+    if scene.particles is not None and (
+        scene.types is None or scene.layers.particle_row[ray.layer] != NO_PARTICLES
+    ):
+        return scatter_at_particle(state, ray, scene)
+    if scene.types is None:
+        return ray
+    ray = trace_through_grain(state, ray, event, scene, optics, path_lengths)
+    return replace(ray, exit_offset=ORIGIN) if scene.rules.point_grains else ray
+
+
+@inline_only
+def absorb_at_ground(state, ray, scene, optics, path_lengths):
+    """Return a ray that hits the ground or the bottom, `TRANSMITTED` if it is absorbed there.
+
+    The column of the ground in `path_lengths` counts its hits, and its absorption coefficient is
+    −ln(albedo), so that a hit is a segment of length 1.
+    """
+    ray = replace(ray, status=ALIVE)
+    if scene.bottom_albedo is not None:
+        absorbed = uniform(state) >= scene.bottom_albedo
+        return replace(ray, status=TRANSMITTED if absorbed else ALIVE)
+    ray = attenuate(state, ray, 1.0, scene.ground_column, optics, scene.rules.analog, path_lengths)
+    # Light that the ground absorbs counts as transmitted.
+    return replace(ray, status=ALIVE if ray.status == ALIVE else TRANSMITTED)
+
+
+@inline_only
+def reflect_from_ground(state, ray, scene, optics, path_lengths):
+    """Return a ray after Lambertian reflection or absorption at the ground or the bottom.
+
+    If the lower boundary of the sample reflects it, the ray is directed to the ground again.  The
+    ground counts as one order of scattering.
+    """
+    if scene.detectors is not None:
+        score_ground(state, scene, ray)
+    ray = absorb_at_ground(state, ray, scene, optics, path_lengths)
+    if ray.status != ALIVE:
+        return ray
+    ray = apply_roulette(state, ray, scene.detectors)
+    if ray.status != ALIVE or ray.order == ray.max_order:
+        return replace(ray, status=ABSORBED)
+    direction = sample_cosine_lobe(UP, uniform(state), uniform(state))
+    bottom_layer = scene.layers.collision_coefficient.size - 1
+    ray = replace(
+        ray, direction=direction, stokes=make_unpolarized(direction, ray.stokes),
+        layer=bottom_layer, order=ray.order + 1,
+    )  # fmt: skip
+    if scene.ground_contact is not None:
+        return ray
+    ray = enter_layer(state, ray, scene, optics)
+    return replace(ray, status=ALIVE if ray.status == ALIVE else TO_GROUND)

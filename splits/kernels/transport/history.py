@@ -1,0 +1,272 @@
+"""History loop of the scalar kernel: single rays through layers of grains and particles.
+
+Layers are horizontal and infinitely extended.  A rough surface may lie on top of them and a ground
+below; hits of the ground are recorded as crossings, with the weight of the ray.  Features absent
+from a scene (grains, particles, rough surface, polarization, detectors) are None and compiled away.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from splits.kernels.compiler.jit import entry_point, inline_only
+from splits.kernels.compiler.replace import replace
+from splits.kernels.grains.ray import make_ray
+from splits.kernels.grains.state import BOUNDARY, COLLISION, ROUGH_TOP
+from splits.kernels.math.rng import start_stream, uniform
+from splits.kernels.math.vectors import ORIGIN, UP, Vector
+from splits.kernels.optics.source import sample_source_direction
+from splits.kernels.optics.stokes import make_unpolarized, rotate_reference_to
+from splits.kernels.rough_surface.realization import (
+    compute_entry_position,
+    sample_realization_if_rough,
+)
+from splits.kernels.tallies.crossings import (
+    allocate_crossings,
+    append_crossing,
+    copy_into_row,
+    encode_crossing,
+    ensure_capacity,
+    get_recorded,
+    has_capacity,
+    set_current_ray,
+)
+from splits.kernels.tallies.exits import (
+    ABSORBED,
+    ALIVE,
+    EXIT_LENGTH,
+    LOST,
+    REFLECTED,
+    TO_GROUND,
+    BatchResult,
+    record_exit,
+)
+from splits.kernels.transport.events import (
+    apply_roulette,
+    collide,
+    cross_interface,
+    enter_layer,
+    find_first_roulette,
+    reflect_from_ground,
+)
+from splits.kernels.transport.flight import (
+    attenuate_segment,
+    end_segment,
+    locate_layer,
+    sample_next_event,
+)
+from splits.kernels.transport.rough_top import (
+    interact_at_rough_top,
+    intersect_rough_top,
+    trace_above_surface,
+)
+from splits.kernels.transport.weight_window import leaves_weight_window
+
+TOTAL, UNSCATTERED = range(2)
+"""Columns of totals: all light, and light that only smooth interfaces reflected or refracted."""
+
+
+@inline_only
+def trace_history(state, ray, scene, optics, path_lengths, crossings, window, rough_top):
+    """Trace the history of a ray until it ends or leaves its weight window.
+
+    The loop plays roulette, samples the next event (a collision, a layer boundary or a facet of the
+    rough top), attenuates the ray on the way there, and lets it interact.
+
+    Parameters
+    ----------
+    state : uint64[1]
+        The ray's random stream.
+    ray : Ray
+    scene, optics
+        See `splits.kernels.grains.scene`.
+    path_lengths : float64[materials]
+        Path lengths (m), accumulated in place.
+    crossings : CrossingBuffer or None
+        Records of boundary crossings; None compiles them away.
+    window : WeightWindow or None
+        None compiles splitting away.
+    rough_top : SurfaceRealization or None
+        The rough surface on top; None for a smooth one.
+
+    Returns
+    -------
+    Ray
+        With the status `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `TO_GROUND` or `LOST`; `ALIVE` if
+        the ray left its weight window, or `crossings` may lack capacity for the next segment.
+    """
+    layers = scene.layers
+    while ray.status == ALIVE:
+        if crossings is not None and not has_capacity(crossings, 2 * layers.boundaries.size):
+            break
+        ray = apply_roulette(state, ray, scene.detectors)
+        if ray.status != ALIVE:
+            break
+        ray = locate_layer(ray, scene, optics, path_lengths, crossings)
+        event = sample_next_event(state, ray, scene, optics)
+        event = intersect_rough_top(rough_top, ray, event, layers.boundaries[1])
+        ray = end_segment(ray, event)
+        ray = attenuate_segment(state, ray, event.layer, scene, optics, path_lengths, crossings)
+        if ray.status == ALIVE:
+            ray = interact(state, ray, event, scene, optics, path_lengths, crossings, rough_top)
+        if (
+            window is not None
+            and ray.status == ALIVE
+            and event.kind == COLLISION
+            and leaves_weight_window(window, ray, layers)
+        ):
+            break
+    return ray
+
+
+@inline_only
+def interact(state, ray, event, scene, optics, path_lengths, crossings, rough_top):
+    """Return a ray after its event; parameters are those of `trace_history`."""
+    if event.kind == ROUGH_TOP:
+        return interact_at_rough_top(state, ray, event.slope, scene, optics, rough_top)
+    if event.kind == BOUNDARY:
+        return cross_interface(state, ray, scene, optics, path_lengths, crossings)
+    return collide(state, ray, event, scene, optics, path_lengths)
+
+
+@inline_only
+def sample_source(state, scene, optics, rough_top, max_order):
+    """Sample a ray of the light source, and its entry into the medium at the top."""
+    source = scene.source
+    direction = sample_source_direction(
+        source, uniform(state) if source.diffuse_fraction > 0.0 else 1.0
+    )
+    stokes = make_unpolarized(direction, scene.stokes)
+    position = compute_entry_position(direction, rough_top)
+    ray = make_ray(position, direction, stokes, 0.0, find_first_roulette(scene), max_order)
+    if rough_top is None:
+        return enter_layer(state, ray, scene, optics)
+    return trace_above_surface(state, ray, scene, optics, rough_top)
+
+
+@inline_only
+def make_ended_ray(scene):
+    """Return a ray whose history has ended."""
+    ray = make_ray(ORIGIN, UP, scene.stokes, 0.0, math.inf, 0)
+    return replace(ray, status=ABSORBED)
+
+
+@inline_only
+def trace_to_exit(state, ray, scene, optics, path_lengths, crossings, rough_top):
+    """Trace a ray, with reflections from the ground, until it ends or `crossings` may be full.
+
+    Parameters are those of `trace_history`.
+    """
+    n_boundaries = scene.layers.boundaries.size
+    while ray.status == ALIVE or ray.status == TO_GROUND:
+        if crossings is not None and not has_capacity(crossings, 2 * n_boundaries):
+            break
+        if ray.status == ALIVE:
+            ray = trace_history(state, ray, scene, optics, path_lengths, crossings, None, rough_top)
+            continue
+        if crossings is not None and scene.bottom_albedo is None and not scene.rules.analog:
+            code = encode_crossing(n_boundaries - 1, False)
+            append_crossing(crossings, code, ray.weight, path_lengths)
+        ray = reflect_from_ground(state, ray, scene, optics, path_lengths)
+    return ray
+
+
+@inline_only
+def record_ray(row, ray, path_lengths):
+    """Write the exit of a ray into its row: Q, U and V over I follow the path lengths."""
+    side = ray.status == REFLECTED
+    record_exit(row, side, ray.position, ray.direction, ray.weight, ray.order)
+    copy_into_row(row, EXIT_LENGTH, path_lengths)
+    if ray.stokes is None:
+        return
+    d = ray.direction
+    # For a vertical ray the plane of the normal is undefined, and the x axis is taken.
+    vertical = d.x == 0.0 and d.y == 0.0
+    rotated = rotate_reference_to(ray.stokes, d, Vector(1.0 if vertical else d.x, d.y, 0.0))
+    column = EXIT_LENGTH + path_lengths.size
+    row[column], row[column + 1], row[column + 2] = rotated.q, rotated.u, ray.stokes.v
+
+
+@entry_point
+def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer):
+    """Trace a batch of rays and record their exits.
+
+    Parameters
+    ----------
+    seed : int
+    work : int64[4]
+        Stream number of the paths that wavelengths share, first ray, number of rays, and order of
+        scattering after which a ray counts as absorbed.  Seed, ensemble and ray determine the
+        random stream, so that results do not depend on the batch.
+    scene, optics
+        See `splits.kernels.grains.scene`.
+    exits : float64[rays, columns]
+        A row for each ray, from `splits.kernels.tallies.exits.allocate_exits`; polarized rays have
+        three columns more, Q, U, V over I, with Q along the plane of the normal.
+    height_fields, surface_buffer : HeightFields, SurfaceRealization, or None
+        The rough surface on top, of which every ray has its own realization, and the buffer of
+        realizations, see `realization.allocate_realization`; None for a smooth top.
+
+    Returns
+    -------
+    BatchResult
+        With the crossings of boundaries, if the scene records them, and the hits of the ground,
+        unless absorption there is analog.
+    """
+    n_segments, number = 0, 0
+    path_lengths = np.zeros(optics.n.size)
+    state = np.zeros(1, dtype=np.uint64)
+    crossings = allocate_crossings(optics.n.size)
+    max_crossings = 2 * scene.layers.boundaries.size
+    ray, rough_top = make_ended_ray(scene), surface_buffer
+    while number < work[2]:
+        # Outside the loop over rays, which would count the references to the buffer.
+        crossings = ensure_capacity(crossings, max_crossings)
+        while number < work[2] and has_capacity(crossings, max_crossings):
+            if ray.status != ALIVE and ray.status != TO_GROUND:
+                start_stream(state, seed, work[0], work[1] + number)
+                set_current_ray(crossings, number)
+                path_lengths[:] = 0.0
+                rough_top = sample_realization_if_rough(state, height_fields, surface_buffer)
+                ray = sample_source(state, scene, optics, rough_top, work[3])
+            ray = trace_to_exit(state, ray, scene, optics, path_lengths, crossings, rough_top)
+            if ray.status == ALIVE or ray.status == TO_GROUND:
+                continue
+            n_segments += ray.n_segments
+            if ray.status == LOST:
+                return BatchResult(n_segments, True, get_recorded(crossings))
+            if ray.status != ABSORBED:
+                record_ray(exits[number], ray, path_lengths)
+            number += 1
+    return BatchResult(n_segments, False, get_recorded(crossings))
+
+
+@entry_point
+def trace_to_detectors(seed, work, scene, optics, totals):
+    """Trace rays under a smooth surface, score them at detectors, and return the segments traced.
+
+    Parameters
+    ----------
+    seed, work, optics
+        See `trace_batch`.
+    scene : Scene
+        With detectors, whose sums are accumulated in place; layers of particles only.
+    totals : float64[2, 2]
+        [reflected, transmitted][`TOTAL`, `UNSCATTERED`], accumulated in place.
+    """
+    n_segments = 0
+    path_lengths = np.zeros(optics.n.size)
+    state = np.zeros(1, dtype=np.uint64)
+    for number in range(work[2]):
+        start_stream(state, seed, work[0], work[1] + number)
+        ray = sample_source(state, scene, optics, None, work[3])
+        ray = trace_to_exit(state, ray, scene, optics, path_lengths, None, None)
+        n_segments += ray.n_segments
+        if ray.status != ABSORBED:
+            total = totals[0 if ray.status == REFLECTED else 1]
+            total[TOTAL] += ray.weight
+            if ray.order == 0:
+                total[UNSCATTERED] += ray.weight
+    return n_segments

@@ -1,0 +1,50 @@
+"""Layer of conservative particles in an absorbing matrix."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from splits.kernels.grains.scene import WET_PORE
+from splits.media.ground import Ground
+from splits.media.particle_layer import ParticleLayer
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AbsorbingMatrixLayer(ParticleLayer):
+    """Layer of conservative particles in an absorbing matrix.
+
+    Absorption at particles is equivalent to absorption along the path.  With the latter, path
+    lengths give the absorption between any two depths.
+
+    Parameters
+    ----------
+    absorption_per_m : float
+        Absorption coefficient of the matrix (1/m).
+    """
+
+    absorption_per_m: float = 0.0
+
+    @classmethod
+    def from_particle_layer(cls, layer: ParticleLayer) -> AbsorbingMatrixLayer:
+        """Return the layer that is equivalent to one of absorbing particles."""
+        albedo = layer.single_scattering_albedo
+        inputs: dict[str, Any] = {f.name: getattr(layer, f.name) for f in fields(layer)}
+        inputs |= {
+            "optical_thickness": albedo * layer.optical_thickness,
+            "single_scattering_albedo": 1.0,
+        }
+        return cls(**inputs, absorption_per_m=(1.0 - albedo) * layer.extinction_per_m)
+
+    @property
+    def ground(self) -> Ground | None:
+        """The bottom, whose hits are counted along the paths."""
+        return Ground.from_input(self.bottom_albedo)
+
+    def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return the absorption coefficient of the matrix (1/m), shape (wavelengths, 2)."""
+        added = np.zeros((np.size(wavelength_nm), 2))
+        added[:, WET_PORE] = self.absorption_per_m
+        return added

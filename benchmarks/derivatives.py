@@ -34,10 +34,12 @@ from splits.kernels.tallies.exits import (
 )
 from splits.media.medium import compute_mean_free_path_m
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
-from splits.simulation.fixed_budget import SINGLE_STRATUM
-from splits.simulation.runner import Runner
+from splits.simulation.engine import simulate
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import compute_optical_constants
-from splits.simulation.tally import PathTally
+from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.tally import ExitTally, StoppingRule, Stratum
+from splits.simulation.tracer import make_tracer
 
 WAVELENGTHS_NM = [450.0, 600.0, 700.0, 800.0, 900.0, 1000.0]
 INCIDENCE_DEG = 40.0
@@ -175,46 +177,54 @@ def report_exact_cost(error: float) -> None:
         )
 
 
-class ScoreTally(PathTally):
-    """Sums of reflected weights times the score function of attenuation."""
+class ScoreTally(ExitTally):
+    """Sums of reflected weights times the score function of attenuation, from a single node.
 
-    sums: np.ndarray
-    attenuation: float
+    Attributes
+    ----------
+    sums : float, shape (2, wavelengths)
+        Sums and sums of squares over the rays.
+    """
 
-    def score_chunk(
-        self, stratum: Any, first_ray: int, exits: np.ndarray, crossings: np.ndarray
-    ) -> Any:
-        """Return sums and sums of squares over the rays of a batch, by wavelength."""
+    first_stream = 0
+
+    def __init__(self, nodes: IndexNodes, absorption: np.ndarray, attenuation: float) -> None:
+        super().__init__(nodes, absorption)
+        self.attenuation, self.sums = attenuation, np.zeros((2, len(absorption)))
+        self.add_strata()
+
+    def count_score_values(self) -> int:
+        """Return the number of values in the score of a chunk."""
+        return self.sums.size
+
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> np.ndarray:
+        """Return sums and sums of squares over the rays of a chunk, by wavelength."""
         lengths = exits[:, EXIT_LENGTH:]
         weight = exits[:, EXIT_WEIGHT, None] * np.exp(-lengths @ self.absorption.T)
         score = exits[:, EXIT_ORDER] - self.attenuation * lengths[:, 0]
         # Rows of rays that ended inside are invalid.
         reflected = exits[:, EXIT_SIDE] == REFLECTED - 1
         scores = np.where(reflected[:, None], weight * score[:, None], 0.0)
-        return np.stack([scores.sum(axis=0), (scores**2).sum(axis=0)]), len(exits)
+        return np.stack([scores.sum(axis=0), (scores**2).sum(axis=0)])
 
-    def add_scores(self, stratum: Any, scores: Any) -> None:
-        """Add the sums of batches."""
-        for sums, rays in scores:
-            self.sums = self.sums + sums
-            stratum.n_rays += rays
+    def merge(self, stratum: Stratum, score: np.ndarray) -> None:
+        """Add the sums of the next chunk."""
+        self.sums += score
 
 
 def compute_likelihood_ratio(medium: Any, rays: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the derivative by the logarithm of attenuation, its variance, and the time (s)."""
     start = time.process_time()
+    n_wavelengths = len(WAVELENGTHS_NM)
     index, absorption = compute_optical_constants(medium, np.array(WAVELENGTHS_NM))
-    runner = Runner(medium, INCIDENCE_DEG, 1, None, False)
-    tally = ScoreTally(
-        0, index[len(WAVELENGTHS_NM) // 2], absorption, np.ones(len(WAVELENGTHS_NM), bool),
-        runner.tracer.traits, bounds=SINGLE_STRATUM,
-    )  # fmt: skip
-    tally.sums, tally.attenuation = (
-        np.zeros((2, len(WAVELENGTHS_NM))),
-        1.0 / compute_mean_free_path_m(medium),
+    middle = n_wavelengths // 2
+    nodes = IndexNodes(
+        index[middle : middle + 1], np.ones((1, n_wavelengths)), np.zeros(n_wavelengths)
     )
-    runner.trace([(tally, stratum, rays) for stratum in tally.strata], 1.0, 0.0)
-    n_rays = tally.strata[0].n_rays
+    tally = ScoreTally(nodes, absorption, 1.0 / compute_mean_free_path_m(medium))
+    run = RunOptions.from_arguments(1, None)
+    simulate(make_tracer(medium, INCIDENCE_DEG), tally, StoppingRule(0.0, rays, fixed=True), run)
+    n_rays = tally.n_rays
     mean = tally.sums[0] / n_rays
     variance = (tally.sums[1] / n_rays - mean**2) / n_rays
     return mean, variance, time.process_time() - start

@@ -16,12 +16,15 @@ from __future__ import annotations
 import numpy as np
 
 import splits
-from splits.materials.lookup import absorption_coefficient
+from splits.simulation.engine import simulate
 from splits.simulation.fixed_budget import estimate_fixed_budget
 from splits.simulation.interpolation_bounds import MAX_LOG_CURVATURE, MAX_LOG_SLOPE
-from splits.simulation.runner import Runner
-from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.tally import PathTally
+from splits.simulation.run_options import RunOptions
+from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
+from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
+from splits.simulation.spectral_tally import SpectralTally
+from splits.simulation.tally import STRATUM_BOUNDS, StoppingRule
+from splits.simulation.tracer import make_tracer
 
 # Wider apart than in any spectrum, so that the curvature is larger than the noise.
 MATERIALS = {
@@ -124,22 +127,20 @@ def print_bias() -> None:
     for row, nodes in enumerate((few, many)):
         for node, weight in zip(nodes.index, nodes.weights, strict=True):
             weights[row, rows[tuple(node)]] += weight
+    spectral_rows = SpectralRows.from_media(PathSharingMedia.from_media([snow]), wavelengths)
+    used = IndexNodes(all_nodes, weights.max(axis=0), np.zeros(len(wavelengths)))
+    tracer = make_tracer(snow, 0.0)
     deviations = []
     for seed in range(SEEDS):
-        runner = Runner(snow, 0.0, seed, None, False)
-        absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
-        # All nodes have the same ensemble number, and so the same random streams.
-        ensembles = [
-            PathTally(0, node, absorption, w > 0.0, runner.tracer.traits)
-            for node, w in zip(all_nodes, weights.max(axis=0), strict=True)
-        ]
-        runner.trace(
-            [(tally, stratum, BIAS_RAYS) for tally in ensembles for stratum in tally.strata],
-            1.0,
-            0.0,
-        )
-        means = np.stack([tally.expand_to_all_rows(tally.compute_means()) for tally in ensembles])
-        deviations.append(np.einsum("jw,jqw->qw", weights[0] - weights[1], means))
+        tally = SpectralTally(spectral_rows, used, tracer.traits)
+        for stratum in tally.strata:
+            # The same random streams at all nodes.
+            stratum.stream %= len(STRATUM_BOUNDS)
+        stop = StoppingRule(0.0, BIAS_RAYS * len(tally.strata), fixed=True)
+        simulate(tracer, tally, stop, RunOptions.from_arguments(seed, None))
+        means = tally.moments[:2, 0] / tally.count_rays()
+        means *= (weights[0] - weights[1])[tally.node_of_row, tally.rows]
+        deviations.append([np.bincount(tally.rows, mean, len(wavelengths)) for mean in means])
     mean_deviation = np.mean(deviations, axis=0)
     noise = np.std(deviations, axis=0, ddof=1) / np.sqrt(SEEDS)
     error = np.stack([stated.reflectance_stderr, stated.transmittance_stderr])

@@ -1,17 +1,17 @@
-"""Cost of irradiance profiles: time per ray by number of planes, and errors by stopping rule.
+"""Cost of irradiance profiles: time per ray by number of planes, and errors by target.
 
 First, `splits.irradiance_profile` is compared with the spectrophotometer for the same rays: wet
 snow of SPLITSnow Table 1 at 211 wavelengths, one thread, in alternation.  The error is so large
 that there is only one round.  Printed are CPU times per ray relative to the spectrophotometer.
 
-Second, five layers of natural snow under a sky.  The stopping rule applies to irradiances and
-absorptances at every wavelength, as by default in `splits.irradiance_profile`, to power absorbed in
-the broadband, or to irradiances in it, as in `splits.radiation_profile`.  Printed are CPU times,
+Second, five layers of natural snow under a sky.  The target is the error of irradiances and
+absorptances at every wavelength, as by default in `splits.irradiance_profile`, of power absorbed in
+the broadband, or of irradiances in it, as in `splits.radiation_profile`.  Printed are CPU times,
 stated errors of the power absorbed in the top layer and of the irradiance below it (W m⁻²), the
 interpolation bound included in them, and the scatter between seeds.
 
-Third, the effect of interpolation: the difference between the few index nodes of the first rule and
-the many of the last.
+Third, the effect of interpolation: the difference between the few index nodes of the first target
+and the many of the last.
 
     python benchmarks/irradiance_profile_cost.py [--planes 10 50] [--rounds 20] [--errors 0.05 0.02]
         [--seeds 4]
@@ -28,8 +28,9 @@ import xarray as xr
 
 import splits
 from splits.core.uncertainty import compute_error_parts
-from splits.instruments.flux_stopping_rule import FluxStoppingRule
+from splits.instruments.flux_target import FluxTarget
 from splits.instruments.irradiance_profile import FluxRequest, simulate_flux
+from splits.simulation.run_options import RunOptions
 
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
 LARGE_ERROR = 0.5
@@ -89,7 +90,7 @@ def report_plane_costs(n_planes: Sequence[int], rounds: int) -> None:
 
 
 def report_error_costs(errors: Sequence[float], seeds: int) -> None:
-    """Print times and errors of absorbed power and irradiance, by stopping rule."""
+    """Print times and errors of absorbed power and irradiance, by target."""
     layers = [
         splits.Snow.natural(depth_m=d, specific_surface_area_m2_kg=s, density_kg_m3=r)
         for d, s, r in LAYERS
@@ -101,30 +102,29 @@ def report_error_costs(errors: Sequence[float], seeds: int) -> None:
     plane_depths = np.cumsum([d for d, *_ in LAYERS])[:-1]
     band_weights = weights / weights.sum()
 
-    def run(rule: FluxStoppingRule, seed: int) -> xr.Dataset:
-        request = FluxRequest(
-            snowpack, w, plane_depths, sky.zenith_deg, seed, 10**8, 1, "auto", None
-        )
-        return simulate_flux(request.validate(), rule)
+    request = FluxRequest.from_arguments(snowpack, w, plane_depths, sky.zenith_deg, 10**8)
 
-    rules = {
-        "irradiance by wavelength": lambda e: FluxStoppingRule(e),
-        "irradiance in the band": lambda e: FluxStoppingRule(
+    def run(target: FluxTarget, seed: int) -> xr.Dataset:
+        return simulate_flux(request, target, RunOptions.from_arguments(seed, 1))
+
+    targets = {
+        "irradiance by wavelength": lambda e: FluxTarget(e),
+        "irradiance in the band": lambda e: FluxTarget(
             e, True, band_weights[np.newaxis], np.ones(1)
         ),
-        "absorbed power in the band": lambda e: FluxStoppingRule(
+        "absorbed power in the band": lambda e: FluxTarget(
             e, False, band_weights[np.newaxis], np.ones(1)
         ),
-        "absorbed power, to a tenth": lambda e: FluxStoppingRule(
+        "absorbed power, to a tenth": lambda e: FluxTarget(
             0.1 * e, False, band_weights[np.newaxis], np.ones(1)
         ),
     }
     by_wavelength = xr.DataArray(weights, {"wavelength": w}, ("wavelength",))
     results = {}
     for error in errors:
-        for kind, rule in rules.items():
+        for kind, make_target in targets.items():
             start = time.process_time()
-            runs = [run(rule(error), seed) for seed in range(seeds)]
+            runs = [run(make_target(error), seed) for seed in range(seeds)]
             print(f"{kind}, {error:g}: {(time.process_time() - start) / seeds:.1f} s")
             for name, i_plane in (("absorptance", 0), ("downward_irradiance", 1)):
                 parts = [compute_error_parts(dataset, name, by_wavelength) for dataset in runs]
@@ -139,7 +139,7 @@ def report_error_costs(errors: Sequence[float], seeds: int) -> None:
                     flush=True,
                 )
                 results[kind, error, name] = mean, seed_scatter / seeds**0.5, bound
-    few, *_, many = rules
+    few, *_, many = targets
     for error in errors:
         few_result, many_result = (
             results[few, error, "absorptance"],

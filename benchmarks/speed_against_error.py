@@ -64,7 +64,7 @@ from splits.experiments.papers.performance import (
     SCALED,
     VECTORIZED,
 )
-from splits.simulation.estimators import ANALOG_PILOT_RAYS
+from splits.simulation.spectral_tally import ANALOG_PILOT_RAYS
 
 MEDIA = {
     "representative": splits.Snow(),

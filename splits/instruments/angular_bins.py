@@ -60,7 +60,8 @@ class AngularBinTally(ExitTally):
 
     def count_score_values(self) -> int:
         """Return the largest number of values in the score of a chunk."""
-        return int(self.bin_sums.size + self.unscattered_sums.size)
+        values_per_row = (self.bin_sums.size + self.unscattered_sums.size) // len(self.rows)
+        return values_per_row * int(np.diff(self.first_rows).max())
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> AngularSums:
         """Return the sums of a chunk of exits."""

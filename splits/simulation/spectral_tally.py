@@ -164,6 +164,7 @@ class SpectralTally(ExitTally):
         self.pilot_rays = ANALOG_PILOT_RAYS if traits.analog else PILOT_RAYS
         if len(rows.absorption) > LARGE_PROBLEM_ROWS and not n_parameters:
             self.rays_per_chunk = self.rays_per_round = RAYS_PER_LARGE_CHUNK
+            self.pilot_rays = max(self.pilot_rays, RAYS_PER_LARGE_CHUNK)
         self.first_stream = ANALOG_STREAM if traits.analog else self.first_stream
         bounds = bounds[:1] if traits.analog else bounds
         self.add_strata_by_absorption(rows.min_absorption, traits, bounds)

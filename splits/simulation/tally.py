@@ -246,7 +246,10 @@ class Tally(ABC):
         return Evaluation(1.0)
 
     def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
-        """Return the rays of each stratum that would satisfy a stopping rule."""
+        """Return the rays of each stratum that would satisfy a stopping rule.
+
+        At least one stratum needs more than it has.
+        """
         return self.stratum_rays + self.rays_per_round
 
     def plan_first_round(self, stop: StoppingRule) -> np.ndarray:

@@ -14,13 +14,12 @@ from splits.media.parameters import (
     list_parameters,
     replace_parameter,
 )
-from splits.simulation.estimators import SpectralEstimate
 from splits.simulation.finite_differences import (
     _compute_difference_weights,
     _compute_stencil_weights,
     compute_finite_difference,
 )
-from splits.simulation.path_tally import Derivatives
+from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 
 W = [450.0, 850.0, 1250.0]
 THIN = splits.Snow.natural(
@@ -157,7 +156,7 @@ def make_estimator(function, noise):
         batches = np.full((32, 2, 1), noise / np.sqrt(32.0))
         empty = np.zeros((2, 0, 1))
         return SpectralEstimate(
-            mean, noise + 0.0 * mean, 0.0 * mean, batches, 1, 1, True, "vectorized",
+            mean, noise + 0.0 * mean, 0.0 * mean, batches, 1, 1, "vectorized", "converged",
             Derivatives(empty, np.zeros((32, *empty.shape)), empty),
         )  # fmt: skip
 

@@ -14,13 +14,12 @@ from splits.simulation import deep_medium
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.diffusion import DiffusiveSubstrate, diffuse_reflectance
 from splits.simulation.grain_optics import (
-    GRAIN_RAYS_PER_CHUNK,
     GrainOpticsRequest,
     compute_material_constants,
     pool_optics_by_type,
 )
-from splits.simulation.grain_optics_means import WEIGHTED_MEANS
-from splits.simulation.path_tally import PathSharingMedia
+from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK, WEIGHTED_MEANS
+from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
 
 CLEAR = {"ice": 1.31, "water": 1.33}

@@ -13,7 +13,7 @@ import splits
 from splits.core.validation import InvalidValue
 from splits.instruments.spectral_run import SpectralRequest
 from splits.simulation.path_reuse import compute_path_signature
-from splits.simulation.path_tally import PathSharingMedia
+from splits.simulation.spectral_rows import PathSharingMedia
 from splits.tables import build
 from splits.tables.axes import ParameterGrid
 from splits.tables.block import TableRequest
@@ -173,12 +173,14 @@ def test_media_that_share_paths_agree_with_single_runs(water):
     run = SpectralRequest.from_arguments(WAVELENGTHS, 30.0, 0.005, 5, 20_000_000, None, "auto")
     radii = np.array([60.0, 130.0, 400.0])
     media = tuple(make_snow(radius, 20.0, water) for radius in radii)
-    shared = run.estimate(PathSharingMedia(media, radii / radii[0])).estimate
+
+    def estimate(path_sharing, request):
+        return request.simulate(path_sharing, request.truncate(path_sharing), request.start_run())
+
+    shared = estimate(PathSharingMedia(media, radii / radii[0]), run)
     z = []
     for number, medium in enumerate(media):
-        single = (
-            run._replace(seed=100 + number).estimate(PathSharingMedia.from_media([medium])).estimate
-        )
+        single = estimate(PathSharingMedia.from_media([medium]), run._replace(seed=100 + number))
         rows = slice(number * WAVELENGTHS.size, (number + 1) * WAVELENGTHS.size)
         error = np.hypot(shared.stderr[0, rows], single.stderr[0])
         z.append((shared.mean[0, rows] - single.mean[0]) / error)

@@ -18,10 +18,14 @@ from splits.kernels.tallies.exits import EXIT_DIRECTION, EXIT_POSITION, allocate
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.interaction import run_surface_pass
 from splits.kernels.vectorized.lane_state import N_LANES
-from splits.materials.lookup import absorption_coefficient
-from splits.simulation.fixed_budget import SINGLE_STRATUM
-from splits.simulation.runner import RAYS_PER_CHUNK, Runner
-from splits.simulation.tally import PathTally, TransportTraits
+from splits.simulation.engine import simulate
+from splits.simulation.run_options import RunOptions
+from splits.simulation.spectral_nodes import make_separate_nodes
+from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
+from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
+from splits.simulation.tally import RAYS_PER_CHUNK, StoppingRule
+from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer_interface import WorkItem
 
 pytestmark = NEEDS_JIT
 
@@ -41,31 +45,26 @@ MEDIA = {
 }  # fmt: skip
 
 
-def make_ensembles(medium, wavelengths, attenuation):
-    """Return a separate ensemble of paths for each wavelength."""
-    index = medium.compute_refractive_indices(wavelengths)
-    absorption = absorption_coefficient(index, wavelengths[:, np.newaxis])
-    one = np.ones(1, dtype=bool)
-    return [
-        PathTally(
-            number, m, alpha[np.newaxis], one, TransportTraits(attenuation), bounds=SINGLE_STRATUM
-        )
-        for number, (m, alpha) in enumerate(zip(index, absorption, strict=True))
-    ]
+def make_tally(medium, wavelengths, traits):
+    """Return a tally with a separate ensemble of paths for each wavelength."""
+    rows = SpectralRows.from_media(PathSharingMedia.from_media([medium]), wavelengths)
+    return SpectralTally(rows, make_separate_nodes(rows.index), traits, SINGLE_STRATUM)
 
 
 def trace_spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     """Return R and T, their standard errors, and the seconds elapsed on two threads."""
-    runner = Runner(medium, incidence, seed, 2, False, kernel)
-    ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.collision_coefficient)
+    tracer = make_tracer(medium, incidence)
+    tally = make_tally(medium, wavelengths, tracer.traits)
+    # Each wavelength with the features that it needs.
+    tally.shares_kernel = False
+    stop = StoppingRule(0.0, rays * len(wavelengths), fixed=True)
     start = time.perf_counter()
-    runner.trace([(e, e.strata[0], rays) for e in ensembles], 1.0, 0.0)
+    outcome = simulate(tracer, tally, stop, RunOptions.from_arguments(seed, 2, kernel))
     seconds = time.perf_counter() - start
-    mean = np.stack([e.compute_means()[:, 0] for e in ensembles], axis=1)
-    error = np.stack(
-        [np.sqrt(e.compute_variances()[:2, 0] / e.n_rays[0]) for e in ensembles], axis=1
-    )
-    return mean, error, seconds
+    assert outcome.kernel == kernel
+    assert (tally.count_rays() == -(-rays // RAYS_PER_CHUNK) * RAYS_PER_CHUNK).all()
+    error = np.sqrt(tally.compute_variances()[:2] / tally.count_rays())
+    return tally.compute_means()[:2], error, seconds
 
 
 @pytest.mark.long
@@ -112,13 +111,11 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
 
 
 def test_paths_are_independent_of_other_ensembles():
-    runner = Runner(splits.Snow(depth_m=0.02), 30.0, 3, 1, False, "vectorized")
-    ensembles = make_ensembles(
-        splits.Snow(), np.array([500.0, 800.0]), runner.tracer.traits.collision_coefficient
-    )
-    ensemble_optics = [e.strata[0].optics for e in ensembles]
-    features = runner.tracer.get_features(ensembles[0].strata[0])
-    scene = runner.tracer.scene
+    tracer = make_tracer(splits.Snow(depth_m=0.02), 30.0)
+    strata = make_tally(splits.Snow(), np.array([500.0, 800.0]), tracer.traits).strata
+    tracer.select_kernel(strata, "vectorized", False)
+    ensemble_optics = [stratum.optics for stratum in strata]
+    features, scene = strata[0].features, tracer.scene
 
     def trace_exits(items, optics):
         rows = allocate_exits(sum(rays for *_, rays, _ in items), 3)
@@ -145,18 +142,15 @@ def test_paths_are_independent_of_other_ensembles():
 
 def test_paths_are_independent_of_lane_and_batch():
     medium = splits.Snow(depth_m=0.02)
-    runner = Runner(medium, 30.0, 3, 1, False, "vectorized")
-    (ensemble,) = make_ensembles(
-        medium, np.array([900.0]), runner.tracer.traits.collision_coefficient
-    )
-    optics = ensemble.strata[0].optics
-    features = runner.tracer.get_features(ensemble.strata[0])
+    tracer = make_tracer(medium, 30.0)
+    (stratum,) = make_tally(medium, np.array([900.0]), tracer.traits).strata
+    tracer.select_kernel([stratum], "vectorized", False)
 
     def trace_exits(first, rays):
         rows = allocate_exits(rays, 3)
         work = np.array([[0, first, rays, NO_MAX_ORDER]])
         _, lost, _ = vectorized.trace_batch(
-            3, work, runner.tracer.scene, to_single_item(optics), rows, features
+            3, work, tracer.scene, to_single_item(stratum.optics), rows, stratum.features
         )
         assert not lost
         return rows
@@ -173,35 +167,41 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
     wavelengths = np.array([650.0, 900.0])
     batches = 12
 
-    def trace_moments(threads=None):
-        runner = Runner(medium, 10.0, 4, threads, False, kernel)
-        ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.collision_coefficient)
-        runner.share_kernel(ensembles)
-        runner.trace([(e, e.strata[0], batches * RAYS_PER_CHUNK) for e in ensembles], 1.0, 0.0)
-        return np.stack([e.moments for e in ensembles])
+    def make_selected_tally(tracer):
+        tally = make_tally(medium, wavelengths, tracer.traits)
+        tracer.select_kernel(tally.strata, kernel, tally.shares_kernel)
+        return tally
+
+    def get_sums(tally):
+        return np.concatenate([tally.moments.ravel(), tally.batch_sums.ravel()])
+
+    def trace_sums(threads=None):
+        tracer = make_tracer(medium, 10.0)
+        tally = make_tally(medium, wavelengths, tracer.traits)
+        stop = StoppingRule(0.0, batches * RAYS_PER_CHUNK * len(wavelengths), fixed=True)
+        outcome = simulate(tracer, tally, stop, RunOptions.from_arguments(4, threads, kernel))
+        assert outcome.n_rays == stop.max_rays
+        return get_sums(tally)
 
     def merge_jobs(jobs):
-        """Return the ordered sum of the moments of jobs that trace every `jobs`-th batch."""
-        tallies = {}
+        """Return the ordered sums of jobs that trace every `jobs`-th chunk."""
+        scores = {}
         for job in random.Random(1).sample(range(jobs), jobs):
-            runner = Runner(medium, 10.0, 4, 1, False, kernel)
-            ensembles = make_ensembles(
-                medium, wavelengths, runner.tracer.traits.collision_coefficient
-            )
-            runner.share_kernel(ensembles)
-            for number, e in enumerate(ensembles):
+            tracer = make_tracer(medium, 10.0)
+            tally = make_selected_tally(tracer)
+            for number, stratum in enumerate(tally.strata):
                 for batch in range(job, batches, jobs):
-                    ((tally,), _), *_ = runner.trace_job(
-                        [(e, e.strata[0], batch * RAYS_PER_CHUNK, 1)]
-                    )
-                    tallies[number, batch] = tally
-        ensembles = make_ensembles(medium, wavelengths, runner.tracer.traits.collision_coefficient)
-        for (number, _), tally in sorted(tallies.items(), key=lambda item: item[0]):
-            ensembles[number].add_scores(ensembles[number].strata[0], [tally])
-        return np.stack([e.moments for e in ensembles])
+                    item = WorkItem(stratum, batch * RAYS_PER_CHUNK, RAYS_PER_CHUNK)
+                    (((score,), _),) = tracer.trace_job(4, tally, [item])
+                    scores[number, batch] = score
+        tally = make_tally(medium, wavelengths, tracer.traits)
+        for (number, _), score in sorted(scores.items(), key=lambda item: item[0]):
+            tally.merge(tally.strata[number], score)
+            tally.strata[number].n_rays += RAYS_PER_CHUNK
+        return get_sums(tally)
 
-    expected = trace_moments(1)
-    for other in (trace_moments(2), trace_moments(4), merge_jobs(1), merge_jobs(7)):
+    expected = trace_sums(1)
+    for other in (trace_sums(2), trace_sums(4), merge_jobs(1), merge_jobs(7)):
         assert (other == expected).all()
 
 
@@ -209,16 +209,13 @@ def test_vectorized_kernel_conserves_energy():
     medium = splits.Snow(
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    runner = Runner(medium, 60.0, 5, 1, False, "vectorized")
-    (ensemble,) = make_ensembles(
-        medium, np.array([600.0]), runner.tracer.traits.collision_coefficient
-    )
-    optics = ensemble.strata[0].optics
-    features = runner.tracer.get_features(ensemble.strata[0])
+    tracer = make_tracer(medium, 60.0)
+    (stratum,) = make_tally(medium, np.array([600.0]), tracer.traits).strata
+    tracer.select_kernel([stratum], "vectorized", False)
     rows = allocate_exits(3000, 3)
     work = np.array([[0, 0, 3000, NO_MAX_ORDER]])
     _, lost, _ = vectorized.trace_batch(
-        5, work, runner.tracer.scene, to_single_item(optics), rows, features
+        5, work, tracer.scene, to_single_item(stratum.optics), rows, stratum.features
     )
     assert not lost
     assert (rows[:, 0] >= 0.0).all()

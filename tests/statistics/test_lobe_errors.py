@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.instruments.angular_estimate import estimate_brdf
-from splits.instruments.angular_tally import N_ANGULAR_BATCHES
+from splits.instruments.angular_estimate import (
+    N_ANGULAR_BATCHES,
+    ErrorTarget,
+    estimate_row,
+    stack_rows,
+)
 from splits.instruments.angular_truncation import is_significant, make_direction_grid
 from splits.kernels.tallies.angular import make_basis
 
@@ -26,20 +30,18 @@ class SyntheticExits:
     """
 
     def __init__(self, mean, root, rays, rng, classes=1):
-        self.basis, self.wavelength_rows = BASIS, {0: 0}
         self.rays = rays
         noise = rng.standard_normal((N_ANGULAR_BATCHES, classes, 1, mean.size)) @ root.T
         batches = mean / classes + noise * np.sqrt(N_ANGULAR_BATCHES / rays / classes)
         self.batches = np.repeat(batches, 2, axis=2)
 
-    def compute_coefficients(self, _):
-        return self.batches
-
-    def compute_unscattered(self, _):
-        return np.zeros((N_ANGULAR_BATCHES, 2))
-
-    def count_rays(self):
-        return np.full(self.batches.shape[1], self.rays)
+    def estimate_brdf(self):
+        """Return the estimate of one wavelength at one index node."""
+        n_rays = np.full(self.batches.shape[1], self.rays)
+        target = ErrorTarget(ANGLES, False, 0, np.ones(len(ANGLES.polynomials), dtype=bool))
+        unscattered = np.zeros((N_ANGULAR_BATCHES, 2))
+        estimate, _ = estimate_row([self.batches], unscattered, n_rays, target)
+        return stack_rows([estimate], np.zeros(1))
 
 
 def evaluate_forward_lobe(polar, azimuth, width):
@@ -70,11 +72,10 @@ def compare_errors(width, rays, classes):
     mean, root = project_lobe(width)
     truth = ANGLES.polynomials @ mean
     rng = np.random.default_rng(7)
-    counted = np.ones(truth.size, dtype=bool)
     results = []
     for _ in range(SEEDS):
         exits = SyntheticExits(mean, root, rays, rng, classes)
-        result, _ = estimate_brdf([exits], np.zeros(1), ANGLES, False, 0, counted)
+        result = exits.estimate_brdf()
         results.append((result.mean[0, 0], result.stderr[0, 0]))
     value, stderr = np.array(results).transpose(1, 0, 2).reshape(2, SEEDS, *LOBE.shape)
     deviation = value - truth.reshape(LOBE.shape)
@@ -111,7 +112,7 @@ class FewRays(SyntheticExits):
             np.degrees(np.arcsin(np.sqrt(rng.random(number)))),
             360.0 * rng.random(number),
         )
-        self.basis, self.wavelength_rows, self.rays = BASIS, {0: 0}, 100_000
+        self.rays = 100_000
         self.batches = np.zeros((N_ANGULAR_BATCHES, 1, 2, BASIS.norms.size))
         for theta, phi, batch in zip(
             polar, azimuth, rng.integers(0, N_ANGULAR_BATCHES, number), strict=True
@@ -123,10 +124,9 @@ class FewRays(SyntheticExits):
 @pytest.mark.parametrize("number", [1, 2, 4, 8, 32])
 def test_errors_from_few_rays_are_conservative(number):
     rng = np.random.default_rng(number)
-    counted = np.ones(len(ANGLES.polynomials), dtype=bool)
     z = []
     for n_rays in rng.poisson(number, SEEDS):
-        result, _ = estimate_brdf([FewRays(n_rays, rng)], np.zeros(1), ANGLES, False, 0, counted)
+        result = FewRays(n_rays, rng).estimate_brdf()
         z.append((result.mean[0, 0] - number / 1e5 / np.pi) / result.stderr[0, 0])
         # No unscattered ray was recorded; 100 000 rays leave an uncertainty of one ray.
         assert result.hemispherical[3] == pytest.approx(1e-5)
@@ -143,11 +143,10 @@ def test_truncation_does_not_enlarge_errors_of_a_lambertian_surface():
     # For a Lambertian surface all coefficients but the constant are noise.
     mean, root = project_lobe(0.01)
     rng = np.random.default_rng(3)
-    counted = np.ones(len(ANGLES.polynomials), dtype=bool)
     z = []
     for _ in range(SEEDS):
         exits = SyntheticExits(mean, root, 30_000, rng, 4)
-        result, _ = estimate_brdf([exits], np.zeros(1), ANGLES, False, 0, counted)
+        result = exits.estimate_brdf()
         z.append((result.mean[0, 0] - ANGLES.polynomials @ mean) / result.stderr[0, 0])
     print(f"Lambertian surface: rms z {compute_rms(np.array(z)):.2f}")
     assert 0.8 < compute_rms(np.array(z)) < 1.2

@@ -24,7 +24,8 @@ from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.papers.snow_trends import compute_band_mean, compute_steps
 from splits.experiments.run import run
-from splits.simulation.tally import N_BATCHES, rescale_deviations
+from splits.kernels.tallies.exits import N_BATCHES
+from splits.simulation.spectral_tally import rescale_deviations
 
 WAVELENGTHS = np.arange(400.0, 781.0, 10.0)
 RED = WAVELENGTHS >= 600.0

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.tally import Evaluation, Stratum, Tally
+from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, ExitTally, Stratum
 from splits.simulation.tracer_interface import Tracer
 
 
@@ -41,7 +41,7 @@ class StubTracer(Tracer):
         return results
 
 
-class StubTally(Tally):
+class StubTally(ExitTally):
     """Tally of independent rows, one of each stratum, with given variances per ray.
 
     Attributes
@@ -51,7 +51,7 @@ class StubTally(Tally):
         Rays of each stratum after each round.
     """
 
-    def __init__(self, variances, rays_per_round=Tally.rays_per_round):
+    def __init__(self, variances, rays_per_round=RAYS_PER_CHUNK):
         self.variances, self.rays_per_round = np.array(variances), rays_per_round
         self.pilot_rays = rays_per_round
         n_rows = len(variances)

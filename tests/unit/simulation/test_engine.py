@@ -14,13 +14,12 @@ from splits.core.validation import InvalidValue
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY
 from splits.kernels.tallies.exits import EXIT_LENGTH
-from splits.simulation import engine, jobs
+from splits.simulation import engine
 from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_round, simulate
-from splits.simulation.jobs import WorkItem
 from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
 from splits.simulation.run_options import RunOptions
-from splits.simulation.tally import RAYS_PER_CHUNK, StoppingRule, Stratum
-from splits.simulation.tracer_interface import ExitTracer, TraceResult
+from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
+from splits.simulation.tracer_interface import ExitTracer, TraceResult, WorkItem
 
 MANY_RAYS = 10**8
 SEGMENTS = (100, 10, 1)
@@ -66,7 +65,7 @@ def test_a_run_stops_at_the_maximum_number_of_rays(max_rays):
 
 def test_reasons_of_a_tally_end_a_run():
     tally = StubTally([1.0])
-    tally.evaluate = lambda stop: engine.Evaluation(0.5, "max_degree")
+    tally.evaluate = lambda stop: Evaluation(0.5, "max_degree")
     outcome = run(tally, StoppingRule(0.01, MANY_RAYS))
     assert outcome[:3] == (0.5, "max_degree", RAYS_PER_CHUNK)
 
@@ -114,8 +113,8 @@ def test_scores_are_merged_in_order_on_any_number_of_threads(monkeypatch):
 
     expected = run_on(1)
     assert run_on(1, seed=4)[0] != expected[0]
-    for max_segments in (jobs.MAX_SEGMENTS_PER_JOB, 1e5):
-        monkeypatch.setattr(jobs, "MAX_SEGMENTS_PER_JOB", max_segments)
+    for max_segments in (engine.MAX_SEGMENTS_PER_JOB, 1e5):
+        monkeypatch.setattr(engine, "MAX_SEGMENTS_PER_JOB", max_segments)
         for threads in (1, 2, 5, 16):
             assert run_on(threads) == expected
 
@@ -313,7 +312,9 @@ def test_allocation_has_the_least_cost(name, seed):
     terms = make_terms(contributes, columns, rng)
     # Later strata are more absorbed and cheaper.
     segments = (300.0 / 4.0 ** np.arange(len(contributes)) * rng.uniform(0.5, 2.0)).astype(int)
-    strata = [Stratum(i, None, slice(0), n_rays=1, n_segments=int(n)) for i, n in enumerate(segments)]
+    strata = [
+        Stratum(i, None, slice(0), n_rays=1, n_segments=int(n)) for i, n in enumerate(segments)
+    ]
     n_rays = allocate_rays(terms, strata)
     ratio = terms.sum_columns(terms.variances / (n_rays @ terms.contributes))
     # The margin is 3 %.

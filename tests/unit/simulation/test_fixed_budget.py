@@ -9,8 +9,8 @@ from chi2 import NEEDS_JIT, compute_z_bound
 from splits import Sand, Snow, spectrophotometer
 from splits.simulation.fixed_budget import choose_node_rows, estimate_fixed_budget
 from splits.simulation.interpolation_bounds import compute_contrasts
-from splits.simulation.runner import RAYS_PER_CHUNK
 from splits.simulation.spectral_nodes import make_nodes
+from splits.simulation.tally import RAYS_PER_CHUNK
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 50.0)
 ROWS = choose_node_rows(len(WAVELENGTHS))

@@ -2,35 +2,74 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 
-from splits.instruments.angular_tally import ORDER_CLASSES
-from splits.instruments.flux_tally import FluxPathTally
-from splits.simulation import random_streams
-from splits.simulation.spectral_nodes import MAX_SEPARATE_NODES
-from splits.simulation.tally import STRATUM_BOUNDS, PathTally, TransportTraits
+import splits
+from splits.instruments.angular_bins import AngularBinTally
+from splits.instruments.beam_spread_tally import BeamSpreadTally
+from splits.instruments.expansion_tally import ORDER_CLASSES, ExpansionTally
+from splits.instruments.flux_tally import FluxTally
+from splits.instruments.transmittance_tally import N_PILOTS, TransmittanceTally
+from splits.kernels.tallies.angular import make_basis
+from splits.simulation.scene import OpticalConstants
+from splits.simulation.single_scattering_tally import SingleScatteringTally
+from splits.simulation.spectral_nodes import MAX_SEPARATE_NODES, make_separate_nodes
+from splits.simulation.spectral_rows import SpectralRows
+from splits.simulation.spectral_tally import ANALOG_STREAM, SpectralTally
+from splits.simulation.tally import STRATUM_BOUNDS, Tally, TransportTraits
 
 
-def test_stream_offsets_leave_room_for_all_strata():
-    offsets = sorted(value for name, value in vars(random_streams).items() if name.isupper())
-    max_streams = MAX_SEPARATE_NODES * max(len(STRATUM_BOUNDS), len(ORDER_CLASSES))
-    assert len(set(offsets)) == len(offsets) == 10
+def list_tally_classes(base=Tally):
+    """Return the classes of tallies of the package that have random streams."""
+    classes = []
+    for child in base.__subclasses__():
+        if child.__module__.startswith("splits."):
+            classes += [child] * hasattr(child, "first_stream") + list_tally_classes(child)
+    return classes
+
+
+def test_first_streams_leave_room_for_all_strata():
+    for module in pkgutil.walk_packages(splits.__path__, "splits."):
+        if module.name.endswith("_tally"):
+            importlib.import_module(module.name)
+    offsets = sorted([ANALOG_STREAM, *(one.first_stream for one in list_tally_classes())])
+    max_streams = MAX_SEPARATE_NODES * max(len(STRATUM_BOUNDS), len(ORDER_CLASSES), N_PILOTS + 1)
+    assert len(set(offsets)) == len(offsets) == 9
     assert min(np.diff(offsets)) > max_streams
 
 
 def test_strata_have_different_streams():
-    index, absorption, mask = np.ones(2) + 0j, np.zeros((3, 2)), np.ones(3, dtype=bool)
+    """Three nodes, each used at three wavelengths of increasing absorption."""
+    index = np.array([[1.3, 1.3], [1.4, 1.4], [1.5, 1.5]]) + 0j
+    absorption = np.repeat([[0.0], [9.0], [99.0]], 2, axis=1)
+    nodes = replace(make_separate_nodes(index), weights=np.full((3, 3), 1.0 / 3.0))
     traits = TransportTraits(1e3)
-    streams = [
-        stratum.stream
-        for ensemble in (
-            *(PathTally(i, index, absorption, mask, traits) for i in range(3)),
-            *(
-                PathTally(i, index, absorption, mask, traits._replace(analog=True))
-                for i in range(3)
-            ),
-            *(FluxPathTally(i, index, absorption, mask, traits, 2, np.ones(2)) for i in range(3)),
-        )
-        for stratum in ensemble.strata
-    ]
+    rows = SpectralRows(index, absorption, absorption, np.zeros((0, 3, 2)), ())
+    traced_medium = SimpleNamespace(
+        constants=OpticalConstants(index, absorption), path_fractions=None, planes_m=np.ones(2),
+    )  # fmt: skip
+    tracer = SimpleNamespace(traits=traits, boundary_depths_m=np.array([0.0, 1.0]))
+    target = SimpleNamespace(directions=SimpleNamespace(basis=make_basis(2)))
+    tallies = {
+        SpectralTally(rows, nodes, traits): 9,
+        SpectralTally(rows, nodes, traits._replace(analog=True)): 3,
+        FluxTally(nodes, traced_medium, tracer, None): 9,
+        ExpansionTally(nodes, absorption, target, True): 3 * len(ORDER_CLASSES),
+        AngularBinTally(nodes, absorption, (2, 2)): 3,
+        BeamSpreadTally(nodes, absorption, 1.0): 3,
+        BeamSpreadTally(nodes, absorption, 1.0, first_node=3): 3,
+        SingleScatteringTally(nodes, absorption, 2, 2048): 3,
+        **{
+            TransmittanceTally(traced_medium.constants, np.ones(3), stage): 3
+            for stage in range(N_PILOTS + 1)
+        },
+    }
+    for tally, n_strata in tallies.items():
+        assert len(tally.strata) == n_strata
+    streams = [stratum.stream for tally in tallies for stratum in tally.strata]
     assert len(set(streams)) == len(streams)

@@ -12,8 +12,9 @@ from chi2 import NEEDS_JIT
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import splits
+from splits.simulation import engine
 from splits.simulation.arguments import check_threads
-from splits.simulation.runner import Runner
+from splits.simulation.run_options import RunOptions
 from splits.simulation.threads import DaemonThreadPool, count_cpus, limit_blas_threads
 
 SNOW = splits.Snow(depth_m=0.02)
@@ -25,7 +26,7 @@ def test_cpu_count_without_affinity(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.delattr(os, "process_cpu_count", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
-    assert count_cpus() == check_threads(None) == Runner(SNOW, 0.0, 1, None, False).threads == 6
+    assert count_cpus() == check_threads(None) == RunOptions.from_arguments(1, None).threads == 6
     monkeypatch.setattr(os, "process_cpu_count", lambda: 4, raising=False)
     assert count_cpus() == 4
     monkeypatch.setattr(os, "process_cpu_count", lambda: None)
@@ -133,11 +134,6 @@ def test_nested_pools_end_with_the_outer_pool():
     assert ended == [1]
 
 
-def report_at_once(runner, *report):
-    """Replace `Runner._report_progress`, which reports at most twice a second."""
-    runner.progress_callback(report)
-
-
 @NEEDS_JIT
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, RuntimeError])
 def test_errors_of_progress_callbacks_end_the_run(error, monkeypatch):
@@ -146,7 +142,8 @@ def test_errors_of_progress_callbacks_end_the_run(error, monkeypatch):
 
     with pytest.raises(error, match="enough"):
         splits.deep_transmittance(SNOW, [1000.0], relative_stderr=0.5, threads=2, progress=fail)
-    monkeypatch.setattr(Runner, "_report_progress", report_at_once)
+    # Every job is reported, not only two a second.
+    monkeypatch.setattr(engine, "MIN_REPORT_INTERVAL_S", -1.0)
     with pytest.raises(error, match="enough"):
         splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=fail)
 
@@ -158,7 +155,7 @@ def test_results_are_unchanged_after_an_interrupted_run(monkeypatch):
 
     expected = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=2)
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(Runner, "_report_progress", report_at_once)
+        patched.setattr(engine, "MIN_REPORT_INTERVAL_S", -1.0)
         splits.spectrophotometer(SNOW, [500.0], max_stderr=1e-4, threads=2, progress=interrupt)
     repeated = splits.spectrophotometer(SNOW, [500.0, 1030.0], max_stderr=0.02, threads=1)
     assert expected.equals(repeated)

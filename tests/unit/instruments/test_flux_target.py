@@ -1,0 +1,129 @@
+"""Quantities inside a medium that determine when a run stops, and their variance terms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from splits.core.uncertainty import compute_batch_stderr
+from splits.instruments.flux_errors import (
+    MIN_NONZERO_BATCHES,
+    bound_unsampled_light,
+    estimate_rare_event_error,
+)
+from splits.instruments.flux_target import (
+    FluxTarget,
+    NodeQuantities,
+    allocate_flux_rays,
+    make_variance_terms,
+)
+from splits.kernels.tallies.exits import N_BATCHES
+from splits.simulation.tally import Stratum
+
+RANDOM = np.random.default_rng(1)
+ROWS = np.array([0, 1, 2, 1, 2, 3])
+"""Wavelengths of the node rows: three of the first node, three of the second."""
+CONTRIBUTES = np.array([[1, 1, 1, 0, 0, 0], [0, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 1]], dtype=bool)
+"""The first node has two strata, the second has one."""
+QUANTITIES = NodeQuantities(RANDOM.random((N_BATCHES, 3, 6)), ROWS, CONTRIBUTES)
+
+
+def make_uncorrelated_quantities():
+    """Return quantities whose scatter is not correlated between node rows of different strata."""
+    contrasts = np.linalg.qr(np.column_stack([np.ones(N_BATCHES), RANDOM.random((N_BATCHES, 3))]))
+    pattern = np.array([1, 2, 2, 3, 3, 3])
+    return QUANTITIES._replace(values=contrasts.Q[:, np.newaxis, pattern] * RANDOM.random((3, 6)))
+
+
+def test_variance_terms_of_bands_add_up():
+    target = FluxTarget(0.01, True, RANDOM.random((2, 4)), np.ones(2))
+    terms = make_variance_terms(target, QUANTITIES)
+    # The first wavelength uses one stratum of the first node, the next two use both.
+    node_rows_by_strata = {(1, 0, 0): [0], (1, 1, 0): [1, 2], (0, 0, 1): [3, 4, 5]}
+    columns = [
+        terms.columns[(one == terms.contributes.T).all(axis=1)] for one in node_rows_by_strata
+    ]
+    assert [sorted(one) for one in columns] == [[0, 1]] * 3
+    assert terms.variances.shape == (3, 6)
+    for strata, node_rows in node_rows_by_strata.items():
+        by_band = QUANTITIES.values[..., node_rows] @ target.band_weights[:, ROWS[node_rows]].T
+        for band in range(2):
+            term = (strata == terms.contributes.T).all(axis=1) & (terms.columns == band)
+            np.testing.assert_allclose(
+                terms.variances[:, term], compute_batch_stderr(by_band[..., [band]]) ** 2
+            )
+    uncorrelated = make_uncorrelated_quantities()
+    terms = make_variance_terms(target, uncorrelated)
+    by_wavelength = np.zeros((N_BATCHES, 3, 4))
+    np.add.at(by_wavelength, (..., ROWS), uncorrelated.values)
+    np.testing.assert_allclose(
+        terms.sum_columns(terms.variances),
+        compute_batch_stderr(target.average_over_bands(by_wavelength)) ** 2,
+    )
+
+
+def test_variance_terms_of_wavelengths_are_node_rows():
+    terms = make_variance_terms(FluxTarget(0.01), QUANTITIES)
+    np.testing.assert_array_equal(terms.contributes, CONTRIBUTES)
+    np.testing.assert_array_equal(terms.columns, ROWS)
+    np.testing.assert_allclose(terms.variances, compute_batch_stderr(QUANTITIES.values) ** 2)
+
+
+def test_rays_are_allocated_by_variance():
+    """A wavelength that uses one node only needs no rays of the other."""
+    strata = [Stratum(i, None, slice(0), n_rays=1024, n_segments=10 * 1024) for i in range(2)]
+    scatter = (
+        RANDOM.standard_normal((2, N_BATCHES, 1, 3))
+        * np.array([[1, 0.5, 0], [0, 0.5, 1]])[:, np.newaxis, np.newaxis]
+    )
+    error = scatter.sum(axis=0).std(axis=0, ddof=1).max() / np.sqrt(N_BATCHES)
+    quantities = NodeQuantities(
+        0.1 + np.concatenate([scatter[0][..., :2], scatter[1][..., 1:]], axis=-1),
+        np.array([0, 1, 1, 2]),
+        np.array([[1, 1, 0, 0], [0, 0, 1, 1]], dtype=bool),
+    )
+    n_rays = allocate_flux_rays(
+        FluxTarget(error / 2.0, False), strata, quantities, np.zeros((1, 3))
+    )
+    assert (n_rays > 1.5 * 1024).all()
+    assert (n_rays < 6.0 * 1024).all()
+
+
+def test_irradiances_are_optional_in_the_target():
+    irradiance, absorptance = RANDOM.random((N_BATCHES, 2, 3, 4)), RANDOM.random((N_BATCHES, 2, 4))
+    assert FluxTarget(0.01).select_quantities(irradiance, absorptance).shape == (
+        N_BATCHES,
+        8,
+        4,
+    )
+    rows = FluxTarget(0.01, limit_irradiance=False).select_quantities(irradiance, absorptance)
+    np.testing.assert_array_equal(rows[:, 0], irradiance[:, 1, 0])
+    np.testing.assert_array_equal(rows[:, 1:], absorptance)
+
+
+def test_limits_are_fractions_of_the_band_variance():
+    fractions = np.array([0.3, 1.0])
+    one, other = (
+        FluxTarget(0.01, band_weights=np.ones((2, 1)), variance_fractions=fraction)
+        for fraction in (fractions, 1 - fractions)
+    )
+    np.testing.assert_allclose(one.stderr_limits**2 + other.stderr_limits**2, 1e-4)
+
+
+def test_unsampled_light_is_bounded_by_the_plane_above():
+    downward = np.zeros((N_BATCHES, 4, 1))
+    downward[:, 0], downward[:, 1] = 1.0, 1e-6
+    lower_bound = np.array([1e-3])
+    expected = [1e-3, 1e-3, 4e-6, 4e-6, 4e-6]
+    np.testing.assert_allclose(bound_unsampled_light(downward, lower_bound)[:, 0], expected)
+
+
+def test_rare_event_error_accounts_for_few_batches():
+    none, one, every = np.zeros((N_BATCHES, 1)), np.zeros((N_BATCHES, 1)), np.ones((N_BATCHES, 1))
+    one[0] = 1.0
+    skewed = np.full((N_BATCHES, 1), 1e-6)
+    skewed[: MIN_NONZERO_BATCHES - 2] = 1.0
+    bound = np.array([0.01])
+    assert estimate_rare_event_error(none, bound) == 0.01
+    assert estimate_rare_event_error(one, bound) == np.hypot(0.01, 1.0 / N_BATCHES)
+    assert estimate_rare_event_error(skewed, bound) == 1.0 / N_BATCHES
+    assert estimate_rare_event_error(every, bound) == 0.0

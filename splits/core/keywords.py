@@ -8,6 +8,7 @@ from functools import wraps
 from inspect import Parameter, signature
 from typing import Any, ParamSpec, TypeVar
 
+from splits.core.progress import open_progress
 from splits.core.validation import InvalidValue, unknown_key
 
 Class = TypeVar("Class", bound=type)
@@ -29,7 +30,11 @@ def reject_unknown_keywords(kind: Class) -> Class:
 
     @wraps(construct)
     def checked(self: Any, *values: Any, **keywords: Any) -> None:
-        _call_checked(construct, list_keywords(kind), (self, *values), keywords)
+        _check_keywords(keywords, list_keywords(kind))
+        try:
+            construct(self, *values, **keywords)
+        except (InvalidValue, FileNotFoundError) as error:
+            raise error.with_traceback(None) from None
 
     kind.__init__ = checked  # type: ignore[misc]
     return kind
@@ -39,7 +44,8 @@ def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Give
     """Decorate a public function to reject unknown keywords with a list of the known ones.
 
     Errors of invalid values and missing files are raised from here, so that the traceback shows
-    the line of the call without the internal calls between it and the check.
+    the line of the call without the internal calls between it and the check.  The keyword
+    ``progress=True`` becomes a progress bar, see `splits.core.progress.open_progress`.
     """
     parameters = signature(function).parameters
     takes_any = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
@@ -47,23 +53,20 @@ def reject_unknown_arguments(function: Callable[Given, Result]) -> Callable[Give
 
     @wraps(function)
     def checked(*values: Given.args, **keywords: Given.kwargs) -> Result:
-        result: Result = _call_checked(function, names, values, keywords)
-        return result
+        _check_keywords(keywords, names)
+        try:
+            with open_progress(function.__name__, keywords.get("progress")) as callback:
+                if "progress" in keywords:
+                    keywords["progress"] = callback
+                return function(*values, **keywords)
+        except (InvalidValue, FileNotFoundError) as error:
+            raise error.with_traceback(None) from None
 
     return checked
 
 
-def _call_checked(
-    function: Callable[..., Any],
-    names: list[str] | None,
-    values: tuple[Any, ...],
-    keywords: Mapping[str, Any],
-) -> Any:
-    """Call a function; raise errors of unknown keywords and invalid values from here."""
+def _check_keywords(keywords: Mapping[str, Any], names: list[str] | None) -> None:
+    """Check that keywords are known; None allows all."""
     for key in keywords:
         if names is not None and key not in names:
             raise TypeError(str(unknown_key(key, names)))
-    try:
-        return function(*values, **keywords)
-    except (InvalidValue, FileNotFoundError) as error:
-        raise error.with_traceback(None) from None

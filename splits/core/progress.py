@@ -7,11 +7,10 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import wraps
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
-from typing import Any, ParamSpec, TextIO, TypeVar
+from typing import Any, TextIO
 
 from tqdm import tqdm
 
@@ -161,32 +160,33 @@ def _get_bar_class() -> type[tqdm]:
     return tqdm
 
 
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
-
-
-def with_progress(instrument: Callable[Given, Result]) -> Callable[Given, Result]:
-    """Decorate an instrument: ``progress=True`` creates a bar, and the callback is validated.
+@contextmanager
+def open_progress(name: str, progress: Any) -> Iterator[Any]:
+    """Yield the callback for the `progress` of a call: a bar for True, and None for False.
 
     Write errors of the callback are ignored.
+
+    Parameters
+    ----------
+    name : str
+        Text in front of the bar.
+    progress : callable, bool or None
+
+    Raises
+    ------
+    ValueError
+        For anything else.
     """
-
-    @wraps(instrument)
-    def wrapped(*args: Given.args, **keywords: Given.kwargs) -> Result:
-        progress: Any = keywords.get("progress")
-        if progress is True:
-            with ProgressBar(instrument.__name__) as bar:
-                return instrument(*args, **{**keywords, "progress": bar})  # type: ignore[arg-type]
-        if progress is False:
-            return instrument(*args, **{**keywords, "progress": None})  # type: ignore[arg-type]
-        if progress is not None and not callable(progress):
-            allowed = "True for a bar, or a function that takes a splits.Progress"
-            raise invalid("progress", progress, allowed)
-        if progress is not None and not isinstance(progress, ProgressBar):
-            keywords["progress"] = _suppress_write_errors(progress)
-        return instrument(*args, **keywords)
-
-    return wrapped
+    if progress is True:
+        with ProgressBar(name) as bar:
+            yield bar
+    elif isinstance(progress, ProgressBar) or progress is None or progress is False:
+        yield progress or None
+    elif callable(progress):
+        yield _suppress_write_errors(progress)
+    else:
+        allowed = "True for a bar, or a function that takes a splits.Progress"
+        raise invalid("progress", progress, allowed)
 
 
 def _suppress_write_errors(callback: Callable[[Progress], None]) -> Callable[[Progress], None]:

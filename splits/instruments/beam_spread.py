@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.progress import ProgressCallback, with_progress
+from splits.core.progress import ProgressCallback
 from splits.core.validation import check_integer
 from splits.instruments.beam_spread_tally import BeamSpreadTally, compute_quantile_radii
 from splits.media.medium import Medium
@@ -31,7 +31,6 @@ _INTERPOLATION_TOLERANCE = 0.001
 
 
 @reject_unknown_arguments
-@with_progress
 def beam_spread(
     medium: Medium,
     wavelength_nm: Any,

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.progress import ProgressCallback, with_progress
+from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_integer, check_range, invalid
 from splits.instruments.single_scattering import single_scattering
@@ -36,7 +36,6 @@ OPTICS_RAYS = 20_000
 
 
 @reject_unknown_arguments
-@with_progress
 def deep_transmittance(
     medium: GranularMedium,
     wavelength_nm: Any,

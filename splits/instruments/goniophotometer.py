@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.progress import ProgressCallback, with_progress
+from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
 from splits.instruments.angular_dataset import make_angular_dataset, relabel_for_diffuse_light
@@ -51,7 +51,6 @@ the requested relative error."""
 
 
 @reject_unknown_arguments
-@with_progress
 def goniophotometer(
     medium: Medium,
     wavelength_nm: Any,

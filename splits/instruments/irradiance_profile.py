@@ -9,7 +9,7 @@ import xarray as xr
 
 from splits.core.arrays import as_1d_array, check_array_range, check_increasing
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.progress import ProgressCallback, with_progress
+from splits.core.progress import ProgressCallback
 from splits.core.validation import (
     ROUNDING_TOLERANCE,
     check_choice,
@@ -47,7 +47,6 @@ ERROR_QUANTITIES = ("irradiance", "absorptance")
 
 
 @reject_unknown_arguments
-@with_progress
 def irradiance_profile(
     medium: Medium,
     wavelength_nm: Any,

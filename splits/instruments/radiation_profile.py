@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.progress import ProgressCallback, with_progress
+from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, compute_weighted_error, make_variable
 from splits.core.validation import check_choice, check_integer, check_range
 from splits.illumination.sky import Sky
@@ -37,7 +37,6 @@ POWER_ERROR_QUANTITIES = ("absorbed_power", "irradiance")
 
 
 @reject_unknown_arguments
-@with_progress
 def radiation_profile(
     medium: Medium,
     sky: Sky | str | Mapping[str, Any],

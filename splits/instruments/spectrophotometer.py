@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.progress import ProgressCallback, with_progress
+from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, invalid, to_text_keys
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest, make_spectrum
 from splits.media.medium import Medium
@@ -23,14 +23,14 @@ from splits.simulation.derivatives import (
 )
 from splits.simulation.finite_differences import compute_finite_difference
 from splits.simulation.path_reuse import check_path_sharing
+from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_rows import PathSharingMedia
-from splits.simulation.spectral_tally import SpectralEstimate
+from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 
 ESTIMATORS = ("spectral", "analog")
 
 
 @reject_unknown_arguments
-@with_progress
 def spectrophotometer(
     medium: Medium | Mapping[str, Medium],
     wavelength_nm: Any,
@@ -144,13 +144,25 @@ def spectrophotometer(
     request = SpectralRequest.from_arguments(
         wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel
     )
-    if isinstance(medium, Mapping):
-        _check_mapping_options(estimator, jacobian)
-        return _simulate_media(media, request, progress)
-    names = check_jacobian(medium, request.incidence, jacobian)
-    if names and estimator != "spectral":
-        raise invalid("jacobian", list(names), "left out for this estimator")
-    return _simulate_medium(medium, request, estimator, names, progress)
+    run, first = request.start_run(progress), next(iter(media.values()))
+    is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
+    parameters = _check_jacobian(medium, request, estimator, jacobian)
+    perturbations = Perturbations.select_exact(first, parameters, request.wavelengths)
+    path_sharing = PathSharingMedia(
+        (*media.values(), *perturbations.media),
+        np.append(np.ones(len(media)), perturbations.size_ratios),
+    )
+    truncation = None if analog else request.truncate(path_sharing)
+    estimate = request.simulate(path_sharing, truncation, run, perturbations, analog=analog)
+    dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
+    dataset = make_spectrum(request, first, estimate, run, truncation=truncation, dims=dims)
+    dataset.attrs["estimator"] = estimator
+    if is_mapping:
+        return _label_media(dataset, media)
+    if not parameters:
+        return dataset
+    exact = estimate.derivatives
+    return _add_jacobian(dataset, request, run, exact, perturbations, first, parameters)
 
 
 def _check_media(medium: Any, estimator: str) -> dict[str, Medium]:
@@ -167,66 +179,56 @@ def _check_media(medium: Any, estimator: str) -> dict[str, Medium]:
     return named
 
 
-def _check_mapping_options(estimator: str, jacobian: Any) -> None:
-    """Check that no option is given that applies to one medium only."""
-    if estimator != "spectral":
-        raise invalid("estimator", estimator, "'spectral' for several media")
-    if not isinstance(jacobian, Sequence) or len(jacobian):
-        raise invalid("jacobian", jacobian, "left out for several media")
+def _check_jacobian(
+    medium: Any, request: SpectralRequest, estimator: str, jacobian: Any
+) -> tuple[str, ...]:
+    """Return the parameters for which derivatives are requested, after checking them.
+
+    They require one medium and the estimator "spectral", which several media require, too.
+    """
+    if isinstance(medium, Mapping):
+        if estimator != "spectral":
+            raise invalid("estimator", estimator, "'spectral' for several media")
+        if not isinstance(jacobian, Sequence) or len(jacobian):
+            raise invalid("jacobian", jacobian, "left out for several media")
+        return ()
+    names = check_jacobian(medium, request.incidence, jacobian)
+    if names and estimator != "spectral":
+        raise invalid("jacobian", list(names), "left out for this estimator")
+    return names
 
 
-def _simulate_medium(
-    medium: Medium,
+def _add_jacobian(
+    dataset: xr.Dataset,
     request: SpectralRequest,
-    estimator: str,
+    run: RunOptions,
+    exact: Derivatives,
+    perturbations: Perturbations,
+    medium: Medium,
     parameters: tuple[str, ...],
-    progress: ProgressCallback,
 ) -> xr.Dataset:
-    """Return the dataset of one medium, with derivatives with respect to parameters."""
-    perturbations = Perturbations.select_exact(medium, parameters, request.wavelengths)
-    run, analog = request.start_run(progress), estimator == "analog"
-    media = PathSharingMedia(
-        (medium, *perturbations.media), np.append(1.0, perturbations.size_ratios)
-    )
-    truncation = None if analog else request.truncate(media)
-    estimate = request.simulate(media, truncation, run, perturbations, analog=analog)
+    """Return a dataset with derivatives: exact ones, and finite differences from more runs."""
 
     def simulate_perturbed(perturbed: Medium, incidence: float | str) -> SpectralEstimate:
         perturbed_request = request._replace(incidence=incidence)
-        perturbed_media = PathSharingMedia.from_media([perturbed])
-        return perturbed_request.simulate(perturbed_media, request.truncate(perturbed_media), run)
+        media = PathSharingMedia.from_media([perturbed])
+        return perturbed_request.simulate(media, request.truncate(media), run)
 
     differences = [
         compute_finite_difference(simulate_perturbed, medium, request.incidence, name)
         for name in parameters
         if name not in perturbations.parameters
     ]
-    dataset = make_spectrum(request, medium, estimate, run, truncation=truncation)
-    dataset.attrs["estimator"] = estimator
-    if parameters:
-        derivatives = combine_derivatives(
-            parameters, estimate.derivatives, perturbations, differences
-        )
-        dataset = dataset.assign_coords(make_parameter_coordinates(parameters, perturbations))
-        dataset = dataset.assign(make_jacobian_variables(derivatives, parameters, SIDE_QUANTITIES))
     if differences:
         dataset.attrs["finite_difference_rays"] = sum(one.n_rays for one in differences)
-    return dataset
+    derivatives = combine_derivatives(parameters, exact, perturbations, differences)
+    dataset = dataset.assign_coords(make_parameter_coordinates(parameters, perturbations))
+    return dataset.assign(make_jacobian_variables(derivatives, parameters, SIDE_QUANTITIES))
 
 
-def _simulate_media(
-    media: Mapping[str, Medium], request: SpectralRequest, progress: ProgressCallback
-) -> xr.Dataset:
-    """Return the dataset of several media that share paths."""
-    run = request.start_run(progress)
-    path_sharing = PathSharingMedia.from_media(list(media.values()))
-    truncation = request.truncate(path_sharing)
-    estimate = request.simulate(path_sharing, truncation, run)
-    dataset = make_spectrum(
-        request, path_sharing.media[0], estimate, run, truncation=truncation,
-        dims=("medium", "wavelength"),
-    )  # fmt: skip
-    differing = _find_differing_inputs(path_sharing.media)
+def _label_media(dataset: xr.Dataset, media: Mapping[str, Medium]) -> xr.Dataset:
+    """Return a dataset of several media with their names, and the inputs in which they differ."""
+    differing = _find_differing_inputs(list(media.values()))
     dataset.attrs = {key: value for key, value in dataset.attrs.items() if key not in differing}
     names = ("medium", list(media), {"long_name": "name of the medium"})
     return dataset.assign_coords({"medium": names, **differing})

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from splits.core.keywords import reject_unknown_arguments
-from splits.core.progress import ProgressCallback, with_progress
+from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
 from splits.retrieval import least_squares
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
@@ -41,7 +41,6 @@ from splits.tables.table import Table
 
 
 @reject_unknown_arguments
-@with_progress
 def retrieve(
     measured: Any,
     model: Any,

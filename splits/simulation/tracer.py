@@ -163,12 +163,23 @@ class SceneTracer(Tracer):
         exits = allocate_exits(
             int(work[:, 2].sum()), self.n_length_columns, len(self.stokes_columns)
         )
-        exits_by_item = np.split(exits, np.cumsum(work[:, 2])[:-1])
-        strata = [item.stratum for item in job]
+        strata, end_rays = [item.stratum for item in job], np.cumsum(work[:, 2])
+        exits_by_item = np.split(exits, end_rays[:-1])
         if strata[0].features is None:
-            results = self._trace_scalar(seed, work, strata, exits_by_item)
+            fields = self.height_fields
+            realization = None if fields is None else allocate_realization(fields)
+            results = [
+                history.trace_batch(
+                    seed, item, self.scene, stratum.optics, item_exits, fields, realization
+                )
+                for item, stratum, item_exits in zip(work, strata, exits_by_item, strict=True)
+            ]
         else:
-            results = self._trace_vectorized(seed, work, strata, exits)
+            optics = Optics(*map(np.stack, zip(*(one.optics for one in strata), strict=True)))
+            result = vectorized.trace_batch(
+                seed, work, self.scene, optics, exits, strata[0].features
+            )
+            results = _split_by_item(result, end_rays)
         if any(result.lost for result in results):
             raise RuntimeError(LOST_MESSAGE)
         return [
@@ -176,39 +187,19 @@ class SceneTracer(Tracer):
             for stratum, item_exits, result in zip(strata, exits_by_item, results, strict=True)
         ]
 
-    def _trace_scalar(
-        self,
-        seed: int,
-        work: np.ndarray,
-        strata: Sequence[Stratum],
-        exits_by_item: Sequence[np.ndarray],
-    ) -> list[BatchResult]:
-        """Trace items one by one; see `splits.kernels.transport.history.trace_batch`."""
-        fields = self.height_fields
-        realization = None if fields is None else allocate_realization(fields)
-        return [
-            history.trace_batch(seed, item, self.scene, stratum.optics, exits, fields, realization)
-            for item, stratum, exits in zip(work, strata, exits_by_item, strict=True)
-        ]
 
-    def _trace_vectorized(
-        self, seed: int, work: np.ndarray, strata: Sequence[Stratum], exits: np.ndarray
-    ) -> list[BatchResult]:
-        """Trace items together; see `splits.kernels.vectorized.batch.trace_batch`."""
-        optics = Optics(*map(np.stack, zip(*(stratum.optics for stratum in strata), strict=True)))
-        n_segments, lost, crossings = vectorized.trace_batch(
-            seed, work, self.scene, optics, exits, strata[0].features
-        )
-        # Stable, so that the crossings of each ray remain in order of time.
-        crossings = crossings[np.argsort(crossings[:, CROSSING_RAY], kind="stable")]
-        end_rays = np.cumsum(work[:, 2])
-        by_item = np.split(crossings, np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1]))
-        for item_crossings, first_ray in zip(by_item[1:], end_rays[:-1], strict=True):
-            item_crossings[:, CROSSING_RAY] -= first_ray
-        return [
-            BatchResult(int(count), lost, item_crossings)
-            for count, item_crossings in zip(n_segments, by_item, strict=True)
-        ]
+def _split_by_item(result: BatchResult, end_rays: np.ndarray) -> list[BatchResult]:
+    """Return the results of work items, whose rays end at `end_rays`."""
+    n_segments, lost, crossings = result
+    # Stable, so that the crossings of each ray remain in order of time.
+    crossings = crossings[np.argsort(crossings[:, CROSSING_RAY], kind="stable")]
+    by_item = np.split(crossings, np.searchsorted(crossings[:, CROSSING_RAY], end_rays[:-1]))
+    for item_crossings, first_ray in zip(by_item[1:], end_rays[:-1], strict=True):
+        item_crossings[:, CROSSING_RAY] -= first_ray
+    return [
+        BatchResult(int(count), lost, item_crossings)
+        for count, item_crossings in zip(np.atleast_1d(n_segments), by_item, strict=True)
+    ]
 
 
 def _score_chunks(

@@ -14,7 +14,7 @@ import xarray as xr
 from splits.core.atomic import check_writable
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.paths import expand_path
-from splits.core.progress import Progress, ProgressCallback, with_progress
+from splits.core.progress import Progress, ProgressCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import check_choice, invalid
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
@@ -33,7 +33,6 @@ from splits.tables.plan import PathGroup, TablePlan
 
 
 @reject_unknown_arguments
-@with_progress
 def build_table(
     make: Callable[..., Medium],
     grid: Mapping[str, Any],

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, compute_pooled_z, judge_z
 from scenes import get_vectorized_scene, make_medium_scene, to_single_item
+from splits.simulation.tracer_interface import WorkItem
 
 import splits
 from splits.kernels import vectorized
@@ -25,7 +26,6 @@ from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
 from splits.simulation.tally import RAYS_PER_CHUNK, StoppingRule
 from splits.simulation.tracer import make_tracer
-from splits.simulation.tracer_interface import WorkItem
 
 pytestmark = NEEDS_JIT
 

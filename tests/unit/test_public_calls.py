@@ -122,5 +122,5 @@ def test_errors_are_raised_at_the_calling_line(name):
     frames = traceback.extract_tb(error.value.__traceback__)
     inner = [frame for frame in frames if frame.filename != __file__]
     assert {Path(frame.filename).name for frame in inner} == {"keywords.py"}
-    assert len(inner) == 2
+    assert len(inner) == 1
     assert error.value.__cause__ is None and error.value.__suppress_context__

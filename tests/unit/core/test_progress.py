@@ -8,7 +8,7 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.core.progress import with_progress
+from splits.core.keywords import reject_unknown_arguments
 
 WITH_PROGRESS = (
     "spectrophotometer", "goniophotometer", "beam_spread", "deep_transmittance",
@@ -17,7 +17,7 @@ WITH_PROGRESS = (
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
 
 
-@with_progress
+@reject_unknown_arguments
 def report_once(*, progress=None):
     """Report progress once."""
     if progress:

@@ -11,7 +11,8 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.core.progress import open_progress_log, with_progress, write_line
+from splits.core.keywords import reject_unknown_arguments
+from splits.core.progress import open_progress_log, write_line
 
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)
 SMALL_EXPERIMENT = """
@@ -22,7 +23,7 @@ figure: none
 FULL_DISK = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 
 
-@with_progress
+@reject_unknown_arguments
 def report_once(*, progress=None):
     """Report progress once."""
     progress(HALF)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
+from splits.simulation.tracer_interface import ExitTracer, TraceResult, WorkItem
 from stub_tracing import StubTally, StubTracer
 
 import splits
@@ -19,7 +20,6 @@ from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_rou
 from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
 from splits.simulation.run_options import RunOptions
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
-from splits.simulation.tracer_interface import ExitTracer, TraceResult, WorkItem
 
 MANY_RAYS = 10**8
 SEGMENTS = (100, 10, 1)

@@ -26,7 +26,6 @@ from splits.experiments.run_points import (
 )
 from splits.experiments.run_table import run_table, write_table
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
-from splits.media import Sand
 from splits.media.sand_composition import SandComposition
 from splits.simulation.run_options import make_wavelength_coordinate
 
@@ -221,10 +220,12 @@ def make_composition_table(experiments: Mapping[str, SimulationConfig]) -> pd.Da
     rows: list[dict[str, object]] = []
     for name, experiment in experiments.items():
         seen: list[SandComposition] = []
+        medium: Any
         for labels, medium, _ in experiment.iter_points():
-            if not isinstance(medium, Sand) or medium.composition in seen:
+            composition = getattr(medium, "composition", None)
+            if composition is None or composition in seen:
                 continue
-            seen.append(medium.composition)
+            seen.append(composition)
             sample = {
                 "experiment": name,
                 "sample": " · ".join(f"{p} {label}" for p, label in labels.items()),
@@ -233,5 +234,5 @@ def make_composition_table(experiments: Mapping[str, SimulationConfig]) -> pd.Da
                 "magnetite": medium.magnetite,
                 "sand_density_kg_m3": medium.density_kg_m3,
             }
-            rows += [sample | row for row in medium.composition.to_rows()]
+            rows += [sample | row for row in composition.to_rows()]
     return pd.DataFrame(rows)

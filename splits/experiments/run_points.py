@@ -22,7 +22,7 @@ from splits.instruments import (
 )
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import to_netcdf_attributes
-from splits.media.medium import GranularMedium, LayeredMedium, Medium
+from splits.media.medium import Medium
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 
 STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
@@ -99,14 +99,7 @@ def _group_by_shared_paths(
     instrument: InstrumentSection, points: Sequence[GridPoint]
 ) -> list[tuple[list[int], MediaGroup | None]]:
     """Return the indices of points that share paths, with their group (None for single points)."""
-    are_granular = all(
-        isinstance(medium, GranularMedium | LayeredMedium) for _, medium, _ in points
-    )
-    if (
-        instrument.kind != "spectrophotometer"
-        or instrument.estimator == "analog"
-        or not are_granular
-    ):
+    if instrument.kind != "spectrophotometer" or instrument.estimator == "analog":
         return [([index], None) for index in range(len(points))]
     wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
     groups: list[tuple[list[int], MediaGroup | None]] = []

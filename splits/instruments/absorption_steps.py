@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.kernels.grains.scene import WET_PORE
-from splits.media.medium import GranularMedium, LayeredMedium, compute_pore_fraction
-from splits.media.particle_layer import ParticleLayer
+from splits.media.medium import Medium
 
 
 class AbsorptionSteps(NamedTuple):
@@ -31,13 +30,13 @@ class AbsorptionSteps(NamedTuple):
 
 
 def compute_absorption_steps(
-    medium: GranularMedium | LayeredMedium, absorption: np.ndarray, planes_m: np.ndarray
+    medium: Medium, absorption: np.ndarray, planes_m: np.ndarray
 ) -> AbsorptionSteps:
     """Return the steps in which weights decrease inside a medium.
 
     Parameters
     ----------
-    medium : GranularMedium or LayeredMedium
+    medium : Medium
     absorption : float, shape (wavelengths, columns)
         1/m; see `splits.simulation.scene.OpticalConstants`.
     planes_m : float, shape (intervals + 1,)
@@ -45,7 +44,7 @@ def compute_absorption_steps(
     """
     first, top = 0, 0.0
     by_interval: list[list[AbsorptionSteps]] = [[] for _ in planes_m[1:]]
-    for layer in medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,):
+    for layer in medium.scene_layers:
         last, bottom = first + len(layer.list_materials()), top + float(layer.depth_m)
         layer_steps = _compute_layer_steps(layer, absorption[:, first:last])
         for interval_steps, begin, end in zip(
@@ -55,42 +54,25 @@ def compute_absorption_steps(
                 interval_steps.append(layer_steps)
         first, top = last, bottom
     return AbsorptionSteps(
-        np.array(
-            [
-                np.max([s.optical_depth for s in interval_steps], axis=0)
-                for interval_steps in by_interval
-            ]
-        ),
-        np.array(
-            [
-                np.max([s.unscored_path_m for s in interval_steps], axis=0)
-                for interval_steps in by_interval
-            ]
-        ),
-        np.array(
-            [
-                np.min([s.absorption_rate for s in interval_steps], axis=0)
-                for interval_steps in by_interval
-            ]
-        ),
+        np.array([np.max([s.optical_depth for s in steps], axis=0) for steps in by_interval]),
+        np.array([np.max([s.unscored_path_m for s in steps], axis=0) for steps in by_interval]),
+        np.array([np.min([s.absorption_rate for s in steps], axis=0) for steps in by_interval]),
     )
 
 
-def _compute_layer_steps(
-    medium: GranularMedium | ParticleLayer, absorption: np.ndarray
-) -> AbsorptionSteps:
+def _compute_layer_steps(medium: Any, absorption: np.ndarray) -> AbsorptionSteps:
     """Return the steps in a layer by wavelength; 0 where particles absorb along paths.
 
     The mean chord of convex grains is their volume over their projected area; the mean segment
     between two of them is that of a ray in the pore space.  A ray crosses some three thicknesses of
     a coating on its way in and out; the chord of a sphere is two thirds of the diameter.
     """
-    if isinstance(medium, ParticleLayer):
+    if not medium.has_grains:
         zeros = np.zeros(len(absorption))
         return AbsorptionSteps(zeros, zeros, absorption[:, WET_PORE])
     grains, types = medium.make_grain_population(), medium.make_grain_population().types
     segment = 1.0 / grains.collision_coefficient
-    pore = segment * compute_pore_fraction(medium)
+    pore_path = segment * medium.pore_fraction
     per_solid_fraction = (
         getattr(medium.interpretation, "attenuation_factor", "solid_fraction") == "solid_fraction"
     )
@@ -113,7 +95,7 @@ def _compute_layer_steps(
             step_fractions.append(fraction)
     absorbed = np.array(step_fractions) @ -np.expm1(-np.array(depths))
     return AbsorptionSteps(
-        np.max(depths, axis=0), pore * np.minimum(absorbed, 1.0), absorbed / pore
+        np.max(depths, axis=0), pore_path * np.minimum(absorbed, 1.0), absorbed / pore_path
     )
 
 

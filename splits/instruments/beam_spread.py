@@ -11,12 +11,12 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_integer
 from splits.instruments.beam_spread_tally import BeamSpreadTally, compute_quantile_radii
+from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.arguments import (
     HALF_WIDTH_RANGE_M,
     check_beam_angle,
     check_half_width,
-    check_medium,
     check_wavelengths,
 )
 from splits.simulation.engine import simulate

@@ -18,10 +18,10 @@ from splits.instruments.transmittance_tally import (
     SplittingTracer,
     TransmittanceTally,
 )
+from splits.media.checks import check_medium
 from splits.media.medium import GranularMedium
 from splits.simulation.arguments import (
     check_incidence,
-    check_medium,
     check_wavelengths,
 )
 from splits.simulation.engine import simulate

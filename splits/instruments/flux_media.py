@@ -9,24 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.core.validation import invalid
 from splits.instruments.absorption_steps import compute_absorption_steps
-from splits.kernels.grains.scene import WET_PORE
-from splits.media.absorbing_matrix_layer import AbsorbingMatrixLayer
+from splits.media.absorbing_matrix_layer import absorb_along_path
 from splits.media.ground import BLACK_OPTICAL_DEPTH
-from splits.media.medium import GranularMedium, LayeredMedium, compute_path_fractions
-from splits.media.particle_layer import (
-    CLEARANCE_SIGMA,
-    SEMI_INFINITE_TRANSPORT_MFP,
-    ParticleLayer,
-)
-from splits.media.stack import UNSUPPORTED_IN_STACK, Stack
+from splits.media.medium import Medium, compute_path_fractions
+from splits.media.particle_layer import CLEARANCE_SIGMA
+from splits.media.stack import UNSUPPORTED_IN_STACK
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.scene import (
     OpticalConstants,
@@ -37,16 +30,13 @@ from splits.simulation.scene import (
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
 
-_MAX_OPTICAL_DISTANCE = 5e5
-"""Optical thickness above which absorption at that distance from the light is negligible."""
-
 
 class TracedMedium(NamedTuple):
     """A medium in the form in which it is traced.
 
     Attributes
     ----------
-    medium : GranularMedium or LayeredMedium
+    medium : Medium
     constants : OpticalConstants
         For each wavelength; with truncation, then for each with a more absorbing substrate.
     n_wavelengths : int
@@ -60,7 +50,7 @@ class TracedMedium(NamedTuple):
         Columns of the materials, by name.
     """
 
-    medium: GranularMedium | LayeredMedium
+    medium: Medium
     constants: OpticalConstants
     n_wavelengths: int
     planes_m: np.ndarray
@@ -92,27 +82,6 @@ class TracedMedium(NamedTuple):
         return absorbing
 
 
-@dataclass(frozen=True)
-class _AbsorbingStack(Stack):
-    """Stack whose particles absorb along the path."""
-
-    @cached_property
-    def scene_layers(self) -> tuple[Any, ...]:  # type: ignore[override]
-        """The layers in the form of scenes."""
-        return tuple(
-            AbsorbingMatrixLayer.from_particle_layer(layer)
-            if isinstance(layer, ParticleLayer)
-            else layer
-            for layer in self.layers
-        )
-
-
-def get_thickness(medium: Any) -> float:
-    """Return the thickness of a medium (m), which may be infinite."""
-    semi_infinite = isinstance(medium, ParticleLayer) and math.isinf(medium.optical_thickness)
-    return math.inf if semi_infinite else float(medium.depth_m)
-
-
 def prepare_medium(
     medium: Any,
     wavelengths: np.ndarray,
@@ -125,7 +94,7 @@ def prepare_medium(
 
     Parameters
     ----------
-    medium : GranularMedium, LayeredMedium or ParticleLayer
+    medium : Medium
     wavelengths : float, shape (wavelengths,)
         nm.
     depths_m : sequence of float
@@ -139,52 +108,31 @@ def prepare_medium(
         if depths_m[0] < min_depth:
             hint = f"{CLEARANCE_SIGMA:g} standard deviations of the surface's height"
             raise invalid("depth_m", float(depths_m[0]), f"at least {min_depth:g} m", hint)
-    if isinstance(medium, ParticleLayer):
-        return _prepare_particle_layer(medium, wavelengths, depths_m)
-    semi_infinite = math.isinf(get_thickness(medium))
-    traced = medium
-    if semi_infinite:
-        depth_above = float(
-            sum(layer.depth_m for layer in getattr(medium, "scene_layers", ())[:-1])
-        )
-        path_sharing, undisturbed_depth = (
-            PathSharingMedia.from_media([medium]),
-            max(0.0, depths_m[-1] - depth_above),
-        )
+    if medium.opaque:
+        raise invalid("opaque", True, "false", UNSUPPORTED_IN_STACK["opaque"][1])
+    traced: Any = medium
+    semi_infinite = truncated = math.isinf(medium.thickness_m)
+    if semi_infinite and medium.lowest_layer.has_grains:
+        depth_above = float(sum(layer.depth_m for layer in medium.scene_layers[:-1]))
+        undisturbed_depth = max(0.0, depths_m[-1] - depth_above)
         truncation: Any = truncate_deep_medium(
-            path_sharing, wavelengths, max_stderr, seed, threads, undisturbed_depth
-        )
+            PathSharingMedia.from_media([medium]), wavelengths, max_stderr, seed, threads,
+            undisturbed_depth,
+        )  # fmt: skip
         traced = truncation.media[0]
-    if any(isinstance(layer, ParticleLayer) for layer in getattr(traced, "scene_layers", ())):
-        traced = _AbsorbingStack(traced.layers, traced.ground)
-    columns = {name: column for column, name in enumerate(medium.list_materials())}
-    return _prepare_finite_medium(
-        traced, wavelengths, depths_m, float(traced.depth_m), semi_infinite, columns
-    )
-
-
-def _prepare_finite_medium(
-    medium: Any,
-    wavelengths: np.ndarray,
-    depths_m: Sequence[float] | np.ndarray,
-    end_m: float,
-    semi_infinite: bool,
-    material_columns: dict[str, int],
-) -> TracedMedium:
-    """Return a finite medium in the form in which it is traced."""
-    constants = compute_optical_constants(medium, wavelengths)
+    elif semi_infinite:
+        traced, truncated = medium.truncate(depths_m[-1]), False
+    end_m, traced = float(traced.depth_m), absorb_along_path(traced)
+    constants = compute_optical_constants(traced, wavelengths)
     # A ground of a semi-infinite medium is the one that replaces the rest.
-    truncated = (
-        semi_infinite
-        and not isinstance(medium, ParticleLayer)
-        and get_reflecting_ground(medium) is not None
-    )
+    truncated = truncated and get_reflecting_ground(traced) is not None
     if truncated:
         constants = _append_darker_ground(constants)
     planes = np.array([0.0, *depths_m, end_m])
     return TracedMedium(
-        medium, constants, wavelengths.size, planes, semi_infinite, truncated, material_columns
-    )
+        traced, constants, wavelengths.size, planes, semi_infinite, truncated,
+        medium.material_columns,
+    )  # fmt: skip
 
 
 def _append_darker_ground(constants: OpticalConstants) -> OpticalConstants:
@@ -197,34 +145,3 @@ def _append_darker_ground(constants: OpticalConstants) -> OpticalConstants:
         np.concatenate([constants.indices, constants.indices]),
         np.concatenate([constants.absorption, absorption]),
     )
-
-
-def _prepare_particle_layer(
-    layer: ParticleLayer, wavelengths: np.ndarray, depths_m: Sequence[float] | np.ndarray
-) -> TracedMedium:
-    """Return a single layer of particles in the form in which it is traced."""
-    if layer.opaque:
-        raise invalid("opaque", True, "false", UNSUPPORTED_IN_STACK["opaque"][1])
-    semi_infinite = math.isinf(layer.optical_thickness)
-    if semi_infinite:
-        end_m = depths_m[-1] + _compute_truncation_distance(layer)
-        thickness = layer.extinction_per_m * end_m
-        layer = replace(layer, optical_thickness=thickness, depth_m=end_m, bottom_albedo=1.0)
-    traced = AbsorbingMatrixLayer.from_particle_layer(layer)
-    names = {"matrix": WET_PORE}
-    return _prepare_finite_medium(
-        traced, wavelengths, depths_m, float(layer.depth_m), semi_infinite, names
-    )
-
-
-def _compute_truncation_distance(layer: ParticleLayer) -> float:
-    """Return the distance from the light (m) at which the end of a layer has no effect."""
-    albedo, g = layer.single_scattering_albedo, layer.kernel_phase_function.g
-    rate = min(1.0, math.sqrt(3.0 * (1.0 - albedo) * (1.0 - albedo * g)))
-    # The effect of a white bottom at a distance z from the light is at most exp(-2 rate z).
-    optical_distance = SEMI_INFINITE_TRANSPORT_MFP * max(1.0, 1.0 / (1.0 - g))
-    if rate > 0.0:
-        optical_distance = max(
-            optical_distance, min(0.5 * SEMI_INFINITE_TRANSPORT_MFP / rate, _MAX_OPTICAL_DISTANCE)
-        )
-    return optical_distance / layer.extinction_per_m

@@ -18,12 +18,12 @@ from splits.instruments.detector_tally import DetectorTally
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
 from splits.instruments.next_event import DetectorTracer
 from splits.kernels.tallies.angular import make_basis
+from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.arguments import (
     check_dataset_size,
     check_direction_angles,
     check_incidence,
-    check_medium,
     check_n_bins,
     check_wavelengths,
 )

@@ -18,14 +18,14 @@ from splits.core.validation import (
     invalid,
 )
 from splits.instruments.flux_dataset import make_flux_dataset
-from splits.instruments.flux_media import TracedMedium, get_thickness, prepare_medium
+from splits.instruments.flux_media import TracedMedium, prepare_medium
 from splits.instruments.flux_tally import FluxTally
 from splits.instruments.flux_target import FluxTarget
 from splits.kernels.tallies.exits import N_BATCHES
-from splits.media.medium import GranularMedium, LayeredMedium, Medium, ParticleMedium
+from splits.media.checks import check_medium
+from splits.media.medium import Medium
 from splits.simulation.arguments import (
     check_incidence,
-    check_medium,
     check_wavelengths,
 )
 from splits.simulation.engine import simulate
@@ -144,13 +144,11 @@ class FluxRequest(NamedTuple):
         cls, medium: Any, wavelength_nm: Any, depth_m: Any, incidence_deg: Any, max_rays: Any
     ) -> FluxRequest:
         """Return the request, after checking all values."""
-        check_medium(
-            medium, GranularMedium, LayeredMedium, ParticleMedium, allow_semi_infinite=True
-        )
+        check_medium(medium, allow_semi_infinite=True)
         return cls(
             medium,
             check_wavelengths(wavelength_nm),
-            _check_depths(depth_m, get_thickness(medium)),
+            _check_depths(depth_m, medium.thickness_m),
             check_incidence(incidence_deg),
             check_integer("max_rays", max_rays, 1),
         )

@@ -28,8 +28,9 @@ from splits.instruments.lens_dataset import (
 from splits.kernels.rough_surface.lens import RefractedRays, refract_vertical_rays
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes
 from splits.kernels.rough_surface.wave_sums import AMPLITUDE, KX, N_WAVE_LANES, PHASE, WAVE_ROWS
-from splits.media.medium import SurfaceMedium
-from splits.simulation.arguments import check_half_width, check_medium
+from splits.media.checks import check_medium
+from splits.media.particle_layer import ParticleLayer
+from splits.simulation.arguments import check_half_width
 from splits.simulation.run_options import RunOptions
 
 CENTRE_CHOICES = ("crest", "trough", "origin")
@@ -42,7 +43,7 @@ N_SEARCH_POINTS = 161
 
 @reject_unknown_arguments
 def lens(
-    medium: SurfaceMedium,
+    medium: ParticleLayer,
     screen_depth_m: Any,
     radius_m: float,
     *,
@@ -57,7 +58,7 @@ def lens(
 
     Parameters
     ----------
-    medium : SurfaceMedium
+    medium : ParticleLayer
         A `splits.ParticleLayer` with a rough surface.  Only its surface and its refractive index
         have an effect.
     screen_depth_m : array_like
@@ -94,7 +95,7 @@ def lens(
     ValueError
         For a value outside its range, or a layer with a smooth surface.
     """
-    check_medium(medium, SurfaceMedium)
+    check_medium(medium, ParticleLayer)
     depths = check_screen_depths("screen_depth_m", screen_depth_m)
     radius = check_ring_radius(radius_m)
     check_choice("centre_on", centre_on, CENTRE_CHOICES)
@@ -141,7 +142,7 @@ def lens(
     return make_lens_dataset(contraction, detected_fraction, first, depths, attributes)
 
 
-def _get_plane_waves(medium: SurfaceMedium, waves: Any, realizations: int) -> np.ndarray | None:
+def _get_plane_waves(medium: ParticleLayer, waves: Any, realizations: int) -> np.ndarray | None:
     """Return given waves, None for realizations of the medium's surface, after checking them."""
     if waves is None and medium.surface is None:
         raise invalid("surface", None, "given: a lens needs waves")

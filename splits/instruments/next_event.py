@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from splits.kernels.optics.forward_peak import PhaseFunctionPeak, separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import Detectors
-from splits.media.medium import Medium, ParticleMedium
+from splits.media.particle_layer import ParticleLayer
 from splits.simulation.scene import build_scene
 from splits.simulation.tally import Tally
 from splits.simulation.tracer import ItemScores, Tracer, WorkItem
@@ -28,12 +29,12 @@ MAX_PEAK_FRACTION = 0.99
 change its direction."""
 
 
-def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarray) -> Detectors:
+def make_detectors(medium: ParticleLayer, polar: np.ndarray, azimuth: np.ndarray) -> Detectors:
     """Return detectors on a grid of directions, azimuth running fastest.
 
     Parameters
     ----------
-    medium : ParticleMedium
+    medium : ParticleLayer
     polar, azimuth : float
         Degrees, of the directions outside.
     """
@@ -74,7 +75,7 @@ def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarra
     )
 
 
-def _check_forward_peak(medium: ParticleMedium) -> PhaseFunctionPeak | None:
+def _check_forward_peak(medium: ParticleLayer) -> PhaseFunctionPeak | None:
     """Return the narrow peak of the phase function, which must not hold nearly all light."""
     peak = separate_peak(medium.kernel_phase_function)
     if peak is not None and peak.fraction > MAX_PEAK_FRACTION:
@@ -90,7 +91,7 @@ class DetectorTracer(Tracer):
 
     Parameters
     ----------
-    medium : ParticleMedium
+    medium : Medium
     incidence_deg : float
     polar, azimuth : float
         Degrees, see `make_detectors`.
@@ -105,20 +106,20 @@ class DetectorTracer(Tracer):
 
     def __init__(
         self,
-        medium: Medium,
+        medium: Any,
         incidence_deg: float,
         polar: np.ndarray,
         azimuth: np.ndarray,
         side: int,
     ) -> None:
-        if not isinstance(medium, ParticleMedium):
+        if medium.has_grains or len(medium.scene_layers) > 1 or medium.ground is not None:
             raise invalid("estimator", "next_event", "expansion or bins for grains and stacks")
         if medium.make_height_fields() is not None:
             raise invalid(
                 "estimator", "next_event", "expansion or bins under a rough surface",
                 "no single path leads through it to a given direction; bins have Stokes parameters",
             )  # fmt: skip
-        self.medium: ParticleMedium = medium
+        self.medium = medium
         self.detectors = make_detectors(medium, polar, azimuth)
         self.scene = build_scene(medium, incidence_deg, False)
         if side == 1 and not self.detectors.has_lower_side:

@@ -10,8 +10,9 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_choice, check_integer, invalid
+from splits.media.checks import check_medium
 from splits.media.medium import GranularMedium
-from splits.simulation.arguments import check_medium, check_wavelengths
+from splits.simulation.arguments import check_wavelengths
 from splits.simulation.grain_optics import (
     INTERPOLATION_TOLERANCE,
     WET_PORE_MODELS,

@@ -12,8 +12,8 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, invalid, to_text_keys
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest, make_spectrum
+from splits.media.checks import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_medium
 from splits.simulation.derivatives import (
     Perturbations,
     check_jacobian,

@@ -9,8 +9,9 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.uncertainty import make_variable
 from splits.core.validation import check_integer, invalid
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes
-from splits.media.medium import SurfaceMedium
-from splits.simulation.arguments import check_half_width, check_medium
+from splits.media.checks import check_medium
+from splits.media.particle_layer import ParticleLayer
+from splits.simulation.arguments import check_half_width
 from splits.simulation.run_options import RunOptions
 
 DEFAULT_POINTS = 201
@@ -19,7 +20,7 @@ MAX_REALIZATIONS = 10_000_000
 
 @reject_unknown_arguments
 def surface_map(
-    medium: SurfaceMedium,
+    medium: ParticleLayer,
     half_width_m: float,
     *,
     points: int = DEFAULT_POINTS,
@@ -30,7 +31,7 @@ def surface_map(
 
     Parameters
     ----------
-    medium : SurfaceMedium
+    medium : ParticleLayer
         A `splits.ParticleLayer` with a rough surface.
     half_width_m : float
         Half the side of the mapped square (m).
@@ -56,7 +57,7 @@ def surface_map(
     ----------
     Budak & Grimailo 2020, Eq 3 and Fig 1.
     """
-    check_medium(medium, SurfaceMedium)
+    check_medium(medium, ParticleLayer)
     width = check_half_width("surface_map", half_width_m)
     points = check_integer("points", points, 2, 3000)
     realizations = check_integer("realizations", realizations, 2, MAX_REALIZATIONS)

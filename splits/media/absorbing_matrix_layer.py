@@ -1,8 +1,9 @@
-"""Layer of conservative particles in an absorbing matrix."""
+"""Media whose particles are conservative, in a matrix that absorbs instead."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from splits.kernels.grains.scene import WET_PORE
 from splits.media.ground import Ground
 from splits.media.particle_layer import ParticleLayer
+from splits.media.stack import Stack
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,3 +50,22 @@ class AbsorbingMatrixLayer(ParticleLayer):
         added = np.zeros((np.size(wavelength_nm), 2))
         added[:, WET_PORE] = self.absorption_per_m
         return added
+
+
+@dataclass(frozen=True)
+class AbsorbingStack(Stack):
+    """Stack whose particles absorb along the path."""
+
+    @cached_property
+    def scene_layers(self) -> tuple[Any, ...]:
+        """Layers, top first."""
+        return tuple(absorb_along_path(layer) for layer in self.layers)
+
+
+def absorb_along_path(medium: Any) -> Any:
+    """Return a medium that is equivalent, but whose particles absorb along the path."""
+    if isinstance(medium, ParticleLayer):
+        return AbsorbingMatrixLayer.from_particle_layer(medium)
+    if isinstance(medium, Stack) and not all(layer.has_grains for layer in medium.layers):
+        return AbsorbingStack(medium.layers, medium.ground)
+    return medium

@@ -1,15 +1,20 @@
-"""Protocols of the media that instruments measure, and quantities derived from them."""
+"""Base classes of the media that instruments measure, and quantities derived from them.
+
+A medium consists of layers, top first, over a ground; a layer is also a medium of its own.  Scenes,
+instruments and experiments use only what these classes declare.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from splits.core.validation import invalid
 from splits.kernels.grains.scene import GrainPopulation
-from splits.kernels.optics.phase_function import PhaseFunction
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.materials.lookup import absorption_coefficient
 from splits.media.ground import Ground
@@ -42,272 +47,245 @@ class Interface(NamedTuple):
     layer: int = 0
 
 
-class OpticalMedium(Protocol):
-    """Protocol of all media: materials, refractive indices and inputs."""
+class LayerBottom(NamedTuple):
+    """Lower end of a layer in a scene: its depth (m), and the albedo of a bottom or None."""
+
+    depth_m: float
+    albedo: float | None
+
+
+class Medium(ABC):
+    """Layers, top first, over a ground; the base of all media.
+
+    Attributes
+    ----------
+    kind : str
+        Type of the medium, as in configuration files.
+    """
+
+    kind: str
 
     @property
-    def kind(self) -> str:
-        """Type of the medium, as in configuration files."""
-        ...
+    @abstractmethod
+    def depth_m(self) -> float:
+        """Thickness (m)."""
 
+    @property
+    @abstractmethod
+    def scene_layers(self) -> tuple[Any, ...]:
+        """Layers, top first."""
+
+    @property
+    def lowest_layer(self) -> Any:
+        """Lowest layer."""
+        return self.scene_layers[-1]
+
+    @property
+    def ground(self) -> Ground | None:
+        """Ground below, or None for an open lower boundary."""
+        return None
+
+    @property
+    def has_grains(self) -> bool:
+        """Whether any layer consists of grains."""
+        return any(layer.has_grains for layer in self.scene_layers)
+
+    @property
+    def polarized(self) -> bool:
+        """Whether the Stokes vector is traced."""
+        return False
+
+    @property
+    def opaque(self) -> bool:
+        """Whether all light that enters is absorbed."""
+        return False
+
+    @property
+    def thickness_m(self) -> float:
+        """Thickness (m), infinite for a semi-infinite medium."""
+        return float(self.depth_m)
+
+    @property
+    @abstractmethod
+    def largest_grain_m(self) -> float:
+        """Diameter of the largest grain (m), 0 without grains."""
+
+    @property
+    def material_columns(self) -> dict[str, int]:
+        """Columns of the materials that may absorb, by name."""
+        return {name: column for column, name in enumerate(self.list_materials())}
+
+    @abstractmethod
     def list_materials(self) -> tuple[str, ...]:
         """Return the names of the materials; those of dry and wet pores precede those of grains."""
-        ...
 
+    @abstractmethod
     def list_interfaces(self) -> Sequence[Interface]:
         """Return the interfaces whose relative index depends on wavelength."""
-        ...
 
+    @abstractmethod
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, materials)."""
-        ...
 
+    @abstractmethod
     def describe(self) -> dict[str, Any]:
         """Return all inputs and derived quantities as dataset attributes."""
-        ...
+
+    @abstractmethod
+    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Self:
+        """Return the medium with another lowest layer, over a ground."""
 
 
-@runtime_checkable
-class ImpureMedium(Protocol):
-    """Protocol of media with absorbing impurities."""
+class Layer(Medium):
+    """Homogeneous layer, of grains or of particles much smaller than their separation.
+
+    Attributes
+    ----------
+    pores : mapping
+        Fractions of the pore space filled with other fluids, by name.
+    """
+
+    pores: Mapping[str, float] = MappingProxyType({})
+
+    @property
+    def scene_layers(self) -> tuple[Any, ...]:
+        """The layer itself."""
+        return (self,)
+
+    @property
+    def has_grains(self) -> bool:
+        """Whether the layer consists of grains."""
+        return False
+
+    @property
+    @abstractmethod
+    def wet_fraction(self) -> float:
+        """Probability that a path segment between grains is in water, or in the matrix."""
+
+    @property
+    def pore_fraction(self) -> float:
+        """Fraction of a path segment that absorbs as pore space."""
+        return 1.0
+
+    @property
+    def matrix_index(self) -> float | None:
+        """Refractive index of the matrix of particles."""
+        return None
+
+    @property
+    def scene_bottom(self) -> LayerBottom:
+        """Lower end of the layer in a scene."""
+        return LayerBottom(float(self.depth_m), None)
+
+    def make_grain_population(self) -> GrainPopulation | None:
+        """Return the grains, None for a layer of particles."""
+        return None
+
+    def make_height_fields(self) -> HeightFields | None:
+        """Return the rough surface on top, None for a smooth one."""
+        return None
 
     def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the absorption coefficient of impurities (1/m), shape (wavelengths, materials)."""
-        ...
+        return np.zeros((np.size(wavelength_nm), len(self.list_materials())))
+
+    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Self:
+        """Return another layer, over a ground."""
+        replaced: Self = replace(layer, ground=ground)
+        return replaced
 
 
-def compute_absorption(
-    medium: OpticalMedium, index: np.ndarray, wavelength_nm: np.ndarray
-) -> np.ndarray:
+class GranularMedium(Layer):
+    """Layer of grains: its population, boundaries, optical constants.
+
+    Attributes
+    ----------
+    saturation : float
+        Fraction of the pore space filled with water.
+    interpretation : TransportInterpretation
+        Interpretation of the papers.
+    """
+
+    saturation: float
+    interpretation: TransportInterpretation
+
+    @property
+    def has_grains(self) -> bool:
+        """Whether the layer consists of grains."""
+        return True
+
+    @property
+    @abstractmethod
+    def porosity(self) -> float:
+        """Volume fraction of the pore space."""
+
+    @property
+    @abstractmethod
+    def mean_grain_distance_m(self) -> float:
+        """Mean distance between grains along a ray (m), as defined in the papers."""
+
+    @property
+    def mean_free_path_m(self) -> float:
+        """Mean free path (m) from one grain to the next.
+
+        The mean distance 1/(𝓔 K) of the papers separates entries into grains (SPLITSnow Eq A.3);
+        the mean chord of a grain is 1/K.  If the distance includes the grain, a fraction 1 − 𝓔 of
+        it is free path.  Between point grains the free path is the whole distance
+        (see `pore_fraction`).
+        """
+        interpretation = self.interpretation
+        whole_distance = (
+            interpretation.mean_free_path == "pore_only" or interpretation.grain_extent == "point"
+        )
+        return self.mean_grain_distance_m * (1.0 if whole_distance else self.porosity)
+
+    @property
+    def pore_fraction(self) -> float:
+        """Fraction of a path segment that absorbs as pore space.
+
+        It is 1, except for point grains with a mean free path that includes the grain.  It is then
+        1 − 𝓔, and the absorption coefficient per metre of path is that of radiative transfer,
+        (1 − 𝓔) times that of the material.
+        """
+        includes_grain = (
+            self.interpretation.mean_free_path == "including_grain"
+            and self.interpretation.grain_extent == "point"
+        )
+        return self.porosity if includes_grain else 1.0
+
+    @abstractmethod
+    def make_grain_population(self) -> GrainPopulation:
+        """Return the grains."""
+
+
+def compute_absorption(medium: Medium, index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
     """Return the absorption coefficients (1/m) of the materials of a medium, with impurities.
 
     They apply to path lengths as recorded by the kernels (see `compute_path_fractions`).
 
     Parameters
     ----------
-    medium : OpticalMedium
+    medium : Medium
     index : complex, shape (wavelengths, materials)
         Refractive indices.
     wavelength_nm : float, shape (wavelengths,)
     """
     absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
     absorption *= compute_path_fractions(medium)
-    first = 0
-    for layer in _get_scene_layers(medium):
-        n_materials = len(layer.list_materials())
-        if isinstance(layer, ImpureMedium):
-            absorption[:, first : first + n_materials] += layer.compute_added_absorption(
-                wavelength_nm
-            )
-        first += n_materials
-    return absorption
+    added = [layer.compute_added_absorption(wavelength_nm) for layer in medium.scene_layers]
+    total: np.ndarray = absorption + np.concatenate(added, axis=1)
+    return total
 
 
-def compute_path_fractions(medium: OpticalMedium) -> np.ndarray:
+def compute_path_fractions(medium: Medium) -> np.ndarray:
     """Return the fraction of the recorded path length that lies in each material.
 
     Kernels record whole segments between grains.  Between point grains only a fraction of a segment
-    is pore space (see `compute_pore_fraction`).
+    is pore space (see `GranularMedium.pore_fraction`).
     """
     fractions = []
-    for layer in _get_scene_layers(medium):
+    for layer in medium.scene_layers:
         layer_fractions = np.ones(len(layer.list_materials()))
-        if isinstance(layer, GranularMedium):
-            layer_fractions[: N_PORE_MATERIALS + len(layer.pores)] = compute_pore_fraction(layer)
+        layer_fractions[: N_PORE_MATERIALS + len(layer.pores)] = layer.pore_fraction
         fractions.append(layer_fractions)
     return np.concatenate(fractions)
-
-
-def _get_scene_layers(medium: OpticalMedium) -> Sequence[Any]:
-    return medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,)
-
-
-@runtime_checkable
-class LayeredMedium(OpticalMedium, Protocol):
-    """Protocol of layered media, top layer first."""
-
-    @property
-    def depth_m(self) -> float:
-        """Thickness (m)."""
-        ...
-
-    @property
-    def largest_grain_m(self) -> float:
-        """Diameter of the largest grain (m)."""
-        ...
-
-    @property
-    def scene_layers(self) -> Sequence[Any]:
-        """Layers in the form scenes take: granular media and stacked particle layers."""
-        ...
-
-    @property
-    def ground(self) -> Ground | None:
-        """Ground below, or None for an open lower boundary."""
-        ...
-
-
-@runtime_checkable
-class GranularMedium(OpticalMedium, Protocol):
-    """Protocol of granular slabs: grain population, boundaries, optical constants."""
-
-    @property
-    def depth_m(self) -> float:
-        """Thickness (m)."""
-        ...
-
-    @property
-    def saturation(self) -> float:
-        """Fraction of the pore space filled with water."""
-        ...
-
-    @property
-    def wet_fraction(self) -> float:
-        """Probability that a path segment through the pore space lies in water."""
-        ...
-
-    @property
-    def pores(self) -> Mapping[str, float]:
-        """Fractions of the pore space filled with other fluids, by name."""
-        ...
-
-    @property
-    def largest_grain_m(self) -> float:
-        """Diameter of the largest grain (m)."""
-        ...
-
-    @property
-    def porosity(self) -> float:
-        """Volume fraction of the pore space."""
-        ...
-
-    @property
-    def mean_grain_distance_m(self) -> float:
-        """Mean distance between grains along a ray (m), as defined in the papers."""
-        ...
-
-    @property
-    def interpretation(self) -> TransportInterpretation:
-        """Interpretation of the papers."""
-        ...
-
-    @property
-    def ground(self) -> Ground | None:
-        """Ground below, or None for an open lower boundary."""
-        ...
-
-    def make_grain_population(self) -> GrainPopulation:
-        """Return the grain population."""
-        ...
-
-
-def compute_mean_free_path_m(medium: GranularMedium) -> float:
-    """Return the mean free path (m) from one grain to the next.
-
-    The mean distance 1/(𝓔 K) of the papers separates entries into grains (SPLITSnow Eq A.3); the
-    mean chord of a grain is 1/K.  If the distance includes the grain, a fraction 1 − 𝓔 of it is
-    free path.  Between point grains the free path is the whole distance
-    (see `compute_pore_fraction`).
-    """
-    interpretation = medium.interpretation
-    whole_distance = (
-        interpretation.mean_free_path == "pore_only" or interpretation.grain_extent == "point"
-    )
-    return medium.mean_grain_distance_m * (1.0 if whole_distance else medium.porosity)
-
-
-def compute_pore_fraction(medium: GranularMedium) -> float:
-    """Return the fraction of a path segment that absorbs as pore space.
-
-    The fraction is 1, except for point grains with a mean free path that includes the grain.  It is
-    then 1 − 𝓔, and the absorption coefficient per metre of path is that of radiative transfer,
-    (1 − 𝓔) times that of the material.
-    """
-    interpretation = medium.interpretation
-    includes_grain = (
-        interpretation.mean_free_path == "including_grain"
-        and interpretation.grain_extent == "point"
-    )
-    return medium.porosity if includes_grain else 1.0
-
-
-def check_thickness(medium: GranularMedium | LayeredMedium) -> None:
-    """Check that the sample is thicker than its largest grain."""
-    largest = medium.largest_grain_m
-    if medium.depth_m <= largest:
-        hint = "such a grain must fit between the boundaries"
-        raise invalid(
-            "depth_m", medium.depth_m, f"more than the largest grain, {largest:g} m", hint
-        )
-
-
-class LayerBottom(NamedTuple):
-    """Lower end of a layer in a scene.
-
-    Attributes
-    ----------
-    depth_m : float
-        Depth (m); may be infinite.
-    albedo : float or None
-        Albedo of the Lambertian bottom, None for an open lower boundary.
-    """
-
-    depth_m: float
-    albedo: float | None
-
-
-@runtime_checkable
-class ParticleMedium(OpticalMedium, Protocol):
-    """Protocol of layers of particles much smaller than their separation."""
-
-    @property
-    def extinction_per_m(self) -> float:
-        """Extinction coefficient (1/m)."""
-        ...
-
-    @property
-    def single_scattering_albedo(self) -> float:
-        """Single-scattering albedo."""
-        ...
-
-    @property
-    def refractive_index(self) -> float:
-        """Refractive index of the matrix, relative to the medium above."""
-        ...
-
-    @property
-    def opaque(self) -> bool:
-        """Whether all light that enters is absorbed."""
-        ...
-
-    @property
-    def scene_bottom(self) -> LayerBottom:
-        """Lower end of the layer in a scene."""
-        ...
-
-    @property
-    def kernel_phase_function(self) -> PhaseFunction:
-        """Phase function."""
-        ...
-
-    @property
-    def polarized(self) -> bool:
-        """Whether the Stokes vector is traced."""
-        ...
-
-    def make_height_fields(self) -> HeightFields | None:
-        """Return the rough surface, or None for a smooth surface."""
-        ...
-
-
-Medium = GranularMedium | LayeredMedium | ParticleMedium
-
-
-@runtime_checkable
-class SurfaceMedium(ParticleMedium, Protocol):
-    """Protocol of media for instruments that measure the surface alone."""
-
-    @property
-    def surface(self) -> Any:
-        """Rough surface (`splits.media.rough_surface.RoughSurface`), or None if smooth."""
-        ...

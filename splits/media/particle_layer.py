@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from splits.kernels.optics.phase_function import (
 )
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.media.formatting import find_differences, format_call
-from splits.media.medium import LayerBottom
+from splits.media.medium import Layer, LayerBottom
 from splits.media.rough_surface import RoughSurface
 
 CLEARANCE_SIGMA = 8.0
@@ -44,12 +44,15 @@ SEMI_INFINITE_TRANSPORT_MFP = 40.0
 The influence of the bottom on the reflected light has decayed by exp(−40) there.
 """
 
+MAX_OPTICAL_DISTANCE = 5e5
+"""Optical thickness above which absorption at that distance from the light is negligible."""
+
 PHASE_FUNCTIONS = ("henyey_greenstein", "rayleigh")
 
 
 @reject_unknown_keywords
 @dataclass(frozen=True, eq=False, repr=False)
-class ParticleLayer(ContentEquality):
+class ParticleLayer(ContentEquality, Layer):
     """Homogeneous layer of small particles in a transparent matrix.
 
     The properties do not depend on wavelength.
@@ -179,6 +182,21 @@ class ParticleLayer(ContentEquality):
         return format_call("ParticleLayer", find_differences(self, type(self)()))
 
     @property
+    def matrix_index(self) -> float:
+        """Refractive index of the matrix."""
+        return self.refractive_index
+
+    @property
+    def thickness_m(self) -> float:
+        """Thickness (m), infinite for an infinite optical thickness."""
+        return math.inf if math.isinf(self.optical_thickness) else float(self.depth_m)
+
+    @property
+    def material_columns(self) -> dict[str, int]:
+        """Column of the matrix, which may absorb."""
+        return {"matrix": WET_PORE}
+
+    @property
     def extinction_per_m(self) -> float:
         """Extinction coefficient (1/m); infinite for an opaque layer."""
         if self.opaque:
@@ -208,6 +226,19 @@ class ParticleLayer(ContentEquality):
         clearance_m = 0.0 if self.surface is None else CLEARANCE_SIGMA * self.surface.rms_height_m
         depth_m = SEMI_INFINITE_TRANSPORT_MFP * transport_ratio / self.extinction_per_m
         return LayerBottom(depth_m + clearance_m, 1.0)
+
+    def truncate(self, depth_m: float) -> ParticleLayer:
+        """Return a finite layer in which light above a depth (m) is that of the infinite layer."""
+        albedo, g = self.single_scattering_albedo, self.kernel_phase_function.g
+        rate = min(1.0, math.sqrt(3.0 * (1.0 - albedo) * (1.0 - albedo * g)))
+        # The effect of a white bottom at a distance z from the light is at most exp(-2 rate z).
+        optical_distance = SEMI_INFINITE_TRANSPORT_MFP * max(1.0, 1.0 / (1.0 - g))
+        if rate > 0.0:
+            decay = min(0.5 * SEMI_INFINITE_TRANSPORT_MFP / rate, MAX_OPTICAL_DISTANCE)
+            optical_distance = max(optical_distance, decay)
+        end_m = depth_m + optical_distance / self.extinction_per_m
+        thickness = self.extinction_per_m * end_m
+        return replace(self, optical_thickness=thickness, depth_m=end_m, bottom_albedo=1.0)
 
     def make_height_fields(self) -> HeightFields | None:
         """Return the rough surface in the form the kernels take, or None for a smooth surface."""

@@ -26,7 +26,7 @@ from splits.media.inputs import (
     make_refractive_indices,
 )
 from splits.media.interpretations import SandInterpretation
-from splits.media.medium import Interface, compute_mean_free_path_m
+from splits.media.medium import GranularMedium, Interface
 from splits.media.pore_fluids import WATER, PoreFluids, check_other_fluids
 from splits.media.sand_composition import (
     SandComposition,
@@ -42,7 +42,7 @@ WATER_FILM = "water film"
 
 @reject_unknown_keywords
 @dataclass(frozen=True, eq=False, repr=False)
-class Sand(ContentEquality):
+class Sand(ContentEquality, GranularMedium):
     """Homogeneous sand layer, after SPLITS.
 
     The default constants are those of SPLITS Table 2, the default composition is that of the base
@@ -273,7 +273,7 @@ class Sand(ContentEquality):
             0.0, 1.0, 1.0 - self.roundness[0], self.roundness[1]
         )
         return GrainPopulation(
-            collision_coefficient=1.0 / compute_mean_free_path_m(self),
+            collision_coefficient=1.0 / self.mean_free_path_m,
             type_cdf=np.cumsum(self.composition.volume_fractions),
             types=GrainTypes(
                 n_shells=np.array(

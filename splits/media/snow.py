@@ -27,7 +27,7 @@ from splits.media.inputs import (
 )
 from splits.media.interpretations import Interpretation
 from splits.media.measured_inputs import accepts_measured_inputs, to_shortest_keywords
-from splits.media.medium import Interface, compute_mean_free_path_m
+from splits.media.medium import GranularMedium, Interface
 from splits.media.natural_snow import describe_grain_shape, is_natural, make_natural_snow
 from splits.media.pore_fluids import PoreFluids, check_other_fluids
 
@@ -38,7 +38,7 @@ MIN_DENSITY_KG_M3 = 1e-12
 @reject_unknown_keywords
 @accepts_measured_inputs
 @dataclass(frozen=True, eq=False, repr=False)
-class Snow(ContentEquality):
+class Snow(ContentEquality, GranularMedium):
     """Homogeneous layer of snow, after SPLITSnow; the defaults are those of its Table 1.
 
     `Snow.natural` is a model of natural snow of a given specific surface area.  With the default
@@ -262,7 +262,7 @@ class Snow(ContentEquality):
             *self._diameter_limits_m, self.interpretation.size_sampling
         )
         return GrainPopulation(
-            collision_coefficient=1.0 / compute_mean_free_path_m(self),
+            collision_coefficient=1.0 / self.mean_free_path_m,
             type_cdf=np.ones(1),
             types=GrainTypes(
                 n_shells=np.ones(1, dtype=np.int64),
@@ -315,7 +315,7 @@ class Snow(ContentEquality):
         else:
             # Per length of path segment in the pores: a ray crosses a length 1/K of ice (Eq A.5)
             # for every segment, so the impurity per mass of ice is preserved along the ray.
-            ice_per_segment = 1.0 / (self.attenuation_per_m * compute_mean_free_path_m(self))
+            ice_per_segment = 1.0 / (self.attenuation_per_m * self.mean_free_path_m)
             density = ice_density(self.temperature_c) * ice_per_segment
             added[:, : self._ice_column] = np.reshape(density * per_ice, (-1, 1))
         return added

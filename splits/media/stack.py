@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from splits.kernels.grains.scene import WET_PORE
 from splits.media.formatting import format_input
 from splits.media.ground import Ground, describe_ground
 from splits.media.interpretations import INTERPRETATION_SETS
-from splits.media.medium import GranularMedium, Interface
+from splits.media.medium import GranularMedium, Interface, Medium
 from splits.media.particle_layer import ParticleLayer
 from splits.media.pore_fluids import PoreFluids
 
@@ -32,7 +32,7 @@ reason."""
 
 @reject_unknown_keywords
 @dataclass(frozen=True, repr=False)
-class Stack:
+class Stack(Medium):
     """Layered medium, top layer first.
 
     The pore material of a path segment is sampled once.  It changes at a boundary between two
@@ -71,7 +71,7 @@ class Stack:
 
     kind = "stack"
 
-    layers: tuple[GranularMedium | ParticleLayer, ...]
+    layers: tuple[Any, ...]
     ground: Any = None
     interpretation: str | None = None
 
@@ -103,7 +103,7 @@ class Stack:
                 raise invalid(f"layers[{number}].ground", layer.ground.name, "left out", hint)
         if self.interpretation is not None:
             layers = tuple(self._apply_interpretation(layer) for layer in layers)
-        polarized = [getattr(layer, "polarized", False) for layer in layers]
+        polarized = [layer.polarized for layer in layers]
         if any(polarized) and not all(polarized):
             key = f"layers[{polarized.index(True)}].polarized"
             raise invalid(key, True, "false, or true for all layers", "grains are not polarized")
@@ -132,9 +132,7 @@ class Stack:
         lines = ["Stack([", *(f"    {layer!r}," for layer in self.layers), f"]{''.join(keywords)})"]
         return "\n".join(lines)
 
-    def _apply_interpretation(
-        self, layer: GranularMedium | ParticleLayer
-    ) -> GranularMedium | ParticleLayer:
+    def _apply_interpretation(self, layer: Any) -> Any:
         """Return a layer with the interpretation of the stack."""
         if isinstance(layer, ParticleLayer):
             return layer
@@ -150,14 +148,18 @@ class Stack:
         )
 
     @property
-    def scene_layers(self) -> tuple[GranularMedium | ParticleLayer, ...]:
-        """Layers in the form scenes take."""
+    def scene_layers(self) -> tuple[Any, ...]:
+        """Layers, top first."""
         return self.layers
 
     @property
     def polarized(self) -> bool:
-        """Whether polarization is simulated."""
-        return all(getattr(layer, "polarized", False) for layer in self.layers)
+        """Whether the Stokes vector is traced."""
+        return all(layer.polarized for layer in self.layers)
+
+    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Self:
+        """Return the stack with another lowest layer, over a ground."""
+        return replace(self, layers=(*self.layers[:-1], layer), ground=ground)
 
     @property
     def depth_m(self) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from splits.core.arrays import check_named_numbers
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_range, invalid, key_prefix, unknown_key
+from splits.media.checks import check_medium
 from splits.media.measured_inputs import check_no_equivalents
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
@@ -17,7 +18,7 @@ from splits.retrieval.forward_model import SCALE_RANGE
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.simulation_model import SimulationForwardModel
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
-from splits.simulation.arguments import check_incidence, check_medium
+from splits.simulation.arguments import check_incidence
 from splits.tables.axes import check_axis_values
 from splits.tables.interpolation import transform_axis
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -17,13 +15,6 @@ from splits.core.validation import (
     snap_to_limits,
     suggest_name,
 )
-from splits.media.medium import (
-    GranularMedium,
-    LayeredMedium,
-    ParticleMedium,
-    SurfaceMedium,
-    check_thickness,
-)
 from splits.simulation.threads import count_cpus
 
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)
@@ -32,41 +23,6 @@ HALF_WIDTH_RANGE_M = {"beam_spread": (1e-9, 1e6), "surface_map": (1e-9, 1e9), "l
 MAX_DATASET_VALUES = 10_000_000
 """Largest number of values of a quantity over wavelength and direction: a run takes about thirty
 times their memory."""
-MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
-    GranularMedium: ("Snow", "Sand"),
-    LayeredMedium: ("Stack",),
-    ParticleMedium: ("ParticleLayer",),
-    SurfaceMedium: ("ParticleLayer",),
-}
-"""Names of the media of each kind, for messages."""
-
-
-def check_medium(medium: Any, *kinds: type, allow_semi_infinite: bool = False) -> None:
-    """Check that a medium is of an allowed kind, by default of any.
-
-    Parameters
-    ----------
-    medium : object
-    *kinds : type
-        Keys of `MEDIUM_NAMES`.
-    allow_semi_infinite : bool
-        Whether semi-infinite media are allowed.
-    """
-    kinds = kinds or (GranularMedium, LayeredMedium, ParticleMedium)
-    is_class = isinstance(medium, type)
-    if isinstance(medium, kinds) and not is_class:
-        if isinstance(medium, GranularMedium | LayeredMedium):
-            check_thickness(medium)
-            if math.isinf(medium.depth_m) and not allow_semi_infinite:
-                hint = "give depth_m; spectra, albedos and profiles allow semi-infinite media"
-                raise invalid("depth_m", math.inf, "finite", hint)
-        return
-    names = [name for kind in kinds for name in MEDIUM_NAMES[kind]]
-    kind_name = medium if is_class else getattr(medium, "kind", medium)
-    suggestion = suggest_name(medium.__name__ if is_class else str(kind_name).capitalize(), names)
-    hint = re.sub(r"mean (\w+)", r"mean splits.\1()", suggestion)
-    allowed = " or ".join(f"splits.{name}(...)" for name in names)
-    raise invalid("medium", kind_name, allowed, hint)
 
 
 def check_wavelengths(wavelength_nm: Any) -> np.ndarray:

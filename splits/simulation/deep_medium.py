@@ -24,7 +24,6 @@ import xarray as xr
 from splits.core.validation import invalid
 from splits.media.ground import Ground
 from splits.media.medium import GranularMedium, Medium
-from splits.media.stack import Stack
 from splits.simulation.grain_optics import (
     GrainOpticsRequest,
     compute_material_constants,
@@ -40,7 +39,6 @@ from splits.simulation.substrate import (
     SubstrateResponse,
     compute_albedo_below_interface,
     compute_semi_infinite_depth,
-    get_lowest_layer,
     make_substrate_ground,
     select_least_attenuated,
 )
@@ -85,9 +83,9 @@ def truncate_deep_medium(
     ValueError
         For a semi-infinite medium whose lowest layer is not granular.
     """
-    lowest = [get_lowest_layer(medium) for medium in path_sharing.media]
+    lowest = [medium.lowest_layer for medium in path_sharing.media]
     layer = lowest[0]
-    if not isinstance(layer, GranularMedium):
+    if not layer.has_grains:
         return None
     depth = float(layer.depth_m)
     if depth * layer.make_grain_population().collision_coefficient < MIN_DEPTH_MFP:
@@ -150,7 +148,7 @@ def _truncate(
     """Truncate media with given single-scattering properties, see `truncate_deep_medium`."""
     media, scales = path_sharing
     properties = [DiffusionProperties.from_optics(one) for one in optics]
-    layer = get_lowest_layer(media[0])
+    layer = media[0].lowest_layer
     if math.isinf(layer.depth_m):
         if min(one.transport_factor.min() for one in properties) < MIN_TRANSPORT_FACTOR:
             raise invalid("depth_m", math.inf, "finite", "these grains hardly turn light")
@@ -168,8 +166,8 @@ def _truncate(
     albedos = [
         compute_albedo_below_interface(
             substrate.reflected_fraction,
-            compute_material_constants(get_lowest_layer(m), wavelengths).indices,
-            get_lowest_layer(m),
+            compute_material_constants(m.lowest_layer, wavelengths).indices,
+            m.lowest_layer,
             o,
         )
         for m, substrate, o in zip(media, substrates, optics, strict=True)
@@ -191,7 +189,4 @@ def _truncate(
 
 def _truncate_lowest_layer(medium: Medium, depth_m: float, ground: Ground) -> Medium:
     """Return a medium whose lowest layer is truncated, over a ground."""
-    layer = replace(get_lowest_layer(medium), depth_m=depth_m)
-    if isinstance(medium, Stack):
-        return replace(medium, layers=(*medium.layers[:-1], layer), ground=ground)
-    return replace(layer, ground=ground)  # type: ignore[no-any-return]
+    return medium.replace_lowest_layer(replace(medium.lowest_layer, depth_m=depth_m), ground)

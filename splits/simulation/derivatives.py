@@ -16,7 +16,7 @@ import numpy as np
 from splits.core.parameter_names import IMPURITY_KEYWORDS
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
 from splits.core.validation import invalid
-from splits.media.medium import GranularMedium, LayeredMedium, Medium
+from splits.media.medium import Medium
 from splits.media.parameters import (
     INCIDENCE_KEY,
     get_derivative_unit,
@@ -61,12 +61,9 @@ class Perturbations(NamedTuple):
         cls, medium: Medium, names: Sequence[str], wavelengths: np.ndarray
     ) -> Perturbations:
         """Return the perturbations of the parameters that leave the paths unchanged."""
-        signature, perturbations = (
-            compute_path_signature(medium) if _is_granular(medium) else (b"", 1.0),
-            [],
-        )
+        signature, perturbations = compute_path_signature(medium), []
         for name in names:
-            step = _choose_step(medium, name, wavelengths) if _is_granular(medium) else 0.0
+            step = _choose_step(medium, name, wavelengths)
             if not step:
                 continue
             perturbed = shift_parameter(medium, name, step)
@@ -103,10 +100,6 @@ def check_jacobian(medium: Medium, incidence: float | str, jacobian: Any) -> tup
         elif isinstance(incidence, str):
             raise invalid("jacobian", name, "left out for diffuse light", "it belongs to a beam")
     return names
-
-
-def _is_granular(medium: Medium) -> bool:
-    return isinstance(medium, GranularMedium | LayeredMedium)
 
 
 def _choose_step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from splits.core.validation import check_integer, invalid
+from splits.media.checks import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_medium, check_wavelengths
+from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_nodes import make_nodes

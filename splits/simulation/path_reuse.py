@@ -17,9 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.media.medium import GranularMedium, LayeredMedium, Medium, compute_absorption
-from splits.media.particle_layer import ParticleLayer
-from splits.media.stack import Stack
+from splits.media.medium import Medium, compute_absorption
 from splits.simulation.scene import (
     OpticalConstants,
     build_scene,
@@ -57,17 +55,11 @@ def group_by_shared_paths(media: Sequence[Any], wavelength_nm: np.ndarray) -> li
 
     Parameters
     ----------
-    media : sequence of GranularMedium or LayeredMedium
+    media : sequence of Medium
     wavelength_nm : float, shape (wavelengths,)
-
-    Raises
-    ------
-    ValueError
-        For a medium that is not granular.
     """
     by_signature: dict[bytes, list[tuple[float, int]]] = {}
     for position, medium in enumerate(media):
-        _check_granular("medium", medium)
         key, unit = compute_path_signature(medium)
         by_signature.setdefault(key, []).append((unit, position))
     max_media = max(1, MAX_SHARED_ROWS // wavelength_nm.size)
@@ -103,10 +95,8 @@ def check_path_sharing(media: Mapping[str, Medium]) -> None:
         Names the first medium that cannot share the paths of the first one.
     """
     (first, base), *others = media.items()
-    _check_granular(f"medium[{first!r}]", base)
     signature, unit = compute_path_signature(base)
     for name, medium in others:
-        _check_granular(f"medium[{name!r}]", medium)
         other_signature, other_unit = compute_path_signature(medium)
         if other_signature != signature or not math.isclose(other_unit, unit):
             raise invalid(
@@ -114,12 +104,6 @@ def check_path_sharing(media: Mapping[str, Medium]) -> None:
                 "grains, depths, pores and interpretation must be the same; impurities, and the "
                 "albedo of a reflecting ground, may differ",
             )  # fmt: skip
-
-
-def _check_granular(key: str, medium: Any) -> None:
-    """Check that paths of a medium may be shared."""
-    if not isinstance(medium, GranularMedium | LayeredMedium):
-        raise invalid(key, medium.kind, "a granular medium, or a stack")
 
 
 def compute_absorption_signature(medium: Any, wavelength_nm: np.ndarray) -> bytes:
@@ -137,10 +121,15 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
 
     Parameters
     ----------
-    medium : GranularMedium or LayeredMedium
+    medium : Medium
     """
     semi_infinite = math.isinf(medium.depth_m)
-    scene = build_scene(_make_finite(medium) if semi_infinite else medium, 0.0, False)
+    finite = medium
+    if semi_infinite:
+        finite = medium.replace_lowest_layer(
+            replace(medium.lowest_layer, depth_m=1.0), medium.ground
+        )
+    scene = build_scene(finite, 0.0, False)
     layers, types = scene.layers, scene.types
     # A rough surface has a length scale of its own.
     has_rough_surface = make_height_fields(medium) is not None
@@ -173,6 +162,8 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
                 len(medium.list_materials()),
                 not semi_infinite and get_reflecting_ground(medium) is not None,
                 scene.stokes is not None,
+                scene.opaque is not None,
+                np.nan if scene.bottom_albedo is None else scene.bottom_albedo,
             ]
         ),
     ):
@@ -181,9 +172,7 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
     names = [type(medium).__name__, *(interface.location for interface in medium.list_interfaces())]
     # The matrix of particles has one index at all wavelengths and appears in no interface.
     matrices = [
-        float(layer.refractive_index)
-        for layer in (medium.scene_layers if isinstance(medium, LayeredMedium) else ())
-        if isinstance(layer, ParticleLayer)
+        float(layer.matrix_index) for layer in medium.scene_layers if layer.matrix_index is not None
     ]
     digest.update(repr([names, matrices]).encode())
     for table in make_height_fields(medium) or ():
@@ -203,10 +192,3 @@ def _round_significands(values: np.ndarray) -> np.ndarray:
         finite, np.round(np.where(finite, mantissa, 0.0) * 2.0**_COMPARED_BITS), values
     )
     return np.stack([whole, exponent.astype(float)])
-
-
-def _make_finite(medium: Any) -> Any:
-    """Return a semi-infinite medium with a finite depth, as scenes require."""
-    if isinstance(medium, Stack):
-        return replace(medium, layers=(*medium.layers[:-1], _make_finite(medium.layers[-1])))
-    return replace(medium, depth_m=1.0)

@@ -22,10 +22,8 @@ from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
 from splits.media.ground import Ground
 from splits.media.interpretations import Interpretation
-from splits.media.medium import GranularMedium, LayeredMedium, Medium, compute_absorption
-from splits.media.particle_layer import ParticleLayer
+from splits.media.medium import Layer, Medium, compute_absorption
 
-LayerModel = GranularMedium | ParticleLayer
 COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
 """Scatterings per metre of a layer without particles, so that its mean free path is finite, and of
 an opaque layer."""
@@ -55,14 +53,13 @@ def make_source(incidence_deg: float | str) -> Source:
 
 def get_reflecting_ground(medium: Medium) -> Ground | None:
     """Return the ground below a medium, None where it does not reflect."""
-    ground = getattr(medium, "ground", None)
+    ground = medium.ground
     return ground if ground is not None and ground.is_reflecting else None
 
 
 def make_height_fields(medium: Medium) -> HeightFields | None:
     """Return the rough surface on top of layers in the form of kernels, None where it is smooth."""
-    top = medium.scene_layers[0] if isinstance(medium, LayeredMedium) else medium
-    return top.make_height_fields() if isinstance(top, ParticleLayer) else None
+    return medium.scene_layers[0].make_height_fields()
 
 
 def count_length_columns(medium: Medium) -> int:
@@ -85,18 +82,14 @@ def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opti
 
 def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Scene:
     """Return an illuminated medium; `analog` samples absorption at each segment."""
-    media: Sequence[Any] = medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,)
-    particle_layers = [layer for layer in media if isinstance(layer, ParticleLayer)]
-    granular = [layer for layer in media if not isinstance(layer, ParticleLayer)]
-    polarized = any(layer.polarized for layer in particle_layers)
+    media: Sequence[Any] = medium.scene_layers
+    granular = [layer for layer in media if layer.has_grains]
+    particle_layers = [layer for layer in media if not layer.has_grains]
     first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
-    populations = [
-        None if isinstance(layer, ParticleLayer) else layer.make_grain_population()
-        for layer in media
-    ]
+    populations = [layer.make_grain_population() for layer in media]
     rules = (granular[0].interpretation if granular else Interpretation()).to_sampling_rules(analog)
-    has_ground, lowest = get_reflecting_ground(medium) is not None, media[-1]
-    bottom_albedo = lowest.scene_bottom.albedo if isinstance(lowest, ParticleLayer) else None
+    has_ground = get_reflecting_ground(medium) is not None
+    bottom_albedo = media[-1].scene_bottom.albedo
     return Scene(
         make_source(incidence_deg),
         _make_layers(media, populations, first_materials, make_height_fields(medium)),
@@ -107,13 +100,13 @@ def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Sce
         False,
         ground_contact=None if bottom_albedo is None else True,
         bottom_albedo=None if has_ground else bottom_albedo,
-        stokes=UNPOLARIZED if polarized else None,
-        opaque=True if any(layer.opaque for layer in particle_layers) else None,
+        stokes=UNPOLARIZED if medium.polarized else None,
+        opaque=True if any(layer.opaque for layer in media) else None,
     )
 
 
 def _make_layers(
-    media: Sequence[LayerModel],
+    media: Sequence[Any],
     populations: Sequence[GrainPopulation | None],
     first_materials: np.ndarray,
     height_fields: HeightFields | None,
@@ -122,11 +115,7 @@ def _make_layers(
     type_cdfs = [np.ones(1) if grains is None else grains.type_cdf for grains in populations]
     n_types = [0 if grains is None else len(grains.type_cdf) for grains in populations]
     max_types = max(len(cdf) for cdf in type_cdfs)
-    depths = [
-        layer.scene_bottom.depth_m if isinstance(layer, ParticleLayer) else float(layer.depth_m)
-        for layer in media
-    ]
-    boundaries = -np.cumsum([0.0, *depths])
+    boundaries = -np.cumsum([0.0, *(layer.scene_bottom.depth_m for layer in media)])
     if height_fields is not None:
         # Above the highest point that a realization of the surface may have.
         boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(height_fields.rms_height)
@@ -144,18 +133,16 @@ def _make_layers(
     )
 
 
-def _get_collision_coefficient(layer: LayerModel, grains: GrainPopulation | None) -> float:
+def _get_collision_coefficient(layer: Any, grains: GrainPopulation | None) -> float:
     """Return the expected number of collisions per metre in a layer."""
-    if not isinstance(layer, ParticleLayer):
-        return grains.collision_coefficient  # type: ignore[union-attr]
+    if grains is not None:
+        return grains.collision_coefficient
     return float(np.clip(layer.extinction_per_m, *COLLISION_COEFFICIENT_RANGE))
 
 
-def _compute_pore_cdf(media: Sequence[LayerModel]) -> np.ndarray:
+def _compute_pore_cdf(media: Sequence[Layer]) -> np.ndarray:
     """Return cumulative fractions of the pore materials other than air and water."""
-    fractions = [
-        [] if isinstance(layer, ParticleLayer) else list(layer.pores.values()) for layer in media
-    ]
+    fractions = [list(layer.pores.values()) for layer in media]
     n_columns = max(len(layer_fractions) for layer_fractions in fractions)
     return np.array(
         [
@@ -182,13 +169,13 @@ def add_recording_planes(scene: Scene, depths_m: Sequence[float]) -> Scene:
     return scene._replace(layers=Layers(boundaries=boundaries, **rows), record_crossings=True)
 
 
-def _find_particle_rows(media: Sequence[LayerModel]) -> np.ndarray:
+def _find_particle_rows(media: Sequence[Layer]) -> np.ndarray:
     """Return the row of each layer in the particle table, `NO_PARTICLES` for granular layers."""
-    has_particles = np.array([isinstance(layer, ParticleLayer) for layer in media])
+    has_particles = np.array([not layer.has_grains for layer in media])
     return np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES)
 
 
-def make_particle_table(layers: Sequence[ParticleLayer]) -> ParticleScattering:
+def make_particle_table(layers: Sequence[Any]) -> ParticleScattering:
     """Return the table of the particles of these layers."""
     phase_functions = [layer.kernel_phase_function for layer in layers]
     n_columns = max(len(phase.cosines) for phase in phase_functions)

@@ -12,8 +12,6 @@ import xarray as xr
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE
 from splits.media.ground import Ground
 from splits.media.medium import GranularMedium, Medium, compute_absorption
-from splits.media.particle_layer import ParticleLayer
-from splits.media.stack import Stack
 from splits.simulation.diffusion import (
     DiffusiveSubstrate,
     diffuse_reflectance,
@@ -101,11 +99,6 @@ class DiffusionProperties(NamedTuple):
         )
 
 
-def get_lowest_layer(medium: Medium) -> Any:
-    """Return the lowest layer."""
-    return medium.layers[-1] if isinstance(medium, Stack) else medium
-
-
 class SubstrateResponse(NamedTuple):
     """Response of the part of a medium below the truncation depth; see `TruncatedMedium`.
 
@@ -132,7 +125,7 @@ class SubstrateResponse(NamedTuple):
         truncation_depth_m: float,
     ) -> SubstrateResponse:
         """Return the response of a medium of a given size with the given diffusion properties."""
-        depth = float(get_lowest_layer(medium).depth_m) / size_ratio
+        depth = float(medium.lowest_layer.depth_m) / size_ratio
         rate, diffusion = (
             properties.compute_regularized_rate(truncation_depth_m),
             properties.diffusion_coefficient,
@@ -162,16 +155,12 @@ class SubstrateResponse(NamedTuple):
 
 def _has_absorption_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:
     """Return at which wavelengths a layer above the lowest one may absorb."""
-    if not isinstance(medium, Stack):
-        return np.zeros(wavelengths.size, dtype=bool)
-    n_materials_above = len(medium.list_materials()) - len(medium.scene_layers[-1].list_materials())
+    n_materials_above = len(medium.list_materials()) - len(medium.lowest_layer.list_materials())
     absorption = compute_absorption(
         medium, medium.compute_refractive_indices(wavelengths), wavelengths
     )
     particles_absorb = [
-        p.single_scattering_albedo < 1.0
-        for p in medium.scene_layers
-        if isinstance(p, ParticleLayer)
+        getattr(layer, "single_scattering_albedo", 1.0) < 1.0 for layer in medium.scene_layers
     ]
     materials_absorb = (absorption[:, :n_materials_above] > 0.0).any(axis=1)
     return np.asarray(materials_absorb | any(particles_absorb))

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.simulation.arguments import check_incidence, check_medium
+from splits.media.checks import check_medium
+from splits.simulation.arguments import check_incidence
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.tables.axes import INCIDENCE, ParameterGrid

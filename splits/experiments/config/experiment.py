@@ -24,7 +24,7 @@ from splits.experiments.config.sections import (
 )
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
-from splits.media.medium import LayeredMedium, Medium, ParticleMedium
+from splits.media.medium import Medium
 from splits.plotting.panels import (
     DEFAULT_LABEL,
     MAX_AZIMUTH_GAP_DEG,
@@ -205,14 +205,14 @@ class ExperimentConfig(SimulationConfig):
 
     def _check_quantity(self, medium: Medium) -> None:
         """Reject a figure of a quantity that the medium does not have."""
-        has_no_grain_distance = isinstance(medium, ParticleMedium | LayeredMedium)
+        has_no_grain_distance = not hasattr(medium, "mean_grain_distance_m")
         is_next_event = self.instrument.estimator == "next_event" and "btdf" in self.figure.quantity
         if is_next_event and getattr(medium, "bottom_albedo", None) is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a bottom with local estimation")
         if "btdf" in self.figure.quantity and get_reflecting_ground(medium) is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a ground")
         if self.figure.kind == "polarization":
-            if not getattr(medium, "polarized", False):
+            if not medium.polarized:
                 raise invalid("medium.polarized", False, "true for figure.kind = 'polarization'")
             if self.instrument.estimator not in ("next_event", "bins"):
                 raise invalid(

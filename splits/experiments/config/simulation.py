@@ -40,17 +40,16 @@ from splits.experiments.config.medium import (
 )
 from splits.experiments.config.sections import ConfigSection, FitSection
 from splits.media import Stack
+from splits.media.checks import check_thickness
 from splits.media.interpretations import merge_interpretations
 from splits.media.measured_inputs import override_keywords
-from splits.media.medium import (
-    GranularMedium,
-    LayeredMedium,
-    Medium,
-    ParticleMedium,
-    check_thickness,
-)
+from splits.media.medium import Medium
 from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
-from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
+from splits.simulation.scene import (
+    compute_optical_constants,
+    get_reflecting_ground,
+    make_height_fields,
+)
 from splits.tables.axes import ParameterGrid
 
 MEDIUM_CLASSES: dict[str, Any] = {**LAYER_MEDIA, "stack": Stack}
@@ -126,8 +125,7 @@ class SimulationConfig(ConfigSection):
                 if not self.fit:
                     compute_optical_constants(medium, wavelengths)
                 check_beam_angle(incidence) if has_beam else check_incidence(incidence)
-                if isinstance(medium, GranularMedium | LayeredMedium):
-                    check_thickness(medium)
+                check_thickness(medium)
             self._check_medium(kind, medium)
             has_ground.add(get_reflecting_ground(medium) is not None)
         if len(has_ground) > 1 and self.instrument.kind == "goniophotometer":
@@ -191,13 +189,13 @@ class SimulationConfig(ConfigSection):
 
     def _check_medium(self, kind: str, medium: Medium) -> None:
         """Reject a medium that the instrument or its estimator does not allow."""
-        is_layer = isinstance(medium, ParticleMedium)
-        is_rough = isinstance(medium, ParticleMedium) and medium.make_height_fields() is not None
+        is_layer = kind == "particle_layer"
+        is_rough = is_layer and make_height_fields(medium) is not None
         instrument = self.instrument
         if instrument.kind in SURFACE_INSTRUMENTS and not is_rough:
             given = kind if not is_layer else "a layer without surface"
             raise invalid("medium.kind", given, f"a layer with a surface for {instrument.kind}")
-        is_semi_infinite = not is_layer and math.isinf(medium.depth_m)  # type: ignore[union-attr]
+        is_semi_infinite = math.isinf(medium.depth_m)
         if is_semi_infinite and (
             instrument.kind not in SEMI_INFINITE_INSTRUMENTS or instrument.estimator == "analog"
         ):

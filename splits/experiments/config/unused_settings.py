@@ -104,9 +104,7 @@ def check_unused_keywords(
     """
     if experiment.medium.get("kind") != "particle_layer":
         return
-    layers = [
-        medium for _, medium, _ in experiment.iter_points() if isinstance(medium, ParticleLayer)
-    ]
+    layers: list[Any] = [medium for _, medium, _ in experiment.iter_points()]
     for keys, has_no_effect, reason in UNUSED_KEYWORDS:
         for key in keys:
             prefix, value = given.get(key, ("", None))

@@ -1,0 +1,56 @@
+"""Checks of media that users give to instruments."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+from splits.core.validation import invalid, suggest_name
+from splits.media.medium import GranularMedium, Medium
+from splits.media.particle_layer import ParticleLayer
+
+MEDIUM_NAMES: dict[type, tuple[str, ...]] = {
+    Medium: ("Snow", "Sand", "Stack", "ParticleLayer"),
+    GranularMedium: ("Snow", "Sand"),
+    ParticleLayer: ("ParticleLayer",),
+}
+"""Names of the media of each class, for messages."""
+
+
+def check_medium(
+    medium: Any, kind: type[Any] = Medium, *, allow_semi_infinite: bool = False
+) -> None:
+    """Check that a medium is of an allowed class, by default of any.
+
+    Parameters
+    ----------
+    medium : object
+    kind : type
+        A key of `MEDIUM_NAMES`.
+    allow_semi_infinite : bool
+        Whether semi-infinite media are allowed.
+    """
+    is_class = isinstance(medium, type)
+    if isinstance(medium, kind) and not is_class:
+        check_thickness(medium)
+        if math.isinf(medium.depth_m) and not allow_semi_infinite:
+            hint = "give depth_m; spectra, albedos and profiles allow semi-infinite media"
+            raise invalid("depth_m", math.inf, "finite", hint)
+        return
+    names = MEDIUM_NAMES[kind]
+    kind_name = medium if is_class else getattr(medium, "kind", medium)
+    suggestion = suggest_name(medium.__name__ if is_class else str(kind_name).capitalize(), names)
+    hint = re.sub(r"mean (\w+)", r"mean splits.\1()", suggestion)
+    allowed = " or ".join(f"splits.{name}(...)" for name in names)
+    raise invalid("medium", kind_name, allowed, hint)
+
+
+def check_thickness(medium: Any) -> None:
+    """Check that a medium is thicker than its largest grain."""
+    largest = medium.largest_grain_m
+    if medium.depth_m <= largest:
+        hint = "such a grain must fit between the boundaries"
+        raise invalid(
+            "depth_m", medium.depth_m, f"more than the largest grain, {largest:g} m", hint
+        )

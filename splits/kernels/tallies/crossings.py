@@ -81,10 +81,27 @@ def ensure_capacity(buffer, n_new):
     return CrossingBuffer(rows, buffer.state)
 
 
+@inline_allocating
+def enlarge_buffer(buffer, n_kept):
+    """Return a buffer of twice the capacity with the first `n_kept` records."""
+    rows = np.empty((2 * buffer.rows.shape[0], buffer.rows.shape[1]))
+    for i in range(n_kept):
+        copy_into_row(rows[i], 0, buffer.rows[i])
+    buffer.state[_N_RECORDED] = n_kept
+    return CrossingBuffer(rows, buffer.state)
+
+
 @inline
 def set_current_ray(buffer, ray):
     """Set the ray of the records that follow."""
     buffer.state[_CURRENT_RAY] = ray
+
+
+@inline
+def start_records(buffer, ray):
+    """Set the ray of the records that follow, and return the number of those before."""
+    set_current_ray(buffer, ray)
+    return buffer.state[_N_RECORDED]
 
 
 @inline

@@ -7,16 +7,13 @@ from a scene (grains, particles, rough surface, polarization, detectors) are Non
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point, inline_only
-from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.ray import make_ray
 from splits.kernels.grains.state import BOUNDARY, COLLISION, ROUGH_TOP
 from splits.kernels.math.rng import start_stream, uniform
-from splits.kernels.math.vectors import ORIGIN, UP, Vector
+from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.source import sample_source_direction
 from splits.kernels.optics.stokes import make_unpolarized, rotate_reference_to
 from splits.kernels.rough_surface.realization import (
@@ -28,10 +25,10 @@ from splits.kernels.tallies.crossings import (
     append_crossing,
     copy_into_row,
     encode_crossing,
-    ensure_capacity,
+    enlarge_buffer,
     get_recorded,
     has_capacity,
-    set_current_ray,
+    start_records,
 )
 from splits.kernels.tallies.exits import (
     ABSORBED,
@@ -147,19 +144,19 @@ def sample_source(state, scene, optics, rough_top, max_order):
 
 
 @inline_only
-def make_ended_ray(scene):
-    """Return a ray whose history has ended."""
-    ray = make_ray(ORIGIN, UP, scene.stokes, 0.0, math.inf, 0)
-    return replace(ray, status=ABSORBED)
+def trace_ray(state, scene, optics, path_lengths, crossings, rough_top, max_order):
+    """Trace a ray from the light source, with reflections from the ground, until it ends.
 
+    Parameters are those of `trace_history` and `sample_source`.
 
-@inline_only
-def trace_to_exit(state, ray, scene, optics, path_lengths, crossings, rough_top):
-    """Trace a ray, with reflections from the ground, until it ends or `crossings` may be full.
-
-    Parameters are those of `trace_history`.
+    Returns
+    -------
+    Ray
+        `ALIVE` or `TO_GROUND` if `crossings` lacks capacity.
     """
     n_boundaries = scene.layers.boundaries.size
+    path_lengths[:] = 0.0
+    ray = sample_source(state, scene, optics, rough_top, max_order)
     while ray.status == ALIVE or ray.status == TO_GROUND:
         if crossings is not None and not has_capacity(crossings, 2 * n_boundaries):
             break
@@ -215,25 +212,21 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
         With the crossings of boundaries, if the scene records them, and the hits of the ground,
         unless absorption there is analog.
     """
-    n_segments, number = 0, 0
+    n_segments, number, n_recorded = 0, 0, 0
     path_lengths = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
     crossings = allocate_crossings(optics.n.size)
-    max_crossings = 2 * scene.layers.boundaries.size
-    ray, rough_top = make_ended_ray(scene), surface_buffer
     while number < work[2]:
-        # Outside the loop over rays, which would count the references to the buffer.
-        crossings = ensure_capacity(crossings, max_crossings)
-        while number < work[2] and has_capacity(crossings, max_crossings):
-            if ray.status != ALIVE and ray.status != TO_GROUND:
-                start_stream(state, seed, work[0], work[1] + number)
-                set_current_ray(crossings, number)
-                path_lengths[:] = 0.0
-                rough_top = sample_realization_if_rough(state, height_fields, surface_buffer)
-                ray = sample_source(state, scene, optics, rough_top, work[3])
-            ray = trace_to_exit(state, ray, scene, optics, path_lengths, crossings, rough_top)
+        # References to the buffer are counted here, outside the loop over rays.
+        crossings = enlarge_buffer(crossings, n_recorded)
+        while number < work[2]:
+            start_stream(state, seed, work[0], work[1] + number)
+            n_recorded = start_records(crossings, number)
+            rough_top = sample_realization_if_rough(state, height_fields, surface_buffer)
+            ray = trace_ray(state, scene, optics, path_lengths, crossings, rough_top, work[3])
             if ray.status == ALIVE or ray.status == TO_GROUND:
-                continue
+                # The buffer is full.  The ray is traced again, with the same random numbers.
+                break
             n_segments += ray.n_segments
             if ray.status == LOST:
                 return BatchResult(n_segments, True, get_recorded(crossings))
@@ -261,8 +254,7 @@ def trace_to_detectors(seed, work, scene, optics, totals):
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[2]):
         start_stream(state, seed, work[0], work[1] + number)
-        ray = sample_source(state, scene, optics, None, work[3])
-        ray = trace_to_exit(state, ray, scene, optics, path_lengths, None, None)
+        ray = trace_ray(state, scene, optics, path_lengths, None, None, work[3])
         n_segments += ray.n_segments
         if ray.status != ABSORBED:
             total = totals[0 if ray.status == REFLECTED else 1]

@@ -8,6 +8,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
+from splits.kernels.compiler.structure_of_arrays import list_addresses
 from splits.kernels.vectorized.lane_state import VECTOR_WIDTH
 
 
@@ -59,8 +60,8 @@ def _get_bytecode_offset(block: ir.Block) -> int:
     return int(found[1]) if found else 0
 
 
-@intrinsic
-def gather_interpolate(typing_context, table, state, row_at, position_at, value_at):
+@intrinsic(prefer_literal=True)
+def gather_interpolate(typing_context, table, lane, row, position, value):
     """Interpolate a table linearly for `VECTOR_WIDTH` lanes at once.
 
     LLVM cannot prove that stores to lanes do not change the table, and loads its values one by one;
@@ -69,10 +70,11 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
     Parameters
     ----------
     table : float32[rows, points]
-    state : float32[:]
-    row_at, position_at, value_at : int
-        Offsets in `state` of the rows of the lanes (clipped to the last one), of their positions
-        from 0 to points − 1, and of the interpolated values.
+    lane : Lane
+        The first one.
+    row, position, value : str
+        Fields of the row in the table (clipped to the last one), of the position from 0 to
+        points − 1, and of the interpolated value.
     """
 
     def generate(context, builder, signature, arguments):
@@ -82,10 +84,7 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
         )
         mask = ir.VectorType(ir.IntType(1), VECTOR_WIDTH)
         pointers = ir.VectorType(number.as_pointer(), VECTOR_WIDTH)
-        values, lanes = (
-            context.make_array(kind)(context, builder, value)
-            for kind, value in zip(signature.args[:2], arguments[:2], strict=True)
-        )
+        values = context.make_array(table)(context, builder, arguments[0])
         rows, points = (
             builder.trunc(size, short) for size in cgutils.unpack_tuple(builder, values.shape)
         )
@@ -95,8 +94,9 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
             first = builder.insert_element(undefined, value, ir.Constant(short, 0))
             return builder.shuffle_vector(first, undefined, ir.Constant(shorts, [0] * VECTOR_WIDTH))
 
-        def lane(offset):
-            return builder.bitcast(builder.gep(lanes.data, [offset]), numbers.as_pointer())
+        def locate(field, kind):
+            first = next(list_addresses(builder, lane, arguments[1], field.literal_value))
+            return builder.bitcast(first, kind.as_pointer())
 
         def clip(value, limit):
             limit = broadcast(limit, shorts)
@@ -118,19 +118,18 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
                 ],
             )
 
-        position = builder.load(lane(arguments[3]), align=4)
-        below = builder.fptosi(position, shorts)
+        at = builder.load(locate(position, numbers), align=4)
+        below = builder.fptosi(at, shorts)
         below = clip(below, builder.sub(points, ir.Constant(short, 2)))
-        fraction = builder.fsub(position, builder.sitofp(below, numbers))
-        which = builder.fptosi(builder.load(lane(arguments[2]), align=4), shorts)
-        which = clip(which, builder.sub(rows, ir.Constant(short, 1)))
+        fraction = builder.fsub(at, builder.sitofp(below, numbers))
+        which = clip(builder.load(locate(row, shorts), align=4), builder.sub(rows, ir.Constant(short, 1)))
         offset_in_table = builder.add(builder.mul(which, broadcast(points, shorts)), below)
         step = ir.Constant(longs, [4] * VECTOR_WIDTH)
         start = broadcast(builder.ptrtoint(values.data, long), longs)
         low_at = builder.add(start, builder.mul(builder.zext(offset_in_table, longs), step))
         low, high = gather_values(low_at), gather_values(builder.add(low_at, step))
-        value = builder.fadd(low, builder.fmul(fraction, builder.fsub(high, low)))
-        builder.store(value, lane(arguments[4]), align=4)
+        result = builder.fadd(low, builder.fmul(fraction, builder.fsub(high, low)))
+        builder.store(result, locate(value, numbers), align=4)
         return context.get_dummy_value()
 
-    return types.void(table, state, row_at, position_at, value_at), generate
+    return types.void(table, lane, row, position, value), generate

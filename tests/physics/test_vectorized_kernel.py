@@ -8,16 +8,21 @@ import time
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, compute_pooled_z, judge_z
+from numba import njit
+from numpy import float32 as single
 from scenes import get_vectorized_scene, make_medium_scene, to_single_item
 
 import splits
 from splits.kernels import vectorized
 from splits.kernels.compiler.features import Features
+from splits.kernels.grains.interaction import RelativeIndex
 from splits.kernels.grains.scene import NO_MAX_ORDER, Optics
+from splits.kernels.grains.spheroid import Spheroid
+from splits.kernels.math.vectors import Vector
 from splits.kernels.tallies.exits import EXIT_DIRECTION, EXIT_POSITION, allocate_exits
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.interaction import run_surface_pass
-from splits.kernels.vectorized.lane_state import N_LANES
+from splits.kernels.vectorized.lane_state import N_LANES, Lane
 from splits.materials.lookup import absorption_coefficient
 from splits.simulation.fixed_budget import SINGLE_STRATUM
 from splits.simulation.runner import RAYS_PER_CHUNK, Runner
@@ -229,12 +234,31 @@ def test_vectorized_kernel_conserves_energy():
     assert np.isfinite(rows[:, EXIT_POSITION : EXIT_POSITION + 2]).all()
 
 
+@njit
+def put_inside_grains(state, qx, qy, qz, dx, dy, dz):
+    """Put the rays of all lanes at points of the surfaces of spheres, on their inner sides."""
+    zero, one = single(0.0), single(1.0)
+    m_in, m_out = single(1.31), single(1.0 / 1.31)
+    for i in range(N_LANES):
+        lane = Lane(state, i)
+        lane.status, lane.shell, lane.side = lane_state.AT_SURFACE, one, -one
+        lane.grain = Spheroid(
+            Vector(qx[i], qy[i], qz[i]), Vector(zero, zero, one), zero, single(1e-4)
+        )
+        lane.direction = Vector(dx[i], dy[i], dz[i])
+        lane.inward_dry = RelativeIndex(m_in, single(0.31), zero, m_out, False)
+        lane.outward_dry = RelativeIndex(m_out, single(-0.31 / 1.31), zero, m_in, False)
+
+
+def get_rows(state, name):
+    """Return the rows of the state of lanes from a field on."""
+    return state.reshape(-1, N_LANES)[Lane.fields[name].row :]
+
+
 def test_rounding_does_not_drift_into_total_reflection():
     # Just within total reflection all rays stay inside; rounding may only drift outwards.
     passes, cosine = 20_000, 0.64
     state = np.zeros(lane_state.STATE_SIZE, dtype=np.float32)
-    words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
-    table = state.reshape(-1, N_LANES)
     generator = np.random.default_rng(1)
     q = generator.normal(size=(3, N_LANES))
     q /= np.linalg.norm(q, axis=0)
@@ -242,32 +266,18 @@ def test_rounding_does_not_drift_into_total_reflection():
     t /= np.linalg.norm(t, axis=0)
     d = cosine * q + np.sqrt(1.0 - cosine**2) * t
 
-    def put(**values):
-        for name, value in values.items():
-            table[getattr(lane_state, name) // N_LANES] = value
-
-    put(UNIT_POINT_X=q[0], UNIT_POINT_Y=q[1], UNIT_POINT_Z=q[2])
-    put(DIR_X=d[0], DIR_Y=d[1], DIR_Z=d[2], AXIS_Z=1.0, SEMI_MINOR=1e-4, SIDE=-1.0)
-    put(SHELL=1.0, STATUS=lane_state.AT_SURFACE, M_IN_DRY=1.31, M1_IN_DRY=0.31)
-    put(M_OUT_DRY=1.0 / 1.31, M1_OUT_DRY=-0.31 / 1.31)
+    put_inside_grains(state, *q.astype(single), *d.astype(single))
     scene = get_vectorized_scene(make_medium_scene(splits.Snow(saturation=0.0)))
 
     def cosines():
-        q, d = (
-            table[np.array(which) // N_LANES].astype(float)
-            for which in (POINT_ROWS, DIRECTION_ROWS)
-        )
+        q, d = (get_rows(state, name)[:3].astype(float) for name in ("grain", "direction"))
         return (q * d).sum(axis=0) / np.linalg.norm(q, axis=0) / np.linalg.norm(d, axis=0)
 
     before = cosines()
     for _ in range(passes):
-        run_surface_pass(state, words, N_LANES, Features(*[None] * len(Features._fields)), scene)
-    assert (table[lane_state.SHELL // N_LANES] == 1.0).all()
+        run_surface_pass(state, N_LANES, Features(*[None] * len(Features._fields)), scene)
+    assert (get_rows(state, "shell")[0] == 1.0).all()
     drift = (cosines() - before) / passes
     error = drift.std(ddof=1) / np.sqrt(N_LANES)
     print(f"drift of the cosine per reflection {drift.mean():.1e} ± {error:.0e}")
     assert -3.0 * error < drift.mean() < 1e-7
-
-
-POINT_ROWS = (lane_state.UNIT_POINT_X, lane_state.UNIT_POINT_Y, lane_state.UNIT_POINT_Z)
-DIRECTION_ROWS = (lane_state.DIR_X, lane_state.DIR_Y, lane_state.DIR_Z)

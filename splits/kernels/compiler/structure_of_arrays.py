@@ -26,10 +26,11 @@ from numba.extending import (
 )
 
 _WORD = ir.IntType(32)
-_NUMBERS: dict[Any, types.Type] = {
-    bool: types.boolean, float: types.float32, np.float32: types.float32,
-    np.int32: types.int32, np.uint32: types.uint32,
+_NUMBERS: dict[Any, Any] = {
+    bool: types.boolean, int: types.int32, np.int32: types.int32, np.uint32: types.uint32,
+    float: types.float32,
 }  # fmt: skip
+_TUPLES = (types.NamedTuple, types.NamedUniTuple)
 
 
 class Field(NamedTuple):
@@ -51,8 +52,7 @@ class ElementType(types.Type):
 class StructureOfArrays:
     """Declaration of a structure of arrays, by annotations and initial values.
 
-    A field is a number of 32 bits (``float32``, ``int32``, ``uint32`` or ``bool``) or a named tuple
-    of numbers and named tuples, whose floats have single precision.
+    A field is a number or a named tuple of numbers and named tuples.  All numbers have 32 bits.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def _get_numba_type(annotation: Any) -> Any:
 
 
 def _count_rows(kind: Any) -> int:
-    return sum(map(_count_rows, kind)) if isinstance(kind, types.BaseTuple) else 1
+    return sum(map(_count_rows, kind)) if isinstance(kind, _TUPLES) else 1
 
 
 @register_model(ElementType)
@@ -120,7 +120,7 @@ def _register_constructor(structure: type[StructureOfArrays]) -> None:
 class _ElementAttributes(AttributeTemplate):
     key = ElementType
 
-    def generic_resolve(self, element: Any, name: str) -> Any:
+    def resolve(self, element: Any, name: str) -> Any:
         field = element.structure.fields.get(name)
         return field and field.kind
 
@@ -133,7 +133,7 @@ def list_addresses(builder: Any, kind: Any, element: Any, name: str) -> Iterator
 
 
 def _load(context: Any, builder: Any, kind: Any, addresses: Iterator[Any]) -> Any:
-    if isinstance(kind, types.BaseTuple):
+    if isinstance(kind, _TUPLES):
         members = [_load(context, builder, member, addresses) for member in kind]
         return context.make_tuple(builder, kind, members)
     if kind == types.boolean:
@@ -143,7 +143,7 @@ def _load(context: Any, builder: Any, kind: Any, addresses: Iterator[Any]) -> An
 
 
 def _store(builder: Any, kind: Any, value: Any, addresses: Iterator[Any]) -> None:
-    if isinstance(kind, types.BaseTuple):
+    if isinstance(kind, _TUPLES):
         for i, member in enumerate(kind):
             _store(builder, member, builder.extract_value(value, i), addresses)
         return
@@ -177,17 +177,3 @@ def initialize(typing_context: Any, element: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(element), generate
-
-
-@intrinsic
-def copy_fields(typing_context: Any, target: Any, source: Any) -> Any:
-    """Set all fields of an element to those of another one."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first = next(iter(target.structure.fields))
-        rows = (list_addresses(builder, target, element, first) for element in arguments)
-        for to, origin in zip(*rows, strict=True):
-            builder.store(builder.load(origin), to)
-        return context.get_dummy_value()
-
-    return types.void(target, source), generate

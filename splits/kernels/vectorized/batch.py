@@ -25,7 +25,7 @@ from splits.kernels.vectorized.flight import run_flight_pass
 from splits.kernels.vectorized.ground import reaches_ground, reflect_from_ground
 from splits.kernels.vectorized.interaction import run_surface_pass
 from splits.kernels.vectorized.lane_optics import set_grain_optics
-from splits.kernels.vectorized.lane_state import Lane, PassConstants
+from splits.kernels.vectorized.lane_state import N_LANES, STRIDE, Lane, PassConstants
 from splits.kernels.vectorized.layers import (
     attenuate_segment,
     cross_interface,
@@ -61,14 +61,14 @@ def make_pass_constants(scene):
 def allocate_lanes():
     """Return the state of idle lanes."""
     state = allocate_aligned(lane_state.STATE_SIZE)
-    for i in range(lane_state.N_LANES):
+    for i in range(N_LANES):
         Lane(state, i).status = lane_state.IDLE
     return state
 
 
 @inline_only
 def advance_flights(state, path_lengths, width, tables, job, crossings):
-    """Sample the next grain for all lanes between grains; return the `PassCounts`."""
+    """Sample the next grain for all lanes between grains."""
     features = job.features
     draw_grain_properties(state, width, features, tables, job.scene.layers.type_cdf)
     if features.mixed is not None:
@@ -76,7 +76,7 @@ def advance_flights(state, path_lengths, width, tables, job, crossings):
             lane = Lane(state, i)
             if lane.status == lane_state.IN_FLIGHT:
                 flush_path_lengths(lane, path_lengths[i], job.scene)
-    counts = run_flight_pass(state, width, features, job.constants)
+    run_flight_pass(state, width, features, job.constants)
     if features.mixed is not None:
         for i in range(width):
             lane = Lane(state, i)
@@ -84,7 +84,6 @@ def advance_flights(state, path_lengths, width, tables, job, crossings):
                 set_grain_optics(lane, job)
                 if features.layered is not None and not lane.segment_attenuated:
                     attenuate_segment(lane, job, path_lengths[i], crossings)
-    return counts
 
 
 class SourceQueue(NamedTuple):
@@ -230,32 +229,25 @@ def trace_batch(seed, work, scene, optics, exits, features):
         (0.5 * types.facetness).astype(np.float32),
     )
     job = BatchJob(seed, work, scene, optics, features, make_pass_constants(scene))
-    state, path_lengths = allocate_lanes(), np.zeros((lane_state.N_LANES, optics.n.shape[1]))
+    state, path_lengths = allocate_lanes(), np.zeros((N_LANES, optics.n.shape[1]))
     n_segments = np.zeros(len(work), dtype=np.int64)
     queue = SourceQueue(0, work[:, 2].sum(), 0, 0, 0, False)
     crossings = allocate_crossings(optics.n.shape[1])
-    width = min(
-        lane_state.N_LANES, max(1, -(-queue.n_rays // lane_state.STRIDE)) * lane_state.STRIDE
-    )
-    n_in_flight, n_finished = 0, width
+    width = min(N_LANES, max(1, -(-queue.n_rays // STRIDE)) * STRIDE)
     # Between two checks of the capacity, a ray may hit a grain once and be served once.
     max_new_crossings = 2 * width * scene.layers.boundaries.size
     while True:
         if not has_capacity(crossings, max_new_crossings):
             crossings = ensure_capacity(crossings, max_new_crossings)
-        if n_finished > 0:
-            queue = handle_waiting_lanes(
-                state, path_lengths, width, job, crossings, exits, n_segments, queue
-            )
-            if queue.lost or queue.n_active == 0:
-                return BatchResult(n_segments, queue.lost, get_recorded(crossings))
-            if queue.n_active <= width - lane_state.STRIDE:
-                width = compact_lanes(state, path_lengths, width, queue.n_active)
-            n_in_flight = count_in_flight(state, width)
+        queue = handle_waiting_lanes(
+            state, path_lengths, width, job, crossings, exits, n_segments, queue
+        )
+        if queue.lost or queue.n_active == 0:
+            return BatchResult(n_segments, queue.lost, get_recorded(crossings))
+        if queue.n_active <= width - STRIDE:
+            width = compact_lanes(state, path_lengths, width, queue.n_active)
         # The pass that serves more lanes is next.
-        if 2 * n_in_flight >= queue.n_active:
-            counts = advance_flights(state, path_lengths, width, tables, job, crossings)
-            n_in_flight, n_finished = counts.n_in_flight, counts.n_finished
+        if 2 * count_in_flight(state, width) >= queue.n_active:
+            advance_flights(state, path_lengths, width, tables, job, crossings)
         else:
-            n_in_flight = run_surface_pass(state, width, features, job.constants)
-            n_finished = 0
+            run_surface_pass(state, width, features, job.constants)

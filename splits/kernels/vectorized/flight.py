@@ -26,7 +26,7 @@ from splits.kernels.vectorized.lane_motion import (
     store_grain,
 )
 from splits.kernels.vectorized.lane_rng import compute_random_bits, to_three_uniforms, to_uniform_46
-from splits.kernels.vectorized.lane_state import Lane
+from splits.kernels.vectorized.lane_state import STRIDE, Lane
 
 _MAX_REJECTIONS = single(MAX_REJECTIONS)
 _N_VARIATES = np.uint32(5)
@@ -38,13 +38,6 @@ class FlightVariates(NamedTuple):
     roulette: float
     distance: float
     entry: EntryVariates
-
-
-class PassCounts(NamedTuple):
-    """Number of lanes in flight, and of lanes that wait for `batch.handle_waiting_lanes`."""
-
-    n_in_flight: int
-    n_finished: int
 
 
 @inline_only
@@ -79,7 +72,7 @@ def update_restart(lane, collision, rejected):
 
 @inline_only
 def run_flight_step(lane, features, constants):
-    """Sample the next grain of a lane, and return its new status."""
+    """Sample the next grain of a lane."""
     status = lane.status
     active = status == lane_state.IN_FLIGHT
     variates = draw_flight_variates(lane, active)
@@ -118,22 +111,16 @@ def run_flight_step(lane, features, constants):
     absorbed = result.terminated | (accepted & (lane.order >= lane.max_order))
     lane.order += accepted
     next_status = lane_state.ABSORBED if absorbed else next_status
-    lane.status = next_status = next_status if active else status
-    return next_status
+    lane.status = next_status if active else status
 
 
 @inline_only
 def run_flight_stride(state, first_lane, features, constants):
     """Run the flight pass for `STRIDE` lanes from `first_lane` on."""
-    n_in_flight = np.int32(0)
-    n_finished = np.int32(0)
     prefer_512_bit_vectors()
-    for j in range(lane_state.STRIDE):
-        status = run_flight_step(Lane(state, first_lane + j), features, constants)
-        n_in_flight = np.int32(n_in_flight + 1) if status == lane_state.IN_FLIGHT else n_in_flight
-        n_finished = np.int32(n_finished + 1) if status >= lane_state.AT_BOUNDARY else n_finished
+    for j in range(STRIDE):
+        run_flight_step(Lane(state, first_lane + j), features, constants)
     interleave_loops()
-    return PassCounts(n_in_flight, n_finished)
 
 
 @entry_point_no_refcount
@@ -145,19 +132,10 @@ def run_flight_pass(state, width, features, constants):
     state : float32[STATE_SIZE]
         Array of `lane_state.Lane`.
     width : int
-        Lanes in use, from the first on: a multiple of `lane_state.STRIDE`.
+        Lanes in use, from the first on: a multiple of `STRIDE`.
     features, constants : Features, PassConstants
-        See `splits.kernels.vectorized.lane_state`.
-
-    Returns
-    -------
-    PassCounts
+        See `splits.kernels.compiler.features` and `splits.kernels.vectorized.lane_state`.
     """
     prefer_512_bit_vectors()
-    n_in_flight = np.int32(0)
-    n_finished = np.int32(0)
-    for first_lane in range(0, width, lane_state.STRIDE):
-        counts = run_flight_stride(state, first_lane, features, constants)
-        n_in_flight = np.int32(n_in_flight + counts.n_in_flight)
-        n_finished = np.int32(n_finished + counts.n_finished)
-    return PassCounts(n_in_flight, n_finished)
+    for first_lane in range(0, width, STRIDE):
+        run_flight_stride(state, first_lane, features, constants)

@@ -31,7 +31,7 @@ from splits.kernels.math.vectors import Vector, scale, select
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.intrinsics import interleave_loops, prefer_512_bit_vectors
 from splits.kernels.vectorized.lane_rng import compute_random_bits, to_three_uniforms
-from splits.kernels.vectorized.lane_state import Lane
+from splits.kernels.vectorized.lane_state import STRIDE, Lane
 
 _MINUS_TWO = float32_constant(-2.0)
 
@@ -56,11 +56,8 @@ def draw_interaction_variates(lane, active, faceted):
 def load_relative_index_mixed(lane, interface, pore_wet):
     """Return the `RelativeIndex` of the media at an interface, for grains of any type."""
     in_core, in_pore = interface.shell > ONE, interface.shell == ZERO
-    pore, outer, core = (
-        select(pore_wet, lane.wet.index, lane.dry.index),
-        lane.outer.index,
-        lane.core.index,
-    )
+    pore = select(pore_wet, lane.wet.refractive_index, lane.dry.refractive_index)
+    outer, core = lane.outer.refractive_index, lane.core.refractive_index
     near = select(in_pore, pore, select(in_core, core, outer))
     inward, outward = select(in_pore, outer, core), select(in_core, outer, pore)
     return relative_index(near, select(interface.side < ZERO, outward, inward))
@@ -108,7 +105,7 @@ def store_pore(lane, interface, result, in_pore, new_wet, u_pore, features):
 
 @inline_only
 def run_surface_step(lane, features, constants):
-    """Sample one interaction of a lane, and return its new status."""
+    """Sample one interaction of a lane."""
     status, direction, grain = lane.status, lane.direction, lane.grain
     active = (status >= lane_state.AT_SURFACE) & (status <= lane_state.IN_TRANSMITTED_LOBE)
     interface = InterfaceState(
@@ -143,13 +140,9 @@ def run_surface_step(lane, features, constants):
     lane.direction = select(result.accepted, result.direction, direction)
     lane.shell, lane.side = region.interface.shell, region.interface.side
     next_status = lane_state.IN_FLIGHT if region.in_pore else lane_state.AT_SURFACE
-    lobe = (
-        lane_state.IN_TRANSMITTED_LOBE if result.transmitted else lane_state.IN_REFLECTED_LOBE
-    )
+    lobe = lane_state.IN_TRANSMITTED_LOBE if result.transmitted else lane_state.IN_REFLECTED_LOBE
     next_status = lobe if result.needs_lobe else next_status
-    next_status = next_status if active else status
-    lane.status = next_status
-    return next_status
+    lane.status = next_status if active else status
 
 
 @inline_only
@@ -180,13 +173,10 @@ def advance_in_grain(lane, grain, result, region, features, point_grains):
 @inline_only
 def run_surface_stride(state, first_lane, features, constants):
     """Run the surface pass for `STRIDE` lanes from `first_lane` on."""
-    n_in_flight = np.int32(0)
     prefer_512_bit_vectors()
-    for j in range(lane_state.STRIDE):
-        status = run_surface_step(Lane(state, first_lane + j), features, constants)
-        n_in_flight = np.int32(n_in_flight + 1) if status == lane_state.IN_FLIGHT else n_in_flight
+    for j in range(STRIDE):
+        run_surface_step(Lane(state, first_lane + j), features, constants)
     interleave_loops()
-    return n_in_flight
 
 
 @entry_point_no_refcount
@@ -197,14 +187,7 @@ def run_surface_pass(state, width, features, constants):
     ----------
     state, width, features, constants
         See `flight.run_flight_pass`.
-
-    Returns
-    -------
-    int32
-        Number of lanes in flight after the pass.
     """
     prefer_512_bit_vectors()
-    n_in_flight = np.int32(0)
-    for first_lane in range(0, width, lane_state.STRIDE):
-        n_in_flight += run_surface_stride(state, first_lane, features, constants)
-    return n_in_flight
+    for first_lane in range(0, width, STRIDE):
+        run_surface_stride(state, first_lane, features, constants)

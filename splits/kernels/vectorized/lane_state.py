@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy import float32, int32, uint32
+from numpy import int32, uint32
 
 from splits.kernels.compiler.structure_of_arrays import StructureOfArrays
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, LayerGeometry, RejectionRules
@@ -37,7 +37,7 @@ finished rays (`ABSORBED`, `LOST`), and launches."""
 class Medium(NamedTuple):
     """Optical constants of a material: complex index, and absorption coefficient (1/m)."""
 
-    index: ComplexIndex
+    refractive_index: ComplexIndex
     absorption: float
 
 
@@ -45,75 +45,75 @@ class Lane(StructureOfArrays, n_elements=N_LANES):
     """State of the ray in a lane; fields with a value have it when the ray is launched."""
 
     status: int32 = IN_FLIGHT
-    ray: uint32  # Its row in the exits.
-    item: uint32  # Its work item.
+    ray: int  # Its row in the exits.
+    item: int  # Its work item.
 
     # Random stream: halves of its key, and count of numbers drawn.
     key_high: uint32
     key_low: uint32
-    n_drawn: uint32 = 1
+    n_drawn: uint32 = uint32(1)
 
-    n_segments: uint32 = 0  # Sampled grains.
-    order: uint32 = 0  # Order of scattering.
-    max_order: uint32  # Order after which the ray counts as absorbed.
+    n_segments: int = 0  # Sampled grains.
+    order: int = 0  # Order of scattering.
+    max_order: int  # Order after which the ray counts as absorbed.
 
     # Position and roulette, as in `grains.ray.Ray`.
     position: Vector = ORIGIN
     exit_offset: Vector = ORIGIN
     direction: Vector
     previous_direction: Vector = Vector(0.0, 0.0, -1.0)
-    previous_length: float32 = -1.0
-    start_distance: float32 = 0.0
-    weight: float32 = 1.0
-    optical_depth: float32 = 0.0
-    next_roulette: float32 = FIRST_ROULETTE_DEPTH
+    previous_length: float = -1.0
+    start_distance: float = 0.0
+    weight: float = 1.0
+    optical_depth: float = 0.0
+    next_roulette: float = FIRST_ROULETTE_DEPTH
 
     # Path lengths since the last flush (m).
-    dry_path: float32 = 0.0
-    wet_path: float32 = 0.0
-    coating_path: float32 = 0.0
-    core_path: float32 = 0.0
+    dry_path: float = 0.0
+    wet_path: float = 0.0
+    coating_path: float = 0.0
+    core_path: float = 0.0
 
     # Pore and layer.
     pore_wet: bool
-    pore_variate: float32  # Random number that selects the pore.
-    layer: int32 = 0
+    pore_variate: float  # Random number that selects the pore.
+    layer: int = 0
     layer_geometry: LayerGeometry
-    wet_fraction: float32
-    first_type: int32
+    wet_fraction: float
+    first_type: int
     dry: Medium
     wet: Medium
 
     # Flight through several layers.
-    flight_layer: int32 = 0  # Layer of its start.
-    draw_layer: int32 = 0  # Layer of the start of sampling.
-    skip_distance: float32 = 0.0  # Distance of the last skipped grain (m).
+    flight_layer: int = 0  # Layer of its start.
+    draw_layer: int = 0  # Layer of the start of sampling.
+    skip_distance: float = 0.0  # Distance of the last skipped grain (m).
     on_boundary: bool = False  # It starts on a boundary.
     segment_attenuated: bool = False  # The last segment has been attenuated.
 
-    # Sampled grain; its variates are positions in the tables, the second of which becomes the value.
-    n_rejected: float32 = 0.0  # Successive rejections.
+    # Sampled grain, and positions in the tables; `quantile_flattening` is replaced by its value.
+    n_rejected: float = 0.0  # Successive rejections.
     keep_shape: bool = False  # Type and shape are not sampled again.
-    new_inverse_semi_major: float32
-    new_flattening: float32
-    new_roughness: float32
-    new_type: int32
-    quantile_inverse_semi_major: float32
-    quantile_flattening: float32
-    quantile_roughness: float32
-    u_type: float32
-    chosen_type: int32
+    new_inverse_semi_major: float
+    new_flattening: float
+    new_roughness: float
+    new_type: int
+    quantile_inverse_semi_major: float
+    quantile_flattening: float
+    quantile_roughness: float
+    u_type: float
+    chosen_type: int
 
     # Grain of the ray.
     grain: Spheroid
-    roughness: float32  # Half facetness.
-    shell: float32  # Shell of the ray, see `grains.interaction.InterfaceState`.
-    side: float32
-    grain_type: int32
-    core_shell: float32  # Shell number of the core.
+    roughness: float  # Half facetness.
+    shell: float  # Shell of the ray, see `grains.interaction.InterfaceState`.
+    side: float
+    grain_type: int
+    core_shell: float  # Shell number of the core.
     outer: Medium  # Outermost shell.
     core: Medium
-    coating_thickness: float32  # In m.
+    coating_thickness: float  # In m.
 
     # Interfaces of grains of a single type, for rays that travel inwards and outwards.
     inward_dry: RelativeIndex

@@ -8,7 +8,7 @@ import numpy as np
 
 from splits.kernels.compiler.features import Features
 from splits.kernels.compiler.jit import ZERO, inline_only
-from splits.kernels.compiler.structure_of_arrays import copy_fields, initialize
+from splits.kernels.compiler.structure_of_arrays import initialize
 from splits.kernels.grains.free_path import compute_boundary_hit
 from splits.kernels.grains.scene import DRY_PORE, WET_PORE, Optics, Scene
 from splits.kernels.math.rng import compute_stream_start
@@ -21,7 +21,7 @@ from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.lane_motion import attenuate, load_ray, move_to_boundary
 from splits.kernels.vectorized.lane_optics import refractive_index_of, set_layer_optics
 from splits.kernels.vectorized.lane_rng import draw_uniform
-from splits.kernels.vectorized.lane_state import STRIDE, Lane, PassConstants
+from splits.kernels.vectorized.lane_state import N_LANES, STATE_SIZE, STRIDE, Lane, PassConstants
 
 
 class BatchJob(NamedTuple):
@@ -135,7 +135,8 @@ def compact_lanes(state, path_lengths, width, n_active):
             continue
         while Lane(state, free).status != lane_state.IDLE:
             free += 1
-        copy_fields(Lane(state, free), lane)
+        for row in range(0, STATE_SIZE, N_LANES):
+            state[row + free] = state[row + i]
         copy_into_row(path_lengths[free], 0, path_lengths[i])
         lane.status = lane_state.IDLE
     return new_width

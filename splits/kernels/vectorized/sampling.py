@@ -105,6 +105,4 @@ def draw_grain_properties(state, width, features, tables, type_cdf):
             gather_interpolate(roughness, lane, "new_type", "quantile_roughness", "new_roughness")
     for i in range(width):
         lane = Lane(state, i)
-        lane.new_flattening = select(
-            lane.keep_shape, lane.new_flattening, lane.quantile_flattening
-        )
+        lane.new_flattening = select(lane.keep_shape, lane.new_flattening, lane.quantile_flattening)

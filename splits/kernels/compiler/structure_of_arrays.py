@@ -49,6 +49,9 @@ class ElementType(types.Type):
         self.structure = structure
 
 
+register_model(ElementType)(models.OpaqueModel)
+
+
 class StructureOfArrays:
     """Declaration of a structure of arrays, by annotations and initial values.
 
@@ -70,9 +73,6 @@ class StructureOfArrays:
     n_elements: ClassVar[int]
     fields: ClassVar[dict[str, Field]]
     n_rows: ClassVar[int]
-
-    def __init__(self, words: np.ndarray, index: int) -> None:
-        raise NotImplementedError("elements exist in compiled code only")
 
     def __init_subclass__(cls, n_elements: int) -> None:
         cls.n_elements, cls.fields, cls.n_rows = n_elements, {}, 0
@@ -96,12 +96,6 @@ def _count_rows(kind: Any) -> int:
     return sum(map(_count_rows, kind)) if isinstance(kind, _TUPLES) else 1
 
 
-@register_model(ElementType)
-class _ElementModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _WORD.as_pointer())
-
-
 def _register_constructor(structure: type[StructureOfArrays]) -> None:
     kind = ElementType(structure)
 
@@ -113,7 +107,8 @@ def _register_constructor(structure: type[StructureOfArrays]) -> None:
     def construct(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
         index = context.cast(builder, arguments[1], signature.args[1], types.intp)
-        return builder.gep(builder.bitcast(array.data, _WORD.as_pointer()), [index])
+        address = builder.gep(builder.bitcast(array.data, _WORD.as_pointer()), [index])
+        return builder.bitcast(address, ir.IntType(8).as_pointer())
 
 
 @infer_getattr
@@ -127,9 +122,9 @@ class _ElementAttributes(AttributeTemplate):
 
 def list_addresses(builder: Any, kind: Any, element: Any, name: str) -> Iterator[Any]:
     """Yield the addresses of the numbers of a field."""
+    element = builder.bitcast(element, _WORD.as_pointer())
     for row in range(kind.structure.fields[name].row, kind.structure.n_rows):
-        offset = ir.Constant(ir.IntType(64), row * kind.structure.n_elements)
-        yield builder.gep(element, [offset])
+        yield builder.gep(element, [_WORD(row * kind.structure.n_elements)])
 
 
 def _load(context: Any, builder: Any, kind: Any, addresses: Iterator[Any]) -> Any:

@@ -78,24 +78,19 @@ def _overload_select(condition, a, b):
 
 @intrinsic
 def _select_intrinsic(typing_context, condition, a, b):
-    result_type = typing_context.unify_types(a, b)
-
     def generate(context, builder, signature, arguments):
         def choose(x, y):
-            if not isinstance(x.type, (ir.LiteralStructType, ir.ArrayType)):
+            if not isinstance(x.type, ir.Aggregate):
                 return builder.select(arguments[0], x, y)
-            chosen = ir.Constant(x.type, ir.Undefined)
+            chosen = x
             for i in range(len(x.type)):
-                pair = (builder.extract_value(value, i) for value in (x, y))
-                chosen = builder.insert_value(chosen, choose(*pair), i)
+                member = choose(builder.extract_value(x, i), builder.extract_value(y, i))
+                chosen = builder.insert_value(chosen, member, i)
             return chosen
 
-        return choose(
-            context.cast(builder, arguments[1], a, result_type),
-            context.cast(builder, arguments[2], b, result_type),
-        )
+        return choose(*arguments[1:])
 
-    return result_type(condition, a, b), generate
+    return (a(condition, a, b), generate) if a == b else None
 
 
 def to_single(value):

@@ -22,7 +22,6 @@ from splits.kernels.tallies.crossings import (
 from splits.kernels.tallies.exits import BatchResult
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.flight import run_flight_pass
-from splits.kernels.vectorized.ground import reaches_ground, reflect_from_ground
 from splits.kernels.vectorized.interaction import run_surface_pass
 from splits.kernels.vectorized.lane_optics import set_grain_optics
 from splits.kernels.vectorized.lane_state import N_LANES, STRIDE, Lane, PassConstants
@@ -30,6 +29,8 @@ from splits.kernels.vectorized.layers import (
     attenuate_segment,
     cross_interface,
     locate_layer,
+    reaches_ground,
+    reflect_from_ground,
     restart_flight,
 )
 from splits.kernels.vectorized.lifecycle import (

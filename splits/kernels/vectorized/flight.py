@@ -5,8 +5,6 @@ See `splits.kernels.grains.free_path` for the physics.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy import float32 as single
 
@@ -20,7 +18,6 @@ from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.intrinsics import interleave_loops, prefer_512_bit_vectors
 from splits.kernels.vectorized.lane_motion import (
     has_left_layer,
-    load_layer_geometry,
     load_ray,
     move_to_grain,
     store_grain,
@@ -32,14 +29,6 @@ _MAX_REJECTIONS = single(MAX_REJECTIONS)
 _N_VARIATES = np.uint32(5)
 
 
-class FlightVariates(NamedTuple):
-    """Uniform random numbers of a flight."""
-
-    roulette: float
-    distance: float
-    entry: EntryVariates
-
-
 @inline_only
 def draw_flight_variates(lane, active):
     """Draw the random numbers of a flight; only active lanes advance in their streams."""
@@ -48,13 +37,8 @@ def draw_flight_variates(lane, active):
     distance = to_uniform_46(compute_random_bits(lane, 2))
     lane.n_drawn = select(active, np.uint32(lane.n_drawn + _N_VARIATES), lane.n_drawn)
     lane.n_segments += active
-    return FlightVariates(
-        roulette,
-        distance,
-        EntryVariates(
-            cos_incidence, sample_circle(normal_azimuth), sample_circle(axis_azimuth), axial, accept
-        ),
-    )
+    azimuths = sample_circle(normal_azimuth), sample_circle(axis_azimuth)
+    return roulette, distance, EntryVariates(cos_incidence, *azimuths, axial, accept)
 
 
 @inline_only
@@ -75,18 +59,20 @@ def run_flight_step(lane, features, constants):
     """Sample the next grain of a lane."""
     status = lane.status
     active = status == lane_state.IN_FLIGHT
-    variates = draw_flight_variates(lane, active)
+    u_roulette, u_distance, variates = draw_flight_variates(lane, active)
     ray = load_ray(lane)
-    result = russian_roulette(ray, variates.roulette, active)
+    result = russian_roulette(ray, u_roulette, active)
     lane.next_roulette, lane.weight = result.next_roulette, result.weight
-    layer_geometry = load_layer_geometry(lane, constants, features.layered)
+    layer_geometry = constants.layer_geometry
+    if features.layered is not None:
+        layer_geometry = lane.layer_geometry
     # A rejected axial position has precedence over all other results of a sample, so that it does
     # not bias distances, shapes and types.
     size = GrainSize(ONE / lane.new_inverse_semi_major, lane.new_flattening)
     collision = sample_collision(
-        ray, size, variates.entry, variates.distance, layer_geometry, constants.rejection_rules
+        ray, size, variates, u_distance, layer_geometry, constants.rejection_rules
     )
-    axial_ok = accept_axial_position(variates.entry, size.flattening)
+    axial_ok = accept_axial_position(variates, size.flattening)
     in_flight = active & axial_ok & (not result.terminated)
     relocates = False
     if features.layered is not None:

@@ -22,12 +22,6 @@ def load_ray(lane):
 
 
 @inline_only
-def load_layer_geometry(lane, constants, layered):
-    """Return the `LayerGeometry` of a lane."""
-    return constants.layer_geometry if layered is None else lane.layer_geometry
-
-
-@inline_only
 def has_left_layer(lane, ray, layer_geometry):
     """Return whether a ray left a grain on the other side of a boundary between layers."""
     z = ray.position.z + ray.exit_offset.z

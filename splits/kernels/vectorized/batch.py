@@ -185,14 +185,14 @@ def handle_waiting_lanes(state, all_path_lengths, width, job, crossings, exits, 
 
 
 @inline_only
-def count_in_flight(state, width):
-    """Return the number of lanes in flight or waiting for `handle_waiting_lanes`."""
-    n_in_flight = 0
+def count_lanes(state, width):
+    """Return the number of lanes in flight, and of those for `handle_waiting_lanes`."""
+    n_in_flight, n_waiting = np.int32(0), np.int32(0)
     for i in range(width):
         status = Lane(state, i).status
-        if status == lane_state.IN_FLIGHT or lane_state.AT_BOUNDARY <= status < lane_state.IDLE:
-            n_in_flight += 1
-    return n_in_flight
+        n_in_flight = np.int32(n_in_flight + (status == lane_state.IN_FLIGHT))
+        n_waiting = np.int32(n_waiting + (status >= lane_state.AT_BOUNDARY))
+    return n_in_flight, n_waiting
 
 
 @entry_point
@@ -240,15 +240,18 @@ def trace_batch(seed, work, scene, optics, exits, features):
     while True:
         if not has_capacity(crossings, max_new_crossings):
             crossings = ensure_capacity(crossings, max_new_crossings)
-        queue = handle_waiting_lanes(
-            state, path_lengths, width, job, crossings, exits, n_segments, queue
-        )
-        if queue.lost or queue.n_active == 0:
-            return BatchResult(n_segments, queue.lost, get_recorded(crossings))
-        if queue.n_active <= width - STRIDE:
-            width = compact_lanes(state, path_lengths, width, queue.n_active)
+        n_in_flight, n_waiting = count_lanes(state, width)
+        if n_waiting > 0:
+            queue = handle_waiting_lanes(
+                state, path_lengths, width, job, crossings, exits, n_segments, queue
+            )
+            if queue.lost or queue.n_active == 0:
+                return BatchResult(n_segments, queue.lost, get_recorded(crossings))
+            if queue.n_active <= width - STRIDE:
+                width = compact_lanes(state, path_lengths, width, queue.n_active)
+            n_in_flight, _ = count_lanes(state, width)
         # The pass that serves more lanes is next.
-        if 2 * count_in_flight(state, width) >= queue.n_active:
+        if 2 * n_in_flight >= queue.n_active:
             advance_flights(state, path_lengths, width, tables, job, crossings)
         else:
             run_surface_pass(state, width, features, job.constants)

@@ -10,7 +10,7 @@ import pytest
 from chi2 import NEEDS_JIT, compute_pooled_z, judge_z
 from numba import njit
 from numpy import float32 as single
-from scenes import get_vectorized_scene, make_medium_scene, to_single_item
+from scenes import get_pass_rules, make_medium_scene, to_single_item
 
 import splits
 from splits.kernels import vectorized
@@ -19,10 +19,11 @@ from splits.kernels.grains.interaction import RelativeIndex
 from splits.kernels.grains.scene import NO_MAX_ORDER, Optics
 from splits.kernels.grains.spheroid import Spheroid
 from splits.kernels.math.vectors import Vector
+from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.tallies.exits import EXIT_DIRECTION, EXIT_POSITION, allocate_exits
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.interaction import run_surface_pass
-from splits.kernels.vectorized.lane_state import N_LANES, Lane
+from splits.kernels.vectorized.lane_state import N_LANES, Lane, Medium, Pore
 from splits.materials.lookup import absorption_coefficient
 from splits.simulation.fixed_budget import SINGLE_STRATUM
 from splits.simulation.runner import RAYS_PER_CHUNK, Runner
@@ -246,8 +247,11 @@ def put_inside_grains(state, qx, qy, qz, dx, dy, dz):
             Vector(qx[i], qy[i], qz[i]), Vector(zero, zero, one), zero, single(1e-4)
         )
         lane.direction = Vector(dx[i], dy[i], dz[i])
-        lane.inward_dry = RelativeIndex(m_in, single(0.31), zero, m_out, False)
-        lane.outward_dry = RelativeIndex(m_out, single(-0.31 / 1.31), zero, m_in, False)
+        lane.dry = Pore(
+            Medium(ComplexIndex(one, zero), zero),
+            RelativeIndex(m_in, single(0.31), zero, m_out, False),
+            RelativeIndex(m_out, single(-0.31 / 1.31), zero, m_in, False),
+        )
 
 
 def get_rows(state, name):
@@ -267,7 +271,7 @@ def test_rounding_does_not_drift_into_total_reflection():
     d = cosine * q + np.sqrt(1.0 - cosine**2) * t
 
     put_inside_grains(state, *q.astype(single), *d.astype(single))
-    scene = get_vectorized_scene(make_medium_scene(splits.Snow(saturation=0.0)))
+    rules = get_pass_rules(make_medium_scene(splits.Snow(saturation=0.0)))
 
     def cosines():
         q, d = (get_rows(state, name)[:3].astype(float) for name in ("grain", "direction"))
@@ -275,7 +279,7 @@ def test_rounding_does_not_drift_into_total_reflection():
 
     before = cosines()
     for _ in range(passes):
-        run_surface_pass(state, N_LANES, Features(*[None] * len(Features._fields)), scene)
+        run_surface_pass(state, N_LANES, Features(*[None] * len(Features._fields)), rules)
     assert (get_rows(state, "shell")[0] == 1.0).all()
     drift = (cosines() - before) / passes
     error = drift.std(ddof=1) / np.sqrt(N_LANES)

@@ -28,7 +28,7 @@ from splits.kernels.grains.scene import (
 from splits.kernels.grains.spheroid import Segment
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.optics.source import Source
-from splits.kernels.vectorized.batch import make_pass_constants
+from splits.kernels.vectorized.batch import make_pass_rules
 from splits.materials.lookup import absorption_coefficient
 from splits.simulation.scene import build_scene, make_particle_table
 
@@ -113,9 +113,9 @@ def to_single_item(optics):
     return Optics(*(values[np.newaxis] for values in optics))
 
 
-def get_vectorized_scene(scene):
-    """Return the constants of a scene for the passes of the vectorized kernel."""
-    return make_pass_constants(scene)
+def get_pass_rules(scene):
+    """Return the sampling rules of a scene for the passes of the vectorized kernel."""
+    return make_pass_rules(scene.rules)
 
 
 def keep_all_grains(scene):

@@ -18,12 +18,13 @@ from chi2 import (
 )
 from events import make_lanes
 from numba import njit
-from scenes import get_vectorized_scene, keep_all_grains, make_medium_scene
+from scenes import get_pass_rules, keep_all_grains, make_medium_scene
 from scipy import stats
 
 import splits
 from splits.kernels.compiler.features import Features
-from splits.kernels.math.vectors import Vector
+from splits.kernels.grains.state import get_layer_geometry
+from splits.kernels.math.vectors import Vector, to_single
 from splits.kernels.vectorized import flight, lane_state, sampling
 from splits.kernels.vectorized.lane_state import Lane
 from splits.media import grain_statistics
@@ -39,7 +40,7 @@ DEPTH_M = 1e4
 
 
 def make_deep_scene(medium):
-    """Return a scene with distant boundaries, features, tables and the distribution of types."""
+    """Return a scene with distant boundaries, features and tables."""
     scene = keep_all_grains(make_medium_scene(medium, depth=DEPTH_M, saturation=0.0))
     types = scene.types
     tables = (
@@ -50,7 +51,7 @@ def make_deep_scene(medium):
     features = Features(*[None] * len(Features._fields))._replace(
         faceted=True, mixed=True if types.n_shells.size > 1 else None
     )
-    return get_vectorized_scene(scene), features, tables, scene.layers.type_cdf
+    return scene, features, tables
 
 
 class HitGrains(NamedTuple):
@@ -66,23 +67,23 @@ class HitGrains(NamedTuple):
 
 
 @njit
-def _start_lanes(lanes):
+def _start_lanes(lanes, layer_geometry):
     """Start the rays of all lanes in flight at half of the depth."""
     for i in range(N_LANES):
         lane = Lane(lanes, i)
         lane.position = Vector(single(0.0), single(0.0), single(-0.5 * DEPTH_M))
         lane.direction = Vector(single(0.48), single(-0.64), single(0.6))
         lane.previous_length, lane.next_roulette, lane.weight = -1.0, np.inf, 1.0
-        lane.status = lane_state.IN_FLIGHT
+        lane.layer_geometry, lane.status = layer_geometry, lane_state.IN_FLIGHT
 
 
 @njit
-def _sample_flights(lanes, features, scene, tables, type_cdf, hit):
+def _sample_flights(lanes, features, rules, tables, type_cdf, hit):
     """Fill `hit` with the grains that the rays of all lanes hit successively."""
     filled = 0
     while filled < hit.distance.size:
         sampling.draw_grain_properties(lanes, N_LANES, features, tables, type_cdf)
-        flight.run_flight_pass(lanes, N_LANES, features, scene)
+        flight.run_flight_pass(lanes, N_LANES, features, rules)
         for i in range(N_LANES):
             lane = Lane(lanes, i)
             if lane.status == lane_state.AT_SURFACE:
@@ -101,11 +102,12 @@ def _sample_flights(lanes, features, scene, tables, type_cdf, hit):
 
 def sample_collisions(medium, count=N_SAMPLES):
     """Return the grains that rays hit in a medium."""
-    scene, features, tables, type_cdf = make_deep_scene(medium)
+    scene, features, tables = make_deep_scene(medium)
     lanes = make_lanes()
-    _start_lanes(lanes)
+    _start_lanes(lanes, to_single(get_layer_geometry(scene.layers, 0)))
     hit = HitGrains(*np.empty((2, count, 3)), *np.empty((5, count)))
-    _sample_flights(lanes, features, scene, tables, type_cdf, hit)
+    rules, type_cdf = get_pass_rules(scene), scene.layers.type_cdf
+    _sample_flights(lanes, features, rules, tables, type_cdf, hit)
     return hit
 
 

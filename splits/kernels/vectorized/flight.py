@@ -55,7 +55,7 @@ def update_restart(lane, collision, rejected):
 
 
 @inline_only
-def run_flight_step(lane, features, constants):
+def run_flight_step(lane, features, rules):
     """Sample the next grain of a lane."""
     status = lane.status
     active = status == lane_state.IN_FLIGHT
@@ -63,15 +63,11 @@ def run_flight_step(lane, features, constants):
     ray = load_ray(lane)
     result = russian_roulette(ray, u_roulette, active)
     lane.next_roulette, lane.weight = result.next_roulette, result.weight
-    layer_geometry = constants.layer_geometry
-    if features.layered is not None:
-        layer_geometry = lane.layer_geometry
+    layer_geometry = lane.layer_geometry
     # A rejected axial position has precedence over all other results of a sample, so that it does
     # not bias distances, shapes and types.
     size = GrainSize(ONE / lane.new_inverse_semi_major, lane.new_flattening)
-    collision = sample_collision(
-        ray, size, variates, u_distance, layer_geometry, constants.rejection_rules
-    )
+    collision = sample_collision(ray, size, variates, u_distance, layer_geometry, rules.rejection)
     axial_ok = accept_axial_position(variates, size.flattening)
     in_flight = active & axial_ok & (not result.terminated)
     relocates = False
@@ -101,16 +97,16 @@ def run_flight_step(lane, features, constants):
 
 
 @inline_only
-def run_flight_stride(state, first_lane, features, constants):
+def run_flight_stride(state, first_lane, features, rules):
     """Run the flight pass for `STRIDE` lanes from `first_lane` on."""
     prefer_512_bit_vectors()
     for j in range(STRIDE):
-        run_flight_step(Lane(state, first_lane + j), features, constants)
+        run_flight_step(Lane(state, first_lane + j), features, rules)
     interleave_loops()
 
 
 @entry_point_no_refcount
-def run_flight_pass(state, width, features, constants):
+def run_flight_pass(state, width, features, rules):
     """Sample the next grain for all lanes between grains.
 
     Parameters
@@ -119,9 +115,9 @@ def run_flight_pass(state, width, features, constants):
         Array of `lane_state.Lane`.
     width : int
         Lanes in use, from the first on: a multiple of `STRIDE`.
-    features, constants : Features, PassConstants
+    features, rules : Features, PassRules
         See `splits.kernels.compiler.features` and `splits.kernels.vectorized.lane_state`.
     """
     prefer_512_bit_vectors()
     for first_lane in range(0, width, STRIDE):
-        run_flight_stride(state, first_lane, features, constants)
+        run_flight_stride(state, first_lane, features, rules)

@@ -56,7 +56,7 @@ def draw_interaction_variates(lane, active, faceted):
 def load_relative_index_mixed(lane, interface, pore_wet):
     """Return the `RelativeIndex` of the media at an interface, for grains of any type."""
     in_core, in_pore = interface.shell > ONE, interface.shell == ZERO
-    pore = select(pore_wet, lane.wet.refractive_index, lane.dry.refractive_index)
+    pore = select(pore_wet, lane.wet, lane.dry).medium.refractive_index
     outer, core = lane.outer.refractive_index, lane.core.refractive_index
     near = select(in_pore, pore, select(in_core, core, outer))
     inward, outward = select(in_pore, outer, core), select(in_core, outer, pore)
@@ -67,16 +67,15 @@ def load_relative_index_mixed(lane, interface, pore_wet):
 def load_relative_index_single_type(lane, interface, pore_wet, features):
     """Return the `RelativeIndex` at an interface, for grains of one type without coatings."""
     outward = interface.side < ZERO
-    media = select(outward, lane.outward_dry, lane.inward_dry)
-    if features.wet is not None:
-        media = select(pore_wet, select(outward, lane.outward_wet, lane.inward_wet), media)
+    pore = lane.dry if features.wet is None else select(pore_wet, lane.wet, lane.dry)
+    media = select(outward, pore.outward, pore.inward)
     if features.absorbing is None:
         media = replace(media, k=ZERO)
     return media
 
 
 @inline_only
-def select_pore(lane, interface, u_pore, features, constants):
+def select_pore(lane, interface, u_pore, features):
     """Return whether the pore of a ray is wet after an interaction.
 
     At the outermost interface a ray from the inside samples the pore outside, unless it is in a
@@ -84,9 +83,8 @@ def select_pore(lane, interface, u_pore, features, constants):
     """
     if features.wet is None:
         return lane.pore_wet
-    wet_fraction = constants.wet_fraction if features.layered is None else lane.wet_fraction
     keeps = interface.in_lobe & (interface.side < ZERO)
-    return select(keeps, lane.pore_wet, u_pore < wet_fraction)
+    return select(keeps, lane.pore_wet, u_pore < lane.wet_fraction)
 
 
 @inline_only
@@ -104,7 +102,7 @@ def store_pore(lane, interface, result, in_pore, new_wet, u_pore, features):
 
 
 @inline_only
-def run_surface_step(lane, features, constants):
+def run_surface_step(lane, features, rules):
     """Sample one interaction of a lane."""
     status, direction, grain = lane.status, lane.direction, lane.grain
     active = (status >= lane_state.AT_SURFACE) & (status <= lane_state.IN_TRANSMITTED_LOBE)
@@ -118,16 +116,16 @@ def run_surface_step(lane, features, constants):
     facet = make_smooth_facet(direction, grain, interface.side)
     if features.faceted is not None:
         facet = sample_microfacet(
-            direction, facet, lane.roughness, variates, interface.in_lobe, constants.facet_sampling
+            direction, facet, lane.roughness, variates, interface.in_lobe, rules.facet_sampling
         )
-    new_wet = select_pore(lane, interface, variates.u_pore, features, constants)
+    new_wet = select_pore(lane, interface, variates.u_pore, features)
     pore_wet = select(interface.side < ZERO, new_wet, lane.pore_wet)
     if features.mixed is not None:
         media = load_relative_index_mixed(lane, interface, pore_wet)
     else:
         media = load_relative_index_single_type(lane, interface, pore_wet, features)
     result = reflect_or_refract(
-        direction, interface, facet, media, variates.u_fresnel, constants.mirror_wrong_side,
+        direction, interface, facet, media, variates.u_fresnel, rules.mirror_wrong_side,
         features,
     )  # fmt: skip
     result = replace(
@@ -136,7 +134,7 @@ def run_surface_step(lane, features, constants):
     region = find_next_region(interface, result, lane.core_shell, features.mixed)
     if features.wet is not None:
         store_pore(lane, interface, result, region.in_pore, new_wet, variates.u_pore, features)
-    advance_in_grain(lane, grain, result, region, features, constants.point_grains)
+    advance_in_grain(lane, grain, result, region, features, rules.point_grains)
     lane.direction = select(result.accepted, result.direction, direction)
     lane.shell, lane.side = region.interface.shell, region.interface.side
     next_status = lane_state.IN_FLIGHT if region.in_pore else lane_state.AT_SURFACE
@@ -171,23 +169,23 @@ def advance_in_grain(lane, grain, result, region, features, point_grains):
 
 
 @inline_only
-def run_surface_stride(state, first_lane, features, constants):
+def run_surface_stride(state, first_lane, features, rules):
     """Run the surface pass for `STRIDE` lanes from `first_lane` on."""
     prefer_512_bit_vectors()
     for j in range(STRIDE):
-        run_surface_step(Lane(state, first_lane + j), features, constants)
+        run_surface_step(Lane(state, first_lane + j), features, rules)
     interleave_loops()
 
 
 @entry_point_no_refcount
-def run_surface_pass(state, width, features, constants):
+def run_surface_pass(state, width, features, rules):
     """Sample one interaction for all lanes at the surface of a grain.
 
     Parameters
     ----------
-    state, width, features, constants
+    state, width, features, rules
         See `flight.run_flight_pass`.
     """
     prefer_512_bit_vectors()
     for first_lane in range(0, width, STRIDE):
-        run_surface_stride(state, first_lane, features, constants)
+        run_surface_stride(state, first_lane, features, rules)

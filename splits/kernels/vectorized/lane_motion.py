@@ -66,9 +66,9 @@ def attenuate(lane, distance, features):
         wet_path = select(lane.pore_wet, distance, ZERO)
         dry_path = select(lane.pore_wet, ZERO, distance)
         lane.wet_path += wet_path
-        lane.optical_depth += wet_path * lane.wet.absorption
+        lane.optical_depth += wet_path * lane.wet.medium.absorption
     lane.dry_path += dry_path
-    lane.optical_depth += dry_path * lane.dry.absorption
+    lane.optical_depth += dry_path * lane.dry.medium.absorption
 
 
 @inline_only

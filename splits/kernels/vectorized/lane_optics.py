@@ -9,7 +9,7 @@ from splits.kernels.grains.interaction import RelativeIndex
 from splits.kernels.grains.state import get_layer_geometry
 from splits.kernels.math.vectors import to_single
 from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.vectorized.lane_state import Medium
+from splits.kernels.vectorized.lane_state import Medium, Pore
 
 
 @inline_only
@@ -26,6 +26,14 @@ def get_medium(optics, item, material):
 
 
 @inline_only
+def make_pore(optics, item, pore, core):
+    """Return the optical constants of a pore material, and of its interfaces with grains."""
+    inward = compute_relative_index(optics, item, pore, core)
+    outward = compute_relative_index(optics, item, core, pore)
+    return Pore(get_medium(optics, item, pore), inward, outward)
+
+
+@inline_only
 def set_layer_optics(lane, job):
     """Set the optical constants of a lane in its layer.
 
@@ -34,15 +42,13 @@ def set_layer_optics(lane, job):
     layers, types, optics, item = job.scene.layers, job.scene.types, job.optics, lane.item
     layer = lane.layer
     grain_type, dry = layers.first_type[layer], layers.first_pore_material[layer]
-    core, wet = types.material[grain_type, types.n_shells[grain_type] - 1], dry + 1
+    core = types.material[grain_type, types.n_shells[grain_type] - 1]
     lane.layer_geometry = to_single(get_layer_geometry(layers, layer))
     lane.wet_fraction, lane.first_type = layers.wet_fraction[layer], grain_type
-    lane.dry, lane.wet = get_medium(optics, item, dry), get_medium(optics, item, wet)
+    lane.dry, lane.wet = (
+        make_pore(optics, item, dry, core), make_pore(optics, item, dry + 1, core)
+    )  # fmt: skip
     lane.core = get_medium(optics, item, core)
-    lane.inward_dry = compute_relative_index(optics, item, dry, core)
-    lane.inward_wet = compute_relative_index(optics, item, wet, core)
-    lane.outward_dry = compute_relative_index(optics, item, core, dry)
-    lane.outward_wet = compute_relative_index(optics, item, core, wet)
 
 
 @inline_only

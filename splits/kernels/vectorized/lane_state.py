@@ -1,10 +1,9 @@
-"""State of all lanes, as a structure of arrays, and constants of the passes."""
+"""State of all lanes as a structure of arrays, and sampling rules of the passes."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
 from numpy import int32, uint32
 
 from splits.kernels.compiler.structure_of_arrays import StructureOfArrays
@@ -41,73 +40,78 @@ class Medium(NamedTuple):
     absorption: float
 
 
+class Pore(NamedTuple):
+    """Material of a pore, and its interfaces with cores for rays into and out of the grain."""
+
+    medium: Medium
+    inward: RelativeIndex
+    outward: RelativeIndex
+
+
 class Lane(StructureOfArrays, n_elements=N_LANES):
     """State of the ray in a lane; fields with a value have it when the ray is launched."""
 
     status: int32 = IN_FLIGHT
     ray: int  # Its row in the exits.
     item: int  # Its work item.
-
-    # Random stream: halves of its key, and count of numbers drawn.
-    key_high: uint32
-    key_low: uint32
-    n_drawn: uint32 = uint32(1)
-
-    n_segments: int = 0  # Sampled grains.
+    key_high: uint32  # Key of its random stream, upper half.
+    key_low: uint32  # Lower half.
+    n_drawn: uint32 = uint32(1)  # Count of random numbers drawn.
+    n_segments: int = 0  # Number of sampled grains.
     order: int = 0  # Order of scattering.
-    max_order: int  # Order after which the ray counts as absorbed.
+    max_order: int  # Order after which it counts as absorbed.
 
-    # Position and roulette, as in `grains.ray.Ray`.
+    # Fields of `grains.ray.Ray`.
     position: Vector = ORIGIN
     exit_offset: Vector = ORIGIN
     direction: Vector
     previous_direction: Vector = Vector(0.0, 0.0, -1.0)
     previous_length: float = -1.0
     start_distance: float = 0.0
+    pore_variate: float
     weight: float = 1.0
     optical_depth: float = 0.0
     next_roulette: float = FIRST_ROULETTE_DEPTH
 
-    # Path lengths since the last flush (m).
+    # Path lengths (m) since the last flush.
     dry_path: float = 0.0
     wet_path: float = 0.0
     coating_path: float = 0.0
     core_path: float = 0.0
 
-    # Pore and layer.
-    pore_wet: bool
-    pore_variate: float  # Random number that selects the pore.
-    layer: int = 0
+    # Layer of the ray.
+    layer: int = 0  # Its number.
     layer_geometry: LayerGeometry
-    wet_fraction: float
-    first_type: int
-    dry: Medium
-    wet: Medium
+    wet_fraction: float  # Probability of wet pores.
+    first_type: int  # First type of its grains.
+    dry: Pore
+    wet: Pore
+    pore_wet: bool  # The pore of the ray is wet.
 
     # Flight through several layers.
     flight_layer: int = 0  # Layer of its start.
-    draw_layer: int = 0  # Layer of the start of sampling.
+    draw_layer: int = 0  # Layer in which sampling starts, at `start_distance`.
     skip_distance: float = 0.0  # Distance of the last skipped grain (m).
-    on_boundary: bool = False  # It starts on a boundary.
-    segment_attenuated: bool = False  # The last segment has been attenuated.
+    on_boundary: bool = False  # The flight starts on a boundary.
+    segment_attenuated: bool = False  # The ray has been attenuated along its last segment.
 
-    # Sampled grain, and positions in the tables; `quantile_flattening` is replaced by its value.
-    n_rejected: float = 0.0  # Successive rejections.
-    keep_shape: bool = False  # Type and shape are not sampled again.
-    new_inverse_semi_major: float
+    # Sampled grain.
+    n_rejected: float = 0.0  # Number of successive rejections.
+    keep_shape: bool = False  # The next sample has the same type and flattening.
+    new_inverse_semi_major: float  # Curvature (1/m).
     new_flattening: float
     new_roughness: float
     new_type: int
-    quantile_inverse_semi_major: float
-    quantile_flattening: float
-    quantile_roughness: float
-    u_type: float
-    chosen_type: int
+    quantile_inverse_semi_major: float  # Position in the table of curvatures.
+    quantile_flattening: float  # Position in that of flattenings, and then the value there.
+    quantile_roughness: float  # Position in the table of roughnesses.
+    u_type: float  # Random number of the type.
+    chosen_type: int  # Type that it selects.
 
-    # Grain of the ray.
+    # Grain at which the ray is.
     grain: Spheroid
-    roughness: float  # Half facetness.
-    shell: float  # Shell of the ray, see `grains.interaction.InterfaceState`.
+    roughness: float  # Half of its facetness.
+    shell: float  # Position among its shells, see `grains.interaction.InterfaceState`.
     side: float
     grain_type: int
     core_shell: float  # Shell number of the core.
@@ -115,31 +119,23 @@ class Lane(StructureOfArrays, n_elements=N_LANES):
     core: Medium
     coating_thickness: float  # In m.
 
-    # Interfaces of grains of a single type, for rays that travel inwards and outwards.
-    inward_dry: RelativeIndex
-    inward_wet: RelativeIndex
-    outward_dry: RelativeIndex
-    outward_wet: RelativeIndex
-
 
 STATE_SIZE = N_LANES * Lane.n_rows
+"""Numbers of the array of all lanes."""
 
 
-class PassConstants(NamedTuple):
-    """Constants of a scene that the passes use, float32 (m) except for the rules.
+class PassRules(NamedTuple):
+    """Sampling rules of the passes.
 
     Attributes
     ----------
-    layer_geometry : LayerGeometry
-    rejection_rules : RejectionRules
-    wet_fraction : float32
-    facet_sampling : int32
+    rejection : RejectionRules
+    facet_sampling : int
     mirror_wrong_side, point_grains : bool
+        See `splits.kernels.grains.scene.SamplingRules`.
     """
 
-    layer_geometry: LayerGeometry
-    rejection_rules: RejectionRules
-    wet_fraction: np.float32
-    facet_sampling: np.int32
-    mirror_wrong_side: np.bool_
-    point_grains: np.bool_
+    rejection: RejectionRules
+    facet_sampling: int
+    mirror_wrong_side: bool
+    point_grains: bool

@@ -21,7 +21,7 @@ from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.lane_motion import attenuate, load_ray, move_to_boundary
 from splits.kernels.vectorized.lane_optics import refractive_index_of, set_layer_optics
 from splits.kernels.vectorized.lane_rng import draw_uniform
-from splits.kernels.vectorized.lane_state import N_LANES, STATE_SIZE, STRIDE, Lane, PassConstants
+from splits.kernels.vectorized.lane_state import N_LANES, STATE_SIZE, STRIDE, Lane, PassRules
 
 
 class BatchJob(NamedTuple):
@@ -36,7 +36,7 @@ class BatchJob(NamedTuple):
     optics : Optics
         With a row for each item.
     features : Features
-    constants : PassConstants
+    rules : PassRules
     """
 
     seed: int
@@ -44,7 +44,7 @@ class BatchJob(NamedTuple):
     scene: Scene
     optics: Optics
     features: Features
-    constants: PassConstants
+    rules: PassRules
 
 
 @inline_only
@@ -102,7 +102,7 @@ def flush_path_lengths(lane, path_lengths, scene):
 def cross_boundary(lane, job):
     """Move a ray to the boundary ahead; return whether it leaves the sample there."""
     ray = load_ray(lane)
-    boundary_hit = compute_boundary_hit(ray, job.constants.layer_geometry)
+    boundary_hit = compute_boundary_hit(ray, lane.layer_geometry)
     move_to_boundary(lane, ray, boundary_hit)
     attenuate(lane, boundary_hit.distance, job.features)
     if not (lane.pore_wet and job.scene.rules.boundary_fresnel):

@@ -10,7 +10,7 @@ import pytest
 from chi2 import NEEDS_JIT, compute_pooled_z, judge_z
 from numba import njit
 from numpy import float32 as single
-from scenes import get_pass_rules, make_medium_scene, to_single_item
+from scenes import make_medium_scene, to_single_item
 
 import splits
 from splits.kernels import vectorized
@@ -256,13 +256,13 @@ def put_inside_grains(state, qx, qy, qz, dx, dy, dz):
 
 def get_rows(state, name):
     """Return the rows of the state of lanes from a field on."""
-    return state.reshape(-1, N_LANES)[Lane.fields[name].row :]
+    return state.view(single).reshape(-1, N_LANES)[Lane.fields[name].row :]
 
 
 def test_rounding_does_not_drift_into_total_reflection():
     # Just within total reflection all rays stay inside; rounding may only drift outwards.
     passes, cosine = 20_000, 0.64
-    state = np.zeros(lane_state.STATE_SIZE, dtype=np.float32)
+    state = np.zeros(lane_state.STATE_SIZE, dtype=np.uint32)
     generator = np.random.default_rng(1)
     q = generator.normal(size=(3, N_LANES))
     q /= np.linalg.norm(q, axis=0)
@@ -271,7 +271,7 @@ def test_rounding_does_not_drift_into_total_reflection():
     d = cosine * q + np.sqrt(1.0 - cosine**2) * t
 
     put_inside_grains(state, *q.astype(single), *d.astype(single))
-    rules = get_pass_rules(make_medium_scene(splits.Snow(saturation=0.0)))
+    rules = make_medium_scene(splits.Snow(saturation=0.0)).rules
 
     def cosines():
         q, d = (get_rows(state, name)[:3].astype(float) for name in ("grain", "direction"))

@@ -58,7 +58,7 @@ def start_lane(lanes, i, start):
 
 def make_lanes(ray=0):
     """Return the state of lanes at the start of their random streams."""
-    lanes = np.zeros(lane_state.STATE_SIZE, dtype=np.float32)
+    lanes = np.zeros(lane_state.STATE_SIZE, dtype=np.uint32)
     for i in range(lane_state.N_LANES):
         start_lane(lanes, i, start_random_stream(ray + i)[0])
     return lanes

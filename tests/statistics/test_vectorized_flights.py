@@ -18,7 +18,7 @@ from chi2 import (
 )
 from events import make_lanes
 from numba import njit
-from scenes import get_pass_rules, keep_all_grains, make_medium_scene
+from scenes import keep_all_grains, make_medium_scene
 from scipy import stats
 
 import splits
@@ -106,8 +106,7 @@ def sample_collisions(medium, count=N_SAMPLES):
     lanes = make_lanes()
     _start_lanes(lanes, to_single(get_layer_geometry(scene.layers, 0)))
     hit = HitGrains(*np.empty((2, count, 3)), *np.empty((5, count)))
-    rules, type_cdf = get_pass_rules(scene), scene.layers.type_cdf
-    _sample_flights(lanes, features, rules, tables, type_cdf, hit)
+    _sample_flights(lanes, features, scene.rules, tables, scene.layers.type_cdf, hit)
     return hit
 
 

@@ -9,8 +9,6 @@ import numpy as np
 from splits.kernels.compiler.alignment import align_stack, allocate_aligned
 from splits.kernels.compiler.jit import ZERO, entry_point, inline_allocating, inline_only
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.scene import WRONG_SIDE_LOBE
-from splits.kernels.grains.state import make_rejection_rules
 from splits.kernels.tallies.crossings import (
     allocate_crossings,
     ensure_capacity,
@@ -22,7 +20,7 @@ from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.flight import run_flight_pass
 from splits.kernels.vectorized.interaction import run_surface_pass
 from splits.kernels.vectorized.lane_optics import set_grain_optics
-from splits.kernels.vectorized.lane_state import N_LANES, STRIDE, Lane, PassRules
+from splits.kernels.vectorized.lane_state import N_LANES, STRIDE, Lane
 from splits.kernels.vectorized.layers import (
     attenuate_segment,
     cross_interface,
@@ -40,17 +38,6 @@ from splits.kernels.vectorized.lifecycle import (
     sample_source,
 )
 from splits.kernels.vectorized.sampling import draw_grain_properties
-
-
-@inline_only
-def make_pass_rules(rules):
-    """Return the sampling rules of a scene in the form that the passes use."""
-    return PassRules(
-        make_rejection_rules(rules),
-        rules.facet_sampling,
-        rules.wrong_side != WRONG_SIDE_LOBE,
-        rules.point_grains,
-    )
 
 
 @inline_allocating
@@ -72,7 +59,7 @@ def advance_flights(state, path_lengths, width, tables, job, crossings):
             lane = Lane(state, i)
             if lane.status == lane_state.IN_FLIGHT:
                 flush_path_lengths(lane, path_lengths[i], job.scene)
-    run_flight_pass(state, width, features, job.rules)
+    run_flight_pass(state, width, features, job.scene.rules)
     if features.mixed is not None:
         for i in range(width):
             lane = Lane(state, i)
@@ -224,7 +211,7 @@ def trace_batch(seed, work, scene, optics, exits, features):
         (1.0 - types.sphericity * types.sphericity).astype(np.float32),
         (0.5 * types.facetness).astype(np.float32),
     )
-    job = BatchJob(seed, work, scene, optics, features, make_pass_rules(scene.rules))
+    job = BatchJob(seed, work, scene, optics, features)
     state, path_lengths = allocate_lanes(), np.zeros((N_LANES, optics.n.shape[1]))
     n_segments = np.zeros(len(work), dtype=np.int64)
     queue = SourceQueue(0, work[:, 2].sum(), 0, 0, 0, False)
@@ -249,4 +236,4 @@ def trace_batch(seed, work, scene, optics, exits, features):
         if 2 * n_in_flight >= queue.n_active:
             advance_flights(state, path_lengths, width, tables, job, crossings)
         else:
-            run_surface_pass(state, width, features, job.rules)
+            run_surface_pass(state, width, features, scene.rules)

@@ -12,6 +12,7 @@ from splits.kernels.compiler.jit import ONE, ZERO, entry_point_no_refcount, inli
 from splits.kernels.grains.free_path import russian_roulette, sample_collision
 from splits.kernels.grains.scene import MAX_REJECTIONS
 from splits.kernels.grains.spheroid import EntryVariates, GrainSize, accept_axial_position
+from splits.kernels.grains.state import make_rejection_rules
 from splits.kernels.math.elementary import sample_circle
 from splits.kernels.math.vectors import select
 from splits.kernels.vectorized import lane_state
@@ -55,7 +56,7 @@ def update_restart(lane, collision, rejected):
 
 
 @inline_only
-def run_flight_step(lane, features, rules):
+def run_flight_step(lane, features, rejection_rules):
     """Sample the next grain of a lane."""
     status = lane.status
     active = status == lane_state.IN_FLIGHT
@@ -67,7 +68,7 @@ def run_flight_step(lane, features, rules):
     # A rejected axial position has precedence over all other results of a sample, so that it does
     # not bias distances, shapes and types.
     size = GrainSize(ONE / lane.new_inverse_semi_major, lane.new_flattening)
-    collision = sample_collision(ray, size, variates, u_distance, layer_geometry, rules.rejection)
+    collision = sample_collision(ray, size, variates, u_distance, layer_geometry, rejection_rules)
     axial_ok = accept_axial_position(variates, size.flattening)
     in_flight = active & axial_ok & (not result.terminated)
     relocates = False
@@ -100,8 +101,9 @@ def run_flight_step(lane, features, rules):
 def run_flight_stride(state, first_lane, features, rules):
     """Run the flight pass for `STRIDE` lanes from `first_lane` on."""
     prefer_512_bit_vectors()
+    rejection_rules = make_rejection_rules(rules)
     for j in range(STRIDE):
-        run_flight_step(Lane(state, first_lane + j), features, rules)
+        run_flight_step(Lane(state, first_lane + j), features, rejection_rules)
     interleave_loops()
 
 
@@ -111,12 +113,12 @@ def run_flight_pass(state, width, features, rules):
 
     Parameters
     ----------
-    state : float32[STATE_SIZE]
+    state : uint32[STATE_SIZE]
         Array of `lane_state.Lane`.
     width : int
         Lanes in use, from the first on: a multiple of `STRIDE`.
-    features, rules : Features, PassRules
-        See `splits.kernels.compiler.features` and `splits.kernels.vectorized.lane_state`.
+    features, rules : Features, SamplingRules
+        See `splits.kernels.compiler.features` and `splits.kernels.grains.scene`.
     """
     prefer_512_bit_vectors()
     for first_lane in range(0, width, STRIDE):

@@ -24,6 +24,7 @@ from splits.kernels.grains.interaction import (
     relative_index,
 )
 from splits.kernels.grains.microfacet import make_smooth_facet, sample_microfacet
+from splits.kernels.grains.scene import WRONG_SIDE_LOBE
 from splits.kernels.grains.spheroid import compute_chord
 from splits.kernels.math.arithmetic import sqrt
 from splits.kernels.math.elementary import Angle, log, sample_half_circle
@@ -125,7 +126,7 @@ def run_surface_step(lane, features, rules):
     else:
         media = load_relative_index_single_type(lane, interface, pore_wet, features)
     result = reflect_or_refract(
-        direction, interface, facet, media, variates.u_fresnel, rules.mirror_wrong_side,
+        direction, interface, facet, media, variates.u_fresnel, rules.wrong_side != WRONG_SIDE_LOBE,
         features,
     )  # fmt: skip
     result = replace(

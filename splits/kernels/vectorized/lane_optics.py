@@ -45,9 +45,8 @@ def set_layer_optics(lane, job):
     core = types.material[grain_type, types.n_shells[grain_type] - 1]
     lane.layer_geometry = to_single(get_layer_geometry(layers, layer))
     lane.wet_fraction, lane.first_type = layers.wet_fraction[layer], grain_type
-    lane.dry, lane.wet = (
-        make_pore(optics, item, dry, core), make_pore(optics, item, dry + 1, core)
-    )  # fmt: skip
+    lane.dry = make_pore(optics, item, dry, core)
+    lane.wet = make_pore(optics, item, dry + 1, core)
     lane.core = get_medium(optics, item, core)
 
 

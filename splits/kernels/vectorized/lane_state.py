@@ -1,4 +1,4 @@
-"""State of all lanes as a structure of arrays, and sampling rules of the passes."""
+"""State of all lanes, as a structure of arrays."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 from numpy import int32, uint32
 
 from splits.kernels.compiler.structure_of_arrays import StructureOfArrays
-from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, LayerGeometry, RejectionRules
+from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, LayerGeometry
 from splits.kernels.grains.interaction import RelativeIndex
 from splits.kernels.grains.spheroid import Spheroid
 from splits.kernels.math.vectors import ORIGIN, Vector
@@ -61,7 +61,7 @@ class Lane(StructureOfArrays, n_elements=N_LANES):
     order: int = 0  # Order of scattering.
     max_order: int  # Order after which it counts as absorbed.
 
-    # Fields of `grains.ray.Ray`.
+    # As in `grains.ray.Ray`, with its previous segment.
     position: Vector = ORIGIN
     exit_offset: Vector = ORIGIN
     direction: Vector
@@ -122,20 +122,3 @@ class Lane(StructureOfArrays, n_elements=N_LANES):
 
 STATE_SIZE = N_LANES * Lane.n_rows
 """Numbers of the array of all lanes."""
-
-
-class PassRules(NamedTuple):
-    """Sampling rules of the passes.
-
-    Attributes
-    ----------
-    rejection : RejectionRules
-    facet_sampling : int
-    mirror_wrong_side, point_grains : bool
-        See `splits.kernels.grains.scene.SamplingRules`.
-    """
-
-    rejection: RejectionRules
-    facet_sampling: int
-    mirror_wrong_side: bool
-    point_grains: bool

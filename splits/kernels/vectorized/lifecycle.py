@@ -21,7 +21,7 @@ from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.lane_motion import attenuate, load_ray, move_to_boundary
 from splits.kernels.vectorized.lane_optics import refractive_index_of, set_layer_optics
 from splits.kernels.vectorized.lane_rng import draw_uniform
-from splits.kernels.vectorized.lane_state import N_LANES, STATE_SIZE, STRIDE, Lane, PassRules
+from splits.kernels.vectorized.lane_state import N_LANES, STATE_SIZE, STRIDE, Lane
 
 
 class BatchJob(NamedTuple):
@@ -36,7 +36,6 @@ class BatchJob(NamedTuple):
     optics : Optics
         With a row for each item.
     features : Features
-    rules : PassRules
     """
 
     seed: int
@@ -44,16 +43,15 @@ class BatchJob(NamedTuple):
     scene: Scene
     optics: Optics
     features: Features
-    rules: PassRules
 
 
 @inline_only
 def sample_source(lane, job, ray, item, ray_in_item):
     """Launch a ray of the light source; return whether it enters the sample."""
-    source, (ensemble, first_ray, _, max_order) = job.scene.source, job.work[item]
+    source, work = job.scene.source, job.work
     initialize(lane)
-    lane.ray, lane.item, lane.max_order = ray, item, max_order
-    key = compute_stream_start(job.seed, ensemble, first_ray + ray_in_item)
+    lane.ray, lane.item, lane.max_order = ray, item, work[item, 3]
+    key = compute_stream_start(job.seed, work[item, 0], work[item, 1] + ray_in_item)
     lane.key_high, lane.key_low = np.uint32(key >> np.uint64(32)), np.uint32(key)
     u = draw_uniform(lane) if source.diffuse_fraction > 0.0 else 1.0
     entered = enter_layer(lane, job, 0, sample_source_direction(source, u))

@@ -9,7 +9,7 @@ import pytest
 from chi2 import NEEDS_JIT
 from llvmlite import binding
 from numba import njit
-from scenes import compute_optics, get_pass_rules, make_medium_scene
+from scenes import compute_optics, make_medium_scene
 
 import splits
 from splits.kernels.compiler.passes import RefcountCheckedCompiler
@@ -44,7 +44,7 @@ def count_arithmetic(function, medium):
         allocate_idle_lanes(),
         lane_state.N_LANES,
         select_features(scene, optics),
-        get_pass_rules(scene),
+        scene.rules,
     )
     (code,) = kernel.inspect_asm().values()
     return Counter(kind + width for kind, width in ARITHMETIC.findall(code))

@@ -1,9 +1,9 @@
-"""Structures of arrays: states of many rays in one array, with a row for each number.
+"""Structures of arrays: one array for the states of many rays, with a row for each number.
 
 A subclass of `StructureOfArrays` declares the fields once, as the file ``workitems.soa`` of pbrt-v4
-does.  In compiled code ``Lane(words, i)`` refers to one element; reading and setting its fields
-reads and sets one number in each of their rows.  Rows lie at compile-time offsets, so that the
-compiler can prove that they do not overlap, which vectorization requires.
+does.  In compiled code ``Lane(words, i)`` is a reference to an element, whose fields are read and
+set as attributes.  Rows have compile-time offsets, so that the compiler can prove that they do not
+overlap, which vectorization requires.
 """
 
 from __future__ import annotations
@@ -53,21 +53,25 @@ register_model(ElementType)(models.OpaqueModel)
 
 
 class StructureOfArrays:
-    """Declaration of a structure of arrays, by annotations and initial values.
+    """Declaration of a structure of arrays, by annotations and initial values of its fields.
 
     A field is a number or a named tuple of numbers and named tuples.  All numbers have 32 bits.
+    An element does not keep its array alive.
 
     Parameters
     ----------
-    words : 32-bit numbers [`n_rows` × `n_elements`]
+    words : uint32[n_rows × n_elements]
+        Or another type of 32 bits.
     index : int
+        Of an element, from 0.
 
     Attributes
     ----------
     n_elements : int
-        Keyword of the class.
+        A keyword of the class.
     fields : dict of Field
     n_rows : int
+        Numbers of an element.
     """
 
     n_elements: ClassVar[int]

@@ -58,7 +58,7 @@ def test_fields_lie_in_successive_rows():
         "number": 0, "count": 1, "pair": 2, "layer": 6,
     }  # fmt: skip
     assert Item.n_rows == 7 and Item.n_elements == N_ELEMENTS
-    assert STATE_SIZE == N_LANES * Lane.n_rows
+    assert N_LANES * Lane.n_rows == STATE_SIZE
 
 
 @NEEDS_JIT

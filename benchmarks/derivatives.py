@@ -39,7 +39,7 @@ from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import compute_optical_constants
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import ExitTally, StoppingRule, Stratum
-from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer import SceneTracer
 
 WAVELENGTHS_NM = [450.0, 600.0, 700.0, 800.0, 900.0, 1000.0]
 INCIDENCE_DEG = 40.0
@@ -223,7 +223,7 @@ def compute_likelihood_ratio(medium: Any, rays: int) -> tuple[np.ndarray, np.nda
     )
     tally = ScoreTally(nodes, absorption, 1.0 / compute_mean_free_path_m(medium))
     run = RunOptions.from_arguments(1, None)
-    simulate(make_tracer(medium, INCIDENCE_DEG), tally, StoppingRule(0.0, rays, fixed=True), run)
+    simulate(SceneTracer(medium, INCIDENCE_DEG), tally, StoppingRule(0.0, rays, fixed=True), run)
     n_rays = tally.n_rays
     mean = tally.sums[0] / n_rays
     variance = (tally.sums[1] / n_rays - mean**2) / n_rays

@@ -24,7 +24,7 @@ from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SpectralTally
 from splits.simulation.tally import STRATUM_BOUNDS, StoppingRule
-from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer import SceneTracer
 
 # Wider apart than in any spectrum, so that the curvature is larger than the noise.
 MATERIALS = {
@@ -129,7 +129,7 @@ def print_bias() -> None:
             weights[row, rows[tuple(node)]] += weight
     spectral_rows = SpectralRows.from_media(PathSharingMedia.from_media([snow]), wavelengths)
     used = IndexNodes(all_nodes, weights.max(axis=0), np.zeros(len(wavelengths)))
-    tracer = make_tracer(snow, 0.0)
+    tracer = SceneTracer(snow, 0.0)
     deviations = []
     for seed in range(SEEDS):
         tally = SpectralTally(spectral_rows, used, tracer.traits)

@@ -8,24 +8,29 @@ import time
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, compute_pooled_z, judge_z
-from scenes import get_vectorized_scene, make_medium_scene, to_single_item
-from splits.simulation.tracer_interface import WorkItem
+from numba import njit
+from numpy import float32 as single
+from scenes import make_medium_scene, to_single_item
 
 import splits
 from splits.kernels import vectorized
 from splits.kernels.compiler.features import Features
+from splits.kernels.grains.interaction import RelativeIndex
 from splits.kernels.grains.scene import NO_MAX_ORDER, Optics
+from splits.kernels.grains.spheroid import Spheroid
+from splits.kernels.math.vectors import Vector
+from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.tallies.exits import EXIT_DIRECTION, EXIT_POSITION, allocate_exits
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.interaction import run_surface_pass
-from splits.kernels.vectorized.lane_state import N_LANES
+from splits.kernels.vectorized.lane_state import N_LANES, Lane, Material, Pore
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
 from splits.simulation.tally import RAYS_PER_CHUNK, StoppingRule
-from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer import SceneTracer, WorkItem
 
 pytestmark = NEEDS_JIT
 
@@ -53,7 +58,7 @@ def make_tally(medium, wavelengths, traits):
 
 def trace_spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     """Return R and T, their standard errors, and the seconds elapsed on two threads."""
-    tracer = make_tracer(medium, incidence)
+    tracer = SceneTracer(medium, incidence)
     tally = make_tally(medium, wavelengths, tracer.traits)
     # Each wavelength with the features that it needs.
     tally.shares_kernel = False
@@ -111,7 +116,7 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
 
 
 def test_paths_are_independent_of_other_ensembles():
-    tracer = make_tracer(splits.Snow(depth_m=0.02), 30.0)
+    tracer = SceneTracer(splits.Snow(depth_m=0.02), 30.0)
     strata = make_tally(splits.Snow(), np.array([500.0, 800.0]), tracer.traits).strata
     tracer.select_kernel(strata, "vectorized", False)
     ensemble_optics = [stratum.optics for stratum in strata]
@@ -142,7 +147,7 @@ def test_paths_are_independent_of_other_ensembles():
 
 def test_paths_are_independent_of_lane_and_batch():
     medium = splits.Snow(depth_m=0.02)
-    tracer = make_tracer(medium, 30.0)
+    tracer = SceneTracer(medium, 30.0)
     (stratum,) = make_tally(medium, np.array([900.0]), tracer.traits).strata
     tracer.select_kernel([stratum], "vectorized", False)
 
@@ -176,7 +181,7 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
         return np.concatenate([tally.moments.ravel(), tally.batch_sums.ravel()])
 
     def trace_sums(threads=None):
-        tracer = make_tracer(medium, 10.0)
+        tracer = SceneTracer(medium, 10.0)
         tally = make_tally(medium, wavelengths, tracer.traits)
         stop = StoppingRule(0.0, batches * RAYS_PER_CHUNK * len(wavelengths), fixed=True)
         outcome = simulate(tracer, tally, stop, RunOptions.from_arguments(4, threads, kernel))
@@ -187,7 +192,7 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
         """Return the ordered sums of jobs that trace every `jobs`-th chunk."""
         scores = {}
         for job in random.Random(1).sample(range(jobs), jobs):
-            tracer = make_tracer(medium, 10.0)
+            tracer = SceneTracer(medium, 10.0)
             tally = make_selected_tally(tracer)
             for number, stratum in enumerate(tally.strata):
                 for batch in range(job, batches, jobs):
@@ -209,7 +214,7 @@ def test_vectorized_kernel_conserves_energy():
     medium = splits.Snow(
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    tracer = make_tracer(medium, 60.0)
+    tracer = SceneTracer(medium, 60.0)
     (stratum,) = make_tally(medium, np.array([600.0]), tracer.traits).strata
     tracer.select_kernel([stratum], "vectorized", False)
     rows = allocate_exits(3000, 3)
@@ -226,12 +231,34 @@ def test_vectorized_kernel_conserves_energy():
     assert np.isfinite(rows[:, EXIT_POSITION : EXIT_POSITION + 2]).all()
 
 
+@njit
+def put_inside_grains(state, qx, qy, qz, dx, dy, dz):
+    """Put the rays of all lanes at points of the surfaces of spheres, on their inner sides."""
+    zero, one = single(0.0), single(1.0)
+    m_in, m_out = single(1.31), single(1.0 / 1.31)
+    for i in range(N_LANES):
+        lane = Lane(state, i)
+        lane.status, lane.shell, lane.side = lane_state.AT_SURFACE, one, -one
+        lane.grain = Spheroid(
+            Vector(qx[i], qy[i], qz[i]), Vector(zero, zero, one), zero, single(1e-4)
+        )
+        lane.direction = Vector(dx[i], dy[i], dz[i])
+        lane.dry = Pore(
+            Material(ComplexIndex(one, zero), zero),
+            RelativeIndex(m_in, single(0.31), zero, m_out, False),
+            RelativeIndex(m_out, single(-0.31 / 1.31), zero, m_in, False),
+        )
+
+
+def get_rows(state, name):
+    """Return the rows of the state of lanes from a field on."""
+    return state.view(single).reshape(-1, N_LANES)[Lane.fields[name].row :]
+
+
 def test_rounding_does_not_drift_into_total_reflection():
     # Just within total reflection all rays stay inside; rounding may only drift outwards.
     passes, cosine = 20_000, 0.64
-    state = np.zeros(lane_state.STATE_SIZE, dtype=np.float32)
-    words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
-    table = state.reshape(-1, N_LANES)
+    state = np.zeros(lane_state.STATE_SIZE, dtype=np.uint32)
     generator = np.random.default_rng(1)
     q = generator.normal(size=(3, N_LANES))
     q /= np.linalg.norm(q, axis=0)
@@ -239,32 +266,18 @@ def test_rounding_does_not_drift_into_total_reflection():
     t /= np.linalg.norm(t, axis=0)
     d = cosine * q + np.sqrt(1.0 - cosine**2) * t
 
-    def put(**values):
-        for name, value in values.items():
-            table[getattr(lane_state, name) // N_LANES] = value
-
-    put(UNIT_POINT_X=q[0], UNIT_POINT_Y=q[1], UNIT_POINT_Z=q[2])
-    put(DIR_X=d[0], DIR_Y=d[1], DIR_Z=d[2], AXIS_Z=1.0, SEMI_MINOR=1e-4, SIDE=-1.0)
-    put(SHELL=1.0, STATUS=lane_state.AT_SURFACE, M_IN_DRY=1.31, M1_IN_DRY=0.31)
-    put(M_OUT_DRY=1.0 / 1.31, M1_OUT_DRY=-0.31 / 1.31)
-    scene = get_vectorized_scene(make_medium_scene(splits.Snow(saturation=0.0)))
+    put_inside_grains(state, *q.astype(single), *d.astype(single))
+    rules = make_medium_scene(splits.Snow(saturation=0.0)).rules
 
     def cosines():
-        q, d = (
-            table[np.array(which) // N_LANES].astype(float)
-            for which in (POINT_ROWS, DIRECTION_ROWS)
-        )
+        q, d = (get_rows(state, name)[:3].astype(float) for name in ("grain", "direction"))
         return (q * d).sum(axis=0) / np.linalg.norm(q, axis=0) / np.linalg.norm(d, axis=0)
 
     before = cosines()
     for _ in range(passes):
-        run_surface_pass(state, words, N_LANES, Features(*[None] * len(Features._fields)), scene)
-    assert (table[lane_state.SHELL // N_LANES] == 1.0).all()
+        run_surface_pass(state, N_LANES, Features(*[None] * len(Features._fields)), rules)
+    assert (get_rows(state, "shell")[0] == 1.0).all()
     drift = (cosines() - before) / passes
     error = drift.std(ddof=1) / np.sqrt(N_LANES)
     print(f"drift of the cosine per reflection {drift.mean():.1e} ± {error:.0e}")
     assert -3.0 * error < drift.mean() < 1e-7
-
-
-POINT_ROWS = (lane_state.UNIT_POINT_X, lane_state.UNIT_POINT_Y, lane_state.UNIT_POINT_Z)
-DIRECTION_ROWS = (lane_state.DIR_X, lane_state.DIR_Y, lane_state.DIR_Z)

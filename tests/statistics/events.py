@@ -29,6 +29,7 @@ from splits.kernels.tallies.exits import ALIVE
 from splits.kernels.transport import history
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.interaction import draw_interaction_variates
+from splits.kernels.vectorized.lane_state import Lane
 
 single = np.float32
 
@@ -48,16 +49,20 @@ def to_single_precision(v):
     return Vector(single(v.x), single(v.y), single(v.z))
 
 
-def make_lane_words(ray=0):
-    """Return the integer state of lanes at the start of their random streams."""
-    words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
-    for lane in range(lane_state.N_LANES):
-        start = int(start_random_stream(ray + lane)[0])
-        words[lane_state.KEY_HIGH + lane] = start >> 32
-        words[lane_state.KEY_LOW + lane] = start & 0xFFFFFFFF
-        words[lane_state.N_DRAWN + lane] = 1
-        words[lane_state.MAX_ORDER + lane] = NO_MAX_ORDER
-    return words
+@njit
+def start_lane(lanes, i, start):
+    """Set the random stream of a lane to its start."""
+    lane = Lane(lanes, i)
+    lane.key_high, lane.key_low = np.uint32(start >> np.uint64(32)), np.uint32(start)
+    lane.n_drawn, lane.max_order = np.uint32(1), NO_MAX_ORDER
+
+
+def make_lanes(ray=0):
+    """Return the state of lanes at the start of their random streams."""
+    lanes = np.zeros(lane_state.STATE_SIZE, dtype=np.uint32)
+    for i in range(lane_state.N_LANES):
+        start_lane(lanes, i, start_random_stream(ray + i)[0])
+    return lanes
 
 
 # --- grains -----------------------------------------------------------------------------------
@@ -122,11 +127,11 @@ def sample_facet(state, d, normal, facetness, rule):
 
 
 @njit
-def sample_facet_by_lane(words, d, normal, sigma, rule):
+def sample_facet_by_lane(lanes, d, normal, sigma, rule):
     """Return a sampled facet of a surface, as the vectorized surface pass samples it."""
     smooth = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), single(1.0))
     while True:
-        variates = draw_interaction_variates(words, 0, True, True)
+        variates = draw_interaction_variates(Lane(lanes, 0), True, True)
         facet = microfacet.sample_microfacet(d, smooth, sigma, variates, False, rule)
         if facet.accepted:
             return facet
@@ -151,9 +156,9 @@ def attempt_interaction(state, d, interface_state, normal, facetness, media, rul
 
 
 @njit
-def attempt_interaction_by_lane(words, d, interface_state, normal, sigma, media, rules):
+def attempt_interaction_by_lane(lanes, d, interface_state, normal, sigma, media, rules):
     """Return the result of one sampling attempt, as the vectorized surface pass makes it."""
-    variates = draw_interaction_variates(words, 0, True, True)
+    variates = draw_interaction_variates(Lane(lanes, 0), True, True)
     facet = microfacet.make_smooth_facet(d, make_flat_surface_by_lane(normal), interface_state.side)
     if sigma > single(0.0):
         facet = microfacet.sample_microfacet(
@@ -178,13 +183,13 @@ def resolve_interaction(state, d, normal, facetness, near, far, rules):
 
 
 @njit
-def resolve_interaction_by_lane(words, d, normal, sigma, near, far, rules):
+def resolve_interaction_by_lane(lanes, d, normal, sigma, near, far, rules):
     """Return the accepted interaction of a ray with a surface, by random numbers of a lane."""
     zero, one = single(0.0), single(1.0)
     interface_state = InterfaceState(zero, one, False, False)
     media = interaction.relative_index(near, far)
     while True:
-        result = attempt_interaction_by_lane(words, d, interface_state, normal, sigma, media, rules)
+        result = attempt_interaction_by_lane(lanes, d, interface_state, normal, sigma, media, rules)
         if result.accepted:
             return InterfaceSample(result.transmitted, result.direction)
         interface_state = InterfaceState(zero, one, result.needs_lobe, result.transmitted)

@@ -28,7 +28,6 @@ from splits.kernels.grains.spheroid import Segment
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.optics.source import Source
 from splits.kernels.transport import history
-from splits.kernels.vectorized.batch import make_pass_constants
 from splits.materials.lookup import absorption_coefficient
 from splits.simulation.scene import build_scene
 
@@ -111,11 +110,6 @@ def compute_optics(medium, wavelength_nm):
 def to_single_item(optics):
     """Return optics with a leading axis for a single work item of the vectorized kernel."""
     return Optics(*(values[np.newaxis] for values in optics))
-
-
-def get_vectorized_scene(scene):
-    """Return the constants of a scene for the passes of the vectorized kernel."""
-    return make_pass_constants(scene)
 
 
 def keep_all_grains(scene):

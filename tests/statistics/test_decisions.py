@@ -16,7 +16,7 @@ from chi2 import (
     tabulate_cdf,
 )
 from events import (
-    make_lane_words,
+    make_lanes,
     resolve_interaction,
     resolve_interaction_by_lane,
     sample_facet,
@@ -194,10 +194,10 @@ def _sample_interaction(state, cos_i, near, far, facetness, rules):
 
 
 @njit
-def _sample_interaction_by_lane(state, words, cos_i, near, far, sigma, rules):
+def _sample_interaction_by_lane(state, lanes, cos_i, near, far, sigma, rules):
     d = to_single_precision(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
     transmitted, d = resolve_interaction_by_lane(
-        words, d, to_single_precision(UP), sigma, near, far, rules
+        lanes, d, to_single_precision(UP), sigma, near, far, rules
     )
     return 1.0 if transmitted else 0.0, np.float64(d.x), np.float64(d.y), np.float64(d.z)
 
@@ -211,7 +211,7 @@ def sample_interactions(precision, count, cos_i, n1, n2, k2, facetness, rules, r
         )
     near, far = ComplexIndex(single(n1), single(0.0)), ComplexIndex(single(n2), single(k2))
     return draw_samples(
-        _sample_interaction_by_lane, count, make_lane_words(ray), cos_i, near, far,
+        _sample_interaction_by_lane, count, make_lanes(ray), cos_i, near, far,
         single(0.5 * facetness), rules, width=4,
     )  # fmt: skip
 
@@ -243,9 +243,9 @@ def _sample_reflectance(state, cos_i, n1, n2, facetness, rules):
 
 
 @njit
-def _sample_reflectance_by_lane(state, words, cos_i, n1, n2, sigma, rules):
+def _sample_reflectance_by_lane(state, lanes, cos_i, n1, n2, sigma, rules):
     d = to_single_precision(Vector(math.sqrt(1.0 - cos_i * cos_i), 0.0, -cos_i))
-    facet = sample_facet_by_lane(words, d, to_single_precision(UP), sigma, rules.facet_sampling)
+    facet = sample_facet_by_lane(lanes, d, to_single_precision(UP), sigma, rules.facet_sampling)
     return fresnel.fresnel(n1, n2, 0.0, min(np.float64(facet.cos_facet), 1.0)).reflectance
 
 
@@ -253,8 +253,8 @@ def sample_reflectances(precision, count, cos_i, n1, n2, facetness, rules, ray):
     """Return samples of the reflectance of facets."""
     if precision == "double":
         return draw_samples(_sample_reflectance, count, cos_i, n1, n2, facetness, rules, ray=ray)
-    words, sigma = make_lane_words(ray), single(0.5 * facetness)
-    return draw_samples(_sample_reflectance_by_lane, count, words, cos_i, n1, n2, sigma, rules)
+    lanes, sigma = make_lanes(ray), single(0.5 * facetness)
+    return draw_samples(_sample_reflectance_by_lane, count, lanes, cos_i, n1, n2, sigma, rules)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -15,7 +15,7 @@ from chi2 import (
 from events import (
     attempt_interaction,
     attempt_interaction_by_lane,
-    make_lane_words,
+    make_lanes,
     sample_unit_sphere,
     to_single_precision,
 )
@@ -179,7 +179,7 @@ def _sample_grain_lobe(state, x, y, z, transmitted):
 
 
 @njit
-def _sample_grain_lobe_by_lane(state, x, y, z, words, transmitted):
+def _sample_grain_lobe_by_lane(state, x, y, z, lanes, transmitted):
     normal = Vector(x, y, z)
     t = vectors.make_tangents(normal)
     d = to_single_precision(vectors.linear_combination(0.6, t.u, -0.8, normal))
@@ -187,7 +187,7 @@ def _sample_grain_lobe_by_lane(state, x, y, z, words, transmitted):
     zero, one = np.float32(0.0), np.float32(1.0)
     media = relative_index(ComplexIndex(one, zero), ComplexIndex(np.float32(1.31), zero))
     result = attempt_interaction_by_lane(
-        words, d, interface_state, to_single_precision(normal), np.float32(0.25), media, RULES
+        lanes, d, interface_state, to_single_precision(normal), np.float32(0.25), media, RULES
     )
     valid = result.accepted and result.transmitted == transmitted
     return result.direction if valid else to_single_precision(Vector(0.0, 0.0, 0.0))
@@ -201,9 +201,9 @@ def test_lobe_of_a_grain_follows_the_cosine(transmitted):
 @NEEDS_JIT
 @pytest.mark.parametrize("transmitted", [False, True])
 def test_lobe_of_a_grain_in_single_precision(transmitted):
-    words = make_lane_words()
+    lanes = make_lanes()
     judge_lobe(
-        _sample_grain_lobe_by_lane, 1e-6, words, transmitted, sign=-1.0 if transmitted else 1.0
+        _sample_grain_lobe_by_lane, 1e-6, lanes, transmitted, sign=-1.0 if transmitted else 1.0
     )
 
 

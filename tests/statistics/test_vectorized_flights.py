@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,14 +16,17 @@ from chi2 import (
     judge_z,
     uniform_cdf,
 )
-from events import make_lane_words
+from events import make_lanes
 from numba import njit
-from scenes import get_vectorized_scene, keep_all_grains, make_medium_scene
+from scenes import keep_all_grains, make_medium_scene
 from scipy import stats
 
 import splits
 from splits.kernels.compiler.features import Features
+from splits.kernels.grains.state import get_layer_geometry
+from splits.kernels.math.vectors import Vector, to_single
 from splits.kernels.vectorized import flight, lane_state, sampling
+from splits.kernels.vectorized.lane_state import Lane
 from splits.media import grain_statistics
 
 pytestmark = NEEDS_JIT
@@ -32,12 +36,11 @@ single = np.float32
 
 
 N_LANES = lane_state.N_LANES
-COLUMN_COUNTS = lane_state.TYPE // N_LANES + 1
 DEPTH_M = 1e4
 
 
 def make_deep_scene(medium):
-    """Return a scene with distant boundaries, features, tables and the distribution of types."""
+    """Return a scene with distant boundaries, features and tables."""
     scene = keep_all_grains(make_medium_scene(medium, depth=DEPTH_M, saturation=0.0))
     types = scene.types
     tables = (
@@ -48,45 +51,63 @@ def make_deep_scene(medium):
     features = Features(*[None] * len(Features._fields))._replace(
         faceted=True, mixed=True if types.n_shells.size > 1 else None
     )
-    return get_vectorized_scene(scene), features, tables, scene.layers.type_cdf
+    return scene, features, tables
+
+
+class HitGrains(NamedTuple):
+    """Grains that rays have hit, as in `lane_state.Lane`, and the distances to them (m)."""
+
+    q: np.ndarray
+    w: np.ndarray
+    flattening: np.ndarray
+    semi_minor: np.ndarray
+    roughness: np.ndarray
+    grain_type: np.ndarray
+    distance: np.ndarray
 
 
 @njit
-def _sample_flights(state, words, features, scene, tables, type_cdf, out):
-    """Fill `out` with the grains that the rays of all lanes hit successively."""
+def _start_lanes(lanes, layer_geometry):
+    """Start the rays of all lanes in flight at half of the depth."""
+    for i in range(N_LANES):
+        lane = Lane(lanes, i)
+        lane.position = Vector(single(0.0), single(0.0), single(-0.5 * DEPTH_M))
+        lane.direction = Vector(single(0.48), single(-0.64), single(0.6))
+        lane.previous_length, lane.next_roulette, lane.weight = -1.0, np.inf, 1.0
+        lane.layer_geometry, lane.status = layer_geometry, lane_state.IN_FLIGHT
+
+
+@njit
+def _sample_flights(lanes, features, rules, tables, type_cdf, hit):
+    """Fill `hit` with the grains that the rays of all lanes hit successively."""
     filled = 0
-    while filled < out.shape[0]:
-        sampling.draw_grain_properties(state, words, N_LANES, features, tables, type_cdf)
-        flight.run_flight_pass(state, words, N_LANES, features, scene)
-        for lane in range(N_LANES):
-            if state[lane_state.STATUS + lane] == lane_state.AT_SURFACE:
-                if filled < out.shape[0]:
-                    for j in range(COLUMN_COUNTS):
-                        out[filled, j] = state[j * N_LANES + lane]
+    while filled < hit.distance.size:
+        sampling.draw_grain_properties(lanes, N_LANES, features, tables, type_cdf)
+        flight.run_flight_pass(lanes, N_LANES, features, rules)
+        for i in range(N_LANES):
+            lane = Lane(lanes, i)
+            if lane.status == lane_state.AT_SURFACE:
+                if filled < hit.distance.size:
+                    q, w = lane.grain.q, lane.grain.w
+                    hit.q[filled, 0], hit.q[filled, 1], hit.q[filled, 2] = q.x, q.y, q.z
+                    hit.w[filled, 0], hit.w[filled, 1], hit.w[filled, 2] = w.x, w.y, w.z
+                    hit.flattening[filled] = lane.grain.flattening
+                    hit.semi_minor[filled] = lane.grain.semi_minor
+                    hit.roughness[filled], hit.grain_type[filled] = lane.roughness, lane.grain_type
+                    hit.distance[filled] = lane.previous_length
                     filled += 1
-                state[lane_state.STATUS + lane] = lane_state.IN_FLIGHT
-                for row in (lane_state.X, lane_state.Y):
-                    state[row + lane] = single(0.0)
-                state[lane_state.Z + lane] = single(-0.5 * DEPTH_M)
+                lane.status = lane_state.IN_FLIGHT
+                lane.position = Vector(single(0.0), single(0.0), single(-0.5 * DEPTH_M))
 
 
 def sample_collisions(medium, count=N_SAMPLES):
-    """Return a function that gives rows of the state of lanes after a collision with a grain."""
-    scene, features, tables, type_cdf = make_deep_scene(medium)
-    state = np.zeros(lane_state.STATE_SIZE, dtype=single)
-    words = make_lane_words()
-    for lane in range(N_LANES):
-        for row, value in (
-            (lane_state.Z, -0.5 * DEPTH_M),
-            (lane_state.DIR_X, 0.48), (lane_state.DIR_Y, -0.64), (lane_state.DIR_Z, 0.6),
-            (lane_state.PREV_LENGTH, -1.0),
-            (lane_state.NEXT_ROULETTE, np.inf), (lane_state.WEIGHT, 1.0),
-            (lane_state.STATUS, lane_state.IN_FLIGHT),
-        ):  # fmt: skip
-            state[row + lane] = value
-    out = np.empty((count, COLUMN_COUNTS), dtype=single)
-    _sample_flights(state, words, features, scene, tables, type_cdf, out)
-    return lambda *which: out[:, [row // N_LANES for row in which]].astype(float).squeeze()
+    """Return the grains that rays hit in a medium."""
+    scene, features, tables = make_deep_scene(medium)
+    lanes = make_lanes()
+    _start_lanes(lanes, to_single(get_layer_geometry(scene.layers, 0)))
+    hit = HitGrains(*np.empty((2, count, 3)), *np.empty((5, count)))
+    _sample_flights(lanes, features, scene.rules, tables, scene.layers.type_cdf, hit)
+    return hit
 
 
 RAY = np.array([0.48, -0.64, 0.6])
@@ -109,10 +130,8 @@ def test_flight_pass_follows_the_entry_distributions(psi, entry):
         depth_m=1.0,
         interpretation={"entry_point": entry},
     )
-    rows_of = sample_collisions(medium)
-    q = rows_of(lane_state.UNIT_POINT_X, lane_state.UNIT_POINT_Y, lane_state.UNIT_POINT_Z)
-    w = rows_of(lane_state.AXIS_X, lane_state.AXIS_Y, lane_state.AXIS_Z)
-    flattening = rows_of(lane_state.FLATTENING)
+    hit = sample_collisions(medium)
+    q, w, flattening = hit.q, hit.w, hit.flattening
     assert np.abs(flattening - (1.0 - psi * psi)).max() < 1e-6
     assert np.abs((q * q).sum(axis=1) - 1.0).max() < 2e-6
     assert np.abs((w * w).sum(axis=1) - 1.0).max() < 1e-6
@@ -134,7 +153,7 @@ def test_flight_pass_follows_the_entry_distributions(psi, entry):
         range=((0, 1), (0, 1)),
     )[0]  # fmt: skip
     n_forward = int((w @ RAY > 0.0).sum())
-    curvature = (1.0 - flattening) / rows_of(lane_state.SEMI_MINOR)
+    curvature = (1.0 - flattening) / hit.semi_minor
     scale = medium.mean_grain_distance_m
     judge_p(
         {
@@ -147,9 +166,7 @@ def test_flight_pass_follows_the_entry_distributions(psi, entry):
             "joint": compute_p_of_counts(counts, np.full(100, 0.01)),
             "turn": compute_p_of_values(axis_azimuth, uniform_cdf),
             "azimuth": compute_p_of_values(azimuth, uniform_cdf),
-            "distance": compute_p_of_values(
-                rows_of(lane_state.PREV_LENGTH), stats.expon(scale=scale).cdf, BIN_EDGES
-            ),
+            "distance": compute_p_of_values(hit.distance, stats.expon(scale=scale).cdf, BIN_EDGES),
             "size": compute_p_of_values(
                 curvature,
                 lambda x: np.clip((x - 1 / 3.75e-4) / (1 / 1.5e-4 - 1 / 3.75e-4), 0.0, 1.0),
@@ -164,16 +181,16 @@ def test_rejection_preserves_the_shape_distribution():
 
     limits = (0.3, 1.0, 0.5, 0.3)
     medium = splits.Snow(sphericity=limits, saturation=0.0, depth_m=1.0)
-    rows_of = sample_collisions(medium)
-    flattening = rows_of(lane_state.FLATTENING)
+    hit = sample_collisions(medium)
+    flattening = hit.flattening
 
     def density(x):
         bell = np.exp(-0.5 * ((x - limits[2]) / limits[3]) ** 2)
         return grain_statistics.surface_to_volume_ratio(x) * bell
 
     psi = np.sqrt(1.0 - flattening)
-    curvature = (1.0 - flattening) / rows_of(lane_state.SEMI_MINOR)
-    facetness = 2.0 * rows_of(lane_state.ROUGHNESS)
+    curvature = (1.0 - flattening) / hit.semi_minor
+    facetness = 2.0 * hit.roughness
     distribution = stats.truncnorm(-0.1 / 0.072, 0.1 / 0.072, loc=0.3, scale=0.072)
     p = {
         "shape": compute_p_of_values(psi, tabulate_cdf(density, *limits[:2])),
@@ -187,7 +204,7 @@ def test_rejection_preserves_the_shape_distribution():
     judge_p(p)
     pairs = (
         (psi, curvature),
-        (psi, rows_of(lane_state.PREV_LENGTH)),
+        (psi, hit.distance),
         (curvature, facetness),
         (psi, facetness),
     )
@@ -200,9 +217,9 @@ def test_sand_types_are_hit_by_their_fractions():
         iron_oxide=0.04, hematite_ratio=0.4, magnetite=0.1, partition=(0.4, 0.35, 0.25)
     )
     fractions = np.diff([0.0, *sand.make_grain_population().type_cdf])
-    rows_of = sample_collisions(sand)
-    grain_type = rows_of(lane_state.TYPE)
-    psi = np.sqrt(1.0 - rows_of(lane_state.FLATTENING))
+    hit = sample_collisions(sand)
+    grain_type = hit.grain_type
+    psi = np.sqrt(1.0 - hit.flattening)
     counts = np.histogram2d(
         grain_type,
         psi > np.median(psi),

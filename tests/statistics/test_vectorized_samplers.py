@@ -19,7 +19,7 @@ from chi2 import (
     start_random_stream,
     uniform_cdf,
 )
-from events import make_lane_words, sample_facet_by_lane, to_single_precision
+from events import make_lanes, sample_facet_by_lane, start_lane, to_single_precision
 from numba import njit
 from scipy import stats
 
@@ -30,6 +30,7 @@ from splits.kernels.math.vectors import UP, Vector
 from splits.kernels.vectorized import lane_rng, lane_state, sampling
 from splits.kernels.vectorized.interaction import draw_interaction_variates
 from splits.kernels.vectorized.intrinsics import gather_interpolate
+from splits.kernels.vectorized.lane_state import Lane
 from splits.media import grain_statistics
 
 pytestmark = NEEDS_JIT
@@ -49,10 +50,11 @@ def draw_bits(state):
 
 
 @njit
-def _draw_words(words, lane, first, out):
+def _draw_words(lanes, i, first, out):
+    lane = Lane(lanes, i)
     for offset in range(out.size):
-        words[lane_state.N_DRAWN + lane] = np.uint32(first)
-        out[offset] = lane_rng.compute_random_bits(words, lane, offset)
+        lane.n_drawn = np.uint32(first)
+        out[offset] = lane_rng.compute_random_bits(lane, offset)
 
 
 @njit
@@ -85,23 +87,18 @@ def _draw_uniforms(state, out):
         out[i] = rng.uniform(state)
 
 
-def set_lane_key(words, lane, start):
-    words[lane_state.KEY_HIGH + lane] = start >> 32
-    words[lane_state.KEY_LOW + lane] = start & 0xFFFFFFFF
-
-
 @pytest.mark.parametrize("lane", [0, 1, lane_state.N_LANES - 1])
 def test_lanes_use_the_random_stream_of_their_ray(lane):
-    words = np.full(lane_state.WORDS_SIZE, 0xDEADBEEF, dtype=np.uint32)
+    lanes = np.full(lane_state.STATE_SIZE, 0xDEADBEEF, dtype=np.uint32)
     for ray in (0, 1, 12_345, 2**40):
         state = start_random_stream(ray)
-        set_lane_key(words, lane, int(state[0]))
+        start_lane(lanes, lane, state[0])
         expected, actual = (np.empty(1000, dtype=np.uint64) for _ in range(2))
         _draw_stream_words(state, expected)
         # A new ray has drawn no numbers: its count starts at 1.
-        _draw_words(words, lane, 1, actual)
+        _draw_words(lanes, lane, 1, actual)
         np.testing.assert_array_equal(actual, expected)
-        _draw_words(words, lane, 101, actual[:900])
+        _draw_words(lanes, lane, 101, actual[:900])
         np.testing.assert_array_equal(actual[:900], expected[100:])
         doubles, uniforms = np.empty(1000), np.empty(1000)
         _draw_doubles(expected, doubles)
@@ -110,12 +107,12 @@ def test_lanes_use_the_random_stream_of_their_ray(lane):
 
 
 def test_streams_continue_after_2_to_the_31_numbers():
-    words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
+    lanes = np.zeros(lane_state.STATE_SIZE, dtype=np.uint32)
     start = start_random_stream(5)
-    set_lane_key(words, 3, int(start[0]))
+    start_lane(lanes, 3, start[0])
     actual, expected = np.empty(64, dtype=np.uint64), np.empty(64, dtype=np.uint64)
     for first in (2**31 - 32, 2**32 - 64):
-        _draw_words(words, 3, first, actual)
+        _draw_words(lanes, 3, first, actual)
         ahead = (int(start[0]) + (first - 1) * int(rng.GOLDEN_GAMMA)) % 2**64
         _draw_stream_words(np.array([ahead], dtype=np.uint64), expected)
         np.testing.assert_array_equal(actual, expected)
@@ -219,20 +216,20 @@ def test_azimuths_are_uniform():
 
 
 @njit
-def _sample_half_normal(state, words):
-    return float(draw_interaction_variates(words, 0, True, True).half_normal)
+def _sample_half_normal(state, lanes):
+    return float(draw_interaction_variates(Lane(lanes, 0), True, True).half_normal)
 
 
 @njit
-def _sample_half_circle(state, words):
-    azimuth = draw_interaction_variates(words, 0, True, True).azimuth
+def _sample_half_circle(state, lanes):
+    azimuth = draw_interaction_variates(Lane(lanes, 0), True, True).azimuth
     return float(azimuth.cos), float(azimuth.sin)
 
 
 def test_variates_of_an_interaction_follow_their_distributions():
     far = np.concatenate([np.arange(1, 50) / 50, 1.0 - np.array([1e-2, 3e-3, 1e-3, 3e-4])])
-    normal = draw_samples(_sample_half_normal, N_SAMPLES, make_lane_words())
-    cos, sin = draw_samples(_sample_half_circle, N_SAMPLES, make_lane_words(), width=2).T
+    normal = draw_samples(_sample_half_normal, N_SAMPLES, make_lanes())
+    cos, sin = draw_samples(_sample_half_circle, N_SAMPLES, make_lanes(), width=2).T
     assert np.abs(cos * cos + sin * sin - 1.0).max() < 1e-6 and cos.min() > -1e-6
     p = {
         "normal": compute_p_of_values(normal, stats.halfnorm.cdf, far),
@@ -247,10 +244,10 @@ def test_variates_of_an_interaction_follow_their_distributions():
 
 
 @njit
-def _sample_tilt(state, words, sigma):
+def _sample_tilt(state, lanes, sigma):
     """Return 1 − n·n' of any facet, whether it faces the ray or not."""
     d = to_single_precision(Vector(0.6, 0.0, -0.8))
-    facet = sample_facet_by_lane(words, d, to_single_precision(UP), sigma, microfacet.ANY_FACETS)
+    facet = sample_facet_by_lane(lanes, d, to_single_precision(UP), sigma, microfacet.ANY_FACETS)
     return float(single(1.0) - facet.tilt.cos)
 
 
@@ -258,9 +255,7 @@ def test_tilt_is_half_normal():
     p = {}
     for facetness in (0.1, 0.3, 1.0):
         sigma = 0.5 * facetness
-        x = draw_samples(
-            _sample_tilt, N_SAMPLES, make_lane_words(int(100 * facetness)), single(sigma)
-        )
+        x = draw_samples(_sample_tilt, N_SAMPLES, make_lanes(int(100 * facetness)), single(sigma))
         assert x.min() >= 0.0 and x.max() < 1.0
         distribution = stats.truncnorm(0.0, 1.0 / sigma, scale=sigma)
         p[facetness] = compute_p_of_values(x, distribution.cdf, BIN_EDGES)
@@ -271,7 +266,7 @@ def test_tilt_is_half_normal():
 
 
 def test_smooth_facets_have_no_tilt():
-    assert (draw_samples(_sample_tilt, 1000, make_lane_words(), single(0.0)) == 0.0).all()
+    assert (draw_samples(_sample_tilt, 1000, make_lanes(), single(0.0)) == 0.0).all()
 
 
 MIN_SINE = single(1e-4)
@@ -279,11 +274,11 @@ MIN_SINE = single(1e-4)
 
 
 @njit
-def _sample_facet(state, words, sigma, cos_i, sin_i, rule):
+def _sample_facet(state, lanes, sigma, cos_i, sin_i, rule):
     """Return tilt and azimuth of a sampled facet, and the cosine of incidence on it."""
     zero = single(0.0)
     d = Vector(sin_i, zero, -cos_i)
-    facet = sample_facet_by_lane(words, d, to_single_precision(UP), sigma, rule)
+    facet = sample_facet_by_lane(lanes, d, to_single_precision(UP), sigma, rule)
     cos_facet = -facet.cos_facet if facet.back_side else facet.cos_facet
     tilt = single(1.0) - facet.tilt.cos
     sine = facet.tilt.sin * max(sin_i, MIN_SINE)
@@ -304,7 +299,7 @@ def test_facets_follow_their_density(rule):
     for number, (facetness, cos_i) in enumerate(product((0.3, 1.0), (0.05, 0.5, 1.0))):
         sin_i = math.sqrt(1.0 - cos_i**2)
         out = draw_samples(
-            _sample_facet, N_SAMPLES, make_lane_words(100 * number), single(0.5 * facetness),
+            _sample_facet, N_SAMPLES, make_lanes(100 * number), single(0.5 * facetness),
             single(cos_i), single(sin_i), RULES[rule], width=5,
         )  # fmt: skip
         x, tilt_sine, sine, cosine, cos_facet = out.T
@@ -328,13 +323,17 @@ def test_facets_follow_their_density(rule):
 # --- tables -----------------------------------------------------------------------------------
 
 
+NEW_ROUGHNESS = lane_state.N_LANES * Lane.fields["new_roughness"].row
+
+
 @njit
 def _look_up(table, row, x):
     """Return the value that a lane interpolates in a table."""
-    state = np.zeros(3 * lane_state.VECTOR_WIDTH, dtype=single)
-    state[0], state[lane_state.VECTOR_WIDTH] = row, x
-    gather_interpolate(table, state, 0, lane_state.VECTOR_WIDTH, 2 * lane_state.VECTOR_WIDTH)
-    return state[2 * lane_state.VECTOR_WIDTH]
+    lanes = np.zeros(lane_state.STATE_SIZE, dtype=single)
+    lane = Lane(lanes, 0)
+    lane.new_type, lane.quantile_roughness = row, x
+    gather_interpolate(table, lane, "new_type", "quantile_roughness", "new_roughness")
+    return lanes[NEW_ROUGHNESS]
 
 
 @njit

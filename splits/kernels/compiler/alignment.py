@@ -21,9 +21,9 @@ CACHE_LINE_BYTES = 64
 
 @inline_allocating
 def allocate_aligned(count):
-    """Return float32[count] of zeros, aligned to a cache line."""
+    """Return uint32[count] of zeros, aligned to a cache line."""
     words = CACHE_LINE_BYTES // 4
-    buffer = np.zeros(count + words, dtype=np.float32)
+    buffer = np.zeros(count + words, dtype=np.uint32)
     offset = -(buffer.ctypes.data // 4) % words
     return buffer[offset : offset + count]
 

@@ -36,11 +36,17 @@ def mix64(z):
 
 
 @inline
-def start_stream(state, seed, ensemble, ray):
-    """Set `state` (``uint64[1]``) to the start of the stream of a ray."""
+def compute_stream_start(seed, ensemble, ray):
+    """Return the initial counter of the stream of a ray."""
     key = mix64(np.uint64(seed) + GOLDEN_GAMMA)
     key = mix64(key ^ (np.uint64(ensemble) * _MIX1 + GOLDEN_GAMMA))
-    state[0] = mix64(key ^ (np.uint64(ray) * GOLDEN_GAMMA + _MIX2))
+    return mix64(key ^ (np.uint64(ray) * GOLDEN_GAMMA + _MIX2))
+
+
+@inline
+def start_stream(state, seed, ensemble, ray):
+    """Set `state` (``uint64[1]``) to the start of the stream of a ray."""
+    state[0] = compute_stream_start(seed, ensemble, ray)
 
 
 @inline

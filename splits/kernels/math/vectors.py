@@ -8,7 +8,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from splits.kernels.compiler.jit import ONE, TWO, ZERO, inline
+import numpy as np
+from llvmlite import ir
+from numba.extending import intrinsic, overload
+
+from splits.kernels.compiler.jit import INLINE_OPTIONS, ONE, TWO, ZERO, inline
 from splits.kernels.math.arithmetic import fma, rsqrt, sqrt
 from splits.kernels.math.elementary import Angle, sample_circle
 
@@ -62,10 +66,45 @@ def linear_combination(g, a, h, b):
     return Vector(fma(g, a.x, h * b.x), fma(g, a.y, h * b.y), fma(g, a.z, h * b.z))
 
 
-@inline
 def select(condition, a, b):
-    """Return a if `condition` holds, otherwise b, without a branch."""
-    return Vector(a.x if condition else b.x, a.y if condition else b.y, a.z if condition else b.z)
+    """Return a if `condition` holds, otherwise b, without a branch: numbers or named tuples."""
+    return a if condition else b
+
+
+@overload(select, jit_options=INLINE_OPTIONS)
+def _overload_select(condition, a, b):
+    return lambda condition, a, b: _select_intrinsic(condition, a, b)
+
+
+@intrinsic
+def _select_intrinsic(typing_context, condition, a, b):
+    def generate(context, builder, signature, arguments):
+        def choose(x, y):
+            if not isinstance(x.type, ir.Aggregate):
+                return builder.select(arguments[0], x, y)
+            chosen = x
+            for i in range(len(x.type)):
+                member = choose(builder.extract_value(x, i), builder.extract_value(y, i))
+                chosen = builder.insert_value(chosen, member, i)
+            return chosen
+
+        return choose(*arguments[1:])
+
+    return (a(condition, a, b), generate) if a == b else None
+
+
+def to_single(value):
+    """Return a named tuple of numbers in single precision."""
+    return type(value)(*map(np.float32, value))
+
+
+@overload(to_single, jit_options=INLINE_OPTIONS)
+def _overload_to_single(value):
+    kind = value.instance_class
+    numbers = ", ".join(f"single(value.{name})" for name in kind._fields)
+    scope = {"Kind": kind, "single": np.float32}
+    exec(f"def to_single(value):\n    return Kind({numbers})", scope)
+    return scope["to_single"]
 
 
 @inline

@@ -5,14 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy import float32 as single
 
 from splits.kernels.compiler.alignment import align_stack, allocate_aligned
 from splits.kernels.compiler.jit import ZERO, entry_point, inline_allocating, inline_only
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.free_path import LayerGeometry
-from splits.kernels.grains.scene import WRONG_SIDE_LOBE
-from splits.kernels.grains.state import make_rejection_rules
 from splits.kernels.tallies.crossings import (
     allocate_crossings,
     ensure_capacity,
@@ -22,19 +18,19 @@ from splits.kernels.tallies.crossings import (
 from splits.kernels.tallies.exits import BatchResult
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.flight import run_flight_pass
-from splits.kernels.vectorized.ground import reaches_ground, reflect_from_ground
 from splits.kernels.vectorized.interaction import run_surface_pass
 from splits.kernels.vectorized.lane_optics import set_grain_optics
-from splits.kernels.vectorized.lane_state import PassConstants
+from splits.kernels.vectorized.lane_state import N_LANES, STRIDE, Lane
 from splits.kernels.vectorized.layers import (
     attenuate_segment,
     cross_interface,
     locate_layer,
+    reaches_ground,
+    reflect_from_ground,
     restart_flight,
 )
 from splits.kernels.vectorized.lifecycle import (
     BatchJob,
-    LaneState,
     compact_lanes,
     cross_boundary,
     flush_path_lengths,
@@ -44,61 +40,33 @@ from splits.kernels.vectorized.lifecycle import (
 from splits.kernels.vectorized.sampling import draw_grain_properties
 
 
-@inline_only
-def make_pass_constants(scene):
-    """Return the constants of a scene that the passes use."""
-    layers, rules = scene.layers, scene.rules
-    top, bottom = (
-        single(layers.boundaries[0]),
-        single(layers.boundaries[layers.boundaries.size - 1]),
-    )
-    layer_geometry = LayerGeometry(
-        single(1.0 / layers.collision_coefficient[0]), bottom, top, bottom, top, top
-    )
-    mirror_wrong_side = rules.wrong_side != WRONG_SIDE_LOBE
-    wet_fraction = single(layers.wet_fraction[0])
-    return PassConstants(
-        layer_geometry, make_rejection_rules(rules), wet_fraction, rules.facet_sampling,
-        mirror_wrong_side, rules.point_grains
-    )  # fmt: skip
-
-
 @inline_allocating
-def allocate_lanes(n_materials):
-    """Return idle lanes."""
+def allocate_lanes():
+    """Return the state of idle lanes."""
     state = allocate_aligned(lane_state.STATE_SIZE)
-    state[lane_state.STATUS : lane_state.STATUS + lane_state.N_LANES] = lane_state.IDLE
-    words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
-    path_lengths = np.zeros((lane_state.N_LANES, n_materials))
-    ray, item = (
-        np.zeros(lane_state.N_LANES, dtype=np.int64),
-        np.zeros(lane_state.N_LANES, dtype=np.int64),
-    )
-    return LaneState(state, words, path_lengths, ray, item, np.zeros(1, dtype=np.uint64))
+    for i in range(N_LANES):
+        Lane(state, i).status = lane_state.IDLE
+    return state
 
 
 @inline_only
-def advance_flights(lanes, width, features, tables, job, crossings):
-    """Sample the next grain for all lanes between grains; return the `PassCounts`."""
-    draw_grain_properties(
-        lanes.state, lanes.words, width, features, tables, job.scene.layers.type_cdf
-    )
+def advance_flights(state, path_lengths, width, tables, job, crossings):
+    """Sample the next grain for all lanes between grains."""
+    features = job.features
+    draw_grain_properties(state, width, features, tables, job.scene.layers.type_cdf)
     if features.mixed is not None:
-        for lane in range(width):
-            if lanes.state[lane_state.STATUS + lane] == lane_state.IN_FLIGHT:
-                flush_path_lengths(lanes, lane, job.scene)
-    counts = run_flight_pass(lanes.state, lanes.words, width, features, job.constants)
+        for i in range(width):
+            lane = Lane(state, i)
+            if lane.status == lane_state.IN_FLIGHT:
+                flush_path_lengths(lane, path_lengths[i], job.scene)
+    run_flight_pass(state, width, features, job.scene.rules)
     if features.mixed is not None:
-        for lane in range(width):
-            at_surface = lanes.state[lane_state.STATUS + lane] == lane_state.AT_SURFACE
-            if at_surface and lanes.state[lane_state.SHELL + lane] == ZERO:
-                set_grain_optics(lanes, lane, job)
-                if (
-                    features.layered is not None
-                    and lanes.state[lane_state.SEGMENT_ATTENUATED + lane] == ZERO
-                ):
-                    attenuate_segment(lanes, lane, job, crossings)
-    return counts
+        for i in range(width):
+            lane = Lane(state, i)
+            if lane.status == lane_state.AT_SURFACE and lane.shell == ZERO:
+                set_grain_optics(lane, job)
+                if features.layered is not None and not lane.segment_attenuated:
+                    attenuate_segment(lane, job, path_lengths[i], crossings)
 
 
 class SourceQueue(NamedTuple):
@@ -135,48 +103,45 @@ def skip_finished_items(queue, work):
 
 
 @inline_only
-def launch_next_ray(lanes, lane, job, exits, queue):
+def launch_next_ray(lane, job, path_lengths, exits, queue):
     """Launch rays in a free lane until one enters the sample or none is left."""
-    state = lanes.state
     while queue.next_ray < queue.n_rays:
         queue = skip_finished_items(queue, job.work)
-        lanes.path_lengths[lane] = 0.0
-        lanes.ray[lane] = queue.next_ray
-        lanes.item[lane] = queue.item
-        entered = sample_source(lanes, lane, job, queue.ray_in_item)
+        path_lengths[:] = 0.0
+        entered = sample_source(lane, job, queue.next_ray, queue.item, queue.ray_in_item)
         n_active = queue.n_active + 1 if entered else queue.n_active
         queue = replace(
             queue, next_ray=queue.next_ray + 1, ray_in_item=queue.ray_in_item + 1, n_active=n_active
         )
         if entered:
             return queue
-        record_lane_exit(lanes, lane, exits)
-    state[lane_state.STATUS + lane] = lane_state.IDLE
+        record_lane_exit(lane, path_lengths, exits)
+    lane.status = lane_state.IDLE
     return queue
 
 
 @inline_only
-def handle_boundary(lanes, lane, job, crossings, status):
+def handle_boundary(lane, job, path_lengths, crossings):
     """Handle a ray at a boundary, or one that changes its layer; return whether it leaves."""
-    if status == lane_state.AT_GROUND:
+    if lane.status == lane_state.AT_GROUND:
         return True
     if job.features.layered is None:
-        return cross_boundary(lanes, lane, job)
-    if status == lane_state.RESTART:
-        restart_flight(lanes, lane, job)
+        return cross_boundary(lane, job)
+    if lane.status == lane_state.RESTART:
+        restart_flight(lane, job)
         return False
-    if status == lane_state.RELOCATE:
-        locate_layer(lanes, lane, job, crossings)
+    if lane.status == lane_state.RELOCATE:
+        locate_layer(lane, job, path_lengths, crossings)
         return False
-    return cross_interface(lanes, lane, job, crossings)
+    return cross_interface(lane, job, path_lengths, crossings)
 
 
 @inline_only
-def handle_waiting_lanes(lanes, width, job, crossings, exits, n_segments, queue):
+def handle_waiting_lanes(state, all_path_lengths, width, job, crossings, exits, n_segments, queue):
     """Record finished rays, handle rays at boundaries, and launch new rays."""
-    state = lanes.state
-    for lane in range(width):
-        status = state[lane_state.STATUS + lane]
+    for i in range(width):
+        lane, path_lengths = Lane(state, i), all_path_lengths[i]
+        status = lane.status
         if status < lane_state.AT_BOUNDARY:
             continue
         if status == lane_state.LOST:
@@ -185,31 +150,31 @@ def handle_waiting_lanes(lanes, width, job, crossings, exits, n_segments, queue)
             continue
         leaves = False
         if status <= lane_state.RELOCATE:
-            leaves = handle_boundary(lanes, lane, job, crossings, status)
-            if leaves and reaches_ground(lanes, lane, job):
-                reflect_from_ground(lanes, lane, job, crossings)
+            leaves = handle_boundary(lane, job, path_lengths, crossings)
+            if leaves and reaches_ground(lane, job):
+                reflect_from_ground(lane, job, path_lengths, crossings)
                 leaves = False
             if not leaves:
                 continue
         if status != lane_state.IDLE:
             queue = replace(queue, n_active=queue.n_active - 1)
-            n_segments[lanes.item[lane]] += lanes.words[lane_state.N_SEGMENTS + lane]
+            n_segments[lane.item] += lane.n_segments
         if leaves:
-            flush_path_lengths(lanes, lane, job.scene)
-            record_lane_exit(lanes, lane, exits)
-        queue = launch_next_ray(lanes, lane, job, exits, queue)
+            flush_path_lengths(lane, path_lengths, job.scene)
+            record_lane_exit(lane, path_lengths, exits)
+        queue = launch_next_ray(lane, job, path_lengths, exits, queue)
     return queue
 
 
 @inline_only
-def count_in_flight(state, width):
-    """Return the number of lanes in flight or waiting for `handle_waiting_lanes`."""
-    n_in_flight = 0
-    for lane in range(width):
-        status = state[lane_state.STATUS + lane]
-        if status == lane_state.IN_FLIGHT or lane_state.AT_BOUNDARY <= status < lane_state.IDLE:
-            n_in_flight += 1
-    return n_in_flight
+def count_lanes(state, width):
+    """Return the number of lanes in flight, and of those for `handle_waiting_lanes`."""
+    n_in_flight, n_waiting = np.int32(0), np.int32(0)
+    for i in range(width):
+        status = Lane(state, i).status
+        n_in_flight = np.int32(n_in_flight + (status == lane_state.IN_FLIGHT))
+        n_waiting = np.int32(n_waiting + (status >= lane_state.AT_BOUNDARY))
+    return n_in_flight, n_waiting
 
 
 @entry_point
@@ -246,31 +211,29 @@ def trace_batch(seed, work, scene, optics, exits, features):
         (1.0 - types.sphericity * types.sphericity).astype(np.float32),
         (0.5 * types.facetness).astype(np.float32),
     )
-    job = BatchJob(seed, work, scene, optics, features, make_pass_constants(scene))
-    lanes = allocate_lanes(optics.n.shape[1])
+    job = BatchJob(seed, work, scene, optics, features)
+    state, path_lengths = allocate_lanes(), np.zeros((N_LANES, optics.n.shape[1]))
     n_segments = np.zeros(len(work), dtype=np.int64)
     queue = SourceQueue(0, work[:, 2].sum(), 0, 0, 0, False)
     crossings = allocate_crossings(optics.n.shape[1])
-    width = min(
-        lane_state.N_LANES, max(1, -(-queue.n_rays // lane_state.STRIDE)) * lane_state.STRIDE
-    )
-    n_in_flight, n_finished = 0, width
+    width = min(N_LANES, max(1, -(-queue.n_rays // STRIDE)) * STRIDE)
     # Between two checks of the capacity, a ray may hit a grain once and be served once.
     max_new_crossings = 2 * width * scene.layers.boundaries.size
     while True:
         if not has_capacity(crossings, max_new_crossings):
             crossings = ensure_capacity(crossings, max_new_crossings)
-        if n_finished > 0:
-            queue = handle_waiting_lanes(lanes, width, job, crossings, exits, n_segments, queue)
+        n_in_flight, n_waiting = count_lanes(state, width)
+        if n_waiting > 0:
+            queue = handle_waiting_lanes(
+                state, path_lengths, width, job, crossings, exits, n_segments, queue
+            )
             if queue.lost or queue.n_active == 0:
                 return BatchResult(n_segments, queue.lost, get_recorded(crossings))
-            if queue.n_active <= width - lane_state.STRIDE:
-                width = compact_lanes(lanes, width, queue.n_active)
-            n_in_flight = count_in_flight(lanes.state, width)
+            if queue.n_active <= width - STRIDE:
+                width = compact_lanes(state, path_lengths, width, queue.n_active)
+            n_in_flight, _ = count_lanes(state, width)
         # The pass that serves more lanes is next.
         if 2 * n_in_flight >= queue.n_active:
-            counts = advance_flights(lanes, width, features, tables, job, crossings)
-            n_in_flight, n_finished = counts.n_in_flight, counts.n_finished
+            advance_flights(state, path_lengths, width, tables, job, crossings)
         else:
-            n_in_flight = run_surface_pass(lanes.state, lanes.words, width, features, job.constants)
-            n_finished = 0
+            run_surface_pass(state, width, features, scene.rules)

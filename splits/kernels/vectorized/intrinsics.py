@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
+from splits.kernels.compiler.structure_of_arrays import list_addresses
 from splits.kernels.vectorized.lane_state import VECTOR_WIDTH
+
+_INT, _LONG = ir.IntType(32), ir.IntType(64)
+_INTS, _LONGS, _FLOATS = (
+    ir.VectorType(kind, VECTOR_WIDTH) for kind in (_INT, _LONG, ir.FloatType())
+)
 
 
 @intrinsic
@@ -59,8 +66,8 @@ def _get_bytecode_offset(block: ir.Block) -> int:
     return int(found[1]) if found else 0
 
 
-@intrinsic
-def gather_interpolate(typing_context, table, state, row_at, position_at, value_at):
+@intrinsic(prefer_literal=True)
+def gather_interpolate(typing_context, table, lane, row, position, value):
     """Interpolate a table linearly for `VECTOR_WIDTH` lanes at once.
 
     LLVM cannot prove that stores to lanes do not change the table, and loads its values one by one;
@@ -69,68 +76,55 @@ def gather_interpolate(typing_context, table, state, row_at, position_at, value_
     Parameters
     ----------
     table : float32[rows, points]
-    state : float32[:]
-    row_at, position_at, value_at : int
-        Offsets in `state` of the rows of the lanes (clipped to the last one), of their positions
-        from 0 to points − 1, and of the interpolated values.
+    lane : Lane
+        The first one.
+    row, position, value : str
+        Fields of the row in the table (clipped to the last one), of the position from 0 to
+        points − 1, and of the interpolated value.
     """
 
     def generate(context, builder, signature, arguments):
-        number, short, long = ir.FloatType(), ir.IntType(32), ir.IntType(64)
-        numbers, shorts, longs = (
-            ir.VectorType(kind, VECTOR_WIDTH) for kind in (number, short, long)
-        )
-        mask = ir.VectorType(ir.IntType(1), VECTOR_WIDTH)
-        pointers = ir.VectorType(number.as_pointer(), VECTOR_WIDTH)
-        values, lanes = (
-            context.make_array(kind)(context, builder, value)
-            for kind, value in zip(signature.args[:2], arguments[:2], strict=True)
-        )
-        rows, points = (
-            builder.trunc(size, short) for size in cgutils.unpack_tuple(builder, values.shape)
-        )
+        values = context.make_array(table)(context, builder, arguments[0])
+        rows, points = (builder.trunc(n, _INT) for n in cgutils.unpack_tuple(builder, values.shape))
 
-        def broadcast(value, kind):
-            undefined = ir.Constant(kind, ir.Undefined)
-            first = builder.insert_element(undefined, value, ir.Constant(short, 0))
-            return builder.shuffle_vector(first, undefined, ir.Constant(shorts, [0] * VECTOR_WIDTH))
+        def locate(field, kind):
+            address = next(list_addresses(builder, lane, arguments[1], field.literal_value))
+            return builder.bitcast(address, kind.as_pointer())
 
-        def lane(offset):
-            return builder.bitcast(builder.gep(lanes.data, [offset]), numbers.as_pointer())
+        def clip(number, limit):
+            limit = _broadcast(builder, limit, _INTS)
+            return builder.select(builder.icmp_signed("<", number, limit), number, limit)
 
-        def clip(value, limit):
-            limit = broadcast(limit, shorts)
-            return builder.select(builder.icmp_signed("<", value, limit), value, limit)
-
-        def gather_values(address):
-            gather = cgutils.get_or_insert_function(
-                builder.module,
-                ir.FunctionType(numbers, [pointers, short, mask, numbers]),
-                f"llvm.masked.gather.v{VECTOR_WIDTH}f32.v{VECTOR_WIDTH}p0",
-            )
-            return builder.call(
-                gather,
-                [
-                    builder.inttoptr(address, pointers),
-                    ir.Constant(short, 4),
-                    ir.Constant(mask, [1] * VECTOR_WIDTH),
-                    ir.Constant(numbers, ir.Undefined),
-                ],
-            )
-
-        position = builder.load(lane(arguments[3]), align=4)
-        below = builder.fptosi(position, shorts)
-        below = clip(below, builder.sub(points, ir.Constant(short, 2)))
-        fraction = builder.fsub(position, builder.sitofp(below, numbers))
-        which = builder.fptosi(builder.load(lane(arguments[2]), align=4), shorts)
-        which = clip(which, builder.sub(rows, ir.Constant(short, 1)))
-        offset_in_table = builder.add(builder.mul(which, broadcast(points, shorts)), below)
-        step = ir.Constant(longs, [4] * VECTOR_WIDTH)
-        start = broadcast(builder.ptrtoint(values.data, long), longs)
-        low_at = builder.add(start, builder.mul(builder.zext(offset_in_table, longs), step))
-        low, high = gather_values(low_at), gather_values(builder.add(low_at, step))
-        value = builder.fadd(low, builder.fmul(fraction, builder.fsub(high, low)))
-        builder.store(value, lane(arguments[4]), align=4)
+        at = builder.load(locate(position, _FLOATS), align=4)
+        below = clip(builder.fptosi(at, _INTS), builder.sub(points, _INT(2)))
+        fraction = builder.fsub(at, builder.sitofp(below, _FLOATS))
+        which = clip(builder.load(locate(row, _INTS), align=4), builder.sub(rows, _INT(1)))
+        offset = builder.add(builder.mul(which, _broadcast(builder, points, _INTS)), below)
+        start, step = builder.ptrtoint(values.data, _LONG), _LONGS([4] * VECTOR_WIDTH)
+        offset = builder.mul(builder.zext(offset, _LONGS), step)
+        low_at = builder.add(_broadcast(builder, start, _LONGS), offset)
+        low, high = _gather(builder, low_at), _gather(builder, builder.add(low_at, step))
+        result = builder.fadd(low, builder.fmul(fraction, builder.fsub(high, low)))
+        builder.store(result, locate(value, _FLOATS), align=4)
         return context.get_dummy_value()
 
-    return types.void(table, state, row_at, position_at, value_at), generate
+    return types.void(table, lane, row, position, value), generate
+
+
+def _broadcast(builder: Any, value: Any, kind: ir.VectorType) -> Any:
+    """Return a vector of equal numbers."""
+    first = builder.insert_element(kind(ir.Undefined), value, _INT(0))
+    return builder.shuffle_vector(first, kind(ir.Undefined), _INTS([0] * VECTOR_WIDTH))
+
+
+def _gather(builder: Any, addresses: Any) -> Any:
+    """Load a number from each address of a vector."""
+    mask = ir.VectorType(ir.IntType(1), VECTOR_WIDTH)
+    pointers = ir.VectorType(ir.FloatType().as_pointer(), VECTOR_WIDTH)
+    gather = cgutils.get_or_insert_function(
+        builder.module,
+        ir.FunctionType(_FLOATS, [pointers, _INT, mask, _FLOATS]),
+        f"llvm.masked.gather.v{VECTOR_WIDTH}f32.v{VECTOR_WIDTH}p0",
+    )
+    addresses, everywhere = builder.inttoptr(addresses, pointers), mask([1] * VECTOR_WIDTH)
+    return builder.call(gather, [addresses, _INT(4), everywhere, _FLOATS(ir.Undefined)])

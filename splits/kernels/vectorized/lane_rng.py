@@ -7,7 +7,6 @@ from numpy import float32 as single
 
 from splits.kernels.compiler.jit import HALF, ONE, inline_only
 from splits.kernels.math.rng import GOLDEN_GAMMA, mix64
-from splits.kernels.vectorized.lane_state import KEY_HIGH, KEY_LOW, N_DRAWN
 
 _MASK_21 = np.uint64(0x1FFFFF)
 _MASK_23 = np.uint64(0x7FFFFF)
@@ -20,11 +19,19 @@ _LARGEST_BELOW_ONE = single(1.0 - 2.0**-24)
 
 
 @inline_only
-def compute_random_bits(words, lane, offset):
+def compute_random_bits(lane, offset):
     """Return 64 random bits of the stream of a lane, `offset` numbers ahead of its counter."""
-    key = (np.uint64(words[KEY_HIGH + lane]) << np.uint64(32)) | np.uint64(words[KEY_LOW + lane])
-    number = np.uint32(words[N_DRAWN + lane] + np.uint32(offset))
+    key = (np.uint64(lane.key_high) << np.uint64(32)) | np.uint64(lane.key_low)
+    number = np.uint32(lane.n_drawn + np.uint32(offset))
     return mix64(key + np.uint64(number) * GOLDEN_GAMMA)
+
+
+@inline_only
+def draw_uniform(lane):
+    """Draw the next random number of a lane in double precision."""
+    u = to_uniform_52(compute_random_bits(lane, 0))
+    lane.n_drawn += np.uint32(1)
+    return u
 
 
 @inline_only

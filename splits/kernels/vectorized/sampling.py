@@ -7,13 +7,14 @@ from numpy import float32 as single
 
 from splits.kernels.compiler.jit import HALF, ONE, ZERO, entry_point_no_refcount, inline_only
 from splits.kernels.math.arithmetic import sqrt
-from splits.kernels.vectorized import lane_state
+from splits.kernels.math.vectors import select
 from splits.kernels.vectorized.intrinsics import (
     gather_interpolate,
     interleave_loops,
     prefer_512_bit_vectors,
 )
 from splits.kernels.vectorized.lane_rng import compute_random_bits, to_uniform_31
+from splits.kernels.vectorized.lane_state import STRIDE, VECTOR_WIDTH, Lane
 
 _SHIFT_33 = np.uint64(33)
 
@@ -30,30 +31,22 @@ def compute_quantile_position(u, last_node):
 
 
 @inline_only
-def draw_variates(state, words, first_lane, features, last_node):
+def draw_variates(state, first_lane, features, last_node):
     """Draw the variates of the next grain for `STRIDE` lanes from `first_lane` on."""
     prefer_512_bit_vectors()
-    first_lane &= lane_state.N_LANES - 1
-    for j in range(lane_state.STRIDE):
-        i = first_lane + j
-        bits = compute_random_bits(words, i, 3)
-        state[lane_state.QUANTILE_INVERSE_SEMI_MAJOR + i] = compute_quantile_position(
-            to_uniform_31(bits >> _SHIFT_33), last_node
-        )
-        state[lane_state.QUANTILE_FLATTENING + i] = compute_quantile_position(
-            to_uniform_31(bits), last_node
-        )
-        bits = compute_random_bits(words, i, 4)
+    for j in range(STRIDE):
+        lane = Lane(state, first_lane + j)
+        bits = compute_random_bits(lane, 3)
+        u_size, u_shape = to_uniform_31(bits >> _SHIFT_33), to_uniform_31(bits)
+        lane.quantile_inverse_semi_major = compute_quantile_position(u_size, last_node)
+        lane.quantile_flattening = compute_quantile_position(u_shape, last_node)
+        bits = compute_random_bits(lane, 4)
         if features.faceted is not None:
-            state[lane_state.QUANTILE_ROUGHNESS + i] = compute_quantile_position(
-                to_uniform_31(bits >> _SHIFT_33), last_node
-            )
+            u_roughness = to_uniform_31(bits >> _SHIFT_33)
+            lane.quantile_roughness = compute_quantile_position(u_roughness, last_node)
         if features.mixed is not None:
-            state[lane_state.U_TYPE + i] = to_uniform_31(bits)
-            first_type = ZERO
-            if features.layered is not None:
-                first_type = state[lane_state.FIRST_TYPE + i]
-            state[lane_state.CHOSEN_TYPE + i] = first_type
+            lane.u_type = to_uniform_31(bits)
+            lane.chosen_type = 0 if features.layered is None else lane.first_type
     interleave_loops()
 
 
@@ -61,27 +54,23 @@ def draw_variates(state, words, first_lane, features, last_node):
 def pick_types(state, first_lane, type_cdf, features):
     """Select the type of the next grain for `STRIDE` lanes from `first_lane` on."""
     prefer_512_bit_vectors()
-    first_lane &= lane_state.N_LANES - 1
     for layer in range(type_cdf.shape[0]):
-        layer_number = single(layer)
+        layer_number = np.int32(layer)
         for row in range(type_cdf.shape[1] - 1):
             probability = single(type_cdf[layer, row])
-            for j in range(lane_state.STRIDE):
-                i = first_lane + j
-                step = ONE if state[lane_state.U_TYPE + i] >= probability else ZERO
+            for j in range(STRIDE):
+                lane = Lane(state, first_lane + j)
+                later = lane.u_type >= probability
                 if features.layered is not None:
-                    step = step if state[lane_state.LAYER + i] == layer_number else ZERO
-                state[lane_state.CHOSEN_TYPE + i] += step
-    for j in range(lane_state.STRIDE):
-        i = first_lane + j
-        kept_type, chosen_type = state[lane_state.NEW_TYPE + i], state[lane_state.CHOSEN_TYPE + i]
-        state[lane_state.NEW_TYPE + i] = (
-            kept_type if state[lane_state.KEEP_SHAPE + i] > ZERO else chosen_type
-        )
+                    later = later & (lane.layer == layer_number)
+                lane.chosen_type += later
+    for j in range(STRIDE):
+        lane = Lane(state, first_lane + j)
+        lane.new_type = select(lane.keep_shape, lane.new_type, lane.chosen_type)
 
 
 @entry_point_no_refcount
-def draw_grain_properties(state, words, width, features, tables, type_cdf):
+def draw_grain_properties(state, width, features, tables, type_cdf):
     """Draw type, size, shape and roughness of the next grain in every lane.
 
     After a rejected axial position type and shape are kept, because its probability depends on the
@@ -89,7 +78,7 @@ def draw_grain_properties(state, words, width, features, tables, type_cdf):
 
     Parameters
     ----------
-    state, words, width, features
+    state, width, features
         See `flight.run_flight_pass`.
     tables : tuple of 3 float32[rows, m]
         Curvature, flattening and half facetness at the probabilities of
@@ -100,35 +89,20 @@ def draw_grain_properties(state, words, width, features, tables, type_cdf):
     prefer_512_bit_vectors()
     curvature, flattening, roughness = tables
     last_node = single(curvature.shape[1] - 1)
-    for first_lane in range(0, width, lane_state.STRIDE):
-        draw_variates(state, words, first_lane, features, last_node)
+    for first_lane in range(0, width, STRIDE):
+        draw_variates(state, first_lane, features, last_node)
         if features.mixed is not None:
             pick_types(state, first_lane, type_cdf, features)
-    for i in range(0, width, lane_state.VECTOR_WIDTH):
+    for i in range(0, width, VECTOR_WIDTH):
+        lane = Lane(state, i)
         gather_interpolate(
-            curvature,
-            state,
-            lane_state.NEW_TYPE + i,
-            lane_state.QUANTILE_INVERSE_SEMI_MAJOR + i,
-            lane_state.NEW_INVERSE_SEMI_MAJOR + i,
+            curvature, lane, "new_type", "quantile_inverse_semi_major", "new_inverse_semi_major"
         )
         gather_interpolate(
-            flattening,
-            state,
-            lane_state.NEW_TYPE + i,
-            lane_state.QUANTILE_FLATTENING + i,
-            lane_state.QUANTILE_FLATTENING + i,
+            flattening, lane, "new_type", "quantile_flattening", "quantile_flattening"
         )
         if features.faceted is not None:
-            gather_interpolate(
-                roughness,
-                state,
-                lane_state.NEW_TYPE + i,
-                lane_state.QUANTILE_ROUGHNESS + i,
-                lane_state.NEW_ROUGHNESS + i,
-            )
+            gather_interpolate(roughness, lane, "new_type", "quantile_roughness", "new_roughness")
     for i in range(width):
-        old, drawn = state[lane_state.NEW_FLATTENING + i], state[lane_state.QUANTILE_FLATTENING + i]
-        state[lane_state.NEW_FLATTENING + i] = (
-            old if state[lane_state.KEEP_SHAPE + i] > ZERO else drawn
-        )
+        lane = Lane(state, i)
+        lane.new_flattening = select(lane.keep_shape, lane.new_flattening, lane.quantile_flattening)

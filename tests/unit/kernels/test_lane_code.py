@@ -5,16 +5,16 @@ from __future__ import annotations
 import re
 from collections import Counter
 
-import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
 from llvmlite import binding
 from numba import njit
-from scenes import compute_optics, get_vectorized_scene, make_medium_scene
+from scenes import compute_optics, make_medium_scene
 
 import splits
 from splits.kernels.compiler.passes import RefcountCheckedCompiler
 from splits.kernels.vectorized import flight, interaction, lane_state
+from splits.kernels.vectorized.batch import allocate_lanes
 from splits.kernels.vectorized.eligibility import select_features
 
 ARITHMETIC = re.compile(
@@ -29,21 +29,22 @@ pytestmark = [
 ]
 
 
+@njit
+def allocate_idle_lanes():
+    return allocate_lanes()
+
+
 def count_arithmetic(function, medium):
     """Return the numbers of arithmetic instructions of a pass, by precision and vector width."""
     scene, optics = make_medium_scene(medium), compute_optics(medium, 500.0)
     kernel = njit(error_model="numpy", _nrt=False, pipeline_class=RefcountCheckedCompiler)(
         function.py_func
     )
-    state = np.zeros(lane_state.STATE_SIZE, dtype=np.float32)
-    state[lane_state.STATUS : lane_state.STATUS + lane_state.N_LANES] = lane_state.IDLE
-    words = np.zeros(lane_state.WORDS_SIZE, dtype=np.uint32)
     kernel(
-        state,
-        words,
+        allocate_idle_lanes(),
         lane_state.N_LANES,
         select_features(scene, optics),
-        get_vectorized_scene(scene),
+        scene.rules,
     )
     (code,) = kernel.inspect_asm().values()
     return Counter(kind + width for kind, width in ARITHMETIC.findall(code))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from splits.simulation.tracer_interface import Tracer
 
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, ExitTally, Stratum
+from splits.simulation.tracer import Tracer
 
 
 class StubTracer(Tracer):

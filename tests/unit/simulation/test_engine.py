@@ -7,19 +7,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
-from splits.simulation.tracer_interface import ExitTracer, TraceResult, WorkItem
 from stub_tracing import StubTally, StubTracer
 
 import splits
 from splits.core.validation import InvalidValue
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY
-from splits.kernels.tallies.exits import EXIT_LENGTH
+from splits.kernels.tallies.exits import EXIT_LENGTH, BatchResult
+from splits.kernels.transport import history
 from splits.simulation import engine
 from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_round, simulate
 from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
 from splits.simulation.run_options import RunOptions
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
+from splits.simulation.tracer import SceneTracer, WorkItem
 
 MANY_RAYS = 10**8
 SEGMENTS = (100, 10, 1)
@@ -140,33 +141,32 @@ def test_a_lost_ray_ends_the_run(lost_ray):
     assert len(tally.rounds) == (0 if lost_ray == 0 else 2)
 
 
-class NumberedExits(ExitTracer):
+class NumberedExits(SceneTracer):
     """Tracer whose exits are the numbers of the rays; each odd ray crosses a boundary twice."""
 
-    LOST_MESSAGE = "a ray was lost at a boundary"
-    n_length_columns = 1
+    n_length_columns, stokes_columns, n_exit_columns = 1, (), EXIT_LENGTH + 1
+    scene = height_fields = None
 
-    def __init__(self, lost=False):
-        self.lost = lost
-
-    def trace(self, seed, work, strata, exits):
-        exits[:, EXIT_LENGTH] = np.concatenate(
-            [stream * 1e6 + np.arange(first, first + count) for stream, first, count, _ in work]
-        )
-        crossings = []
-        for _, first, count, _ in work:
+    def __init__(self, monkeypatch, lost=False):
+        def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer):
+            stream, first, count, _ = work
+            exits[:, EXIT_LENGTH] = stream * 1e6 + np.arange(first, first + count)
             rays = np.repeat(np.arange(1, count, 2), 2)
-            rows = np.zeros((len(rays), CROSSING_LENGTH + 1))
-            rows[:, CROSSING_RAY], rows[:, CROSSING_LENGTH] = rays, first + rays
-            crossings.append(rows)
-        return TraceResult(work[:, 2], crossings, self.lost)
+            crossings = np.zeros((len(rays), CROSSING_LENGTH + 1))
+            crossings[:, CROSSING_RAY], crossings[:, CROSSING_LENGTH] = rays, first + rays
+            return BatchResult(count, lost, crossings)
+
+        monkeypatch.setattr(history, "trace_batch", trace_batch)
+
+    def select_kernel(self, strata, kernel, share):
+        """Leave the scalar kernel."""
 
 
-def test_exits_and_crossings_are_scored_by_chunk():
+def test_exits_and_crossings_are_scored_by_chunk(monkeypatch):
     tally = StubTally([1.0, 1.0])
     items = [(0, 256, 384), (1, 0, 128)]
     job = [WorkItem(tally.strata[row], first, count) for row, first, count in items]
-    results = NumberedExits().trace_job(1, tally, job)
+    results = NumberedExits(monkeypatch).trace_job(1, tally, job)
     assert [n_segments for _, n_segments in results] == [384, 128]
     for (row, first_ray, count), (scores, _) in zip(items, results, strict=True):
         assert len(scores) == count // RAYS_PER_CHUNK
@@ -182,9 +182,9 @@ def test_exits_and_crossings_are_scored_by_chunk():
             )
 
 
-def test_a_lost_ray_is_explained_by_the_tracer():
-    with pytest.raises(RuntimeError, match="a ray was lost at a boundary"):
-        run(StubTally([1.0]), StoppingRule(1.0, 1), tracer=NumberedExits(lost=True))
+def test_a_lost_ray_is_explained_by_the_tracer(monkeypatch):
+    with pytest.raises(RuntimeError, match="no grain fits between the boundaries"):
+        run(StubTally([1.0]), StoppingRule(1.0, 1), tracer=NumberedExits(monkeypatch, lost=True))
 
 
 def test_kernels_are_named():

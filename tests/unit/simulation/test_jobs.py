@@ -17,9 +17,9 @@ from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.spectral_rows import SpectralRows
 from splits.simulation.spectral_tally import SpectralTally
 from splits.simulation.tally import RAYS_PER_CHUNK, TransportTraits
-from splits.simulation.tracer import make_tracer
+from splits.simulation.tracer import SceneTracer
 
-TRACER = make_tracer(splits.Snow(depth_m=0.02), 0.0)
+TRACER = SceneTracer(splits.Snow(depth_m=0.02), 0.0)
 
 
 def make_tally(segments_per_ray):

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -132,7 +132,7 @@ class Medium(ABC):
         """Return all inputs and derived quantities as dataset attributes."""
 
     @abstractmethod
-    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Self:
+    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Any:
         """Return the medium with another lowest layer, over a ground."""
 
 
@@ -189,10 +189,9 @@ class Layer(Medium):
         """Return the absorption coefficient of impurities (1/m), shape (wavelengths, materials)."""
         return np.zeros((np.size(wavelength_nm), len(self.list_materials())))
 
-    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Self:
+    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Any:
         """Return another layer, over a ground."""
-        replaced: Self = replace(layer, ground=ground)
-        return replaced
+        return replace(layer, ground=ground)
 
 
 class GranularMedium(Layer):

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -157,7 +157,7 @@ class Stack(Medium):
         """Whether the Stokes vector is traced."""
         return all(layer.polarized for layer in self.layers)
 
-    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Self:
+    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Any:
         """Return the stack with another lowest layer, over a ground."""
         return replace(self, layers=(*self.layers[:-1], layer), ground=ground)
 

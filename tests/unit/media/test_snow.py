@@ -11,8 +11,8 @@ import yaml
 
 from splits import Interpretation, Snow
 from splits.materials import ice_density
+from splits.media.checks import check_thickness
 from splits.media.interpretations import INTERPRETATION_CHOICES, merge_interpretations
-from splits.media.medium import check_thickness
 
 TABLE1 = Path(__file__).parents[3] / "config" / "media" / "splitsnow_table1.yaml"
 ORDER = "min <= mean <= max <= 1"

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,13 +18,14 @@ from splits.core.progress import Progress
 from splits.core.validation import invalid
 from splits.instruments.detector_tally import DetectorResult, DetectorTally
 from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, Scene, make_bounding_optics
-from splits.kernels.optics.forward_peak import PhaseFunctionPeak, separate_peak
+from splits.kernels.optics.forward_peak import separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import Detectors
-from splits.media.medium import Medium, ParticleMedium
+from splits.media.medium import LayeredMedium, Medium, ParticleMedium
 from splits.simulation import random_streams
 from splits.simulation.runner import RAYS_PER_CHUNK, Runner
+from splits.simulation.scene import get_reflecting_ground
 from splits.simulation.threads import DaemonThreadPool
 
 PILOT_BATCHES = 128
@@ -55,61 +57,83 @@ class StoppingRule:
         return n_batches, n_batches
 
 
-def make_detectors(medium: ParticleMedium, polar: np.ndarray, azimuth: np.ndarray) -> Detectors:
+def get_detected_layers(medium: Medium) -> tuple[ParticleMedium, ...]:
+    """Return the particle layers of a medium whose light reaches detectors along a single path.
+
+    Raises
+    ------
+    ValueError
+        For grains, for a rough surface, for layers of different refractive indices or with narrow
+        phase functions in a stack, and for a phase function that is nearly all peak.
+    """
+    layers: Any = medium.scene_layers if isinstance(medium, LayeredMedium) else (medium,)
+    allowed = "expansion or bins"
+    if not all(isinstance(layer, ParticleMedium) for layer in layers):
+        raise invalid("estimator", "next_event", f"{allowed} for grains")
+    if layers[0].make_height_fields() is not None:
+        raise invalid(
+            "estimator", "next_event", f"{allowed} under a rough surface",
+            "no single path leads through it to a given direction; bins have Stokes parameters",
+        )  # fmt: skip
+    peaks = [separate_peak(layer.kernel_phase_function) for layer in layers]
+    if any(peak is not None and peak.fraction > MAX_PEAK_FRACTION for peak in peaks):
+        raise invalid(
+            "estimator", "next_event", f"{allowed} for this phase_function",
+            f"more than {MAX_PEAK_FRACTION:.0%} of the scattered light goes into a narrow peak",
+        )  # fmt: skip
+    if len(layers) > 1:
+        if len({layer.refractive_index for layer in layers}) > 1:
+            raise invalid("estimator", "next_event", f"{allowed} for layers of different indices")
+        if any(peak is not None for peak in peaks):
+            hint = "narrow peaks require a single layer"
+            raise invalid("estimator", "next_event", f"{allowed} for this phase_function", hint)
+        if get_reflecting_ground(medium) is not None:
+            raise invalid("estimator", "next_event", f"{allowed} over the ground of a stack")
+    return tuple(layers)
+
+
+def make_detectors(
+    layers: Sequence[ParticleMedium], scene: Scene, polar: np.ndarray, azimuth: np.ndarray
+) -> Detectors:
     """Return detectors on a grid of directions, azimuth running fastest.
 
     Parameters
     ----------
-    medium : ParticleMedium
+    layers : sequence of ParticleMedium
+        See `get_detected_layers`.
+    scene : Scene
     polar, azimuth : float
         Degrees, of the directions outside.
     """
-    n, bottom = medium.refractive_index, medium.scene_bottom
+    n, lowest = layers[0].refractive_index, layers[-1]
     outer_polar, azimuth_rad = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
     sine = np.sin(outer_polar) / n
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-    directions = np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), cosine], axis=1)
     interfaces = [compute_fresnel_mueller(n, 1.0, c) for c in cosine]
     reflection = np.array([interface.reflection for interface in interfaces])
     transmission = np.array([interface.transmission for interface in interfaces])
-    if not medium.polarized:
+    if scene.stokes is None:
         reflection = reflection * [1.0, 0.0, 0.0, 0.0]
         transmission = transmission * [1.0, 0.0, 0.0]
-    # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
-    transmission = transmission / (n**2 * cosine[:, np.newaxis])
-    has_lower_side = bottom.albedo is None and np.isfinite(bottom.depth_m) and not medium.opaque
-    sums = np.zeros((2, len(directions), 4))
-    plane = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
-    peak = _check_forward_peak(medium)
-    orders = (
-        0 if peak is None else math.ceil(math.log(NEGLIGIBLE_PROBABILITY) / math.log(peak.fraction))
-    )
-    peak_directions = np.zeros((1 + orders, 3))
+    thickness = float((-np.diff(scene.layers.boundaries)) @ scene.layers.collision_coefficient)
+    is_open = scene.bottom_albedo is None and scene.opaque is None
+    peak = separate_peak(lowest.kernel_phase_function)
+    orders = 0 if peak is None else math.log(NEGLIGIBLE_PROBABILITY) / math.log(peak.fraction)
     return Detectors(
-        directions,
-        plane,
-        transmission,
+        np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), cosine], axis=1),
+        np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1),
+        # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
+        transmission / (n**2 * cosine[:, np.newaxis]),
         reflection,
         n,
-        medium.extinction_per_m * bottom.depth_m,
-        bool(has_lower_side),
-        sums,
-        medium.kernel_phase_function,
+        thickness,
+        is_open and math.isfinite(thickness),
+        np.zeros((2, len(cosine), 4)),
+        lowest.kernel_phase_function,
         peak,
-        0.0 if peak is None else peak.fraction * medium.single_scattering_albedo,
-        peak_directions,
+        0.0 if peak is None else peak.fraction * lowest.single_scattering_albedo,
+        np.zeros((1 + math.ceil(orders), 3)),
     )
-
-
-def _check_forward_peak(medium: ParticleMedium) -> PhaseFunctionPeak | None:
-    """Return the narrow peak of the phase function, which must not hold nearly all light."""
-    peak = separate_peak(medium.kernel_phase_function)
-    if peak is not None and peak.fraction > MAX_PEAK_FRACTION:
-        raise invalid(
-            "estimator", "next_event", "expansion or bins for this phase_function",
-            f"more than {MAX_PEAK_FRACTION:.0%} of the scattered light goes into a narrow peak",
-        )  # fmt: skip
-    return peak
 
 
 def estimate_at_detectors(
@@ -123,7 +147,8 @@ def estimate_at_detectors(
 
     Parameters
     ----------
-    medium : ParticleMedium
+    medium : Medium
+        See `get_detected_layers`.
     polar, azimuth : float
         Degrees, see `make_detectors`.
     stopping_rule : StoppingRule
@@ -133,25 +158,18 @@ def estimate_at_detectors(
     Raises
     ------
     ValueError
-        For grains, for a rough surface, and for a phase function that is nearly all peak.
+        See `get_detected_layers`.
     """
-    if not isinstance(medium, ParticleMedium):
-        raise invalid("estimator", "next_event", "expansion or bins for grains and stacks")
-    if medium.make_height_fields() is not None:
-        raise invalid(
-            "estimator", "next_event", "expansion or bins under a rough surface",
-            "no single path leads through it to a given direction; bins have Stokes parameters",
-        )  # fmt: skip
-    detectors = make_detectors(medium, polar, azimuth)
+    layers = get_detected_layers(medium)
+    detectors = make_detectors(layers, runner.tracer.scene, polar, azimuth)
     if stopping_rule.side == 1 and not detectors.has_lower_side:
         allowed = "brdf with estimator = next_event"
-        raise invalid("target", "btdf", allowed, "the layer has no open lower boundary")
+        raise invalid("target", "btdf", allowed, "the lower boundary is not open")
     index = medium.compute_refractive_indices(np.zeros(1))
     optics = make_bounding_optics(index[0], np.zeros(index.shape))
     scene = runner.tracer.scene._replace(detectors=detectors)
-    return _trace_to_error(
-        _DetectorTracer(runner.seed, scene, optics), medium, stopping_rule, runner
-    )
+    tracer = _DetectorTracer(runner.seed, scene, optics)
+    return _trace_to_error(tracer, layers, stopping_rule, runner)
 
 
 class _DetectorTracer(NamedTuple):
@@ -185,26 +203,32 @@ class _DetectorTracer(NamedTuple):
 
 
 def _trace_to_error(
-    tracer: _DetectorTracer, medium: ParticleMedium, stopping_rule: StoppingRule, runner: Runner
+    tracer: _DetectorTracer,
+    layers: Sequence[ParticleMedium],
+    stopping_rule: StoppingRule,
+    runner: Runner,
 ) -> DetectorResult:
     """Trace batches until the stopping rule is satisfied."""
     start_time = time.perf_counter()
-    detectors, bottom_albedo = tracer.scene.detectors, tracer.scene.bottom_albedo
-    has_lower_side = detectors.has_lower_side
+    scene = tracer.scene
+    detectors, bottom_albedo = scene.detectors, scene.bottom_albedo
     # For forward-peaked phase functions few events dominate the estimate, so the pilot is longer.
-    g = abs(medium.kernel_phase_function.g)
+    g = max(abs(layer.kernel_phase_function.g) for layer in layers)
     pilot_batches = int(PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0))
     to_error = stopping_rule.n_rays is None
     target_batches, max_batches = stopping_rule.count_batches(pilot_batches)
-    scatters = medium.single_scattering_albedo > 0.0 and medium.extinction_per_m > 0.0
-    no_signal = medium.opaque or (not scatters and not bottom_albedo)
+    scatters = any(one.single_scattering_albedo * one.extinction_per_m > 0.0 for one in layers)
+    no_signal = scene.opaque is not None or not (scatters or bottom_albedo)
     lossless = not runner.tracer.traits.extra_absorption and bottom_albedo == 1.0
+    is_polarized = scene.stokes is not None
     tally = DetectorTally(detectors.sums.shape)
     with DaemonThreadPool(runner.threads) as pool:
         while True:
             tracer.trace_up_to(tally, target_batches, pool)
             n_batches = tally.n_batches
-            result = tally.compute_result(has_lower_side, medium.polarized, no_signal, lossless)
+            result = tally.compute_result(
+                detectors.has_lower_side, is_polarized, no_signal, lossless
+            )
             error = result.compute_max_error(stopping_rule.side)
             is_empty = not no_signal and not result.mean[stopping_rule.side].any()
             converged = to_error and error <= stopping_rule.relative_stderr and not is_empty

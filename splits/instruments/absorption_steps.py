@@ -31,13 +31,15 @@ class AbsorptionSteps(NamedTuple):
 
 
 def compute_absorption_steps(
-    medium: GranularMedium | LayeredMedium, absorption: np.ndarray, planes_m: np.ndarray
+    medium: GranularMedium | LayeredMedium | ParticleLayer,
+    absorption: np.ndarray,
+    planes_m: np.ndarray,
 ) -> AbsorptionSteps:
     """Return the steps in which weights decrease inside a medium.
 
     Parameters
     ----------
-    medium : GranularMedium or LayeredMedium
+    medium : GranularMedium, LayeredMedium or ParticleLayer
     absorption : float, shape (wavelengths, columns)
         1/m; see `splits.simulation.scene.OpticalConstants`.
     planes_m : float, shape (intervals + 1,)

@@ -46,7 +46,7 @@ class TracedMedium(NamedTuple):
 
     Attributes
     ----------
-    medium : GranularMedium or LayeredMedium
+    medium : GranularMedium, LayeredMedium or ParticleLayer
     constants : OpticalConstants
         For each wavelength; with truncation, then for each with a more absorbing substrate.
     n_wavelengths : int
@@ -60,7 +60,7 @@ class TracedMedium(NamedTuple):
         Columns of the materials, by name.
     """
 
-    medium: GranularMedium | LayeredMedium
+    medium: GranularMedium | LayeredMedium | ParticleLayer
     constants: OpticalConstants
     n_wavelengths: int
     planes_m: np.ndarray

@@ -42,20 +42,19 @@ class DetectorTally(Tally):
     first_stream = 7_000_000
 
     def __init__(self, tracer: DetectorTracer, side: int, n_wavelengths: int) -> None:
-        medium, detectors = tracer.medium, tracer.detectors
-        index = medium.compute_refractive_indices(np.zeros(1))
-        super().__init__(make_separate_nodes(index), np.zeros(index.shape))
+        scene, layers, detectors = tracer.scene, tracer.layers, tracer.detectors
+        super().__init__(make_separate_nodes(tracer.index), np.zeros(tracer.index.shape))
         self.shape, self.side, self.n_wavelengths = detectors.sums.shape, side, n_wavelengths
-        self.has_lower_side, self.polarized = detectors.has_lower_side, medium.polarized
+        self.has_lower_side, self.polarized = detectors.has_lower_side, scene.stokes is not None
         # Light that reaches the bottom has other angles than at detectors outside.
         self.undefined_variables = () if self.has_lower_side else ("btdf",)
-        albedo, bottom_albedo = medium.single_scattering_albedo, medium.scene_bottom.albedo
-        scatters = albedo > 0.0 and medium.extinction_per_m > 0.0
-        self.no_signal = medium.opaque or not (scatters or bottom_albedo)
-        self.lossless = albedo == 1.0 and bottom_albedo == 1.0
+        scatters = any(one.single_scattering_albedo * one.extinction_per_m > 0.0 for one in layers)
+        self.no_signal = scene.opaque is not None or not (scatters or scene.bottom_albedo)
+        conservative = all(layer.single_scattering_albedo == 1.0 for layer in layers)
+        self.lossless = conservative and scene.bottom_albedo == 1.0
         self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, math.prod(self.shape) + 4))
         # For forward-peaked phase functions few events dominate the estimate.
-        g = abs(medium.kernel_phase_function.g)
+        g = max(abs(layer.kernel_phase_function.g) for layer in layers)
         self.pilot_rays = RAYS_PER_CHUNK * int(
             PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0)
         )

@@ -101,9 +101,9 @@ def goniophotometer(
     estimator : {"expansion", "bins", "next_event"}
         "expansion" uses orthonormal polynomials over the hemisphere.  "bins" counts rays in angular
         bins of equal solid angle, the collectors of the papers, with `rays` rays, a million by
-        default.  "next_event", for a particle layer under a smooth surface, is next-event
-        estimation: every scattering contributes to each direction, so the cost is proportional to
-        the number of directions.
+        default.  "next_event", for particle layers of one refractive index under a smooth surface,
+        is next-event estimation: every scattering contributes to each direction, so the cost is
+        proportional to the number of directions.
     n_bins : (int, int)
         Numbers of bins in polar angle and in azimuth.  Results are at the centres of the bins, and
         `polar_deg` and `azimuth_deg` are ignored.

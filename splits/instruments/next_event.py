@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.kernels.optics.forward_peak import PhaseFunctionPeak, separate_peak
+from splits.kernels.grains.scene import Scene
+from splits.kernels.optics.forward_peak import separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import Detectors
+from splits.media.medium import Medium
 from splits.media.particle_layer import ParticleLayer
-from splits.simulation.scene import build_scene
+from splits.simulation.scene import build_scene, get_reflecting_ground
 from splits.simulation.tally import Tally
 from splits.simulation.tracer import ItemScores, Tracer, WorkItem
 
@@ -29,65 +31,86 @@ MAX_PEAK_FRACTION = 0.99
 change its direction."""
 
 
-def make_detectors(medium: ParticleLayer, polar: np.ndarray, azimuth: np.ndarray) -> Detectors:
+def get_detected_layers(medium: Medium) -> tuple[ParticleLayer, ...]:
+    """Return the particle layers of a medium whose light reaches detectors along a single path.
+
+    Raises
+    ------
+    ValueError
+        For grains, for a rough surface, for layers of different refractive indices or with narrow
+        phase functions in a stack, and for a phase function that is nearly all peak.
+    """
+    layers, allowed = medium.scene_layers, "expansion or bins"
+    if any(layer.has_grains for layer in layers):
+        raise invalid("estimator", "next_event", f"{allowed} for grains")
+    if layers[0].make_height_fields() is not None:
+        raise invalid(
+            "estimator", "next_event", f"{allowed} under a rough surface",
+            "no single path leads through it to a given direction; bins have Stokes parameters",
+        )  # fmt: skip
+    peaks = [separate_peak(layer.kernel_phase_function) for layer in layers]
+    if any(peak is not None and peak.fraction > MAX_PEAK_FRACTION for peak in peaks):
+        raise invalid(
+            "estimator", "next_event", f"{allowed} for this phase_function",
+            f"more than {MAX_PEAK_FRACTION:.0%} of the scattered light goes into a narrow peak",
+        )  # fmt: skip
+    if len(layers) > 1:
+        if len({layer.refractive_index for layer in layers}) > 1:
+            raise invalid("estimator", "next_event", f"{allowed} for layers of different indices")
+        if any(peak is not None for peak in peaks):
+            hint = "narrow peaks require a single layer"
+            raise invalid("estimator", "next_event", f"{allowed} for this phase_function", hint)
+        if get_reflecting_ground(medium) is not None:
+            raise invalid("estimator", "next_event", f"{allowed} over the ground of a stack")
+    return layers
+
+
+def make_detectors(
+    layers: Sequence[ParticleLayer], scene: Scene, polar: np.ndarray, azimuth: np.ndarray
+) -> Detectors:
     """Return detectors on a grid of directions, azimuth running fastest.
 
     Parameters
     ----------
-    medium : ParticleLayer
+    layers : sequence of ParticleLayer
+        See `get_detected_layers`.
+    scene : Scene
     polar, azimuth : float
         Degrees, of the directions outside.
     """
-    n, bottom = medium.refractive_index, medium.scene_bottom
+    n, lowest = layers[0].refractive_index, layers[-1]
     outer_polar, azimuth_rad = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
     sine = np.sin(outer_polar) / n
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-    directions = np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), cosine], axis=1)
     interfaces = [compute_fresnel_mueller(n, 1.0, c) for c in cosine]
     reflection = np.array([interface.reflection for interface in interfaces])
     transmission = np.array([interface.transmission for interface in interfaces])
-    if not medium.polarized:
+    if scene.stokes is None:
         reflection = reflection * [1.0, 0.0, 0.0, 0.0]
         transmission = transmission * [1.0, 0.0, 0.0]
-    # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
-    transmission = transmission / (n**2 * cosine[:, np.newaxis])
-    has_lower_side = bottom.albedo is None and np.isfinite(bottom.depth_m) and not medium.opaque
-    sums = np.zeros((2, len(directions), 4))
-    plane = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
-    peak = _check_forward_peak(medium)
-    orders = (
-        0 if peak is None else math.ceil(math.log(NEGLIGIBLE_PROBABILITY) / math.log(peak.fraction))
-    )
-    peak_directions = np.zeros((1 + orders, 3))
+    thickness = float((-np.diff(scene.layers.boundaries)) @ scene.layers.collision_coefficient)
+    is_open = scene.bottom_albedo is None and scene.opaque is None
+    peak = separate_peak(lowest.kernel_phase_function)
+    orders = 0 if peak is None else math.log(NEGLIGIBLE_PROBABILITY) / math.log(peak.fraction)
     return Detectors(
-        directions,
-        plane,
-        transmission,
+        np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), cosine], axis=1),
+        np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1),
+        # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
+        transmission / (n**2 * cosine[:, np.newaxis]),
         reflection,
         n,
-        medium.extinction_per_m * bottom.depth_m,
-        bool(has_lower_side),
-        sums,
-        medium.kernel_phase_function,
+        thickness,
+        is_open and math.isfinite(thickness),
+        np.zeros((2, len(cosine), 4)),
+        lowest.kernel_phase_function,
         peak,
-        0.0 if peak is None else peak.fraction * medium.single_scattering_albedo,
-        peak_directions,
+        0.0 if peak is None else peak.fraction * lowest.single_scattering_albedo,
+        np.zeros((1 + math.ceil(orders), 3)),
     )
-
-
-def _check_forward_peak(medium: ParticleLayer) -> PhaseFunctionPeak | None:
-    """Return the narrow peak of the phase function, which must not hold nearly all light."""
-    peak = separate_peak(medium.kernel_phase_function)
-    if peak is not None and peak.fraction > MAX_PEAK_FRACTION:
-        raise invalid(
-            "estimator", "next_event", "expansion or bins for this phase_function",
-            f"more than {MAX_PEAK_FRACTION:.0%} of the scattered light goes into a narrow peak",
-        )  # fmt: skip
-    return peak
 
 
 class DetectorTracer(Tracer):
-    """Tracer of rays in a layer of particles under a smooth surface that contribute to detectors.
+    """Tracer of rays in layers of particles under a smooth surface that contribute to detectors.
 
     Parameters
     ----------
@@ -101,7 +124,7 @@ class DetectorTracer(Tracer):
     Raises
     ------
     ValueError
-        For grains, for a rough surface, and for a phase function that is nearly all peak.
+        See `get_detected_layers`.
     """
 
     def __init__(
@@ -112,19 +135,14 @@ class DetectorTracer(Tracer):
         azimuth: np.ndarray,
         side: int,
     ) -> None:
-        if medium.has_grains or len(medium.scene_layers) > 1 or medium.ground is not None:
-            raise invalid("estimator", "next_event", "expansion or bins for grains and stacks")
-        if medium.make_height_fields() is not None:
-            raise invalid(
-                "estimator", "next_event", "expansion or bins under a rough surface",
-                "no single path leads through it to a given direction; bins have Stokes parameters",
-            )  # fmt: skip
-        self.medium = medium
-        self.detectors = make_detectors(medium, polar, azimuth)
-        self.scene = build_scene(medium, incidence_deg, False)
+        self.layers = get_detected_layers(medium)
+        self.index = medium.compute_refractive_indices(np.zeros(1))
+        scene = build_scene(medium, incidence_deg, False)
+        self.detectors = make_detectors(self.layers, scene, polar, azimuth)
+        self.scene = scene
         if side == 1 and not self.detectors.has_lower_side:
             allowed = "brdf with estimator = next_event"
-            raise invalid("target", "btdf", allowed, "the layer has no open lower boundary")
+            raise invalid("target", "btdf", allowed, "the lower boundary is not open")
 
     def trace_job(self, seed: int, tally: Tally, job: Sequence[WorkItem]) -> list[ItemScores]:
         """Return the mean contributions of each batch of rays, and the segments traced."""

@@ -23,6 +23,7 @@ LAYERS = {
     "black particles": splits.ParticleLayer(1.0, 0.0, 0.0, 1.2),
     "semi-infinite": splits.ParticleLayer(math.inf, 0.95),
     "rough": splits.ParticleLayer(2.0, 0.9, surface=ROUGH),
+    "polarized": splits.ParticleLayer(2.0, phase_function="rayleigh", polarized=True),
 }
 DEEP_SNOW = {"specific_surface_area_m2_kg": 20, "density_kg_m3": 300}
 

@@ -186,6 +186,75 @@ def test_invalid_settings_of_stacked_layers_are_rejected(settings, message):
         splits.Stack([splits.ParticleLayer(**settings)])
 
 
+@pytest.mark.parametrize("polarized", [False, True])
+def test_next_event_estimates_of_subdivided_layers_agree(polarized):
+    """Layers of one index in a stack, at depths of different extinction coefficients."""
+    settings = {"optical_thickness": 2.0, "refractive_index": 1.33, "polarized": polarized,
+                "single_scattering_albedo": 0.9, "asymmetry": 0.5}  # fmt: skip
+    media = [splits.ParticleLayer(**settings, bottom_albedo=None), subdivide(settings, 3)]
+    thin_top = [replace(media[1].layers[0], depth_m=7.0), *media[1].layers[1:]]
+    runs = [
+        splits.goniophotometer(
+            medium, [550.0], 40.0, seed=seed, estimator="next_event", relative_stderr=0.005,
+            polar_deg=[0.0, 30.0, 60.0], azimuth_deg=[0.0, 90.0, 180.0],
+        )
+        for seed, medium in enumerate([*media, splits.Stack(thin_top)])
+    ]  # fmt: skip
+    z = []
+    names = ["brdf", "btdf", *(["brdf_q", "brdf_u", "btdf_q"] if polarized else [])]
+    for other in runs[1:]:
+        for name in names:
+            error = np.hypot(runs[0][f"{name}_stderr"], other[f"{name}_stderr"])
+            z.append(((runs[0][name] - other[name]) / error).values[error.values > 0.0])
+    judge_z(np.concatenate(z), "subdivided layers", independent=2)
+
+
+def test_next_event_estimates_of_stacks_agree_with_bins():
+    stack = splits.Stack(
+        [
+            splits.ParticleLayer(1.0, 0.9, 0.3, 1.33, None, depth_m=0.1),
+            splits.ParticleLayer(2.0, 0.99, 0.8, 1.33, None, phase_function="rayleigh"),
+        ]
+    )
+    bins = splits.goniophotometer(stack, [550.0], 30.0, estimator="bins", n_bins=(30, 8))
+    bins = bins.isel(polar=bins.polar.values < 75.0)
+    local = splits.goniophotometer(
+        stack, [550.0], 30.0, seed=2, estimator="next_event", relative_stderr=0.01,
+        polar_deg=bins.polar.values, azimuth_deg=bins.azimuth.values[:4],
+    )  # fmt: skip
+    bins = bins.sel(azimuth=local.azimuth)
+    for name in ("brdf", "btdf"):
+        difference = (bins[name] - local[name]).values
+        judge_z(difference / np.hypot(bins[f"{name}_stderr"], local[f"{name}_stderr"]).values, name)
+
+
+def test_polarized_subdivided_layers_agree_with_single_layers():
+    settings = {"optical_thickness": 2.0, "phase_function": "rayleigh", "polarized": True,
+                "refractive_index": 1.5}  # fmt: skip
+    single = splits.ParticleLayer(**settings, bottom_albedo=None)
+    z = compute_z(measure(single, 50.0, 50), measure(subdivide(settings, 3), 50.0, 51))
+    judge_z(z, independent=1)
+    profile = splits.irradiance_profile(subdivide(settings, 2), [550.0], [0.5], 50.0, 0.004)
+    error = np.hypot(profile.upward_irradiance_stderr[0, 0], 0.002)
+    reflectance = measure(single, 50.0, 50)[0, 0]
+    judge_z((profile.upward_irradiance.values[0, 0] - reflectance) / error.values, independent=1)
+
+
+@pytest.mark.parametrize(
+    ("layers", "ground", "message"),
+    [
+        ([TOP, SNOW], None, "for grains"),
+        ([TOP, replace(TOP, refractive_index=1.4)], None, "of different indices"),
+        ([TOP, replace(TOP, asymmetry=0.95)], None, "require a single layer"),
+        ([TOP, TOP], 0.5, "over the ground of a stack"),
+    ],
+)
+def test_unsupported_next_event_estimates_are_rejected(layers, ground, message):
+    stack = splits.Stack(layers, ground)
+    with pytest.raises(ValueError, match=f"estimator = 'next_event'.*{message}"):
+        splits.goniophotometer(stack, 550.0, 30.0, estimator="next_event")
+
+
 @pytest.mark.parametrize("others", [[SNOW], [TOP], [TOP, SNOW]])
 def test_polarization_requires_that_all_layers_are_polarized(others):
     polarized = replace(TOP, polarized=True)

@@ -18,7 +18,14 @@ from pydantic import Field, field_validator, model_validator
 
 from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
-from splits.core.validation import InvalidValue, check_choice, format_key, invalid, unknown_key
+from splits.core.validation import (
+    InvalidValue,
+    check_choice,
+    format_key,
+    invalid,
+    key_prefix,
+    unknown_key,
+)
 from splits.experiments.config.grid import MAX_GRID_POINTS, label_grid
 from splits.experiments.config.instrument import (
     SURFACE_INSTRUMENTS,
@@ -39,6 +46,7 @@ from splits.experiments.config.medium import (
     replace_table_paths,
 )
 from splits.experiments.config.sections import ConfigSection, FitSection
+from splits.instruments.next_event import get_detected_layers
 from splits.media import Stack
 from splits.media.checks import check_thickness
 from splits.media.interpretations import merge_interpretations
@@ -201,9 +209,9 @@ class SimulationConfig(ConfigSection):
         ):
             hint = "only the spectrophotometer measures semi-infinite media"
             raise invalid("medium.depth_m", math.inf, "finite", hint)
-        if instrument.estimator == "next_event" and (is_rough or not is_layer):
-            hint = "bins give Stokes parameters"
-            raise invalid("instrument.estimator", "next_event", "expansion or bins", hint)
+        if instrument.estimator == "next_event":
+            with key_prefix("instrument"):
+                get_detected_layers(medium)
         if instrument.target == "btdf" and get_reflecting_ground(medium) is not None:
             raise invalid("instrument.target", "btdf", "brdf over a ground")
         has_wavelengths = "wavelength_nm" in instrument.model_fields_set

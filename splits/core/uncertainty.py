@@ -2,7 +2,7 @@
 
 A spectrophotometer traces paths at a few refractive indices.  Errors at wavelengths estimated from
 the same paths are correlated; others are independent.  Each dataset therefore holds the deviation
-of every wavelength in each of `splits.simulation.tally.N_BATCHES` batches of rays (``…_batches``).
+of every wavelength in each of the `N_BATCHES` batches of rays (``…_batches``).
 A quantity that is linear in the spectrum has the same linear combination of deviations, and their
 squares add up to its variance.  The rest of the standard error is a bound on the interpolation
 error between refractive indices.  That error is similar at neighbouring wavelengths and independent

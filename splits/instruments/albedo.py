@@ -41,7 +41,7 @@ def albedo(
 
     Parameters
     ----------
-    medium : GranularMedium or ParticleMedium, or a mapping
+    medium : Medium, or a mapping
         For example `splits.Snow`, or a mapping from names to media that share paths, as for
         `splits.spectrophotometer`.  The errors of differences between these media are much smaller
         than those of their albedos (`splits.core.uncertainty.compute_difference`).

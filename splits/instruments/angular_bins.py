@@ -13,7 +13,7 @@ import numpy as np
 from splits.instruments.angular_estimate import AngularEstimate, add_interpolation_error
 from splits.kernels.tallies.angular import AngularSums, tally_angular_bins
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import ExitTally, Stratum
+from splits.simulation.tally import Evaluation, ExitTally, StoppingRule, Stratum
 
 DEFAULT_N_BINS = (18, 72)
 """Bins in polar and in azimuth angle: as many as bins of 5° by 5°."""
@@ -65,7 +65,7 @@ class AngularBinTally(ExitTally):
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> AngularSums:
         """Return the sums of a chunk of exits."""
-        absorption = self.absorption[self.rows[stratum.rows]]
+        absorption = stratum.absorption
         by_component = [
             tally_angular_bins(exits, absorption, *self.n_bins, column)
             for column in self.factor_columns
@@ -75,8 +75,12 @@ class AngularBinTally(ExitTally):
 
     def merge(self, stratum: Stratum, score: AngularSums) -> None:
         """Add the sums of the next chunk of a stratum."""
-        self.bin_sums[:, :, :, stratum.rows] += score.scattered
-        self.unscattered_sums[:, :, stratum.rows] += score.unscattered
+        self.bin_sums[:, :, :, stratum.node_rows] += score.scattered
+        self.unscattered_sums[:, :, stratum.node_rows] += score.unscattered
+
+    def evaluate(self, stop: StoppingRule) -> Evaluation:
+        """Return the estimate after a fixed number of rays."""
+        return Evaluation(1.0, estimate=self.make_estimate())
 
     def make_estimate(self) -> AngularEstimate:
         """Estimate BRDF and BTDF of every bin, starting at the zenith."""

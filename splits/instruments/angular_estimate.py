@@ -13,6 +13,7 @@ from splits.instruments.angular_truncation import (
     compute_truncation_errors,
     select_terms,
 )
+from splits.simulation.interpolation_bounds import bound_fraction_error
 
 N_ANGULAR_BATCHES = 64
 """Number of batches for the estimation of errors, to 9 %."""
@@ -203,7 +204,7 @@ def add_interpolation_error(
     error = INTERPOLATION_FACTOR * interpolation_bound[:, np.newaxis] * estimate.mean
     hemispherical = estimate.hemispherical.copy()
     hemispherical[1::2] = np.hypot(
-        hemispherical[1::2], bound_interpolation_error(interpolation_bound, hemispherical[::2])
+        hemispherical[1::2], bound_fraction_error(interpolation_bound, hemispherical[::2])
     )
     return estimate._replace(
         stderr=np.hypot(estimate.stderr, error),
@@ -244,8 +245,3 @@ def _compute_hemispherical(
     )
     sums = np.array([total.mean(axis=0), errors, unscattered.mean(axis=0), unscattered_errors])
     return sums, unsampled + sparse, unsampled
-
-
-def bound_interpolation_error(interpolation_bound: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return a bound on the interpolation error of hemispherical quantities."""
-    return interpolation_bound * np.clip(8.0 * value * (1.0 - value), 0.0, 1.0)

@@ -47,7 +47,7 @@ def beam_spread(
 
     Parameters
     ----------
-    medium : GranularMedium
+    medium : Medium
         For example `splits.Snow`.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.

@@ -15,8 +15,9 @@ from splits.core.uncertainty import (
     compute_leave_one_out_means,
     make_variable,
 )
-from splits.instruments.angular_estimate import N_ANGULAR_BATCHES, bound_interpolation_error
+from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
 from splits.kernels.tallies.radial import RadialTally, tally_radial
+from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import RAYS_PER_CHUNK, ExitTally, Stratum
@@ -83,14 +84,14 @@ class BeamSpreadTally(ExitTally):
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> RadialTally:
         """Return the sums of a chunk of exits."""
-        absorption = self.absorption[self.rows[stratum.rows]]
+        absorption = stratum.absorption
         bins = (MIN_RADIUS_M, BINS_PER_DECADE, _N_FINE_BINS)
         sums: RadialTally = tally_radial(exits, absorption, *bins, self.half_width, self.n_pixels)
         return sums
 
     def merge(self, stratum: Stratum, score: RadialTally) -> None:
         """Add the sums of the next chunk of a stratum."""
-        batch, rows = self.get_batch(stratum, N_ANGULAR_BATCHES), stratum.rows
+        batch, rows = self.get_batch(stratum, N_ANGULAR_BATCHES), stratum.node_rows
         self.radial_sums[batch, :, rows] += score.radial
         self.moment_sums[batch, :, rows] += score.first_moment
         self.map_sums[:, :, rows] += score.exit_map
@@ -129,7 +130,7 @@ class BeamSpreadTally(ExitTally):
         )
         fraction_error = np.hypot(
             statistical_error,
-            bound_interpolation_error(self.nodes.interpolation_bound, mean_fraction),
+            bound_fraction_error(self.nodes.interpolation_bound, mean_fraction),
         )
         jackknife_radius = _divide_or_zero(
             *(compute_leave_one_out_means(one) for one in (moment, fraction))

@@ -26,7 +26,7 @@ from splits.simulation.arguments import (
 )
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
-from splits.simulation.scene import build_scene, compute_optical_constants, get_reflecting_ground
+from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.tally import StoppingRule
 
 _RATE_SAFETY_FACTOR = 0.6
@@ -94,7 +94,7 @@ def deep_transmittance(
     relative_stderr = check_range("relative_stderr", relative_stderr, 0.001, 0.5)
     run = RunOptions.from_arguments(seed, threads, progress=progress)
     max_rays = check_integer("max_rays", max_rays, 1)
-    ground = get_reflecting_ground(medium)
+    ground = medium.reflecting_ground
     if ground is not None:
         raise invalid("ground", ground.name, "open", "no light leaves through a ground")
     tracer = SplittingTracer(build_scene(medium, incidence, False))

@@ -9,7 +9,6 @@ import numpy as np
 from splits.instruments.angular_bins import STOKES_NAMES
 from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
 from splits.instruments.next_event import DetectorTracer
-from splits.simulation.engine import MAX_ROUND_GROWTH
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum, Tally
 
@@ -137,19 +136,15 @@ class DetectorTally(Tally):
         """Return the largest relative error, and why tracing stops."""
         estimate = self.make_estimate()
         error = compute_max_relative_error(estimate, self.side, use_stopping_error=True)
-        self._error = error
-        self._is_empty = not self.no_signal and not estimate.mean[self.side].any()
-        if not stop.fixed and error <= stop.max_error and not self._is_empty:
-            return Evaluation(error, "converged")
-        exhausted = self._is_empty and self.n_rays >= _EMPTY_PILOTS * self.pilot_rays
-        return Evaluation(error, "max_rays" if exhausted else "")
-
-    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
-        """Return the rays that would satisfy a stopping rule."""
-        factor = 1.05 * (self._error / stop.max_error) ** 2
+        is_empty = not self.no_signal and not estimate.mean[self.side].any()
+        if not stop.fixed and error <= stop.max_error and not is_empty:
+            return Evaluation(error, "converged", None, estimate)
+        if stop.fixed or (is_empty and self.n_rays >= _EMPTY_PILOTS * self.pilot_rays):
+            return Evaluation(error, "max_rays", None, estimate)
         n_batches = self.n_rays // RAYS_PER_CHUNK
-        wanted = n_batches * (MAX_ROUND_GROWTH if self._is_empty else factor)
-        return RAYS_PER_CHUNK * np.array([np.floor(max(wanted, n_batches + 1))])
+        wanted = np.inf if is_empty else 1.05 * (error / stop.max_error) ** 2 * n_batches
+        target_rays = RAYS_PER_CHUNK * np.array([np.floor(max(wanted, n_batches + 1))])
+        return Evaluation(error, "", target_rays, estimate)
 
     def _split(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of detectors, and the hemispherical ones."""

@@ -9,6 +9,8 @@ that class and all before it, so that low classes can have many times the rays o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from splits.instruments.angular_estimate import (
@@ -32,6 +34,10 @@ ORDER_CLASSES = (2, 8, 32, 128, NO_MAX_ORDER)
 _IDLE_GROWTH = 1.25
 """Growth of all strata if each has the predicted number of rays, but the error has grown, as finer
 detail was resolved."""
+
+
+RowVariances = tuple[np.ndarray, np.ndarray]
+"""Nodes of a row, and their contributions to its variance, shape (nodes, classes, directions)."""
 
 
 class ExpansionTally(ExitTally):
@@ -91,13 +97,13 @@ class ExpansionTally(ExitTally):
         scored_orders = self.max_orders[self.max_orders <= stratum.max_order]
         if not self.exclude_unscattered:
             exits[:, EXIT_ORDER] = np.maximum(exits[:, EXIT_ORDER], 1.0)
-        absorption = self.absorption[self.rows[stratum.rows]]
+        absorption = stratum.absorption
         sums: AngularSums = tally_expansion(exits, absorption, scored_orders, self.basis)
         return sums
 
     def merge(self, stratum: Stratum, score: AngularSums) -> None:
         """Add the sums of the next chunk of a stratum."""
-        batch, rows = self.get_batch(stratum, N_ANGULAR_BATCHES), stratum.rows
+        batch, rows = self.get_batch(stratum, N_ANGULAR_BATCHES), stratum.node_rows
         self.coefficient_sums[batch, : len(score.scattered), :, rows] += score.scattered
         self.unscattered_sums[batch, :, rows] += score.unscattered
 
@@ -107,9 +113,13 @@ class ExpansionTally(ExitTally):
         return np.cumsum(rays[:, ::-1], axis=1)[:, ::-1]
 
     def make_estimate(self) -> AngularEstimate:
-        """Estimate BRDF and BTDF, and the contributions of node rows and classes to variances."""
+        """Estimate BRDF and BTDF."""
+        return self._estimate_rows()[0]
+
+    def _estimate_rows(self) -> tuple[AngularEstimate, list[RowVariances]]:
+        """Return the estimate, and the contributions to the variance of each wavelength."""
         class_rays = self.count_class_rays()[self.node_of_row]
-        estimates, self._variances = [], {}
+        estimates, all_variances = [], []
         for row in range(len(self.absorption)):
             used = np.flatnonzero(self.rows == row)
             rays_per_batch = class_rays[used] / N_ANGULAR_BATCHES
@@ -125,33 +135,38 @@ class ExpansionTally(ExitTally):
             n_rays = class_rays[used].min(axis=0)
             estimate, variances = estimate_row(coefficients, unscattered, n_rays, self.target)
             estimates.append(estimate)
-            self._variances[row] = dict(zip(used.tolist(), variances, strict=True))
-        return stack_rows(estimates, self.nodes.interpolation_bound)
+            all_variances.append((self.node_of_row[used], np.stack(variances)))
+        return stack_rows(estimates, self.nodes.interpolation_bound), all_variances
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return no Stokes parameters: the expansion has the intensity only."""
         return {}
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the largest relative error, and why tracing stops."""
-        self.estimate = self.make_estimate()
+        """Return the largest relative error, and why tracing stops or which rays are needed."""
+        estimate, variances = self._estimate_rows()
         target, n_rays = self.target, self.n_rays
-        error = target.compute_max_error(self.estimate, use_stopping_error=True)
-        if stop.fixed:
-            return Evaluation(error)
-        if error <= stop.max_error:
-            resolved = target.compute_max_error(self.estimate) <= stop.max_error
-            return Evaluation(error, "converged" if resolved else "unresolved_lobe")
-        # Eight times the rays should reduce a statistical error by a factor of nearly three.
-        stagnates = any(
-            n_rays >= 8.0 * earlier_rays and error > 0.8 * earlier
-            for earlier_rays, earlier in self._earlier_errors
-        )
-        self._earlier_errors.append((n_rays, error))
-        limited = stagnates or target.is_truncation_limited(self.estimate, stop.max_error)
-        return Evaluation(error, "max_degree" if limited else "")
+        error = target.compute_max_error(estimate, use_stopping_error=True)
+        stop_reason = ""
+        if not stop.fixed and error <= stop.max_error:
+            resolved = target.compute_max_error(estimate) <= stop.max_error
+            stop_reason = "converged" if resolved else "unresolved_lobe"
+        elif not stop.fixed:
+            # Eight times the rays should reduce a statistical error by a factor of nearly three.
+            stagnates = any(
+                n_rays >= 8.0 * earlier_rays and error > 0.8 * earlier
+                for earlier_rays, earlier in self._earlier_errors
+            )
+            self._earlier_errors.append((n_rays, error))
+            limited = stagnates or target.is_truncation_limited(estimate, stop.max_error)
+            stop_reason = "max_degree" if limited else ""
+        if stop_reason or n_rays >= stop.max_rays:
+            return Evaluation(error, stop_reason, None, estimate)
+        return Evaluation(error, "", self._allocate_rays(stop, estimate, variances), estimate)
 
-    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
+    def _allocate_rays(
+        self, stop: StoppingRule, estimate: AngularEstimate, variances: Sequence[RowVariances]
+    ) -> np.ndarray:
         """Return the rays of every stratum for the least cost.
 
         With V the variance per ray and c the segments of a ray in a class, Σ V/M reaches a target
@@ -163,13 +178,12 @@ class ExpansionTally(ExitTally):
         segments = np.array([one.n_segments / max(one.n_rays, 1) for one in self.strata])
         costs = np.maximum(np.diff(segments.reshape(class_rays.shape), prepend=-1.0, axis=1), 0.01)
         interpolation_error = INTERPOLATION_FACTOR * self.nodes.interpolation_bound[:, np.newaxis]
-        reference = self.target.compute_reference(self.estimate)
+        reference = self.target.compute_reference(estimate)
         targets = (stop.max_error**2 - interpolation_error**2) * reference**2
         target_rays = np.zeros(class_rays.shape)
-        for row, variances in self._variances.items():
-            nodes, target = self.node_of_row[list(variances)], targets[row]
+        for (nodes, row_variances), target in zip(variances, targets, strict=True):
             cost = costs[nodes][:, :, np.newaxis]
-            per_ray = np.stack(list(variances.values())) * class_rays[nodes][:, :, np.newaxis]
+            per_ray = row_variances * class_rays[nodes][:, :, np.newaxis]
             root_cost = np.sqrt(per_ray * cost).sum(axis=(0, 1))
             # Directions without light need no rays.
             factor = np.divide(root_cost, target, out=np.zeros_like(root_cost), where=target > 0.0)

@@ -24,7 +24,6 @@ from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.scene import (
     OpticalConstants,
     compute_optical_constants,
-    get_reflecting_ground,
     make_height_fields,
 )
 from splits.simulation.spectral_rows import PathSharingMedia
@@ -125,7 +124,7 @@ def prepare_medium(
     end_m, traced = float(traced.depth_m), absorb_along_path(traced)
     constants = compute_optical_constants(traced, wavelengths)
     # A ground of a semi-infinite medium is the one that replaces the rest.
-    truncated = truncated and get_reflecting_ground(traced) is not None
+    truncated = truncated and traced.reflecting_ground is not None
     if truncated:
         constants = _append_darker_ground(constants)
     planes = np.array([0.0, *depths_m, end_m])

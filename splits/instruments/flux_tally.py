@@ -87,8 +87,6 @@ class FluxTally(ExitTally):
     absorptance_sums : float, shape (N_BATCHES, layers, materials, node rows)
     path_length_sums : float, shape (N_BATCHES, layers, node rows)
         Metres.
-    result : FluxResult
-        After the last round.
     """
 
     first_stream = 8_000_000
@@ -128,7 +126,7 @@ class FluxTally(ExitTally):
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> FluxSums:
         """Return the sums of a chunk of rays of a stratum."""
         absorption, fractions = (
-            self.absorption[self.rows[stratum.rows]],
+            stratum.absorption,
             self.traced_medium.path_fractions,
         )
         ground_column = self.traits.ground_column
@@ -139,7 +137,7 @@ class FluxTally(ExitTally):
 
     def merge(self, stratum: Stratum, score: FluxSums) -> None:
         """Add the sums of the next chunk of a stratum."""
-        batch, rows = self.get_batch(stratum, N_BATCHES), stratum.rows
+        batch, rows = self.get_batch(stratum, N_BATCHES), stratum.node_rows
         self.irradiance_sums[batch][..., rows] += score.boundary_weight
         self.absorptance_sums[batch][..., rows] += score.absorbed
         self.path_length_sums[batch][..., rows] += score.path_length
@@ -169,14 +167,35 @@ class FluxTally(ExitTally):
         return FluxEstimate(irradiance, absorptance, by_material, path_length)
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the largest standard error, and why tracing stops.
+        """Return the largest standard error, and why tracing stops or which rays are needed.
 
         It stops with "interpolation_bound" where the rest of the error is a bound that more rays do
         not reduce.
         """
-        n_wavelengths, target = self.traced_medium.n_wavelengths, self.target
-        self._by_node = self.estimate_node_rows()
-        whole = FluxEstimate(*(self.combine_nodes(array) for array in self._by_node))
+        by_node = self.estimate_node_rows()
+        result = self._combine(by_node)
+        stderr, irreducible = self._compute_target_errors(result)
+        limits, max_stderr = self.target.stderr_limits, self.target.max_stderr
+        error = float((stderr / limits).max()) * max_stderr
+        if error <= max_stderr:
+            return Evaluation(error, "converged", None, result)
+        scatter = stderr**2 - irreducible**2
+        if (irreducible > limits).any() and (scatter < MIN_SCATTER_FRACTION * limits**2).all():
+            return Evaluation(error, "interpolation_bound", None, result)
+        requested = self.rows < self.traced_medium.n_wavelengths
+        values = self.target.select_quantities(by_node.irradiance, by_node.absorptance)
+        quantities = NodeQuantities(
+            (self.weights * values)[..., requested],
+            self.rows[requested],
+            self.find_contributions()[:, requested],
+        )
+        target_rays = allocate_flux_rays(self.target, self.strata, quantities, irreducible)
+        return Evaluation(error, "", target_rays, result)
+
+    def _combine(self, by_node: FluxEstimate) -> FluxResult:
+        """Return the result of all wavelengths from the estimates of node rows."""
+        n_wavelengths = self.traced_medium.n_wavelengths
+        whole = FluxEstimate(*(self.combine_nodes(array) for array in by_node))
         estimate = whole.select_wavelengths(slice(n_wavelengths))
         perturbed = None
         if self.traced_medium.truncated:
@@ -189,21 +208,11 @@ class FluxTally(ExitTally):
             self.nodes.interpolation_bound[:n_wavelengths],
             single_ray_error[:n_wavelengths],
         )
-        self.result = FluxResult(estimate, systematic_error, perturbed)
-        stderr, self._irreducible = self._compute_target_errors()
-        limits = target.stderr_limits
-        error = float((stderr / limits).max()) * target.max_stderr
-        if error <= target.max_stderr:
-            return Evaluation(error, "converged")
-        scatter = stderr**2 - self._irreducible**2
-        is_irreducible = (self._irreducible > limits).any() and (
-            scatter < MIN_SCATTER_FRACTION * limits**2
-        ).all()
-        return Evaluation(error, "interpolation_bound" if is_irreducible else "")
+        return FluxResult(estimate, systematic_error, perturbed)
 
-    def _compute_target_errors(self) -> tuple[np.ndarray, np.ndarray]:
+    def _compute_target_errors(self, result: FluxResult) -> tuple[np.ndarray, np.ndarray]:
         """Return the standard errors of the target's quantities, and their irreducible parts."""
-        estimate, systematic_error, _ = self.result
+        estimate, systematic_error, _ = result
 
         def select(irradiance: np.ndarray, absorptance: np.ndarray) -> np.ndarray:
             quantities = self.target.select_quantities(irradiance, absorptance)
@@ -212,14 +221,3 @@ class FluxTally(ExitTally):
         scatter = compute_batch_stderr(select(estimate.irradiance, estimate.absorptance))
         systematic = select(systematic_error.irradiance, systematic_error.absorptance)
         return np.hypot(scatter, systematic), select(*systematic_error.irreducible)
-
-    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
-        """Return the rays of each stratum that would satisfy the target."""
-        requested = self.rows < self.traced_medium.n_wavelengths
-        values = self.target.select_quantities(self._by_node.irradiance, self._by_node.absorptance)
-        quantities = NodeQuantities(
-            (self.weights * values)[..., requested],
-            self.rows[requested],
-            self.find_contributions()[:, requested],
-        )
-        return allocate_flux_rays(self.target, self.strata, quantities, self._irreducible)

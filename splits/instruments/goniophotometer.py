@@ -12,7 +12,11 @@ from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
 from splits.instruments.angular_dataset import make_angular_dataset, relabel_for_diffuse_light
-from splits.instruments.angular_estimate import ErrorTarget, compute_max_relative_error
+from splits.instruments.angular_estimate import (
+    AngularEstimate,
+    ErrorTarget,
+    compute_max_relative_error,
+)
 from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.detector_tally import DetectorTally
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
@@ -29,8 +33,8 @@ from splits.simulation.arguments import (
 )
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import compute_optical_constants, get_reflecting_ground
-from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
+from splits.simulation.scene import compute_optical_constants
+from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.tally import StoppingRule
 from splits.simulation.tracer import SceneTracer, Tracer
 
@@ -73,7 +77,7 @@ def goniophotometer(
 
     Parameters
     ----------
-    medium : GranularMedium or ParticleMedium
+    medium : Medium
         For example `splits.Snow` or `splits.ParticleLayer`.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
@@ -154,7 +158,7 @@ def goniophotometer(
     check_medium(medium)
     wavelengths, incidence = check_wavelengths(wavelength_nm), check_incidence(incidence_deg)
     relative_stderr = check_range("relative_stderr", relative_stderr, 1e-4, 0.5)
-    has_ground = get_reflecting_ground(medium) is not None
+    has_ground = medium.reflecting_ground is not None
     side = _get_target_side(target, has_ground)
     _check_estimator(estimator, incidence)
     max_rays = check_integer("max_rays", max_rays, 1)
@@ -174,14 +178,17 @@ def goniophotometer(
         tally = DetectorTally(tracer, side, len(wavelengths))
     else:
         tracer = SceneTracer(medium, incidence)
-        directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
-        axisymmetric = tracer.normal_incidence or tracer.diffuse
-        target_error = ErrorTarget(directions, axisymmetric, side, direction_mask)
-        tally = _make_tally(tracer, nodes, absorption, target_error, bins)
+        if bins is not None:
+            tally = AngularBinTally(nodes, absorption, bins, tracer.stokes_columns)
+        else:
+            directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
+            axisymmetric = tracer.normal_incidence or tracer.diffuse
+            target_error = ErrorTarget(directions, axisymmetric, side, direction_mask)
+            tally = ExpansionTally(nodes, absorption, target_error, not tracer.diffuse)
     is_fixed = rays is not None or bins is not None
     n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
     outcome = simulate(tracer, tally, StoppingRule(relative_stderr, n_rays, is_fixed), run)
-    estimate = tally.make_estimate()
+    estimate: AngularEstimate = outcome.estimate
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
@@ -199,19 +206,6 @@ def goniophotometer(
     undefined = TRANSMITTED_VARIABLES if has_ground else tally.undefined_variables
     dataset = dataset.drop_vars([name + suffix for name in undefined for suffix in ("", "_stderr")])
     return relabel_for_diffuse_light(dataset) if incidence == "diffuse" else dataset
-
-
-def _make_tally(
-    tracer: SceneTracer,
-    nodes: IndexNodes,
-    absorption: np.ndarray,
-    target: ErrorTarget,
-    n_bins: tuple[int, int] | None,
-) -> ExpansionTally | AngularBinTally:
-    """Return the tally of an estimator that records exits."""
-    if n_bins is not None:
-        return AngularBinTally(nodes, absorption, n_bins, tracer.stokes_columns)
-    return ExpansionTally(nodes, absorption, target, exclude_unscattered=not tracer.diffuse)
 
 
 def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:

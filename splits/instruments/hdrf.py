@@ -38,7 +38,7 @@ def hdrf(
 
     Parameters
     ----------
-    medium : GranularMedium or ParticleMedium
+    medium : Medium
     sky : Sky, str or mapping
         See `splits.sky`.
     wavelength_nm : array_like

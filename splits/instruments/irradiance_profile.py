@@ -65,7 +65,7 @@ def irradiance_profile(
 
     Parameters
     ----------
-    medium : GranularMedium, LayeredMedium or ParticleMedium
+    medium : Medium
         For example `splits.Snow`, `splits.Stack` or `splits.ParticleLayer`; may be semi-infinite.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), see `splits.spectrophotometer`.
@@ -176,7 +176,7 @@ def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> 
     }
     if traced_medium.semi_infinite:
         attributes["truncation_depth_m"] = float(traced_medium.planes_m[-1])
-    return make_flux_dataset(tally.result, traced_medium, wavelengths, attributes)
+    return make_flux_dataset(outcome.estimate, traced_medium, wavelengths, attributes)
 
 
 def _choose_nodes(traced_medium: TracedMedium, target: FluxTarget) -> IndexNodes:

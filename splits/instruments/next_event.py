@@ -20,7 +20,7 @@ from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import Detectors
 from splits.media.medium import Medium
 from splits.media.particle_layer import ParticleLayer
-from splits.simulation.scene import build_scene, get_reflecting_ground
+from splits.simulation.scene import build_scene
 from splits.simulation.tally import Tally
 from splits.simulation.tracer import ItemScores, Tracer, WorkItem
 
@@ -60,8 +60,8 @@ def get_detected_layers(medium: Medium) -> tuple[ParticleLayer, ...]:
         if any(peak is not None for peak in peaks):
             hint = "narrow peaks require a single layer"
             raise invalid("estimator", "next_event", f"{allowed} for this phase_function", hint)
-        if get_reflecting_ground(medium) is not None:
-            raise invalid("estimator", "next_event", f"{allowed} over the ground of a stack")
+    if medium.reflecting_ground is not None:
+        raise invalid("estimator", "next_event", f"{allowed} over the ground of a stack")
     return layers
 
 

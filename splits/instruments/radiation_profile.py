@@ -56,7 +56,7 @@ def radiation_profile(
 
     Parameters
     ----------
-    medium : GranularMedium, LayeredMedium or ParticleMedium
+    medium : Medium
         For example `splits.Snow` or `splits.Stack`; see `splits.irradiance_profile`.
     sky : Sky, str or mapping
         See `splits.sky`.

@@ -56,10 +56,9 @@ def spectrophotometer(
 
     Parameters
     ----------
-    medium : GranularMedium, LayeredMedium or ParticleMedium, or a mapping
-        For example `splits.Snow` or `splits.ParticleLayer`.  A mapping from names to granular
-        media, or to stacks of them, that differ only in impurities or in the albedo of a reflecting
-        ground.
+    medium : Medium, or a mapping
+        For example `splits.Snow` or `splits.ParticleLayer`.  A mapping from names to media that
+        differ only in impurities or in the albedo of a reflecting ground.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
         medium's refractive indices.

@@ -48,9 +48,9 @@ class SplittingTracer(Tracer):
         results = []
         for stratum, first_ray, n_rays in job:
             n_segments, scores = 0, []
-            for first in range(first_ray, first_ray + n_rays, HISTORIES_PER_CHUNK):
+            for first in range(first_ray, first_ray + n_rays, tally.rays_per_chunk):
                 moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
-                work = np.array([stratum.stream, first, HISTORIES_PER_CHUNK])
+                work = np.array([stratum.stream, first, tally.rays_per_chunk])
                 result = trace_batch_with_splitting(
                     seed, work, self.scene, stratum.optics, stratum.splitting_rate, moments, profile
                 )
@@ -97,8 +97,10 @@ class TransmittanceTally(Tally):
         for row, rate in enumerate(splitting_rates):
             stream = self.first_stream + (N_PILOTS + 1) * row + stage
             optics = make_bounding_optics(constants.indices[row], self.absorption[row : row + 1])
-            stratum = Stratum(stream, optics, self.select_node(row), splitting_rate=float(rate))
-            self.strata.append(stratum)
+            node_rows, absorption = self.select_node(row), self.absorption[row : row + 1]
+            self.strata.append(
+                Stratum(stream, optics, node_rows, absorption, splitting_rate=float(rate))
+            )
 
     def count_score_values(self) -> int:
         """Return the number of values in the score of a chunk."""
@@ -107,10 +109,10 @@ class TransmittanceTally(Tally):
     def merge(self, stratum: Stratum, score: TransmittanceScore) -> None:
         """Add the score of the next chunk of a stratum."""
         (total, square, largest), profile = score
-        moments = self.moments[:, stratum.rows.start]
+        moments = self.moments[:, stratum.node_rows.start]
         moments[:2] += total, square
         moments[2] = max(moments[2], largest)
-        self.depth_profile[..., stratum.rows.start] += profile
+        self.depth_profile[..., stratum.node_rows.start] += profile
 
     def estimate(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the means, their standard errors, and the largest fractions from one history."""
@@ -122,25 +124,18 @@ class TransmittanceTally(Tally):
         return mean, stderr, fraction
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the largest relative error, and whether every wavelength has converged."""
+        """Return the largest relative error, and the histories that each wavelength needs."""
         mean, stderr, fraction = self.estimate()
-        self._errors = np.divide(stderr, mean, out=np.full_like(mean, np.inf), where=mean > 0.0)
-        self._is_converged = (self._errors <= stop.max_error) & (fraction <= MAX_HISTORY_FRACTION)
-        is_done = self._is_converged | (self.stratum_rays >= self._get_max_rays(stop))
-        stop_reason = "converged" if self._is_converged.all() else "max_rays"
-        return Evaluation(float(self._errors.max()), stop_reason if is_done.all() else "")
-
-    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
-        """Return the histories that would satisfy a stopping rule at each wavelength."""
-        n_rays = self.stratum_rays
-        predicted = 1.1 * n_rays * (self._errors / stop.max_error) ** 2
-        target_rays = np.clip(predicted, 1.5 * n_rays, 4.0 * n_rays)
-        target_rays = np.minimum(target_rays, self._get_max_rays(stop))
-        return np.floor(np.where(self._is_converged, n_rays, target_rays))
-
-    def _get_max_rays(self, stop: StoppingRule) -> float:
-        """Return the largest number of histories of a wavelength."""
-        return stop.max_rays / len(self.strata)
+        n_rays, max_rays = self.stratum_rays, stop.max_rays / len(self.strata)
+        errors = np.divide(stderr, mean, out=np.full_like(mean, np.inf), where=mean > 0.0)
+        is_converged = (errors <= stop.max_error) & (fraction <= MAX_HISTORY_FRACTION)
+        largest = float(errors.max())
+        if stop.fixed or (is_converged | (n_rays >= max_rays)).all():
+            return Evaluation(largest, "converged" if is_converged.all() else "max_rays")
+        predicted = 1.1 * n_rays * (errors / stop.max_error) ** 2
+        target_rays = np.minimum(np.clip(predicted, 1.5 * n_rays, 4.0 * n_rays), max_rays)
+        target_rays = np.floor(np.where(is_converged, n_rays, np.maximum(target_rays, n_rays)))
+        return Evaluation(largest, target_rays=target_rays)
 
     def fit_attenuation_rates(self, depth: float) -> np.ndarray:
         """Return the rates (1/m) at which the weight decreases with depth, from sampled slices.

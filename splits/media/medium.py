@@ -86,6 +86,11 @@ class Medium(ABC):
         return None
 
     @property
+    def reflecting_ground(self) -> Ground | None:
+        """Ground below, None where it does not reflect."""
+        return self.ground if self.ground is not None and self.ground.is_reflecting else None
+
+    @property
     def has_grains(self) -> bool:
         """Whether any layer consists of grains."""
         return any(layer.has_grains for layer in self.scene_layers)
@@ -171,6 +176,11 @@ class Layer(Medium):
     def matrix_index(self) -> float | None:
         """Refractive index of the matrix of particles."""
         return None
+
+    @property
+    def single_scattering_albedo(self) -> float:
+        """Fraction of the light that collisions do not absorb; paths through grains do."""
+        return 1.0
 
     @property
     def scene_bottom(self) -> LayerBottom:

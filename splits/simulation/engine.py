@@ -64,16 +64,15 @@ def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) 
                     item.stratum.n_segments += n_segments
                 report.advance(cost)
             with limit_blas_threads():
-                report.error, stop_reason = tally.evaluate(stop)
-                if stop_reason or tally.n_rays >= stop.max_rays:
-                    break
-                target_rays = tally.allocate_rays(stop)
+                error, stop_reason, target_rays, estimate = tally.evaluate(stop)
+            if stop_reason or target_rays is None or tally.n_rays >= stop.max_rays:
+                break
+            report.error = error
             new_rays = limit_round(tally, target_rays, stop.max_rays)
             remaining_rays = float((target_rays - tally.stratum_rays - new_rays).clip(0).sum())
     kernels = {"scalar" if one.features is None else "vectorized" for one in strata}
-    return Outcome(
-        report.error, stop_reason or "max_rays", tally.n_rays, ", ".join(sorted(kernels))
-    )
+    kernel = ", ".join(sorted(kernels))
+    return Outcome(error, stop_reason or "max_rays", tally.n_rays, kernel, estimate)
 
 
 def limit_round(tally: Tally, target_rays: np.ndarray, max_rays: int) -> np.ndarray:
@@ -87,12 +86,16 @@ def limit_round(tally: Tally, target_rays: np.ndarray, max_rays: int) -> np.ndar
     max_rays : int
         Largest number of all rays.
     """
-    n_rays = tally.stratum_rays
-    step = np.clip(target_rays - n_rays, 0.0, (MAX_ROUND_GROWTH - 1.0) * n_rays)
-    step *= min(1.0, (max_rays - n_rays.sum()) / step.sum())
-    # However few rays are left, the stratum that needs most gets some.
-    step[step < min(1.0, step.max())] = 0.0
-    return np.ceil(step / tally.rays_per_round).astype(np.int64) * tally.rays_per_round
+    n_rays, size = tally.stratum_rays, tally.rays_per_round
+    step = np.clip(target_rays - n_rays, 0.0, (MAX_ROUND_GROWTH - 1.0) * n_rays) / size
+    rounds, budget = np.ceil(step), (max_rays - n_rays.sum()) / size
+    if rounds.sum() > budget:
+        # Fewer rays than needed, or than whole rounds: the largest remainders get the last ones.
+        step *= min(1.0, budget / step.sum())
+        rounds = np.floor(step)
+        n_left = int(np.ceil(budget) - rounds.sum())
+        rounds[np.argsort(rounds - step, kind="stable")[:n_left]] += 1.0
+    return rounds.astype(np.int64) * size
 
 
 def estimate_cost(stratum: Stratum) -> float:
@@ -122,7 +125,7 @@ def make_jobs(
             item = WorkItem(stratum, stratum.n_rays, -(-n_rays // size) * size)
             by_kernel.setdefault(stratum.features, []).append(item)
     values_per_chunk = size * tracer.n_exit_columns + tally.count_score_values()
-    max_rays = max(1, MAX_JOB_BYTES // (8 * values_per_chunk)) * size
+    max_job_rays = max(1, MAX_JOB_BYTES // (8 * values_per_chunk)) * size
     jobs = []
     for features, items in by_kernel.items():
         # Short paths last, so that few lanes are idle while the last long path ends.
@@ -131,30 +134,30 @@ def make_jobs(
         cost = sum(estimate_cost(item.stratum) * item.n_rays for item in items)
         max_segments = MAX_SEGMENTS_PER_JOB if features else MAX_SEGMENTS_PER_JOB / 8
         # A multiple of the threads, so that all have the same load.
-        n_jobs = int(np.ceil(max(cost / max_segments, n_rays / max_rays) / threads)) * threads
+        n_jobs = int(np.ceil(max(cost / max_segments, n_rays / max_job_rays) / threads)) * threads
         n_jobs = min(n_jobs, n_rays // size)
-        jobs += split_jobs(items, n_jobs, cost / n_jobs, max_rays, size)
+        jobs += split_jobs(items, n_jobs, cost / n_jobs, max_job_rays, size)
     return jobs
 
 
 def split_jobs(
-    items: Sequence[WorkItem], n_jobs: int, cost_per_job: float, max_rays: int, chunk_size: int
+    items: Sequence[WorkItem], n_jobs: int, cost_per_job: float, max_job_rays: int, chunk_size: int
 ) -> list[list[WorkItem]]:
     """Return the items divided among a number of jobs of about equal cost, in order.
 
-    There are more jobs where one would hold more than `max_rays` rays.
+    There are more jobs where one would hold more than `max_job_rays` rays.
     """
     jobs: list[list[WorkItem]] = [[]]
     remaining_cost, n_rays = cost_per_job, 0
     for stratum, first, count in items:
         cost = estimate_cost(stratum) * chunk_size
         while count > 0:
-            if n_rays == max_rays or (
+            if n_rays == max_job_rays or (
                 jobs[-1] and remaining_cost < 0.5 * cost and len(jobs) < n_jobs
             ):
                 jobs.append([])
                 remaining_cost, n_rays = cost_per_job + min(remaining_cost, 0.5 * cost), 0
-            n_added = min(count, max_rays - n_rays)
+            n_added = min(count, max_job_rays - n_rays)
             if len(jobs) < n_jobs:
                 n_added = min(n_added, max(1, round(remaining_cost / cost)) * chunk_size)
             jobs[-1].append(WorkItem(stratum, first, n_added))

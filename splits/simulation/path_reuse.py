@@ -22,7 +22,6 @@ from splits.simulation.scene import (
     OpticalConstants,
     build_scene,
     compute_optical_constants,
-    get_reflecting_ground,
     make_height_fields,
 )
 from splits.simulation.spectral_rows import PathSharingMedia
@@ -160,7 +159,7 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
         np.array(
             [
                 len(medium.list_materials()),
-                not semi_infinite and get_reflecting_ground(medium) is not None,
+                not semi_infinite and medium.reflecting_ground is not None,
                 scene.stokes is not None,
                 scene.opaque is not None,
                 np.nan if scene.bottom_albedo is None else scene.bottom_albedo,

@@ -20,7 +20,6 @@ from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
-from splits.media.ground import Ground
 from splits.media.interpretations import Interpretation
 from splits.media.medium import Layer, Medium, compute_absorption
 
@@ -51,12 +50,6 @@ def make_source(incidence_deg: float | str) -> Source:
     return Source(float(np.cos(np.radians(float(incidence_deg)))), 0.0)
 
 
-def get_reflecting_ground(medium: Medium) -> Ground | None:
-    """Return the ground below a medium, None where it does not reflect."""
-    ground = medium.ground
-    return ground if ground is not None and ground.is_reflecting else None
-
-
 def make_height_fields(medium: Medium) -> HeightFields | None:
     """Return the rough surface on top of layers in the form of kernels, None where it is smooth."""
     return medium.scene_layers[0].make_height_fields()
@@ -64,14 +57,14 @@ def make_height_fields(medium: Medium) -> HeightFields | None:
 
 def count_length_columns(medium: Medium) -> int:
     """Return the number of recorded lengths of a path: one per material, and hits of a ground."""
-    return len(medium.list_materials()) + (get_reflecting_ground(medium) is not None)
+    return len(medium.list_materials()) + (medium.reflecting_ground is not None)
 
 
 def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> OpticalConstants:
     """Return the optical constants of a medium and its ground at wavelengths (nm)."""
     index = medium.compute_refractive_indices(wavelength_nm)
     absorption = compute_absorption(medium, index, wavelength_nm)
-    ground = get_reflecting_ground(medium)
+    ground = medium.reflecting_ground
     if ground is None:
         return OpticalConstants(index, absorption)
     return OpticalConstants(
@@ -88,7 +81,7 @@ def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Sce
     first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
     populations = [layer.make_grain_population() for layer in media]
     rules = (granular[0].interpretation if granular else Interpretation()).to_sampling_rules(analog)
-    has_ground = get_reflecting_ground(medium) is not None
+    has_ground = medium.reflecting_ground is not None
     bottom_albedo = media[-1].scene_bottom.albedo
     return Scene(
         make_source(incidence_deg),

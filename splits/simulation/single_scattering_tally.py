@@ -14,6 +14,7 @@ from splits.kernels.grains.single_grain import (
     ScatteringSums,
     tally_single_scattering,
 )
+from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Stratum, Tally
 from splits.simulation.tracer import ItemScores, Tracer, WorkItem
@@ -53,10 +54,10 @@ class IsolatedGrainTracer(Tracer):
 
     def _trace_item(self, seed: int, tally: Tally, item: WorkItem) -> Iterator[ScatteringSums]:
         stratum, first_ray, n_rays = item
-        rows, size = stratum.rows, tally.rays_per_chunk
+        rows, size = stratum.node_rows, tally.rays_per_chunk
         wet_fraction = self.wet_fractions[tally.node_of_row[rows.start]]
         grain = IsolatedGrain(wet_fraction, self.scene, stratum.optics)
-        absorption = tally.absorption[tally.rows[rows]]
+        absorption = stratum.absorption
         for first in range(first_ray, first_ray + n_rays, size):
             work = np.array([stratum.stream, first, size])
             yield tally_single_scattering(seed, work, self.n_orders, grain, absorption)
@@ -101,8 +102,8 @@ class SingleScatteringTally(Tally):
 
     def merge(self, stratum: Stratum, score: ScatteringSums) -> None:
         """Add the sums of the next chunk of a stratum."""
-        self.sums[..., stratum.rows] += score.sums
-        self.batch_sums[..., stratum.rows] += score.batches
+        self.sums[..., stratum.node_rows] += score.sums
+        self.batch_sums[..., stratum.node_rows] += score.batches
 
     def compute_grain_means(self) -> dict[str, np.ndarray]:
         """Return means over grains and their standard errors, by name.
@@ -124,14 +125,15 @@ class SingleScatteringTally(Tally):
         ratio_variance = self.combine_nodes(np.maximum(residual, 0.0) / n_rays, power=2)
         albedo_variance = np.maximum(square_sum[0] - mean_sum[0] ** 2, 0.0) / n_rays
         error_bound = MOMENT_SLOPE_RATIO * bound * np.abs(ratio)
-        moment_slope = np.clip(8.0 * np.abs(_bernoulli_variance(ratio[:orders])), 0.0, 1.0)
+        # x (1 − x), which is 0 where a fraction cannot depend on the refractive index.
+        moment_slope = np.clip(8.0 * np.abs(ratio[:orders] * (1.0 - ratio[:orders])), 0.0, 1.0)
         error_bound[:orders] = MOMENT_SLOPE_RATIO * bound * moment_slope
         error = np.sqrt(ratio_variance / scattered**2 + error_bound**2)
         jackknife_means = compute_leave_one_out_means(batch_means)
         jackknife_ratios = jackknife_means / np.maximum(
             jackknife_means[:, :1], np.finfo(float).tiny
         )
-        albedo_bound = bound * np.clip(8.0 * _bernoulli_variance(albedo), 0.0, 1.0)
+        albedo_bound = bound_fraction_error(bound, albedo)
         values = {
             "single_scattering_albedo": albedo,
             "single_scattering_albedo_stderr": np.sqrt(
@@ -147,8 +149,3 @@ class SingleScatteringTally(Tally):
             values |= {f"{name}{suffix}": table[row].T for suffix, table in tables.items()}
             values[f"{name}_jackknife"] = np.moveaxis(jackknife_ratios[:, row], 1, -1)
         return values
-
-
-def _bernoulli_variance(probability: np.ndarray) -> np.ndarray:
-    """Return x (1 − x), which is 0 where a fraction cannot depend on the refractive index."""
-    return probability * (1.0 - probability)

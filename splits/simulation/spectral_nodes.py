@@ -136,6 +136,11 @@ def make_nodes(
 
 def make_separate_nodes(index: np.ndarray) -> IndexNodes:
     """Return a node for each wavelength, see `choose_nodes`."""
+    if len(index) > MAX_SEPARATE_NODES:
+        raise invalid(
+            "wavelength_nm", f"{len(index)} wavelengths", f"at most {MAX_SEPARATE_NODES}",
+            "each is traced separately",
+        )  # fmt: skip
     return IndexNodes(index, np.eye(len(index)), np.zeros(len(index)))
 
 

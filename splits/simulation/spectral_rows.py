@@ -18,7 +18,6 @@ from splits.media.medium import Interface, Medium
 from splits.simulation.scene import (
     OpticalConstants,
     compute_optical_constants,
-    get_reflecting_ground,
 )
 
 
@@ -57,7 +56,7 @@ class PathSharingMedia(NamedTuple):
         for medium, size_ratio in zip(*self, strict=True):
             constants = compute_optical_constants(medium, wavelength_nm)
             absorption = size_ratio * constants.absorption
-            if get_reflecting_ground(medium) is not None:
+            if medium.reflecting_ground is not None:
                 absorption[:, -1] = constants.absorption[:, -1]
             scaled.append(constants._replace(absorption=absorption))
         return scaled

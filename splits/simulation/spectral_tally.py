@@ -16,6 +16,7 @@ import numpy as np
 
 from splits.kernels.tallies.derivatives import tally_derivatives
 from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, tally_weights
+from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.spectral_rows import SpectralRows
@@ -171,15 +172,15 @@ class SpectralTally(ExitTally):
 
     def count_score_values(self) -> int:
         """Return the largest number of values in the score of a chunk."""
-        n_rows = max(stratum.rows.stop - stratum.rows.start for stratum in self.strata)
+        n_rows = max(stratum.node_rows.stop - stratum.node_rows.start for stratum in self.strata)
         n_parameters = len(self.absorption_derivatives)
-        return (10 + N_BATCHES + n_parameters * (1 + BLOCK_SIZE)) * n_rows
+        return (10 + N_BATCHES + n_parameters * self.rays_per_chunk // BLOCK_SIZE) * n_rows
 
     def score(
         self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         """Return moments, smallest weights, block sums and their derivatives."""
-        rows, ground_column = self.rows[stratum.rows], self.traits.ground_column
+        rows, ground_column = self.rows[stratum.node_rows], self.traits.ground_column
         absorption = self.absorption[rows]
         sums = tally_weights(exits, crossings, absorption, not self.traits.analog, ground_column)
         if not len(self.absorption_derivatives):
@@ -190,7 +191,7 @@ class SpectralTally(ExitTally):
     def merge(self, stratum: Stratum, score: tuple[np.ndarray, ...]) -> None:
         """Add the score of the next chunk of a stratum to the sums."""
         moments, min_weight, block_sums, *block_derivatives = score
-        rows, first = stratum.rows, stratum.n_rays // BLOCK_SIZE % N_BATCHES
+        rows, first = stratum.node_rows, stratum.n_rays // BLOCK_SIZE % N_BATCHES
         self.moments[:, :2, rows] += moments[:, :2]
         self.moments[:, 2, rows] = np.maximum(self.moments[:, 2, rows], moments[:, 2])
         self.min_weight[rows] = np.minimum(self.min_weight[rows], min_weight)
@@ -221,23 +222,19 @@ class SpectralTally(ExitTally):
 
     def bound_interpolation_error(self) -> np.ndarray:
         """Return the bound on the error of interpolation between nodes, shape (3, rows)."""
-        mean = self.compute_means()
-        # Near 0 and 1 a fraction changes in proportion to its distance from there; 8 allows for
-        # elasticities up to 2.4; that of a single reflection is 4/(2 + c).
-        return self.nodes.interpolation_bound * np.clip(8.0 * mean * (1.0 - mean), 0.0, 1.0)
+        return bound_fraction_error(self.nodes.interpolation_bound, self.compute_means())
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the largest standard error, and whether it is that requested."""
+        """Return the largest standard error, and the rays that reach the requested one."""
         variance = self.combine_nodes(self.compute_variances() / self.count_rays(), power=2)
-        error = float(np.sqrt(variance + self.bound_interpolation_error() ** 2).max())
-        return Evaluation(error, "converged" if error <= stop.max_error else "")
-
-    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
-        """Return the rays of each stratum that would satisfy a stopping rule."""
-        target = stop.max_error**2 - self.bound_interpolation_error() ** 2
+        bias = self.bound_interpolation_error()
+        error = float(np.sqrt(variance + bias**2).max())
+        if error <= stop.max_error or stop.fixed:
+            return Evaluation(error, "" if stop.fixed else "converged")
+        target = stop.max_error**2 - bias**2
         variances = self.weights**2 * self.compute_variances() / target[:, self.rows]
         terms = VarianceTerms(variances, self.rows, self.find_contributions())
-        return allocate_rays(terms, self.strata)
+        return Evaluation(error, target_rays=allocate_rays(terms, self.strata))
 
     def make_estimate(self, outcome: Outcome) -> SpectralEstimate:
         """Return means, errors, batch deviations and derivatives after a run."""
@@ -276,7 +273,7 @@ class SpectralTally(ExitTally):
         for stratum in self.strata:
             n_cycles, remainder = divmod(stratum.n_rays // BLOCK_SIZE, N_BATCHES)
             n_blocks = n_cycles + (np.arange(N_BATCHES) < remainder)
-            rays_per_batch[:, stratum.rows] += BLOCK_SIZE * n_blocks[:, np.newaxis]
+            rays_per_batch[:, stratum.node_rows] += BLOCK_SIZE * n_blocks[:, np.newaxis]
         n_rays = self.count_rays()
         rays_per_batch = rays_per_batch.reshape(N_BATCHES, *[1] * (batch_sums.ndim - 2), -1)
         deviations: np.ndarray = (batch_sums - rays_per_batch * (total / n_rays)) / n_rays

@@ -159,9 +159,7 @@ def _has_absorption_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray
     absorption = compute_absorption(
         medium, medium.compute_refractive_indices(wavelengths), wavelengths
     )
-    particles_absorb = [
-        getattr(layer, "single_scattering_albedo", 1.0) < 1.0 for layer in medium.scene_layers
-    ]
+    particles_absorb = [layer.single_scattering_albedo < 1.0 for layer in medium.scene_layers]
     materials_absorb = (absorption[:, :n_materials_above] > 0.0).any(axis=1)
     return np.asarray(materials_absorb | any(particles_absorb))
 

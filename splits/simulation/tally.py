@@ -34,8 +34,10 @@ class Stratum:
     stream : int
         Number of the random streams.
     optics : Optics
-    rows : slice
+    node_rows : slice
         Node rows that the rays serve.
+    absorption : float, shape (node rows, columns)
+        Their absorption coefficients (1/m).
     expected_segments : float
         Expected segments per ray before any was traced.
     max_order : int
@@ -50,7 +52,8 @@ class Stratum:
 
     stream: int
     optics: Optics
-    rows: slice
+    node_rows: slice
+    absorption: np.ndarray
     expected_segments: float = INITIAL_SEGMENTS
     max_order: int = NO_MAX_ORDER
     splitting_rate: float = 0.0
@@ -105,10 +108,25 @@ class StoppingRule(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """Largest error that a tally has reached, and why tracing stops, or an empty string."""
+    """State of a run after a round.
+
+    Attributes
+    ----------
+    error : float
+        Largest error reached.
+    stop_reason : str
+        Why tracing stops, or an empty string.
+    target_rays : float, shape (strata,), or None
+        Rays of each stratum that would satisfy the stopping rule; at least one stratum needs more
+        than it has.  None where tracing stops.
+    estimate : object
+        Estimate from all rays so far, which the tally defines.
+    """
 
     error: float
     stop_reason: str = ""
+    target_rays: np.ndarray | None = None
+    estimate: Any = None
 
 
 class Outcome(NamedTuple):
@@ -124,12 +142,15 @@ class Outcome(NamedTuple):
         All rays traced.
     kernel : str
         "vectorized", "scalar", or both where strata differ.
+    estimate : object
+        Estimate of the tally's last `Evaluation`.
     """
 
     error: float
     stop_reason: str
     n_rays: int
     kernel: str
+    estimate: Any = None
 
 
 class Tally(ABC):
@@ -193,12 +214,15 @@ class Tally(ABC):
     def add_strata(self, max_orders: Sequence[int] = (NO_MAX_ORDER,)) -> None:
         """Add a stratum for each node and largest order of scattering."""
         for node, index in enumerate(self.nodes.index):
-            rows = self.select_node(node)
-            optics = make_bounding_optics(index, self.absorption[self.rows[rows]])
+            node_rows = self.select_node(node)
+            absorption = self.absorption[self.rows[node_rows]]
+            optics = make_bounding_optics(index, absorption)
             for max_order in max_orders:
                 stream = self.first_stream + len(self.strata)
                 segments = min(3.0 * max_order, INITIAL_SEGMENTS)
-                self.strata.append(Stratum(stream, optics, rows, segments, max_order))
+                self.strata.append(
+                    Stratum(stream, optics, node_rows, absorption, segments, max_order)
+                )
 
     def add_strata_by_absorption(
         self,
@@ -228,7 +252,10 @@ class Tally(ABC):
                 stream = self.first_stream + node * len(STRATUM_BOUNDS) + step
                 optics = make_bounding_optics(index, absorption[rows])
                 segments = INITIAL_SEGMENTS / 1.5**step
-                self.strata.append(Stratum(stream, optics, slice(end - len(rows), end), segments))
+                node_rows = slice(end - len(rows), end)
+                self.strata.append(
+                    Stratum(stream, optics, node_rows, self.absorption[rows], segments)
+                )
 
     @abstractmethod
     def count_score_values(self) -> int:
@@ -239,18 +266,11 @@ class Tally(ABC):
         """Add the score of the next chunk of a stratum to the sums."""
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the error reached, and why tracing stops.
+        """Return the error reached, and why tracing stops or which rays are needed.
 
         Tallies of a fixed number of rays have no error to reach.
         """
         return Evaluation(1.0)
-
-    def allocate_rays(self, stop: StoppingRule) -> np.ndarray:
-        """Return the rays of each stratum that would satisfy a stopping rule.
-
-        At least one stratum needs more than it has.
-        """
-        return self.stratum_rays + self.rays_per_round
 
     def plan_first_round(self, stop: StoppingRule) -> np.ndarray:
         """Return the rays of each stratum in the first round."""
@@ -288,14 +308,14 @@ class Tally(ABC):
         """Return the rays of each node row, at least 1, shape (node rows,)."""
         count = np.zeros(len(self.rows))
         for stratum in self.strata:
-            count[stratum.rows] += stratum.n_rays
+            count[stratum.node_rows] += stratum.n_rays
         return np.maximum(count, 1.0)
 
     def find_contributions(self) -> np.ndarray:
         """Return where the rays of a stratum contribute, bool, shape (strata, node rows)."""
         contributes = np.zeros((len(self.strata), len(self.rows)), dtype=bool)
         for mask, stratum in zip(contributes, self.strata, strict=True):
-            mask[stratum.rows] = True
+            mask[stratum.node_rows] = True
         return contributes
 
     def combine_nodes(self, values: np.ndarray, power: int = 1) -> np.ndarray:

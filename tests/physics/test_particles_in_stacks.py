@@ -247,6 +247,7 @@ def test_polarized_subdivided_layers_agree_with_single_layers():
         ([TOP, replace(TOP, refractive_index=1.4)], None, "of different indices"),
         ([TOP, replace(TOP, asymmetry=0.95)], None, "require a single layer"),
         ([TOP, TOP], 0.5, "over the ground of a stack"),
+        ([TOP], 0.5, "over the ground of a stack"),
     ],
 )
 def test_unsupported_next_event_estimates_are_rejected(layers, ground, message):

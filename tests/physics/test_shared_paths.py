@@ -217,7 +217,22 @@ WRONG = {
     "other depth": ({"a": BASE, "b": make_snow(0.0, depth_m=0.1)}, r"medium\['b'\]"),
     "a ground": ({"a": BASE, "b": make_snow(0.0, depth_m=0.05, ground=0.5)}, r"medium\['b'\]"),
     "another kind": ({"a": BASE, "b": splits.Sand(depth_m=0.05)}, r"medium\['b'\] = 'sand'"),
-    "a layer": ({"a": splits.ParticleLayer(optical_thickness=1)}, "granular medium"),
+    "a particle layer": (
+        {"a": BASE, "b": splits.ParticleLayer(optical_thickness=1)},
+        r"\['b'\] = 'particle_layer'",
+    ),
+    "other particles": (
+        {name: splits.ParticleLayer(asymmetry=g) for name, g in (("a", 0.5), ("b", 0.6))},
+        r"medium\['b'\]",
+    ),
+    "another bottom": (
+        {name: splits.ParticleLayer(bottom_albedo=x) for name, x in (("a", 0.5), ("b", 0.6))},
+        r"medium\['b'\]",
+    ),
+    "another index": (
+        {name: splits.ParticleLayer(refractive_index=n) for name, n in (("a", 1.3), ("b", 1.4))},
+        r"medium\['b'\]",
+    ),
     "none": ({}, "at least one"),
     "a list": ([BASE], r"must be splits.Snow"),
 }

@@ -305,6 +305,22 @@ def test_saved_table_is_opened_and_interpolated(tmp_path):
     assert (square <= table.reflectance_stderr**2 * 1.001).all()
 
 
+@NEEDS_JIT
+def test_particle_layers_of_any_size_share_paths():
+    """The reflectance depends on the optical thickness, not on the depth."""
+    grid = {"optical_thickness": [0.5, 2.0], "depth_m": [0.1, 1.0]}
+    table = splits.build_table(splits.ParticleLayer, grid, [500.0], max_stderr=0.01)
+    assert table.attrs["ensembles"] == 2
+    assert (table.reflectance.isel(depth_m=0) == table.reflectance.isel(depth_m=1)).all()
+    for thickness in grid["optical_thickness"]:
+        one = splits.spectrophotometer(
+            splits.ParticleLayer(optical_thickness=thickness), [500.0], max_stderr=0.01, seed=2
+        )
+        cell = table.sel(optical_thickness=thickness, depth_m=1.0)
+        error = np.hypot(cell.reflectance_stderr, one.reflectance_stderr)
+        assert (abs(cell.reflectance - one.reflectance) < 4.0 * error).all()
+
+
 def test_invalid_grid_points_are_named():
     with pytest.raises(
         InvalidValue, match=r"^grid = 'optical_radius_um = 100000.0': must be a medium"
@@ -312,9 +328,4 @@ def test_invalid_grid_points_are_named():
         make_plan(make_snow, {"optical_radius_um": [100.0, 1e5]})
     with pytest.raises(InvalidValue, match=r"^grid = 'size = 1.0': must be a medium .*size"):
         make_plan(make_snow, {"size": [1.0]})
-    with pytest.raises(InvalidValue, match=r"must be a granular medium"):
-        make_plan(
-            lambda optical_thickness: splits.ParticleLayer(optical_thickness=optical_thickness),
-            {"optical_thickness": [1.0]},
-        )
     assert math.isinf(make_snow().depth_m)

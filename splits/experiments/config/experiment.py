@@ -33,7 +33,6 @@ from splits.plotting.panels import (
     MIN_POLAR_ANGLES,
     can_map_hemisphere,
 )
-from splits.simulation.scene import get_reflecting_ground
 
 RESERVED_NAMES = (
     "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "update_docs", "figure",
@@ -209,7 +208,7 @@ class ExperimentConfig(SimulationConfig):
         is_next_event = self.instrument.estimator == "next_event" and "btdf" in self.figure.quantity
         if is_next_event and getattr(medium, "bottom_albedo", None) is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a bottom with local estimation")
-        if "btdf" in self.figure.quantity and get_reflecting_ground(medium) is not None:
+        if "btdf" in self.figure.quantity and medium.reflecting_ground is not None:
             raise invalid("figure.quantity", "btdf", "brdf over a ground")
         if self.figure.kind == "polarization":
             if not medium.polarized:

@@ -55,7 +55,6 @@ from splits.media.medium import Medium
 from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
 from splits.simulation.scene import (
     compute_optical_constants,
-    get_reflecting_ground,
     make_height_fields,
 )
 from splits.tables.axes import ParameterGrid
@@ -135,7 +134,7 @@ class SimulationConfig(ConfigSection):
                 check_beam_angle(incidence) if has_beam else check_incidence(incidence)
                 check_thickness(medium)
             self._check_medium(kind, medium)
-            has_ground.add(get_reflecting_ground(medium) is not None)
+            has_ground.add(medium.reflecting_ground is not None)
         if len(has_ground) > 1 and self.instrument.kind == "goniophotometer":
             hint = "a BTDF exists only where light leaves the lower boundary"
             raise invalid("grid", "open and reflecting grounds", "of one kind", hint)
@@ -212,7 +211,7 @@ class SimulationConfig(ConfigSection):
         if instrument.estimator == "next_event":
             with key_prefix("instrument"):
                 get_detected_layers(medium)
-        if instrument.target == "btdf" and get_reflecting_ground(medium) is not None:
+        if instrument.target == "btdf" and medium.reflecting_ground is not None:
             raise invalid("instrument.target", "btdf", "brdf over a ground")
         has_wavelengths = "wavelength_nm" in instrument.model_fields_set
         if (

@@ -56,7 +56,9 @@ class StubTally(ExitTally):
         self.pilot_rays = rays_per_round
         n_rows = len(variances)
         super().__init__(make_separate_nodes(np.ones((n_rows, 1)) + 0j), np.zeros((n_rows, 1)))
-        self.strata = [Stratum(row, None, self.select_node(row)) for row in range(n_rows)]
+        self.strata = [
+            Stratum(row, None, self.select_node(row), np.zeros((1, 1))) for row in range(n_rows)
+        ]
         self.sums, self.rounds = np.zeros(n_rows), []
 
     def count_score_values(self):
@@ -68,13 +70,11 @@ class StubTally(ExitTally):
     def merge(self, stratum, score):
         first, value = score
         assert first == stratum.n_rays
-        self.sums[stratum.rows] += value
+        self.sums[stratum.node_rows] += value
 
     def evaluate(self, stop):
         self.rounds.append(self.stratum_rays)
         error = float(np.sqrt((self.variances / self.stratum_rays).max()))
-        is_converged = error <= stop.max_error and not stop.fixed
-        return Evaluation(error, "converged" if is_converged else "")
-
-    def allocate_rays(self, stop):
-        return self.variances / stop.max_error**2
+        if stop.fixed or error <= stop.max_error:
+            return Evaluation(error, "" if stop.fixed else "converged", estimate=self.sums)
+        return Evaluation(error, target_rays=self.variances / stop.max_error**2)

@@ -260,6 +260,13 @@ def test_rounds_are_limited():
     assert limit_round(tally, np.array([1025.0, 1600.0]), MANY_RAYS).tolist() == [512, 1024]
 
 
+def test_rays_beyond_the_limit_are_less_than_one_round():
+    tally = make_traced_tally([128] * 300)
+    for n_left in (1, 1000, 128 * 250 + 1):
+        rays = limit_round(tally, np.full(300, 1000.0), 300 * 128 + n_left)
+        assert n_left <= rays.sum() < n_left + 128
+
+
 @pytest.mark.parametrize("n_left", [1, 2, 3])
 def test_the_last_rays_are_those_of_the_neediest_stratum(n_left):
     tally = make_traced_tally([128, 128, 128])

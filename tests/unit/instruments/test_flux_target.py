@@ -70,7 +70,7 @@ def test_variance_terms_of_wavelengths_are_node_rows():
 
 def test_rays_are_allocated_by_variance():
     """A wavelength that uses one node only needs no rays of the other."""
-    strata = [Stratum(i, None, slice(0), n_rays=1024, n_segments=10 * 1024) for i in range(2)]
+    strata = [Stratum(i, None, slice(0), None, n_rays=1024, n_segments=10 * 1024) for i in range(2)]
     scatter = (
         RANDOM.standard_normal((2, N_BATCHES, 1, 3))
         * np.array([[1, 0.5, 0], [0, 0.5, 1]])[:, np.newaxis, np.newaxis]

@@ -76,5 +76,5 @@ class StubTally(ExitTally):
         self.rounds.append(self.stratum_rays)
         error = float(np.sqrt((self.variances / self.stratum_rays).max()))
         if stop.fixed or error <= stop.max_error:
-            return Evaluation(error, "" if stop.fixed else "converged", estimate=self.sums)
+            return Evaluation(error, "" if stop.fixed else "converged", estimate=self.sums.tolist())
         return Evaluation(error, target_rays=self.variances / stop.max_error**2)

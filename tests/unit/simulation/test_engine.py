@@ -320,7 +320,8 @@ def test_allocation_has_the_least_cost(name, seed):
     # Later strata are more absorbed and cheaper.
     segments = (300.0 / 4.0 ** np.arange(len(contributes)) * rng.uniform(0.5, 2.0)).astype(int)
     strata = [
-        Stratum(i, None, slice(0), n_rays=1, n_segments=int(n)) for i, n in enumerate(segments)
+        Stratum(i, None, slice(0), None, n_rays=1, n_segments=int(n))
+        for i, n in enumerate(segments)
     ]
     n_rays = allocate_rays(terms, strata)
     ratio = terms.sum_columns(terms.variances / (n_rays @ terms.contributes))
@@ -335,7 +336,9 @@ def test_traced_rays_count_in_the_allocation():
     terms = VarianceTerms(
         np.array([[1000.0, 1000.0]]), np.array([0, 1]), np.array([[1, 1], [0, 1]], dtype=bool)
     )
-    strata = [Stratum(i, None, slice(0), n_rays=n, n_segments=n) for i, n in enumerate((4000, 100))]
+    strata = [
+        Stratum(i, None, slice(0), None, n_rays=n, n_segments=n) for i, n in enumerate((4000, 100))
+    ]
     # The first stratum has enough rays for both; a chunk is traced where nothing is missing.
     assert allocate_rays(terms, strata).tolist() == [4000 + RAYS_PER_CHUNK, 100 + RAYS_PER_CHUNK]
     strata[0].n_rays = strata[0].n_segments = 900

@@ -107,6 +107,14 @@ def refractive_index_of(optics, material):
 
 
 @inline_only
+def interface_index(scene, optics, material):
+    """Return the refractive index of a material at interfaces, real in scenes without grains."""
+    if scene.types is None:
+        return ComplexIndex(optics.n[material], 0.0)
+    return refractive_index_of(optics, material)
+
+
+@inline_only
 def get_layer_geometry(layers, layer):
     """Return the `LayerGeometry` of a layer."""
     slab_bottom, slab_top = layers.boundaries[layers.boundaries.size - 1], layers.boundaries[0]

@@ -9,7 +9,7 @@ from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, RouletteResult, russian_roulette
 from splits.kernels.grains.grain_path import trace_through_grain
 from splits.kernels.grains.scene import NO_GROUND, NO_PARTICLES
-from splits.kernels.grains.state import attenuate, pore_material, refractive_index_of
+from splits.kernels.grains.state import attenuate, interface_index, pore_material
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, UP, sample_cosine_lobe
 from splits.kernels.optics.interface import orient_horizontal_normal
@@ -74,8 +74,8 @@ def enter_layer(state, ray, scene, optics):
     """
     layers, layer = scene.layers, ray.layer
     pore_variate = sample_pore_variate(state, scene)
-    near = refractive_index_of(optics, layers.first_pore_material[layer])
-    far = refractive_index_of(optics, pore_material(layers, layer, pore_variate))
+    near = interface_index(scene, optics, layers.first_pore_material[layer])
+    far = interface_index(scene, optics, pore_material(layers, layer, pore_variate))
     if not (scene.rules.boundary_fresnel or layers.particle_row[layer] != NO_PARTICLES):
         far = near
     normal = orient_horizontal_normal(ray.direction)
@@ -106,11 +106,11 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
     inside = 0 <= next_layer < layers.collision_coefficient.size
     if scene.ground_contact is not None and next_layer == layers.collision_coefficient.size:
         return replace(ray, status=TO_GROUND)
-    near = refractive_index_of(optics, pore_material(layers, ray.layer, ray.pore_variate))
-    far = refractive_index_of(optics, layers.first_pore_material[ray.layer])
+    near = interface_index(scene, optics, pore_material(layers, ray.layer, ray.pore_variate))
+    far = interface_index(scene, optics, layers.first_pore_material[ray.layer])
     has_particles = layers.particle_row[ray.layer] != NO_PARTICLES
     if inside:
-        far = refractive_index_of(optics, pore_material(layers, next_layer, ray.pore_variate))
+        far = interface_index(scene, optics, pore_material(layers, next_layer, ray.pore_variate))
         has_particles |= layers.particle_row[next_layer] != NO_PARTICLES
     # `boundary_fresnel` concerns wet pores; the matrix of particles always has an interface.
     if not (scene.rules.boundary_fresnel or has_particles):

@@ -14,8 +14,8 @@ from splits.kernels.grains.ray import NO_SEGMENT, compute_position
 from splits.kernels.grains.state import (
     NO_EVENT,
     ROUGH_TOP,
+    interface_index,
     pore_material,
-    refractive_index_of,
 )
 from splits.kernels.math.vectors import ORIGIN, add_scaled, scale
 from splits.kernels.optics.scattering import reflect_or_refract_ray
@@ -75,8 +75,8 @@ def scatter_at_facet(state, ray, slope, side, scene, optics):
     """
     # The top layer has particles, and one medium.  The new variate selects the pore behind it.
     pore_variate = sample_pore_variate(state, scene)
-    inside = refractive_index_of(optics, pore_material(scene.layers, 0, pore_variate))
-    outside = refractive_index_of(optics, scene.layers.first_pore_material[0])
+    inside = interface_index(scene, optics, pore_material(scene.layers, 0, pore_variate))
+    outside = interface_index(scene, optics, scene.layers.first_pore_material[0])
     normal = compute_normal_from_slope(slope)
     if scene.opaque is not None:
         ray = reflect_from_opaque(ray, normal, outside, inside)

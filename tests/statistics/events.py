@@ -71,7 +71,7 @@ def make_lanes(ray=0):
 @njit
 def sample_entry(state, d, size, entry_rule):
     """Return a sampled entry point of a ray along d into a grain."""
-    variates = sample_entry_variates(state, size.flattening)
+    variates = sample_entry_variates(state, size)
     return spheroid.sample_entry_point(d, size, variates, entry_rule)
 
 

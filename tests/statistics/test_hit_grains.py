@@ -128,7 +128,7 @@ def compute_area_below(z, sphericity):
 
 @njit
 def _sample_axial(state, flattening):
-    return 2.0 * sample_entry_variates(state, flattening).u_axial - 1.0
+    return 2.0 * sample_entry_variates(state, GrainSize(1.0, flattening)).u_axial - 1.0
 
 
 def test_axial_positions_follow_the_surface_area():

@@ -38,7 +38,37 @@ class InlineFunction:
 
 def _register_overload(target: Any, function: Any, options: Any = INLINE_OPTIONS) -> None:
     """Inline a function into the kernels that call `target`."""
-    overload(target, jit_options=options, strict=False)(lambda *types: function)
+
+    def choose(*types: Any) -> Any:
+        return None if _has_class(types, _SPECIALIZED.get(target, ())) else function
+
+    overload(target, jit_options=options, strict=False)(choose)
+
+
+_SPECIALIZED: dict[Any, tuple[type, ...]] = {}
+"""Classes of arguments for which functions have other versions."""
+
+
+def _has_class(types: Any, classes: tuple[type, ...]) -> bool:
+    """Return whether the Numba type of any argument is a named tuple of one of the classes."""
+    return any(getattr(one, "instance_class", None) in classes for one in types)
+
+
+def specialize(target: Any, kind: type) -> Any:
+    """Decorate the version of an inlined function for named tuples of a class.
+
+    It takes the place of `target` in compiled code, where one of its arguments is of this class; so
+    can a shape of grains be added without changes of other modules.
+    """
+
+    def register(function: Any) -> Any:
+        _SPECIALIZED[target] = (*_SPECIALIZED.get(target, ()), kind)
+        overload(target, jit_options=INLINE_OPTIONS, strict=False)(
+            lambda *types: function if _has_class(types, (kind,)) else None
+        )
+        return function
+
+    return register
 
 
 def inline(function: Any) -> Any:

@@ -48,7 +48,7 @@ class IsolatedGrain(NamedTuple):
 def sample_hit_grain(state, isolated_grain):
     """Sample the grain that a ray along +z hits."""
     grain_sample = sample_grain(state, isolated_grain.scene, 0)
-    variates = sample_entry_variates(state, grain_sample.size.flattening)
+    variates = sample_entry_variates(state, grain_sample.size)
     entry = sample_entry_point(
         UP, grain_sample.size, variates, isolated_grain.scene.rules.entry_sampling
     )

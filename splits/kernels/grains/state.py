@@ -132,10 +132,15 @@ def get_layer_geometry(layers, layer):
 @inline_only
 def sample_grain(state, scene, layer):
     """Sample type, size, shape and roughness of a grain of a layer."""
-    type_cdf, types = scene.layers.type_cdf[layer], scene.types
-    grain_type = scene.layers.first_type[layer]
+    type_cdf, grain_type = scene.layers.type_cdf[layer], scene.layers.first_type[layer]
     if type_cdf.size > 1:
         grain_type += sample_discrete(type_cdf, uniform(state))
+    return sample_shape(state, scene.types, grain_type)
+
+
+@inline_only
+def sample_shape(state, types, grain_type):
+    """Sample the `GrainSample` of a type; another table of types may have another shape."""
     semi_major = 1.0 / interpolate_quantile(types.inverse_semi_major, grain_type, uniform(state))
     sphericity = interpolate_quantile(types.sphericity, grain_type, uniform(state))
     roughness = 0.5 * interpolate_quantile(types.facetness, grain_type, uniform(state))
@@ -143,13 +148,13 @@ def sample_grain(state, scene, layer):
 
 
 @inline_only
-def sample_entry_variates(state, flattening):
-    """Sample the random numbers of an entry point by rejection."""
+def sample_entry_variates(state, size):
+    """Sample the random numbers of the entry point on a grain by rejection."""
     while True:
         variates = EntryVariates(
             uniform(state), _ZERO_ANGLE, _ZERO_ANGLE, uniform(state), uniform(state)
         )
-        if accept_axial_position(variates, flattening):
+        if accept_axial_position(variates, size.flattening):
             return EntryVariates(
                 variates.u_cos_incidence,
                 sample_azimuth(state),

@@ -133,7 +133,7 @@ def sample_layer_collision(state, flight, scene, layer_geometry, rules):
         collision = sample_particle_collision(flight, uniform(state), layer_geometry)
         return LayerCollision(_NO_GRAIN, collision)
     grain_sample = sample_grain(state, scene, flight.layer)
-    variates = sample_entry_variates(state, grain_sample.size.flattening)
+    variates = sample_entry_variates(state, grain_sample.size)
     collision = sample_collision(
         flight, grain_sample.size, variates, uniform(state), layer_geometry, rules
     )

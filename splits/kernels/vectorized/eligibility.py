@@ -9,7 +9,14 @@ from numba import config
 
 from splits.kernels.compiler.features import Features
 from splits.kernels.compiler.jit import entry_point_no_refcount
-from splits.kernels.grains.scene import DRY_PORE, NO_PARTICLES, WET_PORE, Optics, Scene
+from splits.kernels.grains.scene import (
+    DRY_PORE,
+    NO_PARTICLES,
+    WET_PORE,
+    GrainTypes,
+    Optics,
+    Scene,
+)
 from splits.kernels.optics.fresnel import fresnel
 
 EXTINCTION_TOLERANCE = 1e-5
@@ -39,7 +46,8 @@ Rounding of positions is then below 1 % of the mean free path.
 def select_features(scene: Scene, optics: Optics) -> Features | None:
     """Return the features of a scene, or None if only the scalar kernel supports it.
 
-    The vectorized kernel does not support layers of particles, pores of more than two media, analog
+    The vectorized kernel does not support layers of particles, shapes other than spheroids, pores of
+    more than two media, analog
     absorption, more than one coating, samples deeper than `MAX_DEPTH_MFP` mean free paths, beams
     with their first grain above `MIN_FIRST_DEPTH`, and indices above `MAX_INDEX` or below its
     inverse; and it needs the compiler.
@@ -54,6 +62,8 @@ def select_features(scene: Scene, optics: Optics) -> Features | None:
     source, layers, types, rules, *_ = scene
     depth = layers.boundaries[0] - layers.boundaries[-1]
     if (layers.particle_row != NO_PARTICLES).any() or layers.pore_cdf.shape[1] > 0:
+        return None
+    if type(types) is not GrainTypes:
         return None
     if (
         rules.analog

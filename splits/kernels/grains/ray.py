@@ -39,7 +39,8 @@ class Ray(NamedTuple):
         Random number that selects the pore medium, see `state.pore_material`.
     weight : float
         Statistical weight without absorption in materials: the inverse probability of survival,
-        times the single-scattering albedos of the particles hit.
+        times the single-scattering albedos of the particles hit and the reflectances of an opaque
+        surface.
     optical_depth : float
         Lower bound, over the wavelengths that use the path, of the optical depth of absorption so
         far, including −ln of the albedos of particles and of the ground; for roulette only.

@@ -169,8 +169,6 @@ def collide(state, ray, event, scene, optics, path_lengths):
         scene.types is None or scene.layers.particle_row[ray.layer] != NO_PARTICLES
     ):
         return scatter_at_particle(state, ray, scene)
-    if scene.types is None:
-        return ray
     ray = trace_through_grain(state, ray, event, scene, optics, path_lengths)
     return replace(ray, exit_offset=ORIGIN) if scene.rules.point_grains else ray
 

@@ -29,6 +29,7 @@ from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.state_vector import StateVector
 from splits.simulation.path_reuse import group_by_shared_paths
+from splits.simulation.run_options import RunOptions
 from splits.tables.interpolation import apply_axis_transform
 
 SIZE, WATER, SOOT = "optical_radius_um", "liquid_water_content", "impurities_ng_g.black_carbon"
@@ -110,13 +111,13 @@ def load_or_simulate_spectra(
     if path.exists():
         kept = np.load(path)
         return SimulatedSpectra(kept["values"], kept["batches"])
-    run = SpectralRequest.from_arguments(
-        wavelengths_nm, incidence, TRUTH_STDERR, seed, 20_000_000, None, "auto"
+    request = SpectralRequest.from_arguments(
+        wavelengths_nm, incidence, TRUTH_STDERR, 20_000_000, RunOptions.from_arguments(seed)
     )
     values: list[Any] = [None] * len(media)
     batches: list[Any] = [None] * len(media)
     for group in group_by_shared_paths(media, wavelengths_nm):
-        spectra = simulate_spectra(group.path_sharing, run)
+        spectra = simulate_spectra(group.path_sharing, request)
         for position, medium_index in zip(group.positions, group.media_indices, strict=True):
             values[position] = spectra[medium_index].reflectance.values
             batches[position] = spectra[medium_index].reflectance_batches.values

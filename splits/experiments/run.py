@@ -20,6 +20,7 @@ from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_points import (
     STDERR_ATTRIBUTES,
+    STOP_REASONS,
     LogCallback,
     SimulatedPoints,
     simulate_points,
@@ -171,9 +172,7 @@ def _stack_points(
     }
     if "stop_reason" in first.attrs:
         reasons = {r.attrs["stop_reason"] for r in results}
-        attributes["stop_reason"] = next(
-            r for r in ("max_degree", "max_rays", "unresolved_lobe", "converged") if r in reasons
-        )
+        attributes["stop_reason"] = next(reason for reason in STOP_REASONS if reason in reasons)
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
 
 

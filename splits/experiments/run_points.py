@@ -24,8 +24,11 @@ from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import to_netcdf_attributes
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
+from splits.simulation.run_options import RunOptions
 
 STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
+STOP_REASONS = ("max_degree", "max_rays", "unresolved_lobe", "fixed_rays", "converged")
+"""Why runs stop.  An experiment states the first of these that applies to one of its points."""
 N_BEAM_RAYS = 200_000
 """Number of rays of a beam spread at a relative standard error of 0.02."""
 MAX_RAYS = 20_000_000
@@ -91,7 +94,7 @@ def simulate_points(
         datasets = cache.save(indices, datasets) if cache else datasets
         results |= dict(zip(indices, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
-        _log_result(prefix, datasets, instrument, log)
+        _log_result(prefix, datasets, log)
     return SimulatedPoints([results[index] for index in range(len(points))], rays)
 
 
@@ -128,10 +131,11 @@ def _simulate_group(
     max_rays = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
     error = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
     _, _, beam = points[0]
-    run = SpectralRequest.from_arguments(
-        instrument.get_wavelengths(), beam, error, seed, max_rays, threads, "auto"
+    run = RunOptions.from_arguments(seed, threads, progress=progress)
+    request = SpectralRequest.from_arguments(
+        instrument.get_wavelengths(), beam, error, max_rays, run
     )
-    spectra = simulate_spectra(group.path_sharing, run, progress)
+    spectra = simulate_spectra(group.path_sharing, request)
     return [
         _relabel_spectrum(spectra[index], medium)
         for index, (_, medium, _) in zip(group.media_indices, points, strict=True)
@@ -172,9 +176,7 @@ def _make_progress_callback(prefix: str, log: LogCallback) -> Callable[[Progress
     return show
 
 
-def _log_result(
-    prefix: str, datasets: Sequence[xr.Dataset], instrument: InstrumentSection, log: LogCallback
-) -> None:
+def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -> None:
     """Log the result of some points."""
     attributes = datasets[0].attrs
     reached = [
@@ -186,8 +188,7 @@ def _log_result(
         f"{prefix}: done, {attributes['rays']} rays{''.join(reached)}, "
         f"{attributes['wall_time_s']:.1f} s"
     )
-    has_fixed_rays = instrument.rays or instrument.estimator == "bins"
-    if attributes.get("stop_reason") == "max_rays" and not has_fixed_rays:
+    if attributes.get("stop_reason") == "max_rays":
         log(
             f"{prefix}: stopped by max_rays = {attributes['max_rays']} before the error was reached"
         )

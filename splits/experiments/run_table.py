@@ -16,6 +16,7 @@ from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments.spectral_run import SpectralRequest
 from splits.io.netcdf import save
+from splits.simulation.run_options import RunOptions
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
 from splits.tables.block import TableRequest, make_block_path
 from splits.tables.build import compute_block_digest, iterate_blocks
@@ -48,11 +49,10 @@ def make_request(
     own_seed = seed if instrument.seed is None else instrument.seed
     error = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
     rays = accuracy.max_rays or MAX_RAYS
-    run = SpectralRequest.from_arguments(
-        instrument.get_wavelengths(), 0.0, error, own_seed, rays, threads, "auto"
-    )
+    run = RunOptions.from_arguments(own_seed, threads)
+    request = SpectralRequest.from_arguments(instrument.get_wavelengths(), 0.0, error, rays, run)
     quantities = instrument.quantities or ("reflectance",)
-    return TableRequest(run, quantities, instrument.covariance == "keep")
+    return TableRequest(request, quantities, instrument.covariance == "keep")
 
 
 def run_part(

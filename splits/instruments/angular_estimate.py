@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -56,6 +56,37 @@ class AngularEstimate(NamedTuple):
         """Return the reflectance and the transmittance of scattered light."""
         return self.hemispherical[0] - self.hemispherical[2]
 
+    def compute_reference(self, side: int, direction_mask: Any = slice(None)) -> np.ndarray:
+        """Return the reference of relative errors, shape (wavelengths, directions).
+
+        It is the value, or 1/20 of that of an isotropic distribution, whichever is larger.
+        """
+        isotropic = self.compute_scattered()[side][:, np.newaxis] / np.pi
+        reference = np.maximum(self.mean[side], MIN_REFERENCE_FRACTION * isotropic)
+        return reference[:, direction_mask]
+
+    def compute_max_error(
+        self, side: int, direction_mask: Any = slice(None), *, use_stopping_error: bool = False
+    ) -> float:
+        """Return the largest relative error of one side, over wavelengths with light.
+
+        It is that of the standard errors, or of the errors for the stopping rule.
+        """
+        stderr = (self.stopping_error if use_stopping_error else self.stderr)[side]
+        reference = self.compute_reference(side, direction_mask)
+        relative_error = np.zeros_like(reference)
+        np.divide(stderr[:, direction_mask], reference, out=relative_error, where=reference > 0.0)
+        return float(relative_error.max())
+
+    def is_truncation_limited(self, side: int, direction_mask: Any, max_error: float) -> bool:
+        """Return whether only detail finer than the polynomials prevents convergence."""
+        stderr, truncation_error = (
+            error[side][:, direction_mask] for error in (self.stopping_error, self.truncation_error)
+        )
+        statistical_error = np.sqrt(np.maximum(stderr**2 - truncation_error**2, 0.0))
+        limit = max_error * self.compute_reference(side, direction_mask)
+        return bool((statistical_error <= limit).all())
+
 
 class ErrorTarget(NamedTuple):
     """What the requested error of a BRDF applies to.
@@ -74,55 +105,6 @@ class ErrorTarget(NamedTuple):
     axisymmetric: bool
     side: int
     direction_mask: np.ndarray
-
-    def compute_reference(self, estimate: AngularEstimate) -> np.ndarray:
-        """Return the reference of relative errors, shape (wavelengths, directions).
-
-        It is the value, or 1/20 of that of an isotropic distribution, whichever is larger.
-        """
-        return compute_error_reference(estimate, self.side)[:, self.direction_mask]
-
-    def compute_max_error(
-        self, estimate: AngularEstimate, *, use_stopping_error: bool = False
-    ) -> float:
-        """Return the largest relative error over wavelengths with light.
-
-        It is that of the standard errors, or of the errors for the stopping rule.
-        """
-        return compute_max_relative_error(
-            estimate, self.side, self.direction_mask, use_stopping_error=use_stopping_error
-        )
-
-    def is_truncation_limited(self, estimate: AngularEstimate, max_error: float) -> bool:
-        """Return whether only detail finer than the polynomials prevents convergence."""
-        stderr, truncation_error = (
-            error[self.side][:, self.direction_mask]
-            for error in (estimate.stopping_error, estimate.truncation_error)
-        )
-        statistical_error = np.sqrt(np.maximum(stderr**2 - truncation_error**2, 0.0))
-        return bool((statistical_error <= max_error * self.compute_reference(estimate)).all())
-
-
-def compute_error_reference(estimate: AngularEstimate, side: int) -> np.ndarray:
-    """Return the reference of relative errors, see `ErrorTarget`."""
-    isotropic = estimate.compute_scattered()[side][:, np.newaxis] / np.pi
-    return np.maximum(estimate.mean[side], MIN_REFERENCE_FRACTION * isotropic)
-
-
-def compute_max_relative_error(
-    estimate: AngularEstimate,
-    side: int,
-    direction_mask: np.ndarray | slice = slice(None),
-    *,
-    use_stopping_error: bool = False,
-) -> float:
-    """Return the largest relative error of one side, see `ErrorTarget`."""
-    stderr = (estimate.stopping_error if use_stopping_error else estimate.stderr)[side]
-    stderr = stderr[:, direction_mask]
-    reference = compute_error_reference(estimate, side)[:, direction_mask]
-    return float(
-        np.divide(stderr, reference, out=np.zeros_like(reference), where=reference > 0.0).max()
-    )
 
 
 def estimate_row(

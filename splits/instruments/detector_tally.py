@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from splits.instruments.angular_bins import STOKES_NAMES
-from splits.instruments.angular_estimate import AngularEstimate, compute_max_relative_error
+from splits.instruments.angular_estimate import AngularEstimate
 from splits.instruments.next_event import DetectorTracer
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum, Tally
@@ -135,12 +135,12 @@ class DetectorTally(Tally):
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest relative error, and why tracing stops."""
         estimate = self.make_estimate()
-        error = compute_max_relative_error(estimate, self.side, use_stopping_error=True)
+        error = estimate.compute_max_error(self.side, use_stopping_error=True)
         is_empty = not self.no_signal and not estimate.mean[self.side].any()
-        if not stop.fixed and error <= stop.max_error and not is_empty:
+        if error <= stop.max_error and not is_empty:
             return Evaluation(error, "converged", None, estimate)
         if stop.fixed or (is_empty and self.n_rays >= _EMPTY_PILOTS * self.pilot_rays):
-            return Evaluation(error, "max_rays", None, estimate)
+            return Evaluation(error, estimate=estimate)
         n_batches = self.n_rays // RAYS_PER_CHUNK
         wanted = np.inf if is_empty else 1.05 * (error / stop.max_error) ** 2 * n_batches
         target_rays = RAYS_PER_CHUNK * np.array([np.floor(max(wanted, n_batches + 1))])

@@ -145,11 +145,11 @@ class ExpansionTally(ExitTally):
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest relative error, and why tracing stops or which rays are needed."""
         estimate, variances = self._estimate_rows()
-        target, n_rays = self.target, self.n_rays
-        error = target.compute_max_error(estimate, use_stopping_error=True)
+        side, direction_mask, n_rays = self.target.side, self.target.direction_mask, self.n_rays
+        error = estimate.compute_max_error(side, direction_mask, use_stopping_error=True)
         stop_reason = ""
         if not stop.fixed and error <= stop.max_error:
-            resolved = target.compute_max_error(estimate) <= stop.max_error
+            resolved = estimate.compute_max_error(side, direction_mask) <= stop.max_error
             stop_reason = "converged" if resolved else "unresolved_lobe"
         elif not stop.fixed:
             # Eight times the rays should reduce a statistical error by a factor of nearly three.
@@ -158,7 +158,9 @@ class ExpansionTally(ExitTally):
                 for earlier_rays, earlier in self._earlier_errors
             )
             self._earlier_errors.append((n_rays, error))
-            limited = stagnates or target.is_truncation_limited(estimate, stop.max_error)
+            limited = stagnates or estimate.is_truncation_limited(
+                side, direction_mask, stop.max_error
+            )
             stop_reason = "max_degree" if limited else ""
         if stop_reason or n_rays >= stop.max_rays:
             return Evaluation(error, stop_reason, None, estimate)
@@ -178,7 +180,7 @@ class ExpansionTally(ExitTally):
         segments = np.array([one.n_segments / max(one.n_rays, 1) for one in self.strata])
         costs = np.maximum(np.diff(segments.reshape(class_rays.shape), prepend=-1.0, axis=1), 0.01)
         interpolation_error = INTERPOLATION_FACTOR * self.nodes.interpolation_bound[:, np.newaxis]
-        reference = self.target.compute_reference(estimate)
+        reference = estimate.compute_reference(self.target.side, self.target.direction_mask)
         targets = (stop.max_error**2 - interpolation_error**2) * reference**2
         target_rays = np.zeros(class_rays.shape)
         for (nodes, row_variances), target in zip(variances, targets, strict=True):

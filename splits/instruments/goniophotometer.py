@@ -12,11 +12,7 @@ from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
 from splits.instruments.angular_dataset import make_angular_dataset, relabel_for_diffuse_light
-from splits.instruments.angular_estimate import (
-    AngularEstimate,
-    ErrorTarget,
-    compute_max_relative_error,
-)
+from splits.instruments.angular_estimate import AngularEstimate, ErrorTarget
 from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.detector_tally import DetectorTally
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
@@ -113,8 +109,9 @@ def goniophotometer(
         `polar_deg` and `azimuth_deg` are ignored.
     max_rays : int
         Number of rays after which a run to an error stops.  The attribute ``stop_reason`` is
-        "converged", "max_rays", "max_degree" or "unresolved_lobe".  "max_degree" means that the
-        light is in lobes too narrow for the polynomials, which more rays do not change; use bins.
+        "converged", "max_rays", "fixed_rays" (where `rays` or bins set their number), "max_degree"
+        or "unresolved_lobe".  "max_degree" means that the light is in lobes too narrow for the
+        polynomials, which more rays do not change; use bins.
         "unresolved_lobe" means that the run has converged except for directions in a lobe, where
         terms that are insignificant individually keep the reported error above the requested one
         (see ``relative_stderr_reached``); request a smaller error.
@@ -194,7 +191,7 @@ def goniophotometer(
         "incidence_deg": incidence,
         "estimator": estimator,
         "target": target,
-        "relative_stderr_reached": compute_max_relative_error(estimate, side, direction_mask),
+        "relative_stderr_reached": estimate.compute_max_error(side, direction_mask),
         "relative_stderr": relative_stderr,
         "max_rays": max_rays,
         "degree": estimate.degree[side],

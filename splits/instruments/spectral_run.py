@@ -8,17 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
-from splits.core.validation import check_choice, check_integer, check_range, invalid
+from splits.core.validation import check_integer, check_range, invalid
 from splits.kernels.grains.scene import NO_GROUND
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
-from splits.simulation.arguments import check_incidence, check_threads, check_wavelengths
+from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.derivatives import NO_PERTURBATIONS, Perturbations
 from splits.simulation.engine import simulate
-from splits.simulation.run_options import KERNELS, RunOptions, make_wavelength_coordinate
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.spectral_nodes import choose_nodes, make_separate_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SpectralEstimate, SpectralTally
@@ -44,10 +43,8 @@ class SpectralRequest(NamedTuple):
     wavelengths: np.ndarray
     incidence: float | str
     max_stderr: float
-    seed: int
     max_rays: int
-    threads: int
-    kernel: str
+    run: RunOptions
 
     @classmethod
     def from_arguments(
@@ -55,37 +52,28 @@ class SpectralRequest(NamedTuple):
         wavelength_nm: Any,
         incidence_deg: Any,
         max_stderr: Any,
-        seed: Any,
         max_rays: Any,
-        threads: Any,
-        kernel: Any,
+        run: RunOptions,
     ) -> SpectralRequest:
         """Return the request, after checking all values."""
         return cls(
             check_wavelengths(wavelength_nm),
             check_incidence(incidence_deg),
             check_range("max_stderr", max_stderr, 1e-6, 0.5),
-            check_integer("seed", seed, 0),
             check_integer("max_rays", max_rays, 1),
-            check_threads(threads),
-            check_choice("kernel", kernel, KERNELS),
+            run,
         )
-
-    def start_run(self, progress: ProgressCallback = None) -> RunOptions:
-        """Return the options of a run that starts now."""
-        return RunOptions.from_arguments(self.seed, self.threads, self.kernel, progress)
 
     def truncate(self, path_sharing: PathSharingMedia) -> TruncatedMedium | None:
         """Return the truncated media, which do not depend on the incidence."""
         return truncate_deep_medium(
-            path_sharing, self.wavelengths, self.max_stderr, self.seed, self.threads
+            path_sharing, self.wavelengths, self.max_stderr, self.run.seed, self.run.threads
         )
 
     def simulate(
         self,
         path_sharing: PathSharingMedia,
         truncation: TruncatedMedium | None,
-        run: RunOptions,
         perturbations: Perturbations = NO_PERTURBATIONS,
         *,
         analog: bool = False,
@@ -102,7 +90,6 @@ class SpectralRequest(NamedTuple):
             With the media of the perturbations, which are the last.
         truncation : TruncatedMedium or None
             Their truncation.
-        run : RunOptions
         perturbations : Perturbations
         analog : bool
             Trace each row separately, with analog absorption.  This is the algorithm of SPLITS
@@ -122,7 +109,7 @@ class SpectralRequest(NamedTuple):
                 else choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * target)
             )
             tally = SpectralTally(rows, nodes, tracer.traits)
-            outcome = simulate(tracer, tally, StoppingRule(target, self.max_rays), run)
+            outcome = simulate(tracer, tally, StoppingRule(target, self.max_rays), self.run)
             above = tally.make_estimate(outcome)
             if truncation is None:
                 return above
@@ -162,7 +149,6 @@ def make_spectrum(
     request: SpectralRequest,
     medium: Medium,
     estimate: SpectralEstimate,
-    run: RunOptions,
     *,
     truncation: TruncatedMedium | None,
     size_ratio: float = 1.0,
@@ -176,7 +162,6 @@ def make_spectrum(
     medium : Medium
         Its inputs are attributes.
     estimate : SpectralEstimate
-    run : RunOptions
     truncation : TruncatedMedium or None
     size_ratio : float
         Size of the medium relative to the traced one.
@@ -194,7 +179,7 @@ def make_spectrum(
             deviations = estimate.batch_deviations[:, row].reshape(N_BATCHES, *shape)
             variables |= make_deviation_variable(name, dims, deviations, long_name)
     attributes = {
-        **run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),
+        **request.run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),
         "estimator": "spectral",
         "incidence_deg": request.incidence,
         "max_stderr": request.max_stderr,
@@ -213,9 +198,7 @@ def make_spectrum(
     return xr.Dataset(variables, coordinates, attributes)
 
 
-def simulate_spectra(
-    path_sharing: PathSharingMedia, request: SpectralRequest, progress: ProgressCallback = None
-) -> list[xr.Dataset]:
+def simulate_spectra(path_sharing: PathSharingMedia, request: SpectralRequest) -> list[xr.Dataset]:
     """Return the dataset of `splits.spectrophotometer` for each medium of a set that shares paths.
 
     Each has the requested error.  The `…_batches` of different media give the correlations of their
@@ -225,23 +208,21 @@ def simulate_spectra(
     ----------
     path_sharing : PathSharingMedia
     request : SpectralRequest
-    progress : callable, optional
 
     Returns
     -------
     list of xarray.Dataset
         The attribute ``rays`` counts those used by all media.
     """
-    run, n_wavelengths = request.start_run(progress), request.wavelengths.size
-    truncation = request.truncate(path_sharing)
-    estimate = request.simulate(path_sharing, truncation, run)
+    n_wavelengths, truncation = request.wavelengths.size, request.truncate(path_sharing)
+    estimate = request.simulate(path_sharing, truncation)
     datasets = []
     for number, (medium, size_ratio) in enumerate(zip(*path_sharing, strict=True)):
         rows = slice(number * n_wavelengths, (number + 1) * n_wavelengths)
         medium_estimate = estimate.select(rows, request.max_stderr)
         datasets.append(
             make_spectrum(
-                request, medium, medium_estimate, run, truncation=truncation, size_ratio=size_ratio
+                request, medium, medium_estimate, truncation=truncation, size_ratio=size_ratio
             )
         )
     return datasets

@@ -140,10 +140,11 @@ def spectrophotometer(
     """
     media = _check_media(medium, estimator)
     check_choice("estimator", estimator, ESTIMATORS)
+    run = RunOptions.from_arguments(seed, threads, kernel, progress)
     request = SpectralRequest.from_arguments(
-        wavelength_nm, incidence_deg, max_stderr, seed, max_rays, threads, kernel
+        wavelength_nm, incidence_deg, max_stderr, max_rays, run
     )
-    run, first = request.start_run(progress), next(iter(media.values()))
+    first = next(iter(media.values()))
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
     parameters = _check_jacobian(medium, request, estimator, jacobian)
     perturbations = Perturbations.select_exact(first, parameters, request.wavelengths)
@@ -152,16 +153,16 @@ def spectrophotometer(
         np.append(np.ones(len(media)), perturbations.size_ratios),
     )
     truncation = None if analog else request.truncate(path_sharing)
-    estimate = request.simulate(path_sharing, truncation, run, perturbations, analog=analog)
+    estimate = request.simulate(path_sharing, truncation, perturbations, analog=analog)
     dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
-    dataset = make_spectrum(request, first, estimate, run, truncation=truncation, dims=dims)
+    dataset = make_spectrum(request, first, estimate, truncation=truncation, dims=dims)
     dataset.attrs["estimator"] = estimator
     if is_mapping:
         return _label_media(dataset, media)
     if not parameters:
         return dataset
     exact = estimate.derivatives
-    return _add_jacobian(dataset, request, run, exact, perturbations, first, parameters)
+    return _add_jacobian(dataset, request, exact, perturbations, first, parameters)
 
 
 def _check_media(medium: Any, estimator: str) -> dict[str, Medium]:
@@ -200,7 +201,6 @@ def _check_jacobian(
 def _add_jacobian(
     dataset: xr.Dataset,
     request: SpectralRequest,
-    run: RunOptions,
     exact: Derivatives,
     perturbations: Perturbations,
     medium: Medium,
@@ -211,7 +211,7 @@ def _add_jacobian(
     def simulate_perturbed(perturbed: Medium, incidence: float | str) -> SpectralEstimate:
         perturbed_request = request._replace(incidence=incidence)
         media = PathSharingMedia.from_media([perturbed])
-        return perturbed_request.simulate(media, request.truncate(media), run)
+        return perturbed_request.simulate(media, request.truncate(media))
 
     differences = [
         compute_finite_difference(simulate_perturbed, medium, request.incidence, name)

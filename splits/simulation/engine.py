@@ -72,7 +72,8 @@ def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) 
             remaining_rays = float((target_rays - tally.stratum_rays - new_rays).clip(0).sum())
     kernels = {"scalar" if one.features is None else "vectorized" for one in strata}
     kernel = ", ".join(sorted(kernels))
-    return Outcome(error, stop_reason or "max_rays", tally.n_rays, kernel, estimate)
+    stop_reason = "fixed_rays" if stop.fixed else stop_reason or "max_rays"
+    return Outcome(error, stop_reason, tally.n_rays, kernel, estimate)
 
 
 def limit_round(tally: Tally, target_rays: np.ndarray, max_rays: int) -> np.ndarray:

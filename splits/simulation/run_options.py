@@ -42,7 +42,7 @@ class RunOptions(NamedTuple):
 
     @classmethod
     def from_arguments(
-        cls, seed: Any, threads: Any, kernel: Any = "auto", progress: ProgressCallback = None
+        cls, seed: Any, threads: Any = None, kernel: Any = "auto", progress: ProgressCallback = None
     ) -> RunOptions:
         """Return the options of a run that starts now, after checking all values."""
         return cls(

@@ -230,7 +230,7 @@ class SpectralTally(ExitTally):
         bias = self.bound_interpolation_error()
         error = float(np.sqrt(variance + bias**2).max())
         if error <= stop.max_error or stop.fixed:
-            return Evaluation(error, "" if stop.fixed else "converged")
+            return Evaluation(error, "converged")
         target = stop.max_error**2 - bias**2
         variances = self.weights**2 * self.compute_variances() / target[:, self.rows]
         terms = VarianceTerms(variances, self.rows, self.find_contributions())

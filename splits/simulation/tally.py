@@ -137,7 +137,7 @@ class Outcome(NamedTuple):
     error : float
         Error reached, as the tally defines it.
     stop_reason : str
-        "converged", "max_rays", or a reason of the tally.
+        "converged", "max_rays", "fixed_rays", or a reason of the tally.
     n_rays : int
         All rays traced.
     kernel : str

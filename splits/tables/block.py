@@ -76,11 +76,10 @@ def compute_block(
     progress : callable, optional
     """
     start_time = time.perf_counter()
-    spectral_request = request.spectral_request._replace(incidence=path_group.incidence)
+    run = request.spectral_request.run._replace(progress=progress)
+    spectral_request = request.spectral_request._replace(incidence=path_group.incidence, run=run)
     truncation = truncations.get(spectral_request, path_group.path_sharing)
-    estimate = spectral_request.simulate(
-        path_group.path_sharing, truncation, spectral_request.start_run(progress)
-    )
+    estimate = spectral_request.simulate(path_group.path_sharing, truncation)
     shape = (len(path_group.path_sharing.media), spectral_request.wavelengths.size)
     variables: dict[str, Any] = {}
     for side in request.quantities:

@@ -20,6 +20,7 @@ from splits.core.validation import check_choice, invalid
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature
+from splits.simulation.run_options import RunOptions
 from splits.tables.assembly import allocate_arrays, assemble_dataset, insert_block
 from splits.tables.axes import ParameterGrid
 from splits.tables.block import (
@@ -103,9 +104,8 @@ def build_table(
     {'optical_radius_um': 3, 'incidence_deg': 2, 'wavelength': 2}
     """
     start_time = time.perf_counter()
-    spectral_request = SpectralRequest.from_arguments(
-        wavelength_nm, 0.0, max_stderr, seed, max_rays, threads, kernel
-    )
+    run = RunOptions.from_arguments(seed, threads, kernel)
+    spectral_request = SpectralRequest.from_arguments(wavelength_nm, 0.0, max_stderr, max_rays, run)
     request = TableRequest(spectral_request, _check_quantities(quantities), bool(covariance))
     plan = TablePlan.from_grid(
         make, ParameterGrid.from_mapping(grid), spectral_request.wavelengths, incidence_deg
@@ -129,8 +129,11 @@ def _check_quantities(quantities: Sequence[str]) -> tuple[str, ...]:
 def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:
     """Return the SHA-256 of all inputs that determine the values of a block."""
     digest = hashlib.sha256(hash_physics_sources().encode())
-    spectral_request = request.spectral_request._replace(incidence=path_group.incidence, threads=0)
-    digest.update(repr(spectral_request._replace(wavelengths=np.zeros(0))).encode())
+    spectral_request = request.spectral_request
+    run = spectral_request.run
+    limits = [spectral_request.max_stderr, spectral_request.max_rays]
+    inputs = [path_group.incidence, *limits, run.seed, run.kernel]
+    digest.update(repr(inputs).encode())
     digest.update(repr([request.quantities, request.covariance]).encode())
     signature, unit = compute_path_signature(path_group.path_sharing.media[0])
     digest.update(signature)

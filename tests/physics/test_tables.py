@@ -13,6 +13,7 @@ import splits
 from splits.core.validation import InvalidValue
 from splits.instruments.spectral_run import SpectralRequest
 from splits.simulation.path_reuse import compute_path_signature
+from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.tables import build
 from splits.tables.axes import ParameterGrid
@@ -170,17 +171,19 @@ def test_paths_scale_with_grain_size(scale, max_rms, saturation):
 @NEEDS_JIT
 @pytest.mark.parametrize("water", [0.0, 0.04])
 def test_media_that_share_paths_agree_with_single_runs(water):
-    run = SpectralRequest.from_arguments(WAVELENGTHS, 30.0, 0.005, 5, 20_000_000, None, "auto")
+    run = RunOptions.from_arguments(5)
+    shared_request = SpectralRequest.from_arguments(WAVELENGTHS, 30.0, 0.005, 20_000_000, run)
     radii = np.array([60.0, 130.0, 400.0])
     media = tuple(make_snow(radius, 20.0, water) for radius in radii)
 
     def estimate(path_sharing, request):
-        return request.simulate(path_sharing, request.truncate(path_sharing), request.start_run())
+        return request.simulate(path_sharing, request.truncate(path_sharing))
 
-    shared = estimate(PathSharingMedia(media, radii / radii[0]), run)
+    shared = estimate(PathSharingMedia(media, radii / radii[0]), shared_request)
     z = []
     for number, medium in enumerate(media):
-        single = estimate(PathSharingMedia.from_media([medium]), run._replace(seed=100 + number))
+        single_request = shared_request._replace(run=run._replace(seed=100 + number))
+        single = estimate(PathSharingMedia.from_media([medium]), single_request)
         rows = slice(number * WAVELENGTHS.size, (number + 1) * WAVELENGTHS.size)
         error = np.hypot(shared.stderr[0, rows], single.stderr[0])
         z.append((shared.mean[0, rows] - single.mean[0]) / error)
@@ -256,8 +259,9 @@ def test_block_digests_depend_on_the_table(other):
         "optical_radius_um": [50.0, 100.0], "incidence_deg": [0.0, 60.0], "soot": [0.0, 50.0],
         "water": [0.0],
     }  # fmt: skip
-    run = SpectralRequest.from_arguments(WAVELENGTHS, 0.0, 0.01, 1, 1000, 1, "auto")
-    request = TableRequest(run, ("reflectance",), False)
+    run = RunOptions.from_arguments(1, 1)
+    spectral = SpectralRequest.from_arguments(WAVELENGTHS, 0.0, 0.01, 1000, run)
+    request = TableRequest(spectral, ("reflectance",), False)
     digests, other_digests = (
         [build.compute_block_digest(e, request) for e in make_plan(make_snow, g).path_groups]
         for g in (grid, grid | other)
@@ -266,14 +270,14 @@ def test_block_digests_depend_on_the_table(other):
     assert len(set(digests)) == len(digests)
     for changed in (
         request._replace(covariance=True), request._replace(quantities=("transmittance",)),
-        request._replace(spectral_request=run._replace(seed=2)),
-        request._replace(spectral_request=run._replace(max_stderr=0.02)),
+        request._replace(spectral_request=spectral._replace(run=run._replace(seed=2))),
+        request._replace(spectral_request=spectral._replace(max_stderr=0.02)),
     ):  # fmt: skip
         assert (
             build.compute_block_digest(make_plan(make_snow, grid).path_groups[0], changed)
             != digests[0]
         )
-    threads = request._replace(spectral_request=run._replace(threads=7))
+    threads = request._replace(spectral_request=spectral._replace(run=run._replace(threads=7)))
     assert (
         build.compute_block_digest(make_plan(make_snow, grid).path_groups[0], threads) == digests[0]
     )

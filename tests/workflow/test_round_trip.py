@@ -58,7 +58,7 @@ CASES = {
     "trip_snow_bins": SNOW + "instrument: {kind: goniophotometer, wavelength_nm: [600],"
     " estimator: bins, n_bins: [9, 18], rays: 20000}\n" + LABELLED
     + "figure: {kind: bins, select: {saturation: damp}}\n",
-    "trip_snow_spread": SNOW + "instrument: {kind: beam_spread, wavelength_nm: [600], rays: 5000,"
+    "trip_snow_spread": SNOW + "instrument: {kind: beam_spread, wavelength_nm: [600],"
     " half_width_m: 0.01}\n" + TWO_VALUES + SELECT_WET,
     "trip_snow_ground": SNOW + "instrument: {wavelength_nm: [500, 800]}\n"
     "grid: {ground: {open: open, black: black, soil: camborthid, white: 1}}\n"

@@ -77,7 +77,7 @@ def test_a_fixed_number_of_rays_is_traced_in_one_round(max_rays):
     outcome = run(tally, StoppingRule(10.0, max_rays, fixed=True))
     rays = -(-max_rays // (2 * RAYS_PER_CHUNK)) * RAYS_PER_CHUNK
     assert [one.tolist() for one in tally.rounds] == [[rays, rays]]
-    assert outcome.n_rays == 2 * rays and outcome.stop_reason == "max_rays"
+    assert outcome.n_rays == 2 * rays and outcome.stop_reason == "fixed_rays"
 
 
 def test_a_round_grows_at_most_eightfold():

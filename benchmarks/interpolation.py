@@ -132,7 +132,7 @@ def print_bias() -> None:
     tracer = SceneTracer(snow, 0.0)
     deviations = []
     for seed in range(SEEDS):
-        tally = SpectralTally(spectral_rows, used, tracer.traits)
+        tally = SpectralTally(spectral_rows, used, tracer.scene)
         for stratum in tally.strata:
             # The same random streams at all nodes.
             stratum.stream %= len(STRATUM_BOUNDS)

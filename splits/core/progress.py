@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -28,7 +29,7 @@ class Progress:
         Number of rays of the current round.
     stderr : float
         Largest standard error so far, or relative standard error for an instrument with a relative
-        target; 1 or more before the end of the first round.
+        target; infinite before the end of the first round.
     target : float
         Requested standard error.
     seconds, seconds_left : float
@@ -49,7 +50,7 @@ class Progress:
 
     def __str__(self) -> str:
         remaining = f"{self.seconds_left:.0f} s left"
-        if self.stderr >= 1.0:
+        if math.isinf(self.stderr):
             return f"first round, {remaining}"
         return f"error {self.stderr:.2g}, wanted {self.target:g}, {remaining}"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -165,7 +166,7 @@ def _make_progress_callback(prefix: str, log: LogCallback) -> Callable[[Progress
     """Return a callback that logs progress."""
 
     def show(progress: Progress) -> None:
-        if progress.stderr >= 1.0:
+        if math.isinf(progress.stderr):
             log(f"{prefix}: first round, {progress.rays} rays")
             return
         log(

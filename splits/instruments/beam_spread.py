@@ -105,14 +105,14 @@ def beam_spread(
         simulate(tracer, pilot, StoppingRule(0.0, 1, fixed=True), run)
         radii = compute_quantile_radii(pilot.compute_radial_fractions().mean(axis=0), (0.75,))
         # One mean free path where no light leaves; the edge must be positive.
-        radius = radii[0].max() or 1.0 / tracer.traits.collision_coefficient
+        radius = radii[0].max() or 1.0 / tracer.scene.layers.collision_coefficient.max()
         half_width_m = np.clip(radius, *HALF_WIDTH_RANGE_M["beam_spread"])
     tally = BeamSpreadTally(nodes, absorption, float(half_width_m))
-    outcome = simulate(tracer, tally, StoppingRule(0.0, rays, fixed=True), run)
+    evaluation = simulate(tracer, tally, StoppingRule(0.0, rays, fixed=True), run)
     attributes = {
         **run.make_attributes("Spread of a beam", "beam_spread", medium),
         "incidence_deg": incidence,
         "half_width_m": tally.half_width,
-        **tally.describe_run(outcome),
+        **tally.describe_run(evaluation.stop_reason),
     }
     return tally.to_dataset(wavelengths, attributes)

@@ -109,7 +109,7 @@ def deep_transmittance(
         rates = np.minimum(pilot.fit_attenuation_rates(float(medium.depth_m)), diffusion_rates)
     tally = TransmittanceTally(constants, rates, N_PILOTS)
     stop = StoppingRule(relative_stderr, max_rays * n_wavelengths)
-    outcome = simulate(tracer, tally, stop, run)
+    evaluation = simulate(tracer, tally, stop, run)
     transmittance, errors, fractions = tally.estimate()
     illumination = "hemispherical" if incidence == "diffuse" else "directional"
     long_name = f"{illumination}-hemispherical transmittance"
@@ -126,7 +126,7 @@ def deep_transmittance(
         **run.make_attributes("Deep transmittance", "deep_transmittance", medium),
         "incidence_deg": incidence,
         "relative_stderr": relative_stderr,
-        "stop_reason": outcome.stop_reason,
+        "stop_reason": evaluation.stop_reason,
         "max_rays": max_rays,
     }
     coordinates = {"wavelength": make_wavelength_coordinate(wavelengths)}

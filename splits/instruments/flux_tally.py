@@ -15,11 +15,17 @@ from splits.instruments.flux_target import (
     NodeQuantities,
     allocate_flux_rays,
 )
+from splits.kernels.grains.scene import Scene
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD, FluxSums, tally_flux
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import Evaluation, ExitTally, StoppingRule, Stratum
-from splits.simulation.tracer import SceneTracer
+from splits.simulation.tally import (
+    Evaluation,
+    ExitTally,
+    StoppingRule,
+    Stratum,
+    compute_absorption_per_mfp,
+)
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of all batches is short."""
@@ -75,7 +81,7 @@ class FluxTally(ExitTally):
     ----------
     nodes : IndexNodes
     traced_medium : TracedMedium
-    tracer : SceneTracer
+    scene : Scene
         Of the medium, with its planes.
     target : FluxTarget
         Quantities to which the requested error applies.
@@ -98,24 +104,23 @@ class FluxTally(ExitTally):
         self,
         nodes: IndexNodes,
         traced_medium: TracedMedium,
-        tracer: SceneTracer,
+        scene: Scene,
         target: FluxTarget,
     ) -> None:
         absorption = traced_medium.constants.absorption
-        traits = tracer.traits
-        super().__init__(nodes, absorption, traits.compute_absorption_per_mfp(absorption))
-        self.traced_medium, self.target, self.traits = traced_medium, target, traits
+        super().__init__(nodes, absorption, compute_absorption_per_mfp(scene, absorption))
+        self.traced_medium, self.target, self.scene = traced_medium, target, scene
         self.path_fractions = traced_medium.path_fractions
         # The boundary above a rough surface is above the depth 0.
         self.boundary_rows = np.append(
-            0, np.searchsorted(tracer.boundary_depths_m, traced_medium.planes_m[1:])
+            0, np.searchsorted(-scene.layers.boundaries, traced_medium.planes_m[1:])
         )
-        self.n_layers = len(tracer.boundary_depths_m) - 1
+        self.n_layers = len(scene.layers.boundaries) - 1
         n_rows, n_materials = len(self.rows), absorption.shape[1]
         self.irradiance_sums = np.zeros((N_BATCHES, 2, self.n_layers + 1, n_rows))
         self.absorptance_sums = np.zeros((N_BATCHES, self.n_layers, n_materials, n_rows))
         self.path_length_sums = np.zeros((N_BATCHES, self.n_layers, n_rows))
-        self.add_strata_by_absorption(absorption, traits)
+        self.add_strata_by_absorption(absorption, scene)
 
     def count_score_values(self) -> int:
         """Return the number of values in the score and the crossings of a chunk."""
@@ -125,13 +130,9 @@ class FluxTally(ExitTally):
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> FluxSums:
         """Return the sums of a chunk of rays of a stratum."""
-        absorption, fractions = (
-            stratum.absorption,
-            self.traced_medium.path_fractions,
-        )
-        ground_column = self.traits.ground_column
+        ground_column = self.scene.ground_column
         sums: FluxSums = tally_flux(
-            exits, crossings, absorption, fractions, self.n_layers, ground_column
+            exits, crossings, stratum.absorption, self.path_fractions, self.n_layers, ground_column
         )
         return sums
 

@@ -179,13 +179,13 @@ def goniophotometer(
             tally = AngularBinTally(nodes, absorption, bins, tracer.stokes_columns)
         else:
             directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
-            axisymmetric = tracer.normal_incidence or tracer.diffuse
+            axisymmetric = incidence in (0.0, "diffuse")
             target_error = ErrorTarget(directions, axisymmetric, side, direction_mask)
-            tally = ExpansionTally(nodes, absorption, target_error, not tracer.diffuse)
+            tally = ExpansionTally(nodes, absorption, target_error, incidence != "diffuse")
     is_fixed = rays is not None or bins is not None
     n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
-    outcome = simulate(tracer, tally, StoppingRule(relative_stderr, n_rays, is_fixed), run)
-    estimate: AngularEstimate = outcome.estimate
+    evaluation = simulate(tracer, tally, StoppingRule(relative_stderr, n_rays, is_fixed), run)
+    estimate: AngularEstimate = evaluation.estimate
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
@@ -195,7 +195,7 @@ def goniophotometer(
         "relative_stderr": relative_stderr,
         "max_rays": max_rays,
         "degree": estimate.degree[side],
-        **tally.describe_run(outcome),
+        **tally.describe_run(evaluation.stop_reason),
     }
     dataset = make_angular_dataset(
         estimate, tally.make_stokes(), wavelengths, (polar, azimuth), attributes

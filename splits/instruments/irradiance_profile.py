@@ -162,21 +162,21 @@ def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> 
     )
     tracer = SceneTracer(traced_medium.medium, incidence, planes_m=depths.tolist())
     nodes = _choose_nodes(traced_medium, target)
-    _check_memory(traced_medium, len(tracer.boundary_depths_m) - 1, nodes)
-    tally = FluxTally(nodes, traced_medium, tracer, target)
-    outcome = simulate(tracer, tally, StoppingRule(target.max_stderr, max_rays), run)
+    _check_memory(traced_medium, tracer.scene.layers.boundaries.size - 1, nodes)
+    tally = FluxTally(nodes, traced_medium, tracer.scene, target)
+    evaluation = simulate(tracer, tally, StoppingRule(target.max_stderr, max_rays), run)
     attributes = {
         **run.make_attributes("Light inside", "irradiance_profile", medium),
         "incidence_deg": incidence,
         "max_stderr": target.max_stderr,
         "target": ERROR_QUANTITIES[0] if target.limit_irradiance else ERROR_QUANTITIES[1],
-        "max_stderr_reached": outcome.error,
+        "max_stderr_reached": evaluation.error,
         "max_rays": max_rays,
-        **tally.describe_run(outcome),
+        **tally.describe_run(evaluation.stop_reason),
     }
     if traced_medium.semi_infinite:
         attributes["truncation_depth_m"] = float(traced_medium.planes_m[-1])
-    return make_flux_dataset(outcome.estimate, traced_medium, wavelengths, attributes)
+    return make_flux_dataset(evaluation.estimate, traced_medium, wavelengths, attributes)
 
 
 def _choose_nodes(traced_medium: TracedMedium, target: FluxTarget) -> IndexNodes:

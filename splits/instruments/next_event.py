@@ -21,8 +21,8 @@ from splits.kernels.transport.next_event import Detectors
 from splits.media.medium import Medium
 from splits.media.particle_layer import ParticleLayer
 from splits.simulation.scene import build_scene
-from splits.simulation.tally import Tally
-from splits.simulation.tracer import ItemScores, Tracer, WorkItem
+from splits.simulation.tally import Stratum, Tally
+from splits.simulation.tracer import Tracer
 
 NEGLIGIBLE_PROBABILITY = 1e-16
 """Probability of more successive scatterings into a peak than are stored."""
@@ -144,21 +144,17 @@ class DetectorTracer(Tracer):
             allowed = "brdf with estimator = next_event"
             raise invalid("target", "btdf", allowed, "the lower boundary is not open")
 
-    def trace_job(self, seed: int, tally: Tally, job: Sequence[WorkItem]) -> list[ItemScores]:
-        """Return the mean contributions of each batch of rays, and the segments traced."""
-        results = []
-        for stratum, first_ray, n_rays in job:
-            n_segments, scores = 0, []
-            for first in range(first_ray, first_ray + n_rays, tally.rays_per_chunk):
-                detectors = self.detectors._replace(
-                    sums=np.zeros_like(self.detectors.sums),
-                    peak_directions=np.zeros_like(self.detectors.peak_directions),
-                )
-                totals = np.zeros((2, 2))
-                work = np.array([stratum.stream, first, tally.rays_per_chunk, stratum.max_order])
-                scene = self.scene._replace(detectors=detectors)
-                n_segments += trace_to_detectors(seed, work, scene, stratum.optics, totals)
-                sums = np.concatenate([detectors.sums.ravel(), totals.ravel()])
-                scores.append(sums / tally.rays_per_chunk)
-            results.append((scores, n_segments))
-        return results
+    def trace_chunk(
+        self, seed: int, tally: Tally, stratum: Stratum, first_ray: int
+    ) -> tuple[np.ndarray, int]:
+        """Trace a chunk of rays, and return its mean contributions and the segments traced."""
+        detectors = self.detectors._replace(
+            sums=np.zeros_like(self.detectors.sums),
+            peak_directions=np.zeros_like(self.detectors.peak_directions),
+        )
+        totals = np.zeros((2, 2))
+        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk, stratum.max_order])
+        scene = self.scene._replace(detectors=detectors)
+        n_segments = trace_to_detectors(seed, work, scene, stratum.optics, totals)
+        sums = np.concatenate([detectors.sums.ravel(), totals.ravel()])
+        return sums / tally.rays_per_chunk, n_segments

@@ -108,9 +108,9 @@ class SpectralRequest(NamedTuple):
                 if analog
                 else choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * target)
             )
-            tally = SpectralTally(rows, nodes, tracer.traits)
-            outcome = simulate(tracer, tally, StoppingRule(target, self.max_rays), self.run)
-            above = tally.make_estimate(outcome)
+            tally = SpectralTally(rows, nodes, tracer.scene)
+            evaluation = simulate(tracer, tally, StoppingRule(target, self.max_rays), self.run)
+            above = tally.make_estimate(evaluation.stop_reason)
             if truncation is None:
                 return above
             estimate = truncation.complete_estimate(above, self.max_stderr)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from splits.kernels.grains.scene import Scene, make_bounding_optics
@@ -11,7 +9,7 @@ from splits.kernels.transport.splitting import trace_batch_with_splitting
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
-from splits.simulation.tracer import ItemScores, Tracer, WorkItem
+from splits.simulation.tracer import Tracer
 
 HISTORIES_PER_CHUNK = 64
 """Histories per chunk, the unit of parallel work."""
@@ -37,29 +35,24 @@ class SplittingTracer(Tracer):
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
-    def trace_job(self, seed: int, tally: Tally, job: Sequence[WorkItem]) -> list[ItemScores]:
-        """Return the scores of each chunk of histories.
+    def trace_chunk(
+        self, seed: int, tally: Tally, stratum: Stratum, first_ray: int
+    ) -> tuple[TransmittanceScore, int]:
+        """Trace a chunk of histories, and return its score and the segments traced.
 
         Raises
         ------
         RuntimeError
             If no grain fits between the boundaries along a ray.
         """
-        results = []
-        for stratum, first_ray, n_rays in job:
-            n_segments, scores = 0, []
-            for first in range(first_ray, first_ray + n_rays, tally.rays_per_chunk):
-                moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
-                work = np.array([stratum.stream, first, tally.rays_per_chunk])
-                result = trace_batch_with_splitting(
-                    seed, work, self.scene, stratum.optics, stratum.splitting_rate, moments, profile
-                )
-                if result.lost:
-                    raise RuntimeError("no grain fits between the boundaries along a ray")
-                n_segments += result.n_segments
-                scores.append((moments[1], profile))
-            results.append((scores, n_segments))
-        return results
+        moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
+        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk])
+        result = trace_batch_with_splitting(
+            seed, work, self.scene, stratum.optics, stratum.splitting_rate, moments, profile
+        )
+        if result.lost:
+            raise RuntimeError("no grain fits between the boundaries along a ray")
+        return (moments[1], profile), result.n_segments
 
 
 class TransmittanceTally(Tally):

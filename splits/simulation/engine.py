@@ -11,7 +11,7 @@ import numpy as np
 from splits.core.progress import Progress, ProgressCallback
 from splits.kernels.compiler.features import Features
 from splits.simulation.run_options import RunOptions
-from splits.simulation.tally import Outcome, StoppingRule, Stratum, Tally
+from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 from splits.simulation.tracer import Tracer, WorkItem
 
@@ -25,7 +25,7 @@ MAX_ROUND_GROWTH = 8.0
 MIN_REPORT_INTERVAL_S = 0.5
 
 
-def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) -> Outcome:
+def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) -> Evaluation:
     """Trace rounds of rays and merge their scores, until a stopping rule is satisfied.
 
     Parameters
@@ -45,35 +45,33 @@ def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) 
     RuntimeError
         If a ray was lost.
     """
-    strata = tally.strata
-    tracer.select_kernel(strata, run.kernel, tally.shares_kernel)
+    tracer.select_kernel(tally.strata, run.kernel, tally.shares_kernel)
     report = ProgressReport(run.progress, stop.max_error)
     new_rays, remaining_rays = tally.plan_first_round(stop), 0.0
     with DaemonThreadPool(run.threads) as pool:
         while True:
             jobs = make_jobs(tracer, tally, new_rays, run.threads)
-            costs = [sum(estimate_cost(item.stratum) * item.n_rays for item in job) for job in jobs]
+            costs = [sum(estimate_cost(one) * len(rays) for one, rays in job) for job in jobs]
             report.begin_round(int(new_rays.sum()), sum(costs), remaining_rays)
             traced = pool.map(partial(tracer.trace_job, run.seed, tally), jobs)
             for job, cost, results in zip(jobs, costs, traced, strict=True):
-                for item, (scores, n_segments) in zip(job, results, strict=True):
+                for (stratum, _), (scores, n_segments) in zip(job, results, strict=True):
                     # In a fixed order, so that sums do not depend on the threads.
                     for score in scores:
-                        tally.merge(item.stratum, score)
-                        item.stratum.n_rays += tally.rays_per_chunk
-                    item.stratum.n_segments += n_segments
+                        tally.merge(stratum, score)
+                        stratum.n_rays += tally.rays_per_chunk
+                    stratum.n_segments += n_segments
                 report.advance(cost)
             with limit_blas_threads():
-                error, stop_reason, target_rays, estimate = tally.evaluate(stop)
-            if stop_reason or target_rays is None or tally.n_rays >= stop.max_rays:
+                evaluation = tally.evaluate(stop)
+            target_rays = evaluation.target_rays
+            if evaluation.stop_reason or target_rays is None or tally.n_rays >= stop.max_rays:
                 break
-            report.error = error
+            report.error = evaluation.error
             new_rays = limit_round(tally, target_rays, stop.max_rays)
             remaining_rays = float((target_rays - tally.stratum_rays - new_rays).clip(0).sum())
-    kernels = {"scalar" if one.features is None else "vectorized" for one in strata}
-    kernel = ", ".join(sorted(kernels))
-    stop_reason = "fixed_rays" if stop.fixed else stop_reason or "max_rays"
-    return Outcome(error, stop_reason, tally.n_rays, kernel, estimate)
+    stop_reason = "fixed_rays" if stop.fixed else evaluation.stop_reason or "max_rays"
+    return evaluation._replace(stop_reason=stop_reason)
 
 
 def limit_round(tally: Tally, target_rays: np.ndarray, max_rays: int) -> np.ndarray:
@@ -123,16 +121,16 @@ def make_jobs(
     by_kernel: dict[Features | None, list[WorkItem]] = {}
     for stratum, n_rays in zip(tally.strata, new_rays.tolist(), strict=True):
         if n_rays > 0:
-            item = WorkItem(stratum, stratum.n_rays, -(-n_rays // size) * size)
-            by_kernel.setdefault(stratum.features, []).append(item)
+            rays = range(stratum.n_rays, stratum.n_rays - n_rays // -size * size)
+            by_kernel.setdefault(stratum.features, []).append((stratum, rays))
     values_per_chunk = size * tracer.n_exit_columns + tally.count_score_values()
     max_job_rays = max(1, MAX_JOB_BYTES // (8 * values_per_chunk)) * size
     jobs = []
     for features, items in by_kernel.items():
         # Short paths last, so that few lanes are idle while the last long path ends.
-        items.sort(key=lambda item: -item.stratum.expected_segments)
-        n_rays = sum(item.n_rays for item in items)
-        cost = sum(estimate_cost(item.stratum) * item.n_rays for item in items)
+        items.sort(key=lambda item: -item[0].expected_segments)
+        n_rays = sum(len(rays) for _, rays in items)
+        cost = sum(estimate_cost(stratum) * len(rays) for stratum, rays in items)
         max_segments = MAX_SEGMENTS_PER_JOB if features else MAX_SEGMENTS_PER_JOB / 8
         # A multiple of the threads, so that all have the same load.
         n_jobs = int(np.ceil(max(cost / max_segments, n_rays / max_job_rays) / threads)) * threads
@@ -150,20 +148,19 @@ def split_jobs(
     """
     jobs: list[list[WorkItem]] = [[]]
     remaining_cost, n_rays = cost_per_job, 0
-    for stratum, first, count in items:
+    for stratum, rays in items:
         cost = estimate_cost(stratum) * chunk_size
-        while count > 0:
+        while rays:
             if n_rays == max_job_rays or (
                 jobs[-1] and remaining_cost < 0.5 * cost and len(jobs) < n_jobs
             ):
                 jobs.append([])
                 remaining_cost, n_rays = cost_per_job + min(remaining_cost, 0.5 * cost), 0
-            n_added = min(count, max_job_rays - n_rays)
+            n_added = min(len(rays), max_job_rays - n_rays)
             if len(jobs) < n_jobs:
                 n_added = min(n_added, max(1, round(remaining_cost / cost)) * chunk_size)
-            jobs[-1].append(WorkItem(stratum, first, n_added))
-            first += n_added
-            count -= n_added
+            jobs[-1].append((stratum, rays[:n_added]))
+            rays = rays[n_added:]
             remaining_cost -= n_added / chunk_size * cost
             n_rays += n_added
     return jobs
@@ -182,7 +179,7 @@ class ProgressReport:
 
     def __init__(self, callback: ProgressCallback, target: float) -> None:
         self.callback = callback if callable(callback) else None
-        self.target, self.error = target, 1.0
+        self.target, self.error = target, np.inf
         self._start_time = self._round_start = time.perf_counter()
         self._last_report = 0.0
 

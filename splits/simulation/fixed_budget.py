@@ -79,9 +79,9 @@ def estimate_fixed_budget(
     nodes = replace(nodes, interpolation_bound=np.zeros(len(wavelengths)))
     tracer = SceneTracer(medium, check_incidence(incidence_deg))
     # A node keeps its streams if no wavelength uses its neighbour.
-    tally = SpectralTally(rows, nodes, tracer.traits, SINGLE_STRATUM)
+    tally = SpectralTally(rows, nodes, tracer.scene, SINGLE_STRATUM)
     stop = StoppingRule(0.0, rays_per_node * len(tally.strata), fixed=True)
-    estimate = tally.make_estimate(simulate(tracer, tally, stop, run))
+    estimate = tally.make_estimate(simulate(tracer, tally, stop, run).stop_reason)
     return estimate.mean, estimate.stderr, estimate.batch_deviations
 
 

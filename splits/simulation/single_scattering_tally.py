@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
 import numpy as np
 
 from splits.core.uncertainty import compute_leave_one_out_means
@@ -17,7 +15,7 @@ from splits.kernels.grains.single_grain import (
 from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Stratum, Tally
-from splits.simulation.tracer import ItemScores, Tracer, WorkItem
+from splits.simulation.tracer import Tracer
 
 GRAIN_RAYS_PER_CHUNK = 2048
 """Rays per chunk, the unit of parallel work."""
@@ -48,19 +46,15 @@ class IsolatedGrainTracer(Tracer):
     def __init__(self, scene: Scene, wet_fractions: np.ndarray, n_orders: int) -> None:
         self.scene, self.wet_fractions, self.n_orders = scene, wet_fractions, n_orders
 
-    def trace_job(self, seed: int, tally: Tally, job: Sequence[WorkItem]) -> list[ItemScores]:
-        """Return the sums of each chunk of rays."""
-        return [(list(self._trace_item(seed, tally, item)), item.n_rays) for item in job]
-
-    def _trace_item(self, seed: int, tally: Tally, item: WorkItem) -> Iterator[ScatteringSums]:
-        stratum, first_ray, n_rays = item
-        rows, size = stratum.node_rows, tally.rays_per_chunk
-        wet_fraction = self.wet_fractions[tally.node_of_row[rows.start]]
+    def trace_chunk(
+        self, seed: int, tally: Tally, stratum: Stratum, first_ray: int
+    ) -> tuple[ScatteringSums, int]:
+        """Return the sums of a chunk of rays, and their number."""
+        wet_fraction = self.wet_fractions[tally.node_of_row[stratum.node_rows.start]]
         grain = IsolatedGrain(wet_fraction, self.scene, stratum.optics)
-        absorption = stratum.absorption
-        for first in range(first_ray, first_ray + n_rays, size):
-            work = np.array([stratum.stream, first, size])
-            yield tally_single_scattering(seed, work, self.n_orders, grain, absorption)
+        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk])
+        sums = tally_single_scattering(seed, work, self.n_orders, grain, stratum.absorption)
+        return sums, tally.rays_per_chunk
 
 
 class SingleScatteringTally(Tally):

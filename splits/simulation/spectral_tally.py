@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.grains.scene import Scene
 from splits.kernels.tallies.derivatives import tally_derivatives
 from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, tally_weights
 from splits.simulation.interpolation_bounds import bound_fraction_error
@@ -24,10 +25,9 @@ from splits.simulation.tally import (
     STRATUM_BOUNDS,
     Evaluation,
     ExitTally,
-    Outcome,
     StoppingRule,
     Stratum,
-    TransportTraits,
+    compute_absorption_per_mfp,
 )
 
 PILOT_RAYS = 256
@@ -129,7 +129,7 @@ class SpectralTally(ExitTally):
     ----------
     rows : SpectralRows
     nodes : IndexNodes
-    traits : TransportTraits
+    scene : Scene
     bounds : sequence of float
         Absorption at which strata begin, at most as many as `STRATUM_BOUNDS`; an analog tally has
         one stratum per node only.
@@ -151,24 +151,25 @@ class SpectralTally(ExitTally):
         self,
         rows: SpectralRows,
         nodes: IndexNodes,
-        traits: TransportTraits,
+        scene: Scene,
         bounds: Sequence[float] = STRATUM_BOUNDS,
     ) -> None:
-        strength = traits.compute_absorption_per_mfp(rows.min_absorption)
+        strength = compute_absorption_per_mfp(scene, rows.min_absorption)
         super().__init__(nodes, rows.absorption, strength)
-        self.absorption_derivatives, self.traits = rows.absorption_derivatives, traits
+        self.absorption_derivatives, self.scene = rows.absorption_derivatives, scene
         n_parameters, n_rows = len(rows.absorption_derivatives), len(self.rows)
         self.moments = np.zeros((3, 3, n_rows))
         self.min_weight = np.full(n_rows, np.inf)
         self.batch_sums = np.zeros((N_BATCHES, 2, n_rows))
         self.derivative_sums = np.zeros((N_BATCHES, 2, n_parameters, n_rows))
-        self.pilot_rays = ANALOG_PILOT_RAYS if traits.analog else PILOT_RAYS
+        analog = scene.rules.analog
+        self.pilot_rays = ANALOG_PILOT_RAYS if analog else PILOT_RAYS
         if len(rows.absorption) > LARGE_PROBLEM_ROWS and not n_parameters:
             self.rays_per_chunk = self.rays_per_round = RAYS_PER_LARGE_CHUNK
             self.pilot_rays = max(self.pilot_rays, RAYS_PER_LARGE_CHUNK)
-        self.first_stream = ANALOG_STREAM if traits.analog else self.first_stream
-        bounds = bounds[:1] if traits.analog else bounds
-        self.add_strata_by_absorption(rows.min_absorption, traits, bounds)
+        self.first_stream = ANALOG_STREAM if analog else self.first_stream
+        bounds = bounds[:1] if analog else bounds
+        self.add_strata_by_absorption(rows.min_absorption, scene, bounds)
 
     def count_score_values(self) -> int:
         """Return the largest number of values in the score of a chunk."""
@@ -180,9 +181,11 @@ class SpectralTally(ExitTally):
         self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         """Return moments, smallest weights, block sums and their derivatives."""
-        rows, ground_column = self.rows[stratum.node_rows], self.traits.ground_column
+        rows, ground_column = self.rows[stratum.node_rows], self.scene.ground_column
         absorption = self.absorption[rows]
-        sums = tally_weights(exits, crossings, absorption, not self.traits.analog, ground_column)
+        sums = tally_weights(
+            exits, crossings, absorption, not self.scene.rules.analog, ground_column
+        )
         if not len(self.absorption_derivatives):
             return sums  # type: ignore[no-any-return]
         derivatives = self.absorption_derivatives[:, rows]
@@ -209,7 +212,9 @@ class SpectralTally(ExitTally):
         largest = np.where(largest == 0.0, 1.0, largest)
         smallest = np.zeros_like(largest)
         is_absorbing = self.absorption[self.rows].max(axis=1) > 0.0
-        may_vanish = self.traits.extra_absorption | (self.traits.analog & is_absorbing)
+        particles = self.scene.particles
+        may_vanish = self.scene.rules.analog & is_absorbing
+        may_vanish |= particles is not None and bool((particles.albedo < 1.0).any())
         smallest[2] = np.where(may_vanish, 0.0, self.min_weight)
         n = self.count_rays() + 2.0
         mean = (total + largest + smallest) / n
@@ -236,7 +241,7 @@ class SpectralTally(ExitTally):
         terms = VarianceTerms(variances, self.rows, self.find_contributions())
         return Evaluation(error, target_rays=allocate_rays(terms, self.strata))
 
-    def make_estimate(self, outcome: Outcome) -> SpectralEstimate:
+    def make_estimate(self, stop_reason: str) -> SpectralEstimate:
         """Return means, errors, batch deviations and derivatives after a run."""
         variance = self.combine_nodes(self.compute_variances() / self.count_rays(), power=2)
         bias = self.bound_interpolation_error()
@@ -250,10 +255,10 @@ class SpectralTally(ExitTally):
             np.sqrt(variance + bias**2),
             bias,
             rescale_deviations(deviations, variance[:2]),
-            outcome.n_rays,
+            self.n_rays,
             len(self.nodes.index),
-            outcome.kernel,
-            outcome.stop_reason,
+            self.kernel,
+            stop_reason,
             Derivatives(
                 derivatives,
                 self.combine_nodes(

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.features import Features
-from splits.kernels.grains.scene import NO_GROUND, NO_MAX_ORDER, Optics, make_bounding_optics
+from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, Scene, make_bounding_optics
 from splits.simulation.spectral_nodes import IndexNodes
 
 RAYS_PER_CHUNK = 128
@@ -20,6 +20,20 @@ STRATUM_BOUNDS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
 light needs few rays and long paths, the near infrared many rays and short paths."""
 INITIAL_SEGMENTS = 400.0
 """Expected segments per ray, before tracing, of rays that little is absorbed of."""
+
+
+def compute_absorption_per_mfp(scene: Scene, absorption: np.ndarray) -> np.ndarray:
+    """Return the absorption over the smallest mean free path of a scene, by row.
+
+    Parameters
+    ----------
+    scene : Scene
+    absorption : float, shape (rows, columns)
+        Absorption coefficients (1/m).
+    """
+    materials = np.arange(absorption.shape[1]) != scene.ground_column
+    strength: np.ndarray = absorption[:, materials].max(axis=1)
+    return strength / scene.layers.collision_coefficient.max()
 
 
 @dataclass(eq=False)
@@ -62,33 +76,6 @@ class Stratum:
     n_segments: int = 0
 
 
-class TransportTraits(NamedTuple):
-    """Properties of the transport that tallies depend on.
-
-    Attributes
-    ----------
-    collision_coefficient : float
-        Expected scatterings per metre.
-    ground_column : int
-        Column of hits of the ground, see `splits.kernels.grains.scene.Scene`.
-    extra_absorption : bool
-        Whether a ray loses weight other than by absorption in materials.
-    analog : bool
-        Whether absorption is analog, so that any ray may be absorbed.
-    """
-
-    collision_coefficient: float
-    ground_column: int = NO_GROUND
-    extra_absorption: bool = False
-    analog: bool = False
-
-    def compute_absorption_per_mfp(self, absorption: np.ndarray) -> np.ndarray:
-        """Return the absorption over one mean distance between scatterings, by row."""
-        materials = np.arange(absorption.shape[1]) != self.ground_column
-        strength: np.ndarray = absorption[:, materials].max(axis=1) / self.collision_coefficient
-        return strength
-
-
 class StoppingRule(NamedTuple):
     """When tracing stops.
 
@@ -108,14 +95,15 @@ class StoppingRule(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """State of a run after a round.
+    """State of a run after a round of rays, and its result after the last.
 
     Attributes
     ----------
     error : float
-        Largest error reached.
+        Largest error reached, as the tally defines it.
     stop_reason : str
-        Why tracing stops, or an empty string.
+        Why tracing stops, or an empty string: "converged", "max_rays", "fixed_rays", or a reason of
+        the tally.
     target_rays : float, shape (strata,), or None
         Rays of each stratum that would satisfy the stopping rule; at least one stratum needs more
         than it has.  None where tracing stops.
@@ -126,30 +114,6 @@ class Evaluation(NamedTuple):
     error: float
     stop_reason: str = ""
     target_rays: np.ndarray | None = None
-    estimate: Any = None
-
-
-class Outcome(NamedTuple):
-    """Outcome of a run.
-
-    Attributes
-    ----------
-    error : float
-        Error reached, as the tally defines it.
-    stop_reason : str
-        "converged", "max_rays", "fixed_rays", or a reason of the tally.
-    n_rays : int
-        All rays traced.
-    kernel : str
-        "vectorized", "scalar", or both where strata differ.
-    estimate : object
-        Estimate of the tally's last `Evaluation`.
-    """
-
-    error: float
-    stop_reason: str
-    n_rays: int
-    kernel: str
     estimate: Any = None
 
 
@@ -227,7 +191,7 @@ class Tally(ABC):
     def add_strata_by_absorption(
         self,
         absorption: np.ndarray,
-        traits: TransportTraits,
+        scene: Scene,
         bounds: Sequence[float] = STRATUM_BOUNDS,
     ) -> None:
         """Add strata for increasingly absorbed rows of each node, which are in this order.
@@ -236,11 +200,11 @@ class Tally(ABC):
         ----------
         absorption : float, shape (rows, columns)
             Absorption that determines strata and roulette.
-        traits : TransportTraits
+        scene : Scene
         bounds : sequence of float
             Absorption at which strata begin, at most as many as `STRATUM_BOUNDS`.
         """
-        strength = traits.compute_absorption_per_mfp(absorption)
+        strength = compute_absorption_per_mfp(scene, absorption)
         for node, index in enumerate(self.nodes.index):
             last_count, end = 0, self.select_node(node).stop
             for step, threshold in enumerate(bounds):
@@ -270,7 +234,7 @@ class Tally(ABC):
 
         Tallies of a fixed number of rays have no error to reach.
         """
-        return Evaluation(1.0)
+        return Evaluation(np.inf)
 
     def plan_first_round(self, stop: StoppingRule) -> np.ndarray:
         """Return the rays of each stratum in the first round."""
@@ -280,14 +244,14 @@ class Tally(ABC):
         rounds = -(-stop.max_rays // (n_strata * self.rays_per_round))
         return np.full(n_strata, rounds * self.rays_per_round)
 
-    def describe_run(self, outcome: Outcome) -> dict[str, Any]:
+    def describe_run(self, stop_reason: str) -> dict[str, Any]:
         """Return the attributes of a dataset about the cost of a run, and why it stopped."""
         return {
-            "stop_reason": outcome.stop_reason,
+            "stop_reason": stop_reason,
             "interpolation_error_bound": float(self.nodes.interpolation_bound.max()),
-            "rays": outcome.n_rays,
+            "rays": self.n_rays,
             "ensembles": len(self.nodes.index),
-            "kernel": outcome.kernel,
+            "kernel": self.kernel,
         }
 
     @property
@@ -299,6 +263,12 @@ class Tally(ABC):
     def n_rays(self) -> int:
         """Number of all rays traced."""
         return int(self.stratum_rays.sum())
+
+    @property
+    def kernel(self) -> str:
+        """Kernel of the run: "vectorized", "scalar", or both where strata differ."""
+        kernels = {"scalar" if one.features is None else "vectorized" for one in self.strata}
+        return ", ".join(sorted(kernels))
 
     def get_batch(self, stratum: Stratum, n_batches: int) -> int:
         """Return the batch of the next chunk of a stratum: chunks take turns."""

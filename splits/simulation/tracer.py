@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,27 +22,23 @@ from splits.simulation.scene import (
     count_length_columns,
     make_height_fields,
 )
-from splits.simulation.tally import ExitTally, Stratum, TransportTraits
+from splits.simulation.tally import ExitTally, Stratum
 
 LOST_MESSAGE = (
     "no grain fits between the boundaries along a ray, or a ray is lost at a rough surface: "
     "the sample is barely thicker than its grains, or the incidence too close to 90 degrees"
 )
 
+WorkItem = tuple[Stratum, range]
+"""Successive rays of a stratum, a multiple of the rays of a chunk."""
 ItemScores = tuple[list[Any], int]
 """The score of each chunk of a work item, in order, and the segments traced."""
 
 
-class WorkItem(NamedTuple):
-    """Successive rays of a stratum, a multiple of the rays of a chunk."""
-
-    stratum: Stratum
-    first_ray: int
-    n_rays: int
-
-
-class Tracer(ABC):
+class Tracer:
     """Traces rays of a scene and scores them.
+
+    A subclass traces chunk by chunk and defines `trace_chunk`, or redefines `trace_job`.
 
     Attributes
     ----------
@@ -74,7 +69,6 @@ class Tracer(ABC):
                 "not for particle layers, analog absorption, stacked coatings, extreme inputs",
             )  # fmt: skip
 
-    @abstractmethod
     def trace_job(self, seed: int, tally: Any, job: Sequence[WorkItem]) -> list[ItemScores]:
         """Trace the items of a job, which use one kernel, and return the scores of each.
 
@@ -83,6 +77,21 @@ class Tracer(ABC):
         RuntimeError
             If a ray was lost.
         """
+        results = []
+        for stratum, rays in job:
+            n_segments, scores = 0, []
+            for first_ray in rays[:: tally.rays_per_chunk]:
+                score, n_chunk_segments = self.trace_chunk(seed, tally, stratum, first_ray)
+                n_segments += n_chunk_segments
+                scores.append(score)
+            results.append((scores, n_segments))
+        return results
+
+    def trace_chunk(
+        self, seed: int, tally: Any, stratum: Stratum, first_ray: int
+    ) -> tuple[Any, int]:
+        """Trace a chunk of a stratum's rays, and return its score and the segments traced."""
+        raise NotImplementedError
 
 
 class SceneTracer(Tracer):
@@ -101,13 +110,6 @@ class SceneTracer(Tracer):
     Attributes
     ----------
     scene : Scene
-    traits : TransportTraits
-    normal_incidence : bool
-        Whether the beam is along the normal, so that the scene is axisymmetric.
-    diffuse : bool
-        Whether the incident light is diffuse.
-    boundary_depths_m : float, shape (boundaries,)
-        Depths (m) of all boundaries of the scene; of a rough top, a height above it.
     stokes_columns : tuple of int
         Columns of exits that hold Q, U, V over I, or nothing.
     """
@@ -124,13 +126,6 @@ class SceneTracer(Tracer):
         if planes_m:
             self.scene = add_recording_planes(self.scene, planes_m)
         self.height_fields = make_height_fields(medium)
-        self.boundary_depths_m = -self.scene.layers.boundaries
-        densest = float(self.scene.layers.collision_coefficient.max())
-        particles = self.scene.particles
-        fading = particles is not None and bool((particles.albedo < 1.0).any())
-        self.traits = TransportTraits(densest, self.scene.ground_column, fading, analog)
-        self.normal_incidence = self.scene.source == (1.0, 0.0)
-        self.diffuse = self.scene.source.diffuse_fraction > 0.0
         self.n_length_columns = count_length_columns(medium)
         # After the path lengths in all materials.
         first = EXIT_LENGTH + self.n_length_columns
@@ -157,13 +152,11 @@ class SceneTracer(Tracer):
 
     def trace_job(self, seed: int, tally: ExitTally, job: Sequence[WorkItem]) -> list[ItemScores]:
         """Trace the items of a job and score their chunks."""
-        work = np.array(
-            [(one.stratum.stream, one.first_ray, one.n_rays, one.stratum.max_order) for one in job]
-        )
+        work = np.array([(one.stream, rays.start, len(rays), one.max_order) for one, rays in job])
         exits = allocate_exits(
             int(work[:, 2].sum()), self.n_length_columns, len(self.stokes_columns)
         )
-        strata, end_rays = [item.stratum for item in job], np.cumsum(work[:, 2])
+        strata, end_rays = [stratum for stratum, _ in job], np.cumsum(work[:, 2])
         exits_by_item = np.split(exits, end_rays[:-1])
         if strata[0].features is None:
             fields = self.height_fields

@@ -30,7 +30,7 @@ from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
 from splits.simulation.tally import RAYS_PER_CHUNK, StoppingRule
-from splits.simulation.tracer import SceneTracer, WorkItem
+from splits.simulation.tracer import SceneTracer
 
 pytestmark = NEEDS_JIT
 
@@ -50,23 +50,23 @@ MEDIA = {
 }  # fmt: skip
 
 
-def make_tally(medium, wavelengths, traits):
+def make_tally(medium, wavelengths, scene):
     """Return a tally with a separate ensemble of paths for each wavelength."""
     rows = SpectralRows.from_media(PathSharingMedia.from_media([medium]), wavelengths)
-    return SpectralTally(rows, make_separate_nodes(rows.index), traits, SINGLE_STRATUM)
+    return SpectralTally(rows, make_separate_nodes(rows.index), scene, SINGLE_STRATUM)
 
 
 def trace_spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     """Return R and T, their standard errors, and the seconds elapsed on two threads."""
     tracer = SceneTracer(medium, incidence)
-    tally = make_tally(medium, wavelengths, tracer.traits)
+    tally = make_tally(medium, wavelengths, tracer.scene)
     # Each wavelength with the features that it needs.
     tally.shares_kernel = False
     stop = StoppingRule(0.0, rays * len(wavelengths), fixed=True)
     start = time.perf_counter()
-    outcome = simulate(tracer, tally, stop, RunOptions.from_arguments(seed, 2, kernel))
+    simulate(tracer, tally, stop, RunOptions.from_arguments(seed, 2, kernel))
     seconds = time.perf_counter() - start
-    assert outcome.kernel == kernel
+    assert tally.kernel == kernel
     assert (tally.count_rays() == -(-rays // RAYS_PER_CHUNK) * RAYS_PER_CHUNK).all()
     error = np.sqrt(tally.compute_variances()[:2] / tally.count_rays())
     return tally.compute_means()[:2], error, seconds
@@ -117,7 +117,7 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
 
 def test_paths_are_independent_of_other_ensembles():
     tracer = SceneTracer(splits.Snow(depth_m=0.02), 30.0)
-    strata = make_tally(splits.Snow(), np.array([500.0, 800.0]), tracer.traits).strata
+    strata = make_tally(splits.Snow(), np.array([500.0, 800.0]), tracer.scene).strata
     tracer.select_kernel(strata, "vectorized", False)
     ensemble_optics = [stratum.optics for stratum in strata]
     features, scene = strata[0].features, tracer.scene
@@ -148,7 +148,7 @@ def test_paths_are_independent_of_other_ensembles():
 def test_paths_are_independent_of_lane_and_batch():
     medium = splits.Snow(depth_m=0.02)
     tracer = SceneTracer(medium, 30.0)
-    (stratum,) = make_tally(medium, np.array([900.0]), tracer.traits).strata
+    (stratum,) = make_tally(medium, np.array([900.0]), tracer.scene).strata
     tracer.select_kernel([stratum], "vectorized", False)
 
     def trace_exits(first, rays):
@@ -173,7 +173,7 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
     batches = 12
 
     def make_selected_tally(tracer):
-        tally = make_tally(medium, wavelengths, tracer.traits)
+        tally = make_tally(medium, wavelengths, tracer.scene)
         tracer.select_kernel(tally.strata, kernel, tally.shares_kernel)
         return tally
 
@@ -182,10 +182,10 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
 
     def trace_sums(threads=None):
         tracer = SceneTracer(medium, 10.0)
-        tally = make_tally(medium, wavelengths, tracer.traits)
+        tally = make_tally(medium, wavelengths, tracer.scene)
         stop = StoppingRule(0.0, batches * RAYS_PER_CHUNK * len(wavelengths), fixed=True)
-        outcome = simulate(tracer, tally, stop, RunOptions.from_arguments(4, threads, kernel))
-        assert outcome.n_rays == stop.max_rays
+        simulate(tracer, tally, stop, RunOptions.from_arguments(4, threads, kernel))
+        assert tally.n_rays == stop.max_rays
         return get_sums(tally)
 
     def merge_jobs(jobs):
@@ -196,10 +196,11 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
             tally = make_selected_tally(tracer)
             for number, stratum in enumerate(tally.strata):
                 for batch in range(job, batches, jobs):
-                    item = WorkItem(stratum, batch * RAYS_PER_CHUNK, RAYS_PER_CHUNK)
+                    first_ray = batch * RAYS_PER_CHUNK
+                    item = (stratum, range(first_ray, first_ray + RAYS_PER_CHUNK))
                     (((score,), _),) = tracer.trace_job(4, tally, [item])
                     scores[number, batch] = score
-        tally = make_tally(medium, wavelengths, tracer.traits)
+        tally = make_tally(medium, wavelengths, tracer.scene)
         for (number, _), score in sorted(scores.items(), key=lambda item: item[0]):
             tally.merge(tally.strata[number], score)
             tally.strata[number].n_rays += RAYS_PER_CHUNK
@@ -215,7 +216,7 @@ def test_vectorized_kernel_conserves_energy():
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
     tracer = SceneTracer(medium, 60.0)
-    (stratum,) = make_tally(medium, np.array([600.0]), tracer.traits).strata
+    (stratum,) = make_tally(medium, np.array([600.0]), tracer.scene).strata
     tracer.select_kernel([stratum], "vectorized", False)
     rows = allocate_exits(3000, 3)
     work = np.array([[0, 0, 3000, NO_MAX_ORDER]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 
+import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
 
@@ -33,8 +34,8 @@ def test_long_running_functions_accept_progress(name):
 def test_progress_text_states_fraction_and_error():
     assert HALF.fraction_done == 0.75
     assert str(HALF) == "error 0.004, wanted 0.002, 1 s left"
-    assert str(splits.Progress(10, 1.0, 0.1, 0.0, 0.0)).startswith("first round")
-    assert splits.Progress(10, 1.0, 0.1, 0.0, 0.0).fraction_done == 0.0
+    assert str(splits.Progress(10, np.inf, 0.1, 0.0, 0.0)).startswith("first round")
+    assert splits.Progress(10, np.inf, 0.1, 0.0, 0.0).fraction_done == 0.0
 
 
 def test_progress_true_shows_a_complete_bar(capsys):

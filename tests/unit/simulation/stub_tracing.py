@@ -27,18 +27,15 @@ class StubTracer(Tracer):
         self.segments_per_ray, self.lost_ray, self.delay_s = segments_per_ray, lost_ray, delay_s
 
     def trace_job(self, seed, tally, job):
-        time.sleep(self.delay_s * (2 - job[0].first_ray // tally.rays_per_chunk % 3))
-        results = []
-        for stratum, first_ray, n_rays in job:
-            chunks = range(first_ray, first_ray + n_rays, tally.rays_per_chunk)
-            if stratum.stream == 0 and self.lost_ray in range(first_ray, first_ray + n_rays):
-                raise RuntimeError("a ray was lost")
-            scores = [
-                (first, np.random.default_rng((seed, stratum.stream, first)).random())
-                for first in chunks
-            ]
-            results.append((scores, n_rays * self.segments_per_ray[stratum.stream]))
-        return results
+        (_, rays), *_ = job
+        time.sleep(self.delay_s * (2 - rays.start // tally.rays_per_chunk % 3))
+        return super().trace_job(seed, tally, job)
+
+    def trace_chunk(self, seed, tally, stratum, first_ray):
+        if stratum.stream == 0 and self.lost_ray in range(first_ray, first_ray + RAYS_PER_CHUNK):
+            raise RuntimeError("a ray was lost")
+        score = first_ray, np.random.default_rng((seed, stratum.stream, first_ray)).random()
+        return score, tally.rays_per_chunk * self.segments_per_ray[stratum.stream]
 
 
 class StubTally(ExitTally):
@@ -76,5 +73,5 @@ class StubTally(ExitTally):
         self.rounds.append(self.stratum_rays)
         error = float(np.sqrt((self.variances / self.stratum_rays).max()))
         if stop.fixed or error <= stop.max_error:
-            return Evaluation(error, "" if stop.fixed else "converged", estimate=self.sums.tolist())
+            return Evaluation(error, "converged", estimate=self.sums.tolist())
         return Evaluation(error, target_rays=self.variances / stop.max_error**2)

@@ -20,7 +20,7 @@ from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_rou
 from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
 from splits.simulation.run_options import RunOptions
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
-from splits.simulation.tracer import SceneTracer, WorkItem
+from splits.simulation.tracer import SceneTracer
 
 MANY_RAYS = 10**8
 SEGMENTS = (100, 10, 1)
@@ -35,10 +35,10 @@ def run(tally, stop, tracer=None, **settings):
 
 def test_a_run_stops_when_converged():
     tally = StubTally([1.0, 4.0, 0.01])
-    outcome = run(tally, StoppingRule(0.01, MANY_RAYS))
-    assert outcome.stop_reason == "converged"
-    assert outcome.error == np.sqrt(tally.variances / tally.stratum_rays).max() <= 0.01
-    assert outcome.n_rays == tally.n_rays == tally.rounds[-1].sum()
+    evaluation = run(tally, StoppingRule(0.01, MANY_RAYS))
+    assert evaluation.stop_reason == "converged"
+    assert evaluation.error == np.sqrt(tally.variances / tally.stratum_rays).max() <= 0.01
+    assert tally.n_rays == tally.rounds[-1].sum()
     # Each stratum has what it needs and at most one chunk more; the last stays with its first rays.
     needed = np.maximum(tally.variances / 0.01**2, RAYS_PER_CHUNK)
     assert (needed <= tally.stratum_rays).all()
@@ -56,28 +56,29 @@ def test_a_run_that_converges_in_the_first_round_has_no_other():
 @pytest.mark.parametrize("max_rays", [1, 3 * RAYS_PER_CHUNK, 1000, 54_321])
 def test_a_run_stops_at_the_maximum_number_of_rays(max_rays):
     tally = StubTally([1.0, 4.0, 2.0])
-    outcome = run(tally, StoppingRule(1e-4, max_rays))
-    assert outcome.stop_reason == "max_rays"
-    assert outcome.error > 1e-4
+    evaluation = run(tally, StoppingRule(1e-4, max_rays))
+    assert evaluation.stop_reason == "max_rays"
+    assert evaluation.error > 1e-4
     # Strata trace whole chunks.
-    assert max_rays <= outcome.n_rays < max_rays + 3 * RAYS_PER_CHUNK
+    assert max_rays <= tally.n_rays < max_rays + 3 * RAYS_PER_CHUNK
     assert (tally.stratum_rays >= RAYS_PER_CHUNK).all()
 
 
 def test_reasons_of_a_tally_end_a_run():
     tally = StubTally([1.0])
     tally.evaluate = lambda stop: Evaluation(0.5, "max_degree")
-    outcome = run(tally, StoppingRule(0.01, MANY_RAYS))
-    assert outcome[:3] == (0.5, "max_degree", RAYS_PER_CHUNK)
+    evaluation = run(tally, StoppingRule(0.01, MANY_RAYS))
+    assert evaluation[:2] == (0.5, "max_degree")
+    assert tally.n_rays == RAYS_PER_CHUNK
 
 
 @pytest.mark.parametrize("max_rays", [1, 6 * RAYS_PER_CHUNK, 5000])
 def test_a_fixed_number_of_rays_is_traced_in_one_round(max_rays):
     tally = StubTally([1.0, 1.0])
-    outcome = run(tally, StoppingRule(10.0, max_rays, fixed=True))
+    evaluation = run(tally, StoppingRule(10.0, max_rays, fixed=True))
     rays = -(-max_rays // (2 * RAYS_PER_CHUNK)) * RAYS_PER_CHUNK
     assert [one.tolist() for one in tally.rounds] == [[rays, rays]]
-    assert outcome.n_rays == 2 * rays and outcome.stop_reason == "fixed_rays"
+    assert tally.n_rays == 2 * rays and evaluation.stop_reason == "fixed_rays"
 
 
 def test_a_round_grows_at_most_eightfold():
@@ -107,10 +108,10 @@ def test_scores_are_merged_in_order_on_any_number_of_threads(monkeypatch):
         # `StubTally.merge` checks the order of the chunks of each stratum.
         tally = StubTally([1.0, 30.0, 7.0])
         tracer = StubTracer(SEGMENTS, delay_s=0.001)
-        outcome = run(
+        evaluation = run(
             tally, StoppingRule(0.03, MANY_RAYS), tracer=tracer, threads=threads, seed=seed
         )
-        return tally.sums.tolist(), outcome
+        return tally.sums.tolist(), evaluation
 
     expected = run_on(1)
     assert run_on(1, seed=4)[0] != expected[0]
@@ -165,7 +166,7 @@ class NumberedExits(SceneTracer):
 def test_exits_and_crossings_are_scored_by_chunk(monkeypatch):
     tally = StubTally([1.0, 1.0])
     items = [(0, 256, 384), (1, 0, 128)]
-    job = [WorkItem(tally.strata[row], first, count) for row, first, count in items]
+    job = [(tally.strata[row], range(first, first + count)) for row, first, count in items]
     results = NumberedExits(monkeypatch).trace_job(1, tally, job)
     assert [n_segments for _, n_segments in results] == [384, 128]
     for (row, first_ray, count), (scores, _) in zip(items, results, strict=True):
@@ -189,25 +190,27 @@ def test_a_lost_ray_is_explained_by_the_tracer(monkeypatch):
 
 def test_kernels_are_named():
     tally = StubTally([1.0, 1.0])
-    assert run(tally, StoppingRule(1.0, 1)).kernel == "scalar"
+    assert tally.kernel == "scalar"
     tally.strata[0].features = ALL_FEATURES
-    assert run(tally, StoppingRule(1.0, 1)).kernel == "scalar, vectorized"
+    assert tally.kernel == "scalar, vectorized"
     tally.strata[1].features = ALL_FEATURES
-    assert run(tally, StoppingRule(1.0, 1)).kernel == "vectorized"
+    assert tally.kernel == "vectorized"
     with pytest.raises(InvalidValue, match="kernel = 'vectorized': must be 'auto' or 'scalar'"):
         run(tally, StoppingRule(1.0, 1), kernel="vectorized")
 
 
 def test_progress_of_every_job_is_reported(monkeypatch):
     monkeypatch.setattr(engine, "MIN_REPORT_INTERVAL_S", -1.0)
-    tally, reports = StubTally([1.0, 100.0]), []
+    # The error after the first round exceeds 1, as relative errors may.
+    tally, reports = StubTally([1.0, 1000.0]), []
     run(tally, StoppingRule(0.1, MANY_RAYS), progress=reports.append)
     rounds = np.array(tally.rounds)
     rays = np.diff(rounds.sum(axis=1), prepend=0)
     assert list(dict.fromkeys(one.rays for one in reports)) == rays.tolist()
-    # Errors are those of the round before, and 1 at first.
+    # Errors are those of the round before, and infinite at first.
     errors = np.sqrt((tally.variances / rounds).max(axis=1))
-    expected = [1.0, *errors[:-1]]
+    assert errors[0] > 1.0
+    expected = [np.inf, *errors[:-1]]
     assert list(dict.fromkeys(one.stderr for one in reports)) == expected
     assert {one.target for one in reports} == {0.1}
     seconds = [one.seconds for one in reports]
@@ -225,7 +228,7 @@ def test_remaining_time_and_interval_of_reports(monkeypatch):
     report.begin_round(1000, 50.0, 1000.0)
     clock.now += 1.0
     report.advance(20.0)
-    assert (reports[-1].rays, reports[-1].stderr, reports[-1].target) == (1000, 1.0, 0.01)
+    assert (reports[-1].rays, reports[-1].stderr, reports[-1].target) == (1000, np.inf, 0.01)
     assert (reports[-1].seconds, reports[-1].seconds_left) == pytest.approx((3.0, 4.0))
     clock.now += 0.4
     report.advance(20.0)

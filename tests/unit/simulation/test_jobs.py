@@ -16,7 +16,7 @@ from splits.simulation.engine import (
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.spectral_rows import SpectralRows
 from splits.simulation.spectral_tally import SpectralTally
-from splits.simulation.tally import RAYS_PER_CHUNK, TransportTraits
+from splits.simulation.tally import RAYS_PER_CHUNK
 from splits.simulation.tracer import SceneTracer
 
 TRACER = SceneTracer(splits.Snow(depth_m=0.02), 0.0)
@@ -28,7 +28,7 @@ def make_tally(segments_per_ray):
     index = np.ones((3, 3)) + 0j
     rows = SpectralRows(index, absorption, absorption, np.zeros((0, 3, 3)), ())
     nodes = IndexNodes(index[:1], np.ones((1, 3)), np.zeros(3))
-    tally = SpectralTally(rows, nodes, TransportTraits(1e3))
+    tally = SpectralTally(rows, nodes, TRACER.scene)
     assert len(tally.strata) == 3
     for stratum, n_segments in zip(tally.strata, segments_per_ray, strict=True):
         stratum.n_rays, stratum.n_segments = RAYS_PER_CHUNK, RAYS_PER_CHUNK * n_segments
@@ -49,23 +49,22 @@ def test_jobs_contain_every_chunk_once_and_in_order(threads, chunks):
         firsts = [
             first
             for job in jobs
-            for item in job
-            for first in range(item.first_ray, item.first_ray + item.n_rays, RAYS_PER_CHUNK)
-            if item.stratum is stratum
+            for item_stratum, rays in job
+            for first in rays[::RAYS_PER_CHUNK]
+            if item_stratum is stratum
         ]
         n_rays = count * RAYS_PER_CHUNK
         assert firsts == list(range(stratum.n_rays, stratum.n_rays + n_rays, RAYS_PER_CHUNK))
-    items = [item for job in jobs for item in job]
-    assert all(item.n_rays > 0 and item.n_rays % RAYS_PER_CHUNK == 0 for item in items)
+    assert all(rays and len(rays) % RAYS_PER_CHUNK == 0 for job in jobs for _, rays in job)
     bytes_per_chunk = 8 * (RAYS_PER_CHUNK * TRACER.n_exit_columns + tally.count_score_values())
-    n_chunks = [sum(item.n_rays for item in job) // RAYS_PER_CHUNK for job in jobs]
+    n_chunks = [sum(len(rays) for _, rays in job) // RAYS_PER_CHUNK for job in jobs]
     assert max(n_chunks) * bytes_per_chunk <= MAX_JOB_BYTES
 
 
 def test_rays_are_rounded_up_to_whole_chunks():
     tally = make_tally((10, 10, 10))
     items = [item for job in make_jobs(TRACER, tally, np.array([1, 0, 129]), 1) for item in job]
-    assert [(tally.strata.index(one.stratum), one.n_rays) for one in items] == [(0, 128), (2, 256)]
+    assert [(tally.strata.index(one), len(rays)) for one, rays in items] == [(0, 128), (2, 256)]
 
 
 @pytest.mark.parametrize("features", [None, ALL_FEATURES])
@@ -74,7 +73,7 @@ def test_jobs_have_similar_cost(features):
     for stratum in tally.strata:
         stratum.features = features
     jobs = divide(tally, (100, 500, 2000), 4)
-    costs = [sum(item.n_rays * estimate_cost(item.stratum) for item in job) for job in jobs]
+    costs = [sum(len(rays) * estimate_cost(one) for one, rays in job) for job in jobs]
     max_segments = MAX_SEGMENTS_PER_JOB if features else MAX_SEGMENTS_PER_JOB / 8
     assert max(costs) <= 1.2 * np.mean(costs) and max(costs) <= 1.1 * max_segments
     assert len(jobs) % 4 == 0
@@ -84,7 +83,7 @@ def test_jobs_use_one_kernel():
     tally = make_tally((1000, 100, 10))
     tally.strata[1].features = ALL_FEATURES
     jobs = divide(tally, (100, 500, 2000), 4)
-    kernels = [{item.stratum.features for item in job} for job in jobs]
+    kernels = [{stratum.features for stratum, _ in job} for job in jobs]
     assert all(len(one) == 1 for one in kernels)
     assert {ALL_FEATURES} in kernels and {None} in kernels
 
@@ -92,5 +91,5 @@ def test_jobs_use_one_kernel():
 @pytest.mark.parametrize("threads, chunks", [(2, 3), (8, 11), (16, 38), (64, 80), (64, 95)])
 def test_chunks_are_divided_evenly_over_jobs(threads, chunks):
     jobs = divide(make_tally((10, 10, 10)), (chunks, 0, 0), threads)
-    sizes = [sum(item.n_rays for item in job) // RAYS_PER_CHUNK for job in jobs]
+    sizes = [sum(len(rays) for _, rays in job) // RAYS_PER_CHUNK for job in jobs]
     assert sum(sizes) == chunks and max(sizes) <= -(-chunks // threads) + 1

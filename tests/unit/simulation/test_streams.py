@@ -16,12 +16,12 @@ from splits.instruments.expansion_tally import ORDER_CLASSES, ExpansionTally
 from splits.instruments.flux_tally import FluxTally
 from splits.instruments.transmittance_tally import N_PILOTS, TransmittanceTally
 from splits.kernels.tallies.angular import make_basis
-from splits.simulation.scene import OpticalConstants
+from splits.simulation.scene import OpticalConstants, build_scene
 from splits.simulation.single_scattering_tally import SingleScatteringTally
 from splits.simulation.spectral_nodes import MAX_SEPARATE_NODES, make_separate_nodes
 from splits.simulation.spectral_rows import SpectralRows
 from splits.simulation.spectral_tally import ANALOG_STREAM, SpectralTally
-from splits.simulation.tally import STRATUM_BOUNDS, Tally, TransportTraits
+from splits.simulation.tally import STRATUM_BOUNDS, Tally
 
 
 def list_tally_classes(base=Tally):
@@ -48,17 +48,17 @@ def test_strata_have_different_streams():
     index = np.array([[1.3, 1.3], [1.4, 1.4], [1.5, 1.5]]) + 0j
     absorption = np.repeat([[0.0], [9.0], [99.0]], 2, axis=1)
     nodes = replace(make_separate_nodes(index), weights=np.full((3, 3), 1.0 / 3.0))
-    traits = TransportTraits(1e3)
+    scene = build_scene(splits.Snow(depth_m=1.0), 0.0, analog=False)
+    analog_scene = scene._replace(rules=scene.rules._replace(analog=True))
     rows = SpectralRows(index, absorption, absorption, np.zeros((0, 3, 2)), ())
     traced_medium = SimpleNamespace(
         constants=OpticalConstants(index, absorption), path_fractions=None, planes_m=np.ones(2),
     )  # fmt: skip
-    tracer = SimpleNamespace(traits=traits, boundary_depths_m=np.array([0.0, 1.0]))
     target = SimpleNamespace(directions=SimpleNamespace(basis=make_basis(2)))
     tallies = {
-        SpectralTally(rows, nodes, traits): 9,
-        SpectralTally(rows, nodes, traits._replace(analog=True)): 3,
-        FluxTally(nodes, traced_medium, tracer, None): 9,
+        SpectralTally(rows, nodes, scene): 9,
+        SpectralTally(rows, nodes, analog_scene): 3,
+        FluxTally(nodes, traced_medium, scene, None): 9,
         ExpansionTally(nodes, absorption, target, True): 3 * len(ORDER_CLASSES),
         AngularBinTally(nodes, absorption, (2, 2)): 3,
         BeamSpreadTally(nodes, absorption, 1.0): 3,

@@ -70,3 +70,14 @@ def test_definitions_that_documents_name_exist():
             if not source.is_file() or not re.search(pattern, source.read_text("utf-8"), re.M):
                 missing.append(f"{path.relative_to(ROOT)}: {file}: {name}")
     assert not missing
+
+
+def test_source_files_that_documents_name_exist():
+    missing = [
+        f"{path.relative_to(ROOT)}: {file}"
+        for path in list_files()
+        if path.suffix in {".md", ".ipynb"}
+        for file in re.findall(r"\b((?:[a-z_]+/)+[a-z_]+\.py)\b", path.read_text("utf-8"))
+        if not any((folder / file).is_file() for folder in (ROOT, ROOT / "splits"))
+    ]
+    assert not missing

@@ -101,7 +101,7 @@ def goniophotometer(
     estimator : {"expansion", "bins", "next_event"}
         "expansion" uses orthonormal polynomials over the hemisphere.  "bins" counts rays in angular
         bins of equal solid angle, the collectors of the papers, with `rays` rays, a million by
-        default.  "next_event", for particle layers of one refractive index under a smooth surface,
+        default.  "next_event", for particle layers and stacks of these under a smooth surface,
         is next-event estimation: every scattering contributes to each direction, so the cost is
         proportional to the number of directions.
     n_bins : (int, int)

@@ -17,7 +17,7 @@ from splits.kernels.grains.scene import Scene
 from splits.kernels.optics.forward_peak import separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
 from splits.kernels.transport.history import trace_to_detectors
-from splits.kernels.transport.next_event import Detectors
+from splits.kernels.transport.next_event import ABOVE, BELOW, Detectors
 from splits.media.medium import Medium
 from splits.media.particle_layer import ParticleLayer
 from splits.simulation.scene import build_scene
@@ -32,13 +32,13 @@ change its direction."""
 
 
 def get_detected_layers(medium: Medium) -> tuple[ParticleLayer, ...]:
-    """Return the particle layers of a medium whose light reaches detectors along a single path.
+    """Return the particle layers of a medium whose light reaches detectors along known paths.
 
     Raises
     ------
     ValueError
-        For grains, for a rough surface, for layers of different refractive indices or with narrow
-        phase functions in a stack, and for a phase function that is nearly all peak.
+        For grains, for a rough surface, for the ground of a stack, for narrow phase functions in a
+        stack, and for a phase function that is nearly all peak.
     """
     layers, allowed = medium.scene_layers, "expansion or bins"
     if any(layer.has_grains for layer in layers):
@@ -54,12 +54,9 @@ def get_detected_layers(medium: Medium) -> tuple[ParticleLayer, ...]:
             "estimator", "next_event", f"{allowed} for this phase_function",
             f"more than {MAX_PEAK_FRACTION:.0%} of the scattered light goes into a narrow peak",
         )  # fmt: skip
-    if len(layers) > 1:
-        if len({layer.refractive_index for layer in layers}) > 1:
-            raise invalid("estimator", "next_event", f"{allowed} for layers of different indices")
-        if any(peak is not None for peak in peaks):
-            hint = "narrow peaks require a single layer"
-            raise invalid("estimator", "next_event", f"{allowed} for this phase_function", hint)
+    if len(layers) > 1 and any(peak is not None for peak in peaks):
+        hint = "narrow peaks require a single layer"
+        raise invalid("estimator", "next_event", f"{allowed} for this phase_function", hint)
     if medium.reflecting_ground is not None:
         raise invalid("estimator", "next_event", f"{allowed} over the ground of a stack")
     return layers
@@ -78,35 +75,94 @@ def make_detectors(
     polar, azimuth : float
         Degrees, of the directions outside.
     """
-    n, lowest = layers[0].refractive_index, layers[-1]
+    index, lowest = np.array([layer.refractive_index for layer in layers]), layers[-1]
     outer_polar, azimuth_rad = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
-    sine = np.sin(outer_polar) / n
+    plane = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
+    sine = (np.sin(outer_polar) / index[:, np.newaxis])[..., np.newaxis]
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-    interfaces = [compute_fresnel_mueller(n, 1.0, c) for c in cosine]
-    reflection = np.array([interface.reflection for interface in interfaces])
-    transmission = np.array([interface.transmission for interface in interfaces])
-    if scene.stokes is None:
-        reflection = reflection * [1.0, 0.0, 0.0, 0.0]
-        transmission = transmission * [1.0, 0.0, 0.0]
-    thickness = float((-np.diff(scene.layers.boundaries)) @ scene.layers.collision_coefficient)
+    thickness = -np.diff(scene.layers.boundaries) * scene.layers.collision_coefficient
     is_open = scene.bottom_albedo is None and scene.opaque is None
+    has_lower_side = is_open and math.isfinite(thickness[-1])
+    transmission = compute_transmission(
+        index, thickness, outer_polar, has_lower_side, scene.stokes is not None
+    )
     peak = separate_peak(lowest.kernel_phase_function)
     orders = 0 if peak is None else math.log(NEGLIGIBLE_PROBABILITY) / math.log(peak.fraction)
     return Detectors(
-        np.stack([sine * np.cos(azimuth_rad), sine * np.sin(azimuth_rad), cosine], axis=1),
-        np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1),
-        # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
-        transmission / (n**2 * cosine[:, np.newaxis]),
-        reflection,
-        n,
-        thickness,
-        is_open and math.isfinite(thickness),
-        np.zeros((2, len(cosine), 4)),
+        np.concatenate([sine * plane, cosine], axis=2),
+        plane,
+        transmission,
+        lowest.refractive_index,
+        float(thickness[-1]),
+        has_lower_side,
+        np.zeros((2, len(plane), 4)),
         lowest.kernel_phase_function,
         peak,
         0.0 if peak is None else peak.fraction * lowest.single_scattering_albedo,
         np.zeros((1 + math.ceil(orders), 3)),
     )
+
+
+def compute_transmission(
+    index: np.ndarray,
+    thickness: np.ndarray,
+    outer_polar: np.ndarray,
+    has_lower_side: bool,
+    polarized: bool,
+) -> np.ndarray:
+    """Return the transmission from the boundaries of layers to directions outside.
+
+    At an interface, light that is parallel and perpendicular to the plane of incidence, and U and
+    V, are reflected and refracted independently.  Light that arrives upwards at the upper boundary
+    of layer l, or downwards at the lower one, is transmitted to the detectors as
+
+        u_l = R_l t_l d_l + T_l t_(l−1) u_(l−1),    d_l = R_(l+1) t_l u_l + T_(l+1) t_(l+1) d_(l+1),
+
+    with the direct transmittance t of a layer, and T_0 in place of the second term for detectors
+    above (T of the lowest interface for those below).  The solution sums all reflections.
+
+    Parameters
+    ----------
+    index, thickness : float, shape (layers,)
+        Refractive indices, at least 1, and vertical optical thicknesses.
+    outer_polar : float, shape (detectors,)
+        Polar angles of the directions outside (rad).
+    has_lower_side : bool
+        Whether the lowest interface transmits and reflects; otherwise it does neither.
+    polarized : bool
+        Otherwise all light is reflected like unpolarized light.
+
+    Returns
+    -------
+    float, shape (2, 2, layers, detectors, 3)
+        See `splits.kernels.transport.next_event.Detectors`.
+    """
+    n_layers = len(index)
+    # No light from a direction outside is totally reflected, as no index is less than 1.
+    media = np.array([1.0, *index, 1.0])
+    cosine = np.sqrt(1.0 - (np.sin(outer_polar) / media[:, np.newaxis]) ** 2)
+    reflectance, transmittance = np.zeros((2, n_layers + 1, len(outer_polar), 3))
+    for j, k in np.ndindex(n_layers + has_lower_side, len(outer_polar)):
+        mueller = compute_fresnel_mueller(media[j], media[j + 1], cosine[j, k])
+        plus, minus, real, _ = mueller.reflection
+        reflectance[j, k] = [plus + minus, plus - minus, real] if polarized else plus
+        plus, minus, root = mueller.transmission
+        transmittance[j, k] = [plus + minus, plus - minus, root] if polarized else plus
+    direct = np.exp(-thickness[:, np.newaxis] / cosine[1:-1])[..., np.newaxis]
+    up, down = range(n_layers), range(n_layers, 2 * n_layers)
+    system = np.zeros((len(outer_polar), 3, 2 * n_layers, 2 * n_layers)) + np.eye(2 * n_layers)
+    source = np.zeros((len(outer_polar), 3, 2 * n_layers, 2))
+    system[..., up, down] = np.moveaxis(-reflectance[:-1] * direct, 0, -1)
+    system[..., down, up] = np.moveaxis(-reflectance[1:] * direct, 0, -1)
+    inner = transmittance[1:-1]
+    system[..., up[1:], up[:-1]] = np.moveaxis(-inner * direct[:-1], 0, -1)
+    system[..., down[:-1], down[1:]] = np.moveaxis(-inner * direct[1:], 0, -1)
+    source[..., up[0], ABOVE] = transmittance[0]
+    source[..., down[-1], BELOW] = transmittance[-1]
+    solution = np.linalg.solve(system, source).reshape(-1, 3, 2, n_layers, 2)
+    # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
+    solid_angle_ratio = 1.0 / (media**2 * cosine.T)[:, 1:-1].T
+    return np.transpose(solution, (4, 2, 3, 0, 1)) * solid_angle_ratio[..., np.newaxis]
 
 
 class DetectorTracer(Tracer):

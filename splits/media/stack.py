@@ -254,4 +254,4 @@ def _check_particle_layer(layer: ParticleLayer, is_top: bool) -> None:
         if value != allowed and not (name == "surface" and is_top):
             raise invalid(name, value, "left out" if allowed is None else "false", reason)
     if layer.optical_thickness == math.inf:
-        raise invalid("optical_thickness", math.inf, "finite", "other layers lie below")
+        raise invalid("optical_thickness", math.inf, "finite", "particle layers of a stack are")

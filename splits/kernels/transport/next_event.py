@@ -1,11 +1,11 @@
 """Next-event (local) estimation: every scattering contributes to the detectors.
 
 The method is that of Budak & Grimailo 2020, Eqs 4-5.  Detectors are at infinity, in given
-directions above and below layers of particles in one matrix, with smooth boundaries.  A scattering
-at depth contributes the density of its phase function towards each detector (Eq 5), and a
-reflection at the bottom a cosine over π (Eq 4), attenuated on the way and transmitted through the
-boundary, where refraction changes the solid angle.  Between two smooth boundaries, light after any
-number of reflections contributes, too.
+directions above and below layers of particles with smooth boundaries.  A scattering at depth
+contributes the density of its phase function towards each detector (Eq 5), and a reflection at the
+bottom a cosine over π (Eq 4), attenuated on the way to the next boundary.  From there to the
+detector, light is refracted and may be reflected any number of times
+(`splits.instruments.next_event.compute_transmission`).
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from splits.kernels.compiler.jit import inline_only
 from splits.kernels.grains.ray import compute_position
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.phase_function import PhaseFunction
-from splits.kernels.optics.polarized_interface import ReflectionMueller, TransmissionMueller
 from splits.kernels.transport.peak_next_event import (
+    LastScattering,
     ScatteringEvent,
     StokesVector,
     connect_bottom,
@@ -32,26 +32,28 @@ _I, _Q, _U, _V = range(4)
 """Columns of the Stokes parameters of detectors."""
 ABOVE, BELOW = range(2)
 """Sides of the sample with detectors."""
+UPWARD, DOWNWARD = range(2)
+"""Senses of light in a layer."""
 
 
 class Detectors(NamedTuple):
-    """Directions of detectors, with the transmission and reflection of the boundary on the way.
+    """Directions of detectors, with the transmission from each layer to them.
 
     Attributes
     ----------
-    direction : float64[detectors, 3]
-        Unit directions within the matrix, upwards.
+    direction : float64[layers, detectors, 3]
+        Unit directions within each layer, upwards.
     plane : float64[detectors, 2]
         Horizontal unit vector that, with the normal, spans the reference plane of Q.
-    transmission : float64[detectors, 3]
-        `TransmissionMueller` of the boundary: transmittance times the ratio of solid angles inside
-        and outside, divided by the outer cosine.
-    reflection : float64[detectors, 4]
-        `ReflectionMueller` of the boundary, from inside.
+    transmission : float64[2, 2, layers, detectors, 3]
+        To detectors `ABOVE` and `BELOW` of light that arrives `UPWARD` at the upper boundary of a
+        layer, or `DOWNWARD` at the lower one: factors of I + Q, of I − Q, and of U and V, after any
+        number of reflections, times the ratio of solid angles in the layer and outside, divided by
+        the outer cosine.
     refractive_index : float
-        Refractive index of the matrix, with 1 outside.
+        Refractive index of the lowest layer, with 1 outside.
     optical_thickness : float
-        Vertical optical thickness of all layers; may be infinite.
+        Vertical optical thickness of the lowest layer; may be infinite.
     has_lower_side : bool
         Whether there are detectors below the sample, too: its lower boundary is open.
     sums : float64[2, detectors, 4]
@@ -60,7 +62,7 @@ class Detectors(NamedTuple):
     phase : PhaseFunction
         Phase function of the lowest layer.
     peak : PhaseFunctionPeak or None
-        Peak of the phase function, None if it has none.
+        Peak of the phase function of a single layer, None if it has none.
     peak_probability : float
         Probability that light at a particle is scattered into the peak.
     peak_directions : float64[orders, 3]
@@ -70,7 +72,6 @@ class Detectors(NamedTuple):
     direction: np.ndarray
     plane: np.ndarray
     transmission: np.ndarray
-    reflection: np.ndarray
     refractive_index: float
     optical_thickness: float
     has_lower_side: bool
@@ -81,147 +82,63 @@ class Detectors(NamedTuple):
     peak_directions: np.ndarray
 
 
-class Detector(NamedTuple):
-    """One of the detectors, see `Detectors`.
-
-    `transmittance` is the direct transmittance of all layers in its direction.
-    """
-
-    direction: Vector
-    plane: Vector
-    transmission: TransmissionMueller
-    reflection: ReflectionMueller
-    transmittance: float
+@inline_only
+def load_direction(detectors, layer, k):
+    """Return the direction of the k-th detector in a layer, upwards."""
+    x, y, z = detectors.direction[layer, k]
+    return Vector(x, y, z)
 
 
 @inline_only
-def compute_optical_depth(layers, layer, z):
-    """Return the vertical optical depth of a point in a layer below the upper boundary."""
-    depth = layers.collision_coefficient[layer] * (layers.boundaries[layer] - z)
-    for above in range(layer):
-        thickness = layers.boundaries[above] - layers.boundaries[above + 1]
-        depth += layers.collision_coefficient[above] * thickness
-    return depth
-
-
-@inline_only
-def load_detector(detectors, k):
-    """Return the k-th detector."""
-    x, y, z = detectors.direction[k]
+def load_plane(detectors, k):
+    """Return the horizontal unit vector of the reference plane of the k-th detector."""
     along, across = detectors.plane[k]
-    plus, minus, root = detectors.transmission[k]
-    transmission = TransmissionMueller(plus, minus, root)
-    plus, minus, real, imaginary = detectors.reflection[k]
-    reflection = ReflectionMueller(plus, minus, real, imaginary)
-    transmittance = math.exp(-detectors.optical_thickness / z)
-    return Detector(
-        Vector(x, y, z), Vector(along, across, 0.0), transmission, reflection, transmittance
-    )
-
-
-@inline_only
-def sum_interreflections(reflection, stokes, transmittance, odd, stokes_vector):
-    """Return the `StokesVector` summed over 1, 3, … or over 2, 4, … internal reflections.
-
-    Every reflection and the following passage through the layer multiply I + Q and I − Q by R_p t
-    and R_s t, and U + iV by (a − ib) t, a + ib = r_p r_s*
-    (`polarized_interface.compute_fresnel_mueller`), which gives geometric series.
-    """
-    i, q, u, v = stokes_vector
-    if stokes is None:
-        x = reflection.plus * transmittance
-        return StokesVector(i * _sum_geometric_series(x, odd), 0.0, 0.0, 0.0)
-    p = (
-        0.5
-        * (i + q)
-        * _sum_geometric_series((reflection.plus + reflection.minus) * transmittance, odd)
-    )
-    s = (
-        0.5
-        * (i - q)
-        * _sum_geometric_series((reflection.plus - reflection.minus) * transmittance, odd)
-    )
-    x, y = reflection.real * transmittance, -reflection.imaginary * transmittance
-    # z/(1 − z²) or z²/(1 − z²) for z = x + iy.
-    square_x, square_y = x * x - y * y, 2.0 * x * y
-    numerator_x, numerator_y = (x, y) if odd else (square_x, square_y)
-    denominator_x, denominator_y = 1.0 - square_x, -square_y
-    per = 1.0 / (denominator_x * denominator_x + denominator_y * denominator_y)
-    c = (numerator_x * denominator_x + numerator_y * denominator_y) * per
-    d = (numerator_y * denominator_x - numerator_x * denominator_y) * per
-    return StokesVector(p + s, p - s, c * u - d * v, c * v + d * u)
-
-
-@inline_only
-def _sum_geometric_series(x, odd):
-    """Return the sum of all odd or of all even powers of x."""
-    return (x if odd else x * x) / ((1.0 - x) * (1.0 + x))
+    return Vector(along, across, 0.0)
 
 
 @inline_only
 def score_detector(sums, transmission, stokes, weight, stokes_vector):
-    """Score light that arrives at the boundary from inside at a detector outside."""
+    """Score light that arrives at a boundary at a detector outside."""
     i, q, u, v = stokes_vector
     if stokes is None:
-        sums[_I] += weight * transmission.plus * i
+        sums[_I] += weight * transmission[0] * i
         return
-    sums[_I] += weight * (transmission.plus * i + transmission.minus * q)
-    sums[_Q] += weight * (transmission.minus * i + transmission.plus * q)
-    sums[_U] += weight * transmission.root * u
-    sums[_V] += weight * transmission.root * v
+    parallel, perpendicular = 0.5 * transmission[0] * (i + q), 0.5 * transmission[1] * (i - q)
+    sums[_I] += weight * (parallel + perpendicular)
+    sums[_Q] += weight * (parallel - perpendicular)
+    sums[_U] += weight * transmission[2] * u
+    sums[_V] += weight * transmission[2] * v
 
 
 @inline_only
-def score_direct(detectors, detector, k, stokes, weight, last_scattering):
-    """Score light from its last scattering, and after 2, 4, … internal reflections.
+def score_light(detectors, layers, layer, k, stokes, weight, last_scattering):
+    """Score light in a layer at the k-th detector of each side.
 
     Parameters
     ----------
     detectors : Detectors
-    detector : Detector
-        The k-th detector, in whose direction the light travels.
-    k : int
+    layers : Layers
+    layer, k : int
     stokes : Stokes or None
         None without polarization.
     weight : float
     last_scattering : LastScattering
+        In the direction of the detector in the layer, upwards or downwards.
     """
-    side = ABOVE if last_scattering.vertical_sign > 0.0 else BELOW
-    if side == ABOVE or detectors.has_lower_side:
-        depth = _find_depth_from_side(detectors, last_scattering, side)
-        arriving = weight * math.exp(-depth / detector.direction.z)
-        sums, stokes_vector = detectors.sums[side, k], last_scattering.stokes_vector
-        score_detector(sums, detector.transmission, stokes, arriving, stokes_vector)
-        if detectors.has_lower_side and detector.reflection.plus != 0.0:
-            reflected = sum_interreflections(
-                detector.reflection, stokes, detector.transmittance, False, stokes_vector
-            )
-            score_detector(sums, detector.transmission, stokes, arriving, reflected)
+    depth, vertical_sign, stokes_vector = last_scattering
+    sense = UPWARD if vertical_sign > 0.0 else DOWNWARD
+    if sense == DOWNWARD:
+        depth = compute_optical_depth(layers, layer, layers.boundaries[layer + 1]) - depth
+    arriving = weight * math.exp(-depth / detectors.direction[layer, k, 2])
+    for side in range(2 if detectors.has_lower_side else 1):
+        transmission = detectors.transmission[side, sense, layer, k]
+        score_detector(detectors.sums[side, k], transmission, stokes, arriving, stokes_vector)
 
 
 @inline_only
-def score_reflected(detectors, detector, k, stokes, weight, last_scattering):
-    """Score light that leaves on the other side, after 1, 3, … internal reflections.
-
-    Parameters are those of `score_direct`.
-    """
-    if detectors.has_lower_side and detector.reflection.plus != 0.0:
-        side = BELOW if last_scattering.vertical_sign > 0.0 else ABOVE
-        depth = detectors.optical_thickness - _find_depth_from_side(
-            detectors, last_scattering, side
-        )
-        arriving = weight * math.exp(-depth / detector.direction.z)
-        reflected = sum_interreflections(
-            detector.reflection, stokes, detector.transmittance, True, last_scattering.stokes_vector
-        )
-        score_detector(detectors.sums[side, k], detector.transmission, stokes, arriving, reflected)
-
-
-@inline_only
-def _find_depth_from_side(detectors, last_scattering, side):
-    """Return the vertical optical depth of the last scattering from the boundary of a side."""
-    depth = last_scattering.depth
-    return depth if side == ABOVE else detectors.optical_thickness - depth
+def compute_optical_depth(layers, layer, z):
+    """Return the vertical optical depth of a point below the upper boundary of its layer."""
+    return layers.collision_coefficient[layer] * (layers.boundaries[layer] - z)
 
 
 @inline_only
@@ -238,50 +155,52 @@ def score_scattering(state, detectors, layers, phase, ray):
     ray : Ray
         Position, direction and polarization before the scattering, and the weight after it.
     """
-    depth = compute_optical_depth(layers, ray.layer, compute_position(ray).z)
-    for k in range(detectors.direction.shape[0]):
-        score_scattering_at_detector(state, detectors, phase, 0, ray, depth, k)
+    for k in range(detectors.plane.shape[0]):
+        score_scattering_at_detector(state, detectors, layers, phase, 0, ray, k)
         order = sample_peak_order(state, detectors)
         if order > 0:
-            score_scattering_at_detector(state, detectors, phase, order, ray, depth, k)
+            score_scattering_at_detector(state, detectors, layers, phase, order, ray, k)
 
 
 @inline_only
-def score_scattering_at_detector(state, detectors, phase, peak_order, ray, depth, k):
+def score_scattering_at_detector(state, detectors, layers, phase, peak_order, ray, k):
     """Score a scattering that is followed by `peak_order` scatterings into the peak."""
-    detector = load_detector(detectors, k)
-    weight, stokes, t, plane = ray.weight, ray.stokes, detector.direction, detector.plane
+    t, plane = load_direction(detectors, ray.layer, k), load_plane(detectors, k)
+    weight, stokes, layer = ray.weight, ray.stokes, ray.layer
+    depth = compute_optical_depth(layers, layer, compute_position(ray).z)
     event = ScatteringEvent(ray.direction, stokes, ray.order, depth)
     up = connect_scattering(state, detectors, phase, peak_order, event, t, plane)
-    score_direct(detectors, detector, k, stokes, weight, up)
-    if detectors.has_lower_side or (peak_order > 0 and detector.reflection.plus > 0.0):
+    score_light(detectors, layers, layer, k, stokes, weight, up)
+    # Interfaces reflect light that is perpendicular to the plane of incidence at any angle.
+    if (
+        detectors.has_lower_side
+        or detectors.transmission[ABOVE, DOWNWARD, layer, k, 1] > 0.0
+        or (peak_order > 0 and detectors.refractive_index != 1.0)
+    ):
         t = Vector(t.x, t.y, -t.z)
         down = connect_scattering(state, detectors, phase, peak_order, event, t, plane)
-        score_direct(detectors, detector, k, stokes, weight, down)
-        score_reflected(detectors, detector, k, stokes, weight, up)
-        score_reflected(detectors, detector, k, stokes, weight, down)
+        score_light(detectors, layers, layer, k, stokes, weight, down)
 
 
 @inline_only
 def score_ground(state, scene, ray):
     """Score light that the diffuse bottom reflects at all detectors above."""
-    detectors, stokes = scene.detectors, ray.stokes
+    detectors, layers, stokes = scene.detectors, scene.layers, ray.stokes
     if scene.bottom_albedo is None:
         return
     weight, phase = ray.weight * scene.bottom_albedo, detectors.phase
-    for k in range(detectors.direction.shape[0]):
-        detector = load_detector(detectors, k)
-        t, plane = detector.direction, detector.plane
-        weight_at_boundary = weight * detector.transmittance * t.z / math.pi
-        sums = detectors.sums[ABOVE, k]
-        sums[_I] += weight_at_boundary * detector.transmission.plus
-        sums[_Q] += weight_at_boundary * detector.transmission.minus
+    layer = layers.collision_coefficient.size - 1
+    depth = compute_optical_depth(layers, layer, layers.boundaries[layer + 1])
+    for k in range(detectors.plane.shape[0]):
+        t, plane = load_direction(detectors, layer, k), load_plane(detectors, k)
+        reflected = LastScattering(depth, 1.0, StokesVector(t.z / math.pi, 0.0, 0.0, 0.0))
+        score_light(detectors, layers, layer, k, stokes, weight, reflected)
         order = sample_peak_order(state, detectors)
         if order > 0:
             last = connect_bottom(state, detectors, phase, order, stokes, t, plane)
-            score_direct(detectors, detector, k, stokes, weight, last)
-        if order > 0 and detector.reflection.plus > 0.0:
+            score_light(detectors, layers, layer, k, stokes, weight, last)
+        if order > 0 and detectors.refractive_index != 1.0:
             # Light that the upper boundary reflects down may still be scattered upwards.
             t = Vector(t.x, t.y, -t.z)
             last = connect_bottom(state, detectors, phase, order, stokes, t, plane)
-            score_direct(detectors, detector, k, stokes, weight, last)
+            score_light(detectors, layers, layer, k, stokes, weight, last)

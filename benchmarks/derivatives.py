@@ -32,7 +32,6 @@ from splits.kernels.tallies.exits import (
     EXIT_WEIGHT,
     REFLECTED,
 )
-from splits.media.medium import compute_mean_free_path_m
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
@@ -221,7 +220,7 @@ def compute_likelihood_ratio(medium: Any, rays: int) -> tuple[np.ndarray, np.nda
     nodes = IndexNodes(
         index[middle : middle + 1], np.ones((1, n_wavelengths)), np.zeros(n_wavelengths)
     )
-    tally = ScoreTally(nodes, absorption, 1.0 / compute_mean_free_path_m(medium))
+    tally = ScoreTally(nodes, absorption, 1.0 / medium.mean_free_path_m)
     run = RunOptions.from_arguments(1, None)
     simulate(SceneTracer(medium, INCIDENCE_DEG), tally, StoppingRule(0.0, rays, fixed=True), run)
     n_rays = tally.n_rays
@@ -373,7 +372,7 @@ def report_attenuation_cost(error: float) -> None:
         independent = optimize_independent(medium, "density_kg_m3", 20.0, error, time_s)
         # Grains do not change, so attenuation is the inverse of the mean free path.
         attenuations = [
-            1.0 / compute_mean_free_path_m(replace_parameter(medium, "density_kg_m3", x))
+            1.0 / replace_parameter(medium, "density_kg_m3", x).mean_free_path_m
             for x in (199.0, 201.0)
         ]
         rate = 0.5 * np.log(attenuations[1] / attenuations[0])

@@ -102,8 +102,7 @@ def _compute_layer_steps(medium: Any, absorption: np.ndarray) -> AbsorptionSteps
 def _compute_path_excess(optical_depth: np.ndarray) -> np.ndarray:
     """Return the relative excess of a path over one along which weights decrease evenly."""
     d = np.maximum(optical_depth, 1e-9)
-    excess: np.ndarray = d / -np.expm1(-d) - 1.0
-    return excess
+    return d / -np.expm1(-d) - 1.0
 
 
 def bound_actinic_flux_error(
@@ -135,10 +134,7 @@ def bound_actinic_flux_error(
         out=np.full_like(actinic_flux, np.inf),
         where=steps.absorption_rate > 0.0,
     )
-    bound: np.ndarray = np.minimum(
-        step_bound, 2.0 * np.abs(path - actinic_flux) + 0.1 * actinic_flux
-    )
-    return bound
+    return np.minimum(step_bound, 2.0 * np.abs(path - actinic_flux) + 0.1 * actinic_flux)
 
 
 def bound_material_absorptance_error(
@@ -169,5 +165,4 @@ def bound_material_absorptance_error(
         _compute_path_excess(steps.optical_depth)[:, np.newaxis] * exchangeable
         + unscored_absorptance
     )
-    bound: np.ndarray = np.minimum(excess, np.maximum(total_absorptance, 0.0))
-    return bound
+    return np.minimum(excess, np.maximum(total_absorptance, 0.0))

@@ -200,8 +200,7 @@ def compute_power_concentration(coefficients: np.ndarray, directions: DirectionG
     signal_fraction = np.divide(signal, power, out=np.zeros_like(power), where=power > 0.0)
     square = np.pi * (mean @ directions.polynomials[:, N_ALWAYS_KEPT:].T) ** 2
     square = np.divide(square, power, out=np.zeros_like(square), where=power > 0.0)
-    concentration: np.ndarray = signal_fraction * square + 1.0 - signal_fraction
-    return concentration
+    return signal_fraction * square + 1.0 - signal_fraction
 
 
 def is_significant(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:

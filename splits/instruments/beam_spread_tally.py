@@ -86,8 +86,7 @@ class BeamSpreadTally(ExitTally):
         """Return the sums of a chunk of exits."""
         absorption = stratum.absorption
         bins = (MIN_RADIUS_M, BINS_PER_DECADE, _N_FINE_BINS)
-        sums: RadialTally = tally_radial(exits, absorption, *bins, self.half_width, self.n_pixels)
-        return sums
+        return tally_radial(exits, absorption, *bins, self.half_width, self.n_pixels)
 
     def merge(self, stratum: Stratum, score: RadialTally) -> None:
         """Add the sums of the next chunk of a stratum."""

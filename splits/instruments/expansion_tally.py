@@ -98,8 +98,7 @@ class ExpansionTally(ExitTally):
         if not self.exclude_unscattered:
             exits[:, EXIT_ORDER] = np.maximum(exits[:, EXIT_ORDER], 1.0)
         absorption = stratum.absorption
-        sums: AngularSums = tally_expansion(exits, absorption, scored_orders, self.basis)
-        return sums
+        return tally_expansion(exits, absorption, scored_orders, self.basis)
 
     def merge(self, stratum: Stratum, score: AngularSums) -> None:
         """Add the sums of the next chunk of a stratum."""

@@ -176,8 +176,7 @@ def _compute_material_absorptance(
 
 def _add_in_quadrature(errors: list[np.ndarray]) -> np.ndarray:
     """Return errors added in quadrature."""
-    total: np.ndarray = np.sqrt(np.sum(np.square(errors), axis=0))
-    return total
+    return np.sqrt(np.sum(np.square(errors), axis=0))
 
 
 def compute_absorbed_fractions(estimate: FluxEstimate) -> np.ndarray:
@@ -204,5 +203,4 @@ def compute_absorbed_fractions(estimate: FluxEstimate) -> np.ndarray:
     scale = np.divide(
         mean_absorbed, mean_scored, out=np.zeros_like(mean_absorbed), where=mean_scored > 0.0
     )
-    absorptance: np.ndarray = absorbed * fraction + scale * (parts - fraction * total_scored)
-    return absorptance
+    return absorbed * fraction + scale * (parts - fraction * total_scored)

@@ -101,16 +101,12 @@ def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarr
     total, square = np.abs(batch_means).sum(axis=0), (batch_means**2).sum(axis=0)
     largest = np.abs(batch_means).max(axis=0) / len(batch_means)
     largest_error = np.where(total**2 < MIN_NONZERO_BATCHES * square, largest, 0.0)
-    error: np.ndarray = np.hypot(
-        np.where(is_sparse(batch_means), unsampled_light, 0.0), largest_error
-    )
-    return error
+    return np.hypot(np.where(is_sparse(batch_means), unsampled_light, 0.0), largest_error)
 
 
 def is_sparse(batch_means: np.ndarray) -> np.ndarray:
     """Return where only few batches are nonzero."""
-    sparse: np.ndarray = (batch_means != 0.0).sum(axis=0) < MIN_NONZERO_BATCHES
-    return sparse
+    return (batch_means != 0.0).sum(axis=0) < MIN_NONZERO_BATCHES
 
 
 def bound_unsampled_light(
@@ -154,11 +150,10 @@ def compute_nonstatistical_error(
     unsampled_light : float, shape (..., wavelengths)
         See `estimate_rare_event_error`.
     """
-    error: np.ndarray = np.hypot(
+    return np.hypot(
         bound_flux_interpolation_error(interpolation_bound, batch_means.mean(axis=0)),
         estimate_rare_event_error(batch_means, unsampled_light),
     )
-    return error
 
 
 def bound_flux_interpolation_error(
@@ -177,5 +172,4 @@ def bound_flux_interpolation_error(
     """
     size = np.clip(np.abs(value), np.finfo(float).tiny, None)
     elastic = size * np.maximum(8.0, np.abs(np.log(size)) / MAX_LOG_SLOPE)
-    bound: np.ndarray = interpolation_bound * np.minimum(np.maximum(1.0, size), elastic)
-    return bound
+    return interpolation_bound * np.minimum(np.maximum(1.0, size), elastic)

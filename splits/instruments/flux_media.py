@@ -74,11 +74,10 @@ class TracedMedium(NamedTuple):
         """Return at which wavelengths the lowest layer absorbs, shape (wavelengths,)."""
         absorption = self.constants.absorption[: self.n_wavelengths]
         lowest_interval = self.planes_m[-1] * np.array([1.0 - 1e-6, 1.0])
-        absorbing: np.ndarray = (
+        return (
             compute_absorption_steps(self.medium, absorption, lowest_interval).absorption_rate[0]
             > 0.0
         )
-        return absorbing
 
 
 def prepare_medium(

@@ -131,10 +131,9 @@ class FluxTally(ExitTally):
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> FluxSums:
         """Return the sums of a chunk of rays of a stratum."""
         ground_column = self.scene.ground_column
-        sums: FluxSums = tally_flux(
+        return tally_flux(
             exits, crossings, stratum.absorption, self.path_fractions, self.n_layers, ground_column
         )
-        return sums
 
     def merge(self, stratum: Stratum, score: FluxSums) -> None:
         """Add the sums of the next chunk of a stratum."""

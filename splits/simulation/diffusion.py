@@ -33,8 +33,7 @@ def effective_mean_free_path(optics: xr.Dataset) -> np.ndarray:
     square = (free + incident) * (
         free + exit
     ) + 0.5 * transport_factor * optics.mean_square_displacement.values
-    values: np.ndarray = np.sqrt(square)
-    return values
+    return np.sqrt(square)
 
 
 def diffuse_reflectance(n: np.ndarray) -> np.ndarray:
@@ -81,8 +80,7 @@ class DiffusiveSubstrate(NamedTuple):
         tanh = np.tanh(self.decay_depth)
         upper = self.bottom_flux_ratio + self.decay_flux_ratio * tanh
         lower = self.decay_flux_ratio + self.bottom_flux_ratio * tanh
-        values: np.ndarray = self.decay_flux_ratio * upper / lower
-        return values
+        return self.decay_flux_ratio * upper / lower
 
     def compute_reflected_fraction(self) -> np.ndarray:
         """Return the reflectance for diffuse light."""
@@ -101,5 +99,4 @@ class DiffusiveSubstrate(NamedTuple):
             0.0,
             self.bottom_flux_ratio * fluence / self.compute_flux_ratio(),
         )
-        values: np.ndarray = np.clip(transmitted, 0.0, 1.0)
-        return values
+        return np.clip(transmitted, 0.0, 1.0)

@@ -292,5 +292,4 @@ def _compute_difference_weights(positions: np.ndarray) -> np.ndarray:
     powers = np.vander(positions, increasing=True).T
     target = np.zeros(len(positions))
     target[1] = 1.0
-    weights: np.ndarray = np.linalg.solve(powers, target)
-    return weights
+    return np.linalg.solve(powers, target)

@@ -84,8 +84,7 @@ def bound_fraction_error(interpolation_bound: np.ndarray, value: np.ndarray) -> 
     Near 0 and 1 a fraction changes in proportion to its distance from there; 8 allows for
     elasticities up to 2.4; that of a single reflection is 4/(2 + c).
     """
-    bound: np.ndarray = interpolation_bound * np.clip(8.0 * value * (1.0 - value), 0.0, 1.0)
-    return bound
+    return interpolation_bound * np.clip(8.0 * value * (1.0 - value), 0.0, 1.0)
 
 
 class Criterion(NamedTuple):

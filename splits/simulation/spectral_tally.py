@@ -187,7 +187,7 @@ class SpectralTally(ExitTally):
             exits, crossings, absorption, not self.scene.rules.analog, ground_column
         )
         if not len(self.absorption_derivatives):
-            return sums  # type: ignore[no-any-return]
+            return sums
         derivatives = self.absorption_derivatives[:, rows]
         return *sums, tally_derivatives(exits, crossings, absorption, derivatives, ground_column)
 
@@ -281,8 +281,7 @@ class SpectralTally(ExitTally):
             rays_per_batch[:, stratum.node_rows] += BLOCK_SIZE * n_blocks[:, np.newaxis]
         n_rays = self.count_rays()
         rays_per_batch = rays_per_batch.reshape(N_BATCHES, *[1] * (batch_sums.ndim - 2), -1)
-        deviations: np.ndarray = (batch_sums - rays_per_batch * (total / n_rays)) / n_rays
-        return deviations
+        return (batch_sums - rays_per_batch * (total / n_rays)) / n_rays
 
 
 def rescale_deviations(deviations: np.ndarray, variance: np.ndarray) -> np.ndarray:

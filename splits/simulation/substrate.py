@@ -222,10 +222,7 @@ def compute_albedo_below_interface(
     )
     # The absorptance below, per incident light at the interface from inside, is 1 − reflected.
     absorbed = 1.0 - reflected_fraction
-    albedo: np.ndarray = np.clip(
-        (transmitted - absorbed) / (transmitted - absorbed * (1.0 - entering)), 0.0, 1.0
-    )
-    return albedo
+    return np.clip((transmitted - absorbed) / (transmitted - absorbed * (1.0 - entering)), 0.0, 1.0)
 
 
 def make_substrate_ground(wavelengths: np.ndarray, albedo: np.ndarray) -> Ground:

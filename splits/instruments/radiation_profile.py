@@ -114,19 +114,21 @@ def radiation_profile(
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     check_choice("target", target, POWER_ERROR_QUANTITIES)
+    limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
     run = RunOptions.from_arguments(seed, threads, progress=progress)
     max_rays = check_integer("max_rays", max_rays, 1)
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
     weights = np.array([sky_spectrum.compute_weights(wavelengths, band) for band in named.values()])
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
-    limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
-    targets = _make_targets(direct_fraction, weights, max_stderr, limit_irradiance)
+    targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
     coordinates: dict[str, Any] = {}
     run_attributes: list[dict[str, Any]] = []
 
     def simulate(incidence: float | str, number: int) -> xr.Dataset:
-        request = FluxRequest.from_arguments(medium, wavelengths, depth_m, incidence, max_rays)
+        request = FluxRequest.from_arguments(
+            medium, wavelengths, depth_m, incidence, max_stderr, max_rays
+        )
         dataset = simulate_flux(request, targets[number], run._replace(seed=run.seed + number))
         run_attributes.append(dataset.attrs)
         names = ("depth", "interval_top", "interval_bottom")
@@ -173,8 +175,8 @@ def _make_variables(
     return variables | {"irradiance_covered": ("band", covered, {"long_name": label, "units": "1"})}
 
 
-def _make_targets(
-    direct_fraction: np.ndarray, band_weights: np.ndarray, max_stderr: float, limit_irradiance: bool
+def make_sky_targets(
+    direct_fraction: np.ndarray, band_weights: np.ndarray, limit_irradiance: bool
 ) -> list[FluxTarget]:
     """Return the targets for sunlight and for diffuse light.
 
@@ -186,7 +188,6 @@ def _make_targets(
         Fraction of direct sunlight.
     band_weights : float, shape (bands, wavelengths)
         Irradiance of each band by wavelength.
-    max_stderr : float
     limit_irradiance : bool
         Whether errors of irradiances are limited, too.
     """
@@ -195,7 +196,5 @@ def _make_targets(
     for fraction in (direct_fraction, 1.0 - direct_fraction):
         band_fraction = (normalized * fraction).sum(axis=1)
         variance_fraction = np.where(band_fraction > 0.0, band_fraction, 1.0)
-        targets.append(
-            FluxTarget(max_stderr, limit_irradiance, normalized * fraction, variance_fraction)
-        )
+        targets.append(FluxTarget(limit_irradiance, normalized * fraction, variance_fraction))
     return targets

@@ -19,10 +19,7 @@ from splits.instruments.absorption_steps import (
     bound_material_absorptance_error,
     compute_absorption_steps,
 )
-from splits.instruments.flux_errors import (
-    bound_flux_interpolation_error,
-    estimate_rare_event_error,
-)
+from splits.instruments.flux_errors import bound_flux_interpolation_error, estimate_rare_event_error
 from splits.instruments.flux_media import TracedMedium
 from splits.instruments.flux_tally import FluxEstimate, FluxResult
 from splits.simulation.run_options import make_wavelength_coordinate

@@ -28,8 +28,6 @@ from splits.simulation.tally import (
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of all batches is short."""
-CROSSINGS_PER_BOUNDARY = 4
-"""Expected crossings of a boundary per ray, for the memory of a job."""
 MIN_SCATTER_FRACTION = 0.1
 """Fraction of the requested variance that is always available for statistical scatter."""
 
@@ -134,13 +132,8 @@ class FluxTally(ExitTally):
         self.irradiance_sums = np.zeros((N_BATCHES, 2, self.n_layers + 1, n_rows))
         self.absorptance_sums = np.zeros((N_BATCHES, self.n_layers, n_materials, n_rows))
         self.path_length_sums = np.zeros((N_BATCHES, self.n_layers, n_rows))
+        self.values_per_row = self.n_layers * (3 + n_materials)
         self.add_strata_by_absorption(absorption, scene)
-
-    def count_score_values(self) -> int:
-        """Return the number of values in the score and the crossings of a chunk."""
-        n_materials, n_rows = self.absorption.shape[1], int(np.diff(self.first_rows).max())
-        n_crossings = FLUX_RAYS_PER_CHUNK * CROSSINGS_PER_BOUNDARY * self.n_layers
-        return n_crossings * (n_materials + 3) + self.n_layers * (3 + n_materials) * n_rows
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> FluxSums:
         """Return the sums of a chunk of rays of a stratum."""
@@ -234,10 +227,8 @@ class FluxTally(ExitTally):
             perturbed = whole.select_wavelengths(slice(n_wavelengths, None))
             difference = (estimate.quantities - perturbed.quantities).mean(axis=0)
             irreducible = np.hypot(irreducible, difference)
-        rare_event_error = estimate_rare_event_error(
-            estimate.quantities,
-            np.concatenate([unsampled[:-1], unsampled[:-1], unsampled_below]),
-        )
+        unsampled_light = np.concatenate([unsampled[:-1], unsampled[:-1], unsampled_below])
+        rare_event_error = estimate_rare_event_error(estimate.quantities, unsampled_light)
         systematic_error = np.hypot(irreducible, rare_event_error)
         return FluxResult(
             estimate, perturbed, systematic_error, irreducible, bound, unsampled_below

@@ -24,10 +24,7 @@ from splits.instruments.flux_target import FluxTarget
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import (
-    check_incidence,
-    check_wavelengths,
-)
+from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_nodes import MAX_NODES, IndexNodes, choose_nodes

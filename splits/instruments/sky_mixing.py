@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.uncertainty import Variable
 from splits.core.validation import invalid
+from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.illumination.sky_spectra import sky
 from splits.simulation.arguments import check_wavelengths
@@ -89,6 +91,30 @@ def mix_direct_and_diffuse(
         if batch_deviations[name]:
             values[f"{name}_batches"] = xr.concat(batch_deviations[name], "batch")
     return xr.Dataset(values)
+
+
+def compute_band_weights(
+    sky: Sky, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the irradiance of bands at wavelengths, and over the whole spectrum of the sky.
+
+    Returns
+    -------
+    weights : float, shape (bands, wavelengths)
+        See `splits.illumination.sky.Sky.compute_weights`.
+    band_irradiance : float, shape (bands,)
+    """
+    weights, all_weights = (
+        np.array([sky.compute_weights(wavelengths, band) for band in bands.values()])
+        for wavelengths in (wavelength_nm, sky.wavelength_nm)
+    )
+    return weights, all_weights.sum(axis=1)
+
+
+def make_coverage_variable(weights: np.ndarray, band_irradiance: np.ndarray) -> dict[str, Variable]:
+    """Return the fraction of the light of bands that is covered, see `compute_band_weights`."""
+    attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}
+    return {"irradiance_covered": ("band", weights.sum(axis=1) / band_irradiance, attributes)}
 
 
 def make_sky_attributes(sky: Sky) -> dict[str, Any]:

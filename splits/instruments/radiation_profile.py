@@ -124,18 +124,15 @@ def radiation_profile(
     weights, band_irradiance = compute_band_weights(sky_spectrum, named, wavelengths)
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
     targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
-    coordinates: dict[str, Any] = {}
-    run_attributes: list[dict[str, Any]] = []
+    runs: list[xr.Dataset] = []
 
     def simulate(incidence: float | str, number: int) -> xr.Dataset:
         request = FluxRequest.from_arguments(
             medium, wavelengths, depth_m, incidence, max_stderr, max_rays
         )
-        dataset = simulate_flux(request, targets[number], run._replace(seed=run.seed + number))
-        run_attributes.append(dataset.attrs)
-        names = ("depth", "interval_top", "interval_bottom")
-        coordinates.update({name: dataset[name] for name in names})
-        return dataset
+        seeded = run._replace(seed=run.seed + number)
+        runs.append(simulate_flux(request, targets[number], seeded))
+        return runs[-1]
 
     dataset = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, list(OUTPUT_VARIABLES))
     variables = _make_variables(dataset, wavelengths, weights)
@@ -146,9 +143,12 @@ def radiation_profile(
         "irradiance_w_m2": band_irradiance[0],
         "max_stderr": max_stderr,
         "target": target,
-        "stop_reason": max((run["stop_reason"] for run in run_attributes), key=STOP_REASONS.index),
+        "stop_reason": max((one.stop_reason for one in runs), key=STOP_REASONS.index),
         "max_rays": max_rays,
-        "rays": sum(run["rays"] for run in run_attributes),
+        "rays": sum(one.rays for one in runs),
+    }
+    coordinates: dict[str, Any] = {
+        name: runs[0][name] for name in ("depth", "interval_top", "interval_bottom")
     }
     return xr.Dataset(variables, {**coordinates, "band": list(named)}, attributes)
 

@@ -64,33 +64,33 @@ def mix_direct_and_diffuse(
     direct_fraction = xr.DataArray(
         sky.compute_direct_fraction(wavelength_nm), {"wavelength": wavelength_nm}, ("wavelength",)
     )
-    values: dict[str, Any] = {}
-    batch_deviations: dict[str, list[xr.DataArray]] = {name: [] for name in names}
-    squares: dict[str, Any] = dict.fromkeys(names, 0.0)
-    systematic: dict[str, Any] = dict.fromkeys(names, 0.0)
     components: list[tuple[xr.DataArray, float | str]] = [
         (direct_fraction, sky.zenith_deg),
         (1.0 - direct_fraction, "diffuse"),
     ]
-    for position, (fraction, incidence) in enumerate(components):
-        if not fraction.any():
-            continue
-        dataset = instrument(incidence, position)
-        for name in names:
-            values[name] = values.get(name, 0.0) + fraction * dataset[name]
-            square: Any = (fraction * dataset[f"{name}_stderr"]) ** 2
-            if f"{name}_batches" in dataset:
-                batch_deviations[name].append(fraction * dataset[f"{name}_batches"])
-                scatter = (batch_deviations[name][-1].astype(float) ** 2).sum("batch")
-                # Both runs use the same index nodes: their interpolation errors are correlated.
-                systematic[name] = systematic[name] + np.maximum(square - scatter, 0.0) ** 0.5
-                square = np.minimum(scatter, square)
-            squares[name] = squares[name] + square
+    runs = [
+        (fraction, instrument(incidence, number))
+        for number, (fraction, incidence) in enumerate(components)
+        if fraction.any()
+    ]
+    variables: dict[str, Any] = {}
     for name in names:
-        values[f"{name}_stderr"] = (squares[name] + systematic[name] ** 2) ** 0.5
-        if batch_deviations[name]:
-            values[f"{name}_batches"] = xr.concat(batch_deviations[name], "batch")
-    return xr.Dataset(values)
+        means, variances, bounds, deviations = ([] for _ in range(4))
+        for fraction, dataset in runs:
+            means.append(fraction * dataset[name])
+            variance: Any = (fraction * dataset[f"{name}_stderr"]) ** 2
+            if f"{name}_batches" in dataset:
+                deviations.append(fraction * dataset[f"{name}_batches"])
+                scatter = (deviations[-1].astype(float) ** 2).sum("batch")
+                bounds.append(np.maximum(variance - scatter, 0.0) ** 0.5)
+                variance = np.minimum(scatter, variance)
+            variances.append(variance)
+        # Both runs use the same index nodes: their interpolation errors are correlated.
+        stderr = (sum(variances) + sum(bounds) ** 2) ** 0.5
+        variables |= {name: sum(means), f"{name}_stderr": stderr}
+        if deviations:
+            variables[f"{name}_batches"] = xr.concat(deviations, "batch")
+    return xr.Dataset(variables)
 
 
 def compute_band_weights(

@@ -71,23 +71,22 @@ def compute_finite_difference(
     """
     value = float(incidence) if parameter == INCIDENCE_KEY else get_parameter(medium, parameter)
     coordinate = _Coordinate.for_parameter(parameter, value)
-    step = coordinate.choose_first_step(parameter)
+    first_step = coordinate.choose_first_step(parameter)
     estimates: dict[float, SpectralEstimate] = {}
     best: Derivatives | None = None
     one_sided: list[Derivatives] = []
     last_error = ValueError()
-    for _ in range(MAX_HALVINGS + 1):
+    for halving in range(MAX_HALVINGS + 1):
+        step = first_step * 0.5**halving
         try:
             offsets, inputs = _make_stencil(medium, incidence, parameter, coordinate, step)
         except ValueError as error:
             last_error = error
-            step *= 0.5
             continue
         for x, perturbed in inputs.items():
             if x not in estimates:
                 estimates[x] = estimator(*perturbed)
         derivatives = _differentiate(offsets, step, [estimates[x] for x in inputs])
-        step *= 0.5
         if sum(offsets) != 0.0:
             one_sided.append(derivatives)
             best = derivatives = _bound_step_error(one_sided)

@@ -186,15 +186,12 @@ class ScoreTally(ExitTally):
     """
 
     first_stream = 0
+    values_per_row = 2
 
     def __init__(self, nodes: IndexNodes, absorption: np.ndarray, attenuation: float) -> None:
         super().__init__(nodes, absorption)
         self.attenuation, self.sums = attenuation, np.zeros((2, len(absorption)))
         self.add_strata()
-
-    def count_score_values(self) -> int:
-        """Return the number of values in the score of a chunk."""
-        return self.sums.size
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> np.ndarray:
         """Return sums and sums of squares over the rays of a chunk, by wavelength."""

@@ -102,29 +102,26 @@ def report_error_costs(errors: Sequence[float], seeds: int) -> None:
     plane_depths = np.cumsum([d for d, *_ in LAYERS])[:-1]
     band_weights = weights / weights.sum()
 
-    request = FluxRequest.from_arguments(snowpack, w, plane_depths, sky.zenith_deg, 10**8)
-
-    def run(target: FluxTarget, seed: int) -> xr.Dataset:
+    def run(target: FluxTarget, error: float, seed: int) -> xr.Dataset:
+        request = FluxRequest.from_arguments(
+            snowpack, w, plane_depths, sky.zenith_deg, error, 10**8
+        )
         return simulate_flux(request, target, RunOptions.from_arguments(seed, 1))
 
+    irradiance = FluxTarget(True, band_weights[np.newaxis])
+    absorbed_power = FluxTarget(False, band_weights[np.newaxis])
     targets = {
-        "irradiance by wavelength": lambda e: FluxTarget(e),
-        "irradiance in the band": lambda e: FluxTarget(
-            e, True, band_weights[np.newaxis], np.ones(1)
-        ),
-        "absorbed power in the band": lambda e: FluxTarget(
-            e, False, band_weights[np.newaxis], np.ones(1)
-        ),
-        "absorbed power, to a tenth": lambda e: FluxTarget(
-            0.1 * e, False, band_weights[np.newaxis], np.ones(1)
-        ),
+        "irradiance by wavelength": (FluxTarget(), 1.0),
+        "irradiance in the band": (irradiance, 1.0),
+        "absorbed power in the band": (absorbed_power, 1.0),
+        "absorbed power, to a tenth": (absorbed_power, 0.1),
     }
     by_wavelength = xr.DataArray(weights, {"wavelength": w}, ("wavelength",))
     results = {}
     for error in errors:
-        for kind, make_target in targets.items():
+        for kind, (target, factor) in targets.items():
             start = time.process_time()
-            runs = [run(make_target(error), seed) for seed in range(seeds)]
+            runs = [run(target, factor * error, seed) for seed in range(seeds)]
             print(f"{kind}, {error:g}: {(time.process_time() - start) / seeds:.1f} s")
             for name, i_plane in (("absorptance", 0), ("downward_irradiance", 1)):
                 parts = [compute_error_parts(dataset, name, by_wavelength) for dataset in runs]

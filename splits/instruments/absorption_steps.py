@@ -42,58 +42,48 @@ def compute_absorption_steps(
     planes_m : float, shape (intervals + 1,)
         Depths between which intervals lie (m).
     """
-    first, top = 0, 0.0
-    by_interval: list[list[AbsorptionSteps]] = [[] for _ in planes_m[1:]]
-    for layer in medium.scene_layers:
-        last, bottom = first + len(layer.list_materials()), top + float(layer.depth_m)
-        layer_steps = _compute_layer_steps(layer, absorption[:, first:last])
-        for interval_steps, begin, end in zip(
-            by_interval, planes_m[:-1], planes_m[1:], strict=True
-        ):
-            if begin < bottom and end > top:
-                interval_steps.append(layer_steps)
-        first, top = last, bottom
-    return AbsorptionSteps(
-        np.array([np.max([s.optical_depth for s in steps], axis=0) for steps in by_interval]),
-        np.array([np.max([s.unscored_path_m for s in steps], axis=0) for steps in by_interval]),
-        np.array([np.min([s.absorption_rate for s in steps], axis=0) for steps in by_interval]),
+    layers = medium.scene_layers
+    columns = np.cumsum([len(layer.list_materials()) for layer in layers])
+    by_layer = zip(layers, np.split(absorption, columns, axis=1), strict=False)
+    steps = np.stack([_compute_layer_steps(*one) for one in by_layer], axis=1)
+    bottoms = np.cumsum([float(layer.depth_m) for layer in layers])
+    begin, end = planes_m[:-1, np.newaxis], planes_m[1:, np.newaxis]
+    in_interval = (begin < bottoms) & (end > np.append(0.0, bottoms[:-1]))
+    optical_depth, unscored_path, absorption_rate = (
+        np.array([reduce(table[inside], axis=0) for inside in in_interval])
+        for table, reduce in zip(steps, (np.max, np.max, np.min), strict=True)
     )
+    return AbsorptionSteps(optical_depth, unscored_path, absorption_rate)
 
 
 def _compute_layer_steps(medium: Any, absorption: np.ndarray) -> AbsorptionSteps:
     """Return the steps in a layer by wavelength; 0 where particles absorb along paths.
 
-    The mean chord of convex grains is their volume over their projected area; the mean segment
-    between two of them is that of a ray in the pore space.  A ray crosses some three thicknesses of
-    a coating on its way in and out; the chord of a sphere is two thirds of the diameter.
+    The mean segment between two grains is that of a ray in the pore space.  A ray crosses some
+    three thicknesses of a coating on its way in and out; the chord of a sphere is two thirds of the
+    diameter.
     """
     if not medium.has_grains:
         zeros = np.zeros(len(absorption))
         return AbsorptionSteps(zeros, zeros, absorption[:, WET_PORE])
-    grains, types = medium.make_grain_population(), medium.make_grain_population().types
-    segment = 1.0 / grains.collision_coefficient
+    grains = medium.make_grain_population()
+    segment, types = 1.0 / grains.collision_coefficient, grains.types
     pore_path = segment * medium.pore_fraction
-    per_solid_fraction = (
-        getattr(medium.interpretation, "attenuation_factor", "solid_fraction") == "solid_fraction"
-    )
-    chord = medium.mean_grain_distance_m * (1.0 - medium.porosity if per_solid_fraction else 1.0)
-    fractions = np.diff(grains.type_cdf, prepend=0.0)
-    depths, step_fractions = [], []
-    for grain_type in np.flatnonzero(fractions > 0.0):
+    type_fractions = np.diff(grains.type_cdf, prepend=0.0)
+    depths, fractions = [], []
+    for grain_type in np.flatnonzero(type_fractions > 0.0):
         n_coatings = types.n_shells[grain_type] - 1
-        coating = (
-            absorption[:, types.material[grain_type, :n_coatings]]
-            @ types.coating_thickness[grain_type, :n_coatings]
-        )
-        core = absorption[:, types.material[grain_type, n_coatings]]
-        depths.append(chord * (core + 4.5 * coating))
-        step_fractions.append(fractions[grain_type])
-    pore_fractions = [1.0 - medium.wet_fraction - sum(medium.pores.values()), medium.wet_fraction]
-    for pore, fraction in enumerate([*pore_fractions, *medium.pores.values()]):
+        materials, thicknesses = types.material[grain_type], types.coating_thickness[grain_type]
+        coating = absorption[:, materials[:n_coatings]] @ thicknesses[:n_coatings]
+        core = absorption[:, materials[n_coatings]]
+        depths.append(medium.mean_chord_m * (core + 4.5 * coating))
+        fractions.append(type_fractions[grain_type])
+    dry_fraction = 1.0 - medium.wet_fraction - sum(medium.pores.values())
+    for pore, fraction in enumerate([dry_fraction, medium.wet_fraction, *medium.pores.values()]):
         if fraction > 0.0:
             depths.append(segment * absorption[:, pore])
-            step_fractions.append(fraction)
-    absorbed = np.array(step_fractions) @ -np.expm1(-np.array(depths))
+            fractions.append(fraction)
+    absorbed = np.array(fractions) @ -np.expm1(-np.array(depths))
     return AbsorptionSteps(
         np.max(depths, axis=0), pore_path * np.minimum(absorbed, 1.0), absorbed / pore_path
     )
@@ -102,8 +92,7 @@ def _compute_layer_steps(medium: Any, absorption: np.ndarray) -> AbsorptionSteps
 def _compute_path_excess(optical_depth: np.ndarray) -> np.ndarray:
     """Return the relative excess of a path over one along which weights decrease evenly."""
     d = np.maximum(optical_depth, 1e-9)
-    excess: np.ndarray = d / -np.expm1(-d) - 1.0
-    return excess
+    return d / -np.expm1(-d) - 1.0
 
 
 def bound_actinic_flux_error(
@@ -125,20 +114,11 @@ def bound_actinic_flux_error(
         Light absorbed in an interval, and light incident through its planes, over its thickness
         (1/m).
     """
-    step_bound = (
-        _compute_path_excess(steps.optical_depth) * actinic_flux + steps.unscored_path_m * incident
-    )
-    absorbed = np.maximum(absorption, 0.0)
-    path = np.divide(
-        absorbed,
-        steps.absorption_rate,
-        out=np.full_like(actinic_flux, np.inf),
-        where=steps.absorption_rate > 0.0,
-    )
-    bound: np.ndarray = np.minimum(
-        step_bound, 2.0 * np.abs(path - actinic_flux) + 0.1 * actinic_flux
-    )
-    return bound
+    excess = _compute_path_excess(steps.optical_depth)
+    step_bound = excess * actinic_flux + steps.unscored_path_m * incident
+    path, rate = np.full_like(actinic_flux, np.inf), steps.absorption_rate
+    np.divide(np.maximum(absorption, 0.0), rate, out=path, where=rate > 0.0)
+    return np.minimum(step_bound, 2.0 * np.abs(path - actinic_flux) + 0.1 * actinic_flux)
 
 
 def bound_material_absorptance_error(
@@ -160,14 +140,9 @@ def bound_material_absorptance_error(
     total_absorptance, unscored_absorptance : float, shape (intervals, wavelengths)
         Absorptance of all materials, and its part that no path scores.
     """
-    total_absorptance, unscored_absorptance = (
-        total_absorptance[:, np.newaxis],
-        unscored_absorptance[:, np.newaxis],
+    total = np.maximum(total_absorptance, 0.0)[:, np.newaxis]
+    exchangeable = np.minimum(
+        absorptance, np.maximum(total_absorptance[:, np.newaxis] - absorptance, 0.0)
     )
-    exchangeable = np.minimum(absorptance, np.maximum(total_absorptance - absorptance, 0.0))
-    excess = (
-        _compute_path_excess(steps.optical_depth)[:, np.newaxis] * exchangeable
-        + unscored_absorptance
-    )
-    bound: np.ndarray = np.minimum(excess, np.maximum(total_absorptance, 0.0))
-    return bound
+    excess = _compute_path_excess(steps.optical_depth)[:, np.newaxis] * exchangeable
+    return np.minimum(excess + unscored_absorptance[:, np.newaxis], total)

@@ -5,18 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
-from splits.core.uncertainty import compute_weighted_error, make_deviation_variable, make_variable
+from splits.core.uncertainty import (
+    Variable,
+    compute_weighted_error,
+    make_deviation_variable,
+    make_variable,
+)
 from splits.core.validation import check_range
 from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.instruments.sky_mixing import (
     as_sky,
     choose_wavelengths,
+    compute_band_weights,
+    make_coverage_variable,
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
@@ -87,86 +93,63 @@ def albedo(
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
 
-    is_mapping = isinstance(medium, Mapping)
-
     def simulate(incidence: float | str, number: int) -> xr.Dataset:
         return spectrophotometer(
-            medium,
-            wavelengths,
-            incidence,
-            max_stderr,
-            run.seed + number,
-            threads=run.threads,
-            progress=progress,
-        )
+            medium, wavelengths, incidence, max_stderr, run.seed + number,
+            threads=run.threads, progress=progress,
+        )  # fmt: skip
 
     mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, ["reflectance"])
+    first = next(iter(medium.values())) if isinstance(medium, Mapping) else medium
     attributes = {
-        **run.make_attributes("Albedo under a sky", "albedo", _get_first_medium(medium)),
+        **run.make_attributes("Albedo under a sky", "albedo", first),
         **make_sky_attributes(sky_spectrum),
         "max_stderr": max_stderr,
     }
     attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
-    axes = {name: axis for name, axis in mixed.coords.items() if name != "wavelength"}
+    axes = {**mixed.coords, "wavelength": make_wavelength_coordinate(wavelengths)}
+    axes["band"] = list(named)
     attributes = {
         name: fact for name, fact in attributes.items() if name == "medium" or name not in axes
     }
-    axes["wavelength"] = make_wavelength_coordinate(wavelengths)
-    dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
-    spectrum = xr.Dataset(
-        _rename_reflectance("albedo", dims, mixed, "albedo under this sky"), axes, attributes
+    dims = ("medium", "wavelength") if isinstance(medium, Mapping) else ("wavelength",)
+    values, stderr, deviations = (
+        mixed[f"reflectance{suffix}"].transpose(..., *dims).values
+        for suffix in ("", "_stderr", "_batches")
     )
+    direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
     direct_attributes = {"long_name": "fraction of direct sunlight", "units": "1"}
-    spectrum["direct_fraction"] = (
-        "wavelength",
-        sky_spectrum.compute_direct_fraction(wavelengths),
-        direct_attributes,
-    )
-    return spectrum.assign(_average_over_bands(spectrum, sky_spectrum, named)).assign_coords(
-        band=list(named)
-    )
-
-
-def _get_first_medium(medium: Medium | Mapping[str, Medium]) -> Medium:
-    return next(iter(medium.values())) if isinstance(medium, Mapping) else medium
-
-
-def _rename_reflectance(
-    name: str, dims: tuple[str, ...], reflectance: xr.Dataset, label: str
-) -> dict[str, Any]:
-    """Return a reflectance under another name: values, errors and batch deviations."""
-    value, error = (
-        reflectance[f"reflectance{suffix}"].transpose(*dims).values for suffix in ("", "_stderr")
-    )
-    batch_deviations = reflectance.reflectance_batches.transpose("batch", *dims).values
-    return make_variable(name, dims, value, error, label) | make_deviation_variable(
-        name, dims, batch_deviations, label
-    )
+    variables = {
+        **make_variable("albedo", dims, values, stderr, "albedo under this sky"),
+        **make_deviation_variable("albedo", dims, deviations, "albedo under this sky"),
+        "direct_fraction": ("wavelength", direct_fraction, direct_attributes),
+    }
+    spectrum = xr.Dataset(variables, axes, attributes)
+    return spectrum.assign(_average_over_bands(spectrum, sky_spectrum, named))
 
 
 def _average_over_bands(
     spectrum: xr.Dataset, sky: Sky, bands: Mapping[str, SpectralBand]
-) -> dict[str, Any]:
+) -> dict[str, Variable]:
     """Return the albedo of every band, its error, and the fraction of its light that is covered."""
-    wavelengths = spectrum.wavelength.values
-    value, error, batch_deviations, covered = [], [], [], []
-    for band in bands.values():
-        weights = sky.compute_weights(wavelengths, band)
-        all_light = sky.compute_weights(sky.wavelength_nm, band).sum()
-        normalized = xr.DataArray(
-            weights / weights.sum(), {"wavelength": wavelengths}, ("wavelength",)
+    weights, band_irradiance = compute_band_weights(sky, bands, spectrum.wavelength.values)
+    normalized = xr.DataArray(
+        weights / weights.sum(axis=1, keepdims=True),
+        {"wavelength": spectrum.wavelength},
+        ("band", "wavelength"),
+    )
+    dims = (*(str(dim) for dim in spectrum.albedo.dims if dim != "wavelength"), "band")
+    values, stderr, deviations = (
+        array.transpose(..., *dims).values
+        for array in (
+            (normalized * spectrum.albedo).sum("wavelength"),
+            compute_weighted_error(spectrum, "albedo", normalized),
+            (normalized * spectrum.albedo_batches).sum("wavelength"),
         )
-        value.append((normalized * spectrum.albedo).sum("wavelength").values)
-        error.append(compute_weighted_error(spectrum, "albedo", normalized).values)
-        batch_deviations.append((normalized * spectrum.albedo_batches).sum("wavelength").values)
-        covered.append(weights.sum() / all_light)
+    )
     label = "albedo over a band, weighted by irradiance"
-    dims = (*(dim for dim in spectrum.albedo.dims if dim != "wavelength"), "band")
-    variables: dict[str, Any] = make_variable(
-        "band_albedo", dims, np.stack(value, axis=-1), np.stack(error, axis=-1), label
-    )
-    variables |= make_deviation_variable(
-        "band_albedo", dims, np.stack(batch_deviations, axis=-1), label
-    )
-    attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}
-    return variables | {"irradiance_covered": ("band", np.array(covered), attributes)}
+    return {
+        **make_variable("band_albedo", dims, values, stderr, label),
+        **make_deviation_variable("band_albedo", dims, deviations, label),
+        **make_coverage_variable(weights, band_irradiance),
+    }

@@ -56,18 +56,13 @@ class AngularBinTally(ExitTally):
         n_rows = len(self.rows)
         self.bin_sums = np.zeros((len(self.factor_columns), 2, 2, n_rows, *n_bins))
         self.unscattered_sums = np.zeros((2, 2, n_rows))
+        self.values_per_row = 4 * (1 + len(self.factor_columns) * n_bins[0] * n_bins[1])
         self.add_strata()
-
-    def count_score_values(self) -> int:
-        """Return the largest number of values in the score of a chunk."""
-        values_per_row = (self.bin_sums.size + self.unscattered_sums.size) // len(self.rows)
-        return values_per_row * int(np.diff(self.first_rows).max())
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> AngularSums:
         """Return the sums of a chunk of exits."""
-        absorption = stratum.absorption
         by_component = [
-            tally_angular_bins(exits, absorption, *self.n_bins, column)
+            tally_angular_bins(exits, stratum.absorption, *self.n_bins, column)
             for column in self.factor_columns
         ]
         scattered = np.stack([sums.scattered for sums in by_component])
@@ -87,14 +82,9 @@ class AngularBinTally(ExitTally):
         mean, stderr = self._compute_bin_means(0)
         n_rows = len(self.absorption)
         total = self.bin_sums[0].sum(axis=(-2, -1)) + self.unscattered_sums
-        hemispherical = np.stack(
-            [
-                quantity
-                for sums in (total, self.unscattered_sums)
-                for quantity in self._combine_moments(sums)
-            ]
+        hemispherical = np.concatenate(
+            [self.combine_moments(*sums) for sums in (total, self.unscattered_sums)]
         )
-        hemispherical[1::2] = np.sqrt(np.maximum(hemispherical[1::2], 0.0))
         estimate = AngularEstimate(
             mean, stderr, stderr, hemispherical, np.zeros((2, n_rows), dtype=int),
             np.zeros_like(mean),
@@ -110,22 +100,15 @@ class AngularBinTally(ExitTally):
             for side, function in enumerate(("brdf", "btdf"))
         }
 
-    def _combine_moments(self, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return means and their variances, from sums of weights and of their squares."""
-        total, square = np.moveaxis(moments, 2, -1)
-        per_ray = 1.0 / self.count_rays()
-        variance = per_ray**2 * (square - per_ray * total**2)
-        return self.combine_nodes(per_ray * total), self.combine_nodes(variance, power=2)
-
     def _compute_bin_means(self, component: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a distribution function and its standard errors, shape (2, rows, directions)."""
-        mean, variance = (
-            np.moveaxis(one, -1, 1)[:, :, ::-1]
-            for one in self._combine_moments(self.bin_sums[component])
+        moments = np.moveaxis(self.bin_sums[component], 2, -1)
+        # Shape (2, rows, polar, azimuth), starting at the zenith.
+        mean, stderr = (
+            np.moveaxis(one, -1, 1)[:, :, ::-1] for one in self.combine_moments(*moments)
         )
         # The error of an empty bin is the contribution of one ray.
-        single_ray_error = 1.0 / self.stratum_rays.min()
-        stderr = np.where(variance > 0.0, np.sqrt(np.maximum(variance, 0.0)), single_ray_error)
+        stderr = np.where(stderr > 0.0, stderr, 1.0 / self.stratum_rays.min())
         polar, azimuth = self.n_bins
         edges = np.arange(polar + 1) / polar
         projected_solid_angle = (np.pi / azimuth * np.diff(edges**2))[::-1, np.newaxis]

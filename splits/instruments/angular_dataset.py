@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,28 @@ from splits.core.uncertainty import Variable, make_variable
 from splits.instruments.angular_estimate import AngularEstimate
 from splits.simulation.run_options import make_wavelength_coordinate
 
+BEAM_DISTRIBUTIONS = {
+    "brdf": ("bidirectional reflectance distribution function", "sr-1", 0, 1.0),
+    "btdf": ("bidirectional transmittance distribution function", "sr-1", 1, 1.0),
+    "reflectance_factor": ("bidirectional reflectance factor", "1", 0, np.pi),
+}
+DIFFUSE_DISTRIBUTIONS = {
+    "reflectance_factor": ("hemispherical-directional reflectance factor", "1", 0, np.pi),
+    "transmittance_factor": ("hemispherical-directional transmittance factor", "1", 1, np.pi),
+}
+"""Labels, units and sides of distributions, and factors on the estimate, by illumination."""
+BEAM_TOTALS = {
+    "reflectance": ("directional-hemispherical reflectance", 0, 0),
+    "transmittance": ("directional-hemispherical transmittance", 0, 1),
+    "specular_reflectance": ("reflectance without scattering", 2, 0),
+    "direct_transmittance": ("transmittance without scattering", 2, 1),
+}
+DIFFUSE_TOTALS = {
+    "reflectance": ("bihemispherical reflectance", 0, 0),
+    "transmittance": ("bihemispherical transmittance", 0, 1),
+}
+"""Labels of hemispherical quantities, their rows in the estimate, and sides, by illumination."""
+
 
 def make_angular_dataset(
     estimate: AngularEstimate,
@@ -19,6 +41,7 @@ def make_angular_dataset(
     wavelengths: np.ndarray,
     angles: tuple[np.ndarray, np.ndarray],
     attributes: dict[str, Any],
+    undefined: Collection[str] = (),
 ) -> xr.Dataset:
     """Return the dataset of an estimate.
 
@@ -32,6 +55,9 @@ def make_angular_dataset(
     angles : (float, float)
         Polar and azimuth angles (degrees); azimuth runs fastest in directions.
     attributes : dict
+        With the incidence.
+    undefined : collection of str
+        Variables that are left out.
     """
     polar, azimuth = angles
     grid = ("wavelength", "polar", "azimuth")
@@ -40,66 +66,33 @@ def make_angular_dataset(
     anisotropy_scale = np.divide(
         np.pi, scattered, out=np.zeros_like(scattered), where=scattered > 0.0
     )
-    variables: dict[str, Variable] = {}
-    directional = {
-        "brdf": ("bidirectional reflectance distribution function", "sr-1", 0, 1.0),
-        "btdf": ("bidirectional transmittance distribution function", "sr-1", 1, 1.0),
-        "reflectance_factor": ("bidirectional reflectance factor", "1", 0, np.pi),
+    is_diffuse = attributes["incidence_deg"] == "diffuse"
+    distributions: dict[str, tuple[str, str, int, Any]] = {
+        **(DIFFUSE_DISTRIBUTIONS if is_diffuse else BEAM_DISTRIBUTIONS),
         "anisotropy_factor": ("anisotropy factor", "1", 0, anisotropy_scale),
     }
-    for name, (long_name, units, side, factor) in directional.items():
+    variables: dict[str, Variable] = {}
+    for name, (long_name, units, side, factor) in distributions.items():
         mean = (factor * estimate.mean[side]).reshape(shape)
         stderr = (factor * estimate.stderr[side]).reshape(shape)
         variables |= make_variable(name, grid, mean, stderr, long_name, units)
     for name, (values, error) in stokes.items():
-        component = name[-1].upper()
-        label = f"Stokes {component} of the light of the {name[:4].upper()}"
+        label = f"Stokes {name[-1].upper()} of the light of the {name[:4].upper()}"
         variables |= make_variable(
             name, grid, values.reshape(shape), error.reshape(shape), label, "sr-1"
         )
-    hemispherical = {
-        "reflectance": ("directional-hemispherical reflectance", 0, 0),
-        "transmittance": ("directional-hemispherical transmittance", 0, 1),
-        "specular_reflectance": ("reflectance without scattering", 2, 0),
-        "direct_transmittance": ("transmittance without scattering", 2, 1),
-    }
-    for name, (long_name, row, side) in hemispherical.items():
+    for name, (long_name, row, side) in (DIFFUSE_TOTALS if is_diffuse else BEAM_TOTALS).items():
         mean, stderr = estimate.hemispherical[row : row + 2, side]
         variables |= make_variable(name, "wavelength", mean, stderr, long_name)
-    angle_attributes = {"units": "degree"}
+    azimuth_label = "angle from the direction in which the beam travels"
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "polar": ("polar", polar, {**angle_attributes, "long_name": "angle from the normal"}),
-        "azimuth": (
-            "azimuth",
-            azimuth,
-            {**angle_attributes, "long_name": "angle from the direction in which the beam travels"},
-        ),
+        "polar": ("polar", polar, {"units": "degree", "long_name": "angle from the normal"}),
+        "azimuth": ("azimuth", azimuth, {"units": "degree", "long_name": azimuth_label}),
     }
-    return xr.Dataset(variables, coordinates, attributes)
-
-
-def relabel_for_diffuse_light(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a dataset with the quantities and terms for diffuse illumination."""
-    relabelled = dataset
-    if "btdf" in dataset:
-        for suffix in ("", "_stderr"):
-            relabelled = relabelled.assign(
-                {f"transmittance_factor{suffix}": np.pi * relabelled[f"btdf{suffix}"]}
-            )
-    terms = {
-        "reflectance_factor": "hemispherical-directional reflectance factor",
-        "transmittance_factor": "hemispherical-directional transmittance factor",
-        "reflectance": "bihemispherical reflectance",
-        "transmittance": "bihemispherical transmittance",
+    kept = {
+        name: variable
+        for name, variable in variables.items()
+        if name.removesuffix("_stderr") not in undefined
     }
-    for name, term in terms.items():
-        if name in relabelled:
-            attributes = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
-            relabelled[name].attrs = attributes
-            relabelled[f"{name}_stderr"].attrs = {
-                "long_name": f"standard error of {term}", "units": "1"
-            }  # fmt: skip
-    beam_quantities = ("brdf", "btdf", "specular_reflectance", "direct_transmittance")
-    names = [name + suffix for name in beam_quantities for suffix in ("", "_stderr")]
-    return relabelled.drop_vars([name for name in names if name in relabelled])
+    return xr.Dataset(kept, coordinates, attributes)

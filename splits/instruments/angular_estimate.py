@@ -135,12 +135,9 @@ def estimate_row(
     directions, axisymmetric, side, direction_mask = target
     total = np.sum(coefficients, axis=0)
     keep = select_terms(total, directions.basis, axisymmetric)
-    variances = []
+    variances, polynomials = [], directions.polynomials[direction_mask].T
     for coefficient in coefficients:
-        values_by_class = (
-            np.where(keep[:, side], coefficient[:, :, side], 0.0)
-            @ directions.polynomials[direction_mask].T
-        )
+        values_by_class = np.where(keep[:, side], coefficient[:, :, side], 0.0) @ polynomials
         variances.append(values_by_class.var(axis=0, ddof=1) / N_ANGULAR_BATCHES)
     values = np.where(keep, total, 0.0).sum(axis=1) @ directions.polynomials.T
     stderr, stopping_error, truncation_error = compute_truncation_errors(

@@ -137,24 +137,17 @@ def compute_truncation_errors(
     """
     kept, dropped = np.where(term_mask, coefficients, 0.0), np.where(term_mask, 0.0, coefficients)
     (class_power, reduced_class_power), (sum_power, reduced_sum_power) = (
-        [
-            estimate_dropped_power(terms, axisymmetric, directions.basis, noise_sigma)
-            for noise_sigma in (0.0, NOISE_ALLOWANCE_SIGMA)
-        ]
+        estimate_dropped_power(terms, axisymmetric, directions.basis)
         for terms in (dropped, dropped.sum(axis=1))
     )
     even_power = np.maximum(class_power.sum(axis=0), sum_power)[:, np.newaxis]
-    class_concentration, sum_concentration = (
-        np.maximum(1.0, compute_power_concentration(terms, directions))
+    class_excess, sum_excess = (
+        np.maximum(0.0, compute_power_concentration(terms, directions) - 1.0)
         for terms in (kept, kept.sum(axis=1))
     )
-    local_power = np.maximum(
-        (
-            reduced_class_power[..., np.newaxis]
-            + class_power[..., np.newaxis] * (class_concentration - 1.0)
-        ).sum(axis=0),
-        reduced_sum_power[:, np.newaxis] + sum_power[:, np.newaxis] * (sum_concentration - 1.0),
-    )
+    by_class = reduced_class_power[..., np.newaxis] + class_power[..., np.newaxis] * class_excess
+    by_sum = reduced_sum_power[:, np.newaxis] + sum_power[:, np.newaxis] * sum_excess
+    local_power = np.maximum(by_class.sum(axis=0), by_sum)
     truncation_error = estimate_truncation_error(coefficients.sum(axis=1), axisymmetric, directions)
     stderr, stopping_error = (
         np.hypot(np.hypot(noise_stderr, np.sqrt(power)), truncation_error)
@@ -164,20 +157,20 @@ def compute_truncation_errors(
 
 
 def estimate_dropped_power(
-    coefficients: np.ndarray, axisymmetric: bool, basis: DiskBasis, noise_sigma: float = 0.0
-) -> np.ndarray:
+    coefficients: np.ndarray, axisymmetric: bool, basis: DiskBasis
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean square over the hemisphere of the detail in dropped coefficients.
 
     It is the sum of their squares minus their variances, where positive: terms that are
-    individually insignificant may be significant in the sum.  `noise_sigma` standard errors of the
-    sum for pure noise are subtracted.
+    individually insignificant may be significant in the sum.  From the second result, the noise
+    allowance is subtracted: `NOISE_ALLOWANCE_SIGMA` standard errors of the sum for pure noise.
     """
     if axisymmetric:
         coefficients = coefficients[..., : basis.n_per_m[0]]
     variance = coefficients.var(axis=0, ddof=1) / len(coefficients)
     power = (coefficients.mean(axis=0) ** 2 - variance).sum(axis=-1)
-    noise = np.sqrt(2.0 * (variance**2).sum(axis=-1))
-    return np.maximum(power - noise_sigma * noise, 0.0) / np.pi
+    noise = NOISE_ALLOWANCE_SIGMA * np.sqrt(2.0 * (variance**2).sum(axis=-1))
+    return np.maximum(power, 0.0) / np.pi, np.maximum(power - noise, 0.0) / np.pi
 
 
 def compute_power_concentration(coefficients: np.ndarray, directions: DirectionGrid) -> np.ndarray:
@@ -200,8 +193,7 @@ def compute_power_concentration(coefficients: np.ndarray, directions: DirectionG
     signal_fraction = np.divide(signal, power, out=np.zeros_like(power), where=power > 0.0)
     square = np.pi * (mean @ directions.polynomials[:, N_ALWAYS_KEPT:].T) ** 2
     square = np.divide(square, power, out=np.zeros_like(square), where=power > 0.0)
-    concentration: np.ndarray = signal_fraction * square + 1.0 - signal_fraction
-    return concentration
+    return signal_fraction * square + 1.0 - signal_fraction
 
 
 def is_significant(mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
@@ -238,22 +230,15 @@ def estimate_truncation_error(
     power = mean**2 - variance
     last_band = degree > degree.max() - BAND_DEGREES
     previous_band = (degree > degree.max() - 2 * BAND_DEGREES) & ~last_band
-    last_power, previous_power = (
-        power[..., last_band].sum(axis=-1),
-        power[..., previous_band].sum(axis=-1),
-    )
-    noise, previous_noise = (
-        np.sqrt(2.0 * (variance[..., band] ** 2).sum(axis=-1))
+    (last_power, noise), (previous_power, previous_noise) = (
+        (power[..., band].sum(axis=-1), np.sqrt(2.0 * (variance[..., band] ** 2).sum(axis=-1)))
         for band in (last_band, previous_band)
     )
-    tiny = np.finfo(float).tiny
     significant = is_significant(mean[..., last_band], variance[..., last_band])
     # A slow decrease, which gives large errors, is accepted only as far as noise cannot cause it.
-    low, high = (
-        last_power - POWER_MARGIN_SIGMA * noise,
-        np.maximum(previous_power + POWER_MARGIN_SIGMA * previous_noise, tiny),
-    )
-    ratio = np.clip(low / high, 0.0, MAX_POWER_RATIO)
+    low = last_power - POWER_MARGIN_SIGMA * noise
+    high = previous_power + POWER_MARGIN_SIGMA * previous_noise
+    ratio = np.clip(low / np.maximum(high, np.finfo(float).tiny), 0.0, MAX_POWER_RATIO)
     mean_error = np.sqrt(np.where(significant, last_power * ratio / (1.0 - ratio), 0.0) / np.pi)
     ratio = np.sqrt(ratio)
     local_error = np.abs(mean[..., last_band] @ values[:, last_band].T)

@@ -74,20 +74,14 @@ class BeamSpreadTally(ExitTally):
         self.radial_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows, _N_FINE_BINS))
         self.moment_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows))
         self.map_sums = np.zeros((2, 2, n_rows, n_pixels, n_pixels))
+        self.values_per_row = 2 * (_N_FINE_BINS + 1) + 4 * n_pixels**2
         self.first_stream += first_node
         self.add_strata()
 
-    def count_score_values(self) -> int:
-        """Return the largest number of values in the score of a chunk."""
-        n_rows = int(np.diff(self.first_rows).max())
-        return n_rows * (2 * (_N_FINE_BINS + 1) + 4 * self.n_pixels**2)
-
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> RadialTally:
         """Return the sums of a chunk of exits."""
-        absorption = stratum.absorption
         bins = (MIN_RADIUS_M, BINS_PER_DECADE, _N_FINE_BINS)
-        sums: RadialTally = tally_radial(exits, absorption, *bins, self.half_width, self.n_pixels)
-        return sums
+        return tally_radial(exits, stratum.absorption, *bins, self.half_width, self.n_pixels)
 
     def merge(self, stratum: Stratum, score: RadialTally) -> None:
         """Add the sums of the next chunk of a stratum."""
@@ -98,25 +92,16 @@ class BeamSpreadTally(ExitTally):
 
     def compute_radial_fractions(self) -> np.ndarray:
         """Return the fraction of light by batch, side, wavelength and fine bin of distance."""
-        return self._combine(self.radial_sums)
+        return self._combine_batches(self.radial_sums)
 
-    def _combine(self, batch_sums: np.ndarray) -> np.ndarray:
+    def _combine_batches(self, batch_sums: np.ndarray) -> np.ndarray:
         """Return means by batch, from sums whose third axis is the node row."""
         per_batch = np.moveaxis(batch_sums, 2, -1) / (self.count_rays() / N_ANGULAR_BATCHES)
         return np.moveaxis(self.combine_nodes(per_batch), -1, 2)
 
-    def _compute_maps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the light that leaves through each pixel, and its standard error."""
-        n_rays = self.count_rays()
-        total, square = np.moveaxis(self.map_sums, 2, -1)
-        variance = (square - total**2 / n_rays) / n_rays**2
-        mean, variance = self.combine_nodes(total / n_rays), self.combine_nodes(variance, power=2)
-        stderr = np.sqrt(np.maximum(variance, 0.0))
-        return np.moveaxis(mean, -1, 1), np.moveaxis(stderr, -1, 1)
-
     def to_dataset(self, wavelengths: np.ndarray, attributes: dict[str, Any]) -> xr.Dataset:
         """Return the labelled dataset of `splits.beam_spread`."""
-        radial, moment = self.compute_radial_fractions(), self._combine(self.moment_sums)
+        radial, moment = self.compute_radial_fractions(), self._combine_batches(self.moment_sums)
         binned = radial[..., 1:-1].reshape(*radial.shape[:-1], -1, _FINE_BINS_PER_BIN).sum(axis=-1)
         edges = MIN_RADIUS_M * 10.0 ** (
             np.arange(binned.shape[-1] + 1) * _FINE_BINS_PER_BIN / BINS_PER_DECADE
@@ -129,18 +114,17 @@ class BeamSpreadTally(ExitTally):
             mean_fraction > 0.0, compute_batch_stderr(fraction), 1.0 / self.stratum_rays.min()
         )
         fraction_error = np.hypot(
-            statistical_error,
-            bound_fraction_error(self.nodes.interpolation_bound, mean_fraction),
+            statistical_error, bound_fraction_error(self.nodes.interpolation_bound, mean_fraction)
         )
-        jackknife_radius = _divide_or_zero(
-            *(compute_leave_one_out_means(one) for one in (moment, fraction))
-        )
-        quantile = compute_quantile_radii(radial.mean(axis=0), RADIUS_QUANTILES)
+        jackknife_radius = _divide_or_zero(*map(compute_leave_one_out_means, (moment, fraction)))
         jackknife_quantile = compute_quantile_radii(
             compute_leave_one_out_means(radial), RADIUS_QUANTILES
         )
         pixel_area = (2.0 * self.half_width / N_MAP_PIXELS) ** 2
-        map_mean, map_error = self._compute_maps()
+        map_mean, map_error = (
+            np.moveaxis(one, -1, 1) / pixel_area
+            for one in self.combine_moments(*np.moveaxis(self.map_sums, 2, -1))
+        )
         results = {
             "fraction": ("fraction of light", "1", (), mean_fraction, fraction_error),
             "mean_radius": (
@@ -150,16 +134,14 @@ class BeamSpreadTally(ExitTally):
             ),
             "quantile_radius": (
                 "radius within which a part of the light leaves", "m", ("quantile",),
-                quantile, compute_jackknife_stderr(jackknife_quantile),
+                compute_quantile_radii(radial.mean(axis=0), RADIUS_QUANTILES),
+                compute_jackknife_stderr(jackknife_quantile),
             ),
             "profile": (
                 "light leaving per area", "m-2", ("radius",),
                 profile.mean(axis=0), compute_batch_stderr(profile),
             ),
-            "profile_map": (
-                "light leaving per area", "m-2", ("x", "y"),
-                map_mean / pixel_area, map_error / pixel_area,
-            ),
+            "profile_map": ("light leaving per area", "m-2", ("x", "y"), map_mean, map_error),
         }  # fmt: skip
         variables: dict[str, Variable] = {}
         for name, (long_name, units, dims, values, stderr) in results.items():
@@ -190,14 +172,11 @@ def _make_coordinates(
 ) -> dict[str, Any]:
     """Return the coordinates of the dataset."""
     positions = half_width * ((2.0 * np.arange(N_MAP_PIXELS) + 1.0) / N_MAP_PIXELS - 1.0)
+    quantile_attributes = {"long_name": "fraction of the light", "units": "1"}
     return {
         "side": ("side", list(SIDES), {"long_name": "side of the sample where light leaves"}),
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "quantile": (
-            "quantile",
-            list(RADIUS_QUANTILES),
-            {"long_name": "fraction of the light", "units": "1"},
-        ),
+        "quantile": ("quantile", list(RADIUS_QUANTILES), quantile_attributes),
         "radius": ("radius", radius, {"long_name": "distance from the entry", "units": "m"}),
         "x": ("x", positions, {"long_name": "distance along the beam's travel", "units": "m"}),
         "y": ("y", positions, {"long_name": "distance across the beam's travel", "units": "m"}),

@@ -20,10 +20,7 @@ from splits.instruments.transmittance_tally import (
 )
 from splits.media.checks import check_medium
 from splits.media.medium import GranularMedium
-from splits.simulation.arguments import (
-    check_incidence,
-    check_wavelengths,
-)
+from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import build_scene, compute_optical_constants

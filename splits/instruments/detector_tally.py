@@ -51,17 +51,14 @@ class DetectorTally(Tally):
         self.no_signal = scene.opaque is not None or not (scatters or scene.bottom_albedo)
         conservative = all(layer.single_scattering_albedo == 1.0 for layer in layers)
         self.lossless = conservative and scene.bottom_albedo == 1.0
-        self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, math.prod(self.shape) + 4))
+        self.values_per_row = math.prod(self.shape) + 4
+        self.sums, self.sums_of_squares, self.max_scores = np.zeros((3, self.values_per_row))
         # For forward-peaked phase functions few events dominate the estimate.
         g = max(abs(layer.kernel_phase_function.g) for layer in layers)
         self.pilot_rays = RAYS_PER_CHUNK * int(
             PILOT_BATCHES * np.clip((1.0 + g) / (1.0 - g) ** 2 / 64.0, 1.0, 64.0)
         )
         self.add_strata()
-
-    def count_score_values(self) -> int:
-        """Return the number of values in the score of a batch."""
-        return len(self.sums)
 
     def plan_first_round(self, stop: StoppingRule) -> np.ndarray:
         """Return the rays of the first round, at least two batches."""
@@ -81,12 +78,9 @@ class DetectorTally(Tally):
         """
         n_batches = self.n_rays // RAYS_PER_CHUNK
         mean_square = (self.sums_of_squares + self.max_scores**2) / (n_batches + 1)
+        centres = (self.sums + self.max_scores) / (n_batches + 1), self.sums / n_batches
         stderr, stopping_error = (
-            np.sqrt(np.maximum(mean_square - centre**2, 0.0) / n_batches)
-            for centre in (
-                (self.sums + self.max_scores) / (n_batches + 1),
-                self.sums / n_batches,
-            )
+            np.sqrt(np.maximum(mean_square - centre**2, 0.0) / n_batches) for centre in centres
         )
         return stderr, stopping_error
 

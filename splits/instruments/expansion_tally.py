@@ -80,13 +80,9 @@ class ExpansionTally(ExitTally):
             (N_ANGULAR_BATCHES, n_classes, 2, n_rows, self.basis.norms.size)
         )
         self.unscattered_sums = np.zeros((N_ANGULAR_BATCHES, 2, n_rows))
+        self.values_per_row = 2 * (1 + n_classes * self.basis.norms.size)
         self.add_strata(ORDER_CLASSES)
         self._earlier_errors: list[tuple[int, float]] = []
-
-    def count_score_values(self) -> int:
-        """Return the largest number of values in the score of a chunk."""
-        values_per_row = 2 * (1 + len(ORDER_CLASSES) * self.basis.norms.size)
-        return values_per_row * int(np.diff(self.first_rows).max())
 
     def plan_first_round(self, stop: StoppingRule) -> np.ndarray:
         """Return the rays of each stratum in the first round, from which the others follow."""
@@ -97,9 +93,7 @@ class ExpansionTally(ExitTally):
         scored_orders = self.max_orders[self.max_orders <= stratum.max_order]
         if not self.exclude_unscattered:
             exits[:, EXIT_ORDER] = np.maximum(exits[:, EXIT_ORDER], 1.0)
-        absorption = stratum.absorption
-        sums: AngularSums = tally_expansion(exits, absorption, scored_orders, self.basis)
-        return sums
+        return tally_expansion(exits, stratum.absorption, scored_orders, self.basis)
 
     def merge(self, stratum: Stratum, score: AngularSums) -> None:
         """Add the sums of the next chunk of a stratum."""
@@ -122,16 +116,12 @@ class ExpansionTally(ExitTally):
         estimates, all_variances = [], []
         for row in range(len(self.absorption)):
             used = np.flatnonzero(self.rows == row)
-            rays_per_batch = class_rays[used] / N_ANGULAR_BATCHES
-            weights = self.weights[used]
-            coefficients = [
-                weight * self.coefficient_sums[:, :, :, one] / rays[:, np.newaxis, np.newaxis]
-                for one, weight, rays in zip(used, weights, rays_per_batch, strict=True)
-            ]
-            unscattered = sum(
-                weight * self.unscattered_sums[:, :, one] / rays[0]
-                for one, weight, rays in zip(used, weights, rays_per_batch, strict=True)
-            )
+            coefficients, unscattered = [], np.zeros((N_ANGULAR_BATCHES, 2))
+            for one in used:
+                weight, rays = self.weights[one], class_rays[one] / N_ANGULAR_BATCHES
+                sums = self.coefficient_sums[:, :, :, one]
+                coefficients.append(weight * sums / rays[:, np.newaxis, np.newaxis])
+                unscattered += weight * self.unscattered_sums[:, :, one] / rays[0]
             n_rays = class_rays[used].min(axis=0)
             estimate, variances = estimate_row(coefficients, unscattered, n_rays, self.target)
             estimates.append(estimate)

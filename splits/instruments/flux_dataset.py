@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,14 +19,17 @@ from splits.instruments.absorption_steps import (
     bound_material_absorptance_error,
     compute_absorption_steps,
 )
-from splits.instruments.flux_errors import compute_nonstatistical_error
+from splits.instruments.flux_errors import bound_flux_interpolation_error, estimate_rare_event_error
 from splits.instruments.flux_media import TracedMedium
 from splits.instruments.flux_tally import FluxEstimate, FluxResult
-from splits.kernels.tallies.flux import DOWNWARD, UPWARD
 from splits.simulation.run_options import make_wavelength_coordinate
 
-DEPTH_DIMS, INTERVAL_DIMS = ("wavelength", "depth"), ("wavelength", "interval")
-ACTINIC_FLUX_LABEL = "mean path over thickness"
+QUANTITIES = {
+    "downward_irradiance": ("depth", "downward irradiance"),
+    "upward_irradiance": ("depth", "upward irradiance"),
+    "absorptance": ("interval", "absorptance of the interval"),
+}
+"""Dimensions and labels of the quantities of an estimate, in their order."""
 
 
 def make_flux_dataset(
@@ -45,41 +49,31 @@ def make_flux_dataset(
     attributes : dict
         Attributes of the dataset.
     """
-    estimate, systematic = result.estimate, result.systematic_error
+    estimate, edges = result.estimate, traced_medium.edges_m
     variables: dict[str, Variable] = {}
-    for name, batch_means, systematic_error, dims, label in (
-        ("downward_irradiance", estimate.irradiance[:, DOWNWARD], systematic.irradiance[DOWNWARD],
-         DEPTH_DIMS, "downward irradiance"),
-        ("upward_irradiance", estimate.irradiance[:, UPWARD], systematic.irradiance[UPWARD],
-         DEPTH_DIMS, "upward irradiance"),
-        ("absorptance", estimate.absorptance, systematic.absorptance,
-         INTERVAL_DIMS, "absorptance of the interval"),
-    ):  # fmt: skip
+    for (name, (dim, label)), batch_means, systematic_error in zip(
+        QUANTITIES.items(),
+        estimate.split_quantities(estimate.quantities),
+        estimate.split_quantities(result.systematic_error),
+        strict=True,
+    ):
+        dims = ("wavelength", dim)
         error = np.hypot(compute_batch_stderr(batch_means), systematic_error)
         variables |= _make_flux_variable(name, dims, batch_means, error, label)
         deviations = np.moveaxis(batch_means - batch_means.mean(axis=0), -1, 1)
-        variables |= make_deviation_variable(
-            name, dims, deviations / np.sqrt(len(deviations) * (len(deviations) - 1)), label
-        )
+        deviations /= np.sqrt(len(deviations) * (len(deviations) - 1))
+        variables |= make_deviation_variable(name, dims, deviations, label)
     variables |= _make_path_variables(result, traced_medium)
-    edges = traced_medium.edges_m
-    depths = edges[np.isfinite(edges)]
     depth_attributes = {
-        "long_name": "depth",
-        "units": "m",
-        "positive": "down",
-        "standard_name": "depth",
-    }
+        "long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth",
+    }  # fmt: skip
+    materials = np.array(list(traced_medium.material_columns))
     coordinates = {
         "wavelength": make_wavelength_coordinate(wavelengths),
-        "depth": ("depth", depths, depth_attributes),
+        "depth": ("depth", edges[np.isfinite(edges)], depth_attributes),
         "interval_top": ("interval", edges[:-1], {"long_name": "top", "units": "m"}),
         "interval_bottom": ("interval", edges[1:], {"long_name": "bottom", "units": "m"}),
-        "material": (
-            "material",
-            np.array(list(traced_medium.material_columns)),
-            {"long_name": "material"},
-        ),
+        "material": ("material", materials, {"long_name": "material"}),
     }
     return xr.Dataset(variables, coordinates, attributes)
 
@@ -94,62 +88,68 @@ def _make_flux_variable(
 
 def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dict[str, Variable]:
     """Return actinic fluxes and absorptances of materials, from path lengths."""
-    estimate, systematic, edges = result.estimate, result.systematic_error, traced_medium.edges_m
+    estimate, edges = result.estimate, traced_medium.edges_m
+    estimates = [one for one in (estimate, result.perturbed_estimate) if one is not None]
     absorption = traced_medium.constants.absorption[: traced_medium.n_wavelengths]
     steps = compute_absorption_steps(traced_medium.medium, absorption, edges)
     thickness = np.diff(edges)[:, np.newaxis]
-    n_intervals = len(thickness)
-    flux, material_absorptance = (
-        _compute_actinic_flux(estimate, traced_medium),
-        _compute_material_absorptance(estimate, traced_medium),
-    )
-    irradiance, absorptance = estimate.irradiance.mean(axis=0), estimate.absorptance.mean(axis=0)
+    downward, upward, absorptance = estimate.split_quantities(estimate.quantities.mean(axis=0))
     from_below = np.zeros_like(absorptance)
-    from_below[: irradiance.shape[1] - 1] = irradiance[UPWARD, 1:]
-    incident = (irradiance[DOWNWARD, :n_intervals] + from_below) / thickness
-    bound = systematic.interpolation_bound
-    flux_errors = [
-        compute_batch_stderr(flux),
-        compute_nonstatistical_error(flux, bound, systematic.unsampled_light),
-        bound_actinic_flux_error(steps, flux.mean(axis=0), absorptance / thickness, incident),
-    ]
-    unscored = estimate.absorptance - estimate.material_absorptance.sum(axis=2)
-    is_scored = estimate.material_absorptance.sum(axis=2).mean(axis=0) > 0.0
-    unscored_bound = np.abs(unscored.mean(axis=0)) - np.where(
-        is_scored, 2.0 * compute_batch_stderr(unscored), 0.0
+    from_below[: len(upward) - 1] = upward[1:]
+    incident = (downward[: len(thickness)] + from_below) / thickness
+    fluxes = [_compute_actinic_flux(one, traced_medium) for one in estimates]
+    flux_bound = bound_actinic_flux_error(
+        steps, fluxes[0].mean(axis=0), absorptance / thickness, incident
     )
-    material_bound = bound_material_absorptance_error(
-        steps, material_absorptance.mean(axis=0), absorptance, np.maximum(unscored_bound, 0.0)
-    )
-    material_errors = [
-        compute_batch_stderr(material_absorptance),
-        compute_nonstatistical_error(
-            material_absorptance, bound, systematic.unsampled_light[:, np.newaxis]
-        ),
-        material_bound,
-    ]
-    if result.perturbed_estimate is not None:
-        flux_errors.append(
-            (flux - _compute_actinic_flux(result.perturbed_estimate, traced_medium)).mean(axis=0)
-        )
-        material_errors.append(
-            (
-                material_absorptance
-                - _compute_material_absorptance(result.perturbed_estimate, traced_medium)
-            ).mean(axis=0)
-        )
-    error = _add_in_quadrature(flux_errors)
+    flux_error = _combine_errors(fluxes, result, result.unsampled_light, flux_bound)
     if traced_medium.semi_infinite:
-        error[-1] *= ~traced_medium.is_absorbing()
-    flux_variable = _make_flux_variable(
-        "actinic_flux", INTERVAL_DIMS, flux, error, ACTINIC_FLUX_LABEL
+        flux_error[-1] *= ~traced_medium.is_absorbing()
+    scored = estimate.material_absorptance.sum(axis=2)
+    unscored = estimate.split_quantities(estimate.quantities)[2] - scored
+    scatter = np.where(scored.mean(axis=0) > 0.0, 2.0 * compute_batch_stderr(unscored), 0.0)
+    unscored_bound = np.maximum(np.abs(unscored.mean(axis=0)) - scatter, 0.0)
+    columns = list(traced_medium.material_columns.values())
+    by_material = [compute_absorbed_fractions(one, columns) for one in estimates]
+    material_bound = bound_material_absorptance_error(
+        steps, by_material[0].mean(axis=0), absorptance, unscored_bound
     )
-    material_dims = (*INTERVAL_DIMS, "material")
-    error = _add_in_quadrature(material_errors)
-    label = "absorptance of a material"
-    return flux_variable | _make_flux_variable(
-        "absorptance_of_material", material_dims, material_absorptance, error, label
+    unsampled_light = result.unsampled_light[:, np.newaxis]
+    material_error = _combine_errors(by_material, result, unsampled_light, material_bound)
+    dims = ("wavelength", "interval")
+    return _make_flux_variable(
+        "actinic_flux", dims, fluxes[0], flux_error, "mean path over thickness"
+    ) | _make_flux_variable(
+        "absorptance_of_material", (*dims, "material"), by_material[0], material_error,
+        "absorptance of a material",
+    )  # fmt: skip
+
+
+def _combine_errors(
+    by_estimate: Sequence[np.ndarray],
+    result: FluxResult,
+    unsampled_light: np.ndarray,
+    step_error: np.ndarray,
+) -> np.ndarray:
+    """Return all errors of a quantity from path lengths, added in quadrature.
+
+    Parameters
+    ----------
+    by_estimate : sequence of float, shape (N_BATCHES, ..., wavelengths)
+        Means by batch; then, with truncation, those with a more absorbing substrate.
+    result : FluxResult
+    unsampled_light : float, shape (..., wavelengths)
+        See `estimate_rare_event_error`.
+    step_error : float, shape (..., wavelengths)
+        Bound on the effect of absorption in steps.
+    """
+    batch_means, *perturbed = by_estimate
+    nonstatistical_error = np.hypot(
+        bound_flux_interpolation_error(result.interpolation_bound, batch_means.mean(axis=0)),
+        estimate_rare_event_error(batch_means, unsampled_light),
     )
+    errors = [compute_batch_stderr(batch_means), nonstatistical_error, step_error]
+    errors += [(batch_means - one).mean(axis=0) for one in perturbed]
+    return np.sqrt(np.sum(np.square(errors), axis=0))
 
 
 def _compute_actinic_flux(estimate: FluxEstimate, traced_medium: TracedMedium) -> np.ndarray:
@@ -164,45 +164,31 @@ def _compute_actinic_flux(estimate: FluxEstimate, traced_medium: TracedMedium) -
     return flux
 
 
-def _compute_material_absorptance(
-    estimate: FluxEstimate, traced_medium: TracedMedium
-) -> np.ndarray:
-    """Return absorptances of materials by batch."""
-    columns = list(traced_medium.material_columns.values())
-    return compute_absorbed_fractions(
-        estimate._replace(material_absorptance=estimate.material_absorptance[:, :, columns])
-    )
-
-
-def _add_in_quadrature(errors: list[np.ndarray]) -> np.ndarray:
-    """Return errors added in quadrature."""
-    total: np.ndarray = np.sqrt(np.sum(np.square(errors), axis=0))
-    return total
-
-
-def compute_absorbed_fractions(estimate: FluxEstimate) -> np.ndarray:
+def compute_absorbed_fractions(estimate: FluxEstimate, columns: Sequence[int]) -> np.ndarray:
     """Return the absorptance of each material; the sum over materials is the total absorptance.
 
     The shape is (N_BATCHES, intervals, materials, wavelengths); the materials' parts vary by batch
     to first order.  Where no path scores an interval, the fractions are those of the whole sample,
     and equal for all materials where none scores that either; the errors include this
     (`bound_material_absorptance_error`).
+
+    Parameters
+    ----------
+    estimate : FluxEstimate
+    columns : sequence of int
+        Columns of the materials.
     """
-    parts = estimate.material_absorptance
+    parts = estimate.material_absorptance[:, :, columns]
     total_scored = parts.sum(axis=2, keepdims=True)
-    mean_scored = total_scored.mean(axis=0)
-    sample_parts = parts.mean(axis=0).sum(axis=0, keepdims=True)
+    mean_parts, mean_scored = parts.mean(axis=0), total_scored.mean(axis=0)
+    sample_parts = mean_parts.sum(axis=0, keepdims=True)
     sample_total = sample_parts.sum(axis=1, keepdims=True)
-    equal = np.full_like(sample_parts, 1.0 / sample_parts.shape[1])
-    fraction = np.broadcast_to(
-        np.divide(sample_parts, sample_total, out=equal, where=sample_total > 0.0),
-        mean_scored.shape[:1] + sample_parts.shape[1:],
-    ).copy()
-    np.divide(parts.mean(axis=0), mean_scored, out=fraction, where=mean_scored > 0.0)
-    absorbed = estimate.absorptance[:, :, np.newaxis]
+    equal = np.full_like(sample_parts, 1.0 / len(columns))
+    sample_fraction = np.divide(sample_parts, sample_total, out=equal, where=sample_total > 0.0)
+    is_scored = mean_scored > 0.0
+    fraction = np.broadcast_to(sample_fraction, mean_parts.shape).copy()
+    np.divide(mean_parts, mean_scored, out=fraction, where=is_scored)
+    absorbed = estimate.split_quantities(estimate.quantities)[2][:, :, np.newaxis]
     mean_absorbed = absorbed.mean(axis=0)
-    scale = np.divide(
-        mean_absorbed, mean_scored, out=np.zeros_like(mean_absorbed), where=mean_scored > 0.0
-    )
-    absorptance: np.ndarray = absorbed * fraction + scale * (parts - fraction * total_scored)
-    return absorptance
+    scale = np.divide(mean_absorbed, mean_scored, out=np.zeros_like(mean_absorbed), where=is_scored)
+    return absorbed * fraction + scale * (parts - fraction * total_scored)

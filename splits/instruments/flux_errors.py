@@ -1,89 +1,15 @@
-"""Systematic errors of radiative fluxes inside a medium, besides the scatter of batches."""
+"""Errors of radiative fluxes inside a medium other than the scatter of batches."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
 
-from splits.kernels.tallies.flux import DOWNWARD
 from splits.simulation.interpolation_bounds import MAX_LOG_SLOPE
 
 MIN_NONZERO_BATCHES = 8
 """Number of batches with light below which an error includes that of one more ray."""
-
-
 MAX_BRIGHTENING = 4.0
 """Largest ratio of the light at a plane, or along paths below it, to that at the plane above."""
-
-
-class SystematicError(NamedTuple):
-    """Errors other than the scatter of batches.
-
-    Attributes
-    ----------
-    irradiance : float, shape (2, depths, wavelengths)
-        Of irradiances.
-    absorptance : float, shape (intervals, wavelengths)
-        Of absorptances.
-    irreducible : list of float
-        The part of both that more rays do not reduce: of interpolation, and of truncation.
-    interpolation_bound : float, shape (wavelengths,)
-        See `bound_flux_interpolation_error`.
-    unsampled_light : float, shape (intervals, wavelengths)
-        See `bound_unsampled_light`.
-    """
-
-    irradiance: np.ndarray
-    absorptance: np.ndarray
-    irreducible: list[np.ndarray]
-    interpolation_bound: np.ndarray
-    unsampled_light: np.ndarray
-
-
-def estimate_systematic_error(
-    estimates: Sequence[np.ndarray],
-    perturbed_estimates: Sequence[np.ndarray] | None,
-    interpolation_bound: np.ndarray,
-    single_ray_error: np.ndarray,
-) -> SystematicError:
-    """Return the errors of irradiances and absorptances other than scatter.
-
-    Parameters
-    ----------
-    estimates, perturbed_estimates : sequence of float
-        Irradiance and absorptance, see `splits.instruments.flux_tally.FluxEstimate`; the same
-        with a more absorbing substrate, None without truncation.
-    interpolation_bound : float, shape (wavelengths,)
-        Bound on the interpolation error, see `splits.simulation.spectral_nodes.IndexNodes`.
-    single_ray_error : float, shape (wavelengths,)
-        Contribution of one more ray to a mean.
-    """
-    unsampled = bound_unsampled_light(estimates[0][:, DOWNWARD], single_ray_error)
-    unsampled_below = unsampled[1 : estimates[1].shape[1] + 1]
-    irreducible = [
-        bound_flux_interpolation_error(interpolation_bound, batch_means.mean(axis=0))
-        for batch_means in estimates
-    ]
-    if perturbed_estimates is not None:
-        irreducible = [
-            np.hypot(error, (batch_means - perturbed).mean(axis=0))
-            for error, batch_means, perturbed in zip(
-                irreducible, estimates, perturbed_estimates, strict=True
-            )
-        ]
-    rare_event_errors = [
-        estimate_rare_event_error(*batch_means_and_light)
-        for batch_means_and_light in zip(estimates, (unsampled[:-1], unsampled_below), strict=True)
-    ]
-    irradiance, absorptance = (
-        np.hypot(error, rare_event_error)
-        for error, rare_event_error in zip(irreducible, rare_event_errors, strict=True)
-    )
-    return SystematicError(
-        irradiance, absorptance, irreducible, interpolation_bound, unsampled_below
-    )
 
 
 def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarray) -> np.ndarray:
@@ -101,16 +27,12 @@ def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarr
     total, square = np.abs(batch_means).sum(axis=0), (batch_means**2).sum(axis=0)
     largest = np.abs(batch_means).max(axis=0) / len(batch_means)
     largest_error = np.where(total**2 < MIN_NONZERO_BATCHES * square, largest, 0.0)
-    error: np.ndarray = np.hypot(
-        np.where(is_sparse(batch_means), unsampled_light, 0.0), largest_error
-    )
-    return error
+    return np.hypot(np.where(is_sparse(batch_means), unsampled_light, 0.0), largest_error)
 
 
 def is_sparse(batch_means: np.ndarray) -> np.ndarray:
     """Return where only few batches are nonzero."""
-    sparse: np.ndarray = (batch_means != 0.0).sum(axis=0) < MIN_NONZERO_BATCHES
-    return sparse
+    return (batch_means != 0.0).sum(axis=0) < MIN_NONZERO_BATCHES
 
 
 def bound_unsampled_light(
@@ -141,26 +63,6 @@ def bound_unsampled_light(
     return np.stack(bounds)
 
 
-def compute_nonstatistical_error(
-    batch_means: np.ndarray, interpolation_bound: np.ndarray, unsampled_light: np.ndarray
-) -> np.ndarray:
-    """Return the errors of means over batches other than their scatter.
-
-    Parameters
-    ----------
-    batch_means : float, shape (N_BATCHES, ..., wavelengths)
-    interpolation_bound : float, shape (wavelengths,)
-        See `bound_flux_interpolation_error`.
-    unsampled_light : float, shape (..., wavelengths)
-        See `estimate_rare_event_error`.
-    """
-    error: np.ndarray = np.hypot(
-        bound_flux_interpolation_error(interpolation_bound, batch_means.mean(axis=0)),
-        estimate_rare_event_error(batch_means, unsampled_light),
-    )
-    return error
-
-
 def bound_flux_interpolation_error(
     interpolation_bound: np.ndarray, value: np.ndarray
 ) -> np.ndarray:
@@ -177,5 +79,4 @@ def bound_flux_interpolation_error(
     """
     size = np.clip(np.abs(value), np.finfo(float).tiny, None)
     elastic = size * np.maximum(8.0, np.abs(np.log(size)) / MAX_LOG_SLOPE)
-    bound: np.ndarray = interpolation_bound * np.minimum(np.maximum(1.0, size), elastic)
-    return bound
+    return interpolation_bound * np.minimum(np.maximum(1.0, size), elastic)

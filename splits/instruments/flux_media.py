@@ -65,20 +65,16 @@ class TracedMedium(NamedTuple):
     @property
     def path_fractions(self) -> np.ndarray:
         """Path over recorded length, see `splits.media.medium.compute_path_fractions`."""
-        fractions = np.ones(self.constants.absorption.shape[1])
-        material_fractions = compute_path_fractions(self.medium)
-        fractions[: material_fractions.size] = material_fractions
-        return fractions
+        fractions = compute_path_fractions(self.medium)
+        n_grounds = self.constants.absorption.shape[1] - fractions.size
+        return np.pad(fractions, (0, n_grounds), constant_values=1.0)
 
     def is_absorbing(self) -> np.ndarray:
         """Return at which wavelengths the lowest layer absorbs, shape (wavelengths,)."""
         absorption = self.constants.absorption[: self.n_wavelengths]
         lowest_interval = self.planes_m[-1] * np.array([1.0 - 1e-6, 1.0])
-        absorbing: np.ndarray = (
-            compute_absorption_steps(self.medium, absorption, lowest_interval).absorption_rate[0]
-            > 0.0
-        )
-        return absorbing
+        steps = compute_absorption_steps(self.medium, absorption, lowest_interval)
+        return steps.absorption_rate[0] > 0.0
 
 
 def prepare_medium(
@@ -136,11 +132,8 @@ def prepare_medium(
 
 def _append_darker_ground(constants: OpticalConstants) -> OpticalConstants:
     """Return the constants and those with a substrate more absorbing by `THEORY_UNCERTAINTY`."""
-    absorption = constants.absorption.copy()
-    absorbed = -(1.0 + THEORY_UNCERTAINTY) * np.expm1(-absorption[:, -1])
-    absorption[:, -1] = -np.log(np.maximum(1.0 - absorbed, math.exp(-700.0)))
-    absorption[:, -1] = np.where(absorbed < 1.0, absorption[:, -1], BLACK_OPTICAL_DEPTH)
-    return OpticalConstants(
-        np.concatenate([constants.indices, constants.indices]),
-        np.concatenate([constants.absorption, absorption]),
-    )
+    indices, absorption = (np.concatenate([table, table]) for table in constants)
+    absorbed = -(1.0 + THEORY_UNCERTAINTY) * np.expm1(-constants.absorption[:, -1])
+    optical_depth = -np.log(np.maximum(1.0 - absorbed, math.exp(-700.0)))
+    absorption[len(absorbed) :, -1] = np.where(absorbed < 1.0, optical_depth, BLACK_OPTICAL_DEPTH)
+    return OpticalConstants(indices, absorption)

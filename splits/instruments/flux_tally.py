@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.uncertainty import compute_batch_stderr
-from splits.instruments.flux_errors import SystematicError, estimate_systematic_error
-from splits.instruments.flux_media import TracedMedium
-from splits.instruments.flux_target import (
-    MIN_SCATTER_FRACTION,
-    FluxTarget,
-    NodeQuantities,
-    allocate_flux_rays,
+from splits.instruments.flux_errors import (
+    bound_flux_interpolation_error,
+    bound_unsampled_light,
+    estimate_rare_event_error,
 )
+from splits.instruments.flux_media import TracedMedium
+from splits.instruments.flux_target import FluxTarget, allocate_flux_rays
 from splits.kernels.grains.scene import Scene
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWARD, UPWARD, FluxSums, tally_flux
@@ -29,8 +28,8 @@ from splits.simulation.tally import (
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of all batches is short."""
-CROSSINGS_PER_BOUNDARY = 4
-"""Expected crossings of a boundary per ray, for the memory of a job."""
+MIN_SCATTER_FRACTION = 0.1
+"""Fraction of the requested variance that is always available for statistical scatter."""
 
 
 class FluxEstimate(NamedTuple):
@@ -38,20 +37,27 @@ class FluxEstimate(NamedTuple):
 
     Attributes
     ----------
-    irradiance : float, shape (N_BATCHES, 2, depths, wavelengths)
-        Downward and upward irradiances, relative to the incident irradiance.
-    absorptance : float, shape (N_BATCHES, intervals, wavelengths)
-        Difference of the net irradiances at the planes of an interval.
+    quantities : float, shape (N_BATCHES, 2 depths + intervals, wavelengths)
+        Downward and then upward irradiances, relative to the incident irradiance, and absorptances:
+        differences of the net irradiances at the planes of an interval.
     material_absorptance : float, shape (N_BATCHES, intervals, materials, wavelengths)
         From the lengths in each material.
     path_length : float, shape (N_BATCHES, intervals, wavelengths)
         Metres; of a semi-infinite interval, down to the end of tracing.
     """
 
-    irradiance: np.ndarray
-    absorptance: np.ndarray
+    quantities: np.ndarray
     material_absorptance: np.ndarray
     path_length: np.ndarray
+
+    @property
+    def n_depths(self) -> int:
+        """Number of depths of irradiances."""
+        return (self.quantities.shape[1] - self.path_length.shape[1]) // 2
+
+    def split_quantities(self, values: np.ndarray) -> list[np.ndarray]:
+        """Return the parts of values by quantity: irradiances down, those up, absorptances."""
+        return np.split(values, [self.n_depths, 2 * self.n_depths], axis=-2)
 
     def select_wavelengths(self, wavelengths: slice) -> FluxEstimate:
         """Return the estimate at some wavelengths."""
@@ -59,19 +65,29 @@ class FluxEstimate(NamedTuple):
 
 
 class FluxResult(NamedTuple):
-    """Estimate with its systematic error.
+    """Estimate with its systematic errors.
 
     Attributes
     ----------
     estimate : FluxEstimate
-    systematic_error : SystematicError
     perturbed_estimate : FluxEstimate or None
         Estimate with a more absorbing substrate below a truncation depth, see `TracedMedium`.
+    systematic_error : float, shape (quantities, wavelengths)
+        Errors of quantities other than the scatter of batches.
+    irreducible_error : float, shape (quantities, wavelengths)
+        The part of it that more rays do not reduce: of interpolation, and of truncation.
+    interpolation_bound : float, shape (wavelengths,)
+        See `bound_flux_interpolation_error`.
+    unsampled_light : float, shape (intervals, wavelengths)
+        See `bound_unsampled_light`.
     """
 
     estimate: FluxEstimate
-    systematic_error: SystematicError
     perturbed_estimate: FluxEstimate | None
+    systematic_error: np.ndarray
+    irreducible_error: np.ndarray
+    interpolation_bound: np.ndarray
+    unsampled_light: np.ndarray
 
 
 class FluxTally(ExitTally):
@@ -101,11 +117,7 @@ class FluxTally(ExitTally):
     shares_kernel = True
 
     def __init__(
-        self,
-        nodes: IndexNodes,
-        traced_medium: TracedMedium,
-        scene: Scene,
-        target: FluxTarget,
+        self, nodes: IndexNodes, traced_medium: TracedMedium, scene: Scene, target: FluxTarget
     ) -> None:
         absorption = traced_medium.constants.absorption
         super().__init__(nodes, absorption, compute_absorption_per_mfp(scene, absorption))
@@ -120,21 +132,15 @@ class FluxTally(ExitTally):
         self.irradiance_sums = np.zeros((N_BATCHES, 2, self.n_layers + 1, n_rows))
         self.absorptance_sums = np.zeros((N_BATCHES, self.n_layers, n_materials, n_rows))
         self.path_length_sums = np.zeros((N_BATCHES, self.n_layers, n_rows))
+        self.values_per_row = self.n_layers * (3 + n_materials)
         self.add_strata_by_absorption(absorption, scene)
-
-    def count_score_values(self) -> int:
-        """Return the number of values in the score and the crossings of a chunk."""
-        n_materials, n_rows = self.absorption.shape[1], int(np.diff(self.first_rows).max())
-        n_crossings = FLUX_RAYS_PER_CHUNK * CROSSINGS_PER_BOUNDARY * self.n_layers
-        return n_crossings * (n_materials + 3) + self.n_layers * (3 + n_materials) * n_rows
 
     def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> FluxSums:
         """Return the sums of a chunk of rays of a stratum."""
         ground_column = self.scene.ground_column
-        sums: FluxSums = tally_flux(
+        return tally_flux(
             exits, crossings, stratum.absorption, self.path_fractions, self.n_layers, ground_column
         )
-        return sums
 
     def merge(self, stratum: Stratum, score: FluxSums) -> None:
         """Add the sums of the next chunk of a stratum."""
@@ -165,7 +171,10 @@ class FluxTally(ExitTally):
             total = last.sum(axis=0)
             fraction = np.divide(last, total, out=np.zeros_like(last), where=total > 0.0)
             by_material[:, -1] += fraction * net[:, -1, np.newaxis]
-        return FluxEstimate(irradiance, absorptance, by_material, path_length)
+        quantities = np.concatenate(
+            [irradiance[:, DOWNWARD], irradiance[:, UPWARD], absorptance], axis=1
+        )
+        return FluxEstimate(quantities, by_material, path_length)
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
         """Return the largest standard error, and why tracing stops or which rays are needed.
@@ -175,50 +184,52 @@ class FluxTally(ExitTally):
         """
         by_node = self.estimate_node_rows()
         result = self._combine(by_node)
-        stderr, irreducible = self._compute_target_errors(result)
-        limits, max_stderr = self.target.stderr_limits, self.target.max_stderr
-        error = float((stderr / limits).max()) * max_stderr
-        if error <= max_stderr:
+        by_batch, systematic, irreducible = (
+            self.target.average_over_bands(self.target.select_quantities(values, by_node.n_depths))
+            for values in (
+                result.estimate.quantities, result.systematic_error, result.irreducible_error
+            )
+        )  # fmt: skip
+        stderr = np.hypot(compute_batch_stderr(by_batch), systematic)
+        limits = stop.max_error * np.sqrt(self.target.variance_fractions)
+        error = float((stderr / limits).max()) * stop.max_error
+        if error <= stop.max_error:
             return Evaluation(error, "converged", None, result)
-        scatter = stderr**2 - irreducible**2
-        if (irreducible > limits).any() and (scatter < MIN_SCATTER_FRACTION * limits**2).all():
+        scatter, min_variance = stderr**2 - irreducible**2, MIN_SCATTER_FRACTION * limits**2
+        if (irreducible > limits).any() and (scatter < min_variance).all():
             return Evaluation(error, "interpolation_bound", None, result)
         requested = self.rows < self.traced_medium.n_wavelengths
-        values = self.target.select_quantities(by_node.irradiance, by_node.absorptance)
-        quantities = NodeQuantities(
+        values = self.target.select_quantities(by_node.quantities, by_node.n_depths)
+        target_rays = allocate_flux_rays(
+            self.target,
+            self.strata,
             (self.weights * values)[..., requested],
             self.rows[requested],
             self.find_contributions()[:, requested],
+            np.maximum(limits**2 - irreducible**2, min_variance),
         )
-        target_rays = allocate_flux_rays(self.target, self.strata, quantities, irreducible)
         return Evaluation(error, "", target_rays, result)
 
     def _combine(self, by_node: FluxEstimate) -> FluxResult:
         """Return the result of all wavelengths from the estimates of node rows."""
         n_wavelengths = self.traced_medium.n_wavelengths
-        whole = FluxEstimate(*(self.combine_nodes(array) for array in by_node))
+        whole = FluxEstimate(*map(self.combine_nodes, by_node))
         estimate = whole.select_wavelengths(slice(n_wavelengths))
+        single_ray_error = np.zeros(len(self.absorption))
+        np.maximum.at(single_ray_error, self.rows, self.weights / self.count_rays())
+        downward, _, absorptance = estimate.split_quantities(estimate.quantities)
+        unsampled = bound_unsampled_light(downward, single_ray_error[:n_wavelengths])
+        unsampled_below = unsampled[1 : absorptance.shape[1] + 1]
+        bound = self.nodes.interpolation_bound[:n_wavelengths]
+        irreducible = bound_flux_interpolation_error(bound, estimate.quantities.mean(axis=0))
         perturbed = None
         if self.traced_medium.truncated:
             perturbed = whole.select_wavelengths(slice(n_wavelengths, None))
-        single_ray_error = np.zeros(len(self.absorption))
-        np.maximum.at(single_ray_error, self.rows, self.weights / self.count_rays())
-        systematic_error = estimate_systematic_error(
-            estimate[:2],
-            None if perturbed is None else perturbed[:2],
-            self.nodes.interpolation_bound[:n_wavelengths],
-            single_ray_error[:n_wavelengths],
+            difference = (estimate.quantities - perturbed.quantities).mean(axis=0)
+            irreducible = np.hypot(irreducible, difference)
+        unsampled_light = np.concatenate([unsampled[:-1], unsampled[:-1], unsampled_below])
+        rare_event_error = estimate_rare_event_error(estimate.quantities, unsampled_light)
+        systematic_error = np.hypot(irreducible, rare_event_error)
+        return FluxResult(
+            estimate, perturbed, systematic_error, irreducible, bound, unsampled_below
         )
-        return FluxResult(estimate, systematic_error, perturbed)
-
-    def _compute_target_errors(self, result: FluxResult) -> tuple[np.ndarray, np.ndarray]:
-        """Return the standard errors of the target's quantities, and their irreducible parts."""
-        estimate, systematic_error, _ = result
-
-        def select(irradiance: np.ndarray, absorptance: np.ndarray) -> np.ndarray:
-            quantities = self.target.select_quantities(irradiance, absorptance)
-            return self.target.average_over_bands(quantities)
-
-        scatter = compute_batch_stderr(select(estimate.irradiance, estimate.absorptance))
-        systematic = select(systematic_error.irradiance, systematic_error.absorptance)
-        return np.hypot(scatter, systematic), select(*systematic_error.irreducible)

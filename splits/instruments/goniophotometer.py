@@ -11,7 +11,7 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
-from splits.instruments.angular_dataset import make_angular_dataset, relabel_for_diffuse_light
+from splits.instruments.angular_dataset import make_angular_dataset
 from splits.instruments.angular_estimate import AngularEstimate, ErrorTarget
 from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.detector_tally import DetectorTally
@@ -42,7 +42,7 @@ MAX_CONVERGED_POLAR_DEG = 82.5
 DEFAULT_BIN_RAYS = 1_000_000
 ANGULAR_ESTIMATORS = ("expansion", "bins", "next_event")
 TARGET_SIDES = {"brdf": 0, "btdf": 1}
-TRANSMITTED_VARIABLES = ("btdf", "transmittance", "direct_transmittance")
+TRANSMITTED_VARIABLES = ("btdf", "transmittance_factor", "transmittance", "direct_transmittance")
 """Variables of light that leaves below, which is undefined over a ground."""
 
 _INTERPOLATION_FRACTION = 0.05
@@ -197,12 +197,10 @@ def goniophotometer(
         "degree": estimate.degree[side],
         **tally.describe_run(evaluation.stop_reason),
     }
-    dataset = make_angular_dataset(
-        estimate, tally.make_stokes(), wavelengths, (polar, azimuth), attributes
-    )
     undefined = TRANSMITTED_VARIABLES if has_ground else tally.undefined_variables
-    dataset = dataset.drop_vars([name + suffix for name in undefined for suffix in ("", "_stderr")])
-    return relabel_for_diffuse_light(dataset) if incidence == "diffuse" else dataset
+    return make_angular_dataset(
+        estimate, tally.make_stokes(), wavelengths, (polar, azimuth), attributes, undefined
+    )
 
 
 def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import xarray as xr
 
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
+from splits.core.uncertainty import make_variable
 from splits.illumination.sky import Sky
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, goniophotometer
 from splits.instruments.sky_mixing import (
@@ -84,9 +85,9 @@ def hdrf(
     name = "reflectance_factor"
     mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, [name])
     term = "hemispherical-directional reflectance factor under this sky"
-    error_attributes = {"long_name": f"standard error of {term}", "units": "1"}
-    value_attributes = {"long_name": term, "units": "1", "ancillary_variables": f"{name}_stderr"}
-    mixed[name].attrs, mixed[f"{name}_stderr"].attrs = value_attributes, error_attributes
+    dims = ("wavelength", "polar", "azimuth")
+    mean, stderr = (mixed[key].transpose(*dims).values for key in (name, f"{name}_stderr"))
+    mixed = mixed.assign(make_variable(name, dims, mean, stderr, term))
     attributes = run.make_attributes("Reflectance factor under a sky", "hdrf", medium)
     requested = {"relative_stderr": relative_stderr}
     mixed = mixed.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))

@@ -24,10 +24,7 @@ from splits.instruments.flux_target import FluxTarget
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
-from splits.simulation.arguments import (
-    check_incidence,
-    check_wavelengths,
-)
+from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_nodes import MAX_NODES, IndexNodes, choose_nodes
@@ -123,11 +120,12 @@ def irradiance_profile(
     Paths and weights are those of SPLITSnow Eqs 5-6; actinic flux as path per volume, for example
     Mayer (2009), EPJ Web of Conferences 1, 75, section 4.
     """
-    max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     limit_irradiance = check_choice("target", target, ERROR_QUANTITIES) == ERROR_QUANTITIES[0]
-    request = FluxRequest.from_arguments(medium, wavelength_nm, depth_m, incidence_deg, max_rays)
+    request = FluxRequest.from_arguments(
+        medium, wavelength_nm, depth_m, incidence_deg, max_stderr, max_rays
+    )
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
-    return simulate_flux(request, FluxTarget(max_stderr, limit_irradiance), run)
+    return simulate_flux(request, FluxTarget(limit_irradiance), run)
 
 
 class FluxRequest(NamedTuple):
@@ -137,11 +135,18 @@ class FluxRequest(NamedTuple):
     wavelengths: np.ndarray
     depths: np.ndarray
     incidence: float | str
+    max_stderr: float
     max_rays: int
 
     @classmethod
     def from_arguments(
-        cls, medium: Any, wavelength_nm: Any, depth_m: Any, incidence_deg: Any, max_rays: Any
+        cls,
+        medium: Any,
+        wavelength_nm: Any,
+        depth_m: Any,
+        incidence_deg: Any,
+        max_stderr: Any,
+        max_rays: Any,
     ) -> FluxRequest:
         """Return the request, after checking all values."""
         check_medium(medium, allow_semi_infinite=True)
@@ -150,26 +155,25 @@ class FluxRequest(NamedTuple):
             check_wavelengths(wavelength_nm),
             _check_depths(depth_m, medium.thickness_m),
             check_incidence(incidence_deg),
+            check_range("max_stderr", max_stderr, 1e-6, 0.5),
             check_integer("max_rays", max_rays, 1),
         )
 
 
 def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> xr.Dataset:
     """Return the dataset of `irradiance_profile` to an error."""
-    medium, wavelengths, depths, incidence, max_rays = request
-    traced_medium = prepare_medium(
-        medium, wavelengths, depths, target.max_stderr, run.seed, run.threads
-    )
+    medium, wavelengths, depths, incidence, max_stderr, max_rays = request
+    traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run.seed, run.threads)
     tracer = SceneTracer(traced_medium.medium, incidence, planes_m=depths.tolist())
-    nodes = _choose_nodes(traced_medium, target)
+    nodes = _choose_nodes(traced_medium, max_stderr, target.band_weights is not None)
     _check_memory(traced_medium, tracer.scene.layers.boundaries.size - 1, nodes)
     tally = FluxTally(nodes, traced_medium, tracer.scene, target)
-    evaluation = simulate(tracer, tally, StoppingRule(target.max_stderr, max_rays), run)
+    evaluation = simulate(tracer, tally, StoppingRule(max_stderr, max_rays), run)
     attributes = {
         **run.make_attributes("Light inside", "irradiance_profile", medium),
         "incidence_deg": incidence,
-        "max_stderr": target.max_stderr,
-        "target": ERROR_QUANTITIES[0] if target.limit_irradiance else ERROR_QUANTITIES[1],
+        "max_stderr": max_stderr,
+        "target": ERROR_QUANTITIES[0 if target.limit_irradiance else 1],
         "max_stderr_reached": evaluation.error,
         "max_rays": max_rays,
         **tally.describe_run(evaluation.stop_reason),
@@ -179,14 +183,14 @@ def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> 
     return make_flux_dataset(evaluation.estimate, traced_medium, wavelengths, attributes)
 
 
-def _choose_nodes(traced_medium: TracedMedium, target: FluxTarget) -> IndexNodes:
+def _choose_nodes(traced_medium: TracedMedium, max_stderr: float, has_bands: bool) -> IndexNodes:
     """Return the index nodes: more of them for bands, whose wavelengths share the rays."""
     index, interfaces = traced_medium.constants.indices, traced_medium.medium.list_interfaces()
-    nodes = choose_nodes(index, interfaces, INTERPOLATION_FRACTION * target.max_stderr)
-    if target.band_weights is None:
-        return nodes
-    band_nodes = choose_nodes(index, interfaces, BAND_INTERPOLATION_FRACTION * target.max_stderr)
-    return band_nodes if len(band_nodes.index) <= MAX_NODES else nodes
+    if has_bands:
+        nodes = choose_nodes(index, interfaces, BAND_INTERPOLATION_FRACTION * max_stderr)
+        if len(nodes.index) <= MAX_NODES:
+            return nodes
+    return choose_nodes(index, interfaces, INTERPOLATION_FRACTION * max_stderr)
 
 
 def _check_depths(depth_m: Any, thickness: float) -> np.ndarray:

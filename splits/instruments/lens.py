@@ -22,8 +22,8 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.instruments.lens_dataset import (
     MIN_DETECTED_FRACTION,
-    FirstRealization,
     make_lens_dataset,
+    make_ray_variables,
 )
 from splits.kernels.rough_surface.lens import RefractedRays, refract_vertical_rays
 from splits.kernels.rough_surface.realization import compute_heights_and_slopes
@@ -111,11 +111,9 @@ def lens(
     contraction = np.empty((realizations, depths.size))
     detected_fraction = np.empty_like(contraction)
     for realization in range(realizations):
-        surface_waves = (
-            medium.surface.sample_realization(run.seed, realization)
-            if plane_waves is None
-            else plane_waves
-        )
+        surface_waves = plane_waves
+        if surface_waves is None:
+            surface_waves = medium.surface.sample_realization(run.seed, realization)
         centre_x, centre_y, centre_z = find_centre(surface_waves, centre_on, width)
         ring = (centre_x + radius * np.cos(angles), centre_y + radius * np.sin(angles))
         hits = refract_vertical_rays(surface_waves, medium.refractive_index, *ring)
@@ -124,8 +122,8 @@ def lens(
         contraction[realization] = _compute_rms_radius(points, detected) / radius
         if realization == 0:
             surface_points = hits.position - (centre_x, centre_y, centre_z)
-            screen_points = np.where(detected[..., np.newaxis], points - (centre_x, centre_y), 0.0)
-            first_detected = detected
+            screen_points = points - (centre_x, centre_y)
+            ray_variables = make_ray_variables(surface_points, screen_points, detected)
     is_valid = detected_fraction >= MIN_DETECTED_FRACTION
     if not is_valid.any(axis=0).all():
         raise invalid(
@@ -138,8 +136,7 @@ def lens(
         "radius_m": radius, "centre_on": centre_on, "half_width_m": width,
         "realizations": realizations, "rays": rays * realizations,
     }  # fmt: skip
-    first = FirstRealization(surface_points, screen_points, first_detected)
-    return make_lens_dataset(contraction, detected_fraction, first, depths, attributes)
+    return make_lens_dataset(contraction, detected_fraction, ray_variables, depths, attributes)
 
 
 def _get_plane_waves(medium: ParticleLayer, waves: Any, realizations: int) -> np.ndarray | None:

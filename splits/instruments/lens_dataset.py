@@ -2,86 +2,75 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from splits.core.uncertainty import make_variable
+from splits.core.uncertainty import Variable, make_variable
 
 MIN_DETECTED_FRACTION = 0.5
 """Fraction of a ring that must reach a screen for a realization to be included there."""
 
 
-class FirstRealization(NamedTuple):
-    """Rays at the first realization of the surface, for figures.
+def make_ray_variables(
+    hit_points: np.ndarray, screen_points: np.ndarray, detected: np.ndarray
+) -> dict[str, Variable]:
+    """Return the rays at one realization of the surface as variables, for figures.
 
-    Attributes
+    Parameters
     ----------
-    surface_point : float, shape (rays, 3)
+    hit_points : float, shape (rays, 3)
         Where rays hit the surface (m).
-    screen_point : float, shape (screens, rays, 2)
-        Where they hit the screens (m).
-    reaches_screen : bool, shape (screens, rays)
+    screen_points : float, shape (screens, rays, 2)
+        Where they hit the screens (m); 0 where they do not reach one.
+    detected : bool, shape (screens, rays)
         Whether they reach them.
     """
-
-    surface_point: np.ndarray
-    screen_point: np.ndarray
-    reaches_screen: np.ndarray
+    points = np.where(detected[..., np.newaxis], screen_points, 0.0)
+    by_ray, is_detected = ("screen_depth", "ray"), detected.astype(float)
+    return _make_variables(
+        {
+            "surface_position": (("ray", "point"), hit_points, None, "point of the surface", "m"),
+            "screen_position": ((*by_ray, "axis"), points, None, "position on the screen", "m"),
+            "detected": (by_ray, is_detected, None, "whether a ray reaches it"),
+        }
+    )
 
 
 def make_lens_dataset(
     contraction: np.ndarray,
     detected_fraction: np.ndarray,
-    first_realization: FirstRealization,
+    ray_variables: dict[str, Variable],
     depths: np.ndarray,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Return the results as a labelled dataset."""
-    is_valid = detected_fraction >= MIN_DETECTED_FRACTION
-    contraction_estimate = _average_realizations(contraction, is_valid)
-    concentration_estimate = _invert_with_error(*_average_realizations(contraction**2, is_valid))
-    dim, by_ray = "screen_depth", ("screen_depth", "ray", "axis")
-    reaches_screen = first_realization.reaches_screen.astype(float)
-    variables = {
-        **make_variable(
-            "contraction", dim, *contraction_estimate, "size of the image over the ring's"
-        ),
-        **make_variable(
-            "concentration", dim, *concentration_estimate, "inverse mean square size of the image"
-        ),
-        **make_variable(
-            "detected_fraction",
-            ("realization", dim),
-            detected_fraction,
-            None,
-            "fraction of rays on the screen",
-        ),
-        **make_variable(
-            "surface_position",
-            ("ray", "point"),
-            first_realization.surface_point,
-            None,
-            "point of the surface",
-            "m",
-        ),
-        **make_variable(
-            "screen_position",
-            by_ray,
-            first_realization.screen_point,
-            None,
-            "position on the screen",
-            "m",
-        ),
-        **make_variable("detected", by_ray[:2], reaches_screen, None, "whether a ray reaches it"),
-    }
+    is_valid, dim = detected_fraction >= MIN_DETECTED_FRACTION, "screen_depth"
+    size = _average_realizations(contraction, is_valid)
+    concentration = _invert_with_error(*_average_realizations(contraction**2, is_valid))
+    by_realization = (("realization", dim), detected_fraction, None)
+    variables = _make_variables(
+        {
+            "contraction": (dim, *size, "size of the image over the ring's"),
+            "concentration": (dim, *concentration, "inverse mean square size of the image"),
+            "detected_fraction": (*by_realization, "fraction of rays on the screen"),
+        }
+    )
     coordinates = {
         dim: (dim, depths, {"long_name": "depth of the screen below the surface", "units": "m"}),
         "axis": ("axis", ["x", "y"], {"long_name": "axis on the screen"}),
         "point": ("point", ["x", "y", "z"], {"long_name": "axis in space"}),
     }
-    return xr.Dataset(variables, coordinates, attributes)
+    return xr.Dataset(variables | ray_variables, coordinates, attributes)
+
+
+def _make_variables(results: dict[str, tuple[Any, ...]]) -> dict[str, Variable]:
+    """Return variables from the arguments of `make_variable` after the name."""
+    variables: dict[str, Variable] = {}
+    for name, result in results.items():
+        variables |= make_variable(name, *result)
+    return variables
 
 
 def _average_realizations(

@@ -40,26 +40,26 @@ def get_detected_layers(medium: Medium) -> tuple[ParticleLayer, ...]:
         For grains, for a rough surface, for the ground of a stack, for narrow phase functions in a
         stack, and for a phase function that is nearly all peak.
     """
-    layers, allowed = medium.scene_layers, "expansion or bins"
+    layers = medium.scene_layers
     if any(layer.has_grains for layer in layers):
-        raise invalid("estimator", "next_event", f"{allowed} for grains")
+        raise _reject_estimator("for grains")
     if layers[0].make_height_fields() is not None:
-        raise invalid(
-            "estimator", "next_event", f"{allowed} under a rough surface",
-            "no single path leads through it to a given direction; bins have Stokes parameters",
-        )  # fmt: skip
+        hint = "no single path leads through it to a given direction; bins have Stokes parameters"
+        raise _reject_estimator("under a rough surface", hint)
     peaks = [separate_peak(layer.kernel_phase_function) for layer in layers]
     if any(peak is not None and peak.fraction > MAX_PEAK_FRACTION for peak in peaks):
-        raise invalid(
-            "estimator", "next_event", f"{allowed} for this phase_function",
-            f"more than {MAX_PEAK_FRACTION:.0%} of the scattered light goes into a narrow peak",
-        )  # fmt: skip
+        hint = f"more than {MAX_PEAK_FRACTION:.0%} of the scattered light goes into a narrow peak"
+        raise _reject_estimator("for this phase_function", hint)
     if len(layers) > 1 and any(peak is not None for peak in peaks):
-        hint = "narrow peaks require a single layer"
-        raise invalid("estimator", "next_event", f"{allowed} for this phase_function", hint)
+        raise _reject_estimator("for this phase_function", "narrow peaks require a single layer")
     if medium.reflecting_ground is not None:
-        raise invalid("estimator", "next_event", f"{allowed} over the ground of a stack")
+        raise _reject_estimator("over the ground of a stack")
     return layers
+
+
+def _reject_estimator(circumstances: str, hint: str = "") -> Exception:
+    """Return the error that this estimator is not possible in some circumstances."""
+    return invalid("estimator", "next_event", f"expansion or bins {circumstances}", hint)
 
 
 def make_detectors(
@@ -184,18 +184,12 @@ class DetectorTracer(Tracer):
     """
 
     def __init__(
-        self,
-        medium: Any,
-        incidence_deg: float,
-        polar: np.ndarray,
-        azimuth: np.ndarray,
-        side: int,
+        self, medium: Any, incidence_deg: float, polar: np.ndarray, azimuth: np.ndarray, side: int
     ) -> None:
         self.layers = get_detected_layers(medium)
         self.index = medium.compute_refractive_indices(np.zeros(1))
-        scene = build_scene(medium, incidence_deg, False)
-        self.detectors = make_detectors(self.layers, scene, polar, azimuth)
-        self.scene = scene
+        self.scene = build_scene(medium, incidence_deg, False)
+        self.detectors = make_detectors(self.layers, self.scene, polar, azimuth)
         if side == 1 and not self.detectors.has_lower_side:
             allowed = "brdf with estimator = next_event"
             raise invalid("target", "btdf", allowed, "the lower boundary is not open")

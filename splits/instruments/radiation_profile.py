@@ -18,6 +18,8 @@ from splits.instruments.irradiance_profile import FluxRequest, simulate_flux
 from splits.instruments.sky_mixing import (
     as_sky,
     choose_wavelengths,
+    compute_band_weights,
+    make_coverage_variable,
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
@@ -25,11 +27,11 @@ from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions
 
 OUTPUT_VARIABLES = {
-    "downward_irradiance": ("downward_irradiance", "downward irradiance"),
-    "upward_irradiance": ("upward_irradiance", "upward irradiance"),
-    "absorptance": ("absorbed_power", "absorbed power of the interval"),
+    "downward_irradiance": ("downward_irradiance", "depth", "downward irradiance"),
+    "upward_irradiance": ("upward_irradiance", "depth", "upward irradiance"),
+    "absorptance": ("absorbed_power", "interval", "absorbed power of the interval"),
 }
-"""Variables of an irradiance profile, and the names and labels of those under a sky."""
+"""Variables of an irradiance profile; names, dimensions and labels of those under a sky."""
 STOP_REASONS = ("converged", "interpolation_bound", "max_rays")
 """Stop reasons of runs, in increasing order of severity."""
 POWER_ERROR_QUANTITIES = ("absorbed_power", "irradiance")
@@ -114,67 +116,61 @@ def radiation_profile(
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
     check_choice("target", target, POWER_ERROR_QUANTITIES)
+    limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
     run = RunOptions.from_arguments(seed, threads, progress=progress)
     max_rays = check_integer("max_rays", max_rays, 1)
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
-    weights = np.array([sky_spectrum.compute_weights(wavelengths, band) for band in named.values()])
+    weights, band_irradiance = compute_band_weights(sky_spectrum, named, wavelengths)
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
-    limit_irradiance = target == POWER_ERROR_QUANTITIES[1]
-    targets = _make_targets(direct_fraction, weights, max_stderr, limit_irradiance)
-    coordinates: dict[str, Any] = {}
-    run_attributes: list[dict[str, Any]] = []
+    targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
+    runs: list[xr.Dataset] = []
 
     def simulate(incidence: float | str, number: int) -> xr.Dataset:
-        request = FluxRequest.from_arguments(medium, wavelengths, depth_m, incidence, max_rays)
-        dataset = simulate_flux(request, targets[number], run._replace(seed=run.seed + number))
-        run_attributes.append(dataset.attrs)
-        names = ("depth", "interval_top", "interval_bottom")
-        coordinates.update({name: dataset[name] for name in names})
-        return dataset
+        request = FluxRequest.from_arguments(
+            medium, wavelengths, depth_m, incidence, max_stderr, max_rays
+        )
+        seeded = run._replace(seed=run.seed + number)
+        runs.append(simulate_flux(request, targets[number], seeded))
+        return runs[-1]
 
     dataset = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, list(OUTPUT_VARIABLES))
-    all_wavelengths = sky_spectrum.wavelength_nm
-    band_irradiance = [
-        sky_spectrum.compute_weights(all_wavelengths, band).sum() for band in named.values()
-    ]
-    variables = _make_variables(dataset, wavelengths, weights, band_irradiance)
+    variables = _make_variables(dataset, wavelengths, weights)
+    variables |= make_coverage_variable(weights, band_irradiance)
     attributes = {
         **run.make_attributes("Sunlight inside", "radiation_profile", medium),
         **make_sky_attributes(sky_spectrum),
         "irradiance_w_m2": band_irradiance[0],
         "max_stderr": max_stderr,
         "target": target,
-        "stop_reason": max((run["stop_reason"] for run in run_attributes), key=STOP_REASONS.index),
+        "stop_reason": max((one.stop_reason for one in runs), key=STOP_REASONS.index),
         "max_rays": max_rays,
-        "rays": sum(run["rays"] for run in run_attributes),
+        "rays": sum(one.rays for one in runs),
+    }
+    coordinates: dict[str, Any] = {
+        name: runs[0][name] for name in ("depth", "interval_top", "interval_bottom")
     }
     return xr.Dataset(variables, {**coordinates, "band": list(named)}, attributes)
 
 
 def _make_variables(
-    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray, band_irradiance: list[Any]
+    dataset: xr.Dataset, wavelengths: np.ndarray, weights: np.ndarray
 ) -> dict[str, Variable]:
-    """Return irradiances and absorbed power by band with their errors, and the coverage."""
+    """Return irradiances and absorbed power by band, with their errors."""
     variables: dict[str, Variable] = {}
     band_weights = xr.DataArray(weights, {"wavelength": wavelengths}, ("band", "wavelength"))
-    for name, (label, long_name) in OUTPUT_VARIABLES.items():
-        value = (band_weights * dataset[name]).sum("wavelength")
+    for name, (label, dim, long_name) in OUTPUT_VARIABLES.items():
+        mean = (band_weights * dataset[name]).sum("wavelength")
+        # Band by band, which limits the memory for many depths.
         errors = [compute_weighted_error(dataset, name, one) for one in band_weights]
-        error = xr.concat(errors, "band")
-        depth_dim = next(dim for dim in value.dims if dim != "band")
-        dims = ("band", str(depth_dim))
-        variables |= make_variable(
-            label, dims, value.transpose(*dims).values, error.transpose(*dims).values, long_name,
-            "W m-2",
-        )  # fmt: skip
-    label = "fraction of the band's light within the wavelengths"
-    covered = weights.sum(axis=1) / band_irradiance
-    return variables | {"irradiance_covered": ("band", covered, {"long_name": label, "units": "1"})}
+        dims = ("band", dim)
+        values, stderr = (one.transpose(*dims).values for one in (mean, xr.concat(errors, "band")))
+        variables |= make_variable(label, dims, values, stderr, long_name, "W m-2")
+    return variables
 
 
-def _make_targets(
-    direct_fraction: np.ndarray, band_weights: np.ndarray, max_stderr: float, limit_irradiance: bool
+def make_sky_targets(
+    direct_fraction: np.ndarray, band_weights: np.ndarray, limit_irradiance: bool
 ) -> list[FluxTarget]:
     """Return the targets for sunlight and for diffuse light.
 
@@ -186,7 +182,6 @@ def _make_targets(
         Fraction of direct sunlight.
     band_weights : float, shape (bands, wavelengths)
         Irradiance of each band by wavelength.
-    max_stderr : float
     limit_irradiance : bool
         Whether errors of irradiances are limited, too.
     """
@@ -195,7 +190,5 @@ def _make_targets(
     for fraction in (direct_fraction, 1.0 - direct_fraction):
         band_fraction = (normalized * fraction).sum(axis=1)
         variance_fraction = np.where(band_fraction > 0.0, band_fraction, 1.0)
-        targets.append(
-            FluxTarget(max_stderr, limit_irradiance, normalized * fraction, variance_fraction)
-        )
+        targets.append(FluxTarget(limit_irradiance, normalized * fraction, variance_fraction))
     return targets

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from splits.core.uncertainty import Variable
 from splits.core.validation import invalid
+from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.illumination.sky_spectra import sky
 from splits.simulation.arguments import check_wavelengths
@@ -62,33 +64,57 @@ def mix_direct_and_diffuse(
     direct_fraction = xr.DataArray(
         sky.compute_direct_fraction(wavelength_nm), {"wavelength": wavelength_nm}, ("wavelength",)
     )
-    values: dict[str, Any] = {}
-    batch_deviations: dict[str, list[xr.DataArray]] = {name: [] for name in names}
-    squares: dict[str, Any] = dict.fromkeys(names, 0.0)
-    systematic: dict[str, Any] = dict.fromkeys(names, 0.0)
     components: list[tuple[xr.DataArray, float | str]] = [
         (direct_fraction, sky.zenith_deg),
         (1.0 - direct_fraction, "diffuse"),
     ]
-    for position, (fraction, incidence) in enumerate(components):
-        if not fraction.any():
-            continue
-        dataset = instrument(incidence, position)
-        for name in names:
-            values[name] = values.get(name, 0.0) + fraction * dataset[name]
-            square: Any = (fraction * dataset[f"{name}_stderr"]) ** 2
-            if f"{name}_batches" in dataset:
-                batch_deviations[name].append(fraction * dataset[f"{name}_batches"])
-                scatter = (batch_deviations[name][-1].astype(float) ** 2).sum("batch")
-                # Both runs use the same index nodes: their interpolation errors are correlated.
-                systematic[name] = systematic[name] + np.maximum(square - scatter, 0.0) ** 0.5
-                square = np.minimum(scatter, square)
-            squares[name] = squares[name] + square
+    runs = [
+        (fraction, instrument(incidence, number))
+        for number, (fraction, incidence) in enumerate(components)
+        if fraction.any()
+    ]
+    variables: dict[str, Any] = {}
     for name in names:
-        values[f"{name}_stderr"] = (squares[name] + systematic[name] ** 2) ** 0.5
-        if batch_deviations[name]:
-            values[f"{name}_batches"] = xr.concat(batch_deviations[name], "batch")
-    return xr.Dataset(values)
+        means, variances, bounds, deviations = ([] for _ in range(4))
+        for fraction, dataset in runs:
+            means.append(fraction * dataset[name])
+            variance: Any = (fraction * dataset[f"{name}_stderr"]) ** 2
+            if f"{name}_batches" in dataset:
+                deviations.append(fraction * dataset[f"{name}_batches"])
+                scatter = (deviations[-1].astype(float) ** 2).sum("batch")
+                bounds.append(np.maximum(variance - scatter, 0.0) ** 0.5)
+                variance = np.minimum(scatter, variance)
+            variances.append(variance)
+        # Both runs use the same index nodes: their interpolation errors are correlated.
+        stderr = (sum(variances) + sum(bounds) ** 2) ** 0.5
+        variables |= {name: sum(means), f"{name}_stderr": stderr}
+        if deviations:
+            variables[f"{name}_batches"] = xr.concat(deviations, "batch")
+    return xr.Dataset(variables)
+
+
+def compute_band_weights(
+    sky: Sky, bands: Mapping[str, SpectralBand], wavelength_nm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the irradiance of bands at wavelengths, and over the whole spectrum of the sky.
+
+    Returns
+    -------
+    weights : float, shape (bands, wavelengths)
+        See `splits.illumination.sky.Sky.compute_weights`.
+    band_irradiance : float, shape (bands,)
+    """
+    weights, all_weights = (
+        np.array([sky.compute_weights(wavelengths, band) for band in bands.values()])
+        for wavelengths in (wavelength_nm, sky.wavelength_nm)
+    )
+    return weights, all_weights.sum(axis=1)
+
+
+def make_coverage_variable(weights: np.ndarray, band_irradiance: np.ndarray) -> dict[str, Variable]:
+    """Return the fraction of the light of bands that is covered, see `compute_band_weights`."""
+    attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}
+    return {"irradiance_covered": ("band", weights.sum(axis=1) / band_irradiance, attributes)}
 
 
 def make_sky_attributes(sky: Sky) -> dict[str, Any]:

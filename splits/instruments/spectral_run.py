@@ -48,12 +48,7 @@ class SpectralRequest(NamedTuple):
 
     @classmethod
     def from_arguments(
-        cls,
-        wavelength_nm: Any,
-        incidence_deg: Any,
-        max_stderr: Any,
-        max_rays: Any,
-        run: RunOptions,
+        cls, wavelength_nm: Any, incidence_deg: Any, max_stderr: Any, max_rays: Any, run: RunOptions
     ) -> SpectralRequest:
         """Return the request, after checking all values."""
         return cls(
@@ -103,11 +98,11 @@ class SpectralRequest(NamedTuple):
         above_truncation = (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
         target = self.max_stderr * (1.0 if truncation is None else above_truncation)
         for _ in range(MAX_ATTEMPTS):
-            nodes = (
-                make_separate_nodes(rows.index)
-                if analog
-                else choose_nodes(rows.index, rows.interfaces, INTERPOLATION_FRACTION * target)
-            )
+            if analog:
+                nodes = make_separate_nodes(rows.index)
+            else:
+                tolerance = INTERPOLATION_FRACTION * target
+                nodes = choose_nodes(rows.index, rows.interfaces, tolerance)
             tally = SpectralTally(rows, nodes, tracer.scene)
             evaluation = simulate(tracer, tally, StoppingRule(target, self.max_rays), self.run)
             above = tally.make_estimate(evaluation.stop_reason)
@@ -220,9 +215,8 @@ def simulate_spectra(path_sharing: PathSharingMedia, request: SpectralRequest) -
     for number, (medium, size_ratio) in enumerate(zip(*path_sharing, strict=True)):
         rows = slice(number * n_wavelengths, (number + 1) * n_wavelengths)
         medium_estimate = estimate.select(rows, request.max_stderr)
-        datasets.append(
-            make_spectrum(
-                request, medium, medium_estimate, truncation=truncation, size_ratio=size_ratio
-            )
+        spectrum = make_spectrum(
+            request, medium, medium_estimate, truncation=truncation, size_ratio=size_ratio
         )
+        datasets.append(spectrum)
     return datasets

@@ -17,7 +17,6 @@ from splits.media.medium import Medium
 from splits.simulation.derivatives import (
     Perturbations,
     check_jacobian,
-    combine_derivatives,
     make_jacobian_variables,
     make_parameter_coordinates,
 )
@@ -213,16 +212,21 @@ def _add_jacobian(
         media = PathSharingMedia.from_media([perturbed])
         return perturbed_request.simulate(media, request.truncate(media))
 
-    differences = [
-        compute_finite_difference(simulate_perturbed, medium, request.incidence, name)
-        for name in parameters
-        if name not in perturbations.parameters
-    ]
-    if differences:
-        dataset.attrs["finite_difference_rays"] = sum(one.n_rays for one in differences)
-    derivatives = combine_derivatives(parameters, exact, perturbations, differences)
+    by_parameter = {
+        name: exact.select(slice(i, i + 1)) for i, name in enumerate(perturbations.parameters)
+    }
+    total_rays = 0
+    for name in parameters:
+        if name not in perturbations.parameters:
+            by_parameter[name], n_rays = compute_finite_difference(
+                simulate_perturbed, medium, request.incidence, name
+            )
+            total_rays += n_rays
+    if total_rays:
+        dataset.attrs["finite_difference_rays"] = total_rays
+    derivatives = Derivatives.concatenate([by_parameter[name] for name in parameters])
     dataset = dataset.assign_coords(make_parameter_coordinates(parameters, perturbations))
-    return dataset.assign(make_jacobian_variables(derivatives, parameters, SIDE_QUANTITIES))
+    return dataset.assign(make_jacobian_variables(derivatives, SIDE_QUANTITIES))
 
 
 def _label_media(dataset: xr.Dataset, media: Mapping[str, Medium]) -> xr.Dataset:
@@ -245,10 +249,7 @@ def _find_differing_inputs(media: Sequence[Medium]) -> dict[str, Any]:
         if all(np.array_equal(value, values[0]) for value in values):
             continue
         numeric = all(value is None or isinstance(value, int | float) for value in values)
-        column: list[Any] = (
-            [0.0 if value is None else float(value) for value in values]
-            if numeric
-            else ["" if value is None else str(value) for value in values]
-        )
+        kind: Any = float if numeric else str
+        column = [kind() if value is None else kind(value) for value in values]
         differing[key] = ("medium", column, {"long_name": key.replace("_", " ")})
     return differing

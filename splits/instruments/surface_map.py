@@ -75,25 +75,19 @@ def surface_map(
         if realization == 0:
             height = compute_heights_and_slopes(waves, x, y).height.reshape(points, points)
         z, slope = compute_heights_and_slopes(waves, u, v)
-        roughness[:, realization] = (
-            np.sqrt(np.mean(z**2)),
-            np.sqrt(np.mean(slope.x**2 + slope.y**2)),
-        )
+        mean_squares = np.mean(z**2), np.mean(slope.x**2 + slope.y**2)
+        roughness[:, realization] = np.sqrt(mean_squares)
     attributes = {
         **run.make_attributes("Rough surface", "surface_map", medium),
         "realizations": realizations,
         "rays": 0,
     }
+    dim, (rms_height, rms_slope) = "realization", roughness
     variables = {
         **make_variable("height", ("x", "y"), height, None, "height of the surface", "m"),
-        **make_variable(
-            "rms_height", "realization", roughness[0], None, "rms height of the square", "m"
-        ),
-        **make_variable("rms_slope", "realization", roughness[1], None, "rms slope of the square"),
+        **make_variable("rms_height", dim, rms_height, None, "rms height of the square", "m"),
+        **make_variable("rms_slope", dim, rms_slope, None, "rms slope of the square"),
     }
-    distance_attributes = {"units": "m", "long_name": "horizontal distance"}
-    return xr.Dataset(
-        variables,
-        {"x": ("x", positions, distance_attributes), "y": ("y", positions, distance_attributes)},
-        attributes,
-    )
+    distance = {"units": "m", "long_name": "horizontal distance"}
+    coordinates = {"x": ("x", positions, distance), "y": ("y", positions, distance)}
+    return xr.Dataset(variables, coordinates, attributes)

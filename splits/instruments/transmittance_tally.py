@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.kernels.grains.scene import Scene, make_bounding_optics
+from splits.kernels.grains.scene import Scene
 from splits.kernels.transport.splitting import trace_batch_with_splitting
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.spectral_nodes import make_separate_nodes
@@ -78,6 +78,7 @@ class TransmittanceTally(Tally):
 
     rays_per_chunk = rays_per_round = HISTORIES_PER_CHUNK
     pilot_rays = PILOT_HISTORIES
+    values_per_row = 3 + 2 * N_DEPTH_SLICES
     first_stream = 3_000_000
 
     def __init__(
@@ -87,17 +88,10 @@ class TransmittanceTally(Tally):
         self.splitting_rates = splitting_rates
         self.moments = np.zeros((3, len(splitting_rates)))
         self.depth_profile = np.zeros((2, N_DEPTH_SLICES, len(splitting_rates)))
-        for row, rate in enumerate(splitting_rates):
-            stream = self.first_stream + (N_PILOTS + 1) * row + stage
-            optics = make_bounding_optics(constants.indices[row], self.absorption[row : row + 1])
-            node_rows, absorption = self.select_node(row), self.absorption[row : row + 1]
-            self.strata.append(
-                Stratum(stream, optics, node_rows, absorption, splitting_rate=float(rate))
-            )
-
-    def count_score_values(self) -> int:
-        """Return the number of values in the score of a chunk."""
-        return 3 + 2 * N_DEPTH_SLICES
+        self.add_strata()
+        for row, stratum in enumerate(self.strata):
+            stratum.stream = self.first_stream + (N_PILOTS + 1) * row + stage
+            stratum.splitting_rate = float(splitting_rates[row])
 
     def merge(self, stratum: Stratum, score: TransmittanceScore) -> None:
         """Add the score of the next chunk of a stratum."""

@@ -234,6 +234,16 @@ class GranularMedium(Layer):
         """Mean distance between grains along a ray (m), as defined in the papers."""
 
     @property
+    @abstractmethod
+    def attenuation_per_m(self) -> float:
+        """Cross-section per volume of the grains (1/m)."""
+
+    @property
+    def mean_chord_m(self) -> float:
+        """Mean chord of the convex grains (m), their volume over their projected area."""
+        return 1.0 / self.attenuation_per_m
+
+    @property
     def mean_free_path_m(self) -> float:
         """Mean free path (m) from one grain to the next.
 

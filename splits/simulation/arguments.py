@@ -8,13 +8,7 @@ from typing import Any
 import numpy as np
 
 from splits.core.arrays import as_1d_array, check_array_range, check_increasing
-from splits.core.validation import (
-    check_integer,
-    check_range,
-    invalid,
-    snap_to_limits,
-    suggest_name,
-)
+from splits.core.validation import check_integer, check_range, invalid, snap_to_limits, suggest_name
 from splits.simulation.threads import count_cpus
 
 WAVELENGTH_RANGE_NM = (200.0, 100_000.0)

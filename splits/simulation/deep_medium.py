@@ -16,14 +16,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from splits.core.validation import invalid
-from splits.media.ground import Ground
-from splits.media.medium import GranularMedium, Medium
+from splits.media.medium import GranularMedium
 from splits.simulation.grain_optics import (
     GrainOpticsRequest,
     compute_material_constants,
@@ -42,9 +40,7 @@ from splits.simulation.substrate import (
     make_substrate_ground,
     select_least_attenuated,
 )
-from splits.simulation.truncated_medium import (
-    TruncatedMedium,
-)
+from splits.simulation.truncated_medium import TruncatedMedium
 
 MIN_DEPTH_MFP = 600.0
 """Depth in mean distances between grains up to which tracing the whole medium is fast."""
@@ -95,44 +91,31 @@ def truncate_deep_medium(
         if math.isinf(depth):
             raise invalid("depth_m", depth, "finite where pores hold other media or other air")
         return None
-    finite = _make_layer_finite(lowest[0]) if math.isinf(depth) else layer
+    # Scenes require a finite depth.
+    finite = replace(layer, depth_m=1.0) if math.isinf(depth) else layer
     constants = _combine_constants(lowest, path_sharing.size_ratios, wavelengths)
     request = GrainOpticsRequest(1, OPTICS_RAYS_PER_TYPE, seed, threads, "equilibrium")
     if not math.isinf(depth):
         pilot = estimate_pilot_optics(finite, constants, request._replace(n_rays=OPTICS_PILOT_RAYS))
         pilots = _split_by_medium(pilot, len(lowest))
+        properties = [DiffusionProperties.from_optics(one) for one in pilots]
         if not any(
-            DiffusionProperties.from_optics(one).is_truncation_worthwhile(
-                layer, max_stderr, PILOT_MARGIN
-            )
-            for one in pilots
+            one.is_truncation_worthwhile(layer, max_stderr, PILOT_MARGIN) for one in properties
         ):
             return None
     optics = _split_by_medium(pool_optics_by_type(finite, constants, request), len(lowest))
     return _truncate(path_sharing, wavelengths, optics, max_stderr, undisturbed_depth_m)
 
 
-def _make_layer_finite(layer: Any) -> Any:
-    """Return the layer with a finite depth, as scenes require."""
-    return replace(layer, depth_m=1.0)
-
-
 def _combine_constants(
     layers: Sequence[GranularMedium], size_ratios: np.ndarray, wavelengths: np.ndarray
 ) -> OpticalConstants:
     """Return the optical constants of the lowest layers, stacked, in units of the first's size."""
-    constants = [
-        compute_material_constants(layer_constants, wavelengths) for layer_constants in layers
-    ]
-    return OpticalConstants(
-        np.concatenate([layer_constants.indices for layer_constants in constants]),
-        np.concatenate(
-            [
-                s * layer_constants.absorption
-                for layer_constants, s in zip(constants, size_ratios, strict=True)
-            ]
-        ),
+    indices, absorption = zip(
+        *(compute_material_constants(layer, wavelengths) for layer in layers), strict=True
     )
+    scaled = [ratio * one for ratio, one in zip(size_ratios, absorption, strict=True)]
+    return OpticalConstants(np.concatenate(indices), np.concatenate(scaled))
 
 
 def _split_by_medium(optics: xr.Dataset, n_media: int) -> list[xr.Dataset]:
@@ -163,30 +146,28 @@ def _truncate(
     ]
     # Media that share paths all have a ground, or none.
     min_albedo = np.finfo(float).tiny if len(media) > 1 else 0.0
-    albedos = [
-        compute_albedo_below_interface(
+    truncated, grounds = [], []
+    for medium, scale, substrate, grains in zip(media, scales, substrates, optics, strict=True):
+        lowest = medium.lowest_layer
+        albedo = compute_albedo_below_interface(
             substrate.reflected_fraction,
-            compute_material_constants(m.lowest_layer, wavelengths).indices,
-            m.lowest_layer,
-            o,
+            compute_material_constants(lowest, wavelengths).indices,
+            lowest,
+            grains,
         )
-        for m, substrate, o in zip(media, substrates, optics, strict=True)
-    ]
-    grounds = [make_substrate_ground(wavelengths, np.maximum(one, min_albedo)) for one in albedos]
+        ground = make_substrate_ground(wavelengths, np.maximum(albedo, min_albedo))
+        grounds.append(ground.optical_depth(wavelengths))
+        above = replace(lowest, depth_m=scale * depth)
+        truncated.append(medium.replace_lowest_layer(above, ground))
+    _, transmitted_fraction, conservative, escape_probability = map(
+        np.stack, zip(*substrates, strict=True)
+    )
     return TruncatedMedium(
-        tuple(
-            _truncate_lowest_layer(m, s * depth, g)
-            for m, s, g in zip(media, scales, grounds, strict=True)
-        ),
+        tuple(truncated),
         depth,
-        np.stack([substrate.transmitted_fraction for substrate in substrates]),
-        np.stack([substrate.conservative for substrate in substrates]),
-        np.stack([substrate.escape_probability for substrate in substrates]),
-        np.stack([ground.optical_depth(wavelengths) for ground in grounds]),
+        transmitted_fraction,
+        conservative,
+        escape_probability,
+        np.stack(grounds),
         compute_semi_infinite_depth(*select_least_attenuated(properties, depth), max_stderr),
     )
-
-
-def _truncate_lowest_layer(medium: Medium, depth_m: float, ground: Ground) -> Medium:
-    """Return a medium whose lowest layer is truncated, over a ground."""
-    return medium.replace_lowest_layer(replace(medium.lowest_layer, depth_m=depth_m), ground)

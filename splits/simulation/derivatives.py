@@ -23,7 +23,6 @@ from splits.media.parameters import (
     get_parameter,
     shift_parameter,
 )
-from splits.simulation.finite_differences import FiniteDifference
 from splits.simulation.path_reuse import compute_path_signature
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.spectral_tally import Derivatives
@@ -137,51 +136,24 @@ def _choose_step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:
     return min(steps)
 
 
-def combine_derivatives(
-    names: Sequence[str],
-    exact: Derivatives,
-    perturbations: Perturbations,
-    finite_differences: Sequence[FiniteDifference],
-) -> Derivatives:
-    """Return exact derivatives and finite differences in the requested order."""
-    by_parameter = {
-        name: exact.select(slice(i, i + 1)) for i, name in enumerate(perturbations.parameters)
-    }
-    by_parameter |= {one.parameter: one.derivatives for one in finite_differences}
-    ordered = [by_parameter[name] for name in names]
-    return Derivatives(
-        np.concatenate([derivative.mean for derivative in ordered], axis=1),
-        np.concatenate([derivative.batch_deviations for derivative in ordered], axis=2),
-        np.concatenate([derivative.bias_bound for derivative in ordered], axis=1),
-    )
-
-
-def make_jacobian_variables(
-    derivatives: Derivatives, parameters: Sequence[str], names: Sequence[str]
-) -> dict[str, Variable]:
+def make_jacobian_variables(derivatives: Derivatives, names: Sequence[str]) -> dict[str, Variable]:
     """Return derivatives of reflectance and transmittance over parameter and wavelength."""
     variables: dict[str, Variable] = {}
-    if not parameters:
-        return variables
     dims = ("parameter", "wavelength")
     for side, name in enumerate(names):
         label = f"derivative of {name} with respect to the parameter, in the inverse of its unit"
         key = f"{name}_jacobian"
-        variables |= make_variable(
-            key, dims, derivatives.mean[side], derivatives.stderr[side], label
-        )
-        variables |= make_deviation_variable(
-            key, dims, derivatives.batch_deviations[:, side], label
-        )
+        mean, stderr = derivatives.mean[side], derivatives.stderr[side]
+        variables |= make_variable(key, dims, mean, stderr, label)
+        deviations = derivatives.batch_deviations[:, side]
+        variables |= make_deviation_variable(key, dims, deviations, label)
     return variables
 
 
 def make_parameter_coordinates(
     parameters: Sequence[str], perturbations: Perturbations
 ) -> dict[str, object]:
-    """Return the coordinates of the parameters, empty without any."""
-    if not parameters:
-        return {}
+    """Return the coordinates of the parameters."""
     units = [get_derivative_unit(parameter) for parameter in parameters]
     methods = [
         "shared_paths" if name in perturbations.parameters else "finite_difference"
@@ -190,9 +162,5 @@ def make_parameter_coordinates(
     return {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),
-        "parameter_method": (
-            "parameter",
-            methods,
-            {"long_name": "method of its derivatives"},
-        ),
+        "parameter_method": ("parameter", methods, {"long_name": "method of its derivatives"}),
     }

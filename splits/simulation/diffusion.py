@@ -25,16 +25,10 @@ def effective_mean_free_path(optics: xr.Dataset) -> np.ndarray:
     """
     # Plain arrays add a hundred times faster than labelled ones.
     free = 1.0 / optics.extinction.values
-    incident, exit = (
-        optics.displacement_along_incident.values,
-        optics.displacement_along_exit.values,
-    )
+    incident, exit = optics.displacement_along_incident, optics.displacement_along_exit
     transport_factor = 1.0 - optics.asymmetry_parameter.values
-    square = (free + incident) * (
-        free + exit
-    ) + 0.5 * transport_factor * optics.mean_square_displacement.values
-    values: np.ndarray = np.sqrt(square)
-    return values
+    spread = 0.5 * transport_factor * optics.mean_square_displacement.values
+    return np.sqrt((free + incident.values) * (free + exit.values) + spread)
 
 
 def diffuse_reflectance(n: np.ndarray) -> np.ndarray:
@@ -81,8 +75,7 @@ class DiffusiveSubstrate(NamedTuple):
         tanh = np.tanh(self.decay_depth)
         upper = self.bottom_flux_ratio + self.decay_flux_ratio * tanh
         lower = self.decay_flux_ratio + self.bottom_flux_ratio * tanh
-        values: np.ndarray = self.decay_flux_ratio * upper / lower
-        return values
+        return self.decay_flux_ratio * upper / lower
 
     def compute_reflected_fraction(self) -> np.ndarray:
         """Return the reflectance for diffuse light."""
@@ -92,14 +85,7 @@ class DiffusiveSubstrate(NamedTuple):
 
     def compute_transmitted_fraction(self) -> np.ndarray:
         """Return the fraction of the net flux at the truncation depth that enters the bottom."""
-        kappa = np.minimum(self.decay_depth, 700.0)
-        fluence = self.decay_flux_ratio / (
-            self.decay_flux_ratio * np.cosh(kappa) + self.bottom_flux_ratio * np.sinh(kappa)
-        )
-        transmitted = np.where(
-            self.decay_depth > 700.0,
-            0.0,
-            self.bottom_flux_ratio * fluence / self.compute_flux_ratio(),
-        )
-        values: np.ndarray = np.clip(transmitted, 0.0, 1.0)
-        return values
+        depth, ratio = np.minimum(self.decay_depth, 700.0), self.decay_flux_ratio
+        fluence = ratio / (ratio * np.cosh(depth) + self.bottom_flux_ratio * np.sinh(depth))
+        transmitted = self.bottom_flux_ratio * fluence / self.compute_flux_ratio()
+        return np.clip(np.where(self.decay_depth > 700.0, 0.0, transmitted), 0.0, 1.0)

@@ -123,7 +123,7 @@ def make_jobs(
         if n_rays > 0:
             rays = range(stratum.n_rays, stratum.n_rays - n_rays // -size * size)
             by_kernel.setdefault(stratum.features, []).append((stratum, rays))
-    values_per_chunk = size * tracer.n_exit_columns + tally.count_score_values()
+    values_per_chunk = size * tracer.values_per_ray + tally.count_score_values()
     max_job_rays = max(1, MAX_JOB_BYTES // (8 * values_per_chunk)) * size
     jobs = []
     for features, items in by_kernel.items():

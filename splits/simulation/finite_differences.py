@@ -47,26 +47,10 @@ STENCIL_OFFSETS = tuple(
 MediumEstimator = Callable[[Medium, float | str], SpectralEstimate]
 
 
-class FiniteDifference(NamedTuple):
-    """Derivatives of reflected and transmitted fractions to one parameter.
-
-    Attributes
-    ----------
-    parameter : str
-    derivatives : Derivatives
-    n_rays : int
-        Rays traced for them.
-    """
-
-    parameter: str
-    derivatives: Derivatives
-    n_rays: int
-
-
 def compute_finite_difference(
     estimator: MediumEstimator, medium: Medium, incidence: float | str, parameter: str
-) -> FiniteDifference:
-    """Return derivatives with respect to a parameter.
+) -> tuple[Derivatives, int]:
+    """Return derivatives with respect to a parameter, and the number of rays traced for them.
 
     The step is halved until the truncation error of the stencil is smaller than noise.  For
     one-sided stencils the error estimate of a single stencil is not sufficient, as reflectance may
@@ -87,24 +71,23 @@ def compute_finite_difference(
     """
     value = float(incidence) if parameter == INCIDENCE_KEY else get_parameter(medium, parameter)
     coordinate = _Coordinate.for_parameter(parameter, value)
-    step = coordinate.choose_first_step(parameter)
+    first_step = coordinate.choose_first_step(parameter)
     estimates: dict[float, SpectralEstimate] = {}
     best: Derivatives | None = None
     one_sided: list[Derivatives] = []
     last_error = ValueError()
-    for _ in range(MAX_HALVINGS + 1):
-        stencil = _make_stencil(medium, incidence, parameter, coordinate, step)
-        step *= 0.5
-        if isinstance(stencil, ValueError):
-            last_error = stencil
+    for halving in range(MAX_HALVINGS + 1):
+        step = first_step * 0.5**halving
+        try:
+            offsets, inputs = _make_stencil(medium, incidence, parameter, coordinate, step)
+        except ValueError as error:
+            last_error = error
             continue
-        for x, inputs in stencil.inputs.items():
+        for x, perturbed in inputs.items():
             if x not in estimates:
-                estimates[x] = estimator(*inputs)
-        derivatives = _differentiate(
-            stencil.offsets, 2.0 * step, [estimates[x] for x in stencil.inputs]
-        )
-        if sum(stencil.offsets) != 0.0:
+                estimates[x] = estimator(*perturbed)
+        derivatives = _differentiate(offsets, step, [estimates[x] for x in inputs])
+        if sum(offsets) != 0.0:
             one_sided.append(derivatives)
             best = derivatives = _bound_step_error(one_sided)
             is_estimated = len(one_sided) > 1
@@ -121,7 +104,7 @@ def compute_finite_difference(
         raise last_error
     _check_convergence(parameter, value, best, one_sided)
     n_rays = sum(one.n_rays for one in estimates.values())
-    return FiniteDifference(parameter, coordinate.to_value_derivatives(best), n_rays)
+    return coordinate.to_value_derivatives(best), n_rays
 
 
 def _check_convergence(
@@ -190,33 +173,29 @@ class _Coordinate(NamedTuple):
         )
 
 
-class _Stencil(NamedTuple):
-    """Stencil points in steps, and the medium and incidence at each coordinate."""
-
-    offsets: tuple[float, ...]
-    inputs: dict[float, tuple[Medium, float | str]]
-
-
 def _make_stencil(
     medium: Medium, incidence: float | str, parameter: str, coordinate: _Coordinate, step: float
-) -> _Stencil | ValueError:
-    """Return the stencil, or the error that excludes it."""
+) -> tuple[tuple[float, ...], dict[float, tuple[Medium, float | str]]]:
+    """Return stencil points in steps, and the medium and incidence at each coordinate.
+
+    Raises
+    ------
+    ValueError
+        If no stencil is within the range of the parameter.
+    """
     last_error = ValueError()
     for offsets in STENCIL_OFFSETS:
         points = [coordinate.start + offset * step for offset in offsets]
         if coordinate.sign and min(points) < 0.0:
             continue
+        values = map(coordinate.to_value, points)
         try:
-            return _Stencil(
-                offsets,
-                {
-                    x: _perturb_input(medium, incidence, parameter, coordinate.to_value(x))
-                    for x in points
-                },
-            )
+            inputs = [_perturb_input(medium, incidence, parameter, value) for value in values]
         except ValueError as error:
             last_error = error
-    return last_error
+        else:
+            return offsets, dict(zip(points, inputs, strict=True))
+    raise last_error
 
 
 def _perturb_input(
@@ -237,21 +216,17 @@ def _differentiate(
     means = np.stack([one.mean[:2] for one in estimates])
     batch_deviations = np.stack([one.batch_deviations for one in estimates])
     fine, coarse = _compute_stencil_weights(offsets, step)
-    mean, coarse_mean = (
-        np.tensordot(truncation_error, means, 1) for truncation_error in (fine, coarse)
-    )
+    mean, coarse_mean = (np.tensordot(weights, means, 1) for weights in (fine, coarse))
     noise = (np.tensordot(fine - coarse, batch_deviations, 1) ** 2).sum(axis=0)
     # The error of the lower-order rule, above noise, is proportional to the step squared; that of
     # the higher-order rule to its fourth power, or the third where the stencil is not symmetric.
     coarse_error = np.sqrt(np.maximum((coarse_mean - mean) ** 2 - noise, 0.0))
     size = np.abs(mean)
     relative_error = np.divide(coarse_error, size, out=np.ones_like(coarse_error), where=size > 0.0)
-    truncation_error = coarse_error * (
-        relative_error if sum(offsets) == 0.0 else np.sqrt(relative_error)
-    )
-    interpolation_bound = np.clip(
-        8.0 * np.max([one.interpolation_error[:2] for one in estimates], axis=0), 0.0, 1.0
-    )
+    is_symmetric = sum(offsets) == 0.0
+    truncation_error = coarse_error * (relative_error if is_symmetric else np.sqrt(relative_error))
+    interpolation_error = np.max([one.interpolation_error[:2] for one in estimates], axis=0)
+    interpolation_bound = np.clip(8.0 * interpolation_error, 0.0, 1.0)
     error_bound = np.hypot(np.minimum(truncation_error, coarse_error), interpolation_bound * size)
     return Derivatives(
         mean[:, None], np.tensordot(fine, batch_deviations, 1)[:, :, None], error_bound[:, None]
@@ -290,7 +265,4 @@ def _compute_stencil_weights(
 def _compute_difference_weights(positions: np.ndarray) -> np.ndarray:
     """Return the weights whose sum is the derivative at 0 of the interpolating polynomial."""
     powers = np.vander(positions, increasing=True).T
-    target = np.zeros(len(positions))
-    target[1] = 1.0
-    weights: np.ndarray = np.linalg.solve(powers, target)
-    return weights
+    return np.linalg.solve(powers, np.eye(len(positions))[1])

@@ -98,9 +98,6 @@ def _check_node_rows(node_rows: Sequence[int], n_wavelengths: int) -> list[int]:
     """Return the rows as a list, after checking them."""
     rows = [int(row) for row in node_rows]
     if not rows or len(set(rows)) < len(rows) or min(rows) < 0 or max(rows) >= n_wavelengths:
-        raise invalid(
-            "node_rows",
-            list(node_rows),
-            f"different positions from 0 to {n_wavelengths - 1}, at least one",
-        )
+        allowed = f"different positions from 0 to {n_wavelengths - 1}, at least one"
+        raise invalid("node_rows", list(node_rows), allowed)
     return rows

@@ -22,8 +22,6 @@ from splits.simulation.tally import StoppingRule
 
 INTERPOLATION_TOLERANCE = 0.0005
 """Interpolation error allowed, as for a reflectance (see `splits.simulation.spectral_nodes`)."""
-
-
 WET_PORE_MODELS = ("saturation", "equilibrium")
 
 
@@ -77,11 +75,9 @@ def compute_grain_optics(
     run = RunOptions.from_arguments(request.seed, request.threads)
     simulate(tracer, tally, stop, run)
     values = tally.compute_grain_means()
-    pore_extinction = (1.0 - wet_fraction) * absorption[:, DRY_PORE] + wet_fraction * absorption[
-        :, WET_PORE
-    ]
+    dry, wet = absorption[:, DRY_PORE], absorption[:, WET_PORE]
     grain_extinction = medium.make_grain_population().collision_coefficient
-    values["extinction"] = grain_extinction + pore_extinction
+    values["extinction"] = grain_extinction + ((1.0 - wet_fraction) * dry + wet_fraction * wet)
     for name in list(values):
         if name.startswith("single_scattering_albedo"):
             values[name] *= grain_extinction / values["extinction"]
@@ -152,8 +148,8 @@ def pool_optics_by_type(
 
 def _compute_wet_fraction(wet_fraction: float, index: np.ndarray, wet_pores: str) -> np.ndarray:
     """Return the fraction of the light in pore space that is in wet pores, by row of indices."""
-    wet, dry = wet_fraction, 1.0 - wet_fraction
     if wet_pores == "saturation":
-        return np.full(len(index), float(wet))
-    index_squared = index[:, [DRY_PORE, WET_PORE]].real ** 2
-    return wet * index_squared[:, 1] / (wet * index_squared[:, 1] + dry * index_squared[:, 0])
+        return np.full(len(index), float(wet_fraction))
+    dry = (1.0 - wet_fraction) * index[:, DRY_PORE].real ** 2
+    wet = wet_fraction * index[:, WET_PORE].real ** 2
+    return wet / (wet + dry)

@@ -61,13 +61,8 @@ def compute_entering_light(index: np.ndarray, interfaces: Sequence[Interface]) -
     near, far, fraction = _get_interface_indices(index, interfaces)
     is_outer = np.array([i.location == "outer" for i in interfaces])
     k = far.imag.max(axis=0)
-    return (
-        is_outer
-        * fraction
-        * k
-        / (k + ABSORBING_K)
-        * (1.0 - np.abs((far - near) / (far + near)) ** 2)
-    )
+    entering = 1.0 - np.abs((far - near) / (far + near)) ** 2
+    return is_outer * fraction * k / (k + ABSORBING_K) * entering
 
 
 def _get_interface_indices(
@@ -84,8 +79,7 @@ def bound_fraction_error(interpolation_bound: np.ndarray, value: np.ndarray) -> 
     Near 0 and 1 a fraction changes in proportion to its distance from there; 8 allows for
     elasticities up to 2.4; that of a single reflection is 4/(2 + c).
     """
-    bound: np.ndarray = interpolation_bound * np.clip(8.0 * value * (1.0 - value), 0.0, 1.0)
-    return bound
+    return interpolation_bound * np.clip(8.0 * value * (1.0 - value), 0.0, 1.0)
 
 
 class Criterion(NamedTuple):
@@ -117,14 +111,10 @@ def make_criteria(index: np.ndarray, interfaces: Sequence[Interface]) -> list[Cr
     for boundary in (interface for interface in interfaces if interface.location == "boundary"):
         near, far, fraction = _get_interface_indices(index, [boundary])
         values = _compute_weighted_contrasts(near, far, np.ones_like(fraction))
-        weight = (
-            INTERFACE_WEIGHT
-            * boundary.fraction
-            * (DENSE_SIDE_FACTOR if (values < 0.0).any() else 1.0)
-        )
-        criteria.append(
-            Criterion(weight, values, MIN_INTERFACE_CONTRAST, CONTRAST_KINK * boundary.fraction)
-        )
+        weight, kink = INTERFACE_WEIGHT * boundary.fraction, CONTRAST_KINK * boundary.fraction
+        if (values < 0.0).any():
+            weight *= DENSE_SIDE_FACTOR
+        criteria.append(Criterion(weight, values, MIN_INTERFACE_CONTRAST, kink))
     return criteria
 
 
@@ -150,12 +140,8 @@ def bound_smooth_error(criterion: Criterion, first: int, second: int, t: np.ndar
     def compute_relative_distance(distance: np.ndarray, other: np.ndarray | float) -> np.ndarray:
         scale = np.maximum(np.minimum(size, other), criterion.min_scale)
         is_positive = distance > 0.0
-        return np.divide(
-            distance,
-            scale,
-            out=np.where(is_positive, np.inf, 0.0),
-            where=is_positive & (scale > 0.0),
-        )
+        relative = np.where(is_positive, np.inf, 0.0)
+        return np.divide(distance, scale, out=relative, where=is_positive & (scale > 0.0))
 
     chord = t[:, np.newaxis] * a + (1.0 - t)[:, np.newaxis] * b
     chord_distance = compute_relative_distance(np.abs(chord - u).sum(axis=1), np.inf)
@@ -175,7 +161,6 @@ def bound_kink_error(criterion: Criterion, first: int, second: int, t: np.ndarra
     chord = t[:, np.newaxis] * a + (1.0 - t)[:, np.newaxis] * b
     end_gap = t * np.abs(a).sum() + (1.0 - t) * np.abs(b).sum() - np.abs(chord).sum(axis=1)
     crossed = np.sign(chord) * np.sign(criterion.values) < 0.0
-    overshoot = np.where(crossed, np.minimum(np.abs(chord), np.abs(criterion.values)), 0.0).sum(
-        axis=1
-    )
+    overlap = np.minimum(np.abs(chord), np.abs(criterion.values))
+    overshoot = np.where(crossed, overlap, 0.0).sum(axis=1)
     return criterion.kink * (np.maximum(end_gap, 0.0) + 2.0 * overshoot)

@@ -122,38 +122,30 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
     ----------
     medium : Medium
     """
-    semi_infinite = math.isinf(medium.depth_m)
-    finite = medium
+    semi_infinite, finite = math.isinf(medium.depth_m), medium
     if semi_infinite:
-        finite = medium.replace_lowest_layer(
-            replace(medium.lowest_layer, depth_m=1.0), medium.ground
-        )
+        lowest = replace(medium.lowest_layer, depth_m=1.0)
+        finite = medium.replace_lowest_layer(lowest, medium.ground)
     scene = build_scene(finite, 0.0, False)
     layers, types = scene.layers, scene.types
+    interfaces, height_fields = medium.list_interfaces(), make_height_fields(medium)
     # A rough surface has a length scale of its own.
-    has_rough_surface = make_height_fields(medium) is not None
-    unit = 1.0 if has_rough_surface else float(1.0 / layers.collision_coefficient[0])
+    unit = float(1.0 / layers.collision_coefficient[0]) if height_fields is None else 1.0
     boundaries = layers.boundaries / unit
     if semi_infinite:
         boundaries[-1] = -math.inf
+    collision_coefficient = unit * layers.collision_coefficient
+    scaled_layers = layers._replace(
+        boundaries=boundaries, collision_coefficient=collision_coefficient
+    )
     digest = hashlib.sha256()
     for table in (
-        *layers._replace(
-            boundaries=boundaries, collision_coefficient=unit * layers.collision_coefficient
-        ),
+        *scaled_layers,
         *(types._replace(inverse_semi_major=unit * types.inverse_semi_major) if types else ()),
         *(scene.particles or ()),
         np.array(scene.rules, dtype=float),
         np.array(
-            [
-                (
-                    interface.fraction,
-                    interface.outer_material,
-                    interface.inner_material,
-                    interface.layer,
-                )
-                for interface in medium.list_interfaces()
-            ],
+            [(i.fraction, i.outer_material, i.inner_material, i.layer) for i in interfaces],
             dtype=float,
         ),
         np.array(
@@ -168,13 +160,13 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
     ):
         digest.update(repr(np.shape(table)).encode())
         digest.update(_round_significands(np.asarray(table, dtype=float)).tobytes())
-    names = [type(medium).__name__, *(interface.location for interface in medium.list_interfaces())]
+    names = [type(medium).__name__, *(interface.location for interface in interfaces)]
     # The matrix of particles has one index at all wavelengths and appears in no interface.
     matrices = [
         float(layer.matrix_index) for layer in medium.scene_layers if layer.matrix_index is not None
     ]
     digest.update(repr([names, matrices]).encode())
-    for table in make_height_fields(medium) or ():
+    for table in height_fields or ():
         digest.update(np.ascontiguousarray(table, dtype=float).tobytes())
     return digest.digest(), unit
 
@@ -186,8 +178,5 @@ def _round_significands(values: np.ndarray) -> np.ndarray:
     discontinuous.
     """
     mantissa, exponent = np.frexp(values * (1.0 + 1e-6 * 2.0 ** (-_COMPARED_BITS / 2)))
-    finite = np.isfinite(values)
-    whole = np.where(
-        finite, np.round(np.where(finite, mantissa, 0.0) * 2.0**_COMPARED_BITS), values
-    )
+    whole = np.where(np.isfinite(values), np.round(mantissa * 2.0**_COMPARED_BITS), values)
     return np.stack([whole, exponent.astype(float)])

@@ -87,12 +87,8 @@ class SingleScatteringTally(Tally):
         self.rays_per_chunk = self.rays_per_round = min(n_rays, GRAIN_RAYS_PER_CHUNK)
         self.sums = np.zeros((3, n_orders + len(WEIGHTED_MEANS), len(self.rows)))
         self.batch_sums = np.zeros((N_SCATTERING_BATCHES, *self.sums.shape[1:]))
+        self.values_per_row = (3 + N_SCATTERING_BATCHES) * self.sums.shape[1]
         self.add_strata()
-
-    def count_score_values(self) -> int:
-        """Return the largest number of values in the score of a chunk."""
-        n_values = (3 + N_SCATTERING_BATCHES) * self.sums.shape[1]
-        return n_values * int(np.diff(self.first_rows).max())
 
     def merge(self, stratum: Stratum, score: ScatteringSums) -> None:
         """Add the sums of the next chunk of a stratum."""
@@ -111,28 +107,27 @@ class SingleScatteringTally(Tally):
         batch_means = self.combine_nodes(self.batch_sums * (N_SCATTERING_BATCHES / n_rays))
         albedo = mean[0]
         # Where nothing is scattered, the moments are 0 instead of NaN.
-        scattered = np.maximum(albedo, np.finfo(float).tiny)
+        tiny = np.finfo(float).tiny
+        scattered = np.maximum(albedo, tiny)
         ratio = mean / scattered
         node_ratio = ratio[:, self.rows]
         residual = square_sum - 2.0 * node_ratio * product_sum + node_ratio**2 * square_sum[0]
         residual -= (mean_sum - node_ratio * mean_sum[0]) ** 2
         ratio_variance = self.combine_nodes(np.maximum(residual, 0.0) / n_rays, power=2)
-        albedo_variance = np.maximum(square_sum[0] - mean_sum[0] ** 2, 0.0) / n_rays
+        albedo_variance = self.combine_nodes(
+            np.maximum(square_sum[0] - mean_sum[0] ** 2, 0.0) / n_rays, power=2
+        )
         error_bound = MOMENT_SLOPE_RATIO * bound * np.abs(ratio)
         # x (1 − x), which is 0 where a fraction cannot depend on the refractive index.
         moment_slope = np.clip(8.0 * np.abs(ratio[:orders] * (1.0 - ratio[:orders])), 0.0, 1.0)
         error_bound[:orders] = MOMENT_SLOPE_RATIO * bound * moment_slope
         error = np.sqrt(ratio_variance / scattered**2 + error_bound**2)
         jackknife_means = compute_leave_one_out_means(batch_means)
-        jackknife_ratios = jackknife_means / np.maximum(
-            jackknife_means[:, :1], np.finfo(float).tiny
-        )
+        jackknife_ratios = jackknife_means / np.maximum(jackknife_means[:, :1], tiny)
         albedo_bound = bound_fraction_error(bound, albedo)
         values = {
             "single_scattering_albedo": albedo,
-            "single_scattering_albedo_stderr": np.sqrt(
-                self.combine_nodes(albedo_variance, power=2) + albedo_bound**2
-            ),
+            "single_scattering_albedo_stderr": np.sqrt(albedo_variance + albedo_bound**2),
             "single_scattering_albedo_jackknife": jackknife_means[:, 0],
             "single_scattering_albedo_interpolation_bound": albedo_bound,
         }

@@ -176,10 +176,8 @@ class _NodeAssignment:
             bound = self._compute_bound(new, partner, weight)
             better = bound < self.interpolation_bound
             self.first[better], self.second[better] = new, partner
-            self.first_weight[better], self.interpolation_bound[better] = (
-                weight[better],
-                bound[better],
-            )
+            self.first_weight[better] = weight[better]
+            self.interpolation_bound[better] = bound[better]
 
     def _compute_bound(self, a: int, b: int, t: np.ndarray) -> np.ndarray:
         # The error of all layers together is at most the largest that one alone would have.
@@ -207,14 +205,11 @@ class _NodeAssignment:
 
     def compute_weights(self, rows: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return convex weights, shape (rows, wavelengths), of nodes that include all used ones."""
-        position = np.full(len(self.first_weight), -1)
-        position[np.asarray(rows)] = np.arange(len(rows))
         wavelengths = np.arange(len(self.first_weight))
+        # Nodes that are not used have no weight in any row.
+        position = np.zeros_like(wavelengths)
+        position[np.asarray(rows)] = np.arange(len(rows))
         weights = np.zeros((len(rows), len(wavelengths)))
-        for node, weight in (
-            (self.first, self.first_weight),
-            (self.second, 1.0 - self.first_weight),
-        ):
-            used = weight > 0.0
-            weights[position[node[used]], wavelengths[used]] += weight[used]
+        weights[position[self.first], wavelengths] += self.first_weight
+        weights[position[self.second], wavelengths] += 1.0 - self.first_weight
         return weights

@@ -68,6 +68,16 @@ class Derivatives(NamedTuple):
             self.bias_bound[:, selection],
         )
 
+    @classmethod
+    def concatenate(cls, parts: Sequence[Derivatives]) -> Derivatives:
+        """Return the derivatives with respect to the parameters of all parts."""
+        mean, batch_deviations, bias_bound = zip(*parts, strict=True)
+        return cls(
+            np.concatenate(mean, axis=1),
+            np.concatenate(batch_deviations, axis=2),
+            np.concatenate(bias_bound, axis=1),
+        )
+
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors, shaped like the means."""
@@ -167,15 +177,11 @@ class SpectralTally(ExitTally):
         if len(rows.absorption) > LARGE_PROBLEM_ROWS and not n_parameters:
             self.rays_per_chunk = self.rays_per_round = RAYS_PER_LARGE_CHUNK
             self.pilot_rays = max(self.pilot_rays, RAYS_PER_LARGE_CHUNK)
+        blocks_per_chunk = self.rays_per_chunk // BLOCK_SIZE
+        self.values_per_row = 10 + N_BATCHES + n_parameters * blocks_per_chunk
         self.first_stream = ANALOG_STREAM if analog else self.first_stream
         bounds = bounds[:1] if analog else bounds
         self.add_strata_by_absorption(rows.min_absorption, scene, bounds)
-
-    def count_score_values(self) -> int:
-        """Return the largest number of values in the score of a chunk."""
-        n_rows = max(stratum.node_rows.stop - stratum.node_rows.start for stratum in self.strata)
-        n_parameters = len(self.absorption_derivatives)
-        return (10 + N_BATCHES + n_parameters * self.rays_per_chunk // BLOCK_SIZE) * n_rows
 
     def score(
         self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
@@ -187,7 +193,7 @@ class SpectralTally(ExitTally):
             exits, crossings, absorption, not self.scene.rules.analog, ground_column
         )
         if not len(self.absorption_derivatives):
-            return sums  # type: ignore[no-any-return]
+            return sums
         derivatives = self.absorption_derivatives[:, rows]
         return *sums, tally_derivatives(exits, crossings, absorption, derivatives, ground_column)
 
@@ -281,8 +287,7 @@ class SpectralTally(ExitTally):
             rays_per_batch[:, stratum.node_rows] += BLOCK_SIZE * n_blocks[:, np.newaxis]
         n_rays = self.count_rays()
         rays_per_batch = rays_per_batch.reshape(N_BATCHES, *[1] * (batch_sums.ndim - 2), -1)
-        deviations: np.ndarray = (batch_sums - rays_per_batch * (total / n_rays)) / n_rays
-        return deviations
+        return (batch_sums - rays_per_batch * (total / n_rays)) / n_rays
 
 
 def rescale_deviations(deviations: np.ndarray, variance: np.ndarray) -> np.ndarray:

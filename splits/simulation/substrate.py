@@ -17,10 +17,7 @@ from splits.simulation.diffusion import (
     diffuse_reflectance,
     effective_mean_free_path,
 )
-from splits.simulation.truncated_medium import (
-    ERROR_BUDGET_FRACTION,
-    THEORY_UNCERTAINTY,
-)
+from splits.simulation.truncated_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY
 
 MAX_DECAY_EXPONENT = 5.0
 """Media are not truncated where light decays by more than exp(−MAX_DECAY_EXPONENT) down to the
@@ -126,10 +123,8 @@ class SubstrateResponse(NamedTuple):
     ) -> SubstrateResponse:
         """Return the response of a medium of a given size with the given diffusion properties."""
         depth = float(medium.lowest_layer.depth_m) / size_ratio
-        rate, diffusion = (
-            properties.compute_regularized_rate(truncation_depth_m),
-            properties.diffusion_coefficient,
-        )
+        rate = properties.compute_regularized_rate(truncation_depth_m)
+        diffusion = properties.diffusion_coefficient
         ground = Ground.from_input(medium.ground)  # type: ignore[union-attr]
         is_open = ground is None or math.isinf(depth)
         albedo = np.zeros_like(rate) if is_open else ground.albedo(wavelengths)  # type: ignore[union-attr]
@@ -156,9 +151,8 @@ class SubstrateResponse(NamedTuple):
 def _has_absorption_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:
     """Return at which wavelengths a layer above the lowest one may absorb."""
     n_materials_above = len(medium.list_materials()) - len(medium.lowest_layer.list_materials())
-    absorption = compute_absorption(
-        medium, medium.compute_refractive_indices(wavelengths), wavelengths
-    )
+    index = medium.compute_refractive_indices(wavelengths)
+    absorption = compute_absorption(medium, index, wavelengths)
     particles_absorb = [layer.single_scattering_albedo < 1.0 for layer in medium.scene_layers]
     materials_absorb = (absorption[:, :n_materials_above] > 0.0).any(axis=1)
     return np.asarray(materials_absorb | any(particles_absorb))
@@ -168,13 +162,8 @@ def select_least_attenuated(
     properties: Sequence[DiffusionProperties], truncation_depth_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return decay rate (1/m) and D (m) of the medium with the slowest decay, by wavelength."""
-    rate, diffusion = (
-        np.stack(x)
-        for x in (
-            [one.compute_regularized_rate(truncation_depth_m) for one in properties],
-            [one.diffusion_coefficient for one in properties],
-        )
-    )
+    rate = np.stack([one.compute_regularized_rate(truncation_depth_m) for one in properties])
+    diffusion = np.stack([one.diffusion_coefficient for one in properties])
     slowest = rate.argmin(axis=0), np.arange(rate.shape[1])
     return rate[slowest], diffusion[slowest]
 
@@ -185,12 +174,12 @@ def compute_semi_infinite_depth(
     """Return the smallest depth (m) over a black ground with the reflectance of infinite depth."""
     depths = np.geomspace(1e-4, 1e4, 1601)[:, np.newaxis]
     black = np.full_like(decay_rate, 0.5)
-    finite = DiffusiveSubstrate(
-        decay_rate * diffusion_coefficient, decay_rate * depths, black
-    ).compute_reflected_fraction()
-    semi_infinite = DiffusiveSubstrate(
-        decay_rate * diffusion_coefficient, np.full_like(decay_rate, np.inf), black
-    ).compute_reflected_fraction()
+    finite, semi_infinite = (
+        DiffusiveSubstrate(
+            decay_rate * diffusion_coefficient, decay_depth, black
+        ).compute_reflected_fraction()
+        for decay_depth in (decay_rate * depths, np.full_like(decay_rate, np.inf))
+    )
     n_differing = np.abs(semi_infinite - finite).max(axis=1) > max_stderr
     return float(depths[min(n_differing.sum(), len(depths) - 1), 0])
 
@@ -215,22 +204,15 @@ def compute_albedo_below_interface(
     n = index[:, WET_PORE] / index[:, DRY_PORE]
     external_reflectance = diffuse_reflectance(n)
     internal_reflectance = 1.0 - (1.0 - external_reflectance) / n**2
-    wet_pore_light = optics.wet_fraction.values
-    transmitted, entering = (
-        1.0 - wet_pore_light * internal_reflectance,
-        1.0 - float(lowest_layer.wet_fraction) * external_reflectance,
-    )
+    transmitted = 1.0 - optics.wet_fraction.values * internal_reflectance
+    entering = 1.0 - float(lowest_layer.wet_fraction) * external_reflectance
     # The absorptance below, per incident light at the interface from inside, is 1 − reflected.
     absorbed = 1.0 - reflected_fraction
-    albedo: np.ndarray = np.clip(
-        (transmitted - absorbed) / (transmitted - absorbed * (1.0 - entering)), 0.0, 1.0
-    )
-    return albedo
+    albedo = (transmitted - absorbed) / (transmitted - absorbed * (1.0 - entering))
+    return np.clip(albedo, 0.0, 1.0)
 
 
 def make_substrate_ground(wavelengths: np.ndarray, albedo: np.ndarray) -> Ground:
     """Return the ground that replaces the part below the truncation depth."""
-    name = "substrate of a truncated medium"
-    if wavelengths.size == 1:
-        return Ground(name, "diffusion theory", albedo)
-    return Ground(name, "diffusion theory", albedo, wavelengths)
+    spectrum = (albedo,) if wavelengths.size == 1 else (albedo, wavelengths)
+    return Ground("substrate of a truncated medium", "diffusion theory", *spectrum)

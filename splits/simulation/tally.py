@@ -140,6 +140,8 @@ class Tally(ABC):
         Weight of the node in the row.
     rays_per_chunk : int
         Rays whose scores are added up together.
+    values_per_row : int
+        Values in the score of a chunk for each of the node rows.
     rays_per_round : int
         The rays of a stratum are a multiple of this.
     pilot_rays : int
@@ -152,9 +154,8 @@ class Tally(ABC):
         Whether all strata are traced by one kernel, if possible, so that they fill its lanes.
     """
 
-    rays_per_chunk = RAYS_PER_CHUNK
-    rays_per_round = RAYS_PER_CHUNK
-    pilot_rays = RAYS_PER_CHUNK
+    rays_per_chunk = rays_per_round = pilot_rays = RAYS_PER_CHUNK
+    values_per_row = 1
     shares_kernel = False
     first_stream: int
 
@@ -189,10 +190,7 @@ class Tally(ABC):
                 )
 
     def add_strata_by_absorption(
-        self,
-        absorption: np.ndarray,
-        scene: Scene,
-        bounds: Sequence[float] = STRATUM_BOUNDS,
+        self, absorption: np.ndarray, scene: Scene, bounds: Sequence[float] = STRATUM_BOUNDS
     ) -> None:
         """Add strata for increasingly absorbed rows of each node, which are in this order.
 
@@ -217,13 +215,12 @@ class Tally(ABC):
                 optics = make_bounding_optics(index, absorption[rows])
                 segments = INITIAL_SEGMENTS / 1.5**step
                 node_rows = slice(end - len(rows), end)
-                self.strata.append(
-                    Stratum(stream, optics, node_rows, self.absorption[rows], segments)
-                )
+                stratum = Stratum(stream, optics, node_rows, self.absorption[rows], segments)
+                self.strata.append(stratum)
 
-    @abstractmethod
     def count_score_values(self) -> int:
         """Return the largest number of values in the score of a chunk."""
+        return self.values_per_row * int(np.diff(self.first_rows).max())
 
     @abstractmethod
     def merge(self, stratum: Stratum, score: Any) -> None:
@@ -302,6 +299,19 @@ class Tally(ABC):
             rows = self.select_node(node)
             total[..., self.rows[rows]] += self.weights[rows] ** power * values[..., rows]
         return total
+
+    def combine_moments(self, total: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return means and their standard errors, shape (…, rows).
+
+        Parameters
+        ----------
+        total, square : float, shape (…, node rows)
+            Sums over rays of weights and of their squares.
+        """
+        n_rays = self.count_rays()
+        mean = total / n_rays
+        variance = self.combine_nodes((square / n_rays - mean**2) / n_rays, power=2)
+        return self.combine_nodes(mean), np.sqrt(np.maximum(variance, 0.0))
 
 
 class ExitTally(Tally):

@@ -29,6 +29,9 @@ LOST_MESSAGE = (
     "the sample is barely thicker than its grains, or the incidence too close to 90 degrees"
 )
 
+CROSSINGS_PER_BOUNDARY = 4
+"""Expected crossings of a boundary per ray, for the memory of a job."""
+
 WorkItem = tuple[Stratum, range]
 """Successive rays of a stratum, a multiple of the rays of a chunk."""
 ItemScores = tuple[list[Any], int]
@@ -42,11 +45,11 @@ class Tracer:
 
     Attributes
     ----------
-    n_exit_columns : int
-        Numbers that are recorded of each ray.
+    values_per_ray : int
+        Values that are recorded of each ray.
     """
 
-    n_exit_columns = 0
+    values_per_ray = 0
 
     def select_kernel(self, strata: Sequence[Stratum], kernel: str, share: bool) -> None:
         """Set the features of the kernel of each stratum; here, there is a scalar kernel only.
@@ -123,15 +126,17 @@ class SceneTracer(Tracer):
         planes_m: Sequence[float] = (),
     ) -> None:
         self.scene = build_scene(medium, incidence_deg, analog)
-        if planes_m:
-            self.scene = add_recording_planes(self.scene, planes_m)
         self.height_fields = make_height_fields(medium)
         self.n_length_columns = count_length_columns(medium)
         # After the path lengths in all materials.
         first = EXIT_LENGTH + self.n_length_columns
         is_polarized = self.scene.stokes is not None
         self.stokes_columns = (first, first + 1, first + 2) if is_polarized else ()
-        self.n_exit_columns = first + len(self.stokes_columns)
+        self.values_per_ray = first + len(self.stokes_columns)
+        if planes_m:
+            self.scene = add_recording_planes(self.scene, planes_m)
+            n_crossings = CROSSINGS_PER_BOUNDARY * (len(self.scene.layers.boundaries) - 1)
+            self.values_per_ray += n_crossings * (3 + self.n_length_columns)
 
     def select_kernel(self, strata: Sequence[Stratum], kernel: str, share: bool) -> None:
         """Set the features of the vectorized kernel of each stratum, None for the scalar kernel.

@@ -77,15 +77,12 @@ class TruncatedMedium(NamedTuple):
             statistical_error[2] + (1.0 - transmitted_fraction) * above.stderr[1],
             statistical_error[0] + statistical_error[1],
         )
-        statistical_error[1], statistical_error[2] = (
-            np.where(conservative, statistical_error[0], statistical_error[1]),
-            np.where(conservative, 0.0, statistical_error[2]),
-        )
+        statistical_error[1, conservative] = statistical_error[0, conservative]
+        statistical_error[2, conservative] = 0.0
         stderr = np.hypot(statistical_error, theory_error)
+        stop_reason = "converged" if stderr.max() <= max_stderr else "max_rays"
         batch_deviations = above.batch_deviations * scale[:2]
-        batch_deviations[:, 1] = np.where(
-            conservative, -batch_deviations[:, 0], batch_deviations[:, 1]
-        )
+        batch_deviations[:, 1, conservative] = -batch_deviations[:, 0, conservative]
         interpolation_error = np.hypot(scale * above.interpolation_error, theory_error)
         return replace(
             above,
@@ -93,7 +90,7 @@ class TruncatedMedium(NamedTuple):
             stderr=stderr,
             interpolation_error=interpolation_error,
             batch_deviations=batch_deviations,
-            stop_reason="converged" if stderr.max() <= max_stderr else "max_rays",
+            stop_reason=stop_reason,
         )
 
     def complete_derivatives(self, above: SpectralEstimate, steps: np.ndarray) -> Derivatives:
@@ -105,19 +102,15 @@ class TruncatedMedium(NamedTuple):
         step = steps[:, np.newaxis]
         ground_change = (self.ground_absorption[1:] - self.ground_absorption[0]) / step
         transmitted_change = (self.transmitted_fraction[1:] - self.transmitted_fraction[0]) / step
-        path_derivatives, ground = (
-            above.derivatives.select(slice(None, -1)),
-            above.derivatives.select(slice(-1, None)),
-        )
+        along_paths = above.derivatives.select(slice(None, -1))
+        ground_mean = above.derivatives.mean[:, -1:]
         entering, transmitted_fraction = above.mean[1], self.transmitted_fraction[0]
         scale = np.stack([np.ones_like(transmitted_fraction), transmitted_fraction])[:, np.newaxis]
         theory_term = np.stack([np.zeros_like(transmitted_change), entering * transmitted_change])
-        batch_deviations = path_derivatives.batch_deviations * scale
+        batch_deviations = along_paths.batch_deviations * scale
         batch_deviations[:, 1] += above.batch_deviations[:, 1, np.newaxis] * transmitted_change
         theory_error = THEORY_UNCERTAINTY * (
-            scale * np.abs(ground_change * ground.mean) + np.abs(theory_term)
+            scale * np.abs(ground_change * ground_mean) + np.abs(theory_term)
         )
-        bias_bound = np.hypot(scale * path_derivatives.bias_bound, theory_error)
-        return Derivatives(
-            path_derivatives.mean * scale + theory_term, batch_deviations, bias_bound
-        )
+        bias_bound = np.hypot(scale * along_paths.bias_bound, theory_error)
+        return Derivatives(along_paths.mean * scale + theory_term, batch_deviations, bias_bound)

@@ -10,12 +10,8 @@ from splits.instruments.flux_errors import (
     bound_unsampled_light,
     estimate_rare_event_error,
 )
-from splits.instruments.flux_target import (
-    FluxTarget,
-    NodeQuantities,
-    allocate_flux_rays,
-    make_variance_terms,
-)
+from splits.instruments.flux_target import FluxTarget, allocate_flux_rays, make_variance_terms
+from splits.instruments.radiation_profile import make_sky_targets
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.tally import Stratum
 
@@ -24,19 +20,19 @@ ROWS = np.array([0, 1, 2, 1, 2, 3])
 """Wavelengths of the node rows: three of the first node, three of the second."""
 CONTRIBUTES = np.array([[1, 1, 1, 0, 0, 0], [0, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 1]], dtype=bool)
 """The first node has two strata, the second has one."""
-QUANTITIES = NodeQuantities(RANDOM.random((N_BATCHES, 3, 6)), ROWS, CONTRIBUTES)
+VALUES = RANDOM.random((N_BATCHES, 3, 6))
 
 
-def make_uncorrelated_quantities():
-    """Return quantities whose scatter is not correlated between node rows of different strata."""
+def make_uncorrelated_values():
+    """Return values whose scatter is not correlated between node rows of different strata."""
     contrasts = np.linalg.qr(np.column_stack([np.ones(N_BATCHES), RANDOM.random((N_BATCHES, 3))]))
     pattern = np.array([1, 2, 2, 3, 3, 3])
-    return QUANTITIES._replace(values=contrasts.Q[:, np.newaxis, pattern] * RANDOM.random((3, 6)))
+    return contrasts.Q[:, np.newaxis, pattern] * RANDOM.random((3, 6))
 
 
 def test_variance_terms_of_bands_add_up():
-    target = FluxTarget(0.01, True, RANDOM.random((2, 4)), np.ones(2))
-    terms = make_variance_terms(target, QUANTITIES)
+    target = FluxTarget(True, RANDOM.random((2, 4)), np.ones(2))
+    terms = make_variance_terms(target, VALUES, ROWS, CONTRIBUTES)
     # The first wavelength uses one stratum of the first node, the next two use both.
     node_rows_by_strata = {(1, 0, 0): [0], (1, 1, 0): [1, 2], (0, 0, 1): [3, 4, 5]}
     columns = [
@@ -45,16 +41,16 @@ def test_variance_terms_of_bands_add_up():
     assert [sorted(one) for one in columns] == [[0, 1]] * 3
     assert terms.variances.shape == (3, 6)
     for strata, node_rows in node_rows_by_strata.items():
-        by_band = QUANTITIES.values[..., node_rows] @ target.band_weights[:, ROWS[node_rows]].T
+        by_band = VALUES[..., node_rows] @ target.band_weights[:, ROWS[node_rows]].T
         for band in range(2):
             term = (strata == terms.contributes.T).all(axis=1) & (terms.columns == band)
             np.testing.assert_allclose(
                 terms.variances[:, term], compute_batch_stderr(by_band[..., [band]]) ** 2
             )
-    uncorrelated = make_uncorrelated_quantities()
-    terms = make_variance_terms(target, uncorrelated)
+    uncorrelated = make_uncorrelated_values()
+    terms = make_variance_terms(target, uncorrelated, ROWS, CONTRIBUTES)
     by_wavelength = np.zeros((N_BATCHES, 3, 4))
-    np.add.at(by_wavelength, (..., ROWS), uncorrelated.values)
+    np.add.at(by_wavelength, (..., ROWS), uncorrelated)
     np.testing.assert_allclose(
         terms.sum_columns(terms.variances),
         compute_batch_stderr(target.average_over_bands(by_wavelength)) ** 2,
@@ -62,10 +58,10 @@ def test_variance_terms_of_bands_add_up():
 
 
 def test_variance_terms_of_wavelengths_are_node_rows():
-    terms = make_variance_terms(FluxTarget(0.01), QUANTITIES)
+    terms = make_variance_terms(FluxTarget(), VALUES, ROWS, CONTRIBUTES)
     np.testing.assert_array_equal(terms.contributes, CONTRIBUTES)
     np.testing.assert_array_equal(terms.columns, ROWS)
-    np.testing.assert_allclose(terms.variances, compute_batch_stderr(QUANTITIES.values) ** 2)
+    np.testing.assert_allclose(terms.variances, compute_batch_stderr(VALUES) ** 2)
 
 
 def test_rays_are_allocated_by_variance():
@@ -76,37 +72,28 @@ def test_rays_are_allocated_by_variance():
         * np.array([[1, 0.5, 0], [0, 0.5, 1]])[:, np.newaxis, np.newaxis]
     )
     error = scatter.sum(axis=0).std(axis=0, ddof=1).max() / np.sqrt(N_BATCHES)
-    quantities = NodeQuantities(
-        0.1 + np.concatenate([scatter[0][..., :2], scatter[1][..., 1:]], axis=-1),
-        np.array([0, 1, 1, 2]),
-        np.array([[1, 1, 0, 0], [0, 0, 1, 1]], dtype=bool),
-    )
+    values = 0.1 + np.concatenate([scatter[0][..., :2], scatter[1][..., 1:]], axis=-1)
+    contributes = np.array([[1, 1, 0, 0], [0, 0, 1, 1]], dtype=bool)
+    max_variance = np.full((1, 3), (error / 2.0) ** 2)
     n_rays = allocate_flux_rays(
-        FluxTarget(error / 2.0, False), strata, quantities, np.zeros((1, 3))
+        FluxTarget(False), strata, values, np.array([0, 1, 1, 2]), contributes, max_variance
     )
     assert (n_rays > 1.5 * 1024).all()
     assert (n_rays < 6.0 * 1024).all()
 
 
 def test_irradiances_are_optional_in_the_target():
-    irradiance, absorptance = RANDOM.random((N_BATCHES, 2, 3, 4)), RANDOM.random((N_BATCHES, 2, 4))
-    assert FluxTarget(0.01).select_quantities(irradiance, absorptance).shape == (
-        N_BATCHES,
-        8,
-        4,
-    )
-    rows = FluxTarget(0.01, limit_irradiance=False).select_quantities(irradiance, absorptance)
-    np.testing.assert_array_equal(rows[:, 0], irradiance[:, 1, 0])
-    np.testing.assert_array_equal(rows[:, 1:], absorptance)
+    # Two irradiances at three depths, and absorptances of two intervals.
+    quantities = RANDOM.random((N_BATCHES, 8, 4))
+    np.testing.assert_array_equal(FluxTarget().select_quantities(quantities, 3), quantities)
+    rows = FluxTarget(limit_irradiance=False).select_quantities(quantities, 3)
+    np.testing.assert_array_equal(rows, quantities[:, [3, 6, 7]])
 
 
-def test_limits_are_fractions_of_the_band_variance():
-    fractions = np.array([0.3, 1.0])
-    one, other = (
-        FluxTarget(0.01, band_weights=np.ones((2, 1)), variance_fractions=fraction)
-        for fraction in (fractions, 1 - fractions)
-    )
-    np.testing.assert_allclose(one.stderr_limits**2 + other.stderr_limits**2, 1e-4)
+def test_variance_fractions_of_direct_and_diffuse_light_add_up():
+    direct_fraction, weights = RANDOM.random(4), RANDOM.random((2, 4))
+    direct, diffuse = make_sky_targets(direct_fraction, weights, limit_irradiance=False)
+    np.testing.assert_allclose(direct.variance_fractions + diffuse.variance_fractions, 1.0)
 
 
 def test_unsampled_light_is_bounded_by_the_plane_above():

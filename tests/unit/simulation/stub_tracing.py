@@ -58,9 +58,6 @@ class StubTally(ExitTally):
         ]
         self.sums, self.rounds = np.zeros(n_rows), []
 
-    def count_score_values(self):
-        return 1
-
     def score(self, stratum, exits, crossings):
         return exits, crossings
 

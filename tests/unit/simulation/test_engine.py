@@ -145,7 +145,7 @@ def test_a_lost_ray_ends_the_run(lost_ray):
 class NumberedExits(SceneTracer):
     """Tracer whose exits are the numbers of the rays; each odd ray crosses a boundary twice."""
 
-    n_length_columns, stokes_columns, n_exit_columns = 1, (), EXIT_LENGTH + 1
+    n_length_columns, stokes_columns, values_per_ray = 1, (), EXIT_LENGTH + 1
     scene = height_fields = None
 
     def __init__(self, monkeypatch, lost=False):

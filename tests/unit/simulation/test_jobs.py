@@ -56,7 +56,7 @@ def test_jobs_contain_every_chunk_once_and_in_order(threads, chunks):
         n_rays = count * RAYS_PER_CHUNK
         assert firsts == list(range(stratum.n_rays, stratum.n_rays + n_rays, RAYS_PER_CHUNK))
     assert all(rays and len(rays) % RAYS_PER_CHUNK == 0 for job in jobs for _, rays in job)
-    bytes_per_chunk = 8 * (RAYS_PER_CHUNK * TRACER.n_exit_columns + tally.count_score_values())
+    bytes_per_chunk = 8 * (RAYS_PER_CHUNK * TRACER.values_per_ray + tally.count_score_values())
     n_chunks = [sum(len(rays) for _, rays in job) // RAYS_PER_CHUNK for job in jobs]
     assert max(n_chunks) * bytes_per_chunk <= MAX_JOB_BYTES
 

@@ -7,15 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.grains.scene import (
-    NO_GROUND,
-    NO_PARTICLES,
-    GrainPopulation,
-    GrainTypes,
-    Layers,
-    ParticleScattering,
-    Scene,
-)
+from splits.kernels.base.scene import NO_GROUND, NO_PARTICLES, Layers, ParticleScattering, Scene
+from splits.kernels.grains.population import GrainPopulation, GrainTypes
 from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.rough_surface.realization import HeightFields

@@ -11,11 +11,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from splits.kernels.base.ray import Segment, compute_position
 from splits.kernels.compiler.jit import ONE, ZERO, float32_constant, inline
-from splits.kernels.grains.ray import compute_position
 from splits.kernels.grains.spheroid import (
     EntryPoint,
-    Segment,
     overlaps_boundary,
     overlaps_segment,
     sample_entry_point,
@@ -23,6 +22,13 @@ from splits.kernels.grains.spheroid import (
 from splits.kernels.math.arithmetic import fma
 from splits.kernels.math.elementary import log
 from splits.kernels.math.vectors import Vector, linear_combination
+
+MAX_REJECTIONS = 10_000_000
+"""Successive rejections after which a ray counts as lost.
+
+At grazing incidence few grains fit below the boundary: 3e5 are rejected on average at 89.9999
+degrees.
+"""
 
 ROULETTE_THRESHOLD = 0.6
 ROULETTE_SURVIVAL_PROBABILITY = ROULETTE_THRESHOLD

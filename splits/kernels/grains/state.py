@@ -5,21 +5,18 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from splits.kernels.base.sampling_rules import OVERLAP_KEEP, OVERLAP_SKIP
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.free_path import LayerGeometry, RejectionRules
-from splits.kernels.grains.scene import OVERLAP_KEEP, OVERLAP_SKIP
 from splits.kernels.grains.spheroid import (
-    EntryPoint,
     EntryVariates,
     GrainSize,
     accept_axial_position,
 )
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
-from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.rough_surface.realization import SurfaceSlope
 from splits.kernels.tallies.exits import ABSORBED
 
 _ZERO_ANGLE = Angle(1.0, 0.0)
@@ -31,45 +28,6 @@ class GrainSample(NamedTuple):
     grain_type: int
     size: GrainSize
     roughness: float
-
-
-COLLISION, BOUNDARY, ROUGH_TOP, NO_EVENT = range(4)
-"""Kinds of events: a grain or a particle, a layer boundary, the rough top, or none was found."""
-
-
-class Event(NamedTuple):
-    """Next event of a ray.
-
-    Attributes
-    ----------
-    kind : int
-        `COLLISION`, `BOUNDARY`, `ROUGH_TOP`, or `NO_EVENT`.
-    layer : int
-        Layer in which it is.
-    distance : float
-        Length of the path segment that it ends (m).
-    position : Vector
-        Where it is (m).
-    grain_sample : GrainSample
-    entry : EntryPoint
-        The sampled grain, which only a `COLLISION` hits.
-    slope : SurfaceSlope
-        Slope of the facet of a `ROUGH_TOP`.
-    """
-
-    kind: int
-    layer: int
-    distance: float
-    position: Vector
-    grain_sample: GrainSample
-    entry: EntryPoint
-    slope: SurfaceSlope
-
-
-@inline_only
-def make_event(kind, layer, distance, position, grain_sample, entry):
-    """Return an event without a facet."""
-    return Event(kind, layer, distance, position, grain_sample, entry, SurfaceSlope(0.0, 0.0))
 
 
 @inline_only

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from splits.kernels.base.scene import NO_GROUND, NO_PARTICLES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, RouletteResult, russian_roulette
 from splits.kernels.grains.grain_path import trace_through_grain
-from splits.kernels.grains.scene import NO_GROUND, NO_PARTICLES
 from splits.kernels.grains.state import attenuate, interface_index, pore_material
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, UP, sample_cosine_lobe
@@ -169,7 +169,9 @@ def collide(state, ray, event, scene, optics, path_lengths):
         scene.types is None or scene.layers.particle_row[ray.layer] != NO_PARTICLES
     ):
         return scatter_at_particle(state, ray, scene)
-    ray = trace_through_grain(state, ray, event, scene, optics, path_lengths)
+    ray = trace_through_grain(
+        state, ray, event.grain_sample, event.entry, scene, optics, path_lengths
+    )
     return replace(ray, exit_offset=ORIGIN) if scene.rules.point_grains else ray
 
 

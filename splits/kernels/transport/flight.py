@@ -12,20 +12,21 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from splits.kernels.base.ray import Segment, compute_position
+from splits.kernels.base.scene import NO_PARTICLES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.free_path import Collision, compute_boundary_hit, sample_collision
-from splits.kernels.grains.ray import compute_position
-from splits.kernels.grains.scene import MAX_REJECTIONS, NO_PARTICLES
-from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Segment, Spheroid
+from splits.kernels.grains.free_path import (
+    MAX_REJECTIONS,
+    Collision,
+    compute_boundary_hit,
+    sample_collision,
+)
+from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Spheroid
 from splits.kernels.grains.state import (
-    BOUNDARY,
-    COLLISION,
-    NO_EVENT,
     GrainSample,
     attenuate,
     get_layer_geometry,
-    make_event,
     make_rejection_rules,
     pore_material,
     refractive_index_of,
@@ -34,11 +35,45 @@ from splits.kernels.grains.state import (
 )
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, UP, Vector
+from splits.kernels.rough_surface.realization import SurfaceSlope
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing
 from splits.kernels.tallies.exits import ALIVE, LOST
 
 _NO_GRAIN = GrainSample(0, GrainSize(1.0, 0.0), 0.0)
 _NO_ENTRY = EntryPoint(Spheroid(UP, UP, 0.0, 1.0), UP, 0.0, 1.0)
+
+
+COLLISION, BOUNDARY, ROUGH_TOP, NO_EVENT = range(4)
+"""Kinds of events: a grain or a particle, a layer boundary, the rough top, or none was found."""
+
+
+class Event(NamedTuple):
+    """Next event of a ray.
+
+    Attributes
+    ----------
+    kind : int
+        `COLLISION`, `BOUNDARY`, `ROUGH_TOP`, or `NO_EVENT`.
+    layer : int
+        Layer in which it is.
+    distance : float
+        Length of the path segment that it ends (m).
+    position : Vector
+        Where it is (m).
+    grain_sample : GrainSample
+    entry : EntryPoint
+        The sampled grain, which only a `COLLISION` hits.
+    slope : SurfaceSlope
+        Slope of the facet of a `ROUGH_TOP`.
+    """
+
+    kind: int
+    layer: int
+    distance: float
+    position: Vector
+    grain_sample: GrainSample
+    entry: EntryPoint
+    slope: SurfaceSlope
 
 
 class LayerCollision(NamedTuple):
@@ -180,7 +215,8 @@ def sample_next_event(state, ray, scene, optics):
     x = ray.position.x + ray.exit_offset.x + distance * ray.direction.x
     y = ray.position.y + ray.exit_offset.y + distance * ray.direction.y
     position = Vector(x, y, height)
-    return make_event(kind, flight.layer, distance, position, grain_sample, collision.entry)
+    no_slope = SurfaceSlope(0.0, 0.0)
+    return Event(kind, flight.layer, distance, position, grain_sample, collision.entry, no_slope)
 
 
 @inline_only

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.base.ray import compute_position
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.grains.ray import compute_position
 
 
 class WeightWindow(NamedTuple):

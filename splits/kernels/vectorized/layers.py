@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
+from splits.kernels.base.scene import NO_GROUND
 from splits.kernels.compiler.jit import ZERO, inline_only
 from splits.kernels.grains.free_path import compute_boundary_hit
-from splits.kernels.grains.scene import NO_GROUND
 from splits.kernels.math.vectors import UP, Vector, sample_cosine_lobe
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing, set_current_ray
 from splits.kernels.transport.flight import find_adjacent_layer

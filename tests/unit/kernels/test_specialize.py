@@ -10,8 +10,9 @@ from chi2 import NEEDS_JIT
 from numba import njit
 from numba.core.errors import TypingError
 
+from splits.kernels.base.scene import make_bounding_optics
 from splits.kernels.compiler.jit import inline, inline_only, specialize
-from splits.kernels.grains.scene import GrainTypes, make_bounding_optics
+from splits.kernels.grains.population import GrainTypes
 from splits.kernels.vectorized.eligibility import select_features
 from splits.media import Snow
 from splits.simulation.scene import build_scene, compute_optical_constants

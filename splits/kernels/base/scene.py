@@ -99,7 +99,7 @@ class Scene(NamedTuple):
     ----------
     source : Source
     layers : Layers
-    types : GrainTypes or None
+    types : GrainTypes, the types of another shape, or None
         None without layers of grains.
     rules : SamplingRules
     particles : ParticleScattering or None

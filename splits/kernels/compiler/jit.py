@@ -58,7 +58,10 @@ def specialize(target: Any, kind: type) -> Any:
     """Decorate the version of an inlined function for named tuples of a class.
 
     It takes the place of `target` in compiled code, where one of its arguments is of this class; so
-    can a shape of grains be added without changes of other modules.
+    can a shape of grains be added without changes of other modules.  Calls from Python and runs
+    without the compiler (NUMBA_DISABLE_JIT) use `target` itself.  The version must be in
+    `splits.kernels`, because cached kernels are compiled again only after a change of the sources
+    there.
     """
 
     def register(function: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ class GrainTypes(NamedTuple):
     """Grain types; distributions are quantile functions (`rng.make_table_probabilities`).
 
     A table of distributions has one row per type, or a single row that holds for all of them.
+    Another shape has a class of its own, with the first four fields and further such tables.
 
     Attributes
     ----------
@@ -46,9 +47,9 @@ class GrainPopulation(NamedTuple):
         Expected number of grains hit per metre of path in the pore space, all types together.
     type_cdf : float64[types]
         Cumulative probability that the grain hit is of type 0…i; the last entry is 1.
-    types : GrainTypes
+    types : GrainTypes, or the types of another shape
     """
 
     collision_coefficient: float
     type_cdf: np.ndarray
-    types: GrainTypes
+    types: Any

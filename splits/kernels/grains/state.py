@@ -10,16 +10,17 @@ from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.free_path import LayerGeometry, RejectionRules
 from splits.kernels.grains.spheroid import (
+    EntryPoint,
     EntryVariates,
     GrainSize,
+    Spheroid,
     accept_axial_position,
 )
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
+from splits.kernels.math.vectors import UP
 from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.tallies.exits import ABSORBED
-
-_ZERO_ANGLE = Angle(1.0, 0.0)
 
 
 class GrainSample(NamedTuple):
@@ -28,6 +29,13 @@ class GrainSample(NamedTuple):
     grain_type: int
     size: GrainSize
     roughness: float
+
+
+_ZERO_ANGLE = Angle(1.0, 0.0)
+_PLACEHOLDER = (
+    GrainSample(0, GrainSize(1.0, 0.0), 0.0),
+    EntryPoint(Spheroid(UP, UP, 0.0, 1.0), UP, 0.0, 1.0),
+)
 
 
 @inline_only
@@ -120,6 +128,15 @@ def sample_entry_variates(state, size):
                 variates.u_axial,
                 variates.u_accept,
             )
+
+
+@inline_only
+def make_placeholder_grain(types):
+    """Return a `GrainSample` and an entry point of the classes for `types`, with any values.
+
+    Compiled events have them where a ray hits a particle, too.
+    """
+    return _PLACEHOLDER
 
 
 @inline_only

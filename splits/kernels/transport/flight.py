@@ -22,11 +22,12 @@ from splits.kernels.grains.free_path import (
     compute_boundary_hit,
     sample_collision,
 )
-from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Spheroid
+from splits.kernels.grains.spheroid import EntryPoint
 from splits.kernels.grains.state import (
     GrainSample,
     attenuate,
     get_layer_geometry,
+    make_placeholder_grain,
     make_rejection_rules,
     pore_material,
     refractive_index_of,
@@ -34,14 +35,10 @@ from splits.kernels.grains.state import (
     sample_grain,
 )
 from splits.kernels.math.rng import uniform
-from splits.kernels.math.vectors import ORIGIN, UP, Vector
+from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.rough_surface.realization import SurfaceSlope
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing
 from splits.kernels.tallies.exits import ALIVE, LOST
-
-_NO_GRAIN = GrainSample(0, GrainSize(1.0, 0.0), 0.0)
-_NO_ENTRY = EntryPoint(Spheroid(UP, UP, 0.0, 1.0), UP, 0.0, 1.0)
-
 
 COLLISION, BOUNDARY, ROUGH_TOP, NO_EVENT = range(4)
 """Kinds of events: a grain or a particle, a layer boundary, the rough top, or none was found."""
@@ -139,14 +136,17 @@ def locate_layer(ray, scene, optics, path_lengths, crossings):
 
 
 @inline_only
-def sample_particle_collision(flight, u, layer_geometry):
-    """Sample the `Collision` with a particle; particles are points and never overlap anything."""
+def sample_particle_collision(flight, u, layer_geometry, entry):
+    """Sample the `Collision` with a particle, a point that overlaps nothing.
+
+    Its entry point is the placeholder `entry`.
+    """
     distance = flight.start_distance - math.log(u) * layer_geometry.mean_free_path
     height = compute_position(flight).z + distance * flight.direction.z
     outside = height < layer_geometry.bottom
     if flight.direction.z > 0.0:
         outside = height > layer_geometry.top
-    return Collision(distance, height, _NO_ENTRY, outside, not outside, 0.0)
+    return Collision(distance, height, entry, outside, not outside, 0.0)
 
 
 @inline_only
@@ -165,8 +165,9 @@ def sample_layer_collision(state, flight, scene, layer_geometry, rules):
     if scene.types is None or (
         scene.particles is not None and scene.layers.particle_row[flight.layer] != NO_PARTICLES
     ):
-        collision = sample_particle_collision(flight, uniform(state), layer_geometry)
-        return LayerCollision(_NO_GRAIN, collision)
+        grain_sample, entry = make_placeholder_grain(scene.types)
+        collision = sample_particle_collision(flight, uniform(state), layer_geometry, entry)
+        return LayerCollision(grain_sample, collision)
     grain_sample = sample_grain(state, scene, flight.layer)
     variates = sample_entry_variates(state, grain_sample.size)
     collision = sample_collision(

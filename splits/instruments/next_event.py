@@ -98,6 +98,7 @@ def make_detectors(
         # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
         transmission / (n**2 * cosine[:, np.newaxis]),
         reflection,
+        np.exp(-thickness / cosine),
         n,
         thickness,
         is_open and math.isfinite(thickness),

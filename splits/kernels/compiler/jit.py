@@ -117,9 +117,9 @@ def entry_point_no_refcount(function: Any) -> Any:
 def float32_constant(value: float) -> float | np.float32:
     """Return a constant that adopts the precision of the operands.
 
-    Its value must be exact in single precision.  Compiled arithmetic of a single-precision constant
-    with a double is exact, and with a single stays single, so that one formula serves both
-    precisions.
+    Compiled arithmetic of a single-precision constant with a double is in double precision, and
+    with a single stays single, so that one formula serves both precisions.  A value that is not
+    exact in single precision is rounded for both.
     """
     return value if config.DISABLE_JIT else np.float32(value)  # type: ignore[attr-defined]
 

@@ -74,7 +74,11 @@ def refractive_index_of(optics, material):
 
 @inline_only
 def interface_index(scene, optics, material):
-    """Return the refractive index of a material at interfaces, real in scenes without grains."""
+    """Return the refractive index of a material at interfaces.
+
+    Without grains, extinction of the matrix is 0; the constant compiles the absorbing branch of
+    Fresnel's equations away.
+    """
     if scene.types is None:
         return ComplexIndex(optics.n[material], 0.0)
     return refractive_index_of(optics, material)

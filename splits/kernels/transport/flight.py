@@ -109,8 +109,8 @@ def is_continuous(layers, optics, layer, other, pore_variate):
 def record_crossing(ray, upward, scene, path_lengths, crossings):
     """Record the crossing of a ray into the next layer, if the scene records crossings."""
     if crossings is not None and scene.record_crossings:
-        event = encode_crossing(ray.layer if upward else ray.layer + 1, upward)
-        append_crossing(crossings, event, ray.weight, path_lengths)
+        code = encode_crossing(ray.layer if upward else ray.layer + 1, upward)
+        append_crossing(crossings, code, ray.weight, path_lengths)
 
 
 @inline_only

@@ -48,6 +48,8 @@ class Detectors(NamedTuple):
         and outside, divided by the outer cosine.
     reflection : float64[detectors, 4]
         `ReflectionMueller` of the boundary, from inside.
+    transmittance : float64[detectors]
+        Direct transmittance of all layers in the direction of the detector.
     refractive_index : float
         Refractive index of the matrix, with 1 outside.
     optical_thickness : float
@@ -71,6 +73,7 @@ class Detectors(NamedTuple):
     plane: np.ndarray
     transmission: np.ndarray
     reflection: np.ndarray
+    transmittance: np.ndarray
     refractive_index: float
     optical_thickness: float
     has_lower_side: bool
@@ -82,10 +85,7 @@ class Detectors(NamedTuple):
 
 
 class Detector(NamedTuple):
-    """One of the detectors, see `Detectors`.
-
-    `transmittance` is the direct transmittance of all layers in its direction.
-    """
+    """One of the detectors, see `Detectors`."""
 
     direction: Vector
     plane: Vector
@@ -113,10 +113,10 @@ def load_detector(detectors, k):
     transmission = TransmissionMueller(plus, minus, root)
     plus, minus, real, imaginary = detectors.reflection[k]
     reflection = ReflectionMueller(plus, minus, real, imaginary)
-    transmittance = math.exp(-detectors.optical_thickness / z)
     return Detector(
-        Vector(x, y, z), Vector(along, across, 0.0), transmission, reflection, transmittance
-    )
+        Vector(x, y, z), Vector(along, across, 0.0), transmission, reflection,
+        detectors.transmittance[k],
+    )  # fmt: skip
 
 
 @inline_only

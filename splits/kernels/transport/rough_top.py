@@ -123,6 +123,7 @@ def interact_at_rough_top(state, ray, slope, scene, optics, rough_top):
     Parameters are those of `scatter_at_facet` and `trace_above_surface`.
     """
     if rough_top is None:
+        # Compiles the rest away under a smooth top.
         return ray
     if ray.order >= ray.max_order:
         return replace(ray, status=ABSORBED)

@@ -107,7 +107,8 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
     work : int64[3]
         See `splits.kernels.base.work`; without the order of scattering.
     scene, optics
-        See `splits.kernels.base.scene`; `optics.absorption` is that of the single wavelength.
+        See `splits.kernels.base.scene`.  The scene has a smooth top, an open bottom and no
+        particles; `optics.absorption` is that of the single wavelength.
     kappa : float
         Decay rate of the window with depth (1/m).
     moments : float64[2, 3]
@@ -126,7 +127,7 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
         start_stream(state, seed, work[STREAM], number)
         ray = sample_source(state, scene, optics, None, NO_MAX_ORDER)
         # The weight window replaces the roulette by optical depth.
-        ray = replace(ray, weight=1.0, optical_depth=0.0, next_roulette=math.inf)
+        ray = replace(ray, next_roulette=math.inf)
         source_ray = SplitRay(ray, 1.0, state[0])
         score = trace_history_with_splitting(state, source_ray, scene, optics, kappa, profile)
         n_segments += score.n_segments

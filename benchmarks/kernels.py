@@ -37,8 +37,9 @@ import splits
 from splits.core.paths import expand_path
 from splits.experiments.papers.paper_tables import write_data_frame
 from splits.kernels import vectorized
+from splits.kernels.base.scene import Optics, make_bounding_optics
+from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.compiler.features import Features
-from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, make_bounding_optics
 from splits.kernels.tallies.exits import allocate_exits
 from splits.kernels.transport import history
 from splits.kernels.vectorized.eligibility import select_features

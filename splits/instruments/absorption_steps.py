@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.grains.scene import WET_PORE
+from splits.kernels.base.scene import WET_PORE
 from splits.media.medium import Medium
 
 

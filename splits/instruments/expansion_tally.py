@@ -21,7 +21,7 @@ from splits.instruments.angular_estimate import (
     estimate_row,
     stack_rows,
 )
-from splits.kernels.grains.scene import NO_MAX_ORDER
+from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.tallies.angular import AngularSums, tally_expansion
 from splits.kernels.tallies.exits import EXIT_ORDER
 from splits.simulation.spectral_nodes import IndexNodes

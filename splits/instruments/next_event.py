@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.kernels.grains.scene import Scene
+from splits.kernels.base.scene import Scene
 from splits.kernels.optics.forward_peak import separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
 from splits.kernels.transport.history import trace_to_detectors

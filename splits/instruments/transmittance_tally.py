@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.kernels.grains.scene import Scene
+from splits.kernels.base.scene import Scene
 from splits.kernels.transport.splitting import trace_batch_with_splitting
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.spectral_nodes import make_separate_nodes

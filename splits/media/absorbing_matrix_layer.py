@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.kernels.grains.scene import WET_PORE
+from splits.kernels.base.scene import WET_PORE
 from splits.media.ground import Ground
 from splits.media.particle_layer import ParticleLayer
 from splits.media.stack import Stack

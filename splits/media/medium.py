@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.grains.scene import GrainPopulation
+from splits.kernels.grains.population import GrainPopulation
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.materials.lookup import absorption_coefficient
 from splits.media.ground import Ground

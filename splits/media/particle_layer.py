@@ -23,7 +23,7 @@ from splits.core.validation import (
     invalid,
     snap_to_limits,
 )
-from splits.kernels.grains.scene import WET_PORE
+from splits.kernels.base.scene import WET_PORE
 from splits.kernels.optics.phase_function import (
     PhaseFunction,
     make_henyey_greenstein,

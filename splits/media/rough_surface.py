@@ -118,7 +118,7 @@ class RoughSurface:
         )
 
     def sample_realization(self, seed: int, ray_number: int = 0) -> np.ndarray:
-        """Return the waves of the realization that ray `ray_number` of ensemble 0 samples first.
+        """Return the waves of the realization that ray `ray_number` of stream 0 samples first.
 
         The rows are those of `splits.kernels.rough_surface.realization`, which evaluates them.
         """

@@ -12,7 +12,7 @@ import numpy as np
 
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, invalid, key_prefix, suggest_name
-from splits.kernels.grains.scene import WET_PORE
+from splits.kernels.base.scene import WET_PORE
 from splits.media.formatting import format_input
 from splits.media.ground import Ground, describe_ground
 from splits.media.interpretations import INTERPRETATION_SETS

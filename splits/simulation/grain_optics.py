@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.kernels.grains.scene import DRY_PORE, WET_PORE, Scene
+from splits.kernels.base.scene import DRY_PORE, WET_PORE, Scene
 from splits.media.medium import GranularMedium, compute_absorption
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions

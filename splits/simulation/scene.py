@@ -7,15 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.grains.scene import (
-    NO_GROUND,
-    NO_PARTICLES,
-    GrainPopulation,
-    GrainTypes,
-    Layers,
-    ParticleScattering,
-    Scene,
-)
+from splits.core.validation import invalid
+from splits.kernels.base.scene import NO_GROUND, NO_PARTICLES, Layers, ParticleScattering, Scene
+from splits.kernels.grains.population import GrainPopulation
 from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.rough_surface.realization import HeightFields
@@ -200,13 +194,19 @@ def make_particle_table(layers: Sequence[Any]) -> ParticleScattering:
 
 def _merge_grain_types(
     all_populations: Sequence[GrainPopulation | None], all_first_materials: np.ndarray
-) -> GrainTypes:
-    """Return one table of the grain types of all layers, given the first material of each layer."""
+) -> Any:
+    """Return one table of the grain types of all layers, given the first material of each layer.
+
+    The grains may have any shape, which must be the same in all layers.
+    """
     by_layer = zip(all_populations, all_first_materials, strict=False)
     granular = [(grains, first) for grains, first in by_layer if grains is not None]
     populations = [grains for grains, _ in granular]
+    types = populations[0].types
     if len(all_populations) == 1:
-        return populations[0].types
+        return types
+    if any(type(population.types) is not type(types) for population in populations):
+        raise invalid("layers", "grains of several shapes", "grains of one shape")
     max_shells = max(population.types.material.shape[1] for population in populations)
 
     def pad_columns(table: np.ndarray) -> np.ndarray:
@@ -221,18 +221,17 @@ def _merge_grain_types(
         # Kernels read tables row by row; concatenation keeps the memory order of broadcast rows.
         return np.ascontiguousarray(np.concatenate(rows))
 
-    return GrainTypes(
-        n_shells=np.concatenate([population.types.n_shells for population in populations]),
-        material=np.concatenate(
+    shells = {
+        "n_shells": np.concatenate([population.types.n_shells for population in populations]),
+        "material": np.concatenate(
             [
                 pad_columns(population.types.material + first_material)
                 for population, first_material in granular
             ]
         ),
-        coating_thickness=np.concatenate(
+        "coating_thickness": np.concatenate(
             [pad_columns(population.types.coating_thickness) for population in populations]
         ),
-        inverse_semi_major=concatenate("inverse_semi_major"),
-        sphericity=concatenate("sphericity"),
-        facetness=concatenate("facetness"),
-    )
+    }
+    tables = {name: concatenate(name) for name in types._fields if name not in shells}
+    return types._replace(**shells, **tables)

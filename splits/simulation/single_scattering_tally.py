@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splits.core.uncertainty import compute_leave_one_out_means
-from splits.kernels.grains.scene import Scene
+from splits.kernels.base.scene import Scene
 from splits.kernels.grains.single_grain import (
     N_SCATTERING_BATCHES,
     IsolatedGrain,

@@ -72,7 +72,7 @@ def choose_nodes(
     Parameters
     ----------
     index : complex, shape (wavelengths, materials)
-        Refractive indices (see `splits.kernels.grains.scene`).
+        Refractive indices (see `splits.kernels.base.scene`).
     interfaces : sequence of Interface
         Interfaces of the medium and their fractions.
     tolerance : float

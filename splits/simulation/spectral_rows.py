@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.grains.scene import NO_GROUND
+from splits.kernels.base.scene import NO_GROUND
 from splits.media.medium import Interface, Medium
 from splits.simulation.scene import (
     OpticalConstants,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.grains.scene import Scene
+from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.derivatives import tally_derivatives
 from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, tally_weights
 from splits.simulation.interpolation_bounds import bound_fraction_error

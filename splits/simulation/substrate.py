@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.kernels.grains.scene import DRY_PORE, WET_PORE
+from splits.kernels.base.scene import DRY_PORE, WET_PORE
 from splits.media.ground import Ground
 from splits.media.medium import GranularMedium, Medium, compute_absorption
 from splits.simulation.diffusion import (

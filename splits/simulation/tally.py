@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.kernels.base.scene import Optics, Scene, make_bounding_optics
+from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.compiler.features import Features
-from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, Scene, make_bounding_optics
 from splits.simulation.spectral_nodes import IndexNodes
 
 RAYS_PER_CHUNK = 128

@@ -9,7 +9,8 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.kernels import vectorized
-from splits.kernels.grains.scene import Optics
+from splits.kernels.base.scene import Optics
+from splits.kernels.base.work import N_RAYS
 from splits.kernels.rough_surface.realization import allocate_realization
 from splits.kernels.tallies.crossings import CROSSING_RAY
 from splits.kernels.tallies.exits import EXIT_LENGTH, BatchResult, allocate_exits
@@ -159,9 +160,9 @@ class SceneTracer(Tracer):
         """Trace the items of a job and score their chunks."""
         work = np.array([(one.stream, rays.start, len(rays), one.max_order) for one, rays in job])
         exits = allocate_exits(
-            int(work[:, 2].sum()), self.n_length_columns, len(self.stokes_columns)
+            int(work[:, N_RAYS].sum()), self.n_length_columns, len(self.stokes_columns)
         )
-        strata, end_rays = [stratum for stratum, _ in job], np.cumsum(work[:, 2])
+        strata, end_rays = [stratum for stratum, _ in job], np.cumsum(work[:, N_RAYS])
         exits_by_item = np.split(exits, end_rays[:-1])
         if strata[0].features is None:
             fields = self.height_fields

@@ -301,7 +301,7 @@ def trace_ray(state, grains, slab, rules, optics, path_lengths, roulette_state, 
     state : uint64[1]
         The ray's random stream.
     grains, slab, rules, optics
-        See `splits.kernels.grains.scene`.
+        See `splits.kernels.base.scene`.
     path_lengths : float64[materials]
         Set to the path length in each material (m).
     roulette_state : float64[3]
@@ -343,7 +343,7 @@ def trace_batch(seed, work, grains, slab, rules, optics, exits):
         Ensemble, first ray, number of rays, and order of scattering after which a ray counts as
         absorbed.  Seed, ensemble and number of a ray determine its random stream.
     grains, slab, rules, optics
-        See `splits.kernels.grains.scene`.
+        See `splits.kernels.base.scene`.
     exits : float64[rays, columns]
         A row for each ray, see `oracle.tally`; must come from `allocate_exits`.
 

@@ -10,8 +10,10 @@ from numba import njit
 from spheroids import normalize, to_real_space, to_unit_sphere
 
 import splits
+from splits.kernels.base.ray import Segment
+from splits.kernels.base.sampling_rules import PROJECTED_ENTRY, UNIFORM_ENTRY
 from splits.kernels.grains import spheroid
-from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Segment, Spheroid
+from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Spheroid
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import Vector
 
@@ -212,7 +214,7 @@ def test_mean_chord_is_the_inverse_attenuation():
     for settings in MEDIA.values():
         snow = splits.Snow(**settings)
         chords = draw_samples(
-            _sample_chord, 400_000, snow.make_grain_population().types, spheroid.PROJECTED_ENTRY
+            _sample_chord, 400_000, snow.make_grain_population().types, PROJECTED_ENTRY
         )
         error = chords.std() / np.sqrt(chords.size)
         z.append((chords.mean() - 1.0 / snow.attenuation_per_m) / error)
@@ -224,8 +226,6 @@ def test_mean_chord_is_the_inverse_attenuation():
 def test_uniform_entry_shortens_the_chord_of_a_sphere():
     # Uniform entry makes cos uniform, with chord s cos, so the mean is s/2 instead of 2s/3.
     snow = splits.Snow(**MEDIA["one sphere"])
-    chords = draw_samples(
-        _sample_chord, 400_000, snow.make_grain_population().types, spheroid.UNIFORM_ENTRY
-    )
+    chords = draw_samples(_sample_chord, 400_000, snow.make_grain_population().types, UNIFORM_ENTRY)
     error = chords.std() / np.sqrt(chords.size)
     judge_z([(chords.mean() - 250e-6) / error], "uniform entry")

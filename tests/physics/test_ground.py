@@ -9,7 +9,7 @@ from scenes import make_medium_scene
 
 import splits
 from splits.kernels import vectorized
-from splits.kernels.grains.scene import Optics, make_bounding_optics
+from splits.kernels.base.scene import Optics, make_bounding_optics
 from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY, CROSSING_WEIGHT
 from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, allocate_exits
 from splits.kernels.transport import history

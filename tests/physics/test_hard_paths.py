@@ -19,10 +19,12 @@ from scenes import make_medium_scene, make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
-from splits.kernels.grains import microfacet, spheroid
+from splits.kernels.base.ray import Segment
+from splits.kernels.base.sampling_rules import ANY_FACETS, PROJECTED_FACETS, UNWEIGHTED_FACETS
+from splits.kernels.grains import spheroid
 from splits.kernels.grains.grain_path import sample_interaction
 from splits.kernels.grains.interaction import InterfaceState, relative_index
-from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Segment, Spheroid
+from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Spheroid
 from splits.kernels.math import vectors
 from splits.kernels.math.vectors import Vector, add_scaled, dot, scale
 from splits.kernels.optics.fresnel import FresnelResult, fresnel, refract
@@ -229,9 +231,7 @@ def test_rays_tangent_to_a_grain_stay_valid(axis, psi):
 
 @pytest.mark.parametrize("axis", AXES, ids=str)
 @pytest.mark.parametrize("facetness", [0.0, 1e-9, 0.5, 1.0])
-@pytest.mark.parametrize(
-    "rule", [microfacet.PROJECTED_FACETS, microfacet.UNWEIGHTED_FACETS, microfacet.ANY_FACETS]
-)
+@pytest.mark.parametrize("rule", [PROJECTED_FACETS, UNWEIGHTED_FACETS, ANY_FACETS])
 def test_facets_at_exactly_normal_incidence(axis, facetness, rule):
     rules = splits.Interpretation().to_sampling_rules()._replace(facet_sampling=rule)
     n, d = Vector(*axis), Vector(*-axis)
@@ -255,8 +255,7 @@ def make_tilted_direction(sine):
 def find_worst_norm(sine):
     n, d = make_tilted_direction(sine)
     facets = (
-        sample_facet(start_random_stream(ray), d, n, 1.0, microfacet.PROJECTED_FACETS)
-        for ray in range(300)
+        sample_facet(start_random_stream(ray), d, n, 1.0, PROJECTED_FACETS) for ray in range(300)
     )
     return max(abs(math.hypot(*compute_facet_normal(d, facet)) - 1.0) for facet in facets)
 

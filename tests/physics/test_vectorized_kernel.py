@@ -14,9 +14,10 @@ from scenes import make_medium_scene, to_single_item
 
 import splits
 from splits.kernels import vectorized
+from splits.kernels.base.scene import Optics
+from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.compiler.features import Features
 from splits.kernels.grains.interaction import RelativeIndex
-from splits.kernels.grains.scene import NO_MAX_ORDER, Optics
 from splits.kernels.grains.spheroid import Spheroid
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import ComplexIndex

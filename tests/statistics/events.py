@@ -13,17 +13,18 @@ from chi2 import start_random_stream
 from numba import njit
 from scenes import make_ray_at
 
+from splits.kernels.base.sampling_rules import WRONG_SIDE_LOBE
+from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.grains import interaction, microfacet, spheroid
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
 from splits.kernels.grains.grain_path import sample_interaction, trace_through_grain
 from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
-from splits.kernels.grains.scene import NO_MAX_ORDER, WRONG_SIDE_LOBE
 from splits.kernels.grains.spheroid import Spheroid
-from splits.kernels.grains.state import COLLISION, GrainSample, make_event, sample_entry_variates
+from splits.kernels.grains.state import GrainSample, sample_entry_variates
 from splits.kernels.math import rng
 from splits.kernels.math.elementary import Angle
-from splits.kernels.math.vectors import ORIGIN, UP, Vector
+from splits.kernels.math.vectors import UP, Vector
 from splits.kernels.optics.interface import InterfaceSample
 from splits.kernels.tallies.exits import ALIVE
 from splits.kernels.transport import history
@@ -85,9 +86,8 @@ def trace_grain(state, d, size, facetness, wet, scene, optics, length):
     entry = sample_entry(state, d, size, scene.rules.entry_sampling)
     limit = math.inf if scene.rules.analog else FIRST_ROULETTE_DEPTH
     grain_sample = GrainSample(0, size, 0.5 * facetness)
-    event = make_event(COLLISION, 0, 0.0, ORIGIN, grain_sample, entry)
     ray = make_ray_at(0.0, d, wet, limit)
-    return trace_through_grain(state, ray, event, scene, optics, length), entry
+    return trace_through_grain(state, ray, grain_sample, entry, scene, optics, length), entry
 
 
 @njit

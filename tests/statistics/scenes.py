@@ -9,22 +9,20 @@ from numba import njit
 from oracle import scene as oracle_scene
 
 import splits
-from splits.kernels.compiler.replace import replace
-from splits.kernels.grains import state as ray_state
-from splits.kernels.grains.ray import make_ray
-from splits.kernels.grains.scene import (
+from splits.kernels.base.ray import Segment, make_ray
+from splits.kernels.base.sampling_rules import OVERLAP_KEEP
+from splits.kernels.base.scene import (
     NO_GROUND,
-    NO_MAX_ORDER,
     NO_PARTICLES,
-    OVERLAP_KEEP,
-    GrainPopulation,
-    GrainTypes,
     Layers,
     Optics,
     Scene,
     make_bounding_optics,
 )
-from splits.kernels.grains.spheroid import Segment
+from splits.kernels.base.work import NO_MAX_ORDER
+from splits.kernels.compiler.replace import replace
+from splits.kernels.grains import state as ray_state
+from splits.kernels.grains.population import GrainPopulation, GrainTypes
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.optics.source import Source
 from splits.kernels.transport import history

@@ -35,14 +35,14 @@ from scenes import (
 from spheroids import compute_normal, dot_product, find_closest_approach, to_real_space
 
 import splits
-from splits.kernels.grains import ray as ray_module
-from splits.kernels.grains.scene import DRY_PORE, WET_PORE
-from splits.kernels.grains.state import BOUNDARY, NO_EVENT
+from splits.kernels.base import ray as ray_module
+from splits.kernels.base.scene import DRY_PORE, WET_PORE
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import ORIGIN, UP, Vector
 from splits.kernels.optics import fresnel, interface
 from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.optics.source import Source, sample_source_direction
+from splits.kernels.transport.flight import BOUNDARY, NO_EVENT
 from splits.media import grain_statistics
 
 N_SAMPLES = scale_sample_size(200_000)

@@ -15,16 +15,16 @@ from events import compute_facet_normal, sample_facet, sample_unit_sphere
 from numba import njit
 from scipy import stats
 
-from splits.kernels.grains import microfacet
+from splits.kernels.base.sampling_rules import ANY_FACETS, PROJECTED_FACETS, UNWEIGHTED_FACETS
 from splits.kernels.math.vectors import UP, Vector, dot
 
 N_SAMPLES = scale_sample_size(200_000)
 FACETNESS = (0.3, 1.0)
 COSINES = (0.05, 0.5, 1.0)
 RULES = {
-    "projected": microfacet.PROJECTED_FACETS,
-    "unweighted": microfacet.UNWEIGHTED_FACETS,
-    "any": microfacet.ANY_FACETS,
+    "projected": PROJECTED_FACETS,
+    "unweighted": UNWEIGHTED_FACETS,
+    "any": ANY_FACETS,
 }
 N_TILT_BINS, N_AZIMUTH_BINS = 8, 12
 
@@ -37,10 +37,7 @@ def make_tilt_distribution(facetness):
 @njit
 def _sample_tilt(state, facetness):
     """Return 1 − n·n' of a facet of any orientation."""
-    return (
-        1.0
-        - sample_facet(state, Vector(0.6, 0.0, -0.8), UP, facetness, microfacet.ANY_FACETS).tilt.cos
-    )
+    return 1.0 - sample_facet(state, Vector(0.6, 0.0, -0.8), UP, facetness, ANY_FACETS).tilt.cos
 
 
 def test_tilt_is_half_normal():
@@ -144,7 +141,7 @@ def test_facets_face_the_ray_and_keep_their_tilt(rule):
 def _sample_near_normal_incidence(state, facetness):
     d = Vector(1e-7, 0.6 * np.sqrt(1.0 - 1e-14), -0.8 * np.sqrt(1.0 - 1e-14))
     normal = Vector(0.0, -0.6, 0.8)
-    facet = sample_facet(state, d, normal, facetness, microfacet.PROJECTED_FACETS)
+    facet = sample_facet(state, d, normal, facetness, PROJECTED_FACETS)
     return compute_facet_normal(d, facet)
 
 

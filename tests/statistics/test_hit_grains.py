@@ -17,7 +17,7 @@ from numba import njit
 from scipy import integrate, stats
 from spheroids import compute_normal, dot_product, evaluate_quadratic, to_real_space
 
-from splits.kernels.grains import spheroid
+from splits.kernels.base.sampling_rules import PROJECTED_ENTRY, UNIFORM_ENTRY
 from splits.kernels.grains.spheroid import GrainSize
 from splits.kernels.grains.state import sample_entry_variates
 from splits.kernels.math import rng
@@ -141,7 +141,7 @@ def test_axial_positions_follow_the_surface_area():
 
 RAY = np.array([0.48, -0.64, -0.6])
 SEMI_AXIS_M = 2.5
-ENTRIES = {"uniform": spheroid.UNIFORM_ENTRY, "projected": spheroid.PROJECTED_ENTRY}
+ENTRIES = {"uniform": UNIFORM_ENTRY, "projected": PROJECTED_ENTRY}
 
 
 @njit

@@ -19,9 +19,9 @@ from scenes import find_next_event, make_medium_scene, make_optics, make_ray_at
 from scipy import stats
 
 import splits
-from splits.kernels.grains.state import BOUNDARY
 from splits.kernels.math import rng
 from splits.kernels.math.vectors import Vector
+from splits.kernels.transport.flight import BOUNDARY
 
 N_SAMPLES = scale_sample_size(200_000)
 # Bins of equal probability whose edges are no nodes of the table, and both tails.

@@ -23,7 +23,7 @@ from events import make_lanes, sample_facet_by_lane, start_lane, to_single_preci
 from numba import njit
 from scipy import stats
 
-from splits.kernels.grains import microfacet
+from splits.kernels.base.sampling_rules import ANY_FACETS
 from splits.kernels.math import rng
 from splits.kernels.math.elementary import log, sample_circle
 from splits.kernels.math.vectors import UP, Vector
@@ -247,7 +247,7 @@ def test_variates_of_an_interaction_follow_their_distributions():
 def _sample_tilt(state, lanes, sigma):
     """Return 1 − n·n' of any facet, whether it faces the ray or not."""
     d = to_single_precision(Vector(0.6, 0.0, -0.8))
-    facet = sample_facet_by_lane(lanes, d, to_single_precision(UP), sigma, microfacet.ANY_FACETS)
+    facet = sample_facet_by_lane(lanes, d, to_single_precision(UP), sigma, ANY_FACETS)
     return float(single(1.0) - facet.tilt.cos)
 
 

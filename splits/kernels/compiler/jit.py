@@ -58,7 +58,10 @@ def specialize(target: Any, kind: type) -> Any:
     """Decorate the version of an inlined function for named tuples of a class.
 
     It takes the place of `target` in compiled code, where one of its arguments is of this class; so
-    can a shape of grains be added without changes of other modules.
+    can a shape of grains be added without changes of other modules.  Calls from Python and runs
+    without the compiler (NUMBA_DISABLE_JIT) use `target` itself.  The version must be in
+    `splits.kernels`, because cached kernels are compiled again only after a change of the sources
+    there.
     """
 
     def register(function: Any) -> Any:
@@ -114,9 +117,9 @@ def entry_point_no_refcount(function: Any) -> Any:
 def float32_constant(value: float) -> float | np.float32:
     """Return a constant that adopts the precision of the operands.
 
-    Its value must be exact in single precision.  Compiled arithmetic of a single-precision constant
-    with a double is exact, and with a single stays single, so that one formula serves both
-    precisions.
+    Compiled arithmetic of a single-precision constant with a double is in double precision, and
+    with a single stays single, so that one formula serves both precisions.  A value that is not
+    exact in single precision is rounded for both.
     """
     return value if config.DISABLE_JIT else np.float32(value)  # type: ignore[attr-defined]
 

@@ -15,6 +15,7 @@ import numpy as np
 from llvmlite import ir
 from numba.core import types
 from numba.core.datamodel import models
+from numba.core.errors import TypingError
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import (
     intrinsic,
@@ -48,6 +49,11 @@ class ElementType(types.Type):
         super().__init__(structure.__qualname__)
         self.structure = structure
 
+    @property
+    def key(self) -> Any:
+        """Structure; several may have the same name."""
+        return self.structure
+
 
 register_model(ElementType)(models.OpaqueModel)
 
@@ -61,9 +67,9 @@ class StructureOfArrays:
     Parameters
     ----------
     words : uint32[n_rows × n_elements]
-        Or another type of 32 bits.
+        Or another type of 32 bits; contiguous.
     index : int
-        Of an element, from 0.
+        Of an element, 0 to n_elements − 1.  It is not checked.
 
     Attributes
     ----------
@@ -92,6 +98,8 @@ def _get_numba_type(annotation: Any) -> Any:
     """Return the Numba type of a field."""
     if annotation in _NUMBERS:
         return _NUMBERS[annotation]
+    if not hasattr(annotation, "_fields"):
+        raise TypeError(f"{annotation} is not a 32-bit number or a named tuple of these")
     members = get_type_hints(annotation).values()
     return types.BaseTuple.from_types([_get_numba_type(member) for member in members], annotation)
 
@@ -100,12 +108,28 @@ def _count_rows(kind: Any) -> int:
     return sum(map(_count_rows, kind)) if isinstance(kind, _TUPLES) else 1
 
 
+def _has_contiguous_words(words: Any) -> bool:
+    """Return whether a Numba type is a contiguous, one-dimensional array of 32-bit numbers."""
+    return (
+        isinstance(words, types.Array)
+        and words.ndim == 1
+        and words.layout == "C"
+        and getattr(words.dtype, "bitwidth", None) == _WORD.width
+    )
+
+
 def _register_constructor(structure: type[StructureOfArrays]) -> None:
     kind = ElementType(structure)
 
     @type_callable(structure)
     def define_signature(context: Any) -> Callable[..., Any]:
-        return lambda words, index: kind
+        def check_arguments(words: Any, index: Any) -> ElementType:
+            if not _has_contiguous_words(words):
+                allowed = "a contiguous one-dimensional array of 32-bit numbers"
+                raise TypingError(f"{structure.__qualname__}: {words} is not {allowed}")
+            return kind
+
+        return check_arguments
 
     @lower_builtin(structure, types.Array, types.Integer)
     def construct(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from splits.kernels.base.sampling_rules import WRONG_SIDE_LOBE
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
@@ -17,7 +18,6 @@ from splits.kernels.grains.interaction import (
     relative_index,
 )
 from splits.kernels.grains.microfacet import make_smooth_facet, sample_microfacet
-from splits.kernels.grains.scene import WRONG_SIDE_LOBE
 from splits.kernels.grains.spheroid import compute_chord
 from splits.kernels.grains.state import attenuate, pore_material, refractive_index_of
 from splits.kernels.math.elementary import Angle
@@ -73,7 +73,7 @@ def sample_interaction(state, d, interface, grain, roughness, media, rules):
 
 
 @inline_only
-def trace_through_grain(state, ray, event, scene, optics, path_lengths):
+def trace_through_grain(state, ray, grain_sample, entry, scene, optics, path_lengths):
     """Trace a ray from its entry point on a grain until it is back in the pore space.
 
     Parameters
@@ -81,9 +81,10 @@ def trace_through_grain(state, ray, event, scene, optics, path_lengths):
     state : uint64[1]
     ray : Ray
         At the entry point.
-    event : Event
+    grain_sample : GrainSample
+    entry : EntryPoint
     scene, optics
-        See `splits.kernels.grains.scene`.
+        See `splits.kernels.base.scene`.
     path_lengths : float64[materials]
         Path lengths (m), accumulated in place by those inside the grain.
 
@@ -92,8 +93,8 @@ def trace_through_grain(state, ray, event, scene, optics, path_lengths):
     Ray
         At the exit point, or `ABSORBED`.
     """
-    grain_type, size, roughness = event.grain_sample
-    grain, types = event.entry.grain, scene.types
+    grain_type, size, roughness = grain_sample
+    grain, types = entry.grain, scene.types
     interface = InterfaceState(0.0, 1.0, False, False)
     while True:
         media = sample_adjacent_media(state, interface, grain_type, ray, scene, optics)

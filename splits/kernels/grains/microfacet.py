@@ -10,18 +10,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from splits.kernels.base.sampling_rules import ANY_FACETS, PROJECTED_FACETS
 from splits.kernels.compiler.jit import HALF, ONE, TWO, ZERO, inline
 from splits.kernels.grains.spheroid import compute_outward_normal
 from splits.kernels.math.arithmetic import fma, get_precision, rsqrt, sqrt
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import Vector, add_scaled, cross, dot, scale
-
-PROJECTED_FACETS = 0
-"""Facets facing the ray, sampled in proportion to their projected area (SPLITS 4.3.4)."""
-UNWEIGHTED_FACETS = 1
-"""Facets facing the ray, sampled with equal probability."""
-ANY_FACETS = 2
-"""Any facet; one that faces away acts with its back side."""
 
 
 class FacetSample(NamedTuple):

@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.base.ray import make_ray
+from splits.kernels.base.scene import Optics, Scene
+from splits.kernels.base.work import FIRST_RAY, N_RAYS, NO_MAX_ORDER, STREAM
 from splits.kernels.compiler.jit import entry_point, inline
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
 from splits.kernels.grains.grain_path import trace_through_grain
-from splits.kernels.grains.ray import make_ray
-from splits.kernels.grains.scene import NO_MAX_ORDER, Optics, Scene
 from splits.kernels.grains.spheroid import sample_entry_point
-from splits.kernels.grains.state import COLLISION, make_event, sample_entry_variates, sample_grain
+from splits.kernels.grains.state import sample_entry_variates, sample_grain
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN, UP, dot
 from splits.kernels.tallies.exits import ALIVE
@@ -46,13 +47,13 @@ class IsolatedGrain(NamedTuple):
 
 @inline
 def sample_hit_grain(state, isolated_grain):
-    """Sample the grain that a ray along +z hits."""
+    """Sample the grain that a ray along +z hits, and its entry point."""
     grain_sample = sample_grain(state, isolated_grain.scene, 0)
     variates = sample_entry_variates(state, grain_sample.size)
     entry = sample_entry_point(
         UP, grain_sample.size, variates, isolated_grain.scene.rules.entry_sampling
     )
-    return make_event(COLLISION, 0, 0.0, ORIGIN, grain_sample, entry)
+    return grain_sample, entry
 
 
 @inline
@@ -75,8 +76,7 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
     ----------
     seed : int
     work : int64[3]
-        Ensemble, first ray, number of rays; they determine the random streams, as in
-        `history.trace_batch`.
+        See `splits.kernels.base.work`; without the order of scattering.
     n_orders : int
         Legendre polynomials to tally.
     isolated_grain : IsolatedGrain
@@ -100,15 +100,21 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
     wet_fraction = isolated_grain.scene.layers.wet_fraction[0]
     path_lengths = np.zeros(absorption.shape[1])
     state = np.zeros(1, dtype=np.uint64)
-    for number in range(work[1], work[1] + work[2]):
-        start_stream(state, seed, work[0], number)
+    for number in range(work[FIRST_RAY], work[FIRST_RAY] + work[N_RAYS]):
+        start_stream(state, seed, work[STREAM], number)
         path_lengths[:] = 0.0
         # A pore is wet if its variate is below the wet fraction.
         pore_variate = 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0
         ray = make_ray(ORIGIN, UP, None, pore_variate, FIRST_ROULETTE_DEPTH, NO_MAX_ORDER)
-        event = sample_hit_grain(state, isolated_grain)
+        grain_sample, entry = sample_hit_grain(state, isolated_grain)
         ray = trace_through_grain(
-            state, ray, event, isolated_grain.scene, isolated_grain.optics, path_lengths
+            state,
+            ray,
+            grain_sample,
+            entry,
+            isolated_grain.scene,
+            isolated_grain.optics,
+            path_lengths,
         )
         if ray.status != ALIVE:
             continue

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from splits.kernels.base.sampling_rules import PROJECTED_ENTRY
 from splits.kernels.compiler.jit import HALF, ONE, THREE, TWO, ZERO, inline
 from splits.kernels.math.arithmetic import fma, rsqrt, sqrt
 from splits.kernels.math.elementary import Angle
@@ -23,11 +24,6 @@ from splits.kernels.math.vectors import (
     normalize,
     scale,
 )
-
-UNIFORM_ENTRY = 0
-"""Entry point uniform over the surface facing the ray (SPLITS 4.3.3, SPLITSnow 3.2)."""
-PROJECTED_ENTRY = 1
-"""Entry point and orientation weighted by area projected along the ray, the geometric law."""
 
 
 class Spheroid(NamedTuple):
@@ -102,14 +98,6 @@ class Chord(NamedTuple):
 
     length: float
     grain: Spheroid
-
-
-class Segment(NamedTuple):
-    """Path segment: its end, its direction towards that end, and its length (m), −1 for none."""
-
-    end: Vector
-    direction: Vector
-    length: float
 
 
 @inline

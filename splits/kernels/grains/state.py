@@ -5,24 +5,22 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from splits.kernels.base.sampling_rules import OVERLAP_KEEP, OVERLAP_SKIP
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.free_path import LayerGeometry, RejectionRules
-from splits.kernels.grains.scene import OVERLAP_KEEP, OVERLAP_SKIP
 from splits.kernels.grains.spheroid import (
     EntryPoint,
     EntryVariates,
     GrainSize,
+    Spheroid,
     accept_axial_position,
 )
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
-from splits.kernels.math.vectors import Vector
+from splits.kernels.math.vectors import UP
 from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.rough_surface.realization import SurfaceSlope
 from splits.kernels.tallies.exits import ABSORBED
-
-_ZERO_ANGLE = Angle(1.0, 0.0)
 
 
 class GrainSample(NamedTuple):
@@ -33,43 +31,11 @@ class GrainSample(NamedTuple):
     roughness: float
 
 
-COLLISION, BOUNDARY, ROUGH_TOP, NO_EVENT = range(4)
-"""Kinds of events: a grain or a particle, a layer boundary, the rough top, or none was found."""
-
-
-class Event(NamedTuple):
-    """Next event of a ray.
-
-    Attributes
-    ----------
-    kind : int
-        `COLLISION`, `BOUNDARY`, `ROUGH_TOP`, or `NO_EVENT`.
-    layer : int
-        Layer in which it is.
-    distance : float
-        Length of the path segment that it ends (m).
-    position : Vector
-        Where it is (m).
-    grain_sample : GrainSample
-    entry : EntryPoint
-        The sampled grain, which only a `COLLISION` hits.
-    slope : SurfaceSlope
-        Slope of the facet of a `ROUGH_TOP`.
-    """
-
-    kind: int
-    layer: int
-    distance: float
-    position: Vector
-    grain_sample: GrainSample
-    entry: EntryPoint
-    slope: SurfaceSlope
-
-
-@inline_only
-def make_event(kind, layer, distance, position, grain_sample, entry):
-    """Return an event without a facet."""
-    return Event(kind, layer, distance, position, grain_sample, entry, SurfaceSlope(0.0, 0.0))
+_ZERO_ANGLE = Angle(1.0, 0.0)
+_PLACEHOLDER = (
+    GrainSample(0, GrainSize(1.0, 0.0), 0.0),
+    EntryPoint(Spheroid(UP, UP, 0.0, 1.0), UP, 0.0, 1.0),
+)
 
 
 @inline_only
@@ -108,7 +74,11 @@ def refractive_index_of(optics, material):
 
 @inline_only
 def interface_index(scene, optics, material):
-    """Return the refractive index of a material at interfaces, real in scenes without grains."""
+    """Return the refractive index of a material at interfaces.
+
+    Without grains, extinction of the matrix is 0; the constant compiles the absorbing branch of
+    Fresnel's equations away.
+    """
     if scene.types is None:
         return ComplexIndex(optics.n[material], 0.0)
     return refractive_index_of(optics, material)
@@ -162,6 +132,15 @@ def sample_entry_variates(state, size):
                 variates.u_axial,
                 variates.u_accept,
             )
+
+
+@inline_only
+def make_placeholder_grain(types):
+    """Return a `GrainSample` and an entry point of the classes for `types`, with any values.
+
+    Compiled events have them where a ray hits a particle, too.
+    """
+    return _PLACEHOLDER
 
 
 @inline_only

@@ -1,11 +1,11 @@
-"""Counter-based random numbers: one independent stream per (seed, ensemble, ray).
+"""Counter-based random numbers: independent numbers for every (seed, stream, ray).
 
 The random numbers of a ray depend only on these three integers, so results are bit-identical for
 any number of threads and any split of the rays over batches or jobs.  The generator is SplitMix64
 (Steele, Lea & Flood 2014, OOPSLA, doi:10.1145/2660193.2660195): a Weyl counter followed by a
-64-bit finalizer.  The initial counter is a hash of (seed, ensemble, ray).
+64-bit finalizer.  The initial counter is a hash of (seed, stream, ray).
 
-The state of a stream is a ``uint64`` array of one element, advanced in place.
+The state of the generator is a ``uint64`` array of one element, advanced in place.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ def mix64(z):
 
 
 @inline
-def compute_stream_start(seed, ensemble, ray):
-    """Return the initial counter of the stream of a ray."""
+def compute_stream_start(seed, stream, ray):
+    """Return the initial counter of a ray."""
     key = mix64(np.uint64(seed) + GOLDEN_GAMMA)
-    key = mix64(key ^ (np.uint64(ensemble) * _MIX1 + GOLDEN_GAMMA))
+    key = mix64(key ^ (np.uint64(stream) * _MIX1 + GOLDEN_GAMMA))
     return mix64(key ^ (np.uint64(ray) * GOLDEN_GAMMA + _MIX2))
 
 
 @inline
-def start_stream(state, seed, ensemble, ray):
-    """Set `state` (``uint64[1]``) to the start of the stream of a ray."""
-    state[0] = compute_stream_start(seed, ensemble, ray)
+def start_stream(state, seed, stream, ray):
+    """Set `state` (``uint64[1]``) to the initial counter of a ray."""
+    state[0] = compute_stream_start(seed, stream, ray)
 
 
 @inline
 def uniform(state):
-    """Return the next number of the stream, uniform on the open interval (0, 1).
+    """Return the next random number of the ray, uniform on the open interval (0, 1).
 
     It has 52 random bits and lies at the centre of its interval.  The sum below is exact, so that
     neither 0 nor 1 occurs, the logarithm is finite, and no free path exceeds 37 mean free paths.

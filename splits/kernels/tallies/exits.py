@@ -32,7 +32,7 @@ LOST = 3
 extends below the top layer.  This should not happen and is reported."""
 ALIVE = 4
 TO_GROUND = 5
-"""The ray left below, towards a reflecting ground."""
+"""The ray reached the ground, or the Lambertian bottom in contact with the lowest layer."""
 
 EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""

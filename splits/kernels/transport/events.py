@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from splits.kernels.base.scene import NO_GROUND, NO_PARTICLES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH, RouletteResult, russian_roulette
 from splits.kernels.grains.grain_path import trace_through_grain
-from splits.kernels.grains.scene import NO_GROUND, NO_PARTICLES
 from splits.kernels.grains.state import attenuate, interface_index, pore_material
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, UP, sample_cosine_lobe
@@ -66,6 +66,25 @@ def sample_pore_variate(state, scene):
 
 
 @inline_only
+def has_interface(scene, layer, other):
+    """Return whether light is reflected and refracted between a layer and its neighbour.
+
+    `boundary_fresnel` concerns wet pores; the matrix of particles always has an interface.
+
+    Parameters
+    ----------
+    scene : Scene
+    layer, other : int
+        The neighbour may be outside the sample, see `flight.find_adjacent_layer`.
+    """
+    rows = scene.layers.particle_row
+    has_particles = rows[layer] != NO_PARTICLES
+    if 0 <= other < rows.size:
+        has_particles |= rows[other] != NO_PARTICLES
+    return scene.rules.boundary_fresnel or has_particles
+
+
+@inline_only
 def enter_layer(state, ray, scene, optics):
     """Let a ray enter its layer from outside, through the interface of the sample.
 
@@ -76,9 +95,9 @@ def enter_layer(state, ray, scene, optics):
     pore_variate = sample_pore_variate(state, scene)
     near = interface_index(scene, optics, layers.first_pore_material[layer])
     far = interface_index(scene, optics, pore_material(layers, layer, pore_variate))
-    if not (scene.rules.boundary_fresnel or layers.particle_row[layer] != NO_PARTICLES):
-        far = near
     normal = orient_horizontal_normal(ray.direction)
+    if not has_interface(scene, layer, find_adjacent_layer(layer, normal)):
+        far = near
     if scene.opaque is not None:
         return replace(reflect_from_opaque(ray, normal, near, far), status=REFLECTED)
     sample = reflect_or_refract_ray(state, ray.direction, ray.stokes, normal, near, far)
@@ -108,12 +127,9 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
         return replace(ray, status=TO_GROUND)
     near = interface_index(scene, optics, pore_material(layers, ray.layer, ray.pore_variate))
     far = interface_index(scene, optics, layers.first_pore_material[ray.layer])
-    has_particles = layers.particle_row[ray.layer] != NO_PARTICLES
     if inside:
         far = interface_index(scene, optics, pore_material(layers, next_layer, ray.pore_variate))
-        has_particles |= layers.particle_row[next_layer] != NO_PARTICLES
-    # `boundary_fresnel` concerns wet pores; the matrix of particles always has an interface.
-    if not (scene.rules.boundary_fresnel or has_particles):
+    if not has_interface(scene, ray.layer, next_layer):
         far = near
     normal = orient_horizontal_normal(ray.direction)
     sample = reflect_or_refract_ray(state, ray.direction, ray.stokes, normal, near, far)
@@ -162,14 +178,16 @@ def scatter_at_particle(state, ray, scene):
 @inline_only
 def collide(state, ray, event, scene, optics, path_lengths):
     """Return a ray after a collision with a particle or a grain."""
-    if ray.order == ray.max_order:
+    if ray.order >= ray.max_order:
         return replace(ray, status=ABSORBED)
     ray = replace(ray, order=ray.order + 1)
     if scene.particles is not None and (
         scene.types is None or scene.layers.particle_row[ray.layer] != NO_PARTICLES
     ):
         return scatter_at_particle(state, ray, scene)
-    ray = trace_through_grain(state, ray, event, scene, optics, path_lengths)
+    ray = trace_through_grain(
+        state, ray, event.grain_sample, event.entry, scene, optics, path_lengths
+    )
     return replace(ray, exit_offset=ORIGIN) if scene.rules.point_grains else ray
 
 
@@ -196,13 +214,13 @@ def reflect_from_ground(state, ray, scene, optics, path_lengths):
     If the lower boundary of the sample reflects it, the ray is directed to the ground again.  The
     ground counts as one order of scattering.
     """
-    if scene.detectors is not None:
+    if scene.detectors is not None and ray.order < ray.max_order:
         score_ground(state, scene, ray)
     ray = absorb_at_ground(state, ray, scene, optics, path_lengths)
     if ray.status != ALIVE:
         return ray
     ray = apply_roulette(state, ray, scene.detectors)
-    if ray.status != ALIVE or ray.order == ray.max_order:
+    if ray.status != ALIVE or ray.order >= ray.max_order:
         return replace(ray, status=ABSORBED)
     direction = sample_cosine_lobe(UP, uniform(state), uniform(state))
     bottom_layer = scene.layers.collision_coefficient.size - 1

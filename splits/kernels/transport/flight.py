@@ -12,20 +12,22 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from splits.kernels.base.ray import Segment, compute_position
+from splits.kernels.base.scene import NO_PARTICLES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.free_path import Collision, compute_boundary_hit, sample_collision
-from splits.kernels.grains.ray import compute_position
-from splits.kernels.grains.scene import MAX_REJECTIONS, NO_PARTICLES
-from splits.kernels.grains.spheroid import EntryPoint, GrainSize, Segment, Spheroid
+from splits.kernels.grains.free_path import (
+    MAX_REJECTIONS,
+    Collision,
+    compute_boundary_hit,
+    sample_collision,
+)
+from splits.kernels.grains.spheroid import EntryPoint
 from splits.kernels.grains.state import (
-    BOUNDARY,
-    COLLISION,
-    NO_EVENT,
     GrainSample,
     attenuate,
     get_layer_geometry,
-    make_event,
+    make_placeholder_grain,
     make_rejection_rules,
     pore_material,
     refractive_index_of,
@@ -33,12 +35,42 @@ from splits.kernels.grains.state import (
     sample_grain,
 )
 from splits.kernels.math.rng import uniform
-from splits.kernels.math.vectors import ORIGIN, UP, Vector
+from splits.kernels.math.vectors import ORIGIN, Vector
+from splits.kernels.rough_surface.realization import SurfaceSlope
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing
 from splits.kernels.tallies.exits import ALIVE, LOST
 
-_NO_GRAIN = GrainSample(0, GrainSize(1.0, 0.0), 0.0)
-_NO_ENTRY = EntryPoint(Spheroid(UP, UP, 0.0, 1.0), UP, 0.0, 1.0)
+COLLISION, BOUNDARY, ROUGH_TOP, NO_EVENT = range(4)
+"""Kinds of events: a grain or a particle, a layer boundary, the rough top, or none was found."""
+
+
+class Event(NamedTuple):
+    """Next event of a ray.
+
+    Attributes
+    ----------
+    kind : int
+        `COLLISION`, `BOUNDARY`, `ROUGH_TOP`, or `NO_EVENT`.
+    layer : int
+        Layer in which it is.
+    distance : float
+        Length of the path segment that it ends (m).
+    position : Vector
+        Where it is (m).
+    grain_sample : GrainSample
+    entry : EntryPoint
+        The sampled grain, which only a `COLLISION` hits.
+    slope : SurfaceSlope
+        Slope of the facet of a `ROUGH_TOP`.
+    """
+
+    kind: int
+    layer: int
+    distance: float
+    position: Vector
+    grain_sample: GrainSample
+    entry: EntryPoint
+    slope: SurfaceSlope
 
 
 class LayerCollision(NamedTuple):
@@ -77,8 +109,8 @@ def is_continuous(layers, optics, layer, other, pore_variate):
 def record_crossing(ray, upward, scene, path_lengths, crossings):
     """Record the crossing of a ray into the next layer, if the scene records crossings."""
     if crossings is not None and scene.record_crossings:
-        event = encode_crossing(ray.layer if upward else ray.layer + 1, upward)
-        append_crossing(crossings, event, ray.weight, path_lengths)
+        code = encode_crossing(ray.layer if upward else ray.layer + 1, upward)
+        append_crossing(crossings, code, ray.weight, path_lengths)
 
 
 @inline_only
@@ -104,14 +136,17 @@ def locate_layer(ray, scene, optics, path_lengths, crossings):
 
 
 @inline_only
-def sample_particle_collision(flight, u, layer_geometry):
-    """Sample the `Collision` with a particle; particles are points and never overlap anything."""
+def sample_particle_collision(flight, u, layer_geometry, entry):
+    """Sample the `Collision` with a particle, a point that overlaps nothing.
+
+    Its entry point is the placeholder `entry`.
+    """
     distance = flight.start_distance - math.log(u) * layer_geometry.mean_free_path
     height = compute_position(flight).z + distance * flight.direction.z
     outside = height < layer_geometry.bottom
     if flight.direction.z > 0.0:
         outside = height > layer_geometry.top
-    return Collision(distance, height, _NO_ENTRY, outside, not outside, 0.0)
+    return Collision(distance, height, entry, outside, not outside, 0.0)
 
 
 @inline_only
@@ -130,8 +165,9 @@ def sample_layer_collision(state, flight, scene, layer_geometry, rules):
     if scene.types is None or (
         scene.particles is not None and scene.layers.particle_row[flight.layer] != NO_PARTICLES
     ):
-        collision = sample_particle_collision(flight, uniform(state), layer_geometry)
-        return LayerCollision(_NO_GRAIN, collision)
+        grain_sample, entry = make_placeholder_grain(scene.types)
+        collision = sample_particle_collision(flight, uniform(state), layer_geometry, entry)
+        return LayerCollision(grain_sample, collision)
     grain_sample = sample_grain(state, scene, flight.layer)
     variates = sample_entry_variates(state, grain_sample.size)
     collision = sample_collision(
@@ -180,7 +216,8 @@ def sample_next_event(state, ray, scene, optics):
     x = ray.position.x + ray.exit_offset.x + distance * ray.direction.x
     y = ray.position.y + ray.exit_offset.y + distance * ray.direction.y
     position = Vector(x, y, height)
-    return make_event(kind, flight.layer, distance, position, grain_sample, collision.entry)
+    no_slope = SurfaceSlope(0.0, 0.0)
+    return Event(kind, flight.layer, distance, position, grain_sample, collision.entry, no_slope)
 
 
 @inline_only

@@ -1,17 +1,18 @@
 """History loop of the scalar kernel: single rays through layers of grains and particles.
 
 Layers are horizontal and infinitely extended.  A rough surface may lie on top of them and a ground
-below; hits of the ground are recorded as crossings, with the weight of the ray.  Features absent
-from a scene (grains, particles, rough surface, polarization, detectors) are None and compiled away.
+below; hits of the ground are recorded as crossings, with the weight of the ray, except for a bottom
+with analog absorption.  Features absent from a scene (grains, particles, rough surface,
+polarization, detectors) are None and compiled away.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from splits.kernels.base.ray import make_ray
+from splits.kernels.base.work import FIRST_RAY, MAX_ORDER, N_RAYS, STREAM
 from splits.kernels.compiler.jit import entry_point, inline_only
-from splits.kernels.grains.ray import make_ray
-from splits.kernels.grains.state import BOUNDARY, COLLISION, ROUGH_TOP
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.source import sample_source_direction
@@ -49,6 +50,9 @@ from splits.kernels.transport.events import (
     reflect_from_ground,
 )
 from splits.kernels.transport.flight import (
+    BOUNDARY,
+    COLLISION,
+    ROUGH_TOP,
     attenuate_segment,
     end_segment,
     locate_layer,
@@ -78,7 +82,7 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
         The ray's random stream.
     ray : Ray
     scene, optics
-        See `splits.kernels.grains.scene`.
+        See `splits.kernels.base.scene`.
     path_lengths : float64[materials]
         Path lengths (m), accumulated in place.
     crossings : CrossingBuffer or None
@@ -194,11 +198,9 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
     ----------
     seed : int
     work : int64[4]
-        Stream number of the paths that wavelengths share, first ray, number of rays, and order of
-        scattering after which a ray counts as absorbed.  Seed, ensemble and ray determine the
-        random stream, so that results do not depend on the batch.
+        See `splits.kernels.base.work`.
     scene, optics
-        See `splits.kernels.grains.scene`.
+        See `splits.kernels.base.scene`.
     exits : float64[rays, columns]
         A row for each ray, from `splits.kernels.tallies.exits.allocate_exits`; polarized rays have
         three columns more, Q, U, V over I, with Q along the plane of the normal.
@@ -216,14 +218,14 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
     path_lengths = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
     crossings = allocate_crossings(optics.n.size)
-    while number < work[2]:
-        # References to the buffer are counted here, outside the loop over rays.
-        crossings = enlarge_buffer(crossings, n_recorded)
-        while number < work[2]:
-            start_stream(state, seed, work[0], work[1] + number)
+    while number < work[N_RAYS]:
+        while number < work[N_RAYS]:
+            start_stream(state, seed, work[STREAM], work[FIRST_RAY] + number)
             n_recorded = start_records(crossings, number)
             rough_top = sample_realization_if_rough(state, height_fields, surface_buffer)
-            ray = trace_ray(state, scene, optics, path_lengths, crossings, rough_top, work[3])
+            ray = trace_ray(
+                state, scene, optics, path_lengths, crossings, rough_top, work[MAX_ORDER]
+            )
             if ray.status == ALIVE or ray.status == TO_GROUND:
                 # The buffer is full.  The ray is traced again, with the same random numbers.
                 break
@@ -233,6 +235,9 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
             if ray.status != ABSORBED:
                 record_ray(exits[number], ray, path_lengths)
             number += 1
+        if number < work[N_RAYS]:
+            # References to the buffer are counted here, outside the loop over rays.
+            crossings = enlarge_buffer(crossings, n_recorded)
     return BatchResult(n_segments, False, get_recorded(crossings))
 
 
@@ -252,9 +257,9 @@ def trace_to_detectors(seed, work, scene, optics, totals):
     n_segments = 0
     path_lengths = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
-    for number in range(work[2]):
-        start_stream(state, seed, work[0], work[1] + number)
-        ray = trace_ray(state, scene, optics, path_lengths, None, None, work[3])
+    for number in range(work[N_RAYS]):
+        start_stream(state, seed, work[STREAM], work[FIRST_RAY] + number)
+        ray = trace_ray(state, scene, optics, path_lengths, None, None, work[MAX_ORDER])
         n_segments += ray.n_segments
         if ray.status != ABSORBED:
             total = totals[0 if ray.status == REFLECTED else 1]

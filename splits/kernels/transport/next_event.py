@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.kernels.base.ray import compute_position
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.grains.ray import compute_position
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.phase_function import PhaseFunction
 from splits.kernels.transport.peak_next_event import (

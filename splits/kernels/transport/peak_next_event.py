@@ -6,7 +6,8 @@ the last of these scatterings would be rare and large, because only directions w
 around the direction of the detector contribute.  They are therefore sampled backwards from the
 detector, and the event before all of them is scored with the wide part of the phase function, which
 is small everywhere.  The sum over all orders n is exact; the method is related to the n-tuple local
-estimate of Buras & Mayer 2011 (J.  Quant.  Spectrosc.  Radiat.  Transfer 112, 434).
+estimate of Buras & Mayer 2011 (J.  Quant.  Spectrosc.  Radiat.  Transfer 112, 434).  The n
+scatterings do not count towards the largest order of scattering.
 """
 
 from __future__ import annotations

@@ -8,15 +8,10 @@ all of this is compiled away.
 
 from __future__ import annotations
 
+from splits.kernels.base.ray import NO_SEGMENT, compute_position
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.ray import NO_SEGMENT, compute_position
-from splits.kernels.grains.state import (
-    NO_EVENT,
-    ROUGH_TOP,
-    interface_index,
-    pore_material,
-)
+from splits.kernels.grains.state import interface_index, pore_material
 from splits.kernels.math.vectors import ORIGIN, add_scaled, scale
 from splits.kernels.optics.scattering import reflect_or_refract_ray
 from splits.kernels.rough_surface.intersection import (
@@ -28,6 +23,7 @@ from splits.kernels.rough_surface.intersection import (
 )
 from splits.kernels.tallies.exits import ABSORBED, LOST, REFLECTED
 from splits.kernels.transport.events import reflect_from_opaque, sample_pore_variate
+from splits.kernels.transport.flight import NO_EVENT, ROUGH_TOP
 
 MAX_HEIGHT_SIGMA = 50.0
 """Bound of the height of realizations in standard deviations.
@@ -127,6 +123,7 @@ def interact_at_rough_top(state, ray, slope, scene, optics, rough_top):
     Parameters are those of `scatter_at_facet` and `trace_above_surface`.
     """
     if rough_top is None:
+        # Compiles the rest away under a smooth top.
         return ray
     if ray.order >= ray.max_order:
         return replace(ray, status=ABSORBED)

@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.base.ray import Ray
+from splits.kernels.base.work import FIRST_RAY, N_RAYS, NO_MAX_ORDER, STREAM
 from splits.kernels.compiler.jit import entry_point, inline_allocating
 from splits.kernels.compiler.replace import replace
-from splits.kernels.grains.ray import Ray
-from splits.kernels.grains.scene import NO_MAX_ORDER
 from splits.kernels.math.rng import mix64, start_stream, uniform
 from splits.kernels.tallies.exits import ALIVE, LOST, REFLECTED, TRANSMITTED, BatchStats
 from splits.kernels.transport.history import sample_source, trace_history
@@ -105,10 +105,10 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
     ----------
     seed : int
     work : int64[3]
-        Ensemble, first ray, number of rays; they determine the random streams, as in
-        `history.trace_batch`.
+        See `splits.kernels.base.work`; without the order of scattering.
     scene, optics
-        See `splits.kernels.grains.scene`; `optics.absorption` is that of the single wavelength.
+        See `splits.kernels.base.scene`.  The scene has a smooth top, an open bottom and no
+        particles; `optics.absorption` is that of the single wavelength.
     kappa : float
         Decay rate of the window with depth (1/m).
     moments : float64[2, 3]
@@ -123,11 +123,11 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
     """
     n_segments = 0
     state = np.zeros(1, dtype=np.uint64)
-    for number in range(work[1], work[1] + work[2]):
-        start_stream(state, seed, work[0], number)
+    for number in range(work[FIRST_RAY], work[FIRST_RAY] + work[N_RAYS]):
+        start_stream(state, seed, work[STREAM], number)
         ray = sample_source(state, scene, optics, None, NO_MAX_ORDER)
         # The weight window replaces the roulette by optical depth.
-        ray = replace(ray, weight=1.0, optical_depth=0.0, next_roulette=math.inf)
+        ray = replace(ray, next_roulette=math.inf)
         source_ray = SplitRay(ray, 1.0, state[0])
         score = trace_history_with_splitting(state, source_ray, scene, optics, kappa, profile)
         n_segments += score.n_segments

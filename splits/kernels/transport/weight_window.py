@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.base.ray import compute_position
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.grains.ray import compute_position
 
 
 class WeightWindow(NamedTuple):
@@ -36,7 +36,7 @@ class WeightWindow(NamedTuple):
 
 @inline_only
 def compute_ray_height(ray, layers):
-    """Return the height of a ray (m)."""
+    """Return the height of a ray (m), limited to that of the sample."""
     bottom = layers.boundaries[layers.boundaries.size - 1]
     return min(max(compute_position(ray).z, bottom), 0.0)
 

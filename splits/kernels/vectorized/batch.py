@@ -1,4 +1,4 @@
-"""Batches of rays on lanes, for several ensembles at once."""
+"""Batches of rays on lanes, of several work items at once."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.base.work import N_RAYS
 from splits.kernels.compiler.alignment import align_stack, allocate_aligned
 from splits.kernels.compiler.jit import ZERO, entry_point, inline_allocating, inline_only
 from splits.kernels.compiler.replace import replace
@@ -96,7 +97,7 @@ class SourceQueue(NamedTuple):
 def skip_finished_items(queue, work):
     """Advance the queue to the item of the next ray."""
     item, number = queue.item, queue.ray_in_item
-    while number == work[item, 2]:
+    while number == work[item, N_RAYS]:
         item += 1
         number = 0
     return replace(queue, item=item, ray_in_item=number)
@@ -179,19 +180,17 @@ def count_lanes(state, width):
 
 @entry_point
 def trace_batch(seed, work, scene, optics, exits, features):
-    """Trace a batch of rays of several ensembles and record their exits.
+    """Trace a batch of rays of several work items and record their exits.
 
-    All ensembles use the same lanes, which are idle only after the last ray was launched.
+    All items use the same lanes, which are idle only after the last ray was launched.
 
     Parameters
     ----------
     seed : int
     work : int64[items, 4]
-        Ensemble, first ray, number of rays, and order of scattering after which a ray counts as
-        absorbed.  Seed, ensemble and ray determine the random stream, so that results do not depend
-        on the lane, the batch and the other rays.
+        See `splits.kernels.base.work`.  Results of a ray do not depend on its lane either.
     scene : Scene
-        See `splits.kernels.grains.scene`; at most one coating.
+        See `splits.kernels.base.scene`; at most one coating.
     optics : Optics
         With a row for each item.
     exits : float64[rays, columns]
@@ -214,7 +213,7 @@ def trace_batch(seed, work, scene, optics, exits, features):
     job = BatchJob(seed, work, scene, optics, features)
     state, path_lengths = allocate_lanes(), np.zeros((N_LANES, optics.n.shape[1]))
     n_segments = np.zeros(len(work), dtype=np.int64)
-    queue = SourceQueue(0, work[:, 2].sum(), 0, 0, 0, False)
+    queue = SourceQueue(0, work[:, N_RAYS].sum(), 0, 0, 0, False)
     crossings = allocate_crossings(optics.n.shape[1])
     width = min(N_LANES, max(1, -(-queue.n_rays // STRIDE)) * STRIDE)
     # Between two checks of the capacity, a ray may hit a grain once and be served once.

@@ -7,16 +7,10 @@ import math
 import numpy as np
 from numba import config
 
+from splits.kernels.base.scene import DRY_PORE, NO_PARTICLES, WET_PORE, Optics, Scene
 from splits.kernels.compiler.features import Features
 from splits.kernels.compiler.jit import entry_point_no_refcount
-from splits.kernels.grains.scene import (
-    DRY_PORE,
-    NO_PARTICLES,
-    WET_PORE,
-    GrainTypes,
-    Optics,
-    Scene,
-)
+from splits.kernels.grains.population import GrainTypes
 from splits.kernels.optics.fresnel import fresnel
 
 EXTINCTION_TOLERANCE = 1e-5
@@ -54,7 +48,7 @@ def select_features(scene: Scene, optics: Optics) -> Features | None:
     Parameters
     ----------
     scene, optics
-        See `splits.kernels.grains.scene`.
+        See `splits.kernels.base.scene`.
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return None

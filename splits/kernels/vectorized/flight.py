@@ -9,8 +9,7 @@ import numpy as np
 from numpy import float32 as single
 
 from splits.kernels.compiler.jit import ONE, ZERO, entry_point_no_refcount, inline_only
-from splits.kernels.grains.free_path import russian_roulette, sample_collision
-from splits.kernels.grains.scene import MAX_REJECTIONS
+from splits.kernels.grains.free_path import MAX_REJECTIONS, russian_roulette, sample_collision
 from splits.kernels.grains.spheroid import EntryVariates, GrainSize, accept_axial_position
 from splits.kernels.grains.state import make_rejection_rules
 from splits.kernels.math.elementary import sample_circle
@@ -118,7 +117,7 @@ def run_flight_pass(state, width, features, rules):
     width : int
         Lanes in use, from the first on: a multiple of `STRIDE`.
     features, rules : Features, SamplingRules
-        See `splits.kernels.compiler.features` and `splits.kernels.grains.scene`.
+        See `splits.kernels.compiler.features` and `splits.kernels.base.scene`.
     """
     prefer_512_bit_vectors()
     for first_lane in range(0, width, STRIDE):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from splits.kernels.base.sampling_rules import WRONG_SIDE_LOBE
 from splits.kernels.compiler.jit import (
     ONE,
     ZERO,
@@ -24,7 +25,6 @@ from splits.kernels.grains.interaction import (
     relative_index,
 )
 from splits.kernels.grains.microfacet import make_smooth_facet, sample_microfacet
-from splits.kernels.grains.scene import WRONG_SIDE_LOBE
 from splits.kernels.grains.spheroid import compute_chord
 from splits.kernels.math.arithmetic import sqrt
 from splits.kernels.math.elementary import Angle, log, sample_half_circle

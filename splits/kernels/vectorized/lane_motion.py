@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from splits.kernels.base.ray import Ray, Segment
 from splits.kernels.compiler.jit import ONE, ZERO, inline_only
-from splits.kernels.grains.ray import Ray
-from splits.kernels.grains.spheroid import Segment
 from splits.kernels.math.vectors import Vector, select
 
 

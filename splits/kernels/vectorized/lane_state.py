@@ -61,7 +61,7 @@ class Lane(StructureOfArrays, n_elements=N_LANES):
     order: int = 0  # Order of scattering.
     max_order: int  # Order after which it counts as absorbed.
 
-    # As in `grains.ray.Ray`, with its previous segment.
+    # As in `base.ray.Ray`, with its previous segment.
     position: Vector = ORIGIN
     exit_offset: Vector = ORIGIN
     direction: Vector

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
+from splits.kernels.base.scene import NO_GROUND
 from splits.kernels.compiler.jit import ZERO, inline_only
 from splits.kernels.grains.free_path import compute_boundary_hit
-from splits.kernels.grains.scene import NO_GROUND
 from splits.kernels.math.vectors import UP, Vector, sample_cosine_lobe
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing, set_current_ray
 from splits.kernels.transport.flight import find_adjacent_layer
@@ -22,22 +22,25 @@ from splits.kernels.vectorized.lifecycle import enter_layer, flush_path_lengths,
 
 
 @inline_only
-def pore_material(lane, layers, layer):
+def lane_pore_material(lane, layers, layer):
     """Return the material of the pore of a ray in a layer."""
     wet = lane.pore_variate < single(layers.wet_fraction[layer])
     return layers.first_pore_material[layer] + (1 if wet else 0)
 
 
 @inline_only
-def pore_index(lane, job, layer):
+def lane_pore_index(lane, job, layer):
     """Return the complex refractive index of the pore of a ray in a layer."""
-    return refractive_index_of(job.optics, lane.item, pore_material(lane, job.scene.layers, layer))
+    pore = lane_pore_material(lane, job.scene.layers, layer)
+    return refractive_index_of(job.optics, lane.item, pore)
 
 
 @inline_only
-def has_same_refractive_index(lane, job, layer, other):
-    """Return whether the pores of two layers have the same complex refractive index."""
-    a, b = pore_index(lane, job, layer), pore_index(lane, job, other)
+def lane_is_continuous(lane, job, layer, other):
+    """Return whether `other` is a layer whose pores have the index of those of `layer`."""
+    if not 0 <= other < job.scene.layers.collision_coefficient.size:
+        return False
+    a, b = lane_pore_index(lane, job, layer), lane_pore_index(lane, job, other)
     return a.n == b.n and a.k == b.k
 
 
@@ -58,18 +61,18 @@ def start_flight(lane):
 
 
 @inline_only
-def append_lane_crossing(lane, path_lengths, crossings, event):
+def append_lane_crossing(lane, path_lengths, crossings, code):
     """Record a crossing of a ray, whose path lengths must have been flushed."""
     set_current_ray(crossings, lane.ray)
-    append_crossing(crossings, event, np.float64(lane.weight), path_lengths)
+    append_crossing(crossings, code, np.float64(lane.weight), path_lengths)
 
 
 @inline_only
 def record_crossing(lane, job, path_lengths, crossings, layer, upward):
     """Record the crossing of a ray into the next layer, if the scene records crossings."""
     if job.scene.record_crossings:
-        event = encode_crossing(layer if upward else layer + 1, upward)
-        append_lane_crossing(lane, path_lengths, crossings, event)
+        code = encode_crossing(layer if upward else layer + 1, upward)
+        append_lane_crossing(lane, path_lengths, crossings, code)
 
 
 @inline_only
@@ -84,7 +87,7 @@ def attenuate_segment(lane, job, path_lengths, crossings):
             boundary = layers.boundaries[layer] if d > 0.0 else layers.boundaries[layer + 1]
             length = min(max((boundary - z) / d, 0.0), remaining)
             z = boundary
-        pore = pore_material(lane, layers, layer)
+        pore = lane_pore_material(lane, layers, layer)
         path_lengths[pore] += length
         depth += length * job.optics.absorption[lane.item, pore]
         if layer == last_layer:
@@ -109,18 +112,18 @@ def restart_flight(lane, job):
 def locate_layer(lane, job, path_lengths, crossings):
     """Set the layer of a ray that left a grain on the other side of a boundary.
 
-    If the pores there have another index, the ray is placed on that boundary.
+    If the pores of the layer there have another index, the ray is moved vertically to that
+    boundary.  A ray outside the sample keeps its position: its next flight starts on the boundary.
     """
     position, exit_offset, boundaries = lane.position, lane.exit_offset, job.scene.layers.boundaries
     z, layer = position.z + exit_offset.z, np.int64(lane.layer)
     while z > single(boundaries[layer]) or z < single(boundaries[layer + 1]):
         upward = z > single(boundaries[layer])
         next_layer = layer - 1 if upward else layer + 1
-        if next_layer < 0 or next_layer == boundaries.size - 1:
-            break
-        if not has_same_refractive_index(lane, job, layer, next_layer):
-            boundary = single(boundaries[layer if upward else layer + 1])
-            lane.exit_offset = Vector(exit_offset.x, exit_offset.y, boundary - position.z)
+        if not lane_is_continuous(lane, job, layer, next_layer):
+            if 0 <= next_layer < boundaries.size - 1:
+                boundary = single(boundaries[layer if upward else layer + 1])
+                lane.exit_offset = Vector(exit_offset.x, exit_offset.y, boundary - position.z)
             break
         record_crossing(lane, job, path_lengths, crossings, layer, upward)
         layer = next_layer
@@ -140,16 +143,16 @@ def cross_interface(lane, job, path_lengths, crossings):
     next_layer = find_adjacent_layer(layer, ray.direction)
     inside = 0 <= next_layer < layers.collision_coefficient.size
     lane.status = lane_state.IN_FLIGHT
-    if inside and has_same_refractive_index(lane, job, layer, next_layer):
+    if lane_is_continuous(lane, job, layer, next_layer):
         set_layer(lane, job, next_layer)
         lane.start_distance = max(boundary_hit.distance, lane.start_distance)
         return False
     move_to_boundary(lane, ray, boundary_hit)
     attenuate_segment(lane, job, path_lengths, crossings)
-    near = pore_index(lane, job, layer)
+    near = lane_pore_index(lane, job, layer)
     far = refractive_index_of(job.optics, lane.item, layers.first_pore_material[layer])
     if inside:
-        far = pore_index(lane, job, next_layer)
+        far = lane_pore_index(lane, job, next_layer)
     transmitted = True
     if job.scene.rules.boundary_fresnel and (near.n != far.n or near.k != far.k):
         transmitted = refract_at_boundary(lane, ray.direction, near, far)

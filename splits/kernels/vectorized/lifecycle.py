@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.kernels.base.scene import DRY_PORE, WET_PORE, Optics, Scene
+from splits.kernels.base.work import FIRST_RAY, MAX_ORDER, STREAM
 from splits.kernels.compiler.features import Features
 from splits.kernels.compiler.jit import ZERO, inline_only
 from splits.kernels.compiler.structure_of_arrays import initialize
 from splits.kernels.grains.free_path import compute_boundary_hit
-from splits.kernels.grains.scene import DRY_PORE, WET_PORE, Optics, Scene
 from splits.kernels.math.rng import compute_stream_start
 from splits.kernels.math.vectors import Vector, to_single
 from splits.kernels.optics.interface import orient_horizontal_normal, sample_interface
@@ -50,8 +51,8 @@ def sample_source(lane, job, ray, item, ray_in_item):
     """Launch a ray of the light source; return whether it enters the sample."""
     source, work = job.scene.source, job.work
     initialize(lane)
-    lane.ray, lane.item, lane.max_order = ray, item, work[item, 3]
-    key = compute_stream_start(job.seed, work[item, 0], work[item, 1] + ray_in_item)
+    lane.ray, lane.item, lane.max_order = ray, item, work[item, MAX_ORDER]
+    key = compute_stream_start(job.seed, work[item, STREAM], work[item, FIRST_RAY] + ray_in_item)
     lane.key_high, lane.key_low = np.uint32(key >> np.uint64(32)), np.uint32(key)
     u = draw_uniform(lane) if source.diffuse_fraction > 0.0 else 1.0
     entered = enter_layer(lane, job, 0, sample_source_direction(source, u))

@@ -84,7 +84,7 @@ def draw_grain_properties(state, width, features, tables, type_cdf):
         Curvature, flattening and half facetness at the probabilities of
         `rng.make_table_probabilities`.
     type_cdf : float64[layers, types]
-        See `splits.kernels.grains.scene.Layers`.
+        See `splits.kernels.base.scene.Layers`.
     """
     prefer_512_bit_vectors()
     curvature, flattening, roughness = tables

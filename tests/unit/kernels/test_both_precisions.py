@@ -13,12 +13,19 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
+from splits.kernels.base.ray import Ray, Segment
+from splits.kernels.base.sampling_rules import (
+    ANY_FACETS,
+    PROJECTED_ENTRY,
+    PROJECTED_FACETS,
+    UNIFORM_ENTRY,
+    UNWEIGHTED_FACETS,
+)
 from splits.kernels.compiler.features import ALL_FEATURES, Features
 from splits.kernels.grains import free_path, interaction, microfacet, spheroid
 from splits.kernels.grains.free_path import LayerGeometry, RejectionRules
 from splits.kernels.grains.interaction import InteractionVariates, InterfaceState
-from splits.kernels.grains.ray import Ray
-from splits.kernels.grains.spheroid import EntryPoint, EntryVariates, GrainSize, Segment, Spheroid
+from splits.kernels.grains.spheroid import EntryPoint, EntryVariates, GrainSize, Spheroid
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import Vector
 from splits.kernels.optics.interface import ComplexIndex
@@ -160,7 +167,7 @@ def test_interactions_at_an_interface(random, name, lobe):
     columns = draw_interfaces(random, indices, 0.5 if absorbs else 0.0)
     if features.mixed is None:
         columns[8] = np.where(columns[8] == columns[10], 1.55, columns[8])
-    for rule in (microfacet.PROJECTED_FACETS, microfacet.UNWEIGHTED_FACETS, microfacet.ANY_FACETS):
+    for rule in (PROJECTED_FACETS, UNWEIGHTED_FACETS, ANY_FACETS):
         for flip in (False, True):
             for through in (False, True) if lobe else (False,):
                 label = f"{name}, lobe {lobe}, through {through}, rule {rule}, flip {flip}"
@@ -187,7 +194,7 @@ def test_unused_features_change_nothing(random, name):
             False,
             False,
             features,
-            microfacet.PROJECTED_FACETS,
+            PROJECTED_FACETS,
             False,
         )
         for features in (FEATURES["rough"], FEATURES[name])
@@ -267,7 +274,7 @@ def draw_entry_variates(random):
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("entry", [spheroid.UNIFORM_ENTRY, spheroid.PROJECTED_ENTRY])
+@pytest.mark.parametrize("entry", [UNIFORM_ENTRY, PROJECTED_ENTRY])
 def test_entry_points_of_grains(random, entry):
     columns = [draw_directions(random), draw_sizes(random), *draw_entry_variates(random)]
     single, double = run_both_precisions(_compute_entries, columns, 12, entry)
@@ -344,9 +351,9 @@ def _sample_collisions(x, rules, out):
 
 DEPTH = 30.0 * GRAIN_SIZE
 OVERLAP_RULES = {
-    "redrawn": RejectionRules(spheroid.UNIFORM_ENTRY, True, True, False, False),
-    "kept": RejectionRules(spheroid.PROJECTED_ENTRY, False, False, False, False),
-    "skipped": RejectionRules(spheroid.UNIFORM_ENTRY, True, True, True, True),
+    "redrawn": RejectionRules(UNIFORM_ENTRY, True, True, False, False),
+    "kept": RejectionRules(PROJECTED_ENTRY, False, False, False, False),
+    "skipped": RejectionRules(UNIFORM_ENTRY, True, True, True, True),
 }
 
 

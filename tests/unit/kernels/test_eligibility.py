@@ -12,15 +12,16 @@ from scenes import make_coated_grains, make_medium_scene, make_optics, make_scen
 from scipy import integrate
 
 import splits
+from splits.kernels.base.ray import Ray, Segment
+from splits.kernels.base.sampling_rules import UNIFORM_ENTRY
+from splits.kernels.base.scene import DRY_PORE, WET_PORE
 from splits.kernels.compiler.features import Features
 from splits.kernels.grains.free_path import (
     LayerGeometry,
     RejectionRules,
     sample_collision,
 )
-from splits.kernels.grains.ray import Ray
-from splits.kernels.grains.scene import DRY_PORE, WET_PORE
-from splits.kernels.grains.spheroid import UNIFORM_ENTRY, EntryVariates, GrainSize, Segment
+from splits.kernels.grains.spheroid import EntryVariates, GrainSize
 from splits.kernels.math.elementary import sample_circle
 from splits.kernels.math.vectors import Vector, make_tangents
 from splits.kernels.optics.fresnel import fresnel

@@ -14,6 +14,7 @@ import pytest
 from chi2 import start_random_stream
 
 import splits
+from splits.kernels.base.sampling_rules import UNWEIGHTED_FACETS
 from splits.kernels.grains import microfacet, spheroid
 from splits.kernels.grains.interaction import InteractionVariates
 from splits.kernels.grains.spheroid import Spheroid
@@ -371,7 +372,7 @@ def check_tilt(facetness):
         exact = mp.sqrt(M(tilt) * (2 - M(tilt)))
         variates = InteractionVariates(0.9, 0.5, 0.5, normal, Angle(0.6, 0.8))
         facet = microfacet.sample_microfacet(
-            d, smooth, 0.5 * facetness, variates, False, microfacet.UNWEIGHTED_FACETS
+            d, smooth, 0.5 * facetness, variates, False, UNWEIGHTED_FACETS
         )
         assert facet.tilt.cos == 1.0 - tilt
         assert compute_relative_error(0.6 * facet.tilt.sin, exact) < RELATIVE

@@ -88,6 +88,56 @@ def test_unknown_fields_are_rejected():
         get_unknown(np.zeros(N_ELEMENTS * Item.n_rows, dtype=np.uint32))
 
 
+@NEEDS_JIT
+def test_structures_of_the_same_name_have_their_own_layouts():
+    def declare_structure(with_x):
+        if with_x:
+
+            class Structure(StructureOfArrays, n_elements=4):
+                x: float
+                y: float
+        else:
+
+            class Structure(StructureOfArrays, n_elements=8):
+                y: float
+
+        return Structure
+
+    first, second = declare_structure(True), declare_structure(False)
+
+    @njit
+    def set_fields(words, other_words):
+        first(words, 1).y = np.float32(2.0)
+        second(other_words, 1).y = np.float32(2.0)
+
+    words, other_words = np.zeros((2, 8), dtype=np.float32)
+    set_fields(words, other_words)
+    assert words.nonzero()[0] == 5 and other_words.nonzero()[0] == 1
+
+
+@NEEDS_JIT
+@pytest.mark.parametrize(
+    "words",
+    [
+        np.zeros(N_ELEMENTS * Item.n_rows),
+        np.zeros((Item.n_rows, N_ELEMENTS), dtype=np.uint32),
+        np.zeros(2 * N_ELEMENTS * Item.n_rows, dtype=np.uint32)[::2],
+        1.0,
+    ],
+    ids=["64 bits", "two dimensions", "strided", "no array"],
+)
+def test_other_arrays_are_rejected(words):
+    with pytest.raises(TypingError, match=r"Item: .* is not a contiguous one-dimensional array"):
+        _initialize(words, 0)
+
+
+def test_other_fields_are_rejected():
+    with pytest.raises(TypeError, match=r"float64.* is not a 32-bit number"):
+
+        class Wide(StructureOfArrays, n_elements=4):
+            x: np.float64
+
+
 def test_select_chooses_numbers_and_named_tuples():
     a, b = Pair(Vector(1.0, 2.0, 3.0), True), Pair(Vector(4.0, 5.0, 6.0), False)
 

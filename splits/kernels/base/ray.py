@@ -5,9 +5,17 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.grains.spheroid import Segment
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.tallies.exits import ALIVE
+
+
+class Segment(NamedTuple):
+    """Path segment: its end, its direction towards that end, and its length (m), −1 for none."""
+
+    end: Vector
+    direction: Vector
+    length: float
+
 
 NO_SEGMENT = Segment(ORIGIN, Vector(0.0, 0.0, -1.0), -1.0)
 """Previous segment of a ray that starts."""

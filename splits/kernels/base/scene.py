@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.kernels.grains import microfacet, spheroid
+from splits.kernels.base.sampling_rules import SamplingRules
 from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import Stokes
 
@@ -24,87 +24,6 @@ NO_PARTICLES = -1
 
 NO_GROUND = -1
 """Value of `Scene.ground_column` without a reflecting ground."""
-
-NO_MAX_ORDER = 2**31 - 1
-"""Largest order of scattering if it is unlimited."""
-
-MAX_REJECTIONS = 10_000_000
-"""Successive rejections after which a ray counts as lost.
-
-At grazing incidence few grains fit below the boundary: 3e5 are rejected on average at 89.9999
-degrees.
-"""
-
-WRONG_SIDE_LOBE = 0
-"""A direction on the wrong side of the macroscopic surface is replaced by a cosine lobe."""
-WRONG_SIDE_MIRROR = 1
-"""A direction on the wrong side of the macroscopic surface is mirrored in that surface."""
-
-OVERLAP_KEEP = 0
-"""An overlapping grain is accepted."""
-OVERLAP_REJECT = 1
-"""An overlapping grain is rejected; distance and grain are sampled again from the segment start."""
-OVERLAP_SKIP = 2
-"""An overlapping grain is skipped: the next distance starts from it."""
-
-GRAIN_EXTENT = {"finite": False, "point": True}
-"""Whether the path through a grain displaces the ray, or the grain is a point scatterer."""
-
-ENTRY_SAMPLING = {"uniform": spheroid.UNIFORM_ENTRY, "projected": spheroid.PROJECTED_ENTRY}
-FACET_SAMPLING = {
-    "projected": microfacet.PROJECTED_FACETS,
-    "unweighted": microfacet.UNWEIGHTED_FACETS,
-    "any": microfacet.ANY_FACETS,
-}
-WRONG_SIDE_RULE = {"cosine_lobe": WRONG_SIDE_LOBE, "mirror": WRONG_SIDE_MIRROR}
-OVERLAP_RULE = {"reject": OVERLAP_REJECT, "keep": OVERLAP_KEEP, "skip": OVERLAP_SKIP}
-
-
-class GrainTypes(NamedTuple):
-    """Grain types; distributions are quantile functions (`rng.make_table_probabilities`).
-
-    A table of distributions has one row per type, or a single row that holds for all of them.
-
-    Attributes
-    ----------
-    n_shells : int64[types]
-        Number of coatings plus one, the core.
-    material : int64[types, shells]
-        Rows of the materials from the outermost coating to the core.
-    coating_thickness : float64[types, shells]
-        Thickness of the coatings as a fraction of the major axis; unused for the core.
-    inverse_semi_major : float64[rows, m]
-        Inverse semi-major axis of the grains hit (1/m).  Weighting with the cross section makes the
-        inverse uniform, so that a table of it is exact for any range of sizes.
-    sphericity : float64[rows, m]
-        Inscribed-circle sphericity of the grains hit.
-    facetness : float64[rows, m]
-        Facetness of the grains hit.
-    """
-
-    n_shells: np.ndarray
-    material: np.ndarray
-    coating_thickness: np.ndarray
-    inverse_semi_major: np.ndarray
-    sphericity: np.ndarray
-    facetness: np.ndarray
-
-
-class GrainPopulation(NamedTuple):
-    """Grains of a medium.
-
-    Attributes
-    ----------
-    collision_coefficient : float
-        Expected number of grains hit per metre of path in the pore space, all types together.
-    type_cdf : float64[types]
-        Cumulative probability that the grain hit is of type 0…i; the last entry is 1.
-    types : GrainTypes
-    """
-
-    collision_coefficient: float
-    type_cdf: np.ndarray
-    types: GrainTypes
 
 
 class Layers(NamedTuple):
@@ -173,25 +92,6 @@ class ParticleScattering(NamedTuple):
     cdf: np.ndarray
 
 
-class SamplingRules(NamedTuple):
-    """Sampling options of the kernels, as integer codes; they implement the interpretations.
-
-    With `analog`, absorption is sampled on each segment; otherwise path lengths are recorded and
-    converted to weights at the exit.  Without `boundary_fresnel`, wet pores at boundaries refract
-    and reflect nothing.  With `point_grains`, grains are point scatterers: a ray leaves a grain at
-    the point at which it entered.
-    """
-
-    entry_sampling: int
-    facet_sampling: int
-    wrong_side: int
-    boundary_fresnel: bool
-    segment_overlap: int
-    boundary_overlap: int
-    analog: bool
-    point_grains: bool
-
-
 class Scene(NamedTuple):
     """Light source, layers, grains, particles and ground, with the sampling rules.
 
@@ -199,7 +99,7 @@ class Scene(NamedTuple):
     ----------
     source : Source
     layers : Layers
-    types : GrainTypes or None
+    types : GrainTypes, the types of another shape, or None
         None without layers of grains.
     rules : SamplingRules
     particles : ParticleScattering or None
@@ -237,7 +137,7 @@ class Scene(NamedTuple):
 
 
 class Optics(NamedTuple):
-    """Optical constants of the materials for one ensemble of paths.
+    """Optical constants of the materials for the paths of one stream.
 
     Attributes
     ----------

@@ -1,0 +1,1 @@
+"""Scenes, sampling rules, rays and work: the data that both kernels share."""

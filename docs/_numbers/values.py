@@ -316,7 +316,7 @@ def _list_angular_and_layer_numbers() -> dict[str, QuotedNumber]:
         lens = select_point("concentration", screen_depth=float(depth))
         numbers[f"lens.{depth}"] = QuotedNumber(LENS_FILE, lens, ".2f")
     numbers["lens.surfaces"] = QuotedNumber(
-        LENS_FILE, select_point("realisations", attribute=True), "g"
+        LENS_FILE, select_point("realizations", attribute=True), "g"
     )
     numbers["volume.surface"] = QuotedNumber(
         GLASS_FILE, lambda glass: _compute_glass_nadir(glass)[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from splits.kernels.compiler.jit import inline_only
-from splits.kernels.math.vectors import ORIGIN, Vector
+from splits.kernels.math.vectors import ORIGIN, Vector, add
 from splits.kernels.tallies.exits import ALIVE
 
 
@@ -94,8 +94,4 @@ def make_ray(position, direction, stokes, pore_variate, next_roulette, max_order
 @inline_only
 def compute_position(ray):
     """Return the position of a ray (m)."""
-    return Vector(
-        ray.position.x + ray.exit_offset.x,
-        ray.position.y + ray.exit_offset.y,
-        ray.position.z + ray.exit_offset.z,
-    )
+    return add(ray.position, ray.exit_offset)

@@ -49,6 +49,12 @@ def cross(a, b):
 
 
 @inline
+def add(a, b):
+    """Return a + b."""
+    return Vector(a.x + b.x, a.y + b.y, a.z + b.z)
+
+
+@inline
 def scale(s, a):
     """Return s a."""
     return Vector(s * a.x, s * a.y, s * a.z)
@@ -105,6 +111,12 @@ def _overload_to_single(value):
     scope = {"Kind": kind, "single": np.float32}
     exec(f"def to_single(value):\n    return Kind({numbers})", scope)
     return scope["to_single"]
+
+
+@inline
+def store_vector(a, row, first):
+    """Write a vector into a row from a column on."""
+    row[first], row[first + 1], row[first + 2] = a.x, a.y, a.z
 
 
 @inline

@@ -75,10 +75,8 @@ def make_basis(degree: int) -> DiskBasis:
     slope = (2.0 * i + m) * (2.0 * i + m + 1.0) * (2.0 * i + m - 1.0) / denominator
     offset = (2.0 * i + m) * (m * m - 1.0) / denominator
     previous = 2.0 * (i + m - 1.0) * i * (2.0 * i + m + 1.0) / denominator
-    slope, offset = (
-        np.where(i == 1, 0.5 * (m + 3.0), slope),
-        np.where(i == 1, 0.5 * (m - 1), offset),
-    )
+    slope = np.where(i == 1, 0.5 * (m + 3.0), slope)
+    offset = np.where(i == 1, 0.5 * (m - 1), offset)
     previous = np.where(i == 1, 0.0, previous)
     per_m = np.array([(degree - k) // 2 + 1 for k in range(degree + 1)])
     return DiskBasis(per_m, (m + 2 * i).astype(np.int64), scale, slope, offset, previous)
@@ -96,9 +94,8 @@ def evaluate_basis(basis, dx, dy, mu, values):
         last, previous = 1.0, 0.0
         for i in range(basis.n_per_m[m]):
             if i > 0:
-                new = (
-                    basis.recurrence_slope[row] * t + basis.recurrence_offset[row]
-                ) * last - basis.recurrence_previous[row] * previous
+                factor = basis.recurrence_slope[row] * t + basis.recurrence_offset[row]
+                new = factor * last - basis.recurrence_previous[row] * previous
                 last, previous = new, last
             values[row] = basis.norms[row] * real * last
             row += 1

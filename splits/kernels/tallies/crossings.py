@@ -42,9 +42,8 @@ class CrossingBuffer(NamedTuple):
 @inline_allocating
 def allocate_crossings(n_lengths):
     """Return an empty buffer of crossing records with `n_lengths` path lengths."""
-    return CrossingBuffer(
-        np.empty((_INITIAL_CAPACITY, CROSSING_LENGTH + n_lengths)), np.zeros(2, dtype=np.int64)
-    )
+    rows = np.empty((_INITIAL_CAPACITY, CROSSING_LENGTH + n_lengths))
+    return CrossingBuffer(rows, np.zeros(2, dtype=np.int64))
 
 
 @inline_allocating
@@ -64,27 +63,21 @@ def copy_into_row(row, first, values):
 
 
 @inline
+def count_recorded(buffer):
+    """Return the number of crossing records."""
+    return buffer.state[_N_RECORDED]
+
+
+@inline
 def has_capacity(buffer, n_new):
     """Return whether the buffer has capacity for `n_new` more records."""
-    return buffer.state[_N_RECORDED] + n_new <= buffer.rows.shape[0]
+    return count_recorded(buffer) + n_new <= buffer.rows.shape[0]
 
 
 @inline_allocating
-def ensure_capacity(buffer, n_new):
-    """Return a buffer with capacity for `n_new` more records, the same one if it suffices."""
-    if has_capacity(buffer, n_new):
-        return buffer
-    count = buffer.state[_N_RECORDED]
-    rows = np.empty((2 * (count + n_new), buffer.rows.shape[1]))
-    for i in range(count):
-        copy_into_row(rows[i], 0, buffer.rows[i])
-    return CrossingBuffer(rows, buffer.state)
-
-
-@inline_allocating
-def enlarge_buffer(buffer, n_kept):
-    """Return a buffer of twice the capacity with the first `n_kept` records."""
-    rows = np.empty((2 * buffer.rows.shape[0], buffer.rows.shape[1]))
+def enlarge_buffer(buffer, n_kept, n_new):
+    """Return a buffer of twice the capacity, and `n_new`, with the first `n_kept` records."""
+    rows = np.empty((2 * buffer.rows.shape[0] + n_new, buffer.rows.shape[1]))
     for i in range(n_kept):
         copy_into_row(rows[i], 0, buffer.rows[i])
     buffer.state[_N_RECORDED] = n_kept
@@ -95,13 +88,6 @@ def enlarge_buffer(buffer, n_kept):
 def set_current_ray(buffer, ray):
     """Set the ray of the records that follow."""
     buffer.state[_CURRENT_RAY] = ray
-
-
-@inline
-def start_records(buffer, ray):
-    """Set the ray of the records that follow, and return the number of those before."""
-    set_current_ray(buffer, ray)
-    return buffer.state[_N_RECORDED]
 
 
 @inline
@@ -126,10 +112,7 @@ def append_crossing(buffer, code, weight, path_lengths):
         Path lengths so far (m).
     """
     row = buffer.rows[buffer.state[_N_RECORDED]]
-    row[CROSSING_RAY], row[CROSSING_CODE], row[CROSSING_WEIGHT] = (
-        buffer.state[_CURRENT_RAY],
-        code,
-        weight,
-    )
+    row[CROSSING_RAY], row[CROSSING_CODE] = buffer.state[_CURRENT_RAY], code
+    row[CROSSING_WEIGHT] = weight
     copy_into_row(row, CROSSING_LENGTH, path_lengths)
     buffer.state[_N_RECORDED] += 1

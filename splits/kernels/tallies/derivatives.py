@@ -23,6 +23,7 @@ from splits.kernels.tallies.exits import (
     EXIT_SIDE,
     EXIT_WEIGHT,
     compute_path_weights,
+    transpose_absorption,
 )
 
 
@@ -48,29 +49,23 @@ def tally_derivatives(exits, crossings, absorption, absorption_derivatives, grou
         Derivatives of Σ weight, reflected and transmitted, of every `BLOCK_SIZE` successive rays;
         light that the ground absorbs counts as transmitted.
     """
-    wavelengths, materials = absorption.shape
-    parameters = absorption_derivatives.shape[0]
-    alpha = np.empty((materials, wavelengths), dtype=np.float32)
-    derivatives = np.empty((parameters, materials, wavelengths), dtype=np.float32)
-    for material in range(materials):
-        for i in range(wavelengths):
-            alpha[material, i] = absorption[i, material]
-            for p in range(parameters):
-                derivatives[p, material, i] = absorption_derivatives[p, i, material]
+    wavelengths, parameters = absorption.shape[0], absorption_derivatives.shape[0]
+    alpha = transpose_absorption(absorption)
+    derivatives = absorption_derivatives.transpose((0, 2, 1)).astype(np.float32)
     rays = exits.shape[0]
     blocks = np.zeros((-(-rays // BLOCK_SIZE), 2, parameters, wavelengths), dtype=np.float32)
     weight = np.empty(wavelengths, dtype=np.float32)
     first = 0
     for j in range(rays):
-        sums = blocks[j // BLOCK_SIZE]
-        side = int(exits[j, EXIT_SIDE])
+        sums, side = blocks[j // BLOCK_SIZE], int(exits[j, EXIT_SIDE])
         if side >= 0:
             lengths = exits[j, EXIT_LENGTH:]
             compute_path_weights(lengths, exits[j, EXIT_WEIGHT], alpha, weight)
             for p in range(parameters):
                 _subtract_derivative(lengths, weight, derivatives[p], sums[side, p])
+        totals = sums[1]
         first = _add_ground_derivatives(
-            crossings, first, j, alpha, derivatives, ground_column, sums[1]
+            crossings, first, j, alpha, derivatives, ground_column, totals
         )
     return blocks
 

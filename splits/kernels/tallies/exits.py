@@ -20,6 +20,7 @@ from splits.kernels.compiler.jit import (
     inline_allocating,
 )
 from splits.kernels.math.elementary import exp_float32
+from splits.kernels.math.vectors import store_vector
 from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY, CROSSING_WEIGHT
 
 ABSORBED = 0
@@ -101,11 +102,7 @@ def record_exit(row, reflected, position, direction, weight, order):
     row[EXIT_SIDE] = 0.0 if reflected else 1.0
     row[EXIT_WEIGHT] = weight
     row[EXIT_ORDER] = order
-    row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1], row[EXIT_DIRECTION + 2] = (
-        direction.x,
-        direction.y,
-        direction.z,
-    )
+    store_vector(direction, row, EXIT_DIRECTION)
     row[EXIT_POSITION], row[EXIT_POSITION + 1] = position.x, position.y
 
 
@@ -142,35 +139,29 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
     blocks = np.zeros((min(-(-rays // BLOCK_SIZE), N_BATCHES), 2, wavelengths), dtype=np.float32)
     previous = np.zeros((2, wavelengths))
     minimum = np.full(wavelengths, np.inf)
-    alpha = _transpose_absorption(absorption, weighted)
+    alpha = transpose_absorption(absorption)
+    if not weighted:
+        alpha[:] = ZERO
     sides = np.zeros((2, wavelengths), dtype=np.float32)
     first = 0
     for j in range(rays):
-        side = int(exits[j, EXIT_SIDE])
-        if ground_column < 0:
+        row = exits[j]
+        side, lengths, weight = int(row[EXIT_SIDE]), row[EXIT_LENGTH:], row[EXIT_WEIGHT]
+        reaches_ground = first < crossings.shape[0] and crossings[first, CROSSING_RAY] == j
+        if ground_column < 0 or (side <= 0 and not reaches_ground):
+            # Fast path for rays that never reached a ground, most rays in deep media.
             if side < 0:
                 minimum[:] = 0.0
             else:
-                compute_path_weights(
-                    exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side]
-                )
+                compute_path_weights(lengths, weight, alpha, sides[side])
                 score_moments(moments[side], sides[side])
+                if ground_column >= 0:
+                    score_moments(moments[2], sides[side])
                 update_minimum(minimum, sides[side])
-        elif side <= 0 and not (first < crossings.shape[0] and crossings[first, CROSSING_RAY] == j):
-            # Fast path for rays that never reached the ground, most rays in deep media.
-            if side < 0:
-                minimum[:] = 0.0
-            else:
-                compute_path_weights(exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[0])
-                score_moments(moments[0], sides[0])
-                score_moments(moments[2], sides[0])
-                update_minimum(minimum, sides[0])
         else:
             sides[:] = ZERO
             if side >= 0:
-                compute_path_weights(
-                    exits[j, EXIT_LENGTH:], exits[j, EXIT_WEIGHT], alpha, sides[side]
-                )
+                compute_path_weights(lengths, weight, alpha, sides[side])
             first = _add_ground_absorption(crossings, first, j, alpha, ground_column, sides[1])
             score_moments(moments[0], sides[0])
             score_moments(moments[1], sides[1])
@@ -194,16 +185,15 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
 
 
 @inline_allocating
-def _transpose_absorption(absorption, weighted):
-    """Return the coefficients as float32[materials, wavelengths]; zeros if not weighted.
+def transpose_absorption(absorption):
+    """Return the coefficients as float32[materials, wavelengths].
 
     With contiguous wavelengths in single precision, the exponential is vectorized.
     """
-    alpha = np.zeros((absorption.shape[1], absorption.shape[0]), dtype=np.float32)
-    if weighted:
-        for material in range(absorption.shape[1]):
-            for i in range(absorption.shape[0]):
-                alpha[material, i] = absorption[i, material]
+    alpha = np.empty((absorption.shape[1], absorption.shape[0]), dtype=np.float32)
+    for material in range(absorption.shape[1]):
+        for i in range(absorption.shape[0]):
+            alpha[material, i] = absorption[i, material]
     return alpha
 
 
@@ -232,9 +222,8 @@ def _add_ground_absorption(crossings, first, ray, alpha, ground_column, total):
     """
     weight = np.empty_like(total)
     while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
-        compute_path_weights(
-            crossings[first, CROSSING_LENGTH:], crossings[first, CROSSING_WEIGHT], alpha, weight
-        )
+        row = crossings[first]
+        compute_path_weights(row[CROSSING_LENGTH:], row[CROSSING_WEIGHT], alpha, weight)
         for i in range(total.size):
             total[i] += weight[i] * (ONE - exp_float32(-alpha[ground_column, i]))
         first += 1

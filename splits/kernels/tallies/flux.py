@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.compiler.jit import ONE, ZERO, entry_point, float32_constant, inline
+from splits.kernels.compiler.jit import HALF, ONE, ZERO, entry_point, float32_constant, inline
 from splits.kernels.math.elementary import exp_float32
 from splits.kernels.tallies.crossings import (
     CROSSING_CODE,
@@ -19,16 +19,12 @@ from splits.kernels.tallies.crossings import (
     CROSSING_RAY,
     CROSSING_WEIGHT,
 )
-from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT
+from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, transpose_absorption
 
 DOWNWARD, UPWARD = 0, 1
 _MAX_SERIES_DEPTH = float32_constant(0.05)
 """Optical depth of a segment below which a series replaces the difference of exponentials."""
-_HALF, _SIXTH, _TWENTY_FOURTH = (
-    float32_constant(1.0 / 2.0),
-    float32_constant(1.0 / 6.0),
-    float32_constant(1.0 / 24.0),
-)
+_SIXTH, _TWENTY_FOURTH = float32_constant(1.0 / 6.0), float32_constant(1.0 / 24.0)
 
 
 class FluxSums(NamedTuple):
@@ -48,6 +44,17 @@ class FluxSums(NamedTuple):
     boundary_weight: np.ndarray
     absorbed: np.ndarray
     path_length: np.ndarray
+
+
+class _Materials(NamedTuple):
+    """Absorption coefficients, float32[materials, wavelengths], and the arguments of `tally_flux`.
+
+    These are the path fractions, in single precision, and the column of the ground.
+    """
+
+    alpha: np.ndarray
+    path_fractions: np.ndarray
+    ground_column: int
 
 
 class _LastCrossing(NamedTuple):
@@ -79,11 +86,8 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
     FluxSums
     """
     wavelengths, materials = absorption.shape
-    alpha = np.empty((materials, wavelengths), dtype=np.float32)
-    fractions = path_fractions.astype(np.float32)
-    for material in range(materials):
-        for i in range(wavelengths):
-            alpha[material, i] = absorption[i, material]
+    alpha = transpose_absorption(absorption)
+    constants = _Materials(alpha, path_fractions.astype(np.float32), ground_column)
     sums = FluxSums(
         np.zeros((2, n_layers + 1, wavelengths)),
         np.zeros((n_layers, materials, wavelengths)),
@@ -98,19 +102,10 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
         layer = 0
         while first < crossings.shape[0] and crossings[first, CROSSING_RAY] == ray:
             row = crossings[first]
-            _tally_segment(
-                sums,
-                last,
-                light,
-                row[CROSSING_LENGTH:],
-                row[CROSSING_WEIGHT],
-                alpha,
-                fractions,
-                layer,
-                ground_column,
-            )
+            weight = row[CROSSING_WEIGHT]
+            _tally_segment(sums, last, light, row[CROSSING_LENGTH:], weight, constants, layer)
             boundary, upward = divmod(int(row[CROSSING_CODE]), 2)
-            _add_weighted(sums.boundary_weight[upward, boundary], light, row[CROSSING_WEIGHT])
+            _add_weighted(sums.boundary_weight[upward, boundary], light, weight)
             layer = boundary - upward
             if boundary == n_layers:
                 # Light that the ground reflects has hit it once more.
@@ -118,31 +113,14 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
                 last.path_lengths[ground_column] += 1.0
                 for i in range(wavelengths):
                     last.transmittance[i] *= exp_float32(-alpha[ground_column, i])
-                _add_weighted(
-                    sums.boundary_weight[UPWARD, boundary], last.transmittance, row[CROSSING_WEIGHT]
-                )
+                _add_weighted(sums.boundary_weight[UPWARD, boundary], last.transmittance, weight)
             first += 1
-        side = int(exits[ray, EXIT_SIDE])
+        side, weight = int(exits[ray, EXIT_SIDE]), exits[ray, EXIT_WEIGHT]
         if side >= 0:
-            weight = exits[ray, EXIT_WEIGHT]
-            _tally_segment(
-                sums,
-                last,
-                light,
-                exits[ray, EXIT_LENGTH:],
-                weight,
-                alpha,
-                fractions,
-                layer,
-                ground_column,
-            )
-            _add_weighted(
-                sums.boundary_weight[
-                    UPWARD if side == 0 else DOWNWARD, 0 if side == 0 else n_layers
-                ],
-                light,
-                weight,
-            )
+            lengths = exits[ray, EXIT_LENGTH:]
+            _tally_segment(sums, last, light, lengths, weight, constants, layer)
+            boundary, upward = (0, UPWARD) if side == 0 else (n_layers, DOWNWARD)
+            _add_weighted(sums.boundary_weight[upward, boundary], light, weight)
     return sums
 
 
@@ -154,14 +132,13 @@ def _add_weighted(total, light, weight):
 
 
 @inline
-def _tally_segment(
-    sums, last, light, path_lengths, weight, alpha, path_fractions, layer, ground_column
-):
+def _tally_segment(sums, last, light, path_lengths, weight, constants, layer):
     """Tally the absorption of a ray on a segment, and advance `last` to its end.
 
     The weight at the end of the segment counts for all of it, although roulette may change it on
     the way: the mean is the same.
     """
+    alpha, path_fractions, ground_column = constants
     absorbed, path_length = sums.absorbed[layer], sums.path_length[layer]
     light[:] = ZERO
     length = 0.0
@@ -174,13 +151,9 @@ def _tally_segment(
     for i in range(light.size):
         depth = light[i]
         transmittance = exp_float32(-depth)
-        mean_transmittance = ONE - depth * (_HALF - depth * (_SIXTH - depth * _TWENTY_FOURTH))
-        mean_transmittance = (
-            mean_transmittance
-            if depth < _MAX_SERIES_DEPTH
-            else (ONE - transmittance) / max(depth, _MAX_SERIES_DEPTH)
-        )
-        light[i] = last.transmittance[i] * mean_transmittance
+        series = ONE - depth * (HALF - depth * (_SIXTH - depth * _TWENTY_FOURTH))
+        ratio = (ONE - transmittance) / max(depth, _MAX_SERIES_DEPTH)
+        light[i] = last.transmittance[i] * (series if depth < _MAX_SERIES_DEPTH else ratio)
         last.transmittance[i] *= transmittance
     for material in range(alpha.shape[0]):
         segment = path_lengths[material] - last.path_lengths[material]

@@ -71,9 +71,8 @@ def tally_radial(
         radius = math.hypot(x, y)
         radial_bin = 0
         if radius >= min_distance:
-            radial_bin = min(
-                int(math.log10(radius / min_distance) * bins_per_decade) + 1, n_bins - 1
-            )
+            decades = math.log10(radius / min_distance)
+            radial_bin = min(int(decades * bins_per_decade) + 1, n_bins - 1)
         inside = abs(x) < map_half_width and abs(y) < map_half_width
         if inside:
             along = min(int((x / map_half_width + 1.0) * 0.5 * n_pixels), n_pixels - 1)

@@ -25,11 +25,12 @@ from splits.kernels.tallies.crossings import (
     allocate_crossings,
     append_crossing,
     copy_into_row,
+    count_recorded,
     encode_crossing,
     enlarge_buffer,
     get_recorded,
     has_capacity,
-    start_records,
+    set_current_ray,
 )
 from splits.kernels.tallies.exits import (
     ABSORBED,
@@ -221,7 +222,8 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
     while number < work[N_RAYS]:
         while number < work[N_RAYS]:
             start_stream(state, seed, work[STREAM], work[FIRST_RAY] + number)
-            n_recorded = start_records(crossings, number)
+            n_recorded = count_recorded(crossings)
+            set_current_ray(crossings, number)
             rough_top = sample_realization_if_rough(state, height_fields, surface_buffer)
             ray = trace_ray(
                 state, scene, optics, path_lengths, crossings, rough_top, work[MAX_ORDER]
@@ -237,7 +239,7 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
             number += 1
         if number < work[N_RAYS]:
             # References to the buffer are counted here, outside the loop over rays.
-            crossings = enlarge_buffer(crossings, n_recorded)
+            crossings = enlarge_buffer(crossings, n_recorded, 0)
     return BatchResult(n_segments, False, get_recorded(crossings))
 
 

@@ -12,7 +12,8 @@ from splits.kernels.compiler.jit import ZERO, entry_point, inline_allocating, in
 from splits.kernels.compiler.replace import replace
 from splits.kernels.tallies.crossings import (
     allocate_crossings,
-    ensure_capacity,
+    count_recorded,
+    enlarge_buffer,
     get_recorded,
     has_capacity,
 )
@@ -220,7 +221,8 @@ def trace_batch(seed, work, scene, optics, exits, features):
     max_new_crossings = 2 * width * scene.layers.boundaries.size
     while True:
         if not has_capacity(crossings, max_new_crossings):
-            crossings = ensure_capacity(crossings, max_new_crossings)
+            n_kept = count_recorded(crossings)
+            crossings = enlarge_buffer(crossings, n_kept, max_new_crossings)
         n_in_flight, n_waiting = count_lanes(state, width)
         if n_waiting > 0:
             queue = handle_waiting_lanes(

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from _numbers import values
 
 import splits
 from splits.experiments import load_experiments
@@ -14,7 +15,10 @@ from splits.experiments.run_table import count_parts
 
 pytestmark = pytest.mark.slow
 
-FEW_EXPERIMENTS = ("table1_sample", "fig05_refractive_indices", "fig24b_aviris")
+FEW_EXPERIMENTS = (
+    "table1_sample", "fig05_refractive_indices", "fig24b_aviris", "snow_beam_spread",
+    "layer_fig02_lens",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +84,17 @@ def test_representative_sample_has_published_values(few_datasets):
     assert sample.mean_grain_distance.sel(density_kg_m3=450) == pytest.approx(4.3e-4, rel=0.03)
     assert sample.specific_surface_area.values == pytest.approx(20.33, abs=0.01)
     assert sample.attrs["rays"] == int(sample.rays.sum())
+
+
+@pytest.mark.usefixtures("few_datasets")
+def test_quoted_numbers_can_be_read_from_these_runs(shipped, monkeypatch):
+    results = shipped.folder / "results" / "tiny"
+    numbers = values.QUOTED_NUMBERS.items()
+    available = {key: one for key, one in numbers if one.source and (results / one.source).exists()}
+    monkeypatch.setattr(values, "QUOTED_NUMBERS", available)
+    assert set(values.collect_quoted_numbers(results)) == set(available)
+    sources = {one.source for one in available.values()}
+    assert {"data/snow_beam_spread.nc", "data/layer_fig02_lens.nc"} < sources
 
 
 def test_refractive_indices_have_published_values(few_datasets):

@@ -28,6 +28,7 @@ UNSUPPORTED_IN_STACK = {
 }
 """Settings of particle layers that are not supported in a stack, with the required value and the
 reason."""
+ONLY_LOWEST_INFINITE = "only the lowest layer may be infinite"
 
 
 @reject_unknown_keywords
@@ -45,9 +46,9 @@ class Stack(Medium):
     layers : sequence of Snow, Sand or ParticleLayer
         Layers from top to bottom, 1 to 200.  All layers of grains must have the same choices of
         `splits.media.interpretations.TransportInterpretation`, and no layer may have a ground.  A
-        `ParticleLayer` must have ``bottom_albedo=None`` and a finite optical thickness, and must
-        not be opaque.  Only the top layer may have a rough surface.  Polarization requires that
-        all layers are polarized particle layers.
+        `ParticleLayer` must have ``bottom_albedo=None``, and must not be opaque.  Only the lowest
+        layer may be infinite, and only the top layer may have a rough surface.  Polarization
+        requires that all layers are polarized particle layers.
     ground : number, str, mapping or path, optional
         Lambertian ground below the stack: an albedo, "black", the name of a soil or a table; see
         `splits.media.ground.Ground.from_input`.  By default light leaves through the lower
@@ -86,7 +87,7 @@ class Stack(Medium):
         for number, layer in enumerate(layers):
             if isinstance(layer, ParticleLayer):
                 with key_prefix(f"layers[{number}]"):
-                    _check_particle_layer(layer, number == 0)
+                    _check_particle_layer(layer, number == 0, number == len(layers) - 1)
                 continue
             if isinstance(layer, type) or not isinstance(layer, GranularMedium):
                 kind = getattr(layer, "kind", layer)
@@ -96,8 +97,7 @@ class Stack(Medium):
                 allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
                 raise invalid(f"layers[{number}]", kind, allowed, hint)
             if layer.depth_m == math.inf and number < len(layers) - 1:
-                hint = "only the lowest layer may be infinite"
-                raise invalid(f"layers[{number}].depth_m", math.inf, "finite", hint)
+                raise invalid(f"layers[{number}].depth_m", math.inf, "finite", ONLY_LOWEST_INFINITE)
             if layer.ground is not None:
                 hint = "give it to the stack"
                 raise invalid(f"layers[{number}].ground", layer.ground.name, "left out", hint)
@@ -122,6 +122,9 @@ class Stack(Medium):
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.from_input(self.ground))
+        if self.ground is not None and getattr(layers[-1], "optical_thickness", 0.0) == math.inf:
+            hint = f"no light reaches it below the infinite layers[{len(layers) - 1}]"
+            raise invalid("ground", self.ground.name, "left out", hint)
 
     def __repr__(self) -> str:
         """Return the call that constructs the stack, with one layer per line."""
@@ -161,10 +164,25 @@ class Stack(Medium):
         """Return the stack with another lowest layer, over a ground."""
         return replace(self, layers=(*self.layers[:-1], layer), ground=ground)
 
+    def truncate(self, depth_m: float) -> Stack:
+        """Return a finite stack in which light above a depth (m) is that of the infinite one.
+
+        The lowest layer is one of particles.
+        """
+        depth_above_m = float(sum(layer.depth_m for layer in self.layers[:-1]))
+        lowest = self.lowest_layer.truncate(max(0.0, depth_m - depth_above_m))
+        white = Ground.from_input(lowest.bottom_albedo)
+        return self.replace_lowest_layer(replace(lowest, bottom_albedo=None), white)
+
     @property
     def depth_m(self) -> float:
         """Total thickness (m)."""
         return float(np.cumsum([layer.depth_m for layer in self.scene_layers])[-1])
+
+    @property
+    def thickness_m(self) -> float:
+        """Total thickness (m), infinite for a semi-infinite stack."""
+        return float(np.cumsum([layer.thickness_m for layer in self.scene_layers])[-1])
 
     @property
     def largest_grain_m(self) -> float:
@@ -247,11 +265,11 @@ class Stack(Medium):
         return attrs | describe_ground(self.ground)
 
 
-def _check_particle_layer(layer: ParticleLayer, is_top: bool) -> None:
+def _check_particle_layer(layer: ParticleLayer, is_top: bool, is_lowest: bool) -> None:
     """Check that a particle layer is supported in a stack."""
     for name, (allowed, reason) in UNSUPPORTED_IN_STACK.items():
         value = getattr(layer, name)
         if value != allowed and not (name == "surface" and is_top):
             raise invalid(name, value, "left out" if allowed is None else "false", reason)
-    if layer.optical_thickness == math.inf:
-        raise invalid("optical_thickness", math.inf, "finite", "particle layers of a stack are")
+    if layer.optical_thickness == math.inf and not is_lowest:
+        raise invalid("optical_thickness", math.inf, "finite", ONLY_LOWEST_INFINITE)

@@ -26,6 +26,7 @@ TOP = splits.ParticleLayer(
 SNOW = splits.Snow(depth_m=0.006, saturation=0.0)
 SAND = splits.Sand(depth_m=0.004, interpretation="splitsnow_2021")
 WAVELENGTHS = [500.0, 900.0]
+PROFILES = ("downward_irradiance", "upward_irradiance", "absorptance", "actinic_flux")
 
 
 def measure(medium, incidence, seed, **settings):
@@ -71,6 +72,30 @@ def test_layer_in_stack_equals_the_layer(name):
             stack = subdivide(LAYERS[name], n_sublayers)
             z.append(compute_z(measure(stack, incidence, 10 * number + n_sublayers), reference))
     judge_z(np.concatenate(z), name, independent=3, bound_added=True)
+
+
+@pytest.mark.parametrize("albedo", [0.95, 1.0])
+def test_subdivided_infinite_layer_equals_the_layer(albedo):
+    layer = splits.ParticleLayer(
+        optical_thickness=np.inf, single_scattering_albedo=albedo, asymmetry=0.5,
+        refractive_index=1.33, bottom_albedo=None, depth_m=0.5,
+    )  # fmt: skip
+    stack = splits.Stack([replace(layer, optical_thickness=2.0, depth_m=1.0), layer])
+    assert stack.thickness_m == np.inf
+    depths, view = [0.2, 0.7, 1.5], {"polar_deg": [0.0, 40.0], "azimuth_deg": [0.0, 120.0]}
+    values = []
+    for seed, medium in enumerate((layer, stack)):
+        profile = splits.irradiance_profile(medium, 550.0, depths, 30.0, 0.005, seed=seed)
+        next_event = {"estimator": "next_event", "rays": 20_000, "seed": seed}
+        radiance = splits.goniophotometer(medium, 550.0, 30.0, **view, **next_event)
+        flux = [profile[name].values.ravel() for name in PROFILES]
+        flux_stderr = [profile[f"{name}_stderr"].values.ravel() for name in PROFILES]
+        scattered = radiance.isel(azimuth=slice(1, None))
+        brdf = [scattered.brdf.values.ravel()], [scattered.brdf_stderr.values.ravel()]
+        values.append([np.concatenate(flux + brdf[0]), np.concatenate(flux_stderr + brdf[1])])
+    judge_z(compute_z(*values), albedo, independent=3, bound_added=True)
+    measured = [measure(medium, 30.0, 5 + n) for n, medium in enumerate((layer, stack))]
+    judge_z(compute_z(*measured), albedo, independent=1, bound_added=True)
 
 
 def test_brdf_of_subdivided_layer_equals_that_of_the_layer():
@@ -178,12 +203,18 @@ def test_matrix_interfaces_ignore_boundary_fresnel_of_pores():
     [
         ({}, r"layers\[0\].bottom_albedo = 0.5: must be left out"),
         ({"bottom_albedo": None, "opaque": True}, r"layers\[0\].opaque = True"),
-        ({"bottom_albedo": None, "optical_thickness": np.inf}, "must be finite"),
+        ({"bottom_albedo": None, "optical_thickness": np.inf}, r"layers\[0\].*must be finite"),
     ],
 )  # fmt: skip
 def test_invalid_settings_of_stacked_layers_are_rejected(settings, message):
     with pytest.raises(ValueError, match=message):
-        splits.Stack([splits.ParticleLayer(**settings)])
+        splits.Stack([splits.ParticleLayer(**settings), SNOW])
+
+
+def test_infinite_particle_layer_hides_no_ground():
+    infinite = splits.ParticleLayer(optical_thickness=np.inf, bottom_albedo=None)
+    with pytest.raises(ValueError, match=r"ground = .* must be left out .*layers\[1\]"):
+        splits.Stack([SNOW, infinite], ground=0.3)
 
 
 @pytest.mark.parametrize("polarized", [False, True])

@@ -20,7 +20,6 @@ from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_points import (
     STDERR_ATTRIBUTES,
-    STOP_REASONS,
     LogCallback,
     SimulatedPoints,
     simulate_points,
@@ -29,6 +28,7 @@ from splits.experiments.run_table import run_table, write_table
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.sand_composition import SandComposition
 from splits.simulation.run_options import make_wavelength_coordinate
+from splits.simulation.tally import STOP_REASONS
 
 POINT_VARIABLES = {
     "rays": ("number of rays traced", "1"),
@@ -171,8 +171,8 @@ def _stack_points(
         **make_provenance(f"experiment {experiment.name}"),
     }
     if "stop_reason" in first.attrs:
-        reasons = {r.attrs["stop_reason"] for r in results}
-        attributes["stop_reason"] = next(reason for reason in STOP_REASONS if reason in reasons)
+        reasons = [r.attrs["stop_reason"] for r in results]
+        attributes["stop_reason"] = max(reasons, key=STOP_REASONS.index)
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
 
 

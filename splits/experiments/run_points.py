@@ -28,8 +28,6 @@ from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.simulation.run_options import RunOptions
 
 STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
-STOP_REASONS = ("max_degree", "max_rays", "unresolved_lobe", "fixed_rays", "converged")
-"""Why runs stop.  An experiment states the first of these that applies to one of its points."""
 N_BEAM_RAYS = 200_000
 """Number of rays of a beam spread at a relative standard error of 0.02."""
 MAX_RAYS = 20_000_000

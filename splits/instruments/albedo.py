@@ -93,18 +93,19 @@ def albedo(
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
 
-    def simulate(incidence: float | str, number: int) -> xr.Dataset:
+    def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         return spectrophotometer(
             medium, wavelengths, incidence, max_stderr, run.seed + number,
             threads=run.threads, progress=progress,
         )  # fmt: skip
 
-    mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, ["reflectance"])
+    mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate_component, ["reflectance"])
     first = next(iter(medium.values())) if isinstance(medium, Mapping) else medium
     attributes = {
         **run.make_attributes("Albedo under a sky", "albedo", first),
         **make_sky_attributes(sky_spectrum),
         "max_stderr": max_stderr,
+        **mixed.attrs,
     }
     attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
     axes = {**mixed.coords, "wavelength": make_wavelength_coordinate(wavelengths)}

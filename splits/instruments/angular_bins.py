@@ -10,7 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splits.instruments.angular_estimate import AngularEstimate, add_interpolation_error
+from splits.instruments.angular_estimate import (
+    AngularEstimate,
+    AngularTally,
+    add_interpolation_error,
+)
 from splits.kernels.tallies.angular import AngularSums, tally_angular_bins
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Evaluation, ExitTally, StoppingRule, Stratum
@@ -20,7 +24,7 @@ DEFAULT_N_BINS = (18, 72)
 STOKES_NAMES = "quv"
 
 
-class AngularBinTally(ExitTally):
+class AngularBinTally(AngularTally, ExitTally):
     """Tally of exits by angular bin.
 
     Parameters
@@ -41,7 +45,6 @@ class AngularBinTally(ExitTally):
     """
 
     first_stream = 5_000_000
-    undefined_variables: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -74,8 +77,8 @@ class AngularBinTally(ExitTally):
         self.unscattered_sums[:, :, stratum.node_rows] += score.unscattered
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the estimate after a fixed number of rays."""
-        return Evaluation(1.0, estimate=self.make_estimate())
+        """Return the estimate, from a fixed number of rays."""
+        return Evaluation(np.inf, self.make_estimate())
 
     def make_estimate(self) -> AngularEstimate:
         """Estimate BRDF and BTDF of every bin, starting at the zenith."""

@@ -13,17 +13,31 @@ from splits.instruments.angular_truncation import (
     compute_truncation_errors,
     select_terms,
 )
-from splits.simulation.interpolation_bounds import bound_fraction_error
+from splits.simulation.interpolation_bounds import INTERPOLATION_FACTOR, bound_fraction_error
+from splits.simulation.tally import Tally
 
 N_ANGULAR_BATCHES = 64
 """Number of batches for the estimation of errors, to 9 %."""
-INTERPOLATION_FACTOR = 8.0
-"""Relative error of a BRDF from interpolation between refractive indices, in units of the bound for
-a reflectance near 1/2; see `splits.simulation.spectral_tally`."""
 MAX_SPARSE_BATCHES = 8
 """Number of batches with light up to which the error is at least that of isotropic light."""
 MIN_REFERENCE_FRACTION = 0.05
 """Fraction of an isotropic distribution below which the error is relative to that fraction."""
+
+
+class AngularTally(Tally):
+    """Tally whose estimate is an `AngularEstimate`; see `Tally`.
+
+    Attributes
+    ----------
+    undefined_variables : tuple of str
+        Variables of the dataset that the scene leaves undefined.
+    """
+
+    undefined_variables: tuple[str, ...] = ()
+
+    def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return Q, U and V of BRDF and BTDF with their errors, by name, if they are tallied."""
+        return {}
 
 
 class AngularEstimate(NamedTuple):

@@ -107,7 +107,7 @@ def deep_transmittance(
     tally = TransmittanceTally(constants, rates, N_PILOTS)
     stop = StoppingRule(relative_stderr, max_rays * n_wavelengths)
     evaluation = simulate(tracer, tally, stop, run)
-    transmittance, errors, fractions = tally.estimate()
+    transmittance, errors, fractions = evaluation.estimate
     illumination = "hemispherical" if incidence == "diffuse" else "directional"
     long_name = f"{illumination}-hemispherical transmittance"
     dim, fraction_label = "wavelength", "largest fraction of the sum from one history"

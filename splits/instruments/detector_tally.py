@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from splits.instruments.angular_bins import STOKES_NAMES
-from splits.instruments.angular_estimate import AngularEstimate
+from splits.instruments.angular_estimate import AngularEstimate, AngularTally
 from splits.instruments.next_event import DetectorTracer
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum, Tally
+from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
 
 PILOT_BATCHES = 128
 """Batches of the first round."""
@@ -18,7 +18,7 @@ _EMPTY_PILOTS = 64
 """Multiple of the first round without any light after which a run ends."""
 
 
-class DetectorTally(Tally):
+class DetectorTally(AngularTally):
     """Sums over batches of rays of their contributions to detectors.
 
     A batch is a chunk of rays; the layer is the same at all wavelengths.
@@ -127,18 +127,19 @@ class DetectorTally(Tally):
         }
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the largest relative error, and why tracing stops."""
+        """Return the largest relative error, infinite as long as no light reached the detectors."""
         estimate = self.make_estimate()
-        error = estimate.compute_max_error(self.side, use_stopping_error=True)
-        is_empty = not self.no_signal and not estimate.mean[self.side].any()
-        if error <= stop.max_error and not is_empty:
-            return Evaluation(error, "converged", None, estimate)
-        if stop.fixed or (is_empty and self.n_rays >= _EMPTY_PILOTS * self.pilot_rays):
-            return Evaluation(error, estimate=estimate)
+        if self.no_signal or estimate.mean[self.side].any():
+            error = estimate.compute_max_error(self.side, use_stopping_error=True)
+            return Evaluation(error, estimate)
+        gave_up = self.n_rays >= _EMPTY_PILOTS * self.pilot_rays
+        return Evaluation(np.inf, estimate, "no_light" if gave_up else "")
+
+    def allocate_rays(self, stop: StoppingRule, evaluation: Evaluation) -> np.ndarray:
+        """Return the rays with which the largest relative error is the requested one."""
         n_batches = self.n_rays // RAYS_PER_CHUNK
-        wanted = np.inf if is_empty else 1.05 * (error / stop.max_error) ** 2 * n_batches
-        target_rays = RAYS_PER_CHUNK * np.array([np.floor(max(wanted, n_batches + 1))])
-        return Evaluation(error, "", target_rays, estimate)
+        wanted = 1.05 * (evaluation.error / stop.max_error) ** 2 * n_batches
+        return RAYS_PER_CHUNK * np.array([np.floor(wanted)])
 
     def _split(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of detectors, and the hemispherical ones."""

@@ -9,14 +9,12 @@ that class and all before it, so that low classes can have many times the rays o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from splits.instruments.angular_estimate import (
-    INTERPOLATION_FACTOR,
     N_ANGULAR_BATCHES,
     AngularEstimate,
+    AngularTally,
     ErrorTarget,
     estimate_row,
     stack_rows,
@@ -24,6 +22,7 @@ from splits.instruments.angular_estimate import (
 from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.tallies.angular import AngularSums, tally_expansion
 from splits.kernels.tallies.exits import EXIT_ORDER
+from splits.simulation.interpolation_bounds import INTERPOLATION_FACTOR
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, ExitTally, StoppingRule, Stratum
 
@@ -31,16 +30,12 @@ MAX_DEGREE = 24
 """Largest degree of the polynomials, which resolve details of about 180°/24."""
 ORDER_CLASSES = (2, 8, 32, 128, NO_MAX_ORDER)
 """Largest order of scattering of each class."""
-_IDLE_GROWTH = 1.25
-"""Growth of all strata if each has the predicted number of rays, but the error has grown, as finer
-detail was resolved."""
-
 
 RowVariances = tuple[np.ndarray, np.ndarray]
 """Nodes of a row, and their contributions to its variance, shape (nodes, classes, directions)."""
 
 
-class ExpansionTally(ExitTally):
+class ExpansionTally(AngularTally, ExitTally):
     """Tally of exits by direction, as coefficients of orthonormal polynomials.
 
     Parameters
@@ -62,7 +57,6 @@ class ExpansionTally(ExitTally):
 
     first_stream = 4_000_000
     rays_per_round = N_ANGULAR_BATCHES * RAYS_PER_CHUNK
-    undefined_variables: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -106,10 +100,6 @@ class ExpansionTally(ExitTally):
         rays = self.stratum_rays.reshape(-1, len(ORDER_CLASSES))
         return np.cumsum(rays[:, ::-1], axis=1)[:, ::-1]
 
-    def make_estimate(self) -> AngularEstimate:
-        """Estimate BRDF and BTDF."""
-        return self._estimate_rows()[0]
-
     def _estimate_rows(self) -> tuple[AngularEstimate, list[RowVariances]]:
         """Return the estimate, and the contributions to the variance of each wavelength."""
         class_rays = self.count_class_rays()[self.node_of_row]
@@ -128,37 +118,24 @@ class ExpansionTally(ExitTally):
             all_variances.append((self.node_of_row[used], np.stack(variances)))
         return stack_rows(estimates, self.nodes.interpolation_bound), all_variances
 
-    def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return no Stokes parameters: the expansion has the intensity only."""
-        return {}
-
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the largest relative error, and why tracing stops or which rays are needed."""
-        estimate, variances = self._estimate_rows()
+        """Return the largest relative error, and why tracing stops if no rays would reduce it."""
+        estimate, self.variances = self._estimate_rows()
         side, direction_mask, n_rays = self.target.side, self.target.direction_mask, self.n_rays
         error = estimate.compute_max_error(side, direction_mask, use_stopping_error=True)
-        stop_reason = ""
-        if not stop.fixed and error <= stop.max_error:
+        if error <= stop.max_error:
             resolved = estimate.compute_max_error(side, direction_mask) <= stop.max_error
-            stop_reason = "converged" if resolved else "unresolved_lobe"
-        elif not stop.fixed:
-            # Eight times the rays should reduce a statistical error by a factor of nearly three.
-            stagnates = any(
-                n_rays >= 8.0 * earlier_rays and error > 0.8 * earlier
-                for earlier_rays, earlier in self._earlier_errors
-            )
-            self._earlier_errors.append((n_rays, error))
-            limited = stagnates or estimate.is_truncation_limited(
-                side, direction_mask, stop.max_error
-            )
-            stop_reason = "max_degree" if limited else ""
-        if stop_reason or n_rays >= stop.max_rays:
-            return Evaluation(error, stop_reason, None, estimate)
-        return Evaluation(error, "", self._allocate_rays(stop, estimate, variances), estimate)
+            return Evaluation(error, estimate, "" if resolved else "unresolved_lobe")
+        # Eight times the rays should reduce a statistical error by a factor of nearly three.
+        stagnates = any(
+            n_rays >= 8.0 * earlier_rays and error > 0.8 * earlier
+            for earlier_rays, earlier in self._earlier_errors
+        )
+        self._earlier_errors.append((n_rays, error))
+        limited = estimate.is_truncation_limited(side, direction_mask, stop.max_error)
+        return Evaluation(error, estimate, "max_degree" if stagnates or limited else "")
 
-    def _allocate_rays(
-        self, stop: StoppingRule, estimate: AngularEstimate, variances: Sequence[RowVariances]
-    ) -> np.ndarray:
+    def allocate_rays(self, stop: StoppingRule, evaluation: Evaluation) -> np.ndarray:
         """Return the rays of every stratum for the least cost.
 
         With V the variance per ray and c the segments of a ray in a class, Σ V/M reaches a target
@@ -170,10 +147,11 @@ class ExpansionTally(ExitTally):
         segments = np.array([one.n_segments / max(one.n_rays, 1) for one in self.strata])
         costs = np.maximum(np.diff(segments.reshape(class_rays.shape), prepend=-1.0, axis=1), 0.01)
         interpolation_error = INTERPOLATION_FACTOR * self.nodes.interpolation_bound[:, np.newaxis]
-        reference = estimate.compute_reference(self.target.side, self.target.direction_mask)
+        side, direction_mask = self.target.side, self.target.direction_mask
+        reference = evaluation.estimate.compute_reference(side, direction_mask)
         targets = (stop.max_error**2 - interpolation_error**2) * reference**2
         target_rays = np.zeros(class_rays.shape)
-        for (nodes, row_variances), target in zip(variances, targets, strict=True):
+        for (nodes, row_variances), target in zip(self.variances, targets, strict=True):
             cost = costs[nodes][:, :, np.newaxis]
             per_ray = row_variances * class_rays[nodes][:, :, np.newaxis]
             root_cost = np.sqrt(per_ray * cost).sum(axis=(0, 1))
@@ -187,8 +165,6 @@ class ExpansionTally(ExitTally):
         stratum_rays = np.maximum(np.ceil(1.1 * stratum_rays / size), 1.0) * size
         if stop.fixed:
             stratum_rays *= self._find_scale(stratum_rays, stop.max_rays)
-        if (stratum_rays <= self.stratum_rays).all():
-            return _IDLE_GROWTH * self.stratum_rays
         return stratum_rays
 
     def _find_scale(self, target_rays: np.ndarray, max_rays: int) -> float:

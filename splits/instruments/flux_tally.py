@@ -177,15 +177,14 @@ class FluxTally(ExitTally):
         return FluxEstimate(quantities, by_material, path_length)
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the largest standard error, and why tracing stops or which rays are needed.
+        """Return the largest standard error.
 
-        It stops with "interpolation_bound" where the rest of the error is a bound that more rays do
-        not reduce.
+        Tracing stops with "interpolation_bound" where the rest of the error is a bound that more
+        rays do not reduce.
         """
-        by_node = self.estimate_node_rows()
-        result = self._combine(by_node)
+        result = self._combine(self.estimate_node_rows())
         by_batch, systematic, irreducible = (
-            self.target.average_over_bands(self.target.select_quantities(values, by_node.n_depths))
+            self._average_target(result, values)
             for values in (
                 result.estimate.quantities, result.systematic_error, result.irreducible_error
             )
@@ -193,22 +192,30 @@ class FluxTally(ExitTally):
         stderr = np.hypot(compute_batch_stderr(by_batch), systematic)
         limits = stop.max_error * np.sqrt(self.target.variance_fractions)
         error = float((stderr / limits).max()) * stop.max_error
-        if error <= stop.max_error:
-            return Evaluation(error, "converged", None, result)
-        scatter, min_variance = stderr**2 - irreducible**2, MIN_SCATTER_FRACTION * limits**2
-        if (irreducible > limits).any() and (scatter < min_variance).all():
-            return Evaluation(error, "interpolation_bound", None, result)
+        has_scatter = stderr**2 - irreducible**2 >= MIN_SCATTER_FRACTION * limits**2
+        is_bound = (irreducible > limits).any() and not has_scatter.any()
+        return Evaluation(error, result, "interpolation_bound" if is_bound else "")
+
+    def _average_target(self, result: FluxResult, values: np.ndarray) -> np.ndarray:
+        """Return values of the quantities of the target, by band or by wavelength."""
+        selected = self.target.select_quantities(values, result.estimate.n_depths)
+        return self.target.average_over_bands(selected)
+
+    def allocate_rays(self, stop: StoppingRule, evaluation: Evaluation) -> np.ndarray:
+        """Return the rays with which the largest standard errors are the requested ones."""
+        result, by_node = evaluation.estimate, self.estimate_node_rows()
+        irreducible = self._average_target(result, result.irreducible_error)
+        limits = stop.max_error * np.sqrt(self.target.variance_fractions)
         requested = self.rows < self.traced_medium.n_wavelengths
         values = self.target.select_quantities(by_node.quantities, by_node.n_depths)
-        target_rays = allocate_flux_rays(
+        return allocate_flux_rays(
             self.target,
             self.strata,
             (self.weights * values)[..., requested],
             self.rows[requested],
             self.find_contributions()[:, requested],
-            np.maximum(limits**2 - irreducible**2, min_variance),
+            np.maximum(limits**2 - irreducible**2, MIN_SCATTER_FRACTION * limits**2),
         )
-        return Evaluation(error, "", target_rays, result)
 
     def _combine(self, by_node: FluxEstimate) -> FluxResult:
         """Return the result of all wavelengths from the estimates of node rows."""

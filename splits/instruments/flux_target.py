@@ -9,11 +9,10 @@ import numpy as np
 
 from splits.core.uncertainty import compute_batch_stderr
 from splits.kernels.tallies.exits import N_BATCHES
+from splits.simulation.engine import MIN_ROUND_GROWTH
 from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
-from splits.simulation.tally import RAYS_PER_CHUNK, Stratum
+from splits.simulation.tally import Stratum
 
-MIN_ROUND_GROWTH = 1.25
-"""Smallest growth of the rays of a stratum that needs more, so that there are few rounds."""
 _MIN_RELATIVE_VARIANCE = 1e-9
 
 
@@ -122,8 +121,4 @@ def allocate_flux_rays(
     # Rows without scatter need almost no rays.
     terms = terms._replace(variances=np.maximum(variances, _MIN_RELATIVE_VARIANCE))
     allocated = allocate_rays(terms, strata)
-    needs_more = allocated > n_rays + RAYS_PER_CHUNK
-    if not needs_more.any():
-        # Quantities that no ray has reached have no scatter.
-        return 2.0 * n_rays
-    return np.where(needs_more, np.maximum(allocated, MIN_ROUND_GROWTH * n_rays), n_rays)
+    return np.where(allocated > n_rays, np.maximum(allocated, MIN_ROUND_GROWTH * n_rays), n_rays)

@@ -12,7 +12,7 @@ from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, check_range, invalid
 from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
 from splits.instruments.angular_dataset import make_angular_dataset
-from splits.instruments.angular_estimate import AngularEstimate, ErrorTarget
+from splits.instruments.angular_estimate import AngularEstimate, AngularTally, ErrorTarget
 from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.detector_tally import DetectorTally
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
@@ -168,7 +168,7 @@ def goniophotometer(
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
     tracer: Tracer
-    tally: ExpansionTally | AngularBinTally | DetectorTally
+    tally: AngularTally
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     if estimator == "next_event":
         tracer = DetectorTracer(medium, float(incidence), polar, azimuth, side)

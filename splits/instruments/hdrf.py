@@ -76,19 +76,19 @@ def hdrf(
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 1)
     run = RunOptions.from_arguments(seed, threads, progress=progress)
 
-    def simulate(incidence: float | str, number: int) -> xr.Dataset:
+    def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         return goniophotometer(
             medium, wavelengths, incidence, seed=run.seed + number, relative_stderr=relative_stderr,
             polar_deg=polar_deg, azimuth_deg=azimuth_deg, threads=threads, progress=progress,
         )  # fmt: skip
 
     name = "reflectance_factor"
-    mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, [name])
+    mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate_component, [name])
     term = "hemispherical-directional reflectance factor under this sky"
     dims = ("wavelength", "polar", "azimuth")
     mean, stderr = (mixed[key].transpose(*dims).values for key in (name, f"{name}_stderr"))
     mixed = mixed.assign(make_variable(name, dims, mean, stderr, term))
     attributes = run.make_attributes("Reflectance factor under a sky", "hdrf", medium)
-    requested = {"relative_stderr": relative_stderr}
+    requested = {"relative_stderr": relative_stderr, **mixed.attrs}
     mixed = mixed.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))
     return mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum) | requested)

@@ -32,8 +32,6 @@ OUTPUT_VARIABLES = {
     "absorptance": ("absorbed_power", "interval", "absorbed power of the interval"),
 }
 """Variables of an irradiance profile; names, dimensions and labels of those under a sky."""
-STOP_REASONS = ("converged", "interpolation_bound", "max_rays")
-"""Stop reasons of runs, in increasing order of severity."""
 POWER_ERROR_QUANTITIES = ("absorbed_power", "irradiance")
 """Quantities to which the largest error applies; the last means all of them."""
 
@@ -124,17 +122,16 @@ def radiation_profile(
     weights, band_irradiance = compute_band_weights(sky_spectrum, named, wavelengths)
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
     targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
-    runs: list[xr.Dataset] = []
 
-    def simulate(incidence: float | str, number: int) -> xr.Dataset:
+    def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         request = FluxRequest.from_arguments(
             medium, wavelengths, depth_m, incidence, max_stderr, max_rays
         )
-        seeded = run._replace(seed=run.seed + number)
-        runs.append(simulate_flux(request, targets[number], seeded))
-        return runs[-1]
+        return simulate_flux(request, targets[number], run._replace(seed=run.seed + number))
 
-    dataset = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate, list(OUTPUT_VARIABLES))
+    dataset = mix_direct_and_diffuse(
+        sky_spectrum, wavelengths, simulate_component, list(OUTPUT_VARIABLES)
+    )
     variables = _make_variables(dataset, wavelengths, weights)
     variables |= make_coverage_variable(weights, band_irradiance)
     attributes = {
@@ -143,12 +140,11 @@ def radiation_profile(
         "irradiance_w_m2": band_irradiance[0],
         "max_stderr": max_stderr,
         "target": target,
-        "stop_reason": max((one.stop_reason for one in runs), key=STOP_REASONS.index),
         "max_rays": max_rays,
-        "rays": sum(one.rays for one in runs),
+        **dataset.attrs,
     }
     coordinates: dict[str, Any] = {
-        name: runs[0][name] for name in ("depth", "interval_top", "interval_bottom")
+        name: dataset[name] for name in ("depth", "interval_top", "interval_bottom")
     }
     return xr.Dataset(variables, {**coordinates, "band": list(named)}, attributes)
 

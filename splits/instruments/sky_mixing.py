@@ -14,6 +14,7 @@ from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.illumination.sky_spectra import sky
 from splits.simulation.arguments import check_wavelengths
+from splits.simulation.tally import STOP_REASONS
 
 DEFAULT_STEP_NM = 10.0
 MAX_DEFAULT_NM = 2495.0
@@ -50,6 +51,8 @@ def mix_direct_and_diffuse(
     names: Sequence[str],
 ) -> xr.Dataset:
     """Return the results of an instrument under a sky: values, errors, and batch deviations if any.
+
+    The attributes give the rays of both runs, and the more severe of the reasons why they stopped.
 
     Parameters
     ----------
@@ -90,7 +93,10 @@ def mix_direct_and_diffuse(
         variables |= {name: sum(means), f"{name}_stderr": stderr}
         if deviations:
             variables[f"{name}_batches"] = xr.concat(deviations, "batch")
-    return xr.Dataset(variables)
+    attributes = [dataset.attrs for _, dataset in runs]
+    stop_reason = max((one["stop_reason"] for one in attributes), key=STOP_REASONS.index)
+    rays = sum(one["rays"] for one in attributes)
+    return xr.Dataset(variables, attrs={"stop_reason": stop_reason, "rays": rays})
 
 
 def compute_band_weights(

@@ -105,11 +105,11 @@ class SpectralRequest(NamedTuple):
                 nodes = choose_nodes(rows.index, rows.interfaces, tolerance)
             tally = SpectralTally(rows, nodes, tracer.scene)
             evaluation = simulate(tracer, tally, StoppingRule(target, self.max_rays), self.run)
-            above = tally.make_estimate(evaluation.stop_reason)
+            above: SpectralEstimate = evaluation.estimate
             if truncation is None:
                 return above
-            estimate = truncation.complete_estimate(above, self.max_stderr)
-            if estimate.stop_reason == "converged" or above.stop_reason == "max_rays":
+            estimate = truncation.complete_estimate(above)
+            if estimate.stderr.max() <= self.max_stderr or evaluation.stop_reason == "max_rays":
                 break
             target *= 0.5
         if truncation is not None and perturbations.media:
@@ -178,13 +178,11 @@ def make_spectrum(
         "estimator": "spectral",
         "incidence_deg": request.incidence,
         "max_stderr": request.max_stderr,
-        "stop_reason": estimate.stop_reason,
+        "stop_reason": estimate.get_stop_reason(request.max_stderr),
         "max_stderr_reached": float(estimate.stderr.max()),
         "interpolation_error_bound": float(estimate.interpolation_error.max()),
         "max_rays": request.max_rays,
-        "rays": estimate.n_rays,
-        "ensembles": estimate.n_ensembles,
-        "kernel": estimate.kernel,
+        **estimate.rays,
     }
     if truncation is not None:
         attributes["truncation_depth_m"] = size_ratio * truncation.depth_m
@@ -214,7 +212,7 @@ def simulate_spectra(path_sharing: PathSharingMedia, request: SpectralRequest) -
     datasets = []
     for number, (medium, size_ratio) in enumerate(zip(*path_sharing, strict=True)):
         rows = slice(number * n_wavelengths, (number + 1) * n_wavelengths)
-        medium_estimate = estimate.select(rows, request.max_stderr)
+        medium_estimate = estimate.select(rows)
         spectrum = make_spectrum(
             request, medium, medium_estimate, truncation=truncation, size_ratio=size_ratio
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from splits.kernels.base.scene import Scene
@@ -55,6 +57,28 @@ class SplittingTracer(Tracer):
         return (moments[1], profile), result.n_segments
 
 
+class TransmittanceEstimate(NamedTuple):
+    """Transmittances, shape (wavelengths,).
+
+    Attributes
+    ----------
+    mean, stderr : float
+    largest_fraction : float
+        Largest fraction of the sum from a single history.
+    """
+
+    mean: np.ndarray
+    stderr: np.ndarray
+    largest_fraction: np.ndarray
+
+    @property
+    def relative_error(self) -> np.ndarray:
+        """Relative standard errors, infinite where a single history dominates or none arrived."""
+        is_reliable = self.largest_fraction <= MAX_HISTORY_FRACTION
+        unreliable_error = np.full_like(self.mean, np.inf)
+        return np.divide(self.stderr, self.mean, out=unreliable_error, where=is_reliable)
+
+
 class TransmittanceTally(Tally):
     """Tally of transmitted weights, and of the weight at collisions by depth; see `Tally`.
 
@@ -101,28 +125,31 @@ class TransmittanceTally(Tally):
         moments[2] = max(moments[2], largest)
         self.depth_profile[..., stratum.node_rows.start] += profile
 
-    def estimate(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the means, their standard errors, and the largest fractions from one history."""
+    def make_estimate(self) -> TransmittanceEstimate:
+        """Estimate the transmittances."""
         total, square, largest = self.moments
         n_rays = self.stratum_rays
         mean = total / n_rays
         stderr = np.sqrt(np.maximum(square / n_rays - mean**2, 0.0) / n_rays)
         fraction = np.divide(largest, total, out=np.ones_like(total), where=total > 0.0)
-        return mean, stderr, fraction
+        return TransmittanceEstimate(mean, stderr, fraction)
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the largest relative error, and the histories that each wavelength needs."""
-        mean, stderr, fraction = self.estimate()
+        """Return the largest relative error, and "max_rays" where each wavelength has its share."""
+        estimate = self.make_estimate()
+        needs_more = estimate.relative_error > stop.max_error
+        exhausted = self.stratum_rays >= stop.max_rays / len(self.strata)
+        gave_up = needs_more.any() and exhausted[needs_more].all()
+        error = float(estimate.relative_error.max())
+        return Evaluation(error, estimate, "max_rays" if gave_up else "")
+
+    def allocate_rays(self, stop: StoppingRule, evaluation: Evaluation) -> np.ndarray:
+        """Return the histories that each wavelength needs, within its share of all histories."""
         n_rays, max_rays = self.stratum_rays, stop.max_rays / len(self.strata)
-        errors = np.divide(stderr, mean, out=np.full_like(mean, np.inf), where=mean > 0.0)
-        is_converged = (errors <= stop.max_error) & (fraction <= MAX_HISTORY_FRACTION)
-        largest = float(errors.max())
-        if stop.fixed or (is_converged | (n_rays >= max_rays)).all():
-            return Evaluation(largest, "converged" if is_converged.all() else "max_rays")
-        predicted = 1.1 * n_rays * (errors / stop.max_error) ** 2
+        error = evaluation.estimate.relative_error
+        predicted = 1.1 * n_rays * (error / stop.max_error) ** 2
         target_rays = np.minimum(np.clip(predicted, 1.5 * n_rays, 4.0 * n_rays), max_rays)
-        target_rays = np.floor(np.where(is_converged, n_rays, np.maximum(target_rays, n_rays)))
-        return Evaluation(largest, target_rays=target_rays)
+        return np.floor(np.where(error <= stop.max_error, n_rays, np.maximum(target_rays, n_rays)))
 
     def fit_attenuation_rates(self, depth: float) -> np.ndarray:
         """Return the rates (1/m) at which the weight decreases with depth, from sampled slices.

@@ -12,7 +12,7 @@ from splits.core.progress import Progress, ProgressCallback
 from splits.kernels.compiler.features import Features
 from splits.simulation.run_options import RunOptions
 from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
-from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
+from splits.simulation.threads import BLAS_LIMIT, DaemonThreadPool
 from splits.simulation.tracer import Tracer, WorkItem
 
 MAX_JOB_BYTES = 2**27
@@ -20,8 +20,8 @@ MAX_SEGMENTS_PER_JOB = 2e7
 """Largest memory (bytes) of a thread's job, and its largest number of segments with the vectorized
 kernel, so that progress is reported every few seconds; an eighth of it with the scalar kernel.
 Larger jobs are more efficient, as lanes are idle while the last rays of a job end."""
-MAX_ROUND_GROWTH = 8.0
-"""Largest ratio of the rays of a stratum after a round and before it."""
+MIN_ROUND_GROWTH, MAX_ROUND_GROWTH = 1.25, 8.0
+"""Limits of the ratio of the rays of a stratum after a round and before it, if it needs more."""
 MIN_REPORT_INTERVAL_S = 0.5
 
 
@@ -47,9 +47,9 @@ def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) 
     """
     tracer.select_kernel(tally.strata, run.kernel, tally.shares_kernel)
     report = ProgressReport(run.progress, stop.max_error)
-    new_rays, remaining_rays = tally.plan_first_round(stop), 0.0
+    new_rays, remaining_rays, stop_reason = tally.plan_first_round(stop), 0.0, ""
     with DaemonThreadPool(run.threads) as pool:
-        while True:
+        while not stop_reason:
             jobs = make_jobs(tracer, tally, new_rays, run.threads)
             costs = [sum(estimate_cost(one) * len(rays) for one, rays in job) for job in jobs]
             report.begin_round(int(new_rays.sum()), sum(costs), remaining_rays)
@@ -62,20 +62,22 @@ def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) 
                         stratum.n_rays += tally.rays_per_chunk
                     stratum.n_segments += n_segments
                 report.advance(cost)
-            with limit_blas_threads():
+            with BLAS_LIMIT:
                 evaluation = tally.evaluate(stop)
-            target_rays = evaluation.target_rays
-            if evaluation.stop_reason or target_rays is None or tally.n_rays >= stop.max_rays:
-                break
+                stop_reason = stop.find_reason(evaluation, tally.n_rays)
+                if not stop_reason:
+                    target_rays = tally.allocate_rays(stop, evaluation)
+                    new_rays = limit_round(tally, target_rays, stop.max_rays)
+                    traced_rays = tally.stratum_rays + new_rays
+                    remaining_rays = float((target_rays - traced_rays).clip(0).sum())
             report.error = evaluation.error
-            new_rays = limit_round(tally, target_rays, stop.max_rays)
-            remaining_rays = float((target_rays - tally.stratum_rays - new_rays).clip(0).sum())
-    stop_reason = "fixed_rays" if stop.fixed else evaluation.stop_reason or "max_rays"
     return evaluation._replace(stop_reason=stop_reason)
 
 
 def limit_round(tally: Tally, target_rays: np.ndarray, max_rays: int) -> np.ndarray:
     """Return the rays of the next round by stratum: those required, within the limits.
+
+    Where no stratum needs more, all grow: the error is larger than their variances predict.
 
     Parameters
     ----------
@@ -87,6 +89,8 @@ def limit_round(tally: Tally, target_rays: np.ndarray, max_rays: int) -> np.ndar
     """
     n_rays, size = tally.stratum_rays, tally.rays_per_round
     step = np.clip(target_rays - n_rays, 0.0, (MAX_ROUND_GROWTH - 1.0) * n_rays) / size
+    if not step.any():
+        step = (MIN_ROUND_GROWTH - 1.0) * n_rays / size
     rounds, budget = np.ceil(step), (max_rays - n_rays.sum()) / size
     if rounds.sum() > budget:
         # Fewer rays than needed, or than whole rounds: the largest remainders get the last ones.

@@ -17,6 +17,7 @@ import numpy as np
 from splits.core.validation import invalid
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
+from splits.simulation.interpolation_bounds import bound_derivative_error
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 
 FIRST_STEP_FRACTION = 0.25
@@ -103,7 +104,7 @@ def compute_finite_difference(
     if best is None:
         raise last_error
     _check_convergence(parameter, value, best, one_sided)
-    n_rays = sum(one.n_rays for one in estimates.values())
+    n_rays = sum(one.rays["rays"] for one in estimates.values())
     return coordinate.to_value_derivatives(best), n_rays
 
 
@@ -225,9 +226,10 @@ def _differentiate(
     relative_error = np.divide(coarse_error, size, out=np.ones_like(coarse_error), where=size > 0.0)
     is_symmetric = sum(offsets) == 0.0
     truncation_error = coarse_error * (relative_error if is_symmetric else np.sqrt(relative_error))
-    interpolation_error = np.max([one.interpolation_error[:2] for one in estimates], axis=0)
-    interpolation_bound = np.clip(8.0 * interpolation_error, 0.0, 1.0)
-    error_bound = np.hypot(np.minimum(truncation_error, coarse_error), interpolation_bound * size)
+    # With truncation, the error of the theory is added.
+    bounds = [np.maximum(one.interpolation_error[:2], one.interpolation_bound) for one in estimates]
+    interpolation_error = bound_derivative_error(np.max(bounds, axis=0), mean)
+    error_bound = np.hypot(np.minimum(truncation_error, coarse_error), interpolation_error)
     return Derivatives(
         mean[:, None], np.tensordot(fine, batch_deviations, 1)[:, :, None], error_bound[:, None]
     )

@@ -81,7 +81,7 @@ def estimate_fixed_budget(
     # A node keeps its streams if no wavelength uses its neighbour.
     tally = SpectralTally(rows, nodes, tracer.scene, SINGLE_STRATUM)
     stop = StoppingRule(0.0, rays_per_node * len(tally.strata), fixed=True)
-    estimate = tally.make_estimate(simulate(tracer, tally, stop, run).stop_reason)
+    estimate = simulate(tracer, tally, stop, run).estimate
     return estimate.mean, estimate.stderr, estimate.batch_deviations
 
 

@@ -26,6 +26,9 @@ above the critical angle."""
 CONTRAST_KINK = 4.0 / 3.0
 """Half the change of slope where the contrast c of a boundary is 0: weak contrasts reflect c/3
 of diffuse light from the thin side and 7c/3 from the dense one, and the sides change at 0."""
+INTERPOLATION_FACTOR = 8.0
+"""Relative error of a BRDF, or of a fraction near 0, in units of the bound for a fraction near 1/2.
+It allows for elasticities up to 2.4; that of a single reflection is 4/(2 + c)."""
 ABSORBING_K = 1e-3
 """Extinction coefficient at which a material counts half as absorbing: a grain of a tenth of a
 millimetre then absorbs most of the visible light that enters it."""
@@ -74,12 +77,20 @@ def _get_interface_indices(
 
 
 def bound_fraction_error(interpolation_bound: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return a bound on the interpolation error of a fraction of the light.
+    """Return a bound on the interpolation error of a fraction of the light, or of a moment.
 
-    Near 0 and 1 a fraction changes in proportion to its distance from there; 8 allows for
-    elasticities up to 2.4; that of a single reflection is 4/(2 + c).
+    Near 0 and 1 a fraction changes in proportion to its distance from there.
     """
-    return interpolation_bound * np.clip(8.0 * value * (1.0 - value), 0.0, 1.0)
+    relative_slope = np.abs(INTERPOLATION_FACTOR * value * (1.0 - value))
+    return interpolation_bound * np.clip(relative_slope, 0.0, 1.0)
+
+
+def bound_derivative_error(interpolation_bound: np.ndarray, derivative: np.ndarray) -> np.ndarray:
+    """Return a bound on the interpolation error of a derivative.
+
+    Its relative error is that of light that is nearly all reflected or nearly all absorbed.
+    """
+    return np.clip(INTERPOLATION_FACTOR * interpolation_bound, 0.0, 1.0) * np.abs(derivative)
 
 
 class Criterion(NamedTuple):

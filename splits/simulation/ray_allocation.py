@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.simulation.tally import RAYS_PER_CHUNK, Stratum
+from splits.simulation.tally import Stratum
 
 LARGE_PROBLEM_ROWS = 4000
 """Number of rows up to which ray allocation considers all of them."""
@@ -80,9 +80,7 @@ def allocate_rays(terms: VarianceTerms, strata: Sequence[Stratum]) -> np.ndarray
     largest = terms.sum_columns(terms.variances / rays_per_term).max()
     target_rays = stratum_rays * max(largest, 0.1)
     more = target_rays > floor * (1.0 + 1e-6)
-    return (
-        np.where(more, np.ceil(1.03 * target_rays), floor) if more.any() else floor + RAYS_PER_CHUNK
-    )
+    return np.where(more, np.ceil(1.03 * target_rays), floor)
 
 
 def _select_binding_columns(terms: VarianceTerms) -> np.ndarray:

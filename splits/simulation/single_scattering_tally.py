@@ -118,9 +118,8 @@ class SingleScatteringTally(Tally):
             np.maximum(square_sum[0] - mean_sum[0] ** 2, 0.0) / n_rays, power=2
         )
         error_bound = MOMENT_SLOPE_RATIO * bound * np.abs(ratio)
-        # x (1 − x), which is 0 where a fraction cannot depend on the refractive index.
-        moment_slope = np.clip(8.0 * np.abs(ratio[:orders] * (1.0 - ratio[:orders])), 0.0, 1.0)
-        error_bound[:orders] = MOMENT_SLOPE_RATIO * bound * moment_slope
+        # 0 where a moment cannot depend on the refractive index.
+        error_bound[:orders] = MOMENT_SLOPE_RATIO * bound_fraction_error(bound, ratio[:orders])
         error = np.sqrt(ratio_variance / scattered**2 + error_bound**2)
         jackknife_means = compute_leave_one_out_means(batch_means)
         jackknife_ratios = jackknife_means / np.maximum(jackknife_means[:, :1], tiny)

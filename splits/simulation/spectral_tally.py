@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.derivatives import tally_derivatives
 from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, tally_weights
-from splits.simulation.interpolation_bounds import bound_fraction_error
+from splits.simulation.interpolation_bounds import bound_derivative_error, bound_fraction_error
 from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.spectral_rows import SpectralRows
@@ -97,39 +97,36 @@ class SpectralEstimate:
     batch_deviations : float, shape (N_BATCHES, 2, rows)
         Contributions of batches to the deviations of the reflected and transmitted means: sums over
         them of squares are unbiased variances, sums of products covariances.
-    n_rays : int
-        All rays traced.
-    n_ensembles : int
-        Number of path ensembles, one per index node.
-    kernel : str
-        "vectorized", "scalar", or both where ensembles differ.
-    stop_reason : str
-        "converged" or "max_rays".
     derivatives : Derivatives
         Derivatives to the requested parameters.
+    interpolation_bound : float, shape (rows,)
+        See `splits.simulation.spectral_nodes.IndexNodes`.
+    rays : dict of str to object
+        Attributes about the rays of all rows, see `splits.simulation.tally.Tally.describe_rays`.
     """
 
     mean: np.ndarray
     stderr: np.ndarray
     interpolation_error: np.ndarray
     batch_deviations: np.ndarray
-    n_rays: int
-    n_ensembles: int
-    kernel: str
-    stop_reason: str
     derivatives: Derivatives
+    interpolation_bound: np.ndarray
+    rays: dict[str, Any]
 
-    def select(self, rows: slice, max_stderr: float) -> SpectralEstimate:
-        """Return the estimate of some rows, which may have converged before the others."""
-        stderr = self.stderr[:, rows]
-        return replace(
-            self,
-            mean=self.mean[:, rows],
-            stderr=stderr,
-            interpolation_error=self.interpolation_error[:, rows],
-            batch_deviations=self.batch_deviations[..., rows],
-            stop_reason="converged" if stderr.max() <= max_stderr else "max_rays",
+    def get_stop_reason(self, max_stderr: float) -> str:
+        """Return why tracing stopped: the rows reached an error, which others may not have."""
+        return "converged" if self.stderr.max() <= max_stderr else "max_rays"
+
+    def select(self, rows: slice) -> SpectralEstimate:
+        """Return the estimate of some rows; derivatives are those of all rows."""
+        by_row = (
+            "mean",
+            "stderr",
+            "interpolation_error",
+            "batch_deviations",
+            "interpolation_bound",
         )
+        return replace(self, **{name: getattr(self, name)[..., rows] for name in by_row})
 
 
 class SpectralTally(ExitTally):
@@ -236,42 +233,38 @@ class SpectralTally(ExitTally):
         return bound_fraction_error(self.nodes.interpolation_bound, self.compute_means())
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the largest standard error, and the rays that reach the requested one."""
-        variance = self.combine_nodes(self.compute_variances() / self.count_rays(), power=2)
-        bias = self.bound_interpolation_error()
-        error = float(np.sqrt(variance + bias**2).max())
-        if error <= stop.max_error or stop.fixed:
-            return Evaluation(error, "converged")
-        target = stop.max_error**2 - bias**2
+        """Return the largest standard error, and the estimate."""
+        estimate = self.make_estimate()
+        return Evaluation(float(estimate.stderr.max()), estimate)
+
+    def allocate_rays(self, stop: StoppingRule, evaluation: Evaluation) -> np.ndarray:
+        """Return the rays with which the largest standard error is the requested one."""
+        target = stop.max_error**2 - evaluation.estimate.interpolation_error**2
         variances = self.weights**2 * self.compute_variances() / target[:, self.rows]
         terms = VarianceTerms(variances, self.rows, self.find_contributions())
-        return Evaluation(error, target_rays=allocate_rays(terms, self.strata))
+        return allocate_rays(terms, self.strata)
 
-    def make_estimate(self, stop_reason: str) -> SpectralEstimate:
-        """Return means, errors, batch deviations and derivatives after a run."""
+    def make_estimate(self) -> SpectralEstimate:
+        """Return means, errors, batch deviations and derivatives."""
         variance = self.combine_nodes(self.compute_variances() / self.count_rays(), power=2)
         bias = self.bound_interpolation_error()
         means, derivative_means = self.moments[:2, 0], self.derivative_sums.sum(axis=0)
         deviations = self.combine_nodes(self._compute_deviations(self.batch_sums, means))
         derivatives = self.combine_nodes(derivative_means / self.count_rays())
-        # The relative bound is that of light that is nearly all reflected or nearly all absorbed.
-        relative_bound = np.clip(8.0 * self.nodes.interpolation_bound, 0.0, 1.0)
         return SpectralEstimate(
             self.compute_means(),
             np.sqrt(variance + bias**2),
             bias,
             rescale_deviations(deviations, variance[:2]),
-            self.n_rays,
-            len(self.nodes.index),
-            self.kernel,
-            stop_reason,
             Derivatives(
                 derivatives,
                 self.combine_nodes(
                     self._compute_deviations(self.derivative_sums, derivative_means)
                 ),
-                relative_bound * np.abs(derivatives),
+                bound_derivative_error(self.nodes.interpolation_bound, derivatives),
             ),
+            self.nodes.interpolation_bound,
+            self.describe_rays(),
         )
 
     def _compute_deviations(self, batch_sums: np.ndarray, total: np.ndarray) -> np.ndarray:

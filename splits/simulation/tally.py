@@ -19,6 +19,11 @@ RAYS_PER_CHUNK = 128
 STRATUM_BOUNDS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
 """Absorption over one mean distance between grains at which strata of wavelengths begin.  Visible
 light needs few rays and long paths, the near infrared many rays and short paths."""
+STOP_REASONS = (
+    "converged", "fixed_rays", "unresolved_lobe", "interpolation_bound", "no_light", "max_degree",
+    "max_rays",
+)  # fmt: skip
+"""Why runs stop.  Where several runs serve one result, the last of their reasons is stated."""
 INITIAL_SEGMENTS = 400.0
 """Expected segments per ray, before tracing, of rays that little is absorbed of."""
 
@@ -94,6 +99,17 @@ class StoppingRule(NamedTuple):
     max_rays: int
     fixed: bool = False
 
+    def find_reason(self, evaluation: Evaluation, n_rays: int) -> str:
+        """Return why tracing stops after a number of rays, or an empty string."""
+        exhausted = n_rays >= self.max_rays
+        if self.fixed:
+            return "fixed_rays" if exhausted else ""
+        if evaluation.stop_reason:
+            return evaluation.stop_reason
+        if evaluation.error <= self.max_error:
+            return "converged"
+        return "max_rays" if exhausted else ""
+
 
 class Evaluation(NamedTuple):
     """State of a run after a round of rays, and its result after the last.
@@ -102,20 +118,16 @@ class Evaluation(NamedTuple):
     ----------
     error : float
         Largest error reached, as the tally defines it.
-    stop_reason : str
-        Why tracing stops, or an empty string: "converged", "max_rays", "fixed_rays", or a reason of
-        the tally.
-    target_rays : float, shape (strata,), or None
-        Rays of each stratum that would satisfy the stopping rule; at least one stratum needs more
-        than it has.  None where tracing stops.
     estimate : object
         Estimate from all rays so far, which the tally defines.
+    stop_reason : str
+        One of `STOP_REASONS` once a run has stopped.  Before, a reason of the tally other than the
+        error and the number of rays, or an empty string.
     """
 
     error: float
-    stop_reason: str = ""
-    target_rays: np.ndarray | None = None
     estimate: Any = None
+    stop_reason: str = ""
 
 
 class Tally(ABC):
@@ -228,11 +240,12 @@ class Tally(ABC):
         """Add the score of the next chunk of a stratum to the sums."""
 
     def evaluate(self, stop: StoppingRule) -> Evaluation:
-        """Return the error reached, and why tracing stops or which rays are needed.
-
-        Tallies of a fixed number of rays have no error to reach.
-        """
+        """Return the error reached, and the estimate; without an error to reach, infinity."""
         return Evaluation(np.inf)
+
+    def allocate_rays(self, stop: StoppingRule, evaluation: Evaluation) -> np.ndarray:
+        """Return the rays of each stratum that would satisfy the stopping rule."""
+        return np.full(len(self.strata), np.inf)
 
     def plan_first_round(self, stop: StoppingRule) -> np.ndarray:
         """Return the rays of each stratum in the first round."""
@@ -247,10 +260,12 @@ class Tally(ABC):
         return {
             "stop_reason": stop_reason,
             "interpolation_error_bound": float(self.nodes.interpolation_bound.max()),
-            "rays": self.n_rays,
-            "ensembles": len(self.nodes.index),
-            "kernel": self.kernel,
+            **self.describe_rays(),
         }
+
+    def describe_rays(self) -> dict[str, Any]:
+        """Return the attributes of a dataset about the rays traced."""
+        return {"rays": self.n_rays, "ensembles": len(self.nodes.index), "kernel": self.kernel}
 
     @property
     def stratum_rays(self) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.kernels import vectorized
-from splits.kernels.base.scene import Optics
+from splits.kernels.base.scene import NO_GROUND, Optics
 from splits.kernels.base.work import N_RAYS
 from splits.kernels.rough_surface.realization import allocate_realization
 from splits.kernels.tallies.crossings import CROSSING_RAY
@@ -134,10 +134,12 @@ class SceneTracer(Tracer):
         is_polarized = self.scene.stokes is not None
         self.stokes_columns = (first, first + 1, first + 2) if is_polarized else ()
         self.values_per_ray = first + len(self.stokes_columns)
+        n_recorded = int(self.scene.ground_column != NO_GROUND)
         if planes_m:
             self.scene = add_recording_planes(self.scene, planes_m)
-            n_crossings = CROSSINGS_PER_BOUNDARY * (len(self.scene.layers.boundaries) - 1)
-            self.values_per_ray += n_crossings * (3 + self.n_length_columns)
+            n_recorded = len(self.scene.layers.boundaries) - 1
+        n_crossings = CROSSINGS_PER_BOUNDARY * n_recorded
+        self.values_per_ray += n_crossings * (3 + self.n_length_columns)
 
     def select_kernel(self, strata: Sequence[Stratum], kernel: str, share: bool) -> None:
         """Set the features of the vectorized kernel of each stratum, None for the scalar kernel.

@@ -47,7 +47,7 @@ class TruncatedMedium(NamedTuple):
     ground_absorption: np.ndarray
     semi_infinite_depth_m: float
 
-    def complete_estimate(self, above: SpectralEstimate, max_stderr: float) -> SpectralEstimate:
+    def complete_estimate(self, above: SpectralEstimate) -> SpectralEstimate:
         """Return the estimate of the whole medium from that of the part above."""
         n_media = above.mean.shape[1] // self.transmitted_fraction.shape[1]
         transmitted_fraction, conservative, escape = (
@@ -80,7 +80,6 @@ class TruncatedMedium(NamedTuple):
         statistical_error[1, conservative] = statistical_error[0, conservative]
         statistical_error[2, conservative] = 0.0
         stderr = np.hypot(statistical_error, theory_error)
-        stop_reason = "converged" if stderr.max() <= max_stderr else "max_rays"
         batch_deviations = above.batch_deviations * scale[:2]
         batch_deviations[:, 1, conservative] = -batch_deviations[:, 0, conservative]
         interpolation_error = np.hypot(scale * above.interpolation_error, theory_error)
@@ -90,7 +89,6 @@ class TruncatedMedium(NamedTuple):
             stderr=stderr,
             interpolation_error=interpolation_error,
             batch_deviations=batch_deviations,
-            stop_reason=stop_reason,
         )
 
     def complete_derivatives(self, above: SpectralEstimate, steps: np.ndarray) -> Derivatives:

@@ -98,11 +98,10 @@ def compute_block(
         **make_provenance("block of a table"),
         DIGEST_ATTRIBUTE: digest,
         "ensemble": path_group.number,
-        "rays": estimate.n_rays,
+        **estimate.rays,
         "max_stderr_reached": float(estimate.stderr.max()),
         "interpolation_error_bound": float(estimate.interpolation_error.max()),
-        "kernel": estimate.kernel,
-        "stop_reason": estimate.stop_reason,
+        "stop_reason": estimate.get_stop_reason(spectral_request.max_stderr),
         "wall_time_s": round(time.perf_counter() - start_time, 3),
     }
     point_coordinate = ("point", path_group.positions, {"long_name": "flat index in the table"})

@@ -156,8 +156,8 @@ def make_estimator(function, noise):
         batches = np.full((32, 2, 1), noise / np.sqrt(32.0))
         empty = np.zeros((2, 0, 1))
         return SpectralEstimate(
-            mean, noise + 0.0 * mean, 0.0 * mean, batches, 1, 1, "vectorized", "converged",
-            Derivatives(empty, np.zeros((32, *empty.shape)), empty),
+            mean, noise + 0.0 * mean, 0.0 * mean, batches,
+            Derivatives(empty, np.zeros((32, *empty.shape)), empty), np.zeros(1), {"rays": 1},
         )  # fmt: skip
 
     return measure

@@ -69,6 +69,7 @@ class StubTally(ExitTally):
     def evaluate(self, stop):
         self.rounds.append(self.stratum_rays)
         error = float(np.sqrt((self.variances / self.stratum_rays).max()))
-        if stop.fixed or error <= stop.max_error:
-            return Evaluation(error, "converged", estimate=self.sums.tolist())
-        return Evaluation(error, target_rays=self.variances / stop.max_error**2)
+        return Evaluation(error, self.sums.tolist())
+
+    def allocate_rays(self, stop, evaluation):
+        return self.variances / stop.max_error**2

@@ -66,9 +66,9 @@ def test_a_run_stops_at_the_maximum_number_of_rays(max_rays):
 
 def test_reasons_of_a_tally_end_a_run():
     tally = StubTally([1.0])
-    tally.evaluate = lambda stop: Evaluation(0.5, "max_degree")
+    tally.evaluate = lambda stop: Evaluation(0.5, stop_reason="max_degree")
     evaluation = run(tally, StoppingRule(0.01, MANY_RAYS))
-    assert evaluation[:2] == (0.5, "max_degree")
+    assert evaluation == (0.5, None, "max_degree")
     assert tally.n_rays == RAYS_PER_CHUNK
 
 
@@ -261,6 +261,8 @@ def test_rounds_are_limited():
     assert rays.tolist() == [0, 1280, 2560]
     tally = make_traced_tally([1024, 1024], 512)
     assert limit_round(tally, np.array([1025.0, 1600.0]), MANY_RAYS).tolist() == [512, 1024]
+    # Where the rays should suffice but do not, all strata grow by a quarter.
+    assert limit_round(tally, np.array([1024.0, 100.0]), MANY_RAYS).tolist() == [512, 512]
 
 
 def test_rays_beyond_the_limit_are_less_than_one_round():
@@ -342,8 +344,8 @@ def test_traced_rays_count_in_the_allocation():
     strata = [
         Stratum(i, None, slice(0), None, n_rays=n, n_segments=n) for i, n in enumerate((4000, 100))
     ]
-    # The first stratum has enough rays for both; a chunk is traced where nothing is missing.
-    assert allocate_rays(terms, strata).tolist() == [4000 + RAYS_PER_CHUNK, 100 + RAYS_PER_CHUNK]
+    # The first stratum has enough rays for both.
+    assert allocate_rays(terms, strata).tolist() == [4000, 100]
     strata[0].n_rays = strata[0].n_segments = 900
     n_rays = allocate_rays(terms, strata)
     assert 1000 < n_rays[0] <= 1040 and n_rays[1] == 100

@@ -15,7 +15,7 @@ import splits
 from splits.simulation import engine
 from splits.simulation.arguments import check_threads
 from splits.simulation.run_options import RunOptions
-from splits.simulation.threads import DaemonThreadPool, count_cpus, limit_blas_threads
+from splits.simulation.threads import BLAS_LIMIT, DaemonThreadPool, count_cpus
 
 SNOW = splits.Snow(depth_m=0.02)
 LONG_TIME_S = 20.0
@@ -39,15 +39,36 @@ def test_cpu_count_respects_affinity():
     assert count_cpus() == len(os.sched_getaffinity(0))
 
 
-def test_blas_is_limited_to_one_thread():
-    def count_blas_threads():
-        return [lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"]
+def count_blas_threads():
+    return [lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"]
 
+
+def test_blas_is_limited_to_one_thread():
     # The initial number is set, as tests that run in parallel may have limited it already.
     with threadpool_limits(limits=2, user_api="blas"):
         assert set(count_blas_threads()) == {2}
-        with limit_blas_threads():
+        with BLAS_LIMIT:
             assert set(count_blas_threads()) == {1}
+        assert set(count_blas_threads()) == {2}
+
+
+def test_blas_is_restored_by_the_last_of_concurrent_threads():
+    entered, left = threading.Event(), threading.Event()
+
+    def enter_and_wait():
+        with BLAS_LIMIT:
+            entered.set()
+            left.wait(10.0)
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        other = threading.Thread(target=enter_and_wait)
+        with BLAS_LIMIT:
+            other.start()
+            assert entered.wait(10.0)
+        # This thread entered first and leaves first.
+        assert set(count_blas_threads()) == {1}
+        left.set()
+        other.join()
         assert set(count_blas_threads()) == {2}
 
 

@@ -12,7 +12,7 @@ from splits.core.progress import Progress, ProgressCallback
 from splits.kernels.compiler.features import Features
 from splits.simulation.run_options import RunOptions
 from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
-from splits.simulation.threads import BLAS_LIMIT, DaemonThreadPool
+from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
 from splits.simulation.tracer import Tracer, WorkItem
 
 MAX_JOB_BYTES = 2**27
@@ -62,7 +62,7 @@ def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) 
                         stratum.n_rays += tally.rays_per_chunk
                     stratum.n_segments += n_segments
                 report.advance(cost)
-            with BLAS_LIMIT:
+            with limit_blas_threads():
                 evaluation = tally.evaluate(stop)
                 stop_reason = stop.find_reason(evaluation, tally.n_rays)
                 if not stop_reason:

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
+from contextlib import contextmanager
+from functools import cache
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-_thread_local = threading.local()
+_thread_local, _blas_lock = threading.local(), threading.RLock()
 
 
 def count_cpus() -> int:
@@ -27,38 +29,22 @@ def count_cpus() -> int:
     return count() or 1
 
 
-class BlasLimit:
-    """Context in which linear algebra is limited to the calling thread.
+@contextmanager
+def limit_blas_threads() -> Iterator[None]:
+    """Limit linear algebra to the calling thread.
 
     BLAS would use every CPU, whatever number of threads was requested; small products then take
     six to eighteen times as long where another process occupies a CPU.  The limit is that of the
-    process: it ends with the last of the threads that are in the context.
+    process, so that threads take turns: each restores what it found.
     """
-
-    def __init__(self) -> None:
-        self._lock, self._n_entered = threading.Lock(), 0
-        self._controller: ThreadpoolController | None = None
-        self._limit: Any = None
-
-    def __enter__(self) -> None:
-        """Limit BLAS, unless another thread has."""
-        with self._lock:
-            if self._controller is None:
-                # Inspecting the loaded libraries takes milliseconds.
-                self._controller = ThreadpoolController()
-            if self._n_entered == 0:
-                self._limit = self._controller.limit(limits=1, user_api="blas")
-            self._n_entered += 1
-
-    def __exit__(self, *_: object) -> None:
-        """Restore the threads of BLAS, unless another thread needs the limit."""
-        with self._lock:
-            self._n_entered -= 1
-            if self._n_entered == 0:
-                self._limit.restore_original_limits()
+    with _blas_lock, _get_threadpool_controller().limit(limits=1, user_api="blas"):
+        yield
 
 
-BLAS_LIMIT = BlasLimit()
+@cache
+def _get_threadpool_controller() -> ThreadpoolController:
+    # Inspecting the loaded libraries takes milliseconds.
+    return ThreadpoolController()
 
 
 class DaemonThreadPool(Executor):

@@ -15,7 +15,7 @@ import splits
 from splits.simulation import engine
 from splits.simulation.arguments import check_threads
 from splits.simulation.run_options import RunOptions
-from splits.simulation.threads import BLAS_LIMIT, DaemonThreadPool, count_cpus
+from splits.simulation.threads import DaemonThreadPool, count_cpus, limit_blas_threads
 
 SNOW = splits.Snow(depth_m=0.02)
 LONG_TIME_S = 20.0
@@ -47,29 +47,21 @@ def test_blas_is_limited_to_one_thread():
     # The initial number is set, as tests that run in parallel may have limited it already.
     with threadpool_limits(limits=2, user_api="blas"):
         assert set(count_blas_threads()) == {2}
-        with BLAS_LIMIT:
+        with limit_blas_threads():
             assert set(count_blas_threads()) == {1}
         assert set(count_blas_threads()) == {2}
 
 
-def test_blas_is_restored_by_the_last_of_concurrent_threads():
-    entered, left = threading.Event(), threading.Event()
+def test_blas_is_restored_after_concurrent_limits():
+    def limit_often(_):
+        for _ in range(50):
+            with limit_blas_threads():
+                assert set(count_blas_threads()) == {1}
 
-    def enter_and_wait():
-        with BLAS_LIMIT:
-            entered.set()
-            left.wait(10.0)
-
-    with threadpool_limits(limits=2, user_api="blas"):
-        other = threading.Thread(target=enter_and_wait)
-        with BLAS_LIMIT:
-            other.start()
-            assert entered.wait(10.0)
-        # This thread entered first and leaves first.
-        assert set(count_blas_threads()) == {1}
-        left.set()
-        other.join()
-        assert set(count_blas_threads()) == {2}
+    before = count_blas_threads()
+    with DaemonThreadPool(4) as threads:
+        list(threads.map(limit_often, range(4)))
+    assert count_blas_threads() == before
 
 
 @pytest.mark.parametrize("n_threads", [1, 2, 7])

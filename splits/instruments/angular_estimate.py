@@ -89,7 +89,7 @@ class AngularEstimate(NamedTuple):
         stderr = (self.stopping_error if use_stopping_error else self.stderr)[side]
         reference = self.compute_reference(side, direction_mask)
         relative_error = np.zeros_like(reference)
-        np.divide(stderr[:, direction_mask], reference, out=relative_error, where=reference > 0.0)
+        np.divide(stderr[:, direction_mask], reference, out=relative_error, where=reference != 0.0)
         return float(relative_error.max())
 
     def is_truncation_limited(self, side: int, direction_mask: Any, max_error: float) -> bool:

@@ -85,26 +85,11 @@ class DetectorTally(AngularTally):
         return stderr, stopping_error
 
     def make_estimate(self) -> AngularEstimate:
-        """Return BRDF and BTDF, the same at all wavelengths.
-
-        Where nothing was scored, the error is that of one ray, except where no signal is possible,
-        or no light can be lost.
-        """
-        batch_mean = self.sums / (self.n_rays // RAYS_PER_CHUNK)
-        (mean, hemispherical_mean), (stderr, hemispherical_stderr), (stopping_error, _) = (
-            self._split(values) for values in (batch_mean, *self.compute_errors())
-        )
-        mean, stderr, stopping_error = mean[..., 0], stderr[..., 0], stopping_error[..., 0]
-        if not self.no_signal:
-            unscored = mean == 0.0
-            unscored[1] &= self.has_lower_side
-            stderr[unscored] = stopping_error[unscored] = 1.0 / (np.pi * self.n_rays)
-        if not self.lossless:
-            hemispherical_stderr = np.maximum(hemispherical_stderr, 1.0 / self.n_rays)
-        hemispherical = np.stack([hemispherical_mean.T, hemispherical_stderr.T], axis=1)
-        shape = (2, self.n_wavelengths, mean.shape[1])
+        """Return BRDF and BTDF, the same at all wavelengths."""
+        *detectors, hemispherical = self._estimate_detectors()
+        shape = (2, self.n_wavelengths, self.shape[1])
         mean, stderr, stopping_error = (
-            np.broadcast_to(one[:, np.newaxis], shape) for one in (mean, stderr, stopping_error)
+            np.broadcast_to(one[:, np.newaxis, :, 0], shape) for one in detectors
         )
         return AngularEstimate(
             mean, stderr, stopping_error,
@@ -114,8 +99,7 @@ class DetectorTally(AngularTally):
 
     def make_stokes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return Q, U and V of BRDF and BTDF, each with its errors, by name."""
-        mean, _ = self._split(self.sums / (self.n_rays // RAYS_PER_CHUNK))
-        stderr, _ = self._split(self.compute_errors()[0])
+        mean, stderr, *_ = self._estimate_detectors()
         shape = (self.n_wavelengths, mean.shape[1])
         return {
             f"{function}_{name}": (
@@ -140,6 +124,31 @@ class DetectorTally(AngularTally):
         n_batches = self.n_rays // RAYS_PER_CHUNK
         wanted = 1.05 * (evaluation.error / stop.max_error) ** 2 * n_batches
         return RAYS_PER_CHUNK * np.array([np.floor(wanted)])
+
+    def _estimate_detectors(self) -> tuple[np.ndarray, ...]:
+        """Return means, errors and errors for the stopping rule, and the hemispherical quantities.
+
+        Where nothing was scored, the error is that of one ray, except where no signal is possible,
+        or no light can be lost.
+
+        Returns
+        -------
+        mean, stderr, stopping_error : float, shape (2, detectors, 4)
+        hemispherical : float, shape (2, 2, 2)
+            [all light, unscattered light][mean, error][reflected, transmitted].
+        """
+        batch_mean = self.sums / (self.n_rays // RAYS_PER_CHUNK)
+        (mean, hemispherical_mean), (stderr, hemispherical_stderr), (stopping_error, _) = (
+            self._split(values) for values in (batch_mean, *self.compute_errors())
+        )
+        if not self.no_signal:
+            unscored = mean[..., 0] == 0.0
+            unscored[1] &= self.has_lower_side
+            stderr[unscored] = stopping_error[unscored] = 1.0 / (np.pi * self.n_rays)
+        if not self.lossless:
+            hemispherical_stderr = np.maximum(hemispherical_stderr, 1.0 / self.n_rays)
+        hemispherical = np.stack([hemispherical_mean.T, hemispherical_stderr.T], axis=1)
+        return mean, stderr, stopping_error, hemispherical
 
     def _split(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of detectors, and the hemispherical ones."""

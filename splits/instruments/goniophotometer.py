@@ -109,8 +109,8 @@ def goniophotometer(
         `polar_deg` and `azimuth_deg` are ignored.
     max_rays : int
         Number of rays after which a run to an error stops.  The attribute ``stop_reason`` is
-        "converged", "max_rays", "fixed_rays" (where `rays` or bins set their number), "max_degree"
-        or "unresolved_lobe".  "max_degree" means that the light is in lobes too narrow for the
+        "converged", "max_rays", "fixed_rays" (where `rays` or bins set their number), "no_light"
+        (where none reached the directions), "max_degree" or "unresolved_lobe".  "max_degree" means that the light is in lobes too narrow for the
         polynomials, which more rays do not change; use bins.
         "unresolved_lobe" means that the run has converged except for directions in a lobe, where
         terms that are insignificant individually keep the reported error above the requested one

@@ -79,7 +79,7 @@ def make_detectors(
     outer_polar, azimuth_rad = np.radians(np.meshgrid(polar, azimuth, indexing="ij")).reshape(2, -1)
     plane = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
     sine = (np.sin(outer_polar) / index[:, np.newaxis])[..., np.newaxis]
-    cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
+    cosine = compute_refracted_cosines(index, outer_polar)[..., np.newaxis]
     thickness = -np.diff(scene.layers.boundaries) * scene.layers.collision_coefficient
     is_open = scene.bottom_albedo is None and scene.opaque is None
     has_lower_side = is_open and math.isfinite(thickness[-1])
@@ -101,6 +101,19 @@ def make_detectors(
         0.0 if peak is None else peak.fraction * lowest.single_scattering_albedo,
         np.zeros((1 + math.ceil(orders), 3)),
     )
+
+
+def compute_refracted_cosines(index: np.ndarray, outer_polar: np.ndarray) -> np.ndarray:
+    """Return the cosines in media of indices, at least 1, of directions outside (rad).
+
+    The sum has no cancellation at grazing directions.
+
+    Returns
+    -------
+    float, shape (media, detectors)
+    """
+    squared = (index[:, np.newaxis] ** 2 - 1.0) + np.cos(outer_polar) ** 2
+    return np.sqrt(squared) / index[:, np.newaxis]
 
 
 def compute_transmission(
@@ -140,7 +153,7 @@ def compute_transmission(
     n_layers = len(index)
     # No light from a direction outside is totally reflected, as no index is less than 1.
     media = np.array([1.0, *index, 1.0])
-    cosine = np.sqrt(1.0 - (np.sin(outer_polar) / media[:, np.newaxis]) ** 2)
+    cosine = compute_refracted_cosines(media, outer_polar)
     reflectance, transmittance = np.zeros((2, n_layers + 1, len(outer_polar), 3))
     for j, k in np.ndindex(n_layers + has_lower_side, len(outer_polar)):
         mueller = compute_fresnel_mueller(media[j], media[j + 1], cosine[j, k])

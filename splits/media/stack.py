@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, cast
@@ -28,6 +28,8 @@ UNSUPPORTED_IN_STACK = {
 }
 """Settings of particle layers that are not supported in a stack, with the required value and the
 reason."""
+MIN_DEPTH_RATIO = 1e-10
+"""Smallest thickness of a layer relative to those above, which rounding changes by up to 1e-6."""
 ONLY_LOWEST_INFINITE = "only the lowest layer may be infinite"
 
 
@@ -101,6 +103,7 @@ class Stack(Medium):
             if layer.ground is not None:
                 hint = "give it to the stack"
                 raise invalid(f"layers[{number}].ground", layer.ground.name, "left out", hint)
+        _check_rounding([layer.depth_m for layer in layers])
         if self.interpretation is not None:
             layers = tuple(self._apply_interpretation(layer) for layer in layers)
         polarized = [layer.polarized for layer in layers]
@@ -263,6 +266,16 @@ class Stack(Medium):
             layer_attrs.pop("ground", None)
             attrs |= {f"layers_{number}_{key}": value for key, value in layer_attrs.items()}
         return attrs | describe_ground(self.ground)
+
+
+def _check_rounding(depths_m: Sequence[float]) -> None:
+    """Check that rounding of the boundaries changes the thickness of no layer."""
+    total_m = 0.0
+    for number, depth_m in enumerate(depths_m):
+        if depth_m < MIN_DEPTH_RATIO * total_m:
+            allowed = f"at least {MIN_DEPTH_RATIO * total_m:g} m below {total_m:g} m"
+            raise invalid(f"layers[{number}].depth_m", depth_m, allowed)
+        total_m += depth_m
 
 
 def _check_particle_layer(layer: ParticleLayer, is_top: bool, is_lowest: bool) -> None:

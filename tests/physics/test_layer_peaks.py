@@ -8,8 +8,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from chi2 import NEEDS_JIT, SIGNIFICANCE, compute_z_bound, judge_z
-from scipy import stats
+from chi2 import (
+    NEEDS_JIT,
+    SIGNIFICANCE,
+    compute_p_of_values,
+    compute_z_bound,
+    draw_samples,
+    judge_p,
+    judge_z,
+    uniform_cdf,
+)
+from scipy import integrate, stats
 
 import splits
 from splits.kernels.optics import forward_peak
@@ -155,25 +164,74 @@ def test_results_are_independent_of_the_peak_threshold(settings, monkeypatch):
             judge_z(difference[error > 0.0] / error[error > 0.0], name, independent=1)
 
 
-def test_peak_is_the_part_above_the_base():
-    cosine = np.linspace(-1.0, 1.0, 4001)
-    functions = [
-        splits.ParticleLayer(phase_function=read_cloud_phase_function()),
-        *(splits.ParticleLayer(asymmetry=g) for g in (0.95, -0.95)),
-    ]
-    for layer in functions:
-        peak = forward_peak.separate_peak(layer.kernel_phase_function)
-        total = np.array([evaluate_phase_function(layer.kernel_phase_function, x) for x in cosine])
-        above = peak.fraction * np.array([evaluate_phase_function(peak.phase, x) for x in cosine])
-        np.testing.assert_allclose(
-            above, np.maximum(total - forward_peak.PEAK_BASE_PER_SR, 0.0), rtol=0.02, atol=0.02
-        )
-        assert 0.4 < peak.fraction < 0.7
-    for layer in (
-        splits.ParticleLayer(asymmetry=0.9),
-        splits.ParticleLayer(phase_function="rayleigh"),
-    ):
-        assert forward_peak.separate_peak(layer.kernel_phase_function) is None
+@NEEDS_JIT
+@pytest.mark.parametrize("asymmetry", [0.99, 0.999])
+def test_narrow_peaks_agree_with_bins(asymmetry):
+    """Next-event estimates are averaged over bins, which have equal steps of the cosine."""
+    layer, n_polar, first, last = make_cloud(asymmetry, 10.0), 600, 2, 10
+    bins = splits.goniophotometer(
+        layer, NM, 0.0, 400_000, 1, estimator="bins", n_bins=(n_polar, 1)
+    ).isel(polar=slice(first, last))
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    cosine = 1.0 - (np.arange(first, last)[:, np.newaxis] + 0.5 * (nodes + 1.0)) / n_polar
+    polar = np.degrees(np.arccos(cosine.ravel()))
+    local = splits.goniophotometer(
+        layer, NM, 0.0, 40_000, 2, estimator="next_event", azimuth_deg=[0.0], polar_deg=polar
+    )
+    # By projected solid angle.
+    weights = weights * cosine / (weights * cosine).sum(axis=1, keepdims=True)
+    value, stderr = (
+        (local[name].values.reshape(cosine.shape) * weights).sum(axis=1)
+        for name in ("btdf", "btdf_stderr")
+    )
+    error = np.hypot(stderr, bins.btdf_stderr.values.ravel())
+    # The errors of the nodes of a bin add up as if they were fully correlated.
+    z = (value - bins.btdf.values.ravel()) / error
+    judge_z(z, f"g = {asymmetry}", independent=1, bound_added=True)
+
+
+PEAKED_PHASES = {
+    "cloud": {"phase_function": read_cloud_phase_function()},
+    **{f"g {g}": {"asymmetry": g} for g in (0.92, 0.95, -0.95, 0.99, 0.995, 0.999, -0.999)},
+}
+
+
+def make_peaked_phase(name):
+    return splits.ParticleLayer(**PEAKED_PHASES[name]).kernel_phase_function
+
+
+@pytest.mark.parametrize("name", PEAKED_PHASES)
+def test_peak_fraction_is_the_light_above_the_base(name):
+    phase, base = make_peaked_phase(name), forward_peak.PEAK_BASE_PER_SR
+    # Dense where 1 − |µ| is small.
+    distance = np.concatenate([[0.0], np.geomspace(1e-12, 2.0, 40_001)])
+    cosine = 1.0 - distance[::-1] if phase.g > 0.0 else distance - 1.0
+    density = np.array([evaluate_phase_function(phase, x) for x in cosine])
+    above = 2.0 * np.pi * np.trapezoid(np.maximum(density - base, 0.0), cosine)
+    peak = forward_peak.separate_peak(phase)
+    assert peak.fraction == pytest.approx(above, rel=2e-5)
+    wide = density * [forward_peak.compute_wide_fraction(peak, phase, x) for x in cosine]
+    np.testing.assert_allclose(wide, np.minimum(density, base), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", PEAKED_PHASES)
+def test_cosines_in_the_peak_have_the_density_above_the_base(name):
+    phase = make_peaked_phase(name)
+    peak, sign = forward_peak.separate_peak(phase), math.copysign(1.0, phase.g)
+    cosines = draw_samples(forward_peak.sample_peak_cosine, 40_000, peak)
+    # Classes of equal probability, from the integral on a grid that is dense near the peak.
+    distance = np.concatenate([[0.0], np.geomspace(1e-12, 2.0, 40_001)])
+    density = np.array([evaluate_phase_function(phase, sign * (1.0 - x)) for x in distance])
+    above = np.maximum(density - peak.base, 0.0)
+    cumulative = integrate.cumulative_trapezoid(above, distance, initial=0.0)
+    u = np.interp(1.0 - sign * cosines, distance, cumulative / cumulative[-1])
+    judge_p({name: compute_p_of_values(u, uniform_cdf)})
+
+
+def test_wide_phase_functions_have_no_peak():
+    for settings in ({"asymmetry": 0.9}, {"phase_function": "rayleigh"}):
+        phase = splits.ParticleLayer(**settings).kernel_phase_function
+        assert forward_peak.separate_peak(phase) is None
 
 
 @pytest.mark.parametrize("rest", [0.0, 1e-9])

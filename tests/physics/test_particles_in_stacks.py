@@ -244,7 +244,7 @@ def test_next_event_estimates_of_subdivided_layers_agree(polarized):
 def test_next_event_estimates_of_stacks_agree_with_bins(polarized):
     """Layers of three indices: light is refracted and reflected at each interface."""
     names = ["brdf", "btdf"]
-    names += [f"{name}_{component}" for name in names for component in "qu"] if polarized else []
+    names += [f"{name}_{component}" for name in names for component in "quv"] if polarized else []
     stack = splits.Stack(
         [
             splits.ParticleLayer(1.0, 0.9, 0.3, 1.33, None, depth_m=0.1, polarized=polarized),
@@ -292,6 +292,27 @@ def test_unsupported_next_event_estimates_are_rejected(layers, ground, message):
     stack = splits.Stack(layers, ground)
     with pytest.raises(ValueError, match=f"estimator = 'next_event'.*{message}"):
         splits.goniophotometer(stack, 550.0, 30.0, estimator="next_event")
+
+
+def test_next_event_estimates_at_grazing_directions_are_finite():
+    layer = splits.ParticleLayer(0.5, 0.9, 0.3, 1.0, None)
+    view = {"polar_deg": [89.999, 89.9999999], "azimuth_deg": [0.0], "rays": 2000}
+    grazing = splits.goniophotometer(layer, 550.0, 30.0, estimator="next_event", **view)
+    assert (grazing.brdf.values >= 0.0).all() and (grazing.brdf_stderr.values > 0.0).all()
+
+
+def test_stokes_parameters_without_scores_have_errors():
+    layer = splits.ParticleLayer(1e-9, bottom_albedo=None, polarized=True)
+    view = {"polar_deg": [45.0], "azimuth_deg": [0.0, 120.0], "rays": 2000}
+    ds = splits.goniophotometer(layer, 550.0, 30.0, estimator="next_event", **view)
+    for name in ("brdf", "brdf_q", "brdf_u", "brdf_v"):
+        np.testing.assert_allclose(ds[f"{name}_stderr"], 1.0 / (np.pi * ds.attrs["rays"]))
+
+
+def test_layers_lost_in_rounding_are_rejected():
+    layers = [replace(TOP, depth_m=1e5), replace(TOP, depth_m=1e-6)]
+    with pytest.raises(ValueError, match=r"layers\[1\].depth_m = 1e-06: must be at least 1e-05 m"):
+        splits.Stack(layers)
 
 
 @pytest.mark.parametrize("others", [[SNOW], [TOP], [TOP, SNOW]])

@@ -1,8 +1,6 @@
 """Decomposition of a phase function into a narrow peak and a wide rest.
 
-    p(µ) = (1 − f) p_wide(µ) + f p_narrow(µ),   f p_narrow = max(p − limit, 0)
-
-The sum is exact for any narrow part that nowhere exceeds p.
+p(µ) = (1 − f) p_wide(µ) + f p_narrow(µ),   f p_narrow = max(p − base, 0)
 """
 
 from __future__ import annotations
@@ -12,13 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.compiler.jit import inline_only
+from splits.kernels.compiler.jit import inline, inline_only
+from splits.kernels.math.elementary import Angle
+from splits.kernels.math.rng import sample_azimuth, uniform
+from splits.kernels.math.vectors import direction_around
 from splits.kernels.optics.phase_function import (
     HENYEY_GREENSTEIN,
-    RAYLEIGH,
+    TABULATED,
     PhaseFunction,
     evaluate_phase_function,
     make_tabulated,
+    sample_scattering_cosine,
 )
 
 PEAK_THRESHOLD_PER_SR = 20.0
@@ -26,8 +28,6 @@ PEAK_THRESHOLD_PER_SR = 20.0
 g > 0.91."""
 PEAK_BASE_PER_SR = 1.0
 """Phase function (1/sr) above which it belongs to the peak."""
-N_PEAK_NODES = 64
-"""Table nodes of the peak of a Henyey-Greenstein phase function."""
 
 
 class PhaseFunctionPeak(NamedTuple):
@@ -36,12 +36,15 @@ class PhaseFunctionPeak(NamedTuple):
     Attributes
     ----------
     phase : PhaseFunction
-        Normalized, tabulated.
+        What is sampled: the peak alone for a table, otherwise the whole phase function.
+    base : float
+        Phase function (1/sr) above which it belongs to the peak.
     fraction : float
         Fraction of the scattered light in the peak, between 0 and 1.
     """
 
     phase: PhaseFunction
+    base: float
     fraction: float
 
 
@@ -53,12 +56,30 @@ def separate_peak(phase: PhaseFunction) -> PhaseFunctionPeak | None:
     PhaseFunctionPeak or None
         None if the phase function nowhere exceeds `PEAK_THRESHOLD_PER_SR`.
     """
-    cosines, density = phase.cosines, phase.density
+    base, g = PEAK_BASE_PER_SR, abs(phase.g)
     if phase.kind == HENYEY_GREENSTEIN:
-        cosines, density = _tabulate_peak(phase.g)
-    if phase.kind == RAYLEIGH or density.max() <= PEAK_THRESHOLD_PER_SR:
-        return None
-    above = density - PEAK_BASE_PER_SR
+        highest = (1.0 + g) / (4.0 * math.pi * (1.0 - g) ** 2)
+        if highest > PEAK_THRESHOLD_PER_SR:
+            return PhaseFunctionPeak(phase, base, _integrate_above_base(g, base))
+    elif phase.kind == TABULATED and phase.density.max() > PEAK_THRESHOLD_PER_SR:
+        excess, fraction = _subtract_base(phase, base)
+        return PhaseFunctionPeak(excess, base, fraction)
+    return None
+
+
+def _integrate_above_base(g: float, base: float) -> float:
+    """Return the light in a Henyey-Greenstein phase function above a base, for positive g."""
+    near = 1.0 - g
+    # p = (1 − g²)/(4π s³) with s² = 1 + g² − 2 g |µ|.
+    squared = ((1.0 - g**2) / (4.0 * math.pi * base)) ** (2.0 / 3.0)
+    width = min((squared - near**2) / (2.0 * g), 2.0)
+    s = math.sqrt(near**2 + 2.0 * g * width)
+    return (1.0 - g**2) / (2.0 * g) * (1.0 / near - 1.0 / s) - 2.0 * math.pi * base * width
+
+
+def _subtract_base(phase: PhaseFunction, base: float) -> tuple[PhaseFunction, float]:
+    """Return the part of a table above a base, normalized, and the light in it."""
+    cosines, above = phase.cosines, phase.density - base
     left, right = above[:-1], above[1:]
     crossing = left * right < 0.0
     position = left[crossing] / (left - right)[crossing]
@@ -67,27 +88,31 @@ def separate_peak(phase: PhaseFunction) -> PhaseFunctionPeak | None:
     excess = np.maximum(np.interp(nodes, cosines, above), 0.0)
     excess[np.isin(nodes, crossing_cosines)] = 0.0
     fraction = 2.0 * math.pi * np.trapezoid(excess, nodes)
-    return PhaseFunctionPeak(make_tabulated(nodes, excess, phase.max_polarization), float(fraction))
-
-
-def _tabulate_peak(g: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return cosines and Henyey-Greenstein densities, dense above `PEAK_BASE_PER_SR`."""
-    near = 1.0 - abs(g)
-    highest = (1.0 + abs(g)) / (4.0 * math.pi * near**2)
-    if highest <= PEAK_BASE_PER_SR:
-        return np.array([-1.0, 1.0]), np.full(2, highest)
-    # p = highest (1 + 2 |g| (1 − |µ|)/near²)^(−3/2), from the peak outwards.
-    density = np.geomspace(highest, PEAK_BASE_PER_SR, N_PEAK_NODES)
-    one_minus_cosine = near**2 * ((highest / density) ** (2.0 / 3.0) - 1.0) / (2.0 * abs(g))
-    cosines = np.append(-1.0, 1.0 - one_minus_cosine[::-1])
-    density = np.append(density[-1], density[::-1])
-    return (cosines, density) if g > 0.0 else (-cosines[::-1], density[::-1])
+    return make_tabulated(nodes, excess), float(fraction)
 
 
 @inline_only
 def compute_wide_fraction(peak, phase, mu):
     """Return the wide part of a phase function at a cosine as a fraction of the whole."""
-    narrow = evaluate_phase_function(peak.phase, mu)
-    return (
-        1.0 if narrow == 0.0 else 1.0 - peak.fraction * narrow / evaluate_phase_function(phase, mu)
-    )
+    return min(1.0, peak.base / max(evaluate_phase_function(phase, mu), peak.base))
+
+
+@inline
+def sample_peak_cosine(state, peak):
+    """Sample the cosine of the scattering angle in the peak, by rejection from a whole function."""
+    mu = sample_scattering_cosine(state, peak.phase)
+    if peak.phase.kind == TABULATED:
+        return mu
+    density = evaluate_phase_function(peak.phase, mu)
+    while uniform(state) * density >= density - peak.base:
+        mu = sample_scattering_cosine(state, peak.phase)
+        density = evaluate_phase_function(peak.phase, mu)
+    return mu
+
+
+@inline_only
+def sample_peak_direction(state, peak, d):
+    """Sample the direction into which light along d is scattered in the peak."""
+    mu = sample_peak_cosine(state, peak)
+    c, s = sample_azimuth(state)
+    return direction_around(d, Angle(mu, math.sqrt((1.0 - mu) * (1.0 + mu))), Angle(c, s))

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import Vector, dot
-from splits.kernels.optics.forward_peak import compute_wide_fraction
+from splits.kernels.optics.forward_peak import compute_wide_fraction, sample_peak_direction
 from splits.kernels.optics.interface import ComplexIndex, orient_horizontal_normal
-from splits.kernels.optics.phase_function import evaluate_phase_function, sample_phase_function
+from splits.kernels.optics.phase_function import evaluate_phase_function
 from splits.kernels.optics.scattering import reflect_or_refract_ray
 from splits.kernels.optics.stokes import (
     ScatteredDensity,
@@ -119,7 +119,7 @@ def sample_peak_directions(state, detectors, peak_order, t):
     if detectors.peak is not None:
         _store_direction(detectors.peak_directions, 0, t)
         for row in range(1, peak_order + 1):
-            t = sample_phase_function(state, detectors.peak.phase, t)
+            t = sample_peak_direction(state, detectors.peak, t)
             _store_direction(detectors.peak_directions, row, t)
     return t
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splits.instruments.next_event import compute_transmission
+from splits.instruments.next_event import compute_refracted_cosines, compute_transmission
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
 from splits.kernels.transport.next_event import ABOVE, BELOW, DOWNWARD, UPWARD
 
@@ -26,6 +26,13 @@ def get_factors(n1, n2, polar):
     (plus, minus, real, _), (t_plus, t_minus, root) = mueller.reflection, mueller.transmission
     return (np.array([plus + minus, plus - minus, real]),
             np.array([t_plus + t_minus, t_plus - t_minus, root]))  # fmt: skip
+
+
+def test_cosines_are_accurate_at_grazing_directions():
+    polar = np.radians([89.9, 89.9999999, 89.999999999999])
+    cosines = compute_refracted_cosines(np.array([1.0, 1.3]), polar)
+    np.testing.assert_allclose(cosines[0], np.cos(polar), rtol=1e-15)
+    np.testing.assert_allclose(cosines[1], np.sqrt(0.69 + np.cos(polar) ** 2) / 1.3, rtol=1e-14)
 
 
 def test_one_layer_has_geometric_series():

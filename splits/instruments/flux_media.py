@@ -21,6 +21,7 @@ from splits.media.medium import Medium, compute_path_fractions
 from splits.media.particle_layer import CLEARANCE_SIGMA
 from splits.media.stack import UNSUPPORTED_IN_STACK
 from splits.simulation.deep_medium import truncate_deep_medium
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import (
     OpticalConstants,
     compute_optical_constants,
@@ -82,8 +83,7 @@ def prepare_medium(
     wavelengths: np.ndarray,
     depths_m: Sequence[float] | np.ndarray,
     max_stderr: float,
-    seed: int,
-    threads: int,
+    run: RunOptions,
 ) -> TracedMedium:
     """Return a medium in the form in which it is traced for fluxes at depths.
 
@@ -94,8 +94,9 @@ def prepare_medium(
         nm.
     depths_m : sequence of float
         In the medium (m).
-    max_stderr, seed, threads
+    max_stderr : float
         As for the spectrophotometer.
+    run : RunOptions
     """
     height_fields = make_height_fields(medium)
     if height_fields is not None:
@@ -111,9 +112,8 @@ def prepare_medium(
         depth_above = float(sum(layer.depth_m for layer in medium.scene_layers[:-1]))
         undisturbed_depth = max(0.0, depths_m[-1] - depth_above)
         truncation: Any = truncate_deep_medium(
-            PathSharingMedia.from_media([medium]), wavelengths, max_stderr, seed, threads,
-            undisturbed_depth,
-        )  # fmt: skip
+            PathSharingMedia.from_media([medium]), wavelengths, max_stderr, run, undisturbed_depth
+        )
         traced = truncation.media[0]
     elif semi_infinite:
         traced, truncated = medium.truncate(depths_m[-1]), False

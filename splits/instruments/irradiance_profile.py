@@ -163,7 +163,7 @@ class FluxRequest(NamedTuple):
 def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> xr.Dataset:
     """Return the dataset of `irradiance_profile` to an error."""
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
-    traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run.seed, run.threads)
+    traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
     tracer = SceneTracer(traced_medium.medium, incidence, planes_m=depths.tolist())
     nodes = _choose_nodes(traced_medium, max_stderr, target.band_weights is not None)
     _check_memory(traced_medium, tracer.scene.layers.boundaries.size - 1, nodes)

@@ -124,7 +124,7 @@ def single_scattering(
     run = RunOptions.from_arguments(seed, threads)
     check_choice("wet_pores", wet_pores, WET_PORE_MODELS)
     scene = build_scene(medium, 0.0, False)
-    request = GrainOpticsRequest(moments, rays, run.seed, run.threads, wet_pores)
+    request = GrainOpticsRequest(moments, rays, wet_pores, run)
     constants = compute_material_constants(medium, wavelengths)
     nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION_TOLERANCE)
     values = compute_grain_optics(medium, scene, constants, request, nodes)

@@ -61,9 +61,7 @@ class SpectralRequest(NamedTuple):
 
     def truncate(self, path_sharing: PathSharingMedia) -> TruncatedMedium | None:
         """Return the truncated media, which do not depend on the incidence."""
-        return truncate_deep_medium(
-            path_sharing, self.wavelengths, self.max_stderr, self.run.seed, self.run.threads
-        )
+        return truncate_deep_medium(path_sharing, self.wavelengths, self.max_stderr, self.run)
 
     def simulate(
         self,

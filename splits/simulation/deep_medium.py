@@ -28,6 +28,7 @@ from splits.simulation.grain_optics import (
     estimate_pilot_optics,
     pool_optics_by_type,
 )
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.spectral_rows import PathSharingMedia
@@ -57,8 +58,7 @@ def truncate_deep_medium(
     path_sharing: PathSharingMedia,
     wavelengths: np.ndarray,
     max_stderr: float,
-    seed: int,
-    threads: int,
+    run: RunOptions,
     undisturbed_depth_m: float = 0.0,
 ) -> TruncatedMedium | None:
     """Return truncated media where that serves the requested error, None where it does not.
@@ -69,8 +69,10 @@ def truncate_deep_medium(
         Media that share paths.
     wavelengths : float, shape (wavelengths,)
         nm.
-    max_stderr, seed, threads
+    max_stderr : float
         As for the spectrophotometer.
+    run : RunOptions
+        Its seed and threads apply to the rays of single grains.
     undisturbed_depth_m : float
         Depth (m) in the lowest layer above which the truncation must not change the light.
 
@@ -94,7 +96,8 @@ def truncate_deep_medium(
     # Scenes require a finite depth.
     finite = replace(layer, depth_m=1.0) if math.isinf(depth) else layer
     constants = _combine_constants(lowest, path_sharing.size_ratios, wavelengths)
-    request = GrainOpticsRequest(1, OPTICS_RAYS_PER_TYPE, seed, threads, "equilibrium")
+    grain_run = run._replace(kernel="auto", progress=None)
+    request = GrainOpticsRequest(1, OPTICS_RAYS_PER_TYPE, "equilibrium", grain_run)
     if not math.isinf(depth):
         pilot = estimate_pilot_optics(finite, constants, request._replace(n_rays=OPTICS_PILOT_RAYS))
         pilots = _split_by_medium(pilot, len(lowest))

@@ -34,9 +34,8 @@ class GrainOpticsRequest(NamedTuple):
 
     max_moment: int
     n_rays: int
-    seed: int
-    threads: int
     wet_pores: str
+    run: RunOptions
 
 
 def compute_material_constants(medium: GranularMedium, wavelengths: np.ndarray) -> OpticalConstants:
@@ -72,8 +71,7 @@ def compute_grain_optics(
     tally = SingleScatteringTally(nodes, absorption, n_orders, request.n_rays)
     tracer = IsolatedGrainTracer(scene, node_wet_fractions, n_orders)
     stop = StoppingRule(0.0, request.n_rays * len(nodes.index), fixed=True)
-    run = RunOptions.from_arguments(request.seed, request.threads)
-    simulate(tracer, tally, stop, run)
+    simulate(tracer, tally, stop, request.run)
     values = tally.compute_grain_means()
     dry, wet = absorption[:, DRY_PORE], absorption[:, WET_PORE]
     grain_extinction = medium.make_grain_population().collision_coefficient

@@ -19,7 +19,6 @@ from splits.media.absorbing_matrix_layer import absorb_along_path
 from splits.media.ground import BLACK_OPTICAL_DEPTH
 from splits.media.medium import Medium, compute_path_fractions
 from splits.media.particle_layer import CLEARANCE_SIGMA
-from splits.media.stack import UNSUPPORTED_IN_STACK
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import (
@@ -105,7 +104,7 @@ def prepare_medium(
             hint = f"{CLEARANCE_SIGMA:g} standard deviations of the surface's height"
             raise invalid("depth_m", float(depths_m[0]), f"at least {min_depth:g} m", hint)
     if medium.opaque:
-        raise invalid("opaque", True, "false", UNSUPPORTED_IN_STACK["opaque"][1])
+        raise invalid("opaque", True, "false", "all light is absorbed at the surface")
     traced: Any = medium
     semi_infinite = truncated = math.isinf(medium.thickness_m)
     if semi_infinite and medium.lowest_layer.has_grains:

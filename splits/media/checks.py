@@ -35,7 +35,7 @@ def check_medium(
     if isinstance(medium, kind) and not is_class:
         check_thickness(medium)
         if math.isinf(medium.depth_m) and not allow_semi_infinite:
-            hint = "give depth_m; spectra, albedos and profiles allow semi-infinite media"
+            hint = "give depth_m; estimator spectral, albedos and profiles allow infinite depth"
             raise invalid("depth_m", math.inf, "finite", hint)
         return
     names = MEDIUM_NAMES[kind]

@@ -1,4 +1,7 @@
-"""Detection of media that share paths: alike except for absorption, the ground, and a length scale.
+"""Detection of media that share paths: of the same scene, except for the scale of its lengths.
+
+The refractive indices of grains and pores, impurities, and the albedo of a reflecting ground may
+differ, because a scene does not contain them.  Particles and their matrix must be the same.
 
 Where all lengths of a medium are s times those of another (grains, the distances between them, the
 depths of boundaries), light takes the same paths in both, s times as long.  A semi-infinite medium
@@ -86,7 +89,7 @@ def group_by_shared_paths(media: Sequence[Any], wavelength_nm: np.ndarray) -> li
 
 
 def check_path_sharing(media: Mapping[str, Medium]) -> None:
-    """Check that media differ only in absorption.
+    """Check that media share paths and have the same size.
 
     Raises
     ------
@@ -99,9 +102,10 @@ def check_path_sharing(media: Mapping[str, Medium]) -> None:
         other_signature, other_unit = compute_path_signature(medium)
         if other_signature != signature or not math.isclose(other_unit, unit):
             raise invalid(
-                f"medium[{name!r}]", medium.kind, f"like medium[{first!r}] except for absorption",
-                "grains, depths, pores and interpretation must be the same; impurities, and the "
-                "albedo of a reflecting ground, may differ",
+                f"medium[{name!r}]", medium.kind,
+                f"a medium that shares the paths of medium[{first!r}]",
+                "only refractive indices of grains and pores, impurities, and the albedo of a "
+                "reflecting ground may differ",
             )  # fmt: skip
 
 

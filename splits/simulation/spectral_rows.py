@@ -1,8 +1,7 @@
 """Media that share paths, and the rows of their spectra.
 
 The lengths of a path in the materials give its weight for any absorption (SPLITSnow Eqs 5-6), so
-that one ensemble of paths gives results for every medium with the same grains, layers and
-refractive indices.
+that one ensemble of paths gives results for every medium with the same grains and layers.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from splits.simulation.scene import (
 
 
 class PathSharingMedia(NamedTuple):
-    """Media that share paths: alike except for absorption, the ground, and a length scale.
+    """Media that share paths, see `splits.simulation.path_reuse`.
 
     Where all lengths of a medium are s times those of another, light takes the same paths in both,
     s times as long, which is equivalent to s times the absorption per metre.

@@ -206,7 +206,7 @@ class SimulationConfig(ConfigSection):
         if is_semi_infinite and (
             instrument.kind not in SEMI_INFINITE_INSTRUMENTS or instrument.estimator == "analog"
         ):
-            hint = "only the spectrophotometer measures semi-infinite media"
+            hint = "semi-infinite media require the spectrophotometer and its estimator spectral"
             raise invalid("medium.depth_m", math.inf, "finite", hint)
         if instrument.estimator == "next_event":
             with key_prefix("instrument"):

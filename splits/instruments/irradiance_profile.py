@@ -153,7 +153,7 @@ class FluxRequest(NamedTuple):
         return cls(
             medium,
             check_wavelengths(wavelength_nm),
-            _check_depths(depth_m, medium.thickness_m),
+            _check_depths(depth_m, np.inf if medium.is_semi_infinite else medium.depth_m),
             check_incidence(incidence_deg),
             check_range("max_stderr", max_stderr, 1e-6, 0.5),
             check_integer("max_rays", max_rays, 1),

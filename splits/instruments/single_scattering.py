@@ -132,7 +132,7 @@ def single_scattering(
     attributes = {
         **run.make_attributes("Single-scattering properties", "single_scattering", medium),
         "diffraction": "none",
-        "extinction_by_grains_per_m": float(medium.make_grain_population().collision_coefficient),
+        "extinction_by_grains_per_m": float(medium.extinction_per_m),
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "wet_pores": wet_pores,
         "rays": rays * len(nodes.index),

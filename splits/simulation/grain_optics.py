@@ -74,7 +74,7 @@ def compute_grain_optics(
     simulate(tracer, tally, stop, request.run)
     values = tally.compute_grain_means()
     dry, wet = absorption[:, DRY_PORE], absorption[:, WET_PORE]
-    grain_extinction = medium.make_grain_population().collision_coefficient
+    grain_extinction = medium.extinction_per_m
     values["extinction"] = grain_extinction + ((1.0 - wet_fraction) * dry + wet_fraction * wet)
     for name in list(values):
         if name.startswith("single_scattering_albedo"):

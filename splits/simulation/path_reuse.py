@@ -14,8 +14,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,7 +51,7 @@ class MediaGroup(NamedTuple):
     media_indices: np.ndarray
 
 
-def group_by_shared_paths(media: Sequence[Any], wavelength_nm: np.ndarray) -> list[MediaGroup]:
+def group_by_shared_paths(media: Sequence[Medium], wavelength_nm: np.ndarray) -> list[MediaGroup]:
     """Return media in sets that share paths, each in order of size.
 
     Parameters
@@ -109,9 +108,9 @@ def check_path_sharing(media: Mapping[str, Medium]) -> None:
             )  # fmt: skip
 
 
-def compute_absorption_signature(medium: Any, wavelength_nm: np.ndarray) -> bytes:
+def compute_absorption_signature(medium: Medium, wavelength_nm: np.ndarray) -> bytes:
     """Return a hash of the optical constants of a medium and of a ground at finite depth."""
-    if math.isinf(medium.depth_m):
+    if medium.is_semi_infinite:
         index = medium.compute_refractive_indices(wavelength_nm)
         constants = OpticalConstants(index, compute_absorption(medium, index, wavelength_nm))
     else:
@@ -119,28 +118,21 @@ def compute_absorption_signature(medium: Any, wavelength_nm: np.ndarray) -> byte
     return hashlib.sha256(constants.indices.tobytes() + constants.absorption.tobytes()).digest()
 
 
-def compute_path_signature(medium: Any) -> tuple[bytes, float]:
+def compute_path_signature(medium: Medium) -> tuple[bytes, float]:
     """Return a hash common to media that share paths, and the length unit of this one (m).
 
     Parameters
     ----------
     medium : Medium
     """
-    semi_infinite, finite = math.isinf(medium.depth_m), medium
-    if semi_infinite:
-        lowest = replace(medium.lowest_layer, depth_m=1.0)
-        finite = medium.replace_lowest_layer(lowest, medium.ground)
-    scene = build_scene(finite, 0.0, False)
+    scene = build_scene(medium, 0.0, False)
     layers, types = scene.layers, scene.types
     interfaces, height_fields = medium.list_interfaces(), make_height_fields(medium)
     # A rough surface has a length scale of its own.
     unit = float(1.0 / layers.collision_coefficient[0]) if height_fields is None else 1.0
-    boundaries = layers.boundaries / unit
-    if semi_infinite:
-        boundaries[-1] = -math.inf
-    collision_coefficient = unit * layers.collision_coefficient
     scaled_layers = layers._replace(
-        boundaries=boundaries, collision_coefficient=collision_coefficient
+        boundaries=layers.boundaries / unit,
+        collision_coefficient=unit * layers.collision_coefficient,
     )
     digest = hashlib.sha256()
     for table in (
@@ -155,7 +147,7 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
         np.array(
             [
                 len(medium.list_materials()),
-                not semi_infinite and medium.reflecting_ground is not None,
+                not medium.is_semi_infinite and medium.reflecting_ground is not None,
                 scene.stokes is not None,
                 scene.opaque is not None,
                 np.nan if scene.bottom_albedo is None else scene.bottom_albedo,
@@ -167,7 +159,7 @@ def compute_path_signature(medium: Any) -> tuple[bytes, float]:
     names = [type(medium).__name__, *(interface.location for interface in interfaces)]
     # The matrix of particles has one index at all wavelengths and appears in no interface.
     matrices = [
-        float(layer.matrix_index) for layer in medium.scene_layers if layer.matrix_index is not None
+        float(layer.refractive_index) for layer in medium.scene_layers if not layer.has_grains
     ]
     digest.update(repr([names, matrices]).encode())
     for table in height_fields or ():

@@ -15,7 +15,7 @@ from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
 from splits.media.interpretations import Interpretation
-from splits.media.medium import Layer, Medium, compute_absorption
+from splits.media.medium import Layer, Medium, ParticleMedium, compute_absorption
 
 COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
 """Scatterings per metre of a layer without particles, so that its mean free path is finite, and of
@@ -69,7 +69,7 @@ def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opti
 
 def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Scene:
     """Return an illuminated medium; `analog` samples absorption at each segment."""
-    media: Sequence[Any] = medium.scene_layers
+    media = medium.scene_layers
     granular = [layer for layer in media if layer.has_grains]
     particle_layers = [layer for layer in media if not layer.has_grains]
     first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
@@ -93,7 +93,7 @@ def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Sce
 
 
 def _make_layers(
-    media: Sequence[Any],
+    media: Sequence[Layer],
     populations: Sequence[GrainPopulation | None],
     first_materials: np.ndarray,
     height_fields: HeightFields | None,
@@ -108,8 +108,8 @@ def _make_layers(
         boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(height_fields.rms_height)
     return Layers(
         boundaries=boundaries,
-        collision_coefficient=np.array(
-            list(map(_get_collision_coefficient, media, populations)), dtype=float
+        collision_coefficient=np.clip(
+            [layer.extinction_per_m for layer in media], *COLLISION_COEFFICIENT_RANGE
         ),
         wet_fraction=np.array([float(layer.wet_fraction) for layer in media]),
         type_cdf=np.array([np.pad(cdf, (0, max_types - len(cdf)), "edge") for cdf in type_cdfs]),
@@ -118,13 +118,6 @@ def _make_layers(
         pore_cdf=_compute_pore_cdf(media),
         particle_row=_find_particle_rows(media),
     )
-
-
-def _get_collision_coefficient(layer: Any, grains: GrainPopulation | None) -> float:
-    """Return the expected number of collisions per metre in a layer."""
-    if grains is not None:
-        return grains.collision_coefficient
-    return float(np.clip(layer.extinction_per_m, *COLLISION_COEFFICIENT_RANGE))
 
 
 def _compute_pore_cdf(media: Sequence[Layer]) -> np.ndarray:
@@ -162,7 +155,7 @@ def _find_particle_rows(media: Sequence[Layer]) -> np.ndarray:
     return np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES)
 
 
-def make_particle_table(layers: Sequence[Any]) -> ParticleScattering:
+def make_particle_table(layers: Sequence[ParticleMedium]) -> ParticleScattering:
     """Return the table of the particles of these layers."""
     phase_functions = [layer.kernel_phase_function for layer in layers]
     n_columns = max(len(phase.cosines) for phase in phase_functions)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -65,7 +65,7 @@ class DiffusionProperties(NamedTuple):
         )
 
     def compute_truncation_depth(
-        self, lowest_layer: Any, max_stderr: float, undisturbed_depth_m: float = 0.0
+        self, lowest_layer: GranularMedium, max_stderr: float, undisturbed_depth_m: float = 0.0
     ) -> float:
         """Return the truncation depth below the top of the lowest layer (m).
 
@@ -84,7 +84,7 @@ class DiffusionProperties(NamedTuple):
         return np.maximum(self.decay_rate, 1e-9 / truncation_depth_m)
 
     def is_truncation_worthwhile(
-        self, lowest_layer: Any, max_stderr: float, margin: float = 1.0
+        self, lowest_layer: GranularMedium, max_stderr: float, margin: float = 1.0
     ) -> bool:
         """Return whether truncation saves time in a finite layer, or may, within a margin."""
         depth = self.compute_truncation_depth(lowest_layer, max_stderr)
@@ -125,9 +125,8 @@ class SubstrateResponse(NamedTuple):
         depth = float(medium.lowest_layer.depth_m) / size_ratio
         rate = properties.compute_regularized_rate(truncation_depth_m)
         diffusion = properties.diffusion_coefficient
-        ground = Ground.from_input(medium.ground)  # type: ignore[union-attr]
-        is_open = ground is None or math.isinf(depth)
-        albedo = np.zeros_like(rate) if is_open else ground.albedo(wavelengths)  # type: ignore[union-attr]
+        ground = None if math.isinf(depth) else medium.ground
+        albedo = np.zeros_like(rate) if ground is None else ground.albedo(wavelengths)
         substrate = DiffusiveSubstrate(
             rate * diffusion,
             rate * (depth - truncation_depth_m),

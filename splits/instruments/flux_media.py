@@ -17,13 +17,14 @@ from splits.core.validation import invalid
 from splits.instruments.absorption_steps import compute_absorption_steps
 from splits.media.absorbing_matrix_layer import absorb_along_path
 from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
-from splits.media.medium import Medium, compute_path_fractions
+from splits.media.medium import Medium
 from splits.media.particle_layer import CLEARANCE_SIGMA
 from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import (
     OpticalConstants,
     compute_optical_constants,
+    compute_path_fractions,
     make_height_fields,
 )
 from splits.simulation.spectral_rows import PathSharingMedia
@@ -64,7 +65,7 @@ class TracedMedium(NamedTuple):
 
     @property
     def path_fractions(self) -> np.ndarray:
-        """Path over recorded length, see `splits.media.medium.compute_path_fractions`."""
+        """Path over recorded length, see `splits.simulation.scene.compute_path_fractions`."""
         fractions = compute_path_fractions(self.medium)
         n_grounds = self.constants.absorption.shape[1] - fractions.size
         return np.pad(fractions, (0, n_grounds), constant_values=1.0)

@@ -18,10 +18,9 @@ from splits.simulation.grain_optics import (
     WET_PORE_MODELS,
     GrainOpticsRequest,
     compute_grain_optics,
-    compute_material_constants,
 )
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
-from splits.simulation.scene import build_scene
+from splits.simulation.scene import build_scene, compute_material_constants
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.spectral_nodes import choose_nodes
 

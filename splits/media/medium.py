@@ -1,4 +1,4 @@
-"""Base classes of the media that instruments measure, and quantities derived from them.
+"""Base classes of the media that instruments measure.
 
 A medium consists of layers, top first, over a ground; a layer is also a medium of its own.  It
 consists of grains or of particles, see `Layer`.  Scenes and simulations use only what these classes
@@ -19,12 +19,8 @@ import numpy as np
 from splits.kernels.grains.population import GrainPopulation
 from splits.kernels.optics.phase_function import PhaseFunction
 from splits.kernels.rough_surface.realization import HeightFields
-from splits.materials.lookup import absorption_coefficient
 from splits.media.ground import Ground
 from splits.media.interpretations import TransportInterpretation
-
-N_PORE_MATERIALS = 2
-"""Number of materials for dry and wet pores; they precede those of other pore fluids."""
 
 
 class Interface(NamedTuple):
@@ -328,37 +324,4 @@ class ParticleMedium(HomogeneousLayer):
 
 
 Layer = GranularMedium | ParticleMedium
-"""A layer; `has_grains` tells which."""
-
-
-def compute_absorption(medium: Medium, index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
-    """Return the absorption coefficients (1/m) of the materials of a medium, with impurities.
-
-    They apply to path lengths as recorded by the kernels (see `compute_path_fractions`).
-
-    Parameters
-    ----------
-    medium : Medium
-    index : complex, shape (wavelengths, materials)
-        Refractive indices.
-    wavelength_nm : float, shape (wavelengths,)
-    """
-    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
-    absorption *= compute_path_fractions(medium)
-    added = [layer.compute_added_absorption(wavelength_nm) for layer in medium.scene_layers]
-    total: np.ndarray = absorption + np.concatenate(added, axis=1)
-    return total
-
-
-def compute_path_fractions(medium: Medium) -> np.ndarray:
-    """Return the fraction of the recorded path length that lies in each material.
-
-    Kernels record whole segments between grains.  Between point grains only a fraction of a segment
-    is pore space (see `GranularMedium.pore_fraction`).
-    """
-    fractions = []
-    for layer in medium.scene_layers:
-        layer_fractions = np.ones(len(layer.list_materials()))
-        layer_fractions[: N_PORE_MATERIALS + len(layer.pores)] = layer.pore_fraction
-        fractions.append(layer_fractions)
-    return np.concatenate(fractions)
+"""A layer; its `has_grains` distinguishes the two classes."""

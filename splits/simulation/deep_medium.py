@@ -23,12 +23,11 @@ from splits.core.validation import invalid
 from splits.media.medium import GranularMedium
 from splits.simulation.grain_optics import (
     GrainOpticsRequest,
-    compute_material_constants,
     estimate_pilot_optics,
     pool_optics_by_type,
 )
 from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import OpticalConstants
+from splits.simulation.scene import OpticalConstants, compute_material_constants
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.substrate import (

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from splits.kernels.base.scene import DRY_PORE, WET_PORE, Scene
-from splits.media.medium import GranularMedium, compute_absorption
+from splits.media.medium import GranularMedium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import OpticalConstants, build_scene
@@ -36,12 +36,6 @@ class GrainOpticsRequest(NamedTuple):
     n_rays: int
     wet_pores: str
     run: RunOptions
-
-
-def compute_material_constants(medium: GranularMedium, wavelengths: np.ndarray) -> OpticalConstants:
-    """Return the optical constants of a medium's materials, not of a ground."""
-    index = medium.compute_refractive_indices(wavelengths)
-    return OpticalConstants(index, compute_absorption(medium, index, wavelengths))
 
 
 def compute_grain_optics(

@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.media.medium import Medium, compute_absorption
+from splits.media.medium import Medium
 from splits.simulation.scene import (
-    OpticalConstants,
     build_scene,
+    compute_material_constants,
     compute_optical_constants,
     make_height_fields,
 )
@@ -110,11 +110,9 @@ def check_path_sharing(media: Mapping[str, Medium]) -> None:
 
 def compute_absorption_signature(medium: Medium, wavelength_nm: np.ndarray) -> bytes:
     """Return a hash of the optical constants of a medium and of a ground at finite depth."""
-    if medium.is_semi_infinite:
-        index = medium.compute_refractive_indices(wavelength_nm)
-        constants = OpticalConstants(index, compute_absorption(medium, index, wavelength_nm))
-    else:
-        constants = compute_optical_constants(medium, wavelength_nm)
+    has_ground = not medium.is_semi_infinite
+    compute = compute_optical_constants if has_ground else compute_material_constants
+    constants = compute(medium, wavelength_nm)
     return hashlib.sha256(constants.indices.tobytes() + constants.absorption.tobytes()).digest()
 
 

@@ -14,12 +14,16 @@ from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
+from splits.materials.lookup import absorption_coefficient
 from splits.media.interpretations import Interpretation
-from splits.media.medium import Layer, Medium, ParticleMedium, compute_absorption
+from splits.media.medium import Layer, Medium, ParticleMedium
 
 COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
 """Scatterings per metre of a layer without particles, so that its mean free path is finite, and of
 an opaque layer."""
+
+N_PORE_MATERIALS = 2
+"""Number of materials for dry and wet pores; they precede those of other pore fluids."""
 
 
 class OpticalConstants(NamedTuple):
@@ -54,13 +58,38 @@ def count_length_columns(medium: Medium) -> int:
     return len(medium.list_materials()) + (medium.reflecting_ground is not None)
 
 
+def compute_material_constants(medium: Medium, wavelength_nm: np.ndarray) -> OpticalConstants:
+    """Return the optical constants of a medium's materials, with impurities, at wavelengths (nm).
+
+    The absorption applies to path lengths as recorded by the kernels.
+    """
+    index = medium.compute_refractive_indices(wavelength_nm)
+    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
+    absorption *= compute_path_fractions(medium)
+    added = [layer.compute_added_absorption(wavelength_nm) for layer in medium.scene_layers]
+    return OpticalConstants(index, absorption + np.concatenate(added, axis=1))
+
+
+def compute_path_fractions(medium: Medium) -> np.ndarray:
+    """Return the fraction of the recorded path length that lies in each material.
+
+    Kernels record whole segments between grains.  Between point grains only a fraction of a segment
+    is pore space (see `splits.media.medium.GranularMedium.pore_fraction`).
+    """
+    fractions = []
+    for layer in medium.scene_layers:
+        layer_fractions = np.ones(len(layer.list_materials()))
+        layer_fractions[: N_PORE_MATERIALS + len(layer.pores)] = layer.pore_fraction
+        fractions.append(layer_fractions)
+    return np.concatenate(fractions)
+
+
 def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> OpticalConstants:
     """Return the optical constants of a medium and its ground at wavelengths (nm)."""
-    index = medium.compute_refractive_indices(wavelength_nm)
-    absorption = compute_absorption(medium, index, wavelength_nm)
+    index, absorption = constants = compute_material_constants(medium, wavelength_nm)
     ground = medium.reflecting_ground
     if ground is None:
-        return OpticalConstants(index, absorption)
+        return constants
     return OpticalConstants(
         np.pad(index, ((0, 0), (0, 1)), constant_values=1.0),
         np.column_stack([absorption, ground.optical_depth(wavelength_nm)]),

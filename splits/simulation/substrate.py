@@ -11,12 +11,13 @@ import xarray as xr
 
 from splits.kernels.base.scene import DRY_PORE, WET_PORE
 from splits.media.ground import Ground
-from splits.media.medium import GranularMedium, Medium, compute_absorption
+from splits.media.medium import GranularMedium, Medium
 from splits.simulation.diffusion import (
     DiffusiveSubstrate,
     diffuse_reflectance,
     effective_mean_free_path,
 )
+from splits.simulation.scene import compute_material_constants
 from splits.simulation.truncated_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY
 
 MAX_DECAY_EXPONENT = 5.0
@@ -150,8 +151,7 @@ class SubstrateResponse(NamedTuple):
 def _has_absorption_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:
     """Return at which wavelengths a layer above the lowest one may absorb."""
     n_materials_above = len(medium.list_materials()) - len(medium.lowest_layer.list_materials())
-    index = medium.compute_refractive_indices(wavelengths)
-    absorption = compute_absorption(medium, index, wavelengths)
+    absorption = compute_material_constants(medium, wavelengths).absorption
     particles_absorb = [layer.single_scattering_albedo < 1.0 for layer in medium.scene_layers]
     materials_absorb = (absorption[:, :n_materials_above] > 0.0).any(axis=1)
     return np.asarray(materials_absorb | any(particles_absorb))

@@ -15,10 +15,10 @@ from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.diffusion import DiffusiveSubstrate, diffuse_reflectance
 from splits.simulation.grain_optics import (
     GrainOpticsRequest,
-    compute_material_constants,
     pool_optics_by_type,
 )
 from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import compute_material_constants
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK, WEIGHTED_MEANS
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import THEORY_UNCERTAINTY

@@ -12,13 +12,15 @@ share paths are found whichever parameters differ.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.core.validation import invalid
+from splits.kernels.base.scene import NO_GROUND
 from splits.media.medium import Medium
 from splits.simulation.scene import (
     build_scene,
@@ -119,50 +121,44 @@ def compute_absorption_signature(medium: Medium, wavelength_nm: np.ndarray) -> b
 def compute_path_signature(medium: Medium) -> tuple[bytes, float]:
     """Return a hash common to media that share paths, and the length unit of this one (m).
 
+    It covers every field of the scene, with lengths in that unit, except the ground below an
+    infinite layer: no light reaches it.
+
     Parameters
     ----------
     medium : Medium
     """
-    scene = build_scene(medium, 0.0, False)
+    scene, height_fields = build_scene(medium, 0.0, False), make_height_fields(medium)
     layers, types = scene.layers, scene.types
-    interfaces, height_fields = medium.list_interfaces(), make_height_fields(medium)
     # A rough surface has a length scale of its own.
     unit = float(1.0 / layers.collision_coefficient[0]) if height_fields is None else 1.0
-    scaled_layers = layers._replace(
-        boundaries=layers.boundaries / unit,
-        collision_coefficient=unit * layers.collision_coefficient,
+    scaled_scene = scene._replace(
+        layers=layers._replace(
+            boundaries=layers.boundaries / unit,
+            collision_coefficient=unit * layers.collision_coefficient,
+        ),
+        types=types and types._replace(inverse_semi_major=unit * types.inverse_semi_major),
+        ground_column=NO_GROUND if medium.is_semi_infinite else scene.ground_column,
     )
-    digest = hashlib.sha256()
-    for table in (
-        *scaled_layers,
-        *(types._replace(inverse_semi_major=unit * types.inverse_semi_major) if types else ()),
-        *(scene.particles or ()),
-        np.array(scene.rules, dtype=float),
-        np.array(
-            [(i.fraction, i.outer_material, i.inner_material, i.layer) for i in interfaces],
-            dtype=float,
-        ),
-        np.array(
-            [
-                len(medium.list_materials()),
-                not medium.is_semi_infinite and medium.reflecting_ground is not None,
-                scene.stokes is not None,
-                scene.opaque is not None,
-                np.nan if scene.bottom_albedo is None else scene.bottom_albedo,
-            ]
-        ),
-    ):
-        digest.update(repr(np.shape(table)).encode())
-        digest.update(_round_significands(np.asarray(table, dtype=float)).tobytes())
-    names = [type(medium).__name__, *(interface.location for interface in interfaces)]
     # The matrix of particles has one index at all wavelengths and appears in no interface.
-    matrices = [
-        float(layer.refractive_index) for layer in medium.scene_layers if not layer.has_grains
-    ]
-    digest.update(repr([names, matrices]).encode())
-    for table in height_fields or ():
-        digest.update(np.ascontiguousarray(table, dtype=float).tobytes())
-    return digest.digest(), unit
+    matrices = [layer.refractive_index for layer in medium.scene_layers if not layer.has_grains]
+    interfaces = zip(*medium.list_interfaces(), strict=True)
+    parts = (type(medium).__name__, len(medium.list_materials()), scaled_scene, height_fields)
+    encoded = map(_encode, (*parts, matrices, *interfaces))
+    return hashlib.sha256(b"".join(itertools.chain.from_iterable(encoded))).digest(), unit
+
+
+def _encode(value: Any) -> Iterator[bytes]:
+    """Yield the class and the fields of a named tuple, numbers with their last digits rounded."""
+    if hasattr(value, "_fields"):
+        yield type(value).__name__.encode()
+        for item in value:
+            yield from _encode(item)
+        return
+    table = np.asarray(value)
+    yield repr(table.shape).encode()
+    is_numeric = table.dtype.kind in "biuf"
+    yield _round_significands(table).tobytes() if is_numeric else repr(table.tolist()).encode()
 
 
 def _round_significands(values: np.ndarray) -> np.ndarray:

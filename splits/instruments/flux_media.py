@@ -115,7 +115,7 @@ def prepare_medium(
             PathSharingMedia.from_media([medium]), wavelengths, max_stderr, run, undisturbed_depth
         )
         if truncation is not None:
-            finite = truncation.media[0]
+            finite = truncation.path_sharing.media[0]
         elif not lowest.has_grains:
             depth = lowest.compute_truncation_depth(undisturbed_depth)
             finite = medium.truncate(depth, Ground.from_input(1.0))

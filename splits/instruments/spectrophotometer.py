@@ -151,6 +151,7 @@ def spectrophotometer(
     path_sharing = PathSharingMedia(
         (*media.values(), *perturbations.media),
         np.append(np.ones(len(media)), perturbations.size_ratios),
+        len(perturbations.media),
     )
     truncation = None if analog else request.truncate(path_sharing)
     estimate = request.simulate(path_sharing, truncation, perturbations, analog=analog)

@@ -127,7 +127,7 @@ def _truncate(
     optics: Sequence[xr.Dataset], max_stderr: float, undisturbed_depth_m: float,
 ) -> TruncatedMedium | None:  # fmt: skip
     """Truncate media with given single-scattering properties, see `truncate_deep_medium`."""
-    media, scales = path_sharing
+    media, scales, _ = path_sharing
     properties = [DiffusionProperties.from_optics(one) for one in optics]
     layer = lowest[0]
     if layer.is_semi_infinite:
@@ -161,7 +161,7 @@ def _truncate(
         np.stack, zip(*substrates, strict=True)
     )
     return TruncatedMedium(
-        tuple(truncated),
+        path_sharing._replace(media=tuple(truncated)),
         depth,
         transmitted_fraction,
         conservative,

@@ -57,7 +57,7 @@ def test_truncated_medium_agrees_with_complete_medium(truncate_always, monkeypat
     for seed, incidence in ((2, 0.0), (3, "diffuse")):
         run, reference = (
             splits.spectrophotometer(traced, WAVELENGTHS, incidence, 0.0015, seed)
-            for traced in (truncated.media[0], medium)
+            for traced in (truncated.path_sharing.media[0], medium)
         )
         transmittance = run.transmittance.values
         theory_errors = {

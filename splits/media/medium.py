@@ -90,11 +90,6 @@ class Medium(ABC):
         return self.ground if self.ground is not None and self.ground.is_reflecting else None
 
     @property
-    def has_grains(self) -> bool:
-        """Whether any layer consists of grains."""
-        return any(layer.has_grains for layer in self.scene_layers)
-
-    @property
     def polarized(self) -> bool:
         """Whether the Stokes vector is traced."""
         return False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -126,7 +125,7 @@ class SubstrateResponse(NamedTuple):
         depth = float(medium.lowest_layer.depth_m) / size_ratio
         rate = properties.compute_regularized_rate(truncation_depth_m)
         diffusion = properties.diffusion_coefficient
-        ground = None if math.isinf(depth) else medium.ground
+        ground = None if medium.is_semi_infinite else medium.ground
         albedo = np.zeros_like(rate) if ground is None else ground.albedo(wavelengths)
         substrate = DiffusiveSubstrate(
             rate * diffusion,
@@ -135,7 +134,7 @@ class SubstrateResponse(NamedTuple):
         )
         lossless = properties.coalbedo <= 0.0
         reflected = np.where(
-            lossless & (math.isinf(depth) | (albedo == 1.0)),
+            lossless & (medium.is_semi_infinite | (albedo == 1.0)),
             1.0,
             substrate.compute_reflected_fraction(),
         )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from splits.kernels.base.scene import WET_PORE
-from splits.media.medium import Medium
+from splits.media.medium import Layer, Medium
 
 
 class AbsorptionSteps(NamedTuple):
@@ -56,7 +56,7 @@ def compute_absorption_steps(
     return AbsorptionSteps(optical_depth, unscored_path, absorption_rate)
 
 
-def _compute_layer_steps(medium: Any, absorption: np.ndarray) -> AbsorptionSteps:
+def _compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSteps:
     """Return the steps in a layer by wavelength; 0 where particles absorb along paths.
 
     The mean segment between two grains is that of a ray in the pore space.  A ray crosses some

@@ -96,7 +96,7 @@ def deep_transmittance(
         raise invalid("ground", ground.name, "open", "no light leaves through a ground")
     tracer = SplittingTracer(build_scene(medium, incidence, False))
     constants = compute_optical_constants(medium, wavelengths)
-    diffusion_rates = estimate_attenuation_rate(medium, wavelengths, run.seed, run.threads)
+    diffusion_rates = estimate_attenuation_rate(medium, wavelengths, run)
     rates = _RATE_SAFETY_FACTOR * diffusion_rates
     n_wavelengths = len(wavelengths)
     for stage in range(N_PILOTS):
@@ -131,14 +131,14 @@ def deep_transmittance(
 
 
 def estimate_attenuation_rate(
-    medium: GranularMedium, wavelengths: np.ndarray, seed: int, threads: int | None
+    medium: GranularMedium, wavelengths: np.ndarray, run: RunOptions
 ) -> np.ndarray:
     """Return the rate (1/m) at which diffuse light decreases with depth, by diffusion theory.
 
     √(3 (1 − ω)(1 − ωg)) times the extinction (Ishimaru 1978, Wave Propagation and Scattering in
     Random Media, section 9.1), from the medium's single-scattering properties.
     """
-    optics = single_scattering(medium, wavelengths, 1, OPTICS_RAYS, seed, threads)
+    optics = single_scattering(medium, wavelengths, 1, OPTICS_RAYS, run.seed, run.threads)
     albedo = optics.single_scattering_albedo.values
     asymmetry = optics.asymmetry_parameter.values
     loss = np.clip(3.0 * (1.0 - albedo) * (1.0 - albedo * asymmetry), 0.0, 3.0)

@@ -9,21 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from splits.core.validation import invalid
 from splits.instruments.absorption_steps import compute_absorption_steps
 from splits.media.absorbing_matrix_layer import absorb_along_path
-from splits.media.ground import BLACK_OPTICAL_DEPTH
-from splits.media.medium import Medium, compute_path_fractions
+from splits.media.ground import BLACK_OPTICAL_DEPTH, Ground
+from splits.media.medium import Medium
 from splits.media.particle_layer import CLEARANCE_SIGMA
-from splits.media.stack import UNSUPPORTED_IN_STACK
 from splits.simulation.deep_medium import truncate_deep_medium
+from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import (
     OpticalConstants,
     compute_optical_constants,
+    compute_path_fractions,
     make_height_fields,
 )
 from splits.simulation.spectral_rows import PathSharingMedia
@@ -64,7 +65,7 @@ class TracedMedium(NamedTuple):
 
     @property
     def path_fractions(self) -> np.ndarray:
-        """Path over recorded length, see `splits.media.medium.compute_path_fractions`."""
+        """Path over recorded length, see `splits.simulation.scene.compute_path_fractions`."""
         fractions = compute_path_fractions(self.medium)
         n_grounds = self.constants.absorption.shape[1] - fractions.size
         return np.pad(fractions, (0, n_grounds), constant_values=1.0)
@@ -78,12 +79,11 @@ class TracedMedium(NamedTuple):
 
 
 def prepare_medium(
-    medium: Any,
+    medium: Medium,
     wavelengths: np.ndarray,
     depths_m: Sequence[float] | np.ndarray,
     max_stderr: float,
-    seed: int,
-    threads: int,
+    run: RunOptions,
 ) -> TracedMedium:
     """Return a medium in the form in which it is traced for fluxes at depths.
 
@@ -94,8 +94,9 @@ def prepare_medium(
         nm.
     depths_m : sequence of float
         In the medium (m).
-    max_stderr, seed, threads
+    max_stderr : float
         As for the spectrophotometer.
+    run : RunOptions
     """
     height_fields = make_height_fields(medium)
     if height_fields is not None:
@@ -104,28 +105,29 @@ def prepare_medium(
             hint = f"{CLEARANCE_SIGMA:g} standard deviations of the surface's height"
             raise invalid("depth_m", float(depths_m[0]), f"at least {min_depth:g} m", hint)
     if medium.opaque:
-        raise invalid("opaque", True, "false", UNSUPPORTED_IN_STACK["opaque"][1])
-    traced: Any = medium
-    semi_infinite = truncated = math.isinf(medium.thickness_m)
-    if semi_infinite and medium.lowest_layer.has_grains:
+        raise invalid("opaque", True, "false", "all light is absorbed at the surface")
+    finite, truncation = medium, None
+    if medium.is_semi_infinite:
+        lowest = medium.lowest_layer
         depth_above = float(sum(layer.depth_m for layer in medium.scene_layers[:-1]))
         undisturbed_depth = max(0.0, depths_m[-1] - depth_above)
-        truncation: Any = truncate_deep_medium(
-            PathSharingMedia.from_media([medium]), wavelengths, max_stderr, seed, threads,
-            undisturbed_depth,
-        )  # fmt: skip
-        traced = truncation.media[0]
-    elif semi_infinite:
-        traced, truncated = medium.truncate(depths_m[-1]), False
-    end_m, traced = float(traced.depth_m), absorb_along_path(traced)
+        truncation = truncate_deep_medium(
+            PathSharingMedia.from_media([medium]), wavelengths, max_stderr, run, undisturbed_depth
+        )
+        if truncation is not None:
+            finite = truncation.path_sharing.media[0]
+        elif not lowest.has_grains:
+            depth = lowest.compute_truncation_depth(undisturbed_depth)
+            finite = medium.truncate(depth, Ground.from_input(1.0))
+    end_m, traced = float(finite.depth_m), absorb_along_path(finite)
     constants = compute_optical_constants(traced, wavelengths)
     # A ground of a semi-infinite medium is the one that replaces the rest.
-    truncated = truncated and traced.reflecting_ground is not None
+    truncated = truncation is not None and traced.reflecting_ground is not None
     if truncated:
         constants = _append_darker_ground(constants)
     planes = np.array([0.0, *depths_m, end_m])
     return TracedMedium(
-        traced, constants, wavelengths.size, planes, semi_infinite, truncated,
+        traced, constants, wavelengths.size, planes, medium.is_semi_infinite, truncated,
         medium.material_columns,
     )  # fmt: skip
 

@@ -153,7 +153,7 @@ class FluxRequest(NamedTuple):
         return cls(
             medium,
             check_wavelengths(wavelength_nm),
-            _check_depths(depth_m, medium.thickness_m),
+            _check_depths(depth_m, np.inf if medium.is_semi_infinite else medium.depth_m),
             check_incidence(incidence_deg),
             check_range("max_stderr", max_stderr, 1e-6, 0.5),
             check_integer("max_rays", max_rays, 1),
@@ -163,7 +163,7 @@ class FluxRequest(NamedTuple):
 def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> xr.Dataset:
     """Return the dataset of `irradiance_profile` to an error."""
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
-    traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run.seed, run.threads)
+    traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
     tracer = SceneTracer(traced_medium.medium, incidence, planes_m=depths.tolist())
     nodes = _choose_nodes(traced_medium, max_stderr, target.band_weights is not None)
     _check_memory(traced_medium, tracer.scene.layers.boundaries.size - 1, nodes)

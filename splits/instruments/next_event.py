@@ -18,8 +18,7 @@ from splits.kernels.optics.forward_peak import separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import ABOVE, BELOW, Detectors
-from splits.media.medium import Medium
-from splits.media.particle_layer import ParticleLayer
+from splits.media.medium import Medium, ParticleMedium
 from splits.simulation.scene import build_scene
 from splits.simulation.tally import Stratum, Tally
 from splits.simulation.tracer import Tracer
@@ -31,7 +30,7 @@ MAX_PEAK_FRACTION = 0.99
 change its direction."""
 
 
-def get_detected_layers(medium: Medium) -> tuple[ParticleLayer, ...]:
+def get_detected_layers(medium: Medium) -> tuple[ParticleMedium, ...]:
     """Return the particle layers of a medium whose light reaches detectors along known paths.
 
     Raises
@@ -40,8 +39,8 @@ def get_detected_layers(medium: Medium) -> tuple[ParticleLayer, ...]:
         For grains, for a rough surface, for the ground of a stack, for narrow phase functions in a
         stack, and for a phase function that is nearly all peak.
     """
-    layers = medium.scene_layers
-    if any(layer.has_grains for layer in layers):
+    layers = tuple(layer for layer in medium.scene_layers if not layer.has_grains)
+    if len(layers) < len(medium.scene_layers):
         raise _reject_estimator("for grains")
     if layers[0].make_height_fields() is not None:
         hint = "no single path leads through it to a given direction; bins have Stokes parameters"
@@ -63,13 +62,13 @@ def _reject_estimator(circumstances: str, hint: str = "") -> Exception:
 
 
 def make_detectors(
-    layers: Sequence[ParticleLayer], scene: Scene, polar: np.ndarray, azimuth: np.ndarray
+    layers: Sequence[ParticleMedium], scene: Scene, polar: np.ndarray, azimuth: np.ndarray
 ) -> Detectors:
     """Return detectors on a grid of directions, azimuth running fastest.
 
     Parameters
     ----------
-    layers : sequence of ParticleLayer
+    layers : sequence of ParticleMedium
         See `get_detected_layers`.
     scene : Scene
     polar, azimuth : float

@@ -18,10 +18,9 @@ from splits.simulation.grain_optics import (
     WET_PORE_MODELS,
     GrainOpticsRequest,
     compute_grain_optics,
-    compute_material_constants,
 )
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
-from splits.simulation.scene import build_scene
+from splits.simulation.scene import build_scene, compute_material_constants
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.spectral_nodes import choose_nodes
 
@@ -124,7 +123,7 @@ def single_scattering(
     run = RunOptions.from_arguments(seed, threads)
     check_choice("wet_pores", wet_pores, WET_PORE_MODELS)
     scene = build_scene(medium, 0.0, False)
-    request = GrainOpticsRequest(moments, rays, run.seed, run.threads, wet_pores)
+    request = GrainOpticsRequest(moments, rays, wet_pores, run)
     constants = compute_material_constants(medium, wavelengths)
     nodes = choose_nodes(constants.indices, medium.list_interfaces(), INTERPOLATION_TOLERANCE)
     values = compute_grain_optics(medium, scene, constants, request, nodes)
@@ -132,7 +131,7 @@ def single_scattering(
     attributes = {
         **run.make_attributes("Single-scattering properties", "single_scattering", medium),
         "diffraction": "none",
-        "extinction_by_grains_per_m": float(medium.make_grain_population().collision_coefficient),
+        "extinction_by_grains_per_m": float(medium.extinction_per_m),
         "interpolation_error_bound": float(nodes.interpolation_bound.max()),
         "wet_pores": wet_pores,
         "rays": rays * len(nodes.index),

@@ -61,9 +61,7 @@ class SpectralRequest(NamedTuple):
 
     def truncate(self, path_sharing: PathSharingMedia) -> TruncatedMedium | None:
         """Return the truncated media, which do not depend on the incidence."""
-        return truncate_deep_medium(
-            path_sharing, self.wavelengths, self.max_stderr, self.run.seed, self.run.threads
-        )
+        return truncate_deep_medium(path_sharing, self.wavelengths, self.max_stderr, self.run)
 
     def simulate(
         self,
@@ -82,7 +80,7 @@ class SpectralRequest(NamedTuple):
         Parameters
         ----------
         path_sharing : PathSharingMedia
-            With the media of the perturbations, which are the last.
+            With the perturbed media of the perturbations.
         truncation : TruncatedMedium or None
             Their truncation.
         perturbations : Perturbations
@@ -90,9 +88,7 @@ class SpectralRequest(NamedTuple):
             Trace each row separately, with analog absorption.  This is the algorithm of SPLITS
             section 4.3 and SPLITSnow section 3, kept as the reference.
         """
-        traced = path_sharing
-        if truncation is not None:
-            traced = path_sharing._replace(media=truncation.media)
+        traced = path_sharing if truncation is None else truncation.path_sharing
         rows = self._make_rows(traced, truncation, perturbations)
         tracer = SceneTracer(traced.media[0], self.incidence, analog=analog)
         above_truncation = (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
@@ -112,7 +108,7 @@ class SpectralRequest(NamedTuple):
             if estimate.stderr.max() <= self.max_stderr or evaluation.stop_reason == "max_rays":
                 break
             target *= 0.5
-        if truncation is not None and perturbations.media:
+        if truncation is not None and traced.n_perturbed:
             derivatives = truncation.complete_derivatives(above, perturbations.steps)
             estimate = replace(estimate, derivatives=derivatives)
         return estimate
@@ -124,9 +120,9 @@ class SpectralRequest(NamedTuple):
         perturbations: Perturbations,
     ) -> SpectralRows:
         """Return the rows of media, or of one with its derivatives."""
-        n_media = len(traced.media) - len(perturbations.media)
-        rows = SpectralRows.from_media(traced.select(slice(n_media)), self.wavelengths)
-        if not perturbations.media:
+        reported, perturbed = traced.split()
+        rows = SpectralRows.from_media(reported, self.wavelengths)
+        if not perturbed.media:
             return rows
         if truncation is not None and (truncation.ground_absorption[0] == 0.0).any():
             lossless = self.wavelengths[truncation.ground_absorption[0] == 0.0]
@@ -134,7 +130,6 @@ class SpectralRequest(NamedTuple):
             hint = f"as at {lossless[0]:g} nm"
             raise invalid("jacobian", list(perturbations.parameters), allowed, hint)
         ground_column = NO_GROUND if truncation is None else rows.absorption.shape[1] - 1
-        perturbed = traced.select(slice(n_media, None))
         return rows.with_derivatives(
             perturbed, perturbations.steps, self.wavelengths, ground_column
         )
@@ -210,9 +205,10 @@ def simulate_spectra(path_sharing: PathSharingMedia, request: SpectralRequest) -
     n_wavelengths, truncation = request.wavelengths.size, request.truncate(path_sharing)
     estimate = request.simulate(path_sharing, truncation)
     datasets = []
-    for number, (medium, size_ratio) in enumerate(zip(*path_sharing, strict=True)):
+    for number, medium in enumerate(path_sharing.media):
         rows = slice(number * n_wavelengths, (number + 1) * n_wavelengths)
         medium_estimate = estimate.select(rows)
+        size_ratio = path_sharing.size_ratios[number]
         spectrum = make_spectrum(
             request, medium, medium_estimate, truncation=truncation, size_ratio=size_ratio
         )

@@ -49,15 +49,16 @@ def spectrophotometer(
     Under a beam, the reflectance is directional-hemispherical (DHR, black-sky albedo); under
     diffuse light, it is bihemispherical (BHR, white-sky albedo).
 
-    Several media that differ only in absorption are simulated with the same paths.  The statistical
+    Several media of the same grains and layers are simulated with the same paths.  The statistical
     noise is then common to the spectra, and the errors of differences between the media are much
     smaller than those of the spectra.
 
     Parameters
     ----------
     medium : Medium, or a mapping
-        For example `splits.Snow` or `splits.ParticleLayer`.  A mapping from names to media that
-        differ only in impurities or in the albedo of a reflecting ground.
+        For example `splits.Snow` or `splits.ParticleLayer`.  A mapping from names to media of the
+        same grains, particles, layers and interpretation; refractive indices of grains and pores,
+        impurities, and the albedo of a reflecting ground may differ.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
         medium's refractive indices.
@@ -150,6 +151,7 @@ def spectrophotometer(
     path_sharing = PathSharingMedia(
         (*media.values(), *perturbations.media),
         np.append(np.ones(len(media)), perturbations.size_ratios),
+        len(perturbations.media),
     )
     truncation = None if analog else request.truncate(path_sharing)
     estimate = request.simulate(path_sharing, truncation, perturbations, analog=analog)

@@ -10,6 +10,7 @@ import numpy as np
 
 from splits.kernels.base.scene import WET_PORE
 from splits.media.ground import Ground
+from splits.media.medium import Layer, Medium
 from splits.media.particle_layer import ParticleLayer
 from splits.media.stack import Stack
 
@@ -57,12 +58,15 @@ class AbsorbingStack(Stack):
     """Stack whose particles absorb along the path."""
 
     @cached_property
-    def scene_layers(self) -> tuple[Any, ...]:
+    def scene_layers(self) -> tuple[Layer, ...]:
         """Layers, top first."""
-        return tuple(absorb_along_path(layer) for layer in self.layers)
+        return tuple(
+            layer if layer.has_grains else AbsorbingMatrixLayer.from_particle_layer(layer)
+            for layer in self.layers
+        )
 
 
-def absorb_along_path(medium: Any) -> Any:
+def absorb_along_path(medium: Medium) -> Medium:
     """Return a medium that is equivalent, but whose particles absorb along the path."""
     if isinstance(medium, ParticleLayer):
         return AbsorbingMatrixLayer.from_particle_layer(medium)

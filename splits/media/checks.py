@@ -29,13 +29,14 @@ def check_medium(
     kind : type
         A key of `MEDIUM_NAMES`.
     allow_semi_infinite : bool
-        Whether semi-infinite media are allowed.
+        Whether infinite layers of grains are allowed; those of particles always are.
     """
     is_class = isinstance(medium, type)
     if isinstance(medium, kind) and not is_class:
         check_thickness(medium)
-        if math.isinf(medium.depth_m) and not allow_semi_infinite:
-            hint = "give depth_m; spectra, albedos and profiles allow semi-infinite media"
+        is_traceable = not (medium.is_semi_infinite and medium.lowest_layer.has_grains)
+        if not (is_traceable or allow_semi_infinite):
+            hint = "give depth_m; estimator spectral, albedos and profiles allow infinite depth"
             raise invalid("depth_m", math.inf, "finite", hint)
         return
     names = MEDIUM_NAMES[kind]

@@ -1,27 +1,26 @@
-"""Base classes of the media that instruments measure, and quantities derived from them.
+"""Base classes of the media that instruments measure.
 
-A medium consists of layers, top first, over a ground; a layer is also a medium of its own.  Scenes,
-instruments and experiments use only what these classes declare.
+A medium consists of layers, top first, over a ground; a layer is also a medium of its own.  It
+consists of grains or of particles, see `Layer`.  Scenes and simulations use only what these classes
+declare.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from splits.kernels.grains.population import GrainPopulation
+from splits.kernels.optics.phase_function import PhaseFunction
 from splits.kernels.rough_surface.realization import HeightFields
-from splits.materials.lookup import absorption_coefficient
 from splits.media.ground import Ground
 from splits.media.interpretations import TransportInterpretation
-
-N_PORE_MATERIALS = 2
-"""Number of materials for dry and wet pores; they precede those of other pore fluids."""
 
 
 class Interface(NamedTuple):
@@ -72,11 +71,11 @@ class Medium(ABC):
 
     @property
     @abstractmethod
-    def scene_layers(self) -> tuple[Any, ...]:
+    def scene_layers(self) -> tuple[Layer, ...]:
         """Layers, top first."""
 
     @property
-    def lowest_layer(self) -> Any:
+    def lowest_layer(self) -> Layer:
         """Lowest layer."""
         return self.scene_layers[-1]
 
@@ -91,11 +90,6 @@ class Medium(ABC):
         return self.ground if self.ground is not None and self.ground.is_reflecting else None
 
     @property
-    def has_grains(self) -> bool:
-        """Whether any layer consists of grains."""
-        return any(layer.has_grains for layer in self.scene_layers)
-
-    @property
     def polarized(self) -> bool:
         """Whether the Stokes vector is traced."""
         return False
@@ -106,9 +100,9 @@ class Medium(ABC):
         return False
 
     @property
-    def thickness_m(self) -> float:
-        """Thickness (m), infinite for a semi-infinite medium."""
-        return float(self.depth_m)
+    def is_semi_infinite(self) -> bool:
+        """Whether the lowest layer is infinite."""
+        return self.lowest_layer.is_semi_infinite
 
     @property
     @abstractmethod
@@ -137,12 +131,12 @@ class Medium(ABC):
         """Return all inputs and derived quantities as dataset attributes."""
 
     @abstractmethod
-    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Any:
-        """Return the medium with another lowest layer, over a ground."""
+    def truncate(self, depth_m: float, ground: Ground | None) -> Medium:
+        """Return the medium with a lowest layer of another depth (m), over a ground."""
 
 
-class Layer(Medium):
-    """Homogeneous layer, of grains or of particles much smaller than their separation.
+class HomogeneousLayer(Medium):
+    """Layer of grains, or of particles much smaller than their separation.
 
     Attributes
     ----------
@@ -153,14 +147,17 @@ class Layer(Medium):
     pores: Mapping[str, float] = MappingProxyType({})
 
     @property
-    def scene_layers(self) -> tuple[Any, ...]:
-        """The layer itself."""
-        return (self,)
+    def is_semi_infinite(self) -> bool:
+        """Whether the layer is infinite."""
+        return math.isinf(self.depth_m)
 
     @property
-    def has_grains(self) -> bool:
-        """Whether the layer consists of grains."""
-        return False
+    @abstractmethod
+    def extinction_per_m(self) -> float:
+        """Expected number of collisions with grains or particles per metre of path between them.
+
+        It is infinite for an opaque layer.
+        """
 
     @property
     @abstractmethod
@@ -171,11 +168,6 @@ class Layer(Medium):
     def pore_fraction(self) -> float:
         """Fraction of a path segment that absorbs as pore space."""
         return 1.0
-
-    @property
-    def matrix_index(self) -> float | None:
-        """Refractive index of the matrix of particles."""
-        return None
 
     @property
     def single_scattering_albedo(self) -> float:
@@ -199,29 +191,38 @@ class Layer(Medium):
         """Return the absorption coefficient of impurities (1/m), shape (wavelengths, materials)."""
         return np.zeros((np.size(wavelength_nm), len(self.list_materials())))
 
-    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Any:
-        """Return another layer, over a ground."""
-        return replace(layer, ground=ground)
 
-
-class GranularMedium(Layer):
+class GranularMedium(HomogeneousLayer):
     """Layer of grains: its population, boundaries, optical constants.
 
     Attributes
     ----------
     saturation : float
         Fraction of the pore space filled with water.
+    refractive_index : mapping
+        Refractive indices of grains and pores, by material.
     interpretation : TransportInterpretation
         Interpretation of the papers.
     """
 
     saturation: float
+    refractive_index: Mapping[str, Any]
     interpretation: TransportInterpretation
 
     @property
-    def has_grains(self) -> bool:
+    def scene_layers(self) -> tuple[GranularMedium]:
+        """The layer itself."""
+        return (self,)
+
+    @property
+    def has_grains(self) -> Literal[True]:
         """Whether the layer consists of grains."""
         return True
+
+    @property
+    def extinction_per_m(self) -> float:
+        """Expected number of collisions with grains per metre of path between them."""
+        return self.make_grain_population().collision_coefficient
 
     @property
     @abstractmethod
@@ -276,35 +277,46 @@ class GranularMedium(Layer):
     def make_grain_population(self) -> GrainPopulation:
         """Return the grains."""
 
+    def truncate(self, depth_m: float, ground: Ground | None) -> GranularMedium:
+        """Return a layer of another depth (m), over a ground."""
+        layer: Any = self
+        truncated: GranularMedium = replace(layer, depth_m=depth_m, ground=ground)
+        return truncated
 
-def compute_absorption(medium: Medium, index: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
-    """Return the absorption coefficients (1/m) of the materials of a medium, with impurities.
 
-    They apply to path lengths as recorded by the kernels (see `compute_path_fractions`).
+class ParticleMedium(HomogeneousLayer):
+    """Layer of particles in a matrix that is the same at all wavelengths.
 
-    Parameters
+    Attributes
     ----------
-    medium : Medium
-    index : complex, shape (wavelengths, materials)
-        Refractive indices.
-    wavelength_nm : float, shape (wavelengths,)
+    refractive_index : float
+        Refractive index of the matrix.
     """
-    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
-    absorption *= compute_path_fractions(medium)
-    added = [layer.compute_added_absorption(wavelength_nm) for layer in medium.scene_layers]
-    total: np.ndarray = absorption + np.concatenate(added, axis=1)
-    return total
+
+    refractive_index: float
+
+    @property
+    def scene_layers(self) -> tuple[ParticleMedium]:
+        """The layer itself."""
+        return (self,)
+
+    @property
+    def has_grains(self) -> Literal[False]:
+        """Whether the layer consists of grains."""
+        return False
+
+    @property
+    @abstractmethod
+    def kernel_phase_function(self) -> PhaseFunction:
+        """Phase function in the form the kernels take."""
+
+    @abstractmethod
+    def compute_truncation_depth(self, undisturbed_depth_m: float) -> float:
+        """Return a depth (m), instead of an infinite one, over a white bottom.
+
+        The light above the undisturbed depth (m) is that in the infinite layer.
+        """
 
 
-def compute_path_fractions(medium: Medium) -> np.ndarray:
-    """Return the fraction of the recorded path length that lies in each material.
-
-    Kernels record whole segments between grains.  Between point grains only a fraction of a segment
-    is pore space (see `GranularMedium.pore_fraction`).
-    """
-    fractions = []
-    for layer in medium.scene_layers:
-        layer_fractions = np.ones(len(layer.list_materials()))
-        layer_fractions[: N_PORE_MATERIALS + len(layer.pores)] = layer.pore_fraction
-        fractions.append(layer_fractions)
-    return np.concatenate(fractions)
+Layer = GranularMedium | ParticleMedium
+"""A layer; its `has_grains` distinguishes the two classes."""

@@ -32,7 +32,8 @@ from splits.kernels.optics.phase_function import (
 )
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.media.formatting import find_differences, format_call
-from splits.media.medium import Layer, LayerBottom
+from splits.media.ground import Ground
+from splits.media.medium import LayerBottom, ParticleMedium
 from splits.media.rough_surface import RoughSurface
 
 CLEARANCE_SIGMA = 8.0
@@ -52,7 +53,7 @@ PHASE_FUNCTIONS = ("henyey_greenstein", "rayleigh")
 
 @reject_unknown_keywords
 @dataclass(frozen=True, eq=False, repr=False)
-class ParticleLayer(ContentEquality, Layer):
+class ParticleLayer(ContentEquality, ParticleMedium):
     """Homogeneous layer of small particles in a transparent matrix.
 
     The properties do not depend on wavelength.
@@ -135,7 +136,7 @@ class ParticleLayer(ContentEquality, Layer):
                 "optical_thickness", self.optical_thickness, "a number from 0 to 1e+06",
                 "or infinite: .inf in YAML, math.inf in Python",
             )  # fmt: skip
-        if not (isinstance(self.optical_thickness, float) and self.optical_thickness == math.inf):
+        if not (isinstance(self.optical_thickness, float) and self.is_semi_infinite):
             put(
                 "optical_thickness",
                 check_range(
@@ -160,8 +161,8 @@ class ParticleLayer(ContentEquality, Layer):
         if self.surface is not None:
             put("surface", RoughSurface.from_input(self.surface))
             min_depth_m = CLEARANCE_SIGMA * self.surface.rms_height_m
-            finite = self.optical_thickness != math.inf and not self.opaque
-            if self.depth_m < min_depth_m and finite:
+            has_bottom = not (self.is_semi_infinite or self.opaque)
+            if self.depth_m < min_depth_m and has_bottom:
                 raise invalid(
                     "depth_m", self.depth_m, f"at least {min_depth_m:g} m",
                     f"{CLEARANCE_SIGMA:g} standard deviations of height must fit above the bottom",
@@ -182,14 +183,9 @@ class ParticleLayer(ContentEquality, Layer):
         return format_call("ParticleLayer", find_differences(self, type(self)()))
 
     @property
-    def matrix_index(self) -> float:
-        """Refractive index of the matrix."""
-        return self.refractive_index
-
-    @property
-    def thickness_m(self) -> float:
-        """Thickness (m), infinite for an infinite optical thickness."""
-        return math.inf if math.isinf(self.optical_thickness) else float(self.depth_m)
+    def is_semi_infinite(self) -> bool:
+        """Whether the optical thickness is infinite; the depth is then the mean free path."""
+        return self.optical_thickness == math.inf
 
     @property
     def material_columns(self) -> dict[str, int]:
@@ -201,8 +197,7 @@ class ParticleLayer(ContentEquality, Layer):
         """Extinction coefficient (1/m); infinite for an opaque layer."""
         if self.opaque:
             return math.inf
-        infinite = self.optical_thickness == math.inf
-        return (1.0 if infinite else self.optical_thickness) / self.depth_m
+        return (1.0 if self.is_semi_infinite else self.optical_thickness) / self.depth_m
 
     @property
     def kernel_phase_function(self) -> PhaseFunction:
@@ -218,17 +213,18 @@ class ParticleLayer(ContentEquality, Layer):
         scatterings.  A deep finite layer over a white bottom replaces it, with the same
         reflectance at finite cost.
         """
-        if self.opaque or self.optical_thickness != math.inf:
+        if self.opaque or not self.is_semi_infinite:
             return LayerBottom(self.depth_m, self.bottom_albedo)
         if self.single_scattering_albedo < 1.0:
             return LayerBottom(math.inf, self.bottom_albedo)
-        transport_ratio = max(1.0, 1.0 / (1.0 - self.kernel_phase_function.g))
         clearance_m = 0.0 if self.surface is None else CLEARANCE_SIGMA * self.surface.rms_height_m
-        depth_m = SEMI_INFINITE_TRANSPORT_MFP * transport_ratio / self.extinction_per_m
-        return LayerBottom(depth_m + clearance_m, 1.0)
+        return LayerBottom(self.compute_truncation_depth(clearance_m), 1.0)
 
-    def truncate(self, depth_m: float) -> ParticleLayer:
-        """Return a finite layer in which light above a depth (m) is that of the infinite layer."""
+    def compute_truncation_depth(self, undisturbed_depth_m: float) -> float:
+        """Return a depth (m), instead of an infinite one, over a white bottom.
+
+        The light above the undisturbed depth (m) is that in the infinite layer.
+        """
         albedo, g = self.single_scattering_albedo, self.kernel_phase_function.g
         rate = min(1.0, math.sqrt(3.0 * (1.0 - albedo) * (1.0 - albedo * g)))
         # The effect of a white bottom at a distance z from the light is at most exp(-2 rate z).
@@ -236,9 +232,15 @@ class ParticleLayer(ContentEquality, Layer):
         if rate > 0.0:
             decay = min(0.5 * SEMI_INFINITE_TRANSPORT_MFP / rate, MAX_OPTICAL_DISTANCE)
             optical_distance = max(optical_distance, decay)
-        end_m = depth_m + optical_distance / self.extinction_per_m
-        thickness = self.extinction_per_m * end_m
-        return replace(self, optical_thickness=thickness, depth_m=end_m, bottom_albedo=1.0)
+        return undisturbed_depth_m + optical_distance / self.extinction_per_m
+
+    def truncate(self, depth_m: float, ground: Ground | None) -> ParticleLayer:
+        """Return a layer of another depth (m), over a ground of constant albedo as its bottom."""
+        bottom_albedo = None if ground is None else ground.albedo_values[0]
+        thickness = self.extinction_per_m * depth_m
+        return replace(
+            self, optical_thickness=thickness, depth_m=depth_m, bottom_albedo=bottom_albedo
+        )
 
     def make_height_fields(self) -> HeightFields | None:
         """Return the rough surface in the form the kernels take, or None for a smooth surface."""

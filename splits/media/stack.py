@@ -16,7 +16,7 @@ from splits.kernels.base.scene import WET_PORE
 from splits.media.formatting import format_input
 from splits.media.ground import Ground, describe_ground
 from splits.media.interpretations import INTERPRETATION_SETS
-from splits.media.medium import GranularMedium, Interface, Medium
+from splits.media.medium import GranularMedium, Interface, Layer, Medium
 from splits.media.particle_layer import ParticleLayer
 from splits.media.pore_fluids import PoreFluids
 
@@ -98,7 +98,7 @@ class Stack(Medium):
                 )
                 allowed = "splits.Snow(...), splits.Sand(...) or splits.ParticleLayer(...)"
                 raise invalid(f"layers[{number}]", kind, allowed, hint)
-            if layer.depth_m == math.inf and number < len(layers) - 1:
+            if layer.is_semi_infinite and number < len(layers) - 1:
                 raise invalid(f"layers[{number}].depth_m", math.inf, "finite", ONLY_LOWEST_INFINITE)
             if layer.ground is not None:
                 hint = "give it to the stack"
@@ -125,7 +125,8 @@ class Stack(Medium):
                 )  # fmt: skip
         object.__setattr__(self, "layers", layers)
         object.__setattr__(self, "ground", Ground.from_input(self.ground))
-        if self.ground is not None and getattr(layers[-1], "optical_thickness", 0.0) == math.inf:
+        infinite_particles = self.is_semi_infinite and not self.lowest_layer.has_grains
+        if self.ground is not None and infinite_particles:
             hint = f"no light reaches it below the infinite layers[{len(layers) - 1}]"
             raise invalid("ground", self.ground.name, "left out", hint)
 
@@ -154,7 +155,7 @@ class Stack(Medium):
         )
 
     @property
-    def scene_layers(self) -> tuple[Any, ...]:
+    def scene_layers(self) -> tuple[Layer, ...]:
         """Layers, top first."""
         return self.layers
 
@@ -163,29 +164,15 @@ class Stack(Medium):
         """Whether the Stokes vector is traced."""
         return all(layer.polarized for layer in self.layers)
 
-    def replace_lowest_layer(self, layer: Any, ground: Ground | None) -> Any:
-        """Return the stack with another lowest layer, over a ground."""
-        return replace(self, layers=(*self.layers[:-1], layer), ground=ground)
-
-    def truncate(self, depth_m: float) -> Stack:
-        """Return a finite stack in which light above a depth (m) is that of the infinite one.
-
-        The lowest layer is one of particles.
-        """
-        depth_above_m = float(sum(layer.depth_m for layer in self.layers[:-1]))
-        lowest = self.lowest_layer.truncate(max(0.0, depth_m - depth_above_m))
-        white = Ground.from_input(lowest.bottom_albedo)
-        return self.replace_lowest_layer(replace(lowest, bottom_albedo=None), white)
+    def truncate(self, depth_m: float, ground: Ground | None) -> Stack:
+        """Return the stack with a lowest layer of another depth (m), over a ground."""
+        lowest = self.lowest_layer.truncate(depth_m, None)
+        return replace(self, layers=(*self.layers[:-1], lowest), ground=ground)
 
     @property
     def depth_m(self) -> float:
         """Total thickness (m)."""
         return float(np.cumsum([layer.depth_m for layer in self.scene_layers])[-1])
-
-    @property
-    def thickness_m(self) -> float:
-        """Total thickness (m), infinite for a semi-infinite stack."""
-        return float(np.cumsum([layer.thickness_m for layer in self.scene_layers])[-1])
 
     @property
     def largest_grain_m(self) -> float:
@@ -227,10 +214,10 @@ class Stack(Medium):
     ) -> list[Interface]:
         """Return the interfaces between the pores of a granular layer and its neighbour."""
         layer, neighbour = self.scene_layers[number], self.scene_layers[neighbour_number]
-        if isinstance(layer, ParticleLayer):
+        if not layer.has_grains:
             return []
         fractions = PoreFluids.from_saturation(layer.wet_fraction, layer.pores).fractions
-        faces_matrix = isinstance(neighbour, ParticleLayer)
+        faces_matrix = not neighbour.has_grains
         if not faces_matrix and not layer.interpretation.to_sampling_rules().boundary_fresnel:
             return []
         # Air and water of two granular layers may have different tables.
@@ -284,5 +271,5 @@ def _check_particle_layer(layer: ParticleLayer, is_top: bool, is_lowest: bool) -
         value = getattr(layer, name)
         if value != allowed and not (name == "surface" and is_top):
             raise invalid(name, value, "left out" if allowed is None else "false", reason)
-    if layer.optical_thickness == math.inf and not is_lowest:
+    if layer.is_semi_infinite and not is_lowest:
         raise invalid("optical_thickness", math.inf, "finite", ONLY_LOWEST_INFINITE)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -24,11 +23,11 @@ from splits.core.validation import invalid
 from splits.media.medium import GranularMedium
 from splits.simulation.grain_optics import (
     GrainOpticsRequest,
-    compute_material_constants,
     estimate_pilot_optics,
     pool_optics_by_type,
 )
-from splits.simulation.scene import OpticalConstants
+from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import OpticalConstants, compute_material_constants
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.substrate import (
@@ -57,8 +56,7 @@ def truncate_deep_medium(
     path_sharing: PathSharingMedia,
     wavelengths: np.ndarray,
     max_stderr: float,
-    seed: int,
-    threads: int,
+    run: RunOptions,
     undisturbed_depth_m: float = 0.0,
 ) -> TruncatedMedium | None:
     """Return truncated media where that serves the requested error, None where it does not.
@@ -69,42 +67,42 @@ def truncate_deep_medium(
         Media that share paths.
     wavelengths : float, shape (wavelengths,)
         nm.
-    max_stderr, seed, threads
+    max_stderr : float
         As for the spectrophotometer.
+    run : RunOptions
+        Its seed and threads apply to the rays of single grains.
     undisturbed_depth_m : float
         Depth (m) in the lowest layer above which the truncation must not change the light.
 
     Raises
     ------
     ValueError
-        For a semi-infinite medium whose lowest layer is not granular.
+        For an infinite layer to which diffusion theory does not apply: other fluids in its pores,
+        or grains that hardly turn light.
     """
-    lowest = [medium.lowest_layer for medium in path_sharing.media]
+    all_lowest = (medium.lowest_layer for medium in path_sharing.media)
+    lowest = [layer for layer in all_lowest if layer.has_grains]
+    if not lowest or lowest[0].depth_m * lowest[0].extinction_per_m < MIN_DEPTH_MFP:
+        return None
     layer = lowest[0]
-    if not layer.has_grains:
-        return None
-    depth = float(layer.depth_m)
-    if depth * layer.make_grain_population().collision_coefficient < MIN_DEPTH_MFP:
-        return None
     if any(one.pores or "air" in one.refractive_index for one in lowest):
         # The reflectance of the rest assumes pores of water and of air of index 1.
-        if math.isinf(depth):
-            raise invalid("depth_m", depth, "finite where pores hold other media or other air")
+        if layer.is_semi_infinite:
+            raise invalid("depth_m", math.inf, "finite where pores hold other media or other air")
         return None
-    # Scenes require a finite depth.
-    finite = replace(layer, depth_m=1.0) if math.isinf(depth) else layer
     constants = _combine_constants(lowest, path_sharing.size_ratios, wavelengths)
-    request = GrainOpticsRequest(1, OPTICS_RAYS_PER_TYPE, seed, threads, "equilibrium")
-    if not math.isinf(depth):
-        pilot = estimate_pilot_optics(finite, constants, request._replace(n_rays=OPTICS_PILOT_RAYS))
+    grain_run = run._replace(kernel="auto", progress=None)
+    request = GrainOpticsRequest(1, OPTICS_RAYS_PER_TYPE, "equilibrium", grain_run)
+    if not layer.is_semi_infinite:
+        pilot = estimate_pilot_optics(layer, constants, request._replace(n_rays=OPTICS_PILOT_RAYS))
         pilots = _split_by_medium(pilot, len(lowest))
         properties = [DiffusionProperties.from_optics(one) for one in pilots]
         if not any(
             one.is_truncation_worthwhile(layer, max_stderr, PILOT_MARGIN) for one in properties
         ):
             return None
-    optics = _split_by_medium(pool_optics_by_type(finite, constants, request), len(lowest))
-    return _truncate(path_sharing, wavelengths, optics, max_stderr, undisturbed_depth_m)
+    optics = _split_by_medium(pool_optics_by_type(layer, constants, request), len(lowest))
+    return _truncate(path_sharing, lowest, wavelengths, optics, max_stderr, undisturbed_depth_m)
 
 
 def _combine_constants(
@@ -125,14 +123,14 @@ def _split_by_medium(optics: xr.Dataset, n_media: int) -> list[xr.Dataset]:
 
 
 def _truncate(
-    path_sharing: PathSharingMedia, wavelengths: np.ndarray, optics: Sequence[xr.Dataset],
-    max_stderr: float, undisturbed_depth_m: float,
+    path_sharing: PathSharingMedia, lowest: Sequence[GranularMedium], wavelengths: np.ndarray,
+    optics: Sequence[xr.Dataset], max_stderr: float, undisturbed_depth_m: float,
 ) -> TruncatedMedium | None:  # fmt: skip
     """Truncate media with given single-scattering properties, see `truncate_deep_medium`."""
-    media, scales = path_sharing
+    media, scales, _ = path_sharing
     properties = [DiffusionProperties.from_optics(one) for one in optics]
-    layer = media[0].lowest_layer
-    if math.isinf(layer.depth_m):
+    layer = lowest[0]
+    if layer.is_semi_infinite:
         if min(one.transport_factor.min() for one in properties) < MIN_TRANSPORT_FACTOR:
             raise invalid("depth_m", math.inf, "finite", "these grains hardly turn light")
     elif not any(one.is_truncation_worthwhile(layer, max_stderr) for one in properties):
@@ -147,23 +145,23 @@ def _truncate(
     # Media that share paths all have a ground, or none.
     min_albedo = np.finfo(float).tiny if len(media) > 1 else 0.0
     truncated, grounds = [], []
-    for medium, scale, substrate, grains in zip(media, scales, substrates, optics, strict=True):
-        lowest = medium.lowest_layer
+    for medium, scale, layer, substrate, grains in zip(
+        media, scales, lowest, substrates, optics, strict=True
+    ):
         albedo = compute_albedo_below_interface(
             substrate.reflected_fraction,
-            compute_material_constants(lowest, wavelengths).indices,
-            lowest,
+            compute_material_constants(layer, wavelengths).indices,
+            layer,
             grains,
         )
         ground = make_substrate_ground(wavelengths, np.maximum(albedo, min_albedo))
         grounds.append(ground.optical_depth(wavelengths))
-        above = replace(lowest, depth_m=scale * depth)
-        truncated.append(medium.replace_lowest_layer(above, ground))
+        truncated.append(medium.truncate(scale * depth, ground))
     _, transmitted_fraction, conservative, escape_probability = map(
         np.stack, zip(*substrates, strict=True)
     )
     return TruncatedMedium(
-        tuple(truncated),
+        path_sharing._replace(media=tuple(truncated)),
         depth,
         transmitted_fraction,
         conservative,

@@ -15,7 +15,7 @@ import numpy as np
 
 from splits.core.parameter_names import IMPURITY_KEYWORDS
 from splits.core.uncertainty import Variable, make_deviation_variable, make_variable
-from splits.core.validation import invalid
+from splits.core.validation import InvalidValue, invalid
 from splits.media.medium import Medium
 from splits.media.parameters import (
     INCIDENCE_KEY,
@@ -60,6 +60,8 @@ class Perturbations(NamedTuple):
         cls, medium: Medium, names: Sequence[str], wavelengths: np.ndarray
     ) -> Perturbations:
         """Return the perturbations of the parameters that leave the paths unchanged."""
+        if not names:
+            return NO_PERTURBATIONS
         signature, perturbations = compute_path_signature(medium), []
         for name in names:
             step = _choose_step(medium, name, wavelengths)
@@ -111,7 +113,7 @@ def _choose_step(medium: Medium, name: str, wavelengths: np.ndarray) -> float:
         for step in (size, -size):
             try:
                 shift_parameter(medium, name, step)
-            except ValueError:
+            except InvalidValue:
                 continue
             return step
         return 0.0

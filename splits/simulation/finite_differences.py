@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.core.validation import invalid
+from splits.core.validation import InvalidValue, invalid
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.simulation.interpolation_bounds import bound_derivative_error
@@ -76,12 +76,12 @@ def compute_finite_difference(
     estimates: dict[float, SpectralEstimate] = {}
     best: Derivatives | None = None
     one_sided: list[Derivatives] = []
-    last_error = ValueError()
+    last_error = invalid(parameter, value, "inside its range")
     for halving in range(MAX_HALVINGS + 1):
         step = first_step * 0.5**halving
         try:
             offsets, inputs = _make_stencil(medium, incidence, parameter, coordinate, step)
-        except ValueError as error:
+        except InvalidValue as error:
             last_error = error
             continue
         for x, perturbed in inputs.items():
@@ -184,7 +184,7 @@ def _make_stencil(
     ValueError
         If no stencil is within the range of the parameter.
     """
-    last_error = ValueError()
+    last_error = invalid(parameter, coordinate.to_value(coordinate.start), "inside its range")
     for offsets in STENCIL_OFFSETS:
         points = [coordinate.start + offset * step for offset in offsets]
         if coordinate.sign and min(points) < 0.0:
@@ -192,7 +192,7 @@ def _make_stencil(
         values = map(coordinate.to_value, points)
         try:
             inputs = [_perturb_input(medium, incidence, parameter, value) for value in values]
-        except ValueError as error:
+        except InvalidValue as error:
             last_error = error
         else:
             return offsets, dict(zip(points, inputs, strict=True))

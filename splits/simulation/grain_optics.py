@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from splits.kernels.base.scene import DRY_PORE, WET_PORE, Scene
-from splits.media.medium import GranularMedium, compute_absorption
+from splits.media.medium import GranularMedium
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import OpticalConstants, build_scene
@@ -34,15 +34,8 @@ class GrainOpticsRequest(NamedTuple):
 
     max_moment: int
     n_rays: int
-    seed: int
-    threads: int
     wet_pores: str
-
-
-def compute_material_constants(medium: GranularMedium, wavelengths: np.ndarray) -> OpticalConstants:
-    """Return the optical constants of a medium's materials, not of a ground."""
-    index = medium.compute_refractive_indices(wavelengths)
-    return OpticalConstants(index, compute_absorption(medium, index, wavelengths))
+    run: RunOptions
 
 
 def compute_grain_optics(
@@ -72,11 +65,10 @@ def compute_grain_optics(
     tally = SingleScatteringTally(nodes, absorption, n_orders, request.n_rays)
     tracer = IsolatedGrainTracer(scene, node_wet_fractions, n_orders)
     stop = StoppingRule(0.0, request.n_rays * len(nodes.index), fixed=True)
-    run = RunOptions.from_arguments(request.seed, request.threads)
-    simulate(tracer, tally, stop, run)
+    simulate(tracer, tally, stop, request.run)
     values = tally.compute_grain_means()
     dry, wet = absorption[:, DRY_PORE], absorption[:, WET_PORE]
-    grain_extinction = medium.make_grain_population().collision_coefficient
+    grain_extinction = medium.extinction_per_m
     values["extinction"] = grain_extinction + ((1.0 - wet_fraction) * dry + wet_fraction * wet)
     for name in list(values):
         if name.startswith("single_scattering_albedo"):

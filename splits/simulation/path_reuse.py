@@ -1,4 +1,7 @@
-"""Detection of media that share paths: alike except for absorption, the ground, and a length scale.
+"""Detection of media that share paths: of the same scene, except for the scale of its lengths.
+
+The refractive indices of grains and pores, impurities, and the albedo of a reflecting ground may
+differ, because a scene does not contain them.  Particles and their matrix must be the same.
 
 Where all lengths of a medium are s times those of another (grains, the distances between them, the
 depths of boundaries), light takes the same paths in both, s times as long.  A semi-infinite medium
@@ -9,18 +12,19 @@ share paths are found whichever parameters differ.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.media.medium import Medium, compute_absorption
+from splits.kernels.base.scene import NO_GROUND
+from splits.media.medium import Medium
 from splits.simulation.scene import (
-    OpticalConstants,
     build_scene,
+    compute_material_constants,
     compute_optical_constants,
     make_height_fields,
 )
@@ -49,7 +53,7 @@ class MediaGroup(NamedTuple):
     media_indices: np.ndarray
 
 
-def group_by_shared_paths(media: Sequence[Any], wavelength_nm: np.ndarray) -> list[MediaGroup]:
+def group_by_shared_paths(media: Sequence[Medium], wavelength_nm: np.ndarray) -> list[MediaGroup]:
     """Return media in sets that share paths, each in order of size.
 
     Parameters
@@ -86,7 +90,7 @@ def group_by_shared_paths(media: Sequence[Any], wavelength_nm: np.ndarray) -> li
 
 
 def check_path_sharing(media: Mapping[str, Medium]) -> None:
-    """Check that media differ only in absorption.
+    """Check that media share paths and have the same size.
 
     Raises
     ------
@@ -99,76 +103,62 @@ def check_path_sharing(media: Mapping[str, Medium]) -> None:
         other_signature, other_unit = compute_path_signature(medium)
         if other_signature != signature or not math.isclose(other_unit, unit):
             raise invalid(
-                f"medium[{name!r}]", medium.kind, f"like medium[{first!r}] except for absorption",
-                "grains, depths, pores and interpretation must be the same; impurities, and the "
-                "albedo of a reflecting ground, may differ",
+                f"medium[{name!r}]", medium.kind,
+                f"a medium that shares the paths of medium[{first!r}]",
+                "only refractive indices of grains and pores, impurities, and the albedo of a "
+                "reflecting ground may differ",
             )  # fmt: skip
 
 
-def compute_absorption_signature(medium: Any, wavelength_nm: np.ndarray) -> bytes:
+def compute_absorption_signature(medium: Medium, wavelength_nm: np.ndarray) -> bytes:
     """Return a hash of the optical constants of a medium and of a ground at finite depth."""
-    if math.isinf(medium.depth_m):
-        index = medium.compute_refractive_indices(wavelength_nm)
-        constants = OpticalConstants(index, compute_absorption(medium, index, wavelength_nm))
-    else:
-        constants = compute_optical_constants(medium, wavelength_nm)
+    has_ground = not medium.is_semi_infinite
+    compute = compute_optical_constants if has_ground else compute_material_constants
+    constants = compute(medium, wavelength_nm)
     return hashlib.sha256(constants.indices.tobytes() + constants.absorption.tobytes()).digest()
 
 
-def compute_path_signature(medium: Any) -> tuple[bytes, float]:
+def compute_path_signature(medium: Medium) -> tuple[bytes, float]:
     """Return a hash common to media that share paths, and the length unit of this one (m).
+
+    It covers every field of the scene, with lengths in that unit, except the ground below an
+    infinite layer: no light reaches it.
 
     Parameters
     ----------
     medium : Medium
     """
-    semi_infinite, finite = math.isinf(medium.depth_m), medium
-    if semi_infinite:
-        lowest = replace(medium.lowest_layer, depth_m=1.0)
-        finite = medium.replace_lowest_layer(lowest, medium.ground)
-    scene = build_scene(finite, 0.0, False)
+    scene, height_fields = build_scene(medium, 0.0, False), make_height_fields(medium)
     layers, types = scene.layers, scene.types
-    interfaces, height_fields = medium.list_interfaces(), make_height_fields(medium)
     # A rough surface has a length scale of its own.
     unit = float(1.0 / layers.collision_coefficient[0]) if height_fields is None else 1.0
-    boundaries = layers.boundaries / unit
-    if semi_infinite:
-        boundaries[-1] = -math.inf
-    collision_coefficient = unit * layers.collision_coefficient
-    scaled_layers = layers._replace(
-        boundaries=boundaries, collision_coefficient=collision_coefficient
+    scaled_scene = scene._replace(
+        layers=layers._replace(
+            boundaries=layers.boundaries / unit,
+            collision_coefficient=unit * layers.collision_coefficient,
+        ),
+        types=types and types._replace(inverse_semi_major=unit * types.inverse_semi_major),
+        ground_column=NO_GROUND if medium.is_semi_infinite else scene.ground_column,
     )
-    digest = hashlib.sha256()
-    for table in (
-        *scaled_layers,
-        *(types._replace(inverse_semi_major=unit * types.inverse_semi_major) if types else ()),
-        *(scene.particles or ()),
-        np.array(scene.rules, dtype=float),
-        np.array(
-            [(i.fraction, i.outer_material, i.inner_material, i.layer) for i in interfaces],
-            dtype=float,
-        ),
-        np.array(
-            [
-                len(medium.list_materials()),
-                not semi_infinite and medium.reflecting_ground is not None,
-                scene.stokes is not None,
-                scene.opaque is not None,
-                np.nan if scene.bottom_albedo is None else scene.bottom_albedo,
-            ]
-        ),
-    ):
-        digest.update(repr(np.shape(table)).encode())
-        digest.update(_round_significands(np.asarray(table, dtype=float)).tobytes())
-    names = [type(medium).__name__, *(interface.location for interface in interfaces)]
     # The matrix of particles has one index at all wavelengths and appears in no interface.
-    matrices = [
-        float(layer.matrix_index) for layer in medium.scene_layers if layer.matrix_index is not None
-    ]
-    digest.update(repr([names, matrices]).encode())
-    for table in height_fields or ():
-        digest.update(np.ascontiguousarray(table, dtype=float).tobytes())
-    return digest.digest(), unit
+    matrices = [layer.refractive_index for layer in medium.scene_layers if not layer.has_grains]
+    interfaces = zip(*medium.list_interfaces(), strict=True)
+    parts = (type(medium).__name__, len(medium.list_materials()), scaled_scene, height_fields)
+    encoded = map(_encode, (*parts, matrices, *interfaces))
+    return hashlib.sha256(b"".join(itertools.chain.from_iterable(encoded))).digest(), unit
+
+
+def _encode(value: Any) -> Iterator[bytes]:
+    """Yield the class and the fields of a named tuple, numbers with their last digits rounded."""
+    if hasattr(value, "_fields"):
+        yield type(value).__name__.encode()
+        for item in value:
+            yield from _encode(item)
+        return
+    table = np.asarray(value)
+    yield repr(table.shape).encode()
+    is_numeric = table.dtype.kind in "biuf"
+    yield _round_significands(table).tobytes() if is_numeric else repr(table.tolist()).encode()
 
 
 def _round_significands(values: np.ndarray) -> np.ndarray:

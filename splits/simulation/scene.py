@@ -14,12 +14,16 @@ from splits.kernels.optics.source import Source
 from splits.kernels.optics.stokes import UNPOLARIZED
 from splits.kernels.rough_surface.realization import HeightFields
 from splits.kernels.transport.rough_top import MAX_HEIGHT_SIGMA
+from splits.materials.lookup import absorption_coefficient
 from splits.media.interpretations import Interpretation
-from splits.media.medium import Layer, Medium, compute_absorption
+from splits.media.medium import Layer, Medium, ParticleMedium
 
 COLLISION_COEFFICIENT_RANGE = (1e-12, 1e300)
 """Scatterings per metre of a layer without particles, so that its mean free path is finite, and of
 an opaque layer."""
+
+N_PORE_MATERIALS = 2
+"""Number of materials for dry and wet pores; they precede those of other pore fluids."""
 
 
 class OpticalConstants(NamedTuple):
@@ -54,13 +58,38 @@ def count_length_columns(medium: Medium) -> int:
     return len(medium.list_materials()) + (medium.reflecting_ground is not None)
 
 
+def compute_material_constants(medium: Medium, wavelength_nm: np.ndarray) -> OpticalConstants:
+    """Return the optical constants of a medium's materials, with impurities, at wavelengths (nm).
+
+    The absorption applies to path lengths as recorded by the kernels.
+    """
+    index = medium.compute_refractive_indices(wavelength_nm)
+    absorption = absorption_coefficient(index, wavelength_nm[:, np.newaxis])
+    absorption *= compute_path_fractions(medium)
+    added = [layer.compute_added_absorption(wavelength_nm) for layer in medium.scene_layers]
+    return OpticalConstants(index, absorption + np.concatenate(added, axis=1))
+
+
+def compute_path_fractions(medium: Medium) -> np.ndarray:
+    """Return the fraction of the recorded path length that lies in each material.
+
+    Kernels record whole segments between grains.  Between point grains only a fraction of a segment
+    is pore space (see `splits.media.medium.GranularMedium.pore_fraction`).
+    """
+    fractions = []
+    for layer in medium.scene_layers:
+        layer_fractions = np.ones(len(layer.list_materials()))
+        layer_fractions[: N_PORE_MATERIALS + len(layer.pores)] = layer.pore_fraction
+        fractions.append(layer_fractions)
+    return np.concatenate(fractions)
+
+
 def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> OpticalConstants:
     """Return the optical constants of a medium and its ground at wavelengths (nm)."""
-    index = medium.compute_refractive_indices(wavelength_nm)
-    absorption = compute_absorption(medium, index, wavelength_nm)
+    index, absorption = constants = compute_material_constants(medium, wavelength_nm)
     ground = medium.reflecting_ground
     if ground is None:
-        return OpticalConstants(index, absorption)
+        return constants
     return OpticalConstants(
         np.pad(index, ((0, 0), (0, 1)), constant_values=1.0),
         np.column_stack([absorption, ground.optical_depth(wavelength_nm)]),
@@ -69,7 +98,7 @@ def compute_optical_constants(medium: Medium, wavelength_nm: np.ndarray) -> Opti
 
 def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Scene:
     """Return an illuminated medium; `analog` samples absorption at each segment."""
-    media: Sequence[Any] = medium.scene_layers
+    media = medium.scene_layers
     granular = [layer for layer in media if layer.has_grains]
     particle_layers = [layer for layer in media if not layer.has_grains]
     first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
@@ -93,7 +122,7 @@ def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Sce
 
 
 def _make_layers(
-    media: Sequence[Any],
+    media: Sequence[Layer],
     populations: Sequence[GrainPopulation | None],
     first_materials: np.ndarray,
     height_fields: HeightFields | None,
@@ -108,8 +137,8 @@ def _make_layers(
         boundaries[0] = MAX_HEIGHT_SIGMA * np.linalg.norm(height_fields.rms_height)
     return Layers(
         boundaries=boundaries,
-        collision_coefficient=np.array(
-            list(map(_get_collision_coefficient, media, populations)), dtype=float
+        collision_coefficient=np.clip(
+            [layer.extinction_per_m for layer in media], *COLLISION_COEFFICIENT_RANGE
         ),
         wet_fraction=np.array([float(layer.wet_fraction) for layer in media]),
         type_cdf=np.array([np.pad(cdf, (0, max_types - len(cdf)), "edge") for cdf in type_cdfs]),
@@ -118,13 +147,6 @@ def _make_layers(
         pore_cdf=_compute_pore_cdf(media),
         particle_row=_find_particle_rows(media),
     )
-
-
-def _get_collision_coefficient(layer: Any, grains: GrainPopulation | None) -> float:
-    """Return the expected number of collisions per metre in a layer."""
-    if grains is not None:
-        return grains.collision_coefficient
-    return float(np.clip(layer.extinction_per_m, *COLLISION_COEFFICIENT_RANGE))
 
 
 def _compute_pore_cdf(media: Sequence[Layer]) -> np.ndarray:
@@ -162,7 +184,7 @@ def _find_particle_rows(media: Sequence[Layer]) -> np.ndarray:
     return np.where(has_particles, np.cumsum(has_particles) - 1, NO_PARTICLES)
 
 
-def make_particle_table(layers: Sequence[Any]) -> ParticleScattering:
+def make_particle_table(layers: Sequence[ParticleMedium]) -> ParticleScattering:
     """Return the table of the particles of these layers."""
     phase_functions = [layer.kernel_phase_function for layer in layers]
     n_columns = max(len(phase.cosines) for phase in phase_functions)

@@ -1,8 +1,7 @@
 """Media that share paths, and the rows of their spectra.
 
 The lengths of a path in the materials give its weight for any absorption (SPLITSnow Eqs 5-6), so
-that one ensemble of paths gives results for every medium with the same grains, layers and
-refractive indices.
+that one ensemble of paths gives results for every medium with the same grains and layers.
 """
 
 from __future__ import annotations
@@ -20,9 +19,12 @@ from splits.simulation.scene import (
     compute_optical_constants,
 )
 
+GROUND_DERIVATIVE = -1
+"""Position of the derivative to the absorption of a ground, after those to parameters."""
+
 
 class PathSharingMedia(NamedTuple):
-    """Media that share paths: alike except for absorption, the ground, and a length scale.
+    """Media that share paths, see `splits.simulation.path_reuse`.
 
     Where all lengths of a medium are s times those of another, light takes the same paths in both,
     s times as long, which is equivalent to s times the absorption per metre.
@@ -33,19 +35,29 @@ class PathSharingMedia(NamedTuple):
         Rays are traced in the first.
     size_ratios : float, shape (media,)
         Sizes in units of the first's.
+    n_perturbed : int
+        Number of media, the last ones, that have no spectra of their own: each has one parameter of
+        the first changed, for a derivative.
     """
 
     media: tuple[Medium, ...]
     size_ratios: np.ndarray
+    n_perturbed: int = 0
 
     @classmethod
     def from_media(cls, media: Sequence[Medium]) -> PathSharingMedia:
         """Return path-sharing media of equal size."""
         return cls(tuple(media), np.ones(len(media)))
 
-    def select(self, selection: slice) -> PathSharingMedia:
-        """Return a subset of the media."""
-        return PathSharingMedia(self.media[selection], self.size_ratios[selection])
+    @property
+    def n_reported(self) -> int:
+        """Number of media that are not perturbed."""
+        return len(self.media) - self.n_perturbed
+
+    def split(self) -> tuple[PathSharingMedia, PathSharingMedia]:
+        """Return the media that are not perturbed, and the perturbed ones."""
+        media, ratios, n = self.media, self.size_ratios, self.n_reported
+        return PathSharingMedia(media[:n], ratios[:n]), PathSharingMedia(media[n:], ratios[n:])
 
     def compute_constants(self, wavelength_nm: np.ndarray) -> list[OpticalConstants]:
         """Return the optical constants of each at wavelengths (nm), in units of the first's size.
@@ -53,7 +65,7 @@ class PathSharingMedia(NamedTuple):
         The optical depth of a ground is not scaled.
         """
         scaled = []
-        for medium, size_ratio in zip(*self, strict=True):
+        for medium, size_ratio in zip(self.media, self.size_ratios, strict=True):
             constants = compute_optical_constants(medium, wavelength_nm)
             absorption = size_ratio * constants.absorption
             if medium.reflecting_ground is not None:
@@ -121,7 +133,8 @@ class SpectralRows:
             Changes of the parameters.
         wavelength_nm : float, shape (rows,)
         ground_column : int
-            Column of a ground; the last derivative is to its absorption.  `NO_GROUND` for none.
+            Column of a ground, to whose absorption a derivative is added at `GROUND_DERIVATIVE`;
+            `NO_GROUND` for none.
         """
         perturbed_absorption = [
             one.absorption for one in perturbed.compute_constants(wavelength_nm)
@@ -132,5 +145,5 @@ class SpectralRows:
         ]
         if ground_column != NO_GROUND:
             derivatives.append(np.zeros_like(self.absorption))
-            derivatives[-1][:, ground_column] = 1.0
+            derivatives[GROUND_DERIVATIVE][:, ground_column] = 1.0
         return replace(self, absorption_derivatives=np.stack(derivatives))

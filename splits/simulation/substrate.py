@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from splits.kernels.base.scene import DRY_PORE, WET_PORE
 from splits.media.ground import Ground
-from splits.media.medium import GranularMedium, Medium, compute_absorption
+from splits.media.medium import GranularMedium, Medium
 from splits.simulation.diffusion import (
     DiffusiveSubstrate,
     diffuse_reflectance,
     effective_mean_free_path,
 )
+from splits.simulation.scene import compute_material_constants
 from splits.simulation.truncated_medium import ERROR_BUDGET_FRACTION, THEORY_UNCERTAINTY
 
 MAX_DECAY_EXPONENT = 5.0
@@ -65,7 +65,7 @@ class DiffusionProperties(NamedTuple):
         )
 
     def compute_truncation_depth(
-        self, lowest_layer: Any, max_stderr: float, undisturbed_depth_m: float = 0.0
+        self, lowest_layer: GranularMedium, max_stderr: float, undisturbed_depth_m: float = 0.0
     ) -> float:
         """Return the truncation depth below the top of the lowest layer (m).
 
@@ -84,7 +84,7 @@ class DiffusionProperties(NamedTuple):
         return np.maximum(self.decay_rate, 1e-9 / truncation_depth_m)
 
     def is_truncation_worthwhile(
-        self, lowest_layer: Any, max_stderr: float, margin: float = 1.0
+        self, lowest_layer: GranularMedium, max_stderr: float, margin: float = 1.0
     ) -> bool:
         """Return whether truncation saves time in a finite layer, or may, within a margin."""
         depth = self.compute_truncation_depth(lowest_layer, max_stderr)
@@ -125,9 +125,8 @@ class SubstrateResponse(NamedTuple):
         depth = float(medium.lowest_layer.depth_m) / size_ratio
         rate = properties.compute_regularized_rate(truncation_depth_m)
         diffusion = properties.diffusion_coefficient
-        ground = Ground.from_input(medium.ground)  # type: ignore[union-attr]
-        is_open = ground is None or math.isinf(depth)
-        albedo = np.zeros_like(rate) if is_open else ground.albedo(wavelengths)  # type: ignore[union-attr]
+        ground = None if medium.is_semi_infinite else medium.ground
+        albedo = np.zeros_like(rate) if ground is None else ground.albedo(wavelengths)
         substrate = DiffusiveSubstrate(
             rate * diffusion,
             rate * (depth - truncation_depth_m),
@@ -135,7 +134,7 @@ class SubstrateResponse(NamedTuple):
         )
         lossless = properties.coalbedo <= 0.0
         reflected = np.where(
-            lossless & (math.isinf(depth) | (albedo == 1.0)),
+            lossless & (medium.is_semi_infinite | (albedo == 1.0)),
             1.0,
             substrate.compute_reflected_fraction(),
         )
@@ -151,8 +150,7 @@ class SubstrateResponse(NamedTuple):
 def _has_absorption_above(medium: Medium, wavelengths: np.ndarray) -> np.ndarray:
     """Return at which wavelengths a layer above the lowest one may absorb."""
     n_materials_above = len(medium.list_materials()) - len(medium.lowest_layer.list_materials())
-    index = medium.compute_refractive_indices(wavelengths)
-    absorption = compute_absorption(medium, index, wavelengths)
+    absorption = compute_material_constants(medium, wavelengths).absorption
     particles_absorb = [layer.single_scattering_albedo < 1.0 for layer in medium.scene_layers]
     materials_absorb = (absorption[:, :n_materials_above] > 0.0).any(axis=1)
     return np.asarray(materials_absorb | any(particles_absorb))

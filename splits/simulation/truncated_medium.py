@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.media.medium import Medium
+from splits.simulation.spectral_rows import GROUND_DERIVATIVE, PathSharingMedia
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 
 THEORY_UNCERTAINTY = 0.3
@@ -21,8 +21,8 @@ class TruncatedMedium(NamedTuple):
 
     Attributes
     ----------
-    media : tuple of Medium
-        Down to the truncation depth, over grounds that replace the rest.
+    path_sharing : PathSharingMedia
+        Media down to the truncation depth, over grounds that replace the rest.
     depth_m : float
         Truncation depth (m).
     transmitted_fraction : float, shape (media, wavelengths)
@@ -39,7 +39,7 @@ class TruncatedMedium(NamedTuple):
         the requested error, by diffusion theory (m).
     """
 
-    media: tuple[Medium, ...]
+    path_sharing: PathSharingMedia
     depth_m: float
     transmitted_fraction: np.ndarray
     conservative: np.ndarray
@@ -48,8 +48,8 @@ class TruncatedMedium(NamedTuple):
     semi_infinite_depth_m: float
 
     def complete_estimate(self, above: SpectralEstimate) -> SpectralEstimate:
-        """Return the estimate of the whole medium from that of the part above."""
-        n_media = above.mean.shape[1] // self.transmitted_fraction.shape[1]
+        """Return the estimate of whole media, but for the perturbed ones, from the parts above."""
+        n_media = self.path_sharing.n_reported
         transmitted_fraction, conservative, escape = (
             x[:n_media].ravel()
             for x in (self.transmitted_fraction, self.conservative, self.escape_probability)
@@ -92,7 +92,7 @@ class TruncatedMedium(NamedTuple):
         )
 
     def complete_derivatives(self, above: SpectralEstimate, steps: np.ndarray) -> Derivatives:
-        """Return derivatives of the whole medium from those of the part above.
+        """Return derivatives of the whole first medium from those of the part above.
 
         Changes of the reflectance and transmittance of the rest follow from diffusion theory, whose
         relative uncertainty applies to them.
@@ -100,8 +100,8 @@ class TruncatedMedium(NamedTuple):
         step = steps[:, np.newaxis]
         ground_change = (self.ground_absorption[1:] - self.ground_absorption[0]) / step
         transmitted_change = (self.transmitted_fraction[1:] - self.transmitted_fraction[0]) / step
-        along_paths = above.derivatives.select(slice(None, -1))
-        ground_mean = above.derivatives.mean[:, -1:]
+        along_paths = above.derivatives.select(slice(None, GROUND_DERIVATIVE))
+        ground_mean = above.derivatives.mean[:, GROUND_DERIVATIVE, np.newaxis]
         entering, transmitted_fraction = above.mean[1], self.transmitted_fraction[0]
         scale = np.stack([np.ones_like(transmitted_fraction), transmitted_fraction])[:, np.newaxis]
         theory_term = np.stack([np.zeros_like(transmitted_change), entering * transmitted_change])

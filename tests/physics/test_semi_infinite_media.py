@@ -15,14 +15,16 @@ from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.diffusion import DiffusiveSubstrate, diffuse_reflectance
 from splits.simulation.grain_optics import (
     GrainOpticsRequest,
-    compute_material_constants,
     pool_optics_by_type,
 )
+from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import compute_material_constants
 from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK, WEIGHTED_MEANS
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import THEORY_UNCERTAINTY
 
 CLEAR = {"ice": 1.31, "water": 1.33}
+RUN = RunOptions.from_arguments(1, 2)
 WAVELENGTHS = np.array([450.0, 700.0, 850.0, 1000.0])
 FINE = {"grain_size_um": (50.0, 100.0), "density_kg_m3": 300.0}
 MEDIA = {
@@ -48,14 +50,14 @@ def truncate_always(monkeypatch):
 def test_truncated_medium_agrees_with_complete_medium(truncate_always, monkeypatch, name):
     """Truncated for 2 % but traced to a smaller error: the difference is that of theory."""
     medium = MEDIA[name]
-    truncated = truncate_deep_medium(PathSharingMedia.from_media([medium]), WAVELENGTHS, 0.02, 1, 2)
+    truncated = truncate_deep_medium(PathSharingMedia.from_media([medium]), WAVELENGTHS, 0.02, RUN)
     assert truncated is not None
     assert truncated.depth_m < 0.7 * medium.depth_m
     monkeypatch.setattr(deep_medium, "MIN_DEPTH_MFP", math.inf)
     for seed, incidence in ((2, 0.0), (3, "diffuse")):
         run, reference = (
             splits.spectrophotometer(traced, WAVELENGTHS, incidence, 0.0015, seed)
-            for traced in (truncated.media[0], medium)
+            for traced in (truncated.path_sharing.media[0], medium)
         )
         transmittance = run.transmittance.values
         theory_errors = {
@@ -97,12 +99,12 @@ def test_pilot_run_does_not_change_the_decision(monkeypatch, max_stderr):
         splits.Snow(**FINE, saturation=0.0, depth_m=2.0),
     ]
     with_pilot = [
-        truncate_deep_medium(PathSharingMedia.from_media([medium]), WAVELENGTHS, max_stderr, 1, 2)
+        truncate_deep_medium(PathSharingMedia.from_media([medium]), WAVELENGTHS, max_stderr, RUN)
         for medium in media
     ]
     monkeypatch.setattr(deep_medium, "PILOT_MARGIN", math.inf)
     without_pilot = [
-        truncate_deep_medium(PathSharingMedia.from_media([medium]), WAVELENGTHS, max_stderr, 1, 2)
+        truncate_deep_medium(PathSharingMedia.from_media([medium]), WAVELENGTHS, max_stderr, RUN)
         for medium in media
     ]
     assert [truncated and truncated.depth_m for truncated in with_pilot] == [
@@ -114,7 +116,7 @@ def test_pilot_run_does_not_change_the_decision(monkeypatch, max_stderr):
     monkeypatch.setattr(deep_medium, "pool_optics_by_type", lambda *_: calls.append(1))
     assert (
         truncate_deep_medium(
-            PathSharingMedia.from_media([splits.Sand()]), WAVELENGTHS, max_stderr, 1, 2
+            PathSharingMedia.from_media([splits.Sand()]), WAVELENGTHS, max_stderr, RUN
         )
         is None
     )
@@ -168,7 +170,7 @@ def test_rare_absorbing_grains_are_included():
     """One grain in 20 000 absorbs, and dominates absorption; a small sample contains none."""
     sand = splits.Sand(iron_oxide=0.0, magnetite=1e-4, partition=(1.0, 0.0, 0.0))
     truncated = truncate_deep_medium(
-        PathSharingMedia.from_media([sand]), np.array([600.0]), 0.005, 1, 2
+        PathSharingMedia.from_media([sand]), np.array([600.0]), 0.005, RUN
     )
     assert truncated is not None
     assert truncated.transmitted_fraction[0, 0] < 0.5
@@ -197,7 +199,7 @@ def test_pooled_optics_of_types_equal_the_mixture():
     pooled = pool_optics_by_type(
         sand,
         compute_material_constants(sand, light),
-        GrainOpticsRequest(1, 50 * GRAIN_RAYS_PER_CHUNK, 1, 2, "equilibrium"),
+        GrainOpticsRequest(1, 50 * GRAIN_RAYS_PER_CHUNK, "equilibrium", RUN),
     )
     mixed = splits.single_scattering(
         sand, light, 1, 50 * GRAIN_RAYS_PER_CHUNK, 2, wet_pores="equilibrium"

@@ -202,11 +202,11 @@ class SimulationConfig(ConfigSection):
         if instrument.kind in SURFACE_INSTRUMENTS and not is_rough:
             given = kind if not is_layer else "a layer without surface"
             raise invalid("medium.kind", given, f"a layer with a surface for {instrument.kind}")
-        is_semi_infinite = math.isinf(medium.depth_m)
-        if is_semi_infinite and (
+        is_traceable = not (medium.is_semi_infinite and medium.lowest_layer.has_grains)
+        if not is_traceable and (
             instrument.kind not in SEMI_INFINITE_INSTRUMENTS or instrument.estimator == "analog"
         ):
-            hint = "only the spectrophotometer measures semi-infinite media"
+            hint = "semi-infinite media require the spectrophotometer and its estimator spectral"
             raise invalid("medium.depth_m", math.inf, "finite", hint)
         if instrument.estimator == "next_event":
             with key_prefix("instrument"):

@@ -76,7 +76,7 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
     absorption : float64[wavelengths, materials]
         Absorption coefficients (1/m) of recorded path lengths; −ln of the albedo for a ground.
     path_fractions : float64[materials]
-        Ratio of path length to recorded length, see `splits.media.medium.compute_path_fractions`.
+        Path over recorded length, see `splits.simulation.scene.compute_path_fractions`.
     n_layers : int
     ground_column : int
         Column of the ground, see `scene.Scene`.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.base.ray import make_ray
+from splits.kernels.base.ray import ALIVE, make_ray
 from splits.kernels.base.scene import Optics, Scene
 from splits.kernels.base.work import FIRST_RAY, N_RAYS, NO_MAX_ORDER, STREAM
 from splits.kernels.compiler.jit import entry_point, inline
@@ -21,7 +21,6 @@ from splits.kernels.grains.spheroid import sample_entry_point
 from splits.kernels.grains.state import sample_entry_variates, sample_grain
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN, UP, dot
-from splits.kernels.tallies.exits import ALIVE
 
 N_SCATTERING_BATCHES = 16
 """Batches of rays for the standard errors of derived quantities, known to 18 %."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from splits.kernels.base.ray import ABSORBED
 from splits.kernels.base.sampling_rules import OVERLAP_KEEP, OVERLAP_SKIP
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
@@ -20,7 +21,6 @@ from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
 from splits.kernels.math.vectors import UP
 from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.tallies.exits import ABSORBED
 
 
 class GrainSample(NamedTuple):

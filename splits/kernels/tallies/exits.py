@@ -23,18 +23,6 @@ from splits.kernels.math.elementary import exp_float32
 from splits.kernels.math.vectors import store_vector
 from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY, CROSSING_WEIGHT
 
-ABSORBED = 0
-"""The history ended without an exit: by absorption, roulette, or the maximum order of
-scattering."""
-REFLECTED = 1
-TRANSMITTED = 2
-LOST = 3
-"""Lost ray: no grain was accepted, no intersection with a surface was found, or a rough surface
-extends below the top layer.  This should not happen and is reported."""
-ALIVE = 4
-TO_GROUND = 5
-"""The ray reached the ground, or the Lambertian bottom in contact with the lowest layer."""
-
 EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
 EXIT_WEIGHT = 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from splits.kernels.base.ray import ABSORBED, ALIVE, REFLECTED, TO_GROUND, TRANSMITTED
 from splits.kernels.base.scene import NO_GROUND, NO_PARTICLES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
@@ -20,7 +21,6 @@ from splits.kernels.optics.scattering import (
     sample_scattering,
 )
 from splits.kernels.optics.stokes import make_unpolarized
-from splits.kernels.tallies.exits import ABSORBED, ALIVE, REFLECTED, TO_GROUND, TRANSMITTED
 from splits.kernels.transport.flight import find_adjacent_layer, record_crossing
 from splits.kernels.transport.next_event import score_ground, score_scattering
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from splits.kernels.base.ray import Segment, compute_position
+from splits.kernels.base.ray import ALIVE, LOST, Segment, compute_position
 from splits.kernels.base.scene import NO_PARTICLES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
@@ -38,7 +38,6 @@ from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.rough_surface.realization import SurfaceSlope
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing
-from splits.kernels.tallies.exits import ALIVE, LOST
 
 COLLISION, BOUNDARY, ROUGH_TOP, NO_EVENT = range(4)
 """Kinds of events: a grain or a particle, a layer boundary, the rough top, or none was found."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.kernels.base.ray import make_ray
+from splits.kernels.base.ray import ABSORBED, ALIVE, LOST, REFLECTED, TO_GROUND, make_ray
 from splits.kernels.base.work import FIRST_RAY, MAX_ORDER, N_RAYS, STREAM
 from splits.kernels.compiler.jit import entry_point, inline_only
 from splits.kernels.math.rng import start_stream, uniform
@@ -32,16 +32,7 @@ from splits.kernels.tallies.crossings import (
     has_capacity,
     set_current_ray,
 )
-from splits.kernels.tallies.exits import (
-    ABSORBED,
-    ALIVE,
-    EXIT_LENGTH,
-    LOST,
-    REFLECTED,
-    TO_GROUND,
-    BatchResult,
-    record_exit,
-)
+from splits.kernels.tallies.exits import EXIT_LENGTH, BatchResult, record_exit
 from splits.kernels.transport.events import (
     apply_roulette,
     collide,

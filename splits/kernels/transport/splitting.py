@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.base.ray import Ray
+from splits.kernels.base.ray import ALIVE, LOST, REFLECTED, TRANSMITTED, Ray
 from splits.kernels.base.work import FIRST_RAY, N_RAYS, NO_MAX_ORDER, STREAM
 from splits.kernels.compiler.jit import entry_point, inline_allocating
 from splits.kernels.compiler.replace import replace
 from splits.kernels.math.rng import mix64, start_stream, uniform
-from splits.kernels.tallies.exits import ALIVE, LOST, REFLECTED, TRANSMITTED, BatchStats
+from splits.kernels.tallies.exits import BatchStats
 from splits.kernels.transport.history import sample_source, trace_history
 from splits.kernels.transport.weight_window import WeightWindow, compute_relative_weight
 

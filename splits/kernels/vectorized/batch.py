@@ -146,7 +146,7 @@ def handle_waiting_lanes(state, all_path_lengths, width, job, crossings, exits, 
         status = lane.status
         if status < lane_state.AT_BOUNDARY:
             continue
-        if status == lane_state.LOST:
+        if status == lane_state.LANE_LOST:
             return replace(queue, lost=True)
         if status == lane_state.IDLE and queue.next_ray == queue.n_rays:
             continue

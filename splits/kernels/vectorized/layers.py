@@ -190,5 +190,5 @@ def reflect_from_ground(lane, job, path_lengths, crossings):
     lane.n_rejected = ZERO
     lane.status = lane_state.IN_FLIGHT if entered else lane_state.AT_GROUND
     if lane.order >= lane.max_order:
-        lane.status = lane_state.ABSORBED
+        lane.status = lane_state.LANE_ABSORBED
     lane.order += 1

@@ -93,10 +93,10 @@ def test_opaque_grains_transmit_by_beer_lambert(entry):
                 mu,
             )
             work = np.array([ensemble, 0, rays, NO_MAX_ORDER])
-            batch = history.trace_batch(seed + 10 * analog, work, scene, optics, exits, None, None)
-            assert not batch.lost
+            result = history.trace_rays(seed + 10 * analog, work, scene, optics, exits, None, None)
+            assert not result.lost
             moments, min_weights, _ = tally_weights(
-                exits, batch.crossings, absorption[np.newaxis], not analog, NO_GROUND
+                exits, result.crossings, absorption[np.newaxis], not analog, NO_GROUND
             )
             assert min_weights[0] == 0.0
             assert moments[0].max() < 1e-9

@@ -1,6 +1,6 @@
 """Single scattering and absorption by an isolated grain, tallied over many rays.
 
-The grain is sampled and traced as in `history.trace_batch`, but alone: no boundary and no previous
+The grain is sampled and traced as in `history.trace_rays`, but alone: no boundary and no previous
 path segment can reject it (SPLITS 4.3.3-4.3.4).
 """
 

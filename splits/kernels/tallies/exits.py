@@ -7,7 +7,7 @@ exponential as the survival probability).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,29 +45,41 @@ that even the smallest first round of a stratum reaches all.  The relative uncer
 error from 32 batches is 13 %."""
 
 
-class BatchStats(NamedTuple):
-    """Number of path segments of a batch of rays, and whether it ended early on a lost ray."""
-
-    n_segments: int
-    lost: bool
-
-
-class BatchResult(NamedTuple):
-    """Result of a batch of rays: its cost and the crossing records.
+class TraceResult(NamedTuple):
+    """Result of a kernel call besides its exits or scores: its cost and the crossing records.
 
     Attributes
     ----------
-    n_segments : int or int64[items]
-        Path segments, a measure of the cost.
+    n_segments : int64[items]
+        Path segments of each work item, a measure of the cost.
     lost : bool
-        The batch ended early because a ray was lost.
-    crossings : float64[crossings, columns]
-        See `splits.kernels.tallies.crossings`.
+        The call ended early because a ray was lost.
+    crossings : float64[crossings, columns], or None
+        See `splits.kernels.tallies.crossings`; None from kernels that record none.
     """
 
-    n_segments: int
+    n_segments: np.ndarray
     lost: bool
-    crossings: np.ndarray
+    crossings: Any
+
+
+class WeightSums(NamedTuple):
+    """Sums of the weights of rays at every wavelength.
+
+    Attributes
+    ----------
+    moments : float64[3, 3, wavelengths]
+        Over rays, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
+    min_weight : float64[wavelengths]
+        Smallest exit weight of any ray; 0 if one did not leave.
+    blocks : float32[blocks, 2, wavelengths]
+        Σ weight of every `BLOCK_SIZE` successive rays; the last block may have fewer.  Blocks in
+        excess of `N_BATCHES` are added to the first ones in turn.
+    """
+
+    moments: np.ndarray
+    min_weight: np.ndarray
+    blocks: np.ndarray
 
 
 def allocate_exits(n_rays: int, n_materials: int, n_extra_columns: int = 0) -> np.ndarray:
@@ -113,20 +125,14 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
 
     Returns
     -------
-    moments : float64[3, 3, wavelengths]
-        Over rays, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
-    minimum : float64[wavelengths]
-        Smallest exit weight of any ray; 0 if one did not leave.
-    blocks : float32[blocks, 2, wavelengths]
-        Σ weight of every `BLOCK_SIZE` successive rays; the last block may have fewer.  Blocks in
-        excess of `N_BATCHES` are added to the first ones in turn.
+    WeightSums
     """
     wavelengths = absorption.shape[0]
     moments = np.zeros((3, 3, wavelengths))
     rays = exits.shape[0]
     blocks = np.zeros((min(-(-rays // BLOCK_SIZE), N_BATCHES), 2, wavelengths), dtype=np.float32)
     previous = np.zeros((2, wavelengths))
-    minimum = np.full(wavelengths, np.inf)
+    min_weight = np.full(wavelengths, np.inf)
     alpha = transpose_absorption(absorption)
     if not weighted:
         alpha[:] = ZERO
@@ -139,13 +145,13 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
         if ground_column < 0 or (side <= 0 and not reaches_ground):
             # Fast path for rays that never reached a ground, most rays in deep media.
             if side < 0:
-                minimum[:] = 0.0
+                min_weight[:] = 0.0
             else:
                 compute_path_weights(lengths, weight, alpha, sides[side])
                 score_moments(moments[side], sides[side])
                 if ground_column >= 0:
                     score_moments(moments[2], sides[side])
-                update_minimum(minimum, sides[side])
+                update_minimum(min_weight, sides[side])
         else:
             sides[:] = ZERO
             if side >= 0:
@@ -156,7 +162,7 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
             for i in range(wavelengths):
                 sides[0, i] += sides[1, i]
             score_moments(moments[2], sides[0])
-            update_minimum(minimum, sides[0])
+            update_minimum(min_weight, sides[0])
         if (j + 1) % BLOCK_SIZE == 0 or j + 1 == rays:
             for side in range(2):
                 for i in range(wavelengths):
@@ -169,7 +175,7 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
             moments[2, 0, i] = moments[0, 0, i] + moments[1, 0, i]
             moments[2, 1, i] = moments[0, 1, i] + moments[1, 1, i]
             moments[2, 2, i] = max(moments[0, 2, i], moments[1, 2, i])
-    return moments, minimum, blocks
+    return WeightSums(moments, min_weight, blocks)
 
 
 @inline_allocating
@@ -230,7 +236,7 @@ def score_moments(moments, weight):
 
 
 @inline
-def update_minimum(minimum, weight):
+def update_minimum(min_weight, weight):
     """Update the smallest weights with those of a ray."""
     for i in range(weight.size):
-        minimum[i] = min(minimum[i], weight[i] * ONE)
+        min_weight[i] = min(min_weight[i], weight[i] * ONE)

@@ -12,7 +12,7 @@ from splits.kernels.tallies.angular import WEIGHT, WEIGHT_SQUARED, compute_path_
 from splits.kernels.tallies.exits import EXIT_ORDER, EXIT_POSITION, EXIT_SIDE
 
 
-class RadialTally(NamedTuple):
+class RadialSums(NamedTuple):
     """Distributions of exit positions, for the reflected and the transmitted side.
 
     Attributes
@@ -56,7 +56,7 @@ def tally_radial(
 
     Returns
     -------
-    RadialTally
+    RadialSums
     """
     wavelengths = absorption.shape[0]
     radial = np.zeros((2, wavelengths, n_bins))
@@ -90,4 +90,4 @@ def tally_radial(
                 for column in (across, mirrored):
                     exit_map[WEIGHT, side, i, along, column] += 0.5 * weight
                     exit_map[WEIGHT_SQUARED, side, i, along, column] += 0.25 * weight * weight
-    return RadialTally(radial, first_moment, exit_map)
+    return RadialSums(radial, first_moment, exit_map)

@@ -20,7 +20,7 @@ from splits.kernels.base.work import FIRST_RAY, N_RAYS, NO_MAX_ORDER, STREAM
 from splits.kernels.compiler.jit import entry_point, inline_allocating
 from splits.kernels.compiler.replace import replace
 from splits.kernels.math.rng import mix64, start_stream, uniform
-from splits.kernels.tallies.exits import BatchStats
+from splits.kernels.tallies.exits import TraceResult
 from splits.kernels.transport.history import sample_source, trace_history
 from splits.kernels.transport.weight_window import WeightWindow, compute_relative_weight
 
@@ -64,7 +64,7 @@ def split(state, split_ray, relative_weight, bank):
 
 @inline_allocating
 def trace_history_with_splitting(state, source_ray, scene, optics, kappa, profile):
-    """Trace a ray and its progeny, see `trace_batch_with_splitting`."""
+    """Trace a ray and its progeny, see `trace_with_splitting`."""
     path_lengths = np.zeros(optics.n.size)
     reflected, transmitted, n_segments = 0.0, 0.0, 0
     bank = [source_ray]
@@ -98,7 +98,7 @@ def trace_history_with_splitting(state, source_ray, scene, optics, kappa, profil
 
 
 @entry_point
-def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profile):
+def trace_with_splitting(seed, work, scene, optics, kappa, moments, profile):
     """Trace rays with splitting, and tally the moments of the weight of each history.
 
     Parameters
@@ -119,9 +119,10 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
 
     Returns
     -------
-    BatchStats
+    TraceResult
+        Without crossings.
     """
-    n_segments = 0
+    n_segments = np.zeros(1, dtype=np.int64)
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[FIRST_RAY], work[FIRST_RAY] + work[N_RAYS]):
         start_stream(state, seed, work[STREAM], number)
@@ -130,11 +131,11 @@ def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profil
         ray = replace(ray, next_roulette=math.inf)
         source_ray = SplitRay(ray, 1.0, state[0])
         score = trace_history_with_splitting(state, source_ray, scene, optics, kappa, profile)
-        n_segments += score.n_segments
+        n_segments[0] += score.n_segments
         if score.lost:
-            return BatchStats(n_segments, True)
+            return TraceResult(n_segments, True, None)
         for row, weight in ((0, score.reflected), (1, score.transmitted)):
             moments[row, 0] += weight
             moments[row, 1] += weight * weight
             moments[row, 2] = max(moments[row, 2], weight)
-    return BatchStats(n_segments, False)
+    return TraceResult(n_segments, False, None)

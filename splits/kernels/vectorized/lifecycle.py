@@ -25,14 +25,14 @@ from splits.kernels.vectorized.lane_rng import draw_uniform
 from splits.kernels.vectorized.lane_state import N_LANES, STATE_SIZE, STRIDE, Lane
 
 
-class BatchJob(NamedTuple):
-    """Work of a batch, with its scene.
+class TraceJob(NamedTuple):
+    """Work of a kernel call, with its scene.
 
     Attributes
     ----------
     seed : int
     work : int64[items, 4]
-        See `splits.kernels.vectorized.batch.trace_batch`.
+        See `splits.kernels.vectorized.trace.trace_rays`.
     scene : Scene
     optics : Optics
         With a row for each item.

@@ -45,14 +45,14 @@ class SplittingTracer(Tracer):
         RuntimeError
             If no grain fits between the boundaries along a ray.
         """
-        moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
-        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk])
+        moments, profile = np.zeros(3), np.zeros((2, N_DEPTH_SLICES))
+        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk, stratum.max_order])
         result = trace_with_splitting(
             seed, work, self.scene, stratum.optics, stratum.splitting_rate, moments, profile
         )
         if result.lost:
             raise RuntimeError("no grain fits between the boundaries along a ray")
-        return (moments[1], profile), int(result.n_segments[0])
+        return (moments, profile), int(result.n_segments[0])
 
 
 class TransmittanceTally(Tally):

@@ -13,7 +13,7 @@ import numpy as np
 
 from splits.kernels.base.ray import ALIVE, make_ray
 from splits.kernels.base.scene import Optics, Scene
-from splits.kernels.base.work import FIRST_RAY, N_RAYS, NO_MAX_ORDER, STREAM
+from splits.kernels.base.work import FIRST_RAY, MAX_ORDER, N_RAYS, STREAM
 from splits.kernels.compiler.jit import entry_point, inline
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
 from splits.kernels.grains.grain_path import trace_through_grain
@@ -74,8 +74,8 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
     Parameters
     ----------
     seed : int
-    work : int64[3]
-        See `splits.kernels.base.work`; without the order of scattering.
+    work : int64[4]
+        See `splits.kernels.base.work`.
     n_orders : int
         Legendre polynomials to tally.
     isolated_grain : IsolatedGrain
@@ -104,7 +104,7 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
         path_lengths[:] = 0.0
         # A pore is wet if its variate is below the wet fraction.
         pore_variate = 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0
-        ray = make_ray(ORIGIN, UP, None, pore_variate, FIRST_ROULETTE_DEPTH, NO_MAX_ORDER)
+        ray = make_ray(ORIGIN, UP, None, pore_variate, FIRST_ROULETTE_DEPTH, work[MAX_ORDER])
         grain_sample, entry = sample_hit_grain(state, isolated_grain)
         ray = trace_through_grain(
             state,

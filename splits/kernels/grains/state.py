@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from splits.kernels.base.ray import ABSORBED
 from splits.kernels.base.sampling_rules import OVERLAP_KEEP, OVERLAP_SKIP
+from splits.kernels.base.scene import WET_PORE
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.free_path import LayerGeometry, RejectionRules
@@ -59,10 +60,10 @@ def pore_material(layers, layer, pore_variate):
     """Return the material of the pore of a ray in a layer (SPLITS 4.3.2, SPLITSnow 3.4)."""
     pore = layers.first_pore_material[layer]
     if pore_variate < layers.wet_fraction[layer]:
-        return pore + 1
+        return pore + WET_PORE
     for other in range(layers.pore_cdf.shape[1]):
         if pore_variate < layers.pore_cdf[layer, other]:
-            return pore + 2 + other
+            return pore + WET_PORE + 1 + other
     return pore
 
 

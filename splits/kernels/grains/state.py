@@ -1,4 +1,4 @@
-"""Properties of layers, sampling of grains, and attenuation, for the scalar kernel."""
+"""Properties of layers, sampling of grains, and attenuation."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def pore_material(layers, layer, pore_variate):
 
 @inline_only
 def refractive_index_of(optics, material):
-    """Return the complex refractive index of a material."""
+    """Return the complex refractive index of a material, or of (work item, material)."""
     return ComplexIndex(optics.n[material], optics.k[material])
 
 

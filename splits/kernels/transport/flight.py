@@ -92,6 +92,14 @@ def find_adjacent_layer(layer, direction):
 
 
 @inline_only
+def find_next_material(layers, layer, next_layer, pore_variate):
+    """Return the material behind the boundary ahead of a ray: a pore, or the medium outside."""
+    if 0 <= next_layer < layers.collision_coefficient.size:
+        return pore_material(layers, next_layer, pore_variate)
+    return layers.first_pore_material[layer]
+
+
+@inline_only
 def is_continuous(layers, optics, layer, other, pore_variate):
     """Return whether `other` is a layer whose pores have the refractive index of those of `layer`.
 
@@ -108,8 +116,7 @@ def is_continuous(layers, optics, layer, other, pore_variate):
 def record_crossing(ray, upward, scene, path_lengths, crossings):
     """Record the crossing of a ray into the next layer, if the scene records crossings."""
     if crossings is not None and scene.record_crossings:
-        code = encode_crossing(ray.layer if upward else ray.layer + 1, upward)
-        append_crossing(crossings, code, ray.weight, path_lengths)
+        append_crossing(crossings, encode_crossing(ray.layer, upward), ray.weight, path_lengths)
 
 
 @inline_only

@@ -6,7 +6,6 @@ path segment can reject it (SPLITS 4.3.3-4.3.4).
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from splits.kernels.grains.spheroid import sample_entry_point
 from splits.kernels.grains.state import sample_entry_variates, sample_grain
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN, UP, dot
+from splits.kernels.tallies.exits import compute_path_weight
 
 N_SCATTERING_BATCHES = 16
 """Batches of rays for the standard errors of derived quantities, known to 18 %."""
@@ -140,10 +140,7 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
 def score_ray(scores, path_lengths, weight, absorption, sums, batch_sums):
     """Add the scores of a ray to the sums, with its weight at every wavelength."""
     for i in range(absorption.shape[0]):
-        depth = 0.0
-        for material in range(absorption.shape[1]):
-            depth += absorption[i, material] * path_lengths[material]
-        w = weight * math.exp(-depth)
+        w = compute_path_weight(path_lengths, weight, absorption, i)
         for j in range(scores.size):
             wx = w * scores[j]
             sums[0, j, i] += wx

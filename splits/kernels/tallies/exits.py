@@ -7,6 +7,7 @@ exponential as the survival probability).
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -191,9 +192,21 @@ def transpose_absorption(absorption):
     return alpha
 
 
+@inline
+def compute_path_weight(path_lengths, roulette_weight, absorption, wavelength):
+    """Return the weight of a ray at one wavelength in double precision (SPLITSnow Eqs 5-6)."""
+    depth = 0.0
+    for material in range(absorption.shape[1]):
+        depth += absorption[wavelength, material] * path_lengths[material]
+    return roulette_weight * math.exp(-depth)
+
+
 @entry_point_no_refcount
 def compute_path_weights(path_lengths, roulette_weight, alpha, weight):
-    """Write the weight of a ray at every wavelength, factor · exp(−Σ α·length), into `weight`."""
+    """Write the weight of a ray at every wavelength, factor · exp(−Σ α·length), into `weight`.
+
+    In single precision, so that the exponentials of several wavelengths are vectorized.
+    """
     weight[:] = ZERO
     for material in range(alpha.shape[0]):
         segment = np.float32(path_lengths[material])

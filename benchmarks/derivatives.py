@@ -30,7 +30,6 @@ from splits.kernels.tallies.exits import (
     EXIT_ORDER,
     EXIT_SIDE,
     EXIT_WEIGHT,
-    REFLECTED,
 )
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.simulation.engine import simulate
@@ -199,7 +198,7 @@ class ScoreTally(ExitTally):
         weight = exits[:, EXIT_WEIGHT, None] * np.exp(-lengths @ self.absorption.T)
         score = exits[:, EXIT_ORDER] - self.attenuation * lengths[:, 0]
         # Rows of rays that ended inside are invalid.
-        reflected = exits[:, EXIT_SIDE] == REFLECTED - 1
+        reflected = exits[:, EXIT_SIDE] == 0.0
         scores = np.where(reflected[:, None], weight * score[:, None], 0.0)
         return np.stack([scores.sum(axis=0), (scores**2).sum(axis=0)])
 

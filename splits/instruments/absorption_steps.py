@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.base.scene import WET_PORE
+from splits.kernels.base.scene import MATRIX
 from splits.media.medium import Layer, Medium
 
 
@@ -65,7 +65,7 @@ def _compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSte
     """
     if not medium.has_grains:
         zeros = np.zeros(len(absorption))
-        return AbsorptionSteps(zeros, zeros, absorption[:, WET_PORE])
+        return AbsorptionSteps(zeros, zeros, absorption[:, MATRIX])
     grains = medium.make_grain_population()
     segment, types = 1.0 / grains.collision_coefficient, grains.types
     pore_path = segment * medium.pore_fraction

@@ -16,7 +16,7 @@ from splits.core.uncertainty import (
     make_variable,
 )
 from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
-from splits.kernels.tallies.radial import RadialTally, tally_radial
+from splits.kernels.tallies.radial import RadialSums, tally_radial
 from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.spectral_nodes import IndexNodes
@@ -54,7 +54,7 @@ class BeamSpreadTally(ExitTally):
     radial_sums : float, shape (batches, 2, node rows, bins)
     moment_sums : float, shape (batches, 2, node rows)
     map_sums : float, shape (2, 2, node rows, pixels, pixels)
-        See `splits.kernels.tallies.radial.RadialTally`.
+        See `splits.kernels.tallies.radial.RadialSums`.
     """
 
     first_stream = 6_000_000
@@ -78,12 +78,12 @@ class BeamSpreadTally(ExitTally):
         self.first_stream += first_node
         self.add_strata()
 
-    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> RadialTally:
+    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> RadialSums:
         """Return the sums of a chunk of exits."""
         bins = (MIN_RADIUS_M, BINS_PER_DECADE, _N_FINE_BINS)
         return tally_radial(exits, stratum.absorption, *bins, self.half_width, self.n_pixels)
 
-    def merge(self, stratum: Stratum, score: RadialTally) -> None:
+    def merge(self, stratum: Stratum, score: RadialSums) -> None:
         """Add the sums of the next chunk of a stratum."""
         batch, rows = self.get_batch(stratum, N_ANGULAR_BATCHES), stratum.node_rows
         self.radial_sums[batch, :, rows] += score.radial

@@ -16,7 +16,7 @@ from splits.instruments.flux_media import TracedMedium
 from splits.instruments.flux_target import FluxTarget, allocate_flux_rays
 from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.exits import N_BATCHES
-from splits.kernels.tallies.flux import DOWNWARD, UPWARD, FluxSums, tally_flux
+from splits.kernels.tallies.flux import DOWNWELLING, UPWELLING, FluxSums, tally_flux
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import (
     Evaluation,
@@ -160,7 +160,7 @@ class FluxTally(ExitTally):
         irradiance[:, 0, 0] = 1.0
         absorbed = self.absorptance_sums[:, : planes[-1]] / n_batch_rays
         path_length = self.path_length_sums[:, : planes[-1]] / n_batch_rays
-        net = irradiance[:, DOWNWARD] - irradiance[:, UPWARD]
+        net = irradiance[:, DOWNWELLING] - irradiance[:, UPWELLING]
         absorptance = net[:, :-1] - net[:, 1:]
         by_material = np.add.reduceat(absorbed, planes[:-1], axis=1)
         path_length = np.add.reduceat(path_length, planes[:-1], axis=1)
@@ -172,7 +172,7 @@ class FluxTally(ExitTally):
             fraction = np.divide(last, total, out=np.zeros_like(last), where=total > 0.0)
             by_material[:, -1] += fraction * net[:, -1, np.newaxis]
         quantities = np.concatenate(
-            [irradiance[:, DOWNWARD], irradiance[:, UPWARD], absorptance], axis=1
+            [irradiance[:, DOWNWELLING], irradiance[:, UPWELLING], absorptance], axis=1
         )
         return FluxEstimate(quantities, by_material, path_length)
 

@@ -21,7 +21,7 @@ from splits.kernels.transport.next_event import ABOVE, BELOW, Detectors
 from splits.media.medium import Medium, ParticleMedium
 from splits.simulation.scene import build_scene
 from splits.simulation.tally import Stratum, Tally
-from splits.simulation.tracer import Tracer
+from splits.simulation.tracer import LOST_MESSAGE, Tracer
 
 NEGLIGIBLE_PROBABILITY = 1e-16
 """Probability of more successive scatterings into a peak than are stored."""
@@ -209,7 +209,13 @@ class DetectorTracer(Tracer):
     def trace_chunk(
         self, seed: int, tally: Tally, stratum: Stratum, first_ray: int
     ) -> tuple[np.ndarray, int]:
-        """Trace a chunk of rays, and return its mean contributions and the segments traced."""
+        """Trace a chunk of rays, and return its mean contributions and the segments traced.
+
+        Raises
+        ------
+        RuntimeError
+            If a ray was lost.
+        """
         detectors = self.detectors._replace(
             sums=np.zeros_like(self.detectors.sums),
             peak_directions=np.zeros_like(self.detectors.peak_directions),
@@ -217,6 +223,8 @@ class DetectorTracer(Tracer):
         totals = np.zeros((2, 2))
         work = np.array([stratum.stream, first_ray, tally.rays_per_chunk, stratum.max_order])
         scene = self.scene._replace(detectors=detectors)
-        n_segments = trace_to_detectors(seed, work, scene, stratum.optics, totals)
+        result = trace_to_detectors(seed, work, scene, stratum.optics, totals)
+        if result.lost:
+            raise RuntimeError(LOST_MESSAGE)
         sums = np.concatenate([detectors.sums.ravel(), totals.ravel()])
-        return sums / tally.rays_per_chunk, n_segments
+        return sums / tally.rays_per_chunk, int(result.n_segments[0])

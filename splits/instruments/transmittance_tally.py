@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.base.scene import Scene
-from splits.kernels.transport.splitting import trace_batch_with_splitting
+from splits.kernels.transport.splitting import trace_with_splitting
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
@@ -47,14 +47,14 @@ class SplittingTracer(Tracer):
         RuntimeError
             If no grain fits between the boundaries along a ray.
         """
-        moments, profile = np.zeros((2, 3)), np.zeros((2, N_DEPTH_SLICES))
-        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk])
-        result = trace_batch_with_splitting(
+        moments, profile = np.zeros(3), np.zeros((2, N_DEPTH_SLICES))
+        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk, stratum.max_order])
+        result = trace_with_splitting(
             seed, work, self.scene, stratum.optics, stratum.splitting_rate, moments, profile
         )
         if result.lost:
             raise RuntimeError("no grain fits between the boundaries along a ray")
-        return (moments[1], profile), result.n_segments
+        return (moments, profile), int(result.n_segments[0])
 
 
 class TransmittanceEstimate(NamedTuple):

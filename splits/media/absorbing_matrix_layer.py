@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splits.kernels.base.scene import WET_PORE
+from splits.kernels.base.scene import MATRIX
 from splits.media.ground import Ground
 from splits.media.medium import Layer, Medium
 from splits.media.particle_layer import ParticleLayer
@@ -49,7 +49,7 @@ class AbsorbingMatrixLayer(ParticleLayer):
     def compute_added_absorption(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return the absorption coefficient of the matrix (1/m), shape (wavelengths, 2)."""
         added = np.zeros((np.size(wavelength_nm), 2))
-        added[:, WET_PORE] = self.absorption_per_m
+        added[:, MATRIX] = self.absorption_per_m
         return added
 
 

@@ -23,7 +23,7 @@ from splits.core.validation import (
     invalid,
     snap_to_limits,
 )
-from splits.kernels.base.scene import WET_PORE
+from splits.kernels.base.scene import MATRIX
 from splits.kernels.optics.phase_function import (
     PhaseFunction,
     make_henyey_greenstein,
@@ -190,7 +190,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
     @property
     def material_columns(self) -> dict[str, int]:
         """Column of the matrix, which may absorb."""
-        return {"matrix": WET_PORE}
+        return {"matrix": MATRIX}
 
     @property
     def extinction_per_m(self) -> float:
@@ -260,7 +260,7 @@ class ParticleLayer(ContentEquality, ParticleMedium):
     def compute_refractive_indices(self, wavelength_nm: np.ndarray) -> np.ndarray:
         """Return complex refractive indices, shape (wavelengths, 2)."""
         index = np.ones((np.size(wavelength_nm), 2), dtype=complex)
-        index[:, WET_PORE] = self.refractive_index
+        index[:, MATRIX] = self.refractive_index
         return index
 
     def describe(self) -> dict[str, Any]:

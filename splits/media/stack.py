@@ -12,7 +12,7 @@ import numpy as np
 
 from splits.core.keywords import reject_unknown_keywords
 from splits.core.validation import check_choice, invalid, key_prefix, suggest_name
-from splits.kernels.base.scene import WET_PORE
+from splits.kernels.base.scene import MATRIX, WET_PORE
 from splits.media.formatting import format_input
 from splits.media.ground import Ground, describe_ground
 from splits.media.interpretations import INTERPRETATION_SETS
@@ -222,7 +222,7 @@ class Stack(Medium):
             return []
         # Air and water of two granular layers may have different tables.
         rows = [
-            (r, WET_PORE if faces_matrix else r)
+            (r, MATRIX if faces_matrix else r)
             for r in range(len(fractions))
             if faces_matrix or r <= WET_PORE
         ]

@@ -52,7 +52,7 @@ class IsolatedGrainTracer(Tracer):
         """Return the sums of a chunk of rays, and their number."""
         wet_fraction = self.wet_fractions[tally.node_of_row[stratum.node_rows.start]]
         grain = IsolatedGrain(wet_fraction, self.scene, stratum.optics)
-        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk])
+        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk, stratum.max_order])
         sums = tally_single_scattering(seed, work, self.n_orders, grain, stratum.absorption)
         return sums, tally.rays_per_chunk
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.derivatives import tally_derivatives
-from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, tally_weights
+from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, WeightSums, tally_weights
 from splits.simulation.interpolation_bounds import bound_derivative_error, bound_fraction_error
 from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
 from splits.simulation.spectral_nodes import IndexNodes
@@ -182,27 +182,27 @@ class SpectralTally(ExitTally):
 
     def score(
         self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
-        """Return moments, smallest weights, block sums and their derivatives."""
+    ) -> tuple[WeightSums, np.ndarray | None]:
+        """Return the sums of weights, and the derivatives of the block sums, if there are any."""
         rows, ground_column = self.rows[stratum.node_rows], self.scene.ground_column
         absorption = self.absorption[rows]
         sums = tally_weights(
             exits, crossings, absorption, not self.scene.rules.analog, ground_column
         )
         if not len(self.absorption_derivatives):
-            return sums
+            return sums, None
         derivatives = self.absorption_derivatives[:, rows]
-        return *sums, tally_derivatives(exits, crossings, absorption, derivatives, ground_column)
+        return sums, tally_derivatives(exits, crossings, absorption, derivatives, ground_column)
 
-    def merge(self, stratum: Stratum, score: tuple[np.ndarray, ...]) -> None:
+    def merge(self, stratum: Stratum, score: tuple[WeightSums, np.ndarray | None]) -> None:
         """Add the score of the next chunk of a stratum to the sums."""
-        moments, min_weight, block_sums, *block_derivatives = score
+        (moments, min_weight, block_sums), derivatives = score
         rows, first = stratum.node_rows, stratum.n_rays // BLOCK_SIZE % N_BATCHES
         self.moments[:, :2, rows] += moments[:, :2]
         self.moments[:, 2, rows] = np.maximum(self.moments[:, 2, rows], moments[:, 2])
         self.min_weight[rows] = np.minimum(self.min_weight[rows], min_weight)
         self.batch_sums[first : first + len(block_sums), :, rows] += block_sums
-        for derivatives in block_derivatives:
+        if derivatives is not None:
             self.derivative_sums[first : first + len(derivatives), :, :, rows] += derivatives
 
     def compute_variances(self) -> np.ndarray:

@@ -13,7 +13,7 @@ from splits.kernels.base.scene import NO_GROUND, Optics
 from splits.kernels.base.work import N_RAYS
 from splits.kernels.rough_surface.realization import allocate_realization
 from splits.kernels.tallies.crossings import CROSSING_RAY
-from splits.kernels.tallies.exits import EXIT_LENGTH, BatchResult, allocate_exits
+from splits.kernels.tallies.exits import EXIT_LENGTH, TraceResult, allocate_exits
 from splits.kernels.transport import history
 from splits.kernels.vectorized.eligibility import select_features
 from splits.media.medium import Medium
@@ -170,26 +170,28 @@ class SceneTracer(Tracer):
             fields = self.height_fields
             realization = None if fields is None else allocate_realization(fields)
             results = [
-                history.trace_batch(
+                history.trace_rays(
                     seed, item, self.scene, stratum.optics, item_exits, fields, realization
                 )
                 for item, stratum, item_exits in zip(work, strata, exits_by_item, strict=True)
             ]
         else:
             optics = Optics(*map(np.stack, zip(*(one.optics for one in strata), strict=True)))
-            result = vectorized.trace_batch(
+            result = vectorized.trace_rays(
                 seed, work, self.scene, optics, exits, strata[0].features
             )
             results = _split_by_item(result, end_rays)
         if any(result.lost for result in results):
             raise RuntimeError(LOST_MESSAGE)
         return [
-            (list(_score_chunks(tally, stratum, item_exits, result.crossings)), result.n_segments)
-            for stratum, item_exits, result in zip(strata, exits_by_item, results, strict=True)
+            (list(_score_chunks(tally, stratum, item_exits, crossings)), int(n_segments[0]))
+            for stratum, item_exits, (n_segments, _, crossings) in zip(
+                strata, exits_by_item, results, strict=True
+            )
         ]
 
 
-def _split_by_item(result: BatchResult, end_rays: np.ndarray) -> list[BatchResult]:
+def _split_by_item(result: TraceResult, end_rays: np.ndarray) -> list[TraceResult]:
     """Return the results of work items, whose rays end at `end_rays`."""
     n_segments, lost, crossings = result
     # Stable, so that the crossings of each ray remain in order of time.
@@ -198,8 +200,8 @@ def _split_by_item(result: BatchResult, end_rays: np.ndarray) -> list[BatchResul
     for item_crossings, first_ray in zip(by_item[1:], end_rays[:-1], strict=True):
         item_crossings[:, CROSSING_RAY] -= first_ray
     return [
-        BatchResult(int(count), lost, item_crossings)
-        for count, item_crossings in zip(np.atleast_1d(n_segments), by_item, strict=True)
+        TraceResult(count, lost, item_crossings)
+        for count, item_crossings in zip(np.split(n_segments, len(by_item)), by_item, strict=True)
     ]
 
 

@@ -86,7 +86,7 @@ def compute_with_oracle(medium, incidence, optics, seed, rays):
     for number, one in enumerate(optics):
         exits = allocate_exits(rays, one.n.size)
         work = np.array([number, 0, rays, NO_MAX_ORDER])
-        _, lost = oracle_granular.trace_batch(seed, work, *slab, one, exits)
+        _, lost = oracle_granular.trace_rays(seed, work, *slab, one, exits)
         assert not lost
         fluxes.append(compute_fluxes(exits, one.absorption))
     return np.array(fluxes)
@@ -99,7 +99,7 @@ def compute_with_kernel(kernel, medium, incidence, optics, seed, rays):
     exits = [allocate_exits(rays, one.n.size) for one in optics]
     if kernel == "scalar":
         for item, one, rows in zip(work, optics, exits, strict=True):
-            assert not history.trace_batch(seed, item, scene, one, rows, None, None).lost
+            assert not history.trace_rays(seed, item, scene, one, rows, None, None).lost
     else:
         features = [select_features(scene, one) for one in optics]
         assert None not in features
@@ -110,7 +110,7 @@ def compute_with_kernel(kernel, medium, incidence, optics, seed, rays):
             Optics(*map(np.stack, zip(*optics, strict=True))),
             np.concatenate(exits),
         )
-        assert not vectorized.trace_batch(seed, work, scene, stacked_optics, rows, shared).lost
+        assert not vectorized.trace_rays(seed, work, scene, stacked_optics, rows, shared).lost
         exits = np.split(rows, len(optics))
     pairs = zip(exits, optics, strict=True)
     return np.array([compute_fluxes(rows, one.absorption) for rows, one in pairs])

@@ -1,4 +1,4 @@
-"""A slab of grains generated on the fly: the path of one ray, and batches of rays.
+"""A slab of grains generated on the fly: the path of one ray, and rays of a work item.
 
 SPLITS section 4.3 and SPLITSnow section 3.1: only the grain that the ray hits exists.  Distance,
 type, size, shape, orientation and entry point are sampled; a grain that overlaps a boundary or the
@@ -31,7 +31,7 @@ ABSORBED = 0
 REFLECTED = 1
 TRANSMITTED = 2
 LOST = 3
-"""No sampled grain was accepted, which is an error that the batch reports."""
+"""No sampled grain was accepted, which is an error that the kernel reports."""
 IN_FLIGHT = 4
 
 MAX_REJECTIONS = 10_000_000
@@ -333,8 +333,8 @@ def trace_ray(state, grains, slab, rules, optics, path_lengths, roulette_state, 
 
 
 @entry
-def trace_batch(seed, work, grains, slab, rules, optics, exits):
-    """Trace a batch of rays and record their exits.
+def trace_rays(seed, work, grains, slab, rules, optics, exits):
+    """Trace the rays of a work item and record their exits.
 
     Parameters
     ----------
@@ -352,7 +352,7 @@ def trace_batch(seed, work, grains, slab, rules, optics, exits):
     n_segments : int
         Number of segments traced.
     lost : bool
-        Whether a ray was lost, which ends the batch early.
+        Whether a ray was lost, which ends the call early.
     """
     n_segments = 0
     materials = optics.n.size

@@ -108,18 +108,18 @@ def test_reflected_and_ground_absorbed_weights_conserve_energy(kernel):
     work = np.array([[7, 0, len(exits), 2**31 - 1]])
     if kernel == "vectorized":
         item_optics = Optics(*(values[np.newaxis] for values in optics))
-        batch = vectorized.trace_batch(
+        result = vectorized.trace_rays(
             1, work, scene, item_optics, exits, select_features(scene, optics)
         )
     else:
-        batch = history.trace_batch(1, work[0], scene, optics, exits, None, None)
+        result = history.trace_rays(1, work[0], scene, optics, exits, None, None)
     ground_absorbed = np.zeros(len(exits))
-    weights = batch.crossings[:, CROSSING_WEIGHT] * np.exp(
-        -batch.crossings[:, CROSSING_LENGTH:] @ absorption[0]
+    weights = result.crossings[:, CROSSING_WEIGHT] * np.exp(
+        -result.crossings[:, CROSSING_LENGTH:] @ absorption[0]
     )
-    np.add.at(ground_absorbed, batch.crossings[:, CROSSING_RAY].astype(int), (1.0 - 0.6) * weights)
+    np.add.at(ground_absorbed, result.crossings[:, CROSSING_RAY].astype(int), (1.0 - 0.6) * weights)
     reflected = exits[:, EXIT_SIDE] == 0.0
-    assert not (exits[:, EXIT_SIDE] == 1.0).any() and len(batch.crossings) > len(exits) / 4
+    assert not (exits[:, EXIT_SIDE] == 1.0).any() and len(result.crossings) > len(exits) / 4
     reflected_weights = exits[reflected, EXIT_WEIGHT] * np.exp(
         -exits[reflected, EXIT_LENGTH:] @ absorption[0]
     )

@@ -19,7 +19,7 @@ from scenes import make_medium_scene, make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
-from splits.kernels.base.ray import Segment
+from splits.kernels.base.ray import REFLECTED, TRANSMITTED, Segment
 from splits.kernels.base.sampling_rules import ANY_FACETS, PROJECTED_FACETS, UNWEIGHTED_FACETS
 from splits.kernels.grains import spheroid
 from splits.kernels.grains.grain_path import sample_interaction
@@ -29,7 +29,6 @@ from splits.kernels.math import vectors
 from splits.kernels.math.vectors import Vector, add_scaled, dot, scale
 from splits.kernels.optics.fresnel import FresnelResult, fresnel, refract
 from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.tallies import exits
 
 N_SCATTERINGS = 10_000_000
 MAX_DRIFT = 1e-9
@@ -118,7 +117,7 @@ def test_grains_of_index_1_do_not_deviate_a_ray():
     (x, y, z), d, n_segments = ray.position, ray.direction, ray.n_segments
     assert n_segments >= N_SCATTERINGS
     assert ray.order == n_segments - 1
-    assert (ray.status, z) == (exits.TRANSMITTED, -depth)
+    assert (ray.status, z) == (TRANSMITTED, -depth)
     sine = math.sqrt(1.0 - mu * mu)
     assert np.abs(np.subtract(d, (sine, 0.0, -mu))).max() < MAX_DRIFT
     assert abs(math.hypot(*d) - 1.0) < MAX_DRIFT
@@ -142,10 +141,10 @@ def test_long_paths_between_reflecting_boundaries_stay_valid():
             break
     print(f"ray {number} has {ray.n_segments} segments")
     assert ray.n_segments >= N_SCATTERINGS
-    assert ray.status in (exits.REFLECTED, exits.TRANSMITTED)
+    assert ray.status in (REFLECTED, TRANSMITTED)
     position, d = ray.position, ray.direction
-    assert position.z == (0.0 if ray.status == exits.REFLECTED else -snow.depth_m)
-    assert (d.z > 0.0) == (ray.status == exits.REFLECTED)
+    assert position.z == (0.0 if ray.status == REFLECTED else -snow.depth_m)
+    assert (d.z > 0.0) == (ray.status == REFLECTED)
     assert abs(math.hypot(*d) - 1.0) < MAX_DRIFT
     assert np.isfinite([*position, *length]).all() and length.min() >= 0.0
 

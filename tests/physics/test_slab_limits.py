@@ -11,10 +11,11 @@ from scenes import make_optics, make_scene, trace_ray
 from scipy import integrate
 
 import splits
+from splits.kernels.base.ray import TRANSMITTED
 from splits.kernels.base.scene import NO_GROUND
 from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.optics.fresnel import fresnel
-from splits.kernels.tallies.exits import TRANSMITTED, allocate_exits, tally_weights
+from splits.kernels.tallies.exits import allocate_exits, tally_weights
 from splits.kernels.transport import history
 
 pytestmark = NEEDS_JIT
@@ -92,10 +93,10 @@ def test_opaque_grains_transmit_by_beer_lambert(entry):
                 mu,
             )
             work = np.array([ensemble, 0, rays, NO_MAX_ORDER])
-            batch = history.trace_batch(seed + 10 * analog, work, scene, optics, exits, None, None)
-            assert not batch.lost
+            result = history.trace_rays(seed + 10 * analog, work, scene, optics, exits, None, None)
+            assert not result.lost
             moments, min_weights, _ = tally_weights(
-                exits, batch.crossings, absorption[np.newaxis], not analog, NO_GROUND
+                exits, result.crossings, absorption[np.newaxis], not analog, NO_GROUND
             )
             assert min_weights[0] == 0.0
             assert moments[0].max() < 1e-9

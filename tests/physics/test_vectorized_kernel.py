@@ -125,7 +125,7 @@ def test_paths_are_independent_of_other_ensembles():
 
     def trace_exits(items, optics):
         rows = allocate_exits(sum(rays for *_, rays, _ in items), 3)
-        n_segments, lost, _ = vectorized.trace_batch(
+        n_segments, lost, _ = vectorized.trace_rays(
             3, np.array(items), scene, optics, rows, features
         )
         assert not lost and n_segments.min() > 0
@@ -155,7 +155,7 @@ def test_paths_are_independent_of_lane_and_batch():
     def trace_exits(first, rays):
         rows = allocate_exits(rays, 3)
         work = np.array([[0, first, rays, NO_MAX_ORDER]])
-        _, lost, _ = vectorized.trace_batch(
+        _, lost, _ = vectorized.trace_rays(
             3, work, tracer.scene, to_single_item(stratum.optics), rows, stratum.features
         )
         assert not lost
@@ -221,7 +221,7 @@ def test_vectorized_kernel_conserves_energy():
     tracer.select_kernel([stratum], "vectorized", False)
     rows = allocate_exits(3000, 3)
     work = np.array([[0, 0, 3000, NO_MAX_ORDER]])
-    _, lost, _ = vectorized.trace_batch(
+    _, lost, _ = vectorized.trace_rays(
         5, work, tracer.scene, to_single_item(stratum.optics), rows, stratum.features
     )
     assert not lost

@@ -13,6 +13,7 @@ from chi2 import start_random_stream
 from numba import njit
 from scenes import make_ray_at
 
+from splits.kernels.base.ray import ALIVE
 from splits.kernels.base.sampling_rules import WRONG_SIDE_LOBE
 from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.compiler.features import ALL_FEATURES
@@ -26,7 +27,6 @@ from splits.kernels.math import rng
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.vectors import UP, Vector
 from splits.kernels.optics.interface import InterfaceSample
-from splits.kernels.tallies.exits import ALIVE
 from splits.kernels.transport import history
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.interaction import draw_interaction_variates

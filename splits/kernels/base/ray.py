@@ -6,7 +6,18 @@ from typing import Any, NamedTuple
 
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.math.vectors import ORIGIN, Vector, add
-from splits.kernels.tallies.exits import ALIVE
+
+ABSORBED = 0
+"""The history ended without an exit: by absorption, roulette, or the maximum order of
+scattering."""
+REFLECTED = 1
+TRANSMITTED = 2
+LOST = 3
+"""Lost ray: no grain was accepted, no intersection with a surface was found, or a rough surface
+extends below the top layer.  This should not happen and is reported."""
+ALIVE = 4
+TO_GROUND = 5
+"""The ray reached the ground, or the Lambertian bottom in contact with the lowest layer."""
 
 
 class Segment(NamedTuple):
@@ -27,7 +38,7 @@ class Ray(NamedTuple):
     Attributes
     ----------
     status : int
-        `ALIVE`, or the way it ended, see `splits.kernels.tallies.exits`.
+        `ALIVE`, `TO_GROUND`, or the way it ended.
     position : Vector
         Point of the last event (m): the start, a boundary, a facet, a particle, or the entry point
         of a grain.

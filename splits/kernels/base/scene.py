@@ -2,8 +2,8 @@
 
 These named tuples are the interface between media and kernels.  Materials are rows of the arrays of
 optical constants.  Each layer has its own block of rows from `Layers.first_pore_material`: dry
-pores, wet pores, further pore media, then cores and coatings.  A reflecting ground adds a last row.
-Features that a scene lacks are None, and their code is compiled away.
+pores, wet pores or matrix, further pore media, then cores and coatings.  A reflecting ground adds a
+last row.  Features that a scene lacks are None, and their code is compiled away.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from splits.kernels.optics.stokes import Stokes
 
 DRY_PORE = 0
 WET_PORE = 1
+MATRIX = WET_PORE
+"""Materials of the pores of a layer, from its first one on.  A layer of particles is traced as one
+that is all wet, with its matrix in place of the wet pores."""
 
 NO_PARTICLES = -1
 """Value of `Layers.particle_row` for a layer of grains."""
@@ -45,8 +48,7 @@ class Layers(NamedTuple):
         Row of the first type of the layer.
     first_pore_material : int64[layers]
         Material of the dry pores, which is also that outside the sample, followed by those of the
-        wet pores and of further pore media.  A layer of particles is all wet: its matrix is the
-        second.
+        wet pores, or of the matrix of particles, and of further pore media.
     pore_cdf : float64[layers, media]
         Cumulative probabilities, starting from the wet fraction, of the further pore media.
     particle_row : int64[layers]

@@ -7,7 +7,7 @@ STREAM, FIRST_RAY, N_RAYS, MAX_ORDER = range(4)
 counts as absorbed.
 
 Seed, stream and ray determine the random numbers of a ray, so that results do not depend on the
-division of rays into batches.  All wavelengths that share paths use one stream.
+division of rays into calls.  All wavelengths that share paths use one stream.
 """
 
 NO_MAX_ORDER = 2**31 - 1

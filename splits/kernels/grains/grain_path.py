@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from splits.kernels.base.ray import ALIVE
 from splits.kernels.base.sampling_rules import WRONG_SIDE_LOBE
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.compiler.jit import inline_only
@@ -23,7 +24,6 @@ from splits.kernels.grains.state import attenuate, pore_material, refractive_ind
 from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import sample_azimuth, sample_half_normal, uniform
 from splits.kernels.math.vectors import add_scaled
-from splits.kernels.tallies.exits import ALIVE
 
 
 class AdjacentMedia(NamedTuple):

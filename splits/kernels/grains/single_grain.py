@@ -1,19 +1,18 @@
 """Single scattering and absorption by an isolated grain, tallied over many rays.
 
-The grain is sampled and traced as in `history.trace_batch`, but alone: no boundary and no previous
+The grain is sampled and traced as in `history.trace_rays`, but alone: no boundary and no previous
 path segment can reject it (SPLITS 4.3.3-4.3.4).
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.base.ray import make_ray
+from splits.kernels.base.ray import ALIVE, make_ray
 from splits.kernels.base.scene import Optics, Scene
-from splits.kernels.base.work import FIRST_RAY, N_RAYS, NO_MAX_ORDER, STREAM
+from splits.kernels.base.work import FIRST_RAY, MAX_ORDER, N_RAYS, STREAM
 from splits.kernels.compiler.jit import entry_point, inline
 from splits.kernels.grains.free_path import FIRST_ROULETTE_DEPTH
 from splits.kernels.grains.grain_path import trace_through_grain
@@ -21,7 +20,7 @@ from splits.kernels.grains.spheroid import sample_entry_point
 from splits.kernels.grains.state import sample_entry_variates, sample_grain
 from splits.kernels.math.rng import start_stream, uniform
 from splits.kernels.math.vectors import ORIGIN, UP, dot
-from splits.kernels.tallies.exits import ALIVE
+from splits.kernels.tallies.exits import compute_path_weight
 
 N_SCATTERING_BATCHES = 16
 """Batches of rays for the standard errors of derived quantities, known to 18 %."""
@@ -75,8 +74,8 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
     Parameters
     ----------
     seed : int
-    work : int64[3]
-        See `splits.kernels.base.work`; without the order of scattering.
+    work : int64[4]
+        See `splits.kernels.base.work`.
     n_orders : int
         Legendre polynomials to tally.
     isolated_grain : IsolatedGrain
@@ -105,7 +104,7 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
         path_lengths[:] = 0.0
         # A pore is wet if its variate is below the wet fraction.
         pore_variate = 0.0 if uniform(state) < isolated_grain.wet_probability else 1.0
-        ray = make_ray(ORIGIN, UP, None, pore_variate, FIRST_ROULETTE_DEPTH, NO_MAX_ORDER)
+        ray = make_ray(ORIGIN, UP, None, pore_variate, FIRST_ROULETTE_DEPTH, work[MAX_ORDER])
         grain_sample, entry = sample_hit_grain(state, isolated_grain)
         ray = trace_through_grain(
             state,
@@ -141,10 +140,7 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
 def score_ray(scores, path_lengths, weight, absorption, sums, batch_sums):
     """Add the scores of a ray to the sums, with its weight at every wavelength."""
     for i in range(absorption.shape[0]):
-        depth = 0.0
-        for material in range(absorption.shape[1]):
-            depth += absorption[i, material] * path_lengths[material]
-        w = weight * math.exp(-depth)
+        w = compute_path_weight(path_lengths, weight, absorption, i)
         for j in range(scores.size):
             wx = w * scores[j]
             sums[0, j, i] += wx

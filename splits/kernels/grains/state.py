@@ -1,11 +1,13 @@
-"""Properties of layers, sampling of grains, and attenuation, for the scalar kernel."""
+"""Properties of layers, sampling of grains, and attenuation."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
+from splits.kernels.base.ray import ABSORBED
 from splits.kernels.base.sampling_rules import OVERLAP_KEEP, OVERLAP_SKIP
+from splits.kernels.base.scene import WET_PORE
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.free_path import LayerGeometry, RejectionRules
@@ -20,7 +22,6 @@ from splits.kernels.math.elementary import Angle
 from splits.kernels.math.rng import interpolate_quantile, sample_azimuth, sample_discrete, uniform
 from splits.kernels.math.vectors import UP
 from splits.kernels.optics.interface import ComplexIndex
-from splits.kernels.tallies.exits import ABSORBED
 
 
 class GrainSample(NamedTuple):
@@ -59,16 +60,16 @@ def pore_material(layers, layer, pore_variate):
     """Return the material of the pore of a ray in a layer (SPLITS 4.3.2, SPLITSnow 3.4)."""
     pore = layers.first_pore_material[layer]
     if pore_variate < layers.wet_fraction[layer]:
-        return pore + 1
+        return pore + WET_PORE
     for other in range(layers.pore_cdf.shape[1]):
         if pore_variate < layers.pore_cdf[layer, other]:
-            return pore + 2 + other
+            return pore + WET_PORE + 1 + other
     return pore
 
 
 @inline_only
 def refractive_index_of(optics, material):
-    """Return the complex refractive index of a material."""
+    """Return the complex refractive index of a material, or of (work item, material)."""
     return ComplexIndex(optics.n[material], optics.k[material])
 
 

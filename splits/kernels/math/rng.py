@@ -1,7 +1,7 @@
 """Counter-based random numbers: independent numbers for every (seed, stream, ray).
 
 The random numbers of a ray depend only on these three integers, so results are bit-identical for
-any number of threads and any split of the rays over batches or jobs.  The generator is SplitMix64
+any number of threads and any split of the rays over jobs.  The generator is SplitMix64
 (Steele, Lea & Flood 2014, OOPSLA, doi:10.1145/2660193.2660195): a Weyl counter followed by a
 64-bit finalizer.  The initial counter is a hash of (seed, stream, ray).
 

@@ -16,7 +16,7 @@ from splits.kernels.math.rng import sample_azimuth, uniform
 from splits.kernels.math.vectors import direction_around
 from splits.kernels.optics.phase_function import (
     HENYEY_GREENSTEIN,
-    TABULATED,
+    TABLE,
     PhaseFunction,
     evaluate_phase_function,
     make_tabulated,
@@ -61,7 +61,7 @@ def separate_peak(phase: PhaseFunction) -> PhaseFunctionPeak | None:
         highest = (1.0 + g) / (4.0 * math.pi * (1.0 - g) ** 2)
         if highest > PEAK_THRESHOLD_PER_SR:
             return PhaseFunctionPeak(phase, base, _integrate_above_base(g, base))
-    elif phase.kind == TABULATED and phase.density.max() > PEAK_THRESHOLD_PER_SR:
+    elif phase.kind == TABLE and phase.density.max() > PEAK_THRESHOLD_PER_SR:
         excess, fraction = _subtract_base(phase, base)
         return PhaseFunctionPeak(excess, base, fraction)
     return None
@@ -101,7 +101,7 @@ def compute_wide_fraction(peak, phase, mu):
 def sample_peak_cosine(state, peak):
     """Sample the cosine of the scattering angle in the peak, by rejection from a whole function."""
     mu = sample_scattering_cosine(state, peak.phase)
-    if peak.phase.kind == TABULATED:
+    if peak.phase.kind == TABLE:
         return mu
     density = evaluate_phase_function(peak.phase, mu)
     while uniform(state) * density >= density - peak.base:

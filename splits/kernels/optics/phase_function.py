@@ -28,7 +28,7 @@ from splits.kernels.math.vectors import direction_around
 
 HENYEY_GREENSTEIN = 0
 RAYLEIGH = 1
-TABULATED = 2
+TABLE = 2
 
 _ISOTROPIC_PER_SR = 0.25 / math.pi
 _THIRD = 1.0 / 3.0
@@ -40,7 +40,7 @@ class PhaseFunction(NamedTuple):
     Attributes
     ----------
     kind : int
-        `HENYEY_GREENSTEIN`, `RAYLEIGH` or `TABULATED`.
+        `HENYEY_GREENSTEIN`, `RAYLEIGH` or `TABLE`.
     g : float
         Mean cosine; the parameter of Henyey and Greenstein, in (−1, 1).
     max_polarization : float
@@ -109,7 +109,7 @@ def make_tabulated(cosines: Any, values: Any, max_polarization: float = 0.0) -> 
     moments = width * ((2.0 * low + high) * y[:-1] + (low + 2.0 * high) * y[1:]) / 6.0
     g = float(moments.sum() / total)
     density = y / (2.0 * math.pi * total)
-    return PhaseFunction(TABULATED, g, float(max_polarization), mu, density, cumulative / total)
+    return PhaseFunction(TABLE, g, float(max_polarization), mu, density, cumulative / total)
 
 
 @inline

@@ -25,6 +25,7 @@ from splits.kernels.tallies.exits import (
     EXIT_ORDER,
     EXIT_SIDE,
     EXIT_WEIGHT,
+    compute_path_weight,
 )
 
 WEIGHT, WEIGHT_SQUARED = range(2)
@@ -112,15 +113,6 @@ def evaluate_basis_at(basis, directions):
     return values
 
 
-@inline
-def compute_path_weight(exit_row, absorption, wavelength):
-    """Return the weight of a ray at one wavelength (SPLITSnow Eqs 5-6)."""
-    depth = 0.0
-    for material in range(absorption.shape[1]):
-        depth += absorption[wavelength, material] * exit_row[EXIT_LENGTH + material]
-    return exit_row[EXIT_WEIGHT] * math.exp(-depth)
-
-
 @entry_point
 def tally_expansion(exits, absorption, max_orders, basis):
     """Tally the weights of rays times the basis polynomials, by order of scattering.
@@ -147,12 +139,12 @@ def tally_expansion(exits, absorption, max_orders, basis):
     values = np.empty(basis.norms.size)
     for j in range(exits.shape[0]):
         row = exits[j]
-        side = int(row[EXIT_SIDE])
+        side, lengths, roulette_weight = int(row[EXIT_SIDE]), row[EXIT_LENGTH:], row[EXIT_WEIGHT]
         if side < 0:
             continue
         if row[EXIT_ORDER] == 0.0:
             for i in range(wavelengths):
-                unscattered[side, i] += compute_path_weight(row, absorption, i)
+                unscattered[side, i] += compute_path_weight(lengths, roulette_weight, absorption, i)
             continue
         order_class = 0
         while row[EXIT_ORDER] > max_orders[order_class]:
@@ -160,7 +152,7 @@ def tally_expansion(exits, absorption, max_orders, basis):
         dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
         evaluate_basis(basis, dx, dy, abs(row[EXIT_DIRECTION + 2]), values)
         for i in range(wavelengths):
-            weight = compute_path_weight(row, absorption, i)
+            weight = compute_path_weight(lengths, roulette_weight, absorption, i)
             total = sums[order_class, side, i]
             for b in range(values.size):
                 total[b] += weight * values[b]
@@ -192,7 +184,7 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
     unscattered = np.zeros((2, 2, wavelengths))
     for j in range(exits.shape[0]):
         row = exits[j]
-        side = int(row[EXIT_SIDE])
+        side, lengths, roulette_weight = int(row[EXIT_SIDE]), row[EXIT_LENGTH:], row[EXIT_WEIGHT]
         if side < 0:
             continue
         dx, dy = row[EXIT_DIRECTION], row[EXIT_DIRECTION + 1]
@@ -200,7 +192,7 @@ def tally_angular_bins(exits, absorption, n_polar, n_azimuth, factor_column):
         azimuth_bin = min(int((turn - math.floor(turn)) * n_azimuth), n_azimuth - 1)
         polar_bin = min(int(abs(row[EXIT_DIRECTION + 2]) * n_polar), n_polar - 1)
         for i in range(wavelengths):
-            weight = compute_path_weight(row, absorption, i)
+            weight = compute_path_weight(lengths, roulette_weight, absorption, i)
             if factor_column >= 0:
                 weight *= row[factor_column]
             if row[EXIT_ORDER] == 0.0:

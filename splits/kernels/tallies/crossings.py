@@ -91,12 +91,12 @@ def set_current_ray(buffer, ray):
 
 
 @inline
-def encode_crossing(boundary, upward):
-    """Return the code of a crossing of a boundary.
+def encode_crossing(layer, upward):
+    """Return the code of a crossing out of a layer: twice the boundary, plus 1 upwards.
 
     Boundaries are numbered from 0 at the top; the ground is at the lowest one.
     """
-    return 2 * boundary + (1 if upward else 0)
+    return 2 * layer + 1 if upward else 2 * (layer + 1)
 
 
 @inline

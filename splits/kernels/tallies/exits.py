@@ -7,7 +7,8 @@ exponential as the survival probability).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,18 +23,6 @@ from splits.kernels.compiler.jit import (
 from splits.kernels.math.elementary import exp_float32
 from splits.kernels.math.vectors import store_vector
 from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY, CROSSING_WEIGHT
-
-ABSORBED = 0
-"""The history ended without an exit: by absorption, roulette, or the maximum order of
-scattering."""
-REFLECTED = 1
-TRANSMITTED = 2
-LOST = 3
-"""Lost ray: no grain was accepted, no intersection with a surface was found, or a rough surface
-extends below the top layer.  This should not happen and is reported."""
-ALIVE = 4
-TO_GROUND = 5
-"""The ray reached the ground, or the Lambertian bottom in contact with the lowest layer."""
 
 EXIT_SIDE = 0
 """Column of the side: 0 reflected, 1 transmitted, −1 for rays that did not leave."""
@@ -57,29 +46,41 @@ that even the smallest first round of a stratum reaches all.  The relative uncer
 error from 32 batches is 13 %."""
 
 
-class BatchStats(NamedTuple):
-    """Number of path segments of a batch of rays, and whether it ended early on a lost ray."""
-
-    n_segments: int
-    lost: bool
-
-
-class BatchResult(NamedTuple):
-    """Result of a batch of rays: its cost and the crossing records.
+class TraceResult(NamedTuple):
+    """Result of a kernel call besides its exits or scores: its cost and the crossing records.
 
     Attributes
     ----------
-    n_segments : int or int64[items]
-        Path segments, a measure of the cost.
+    n_segments : int64[items]
+        Path segments of each work item, a measure of the cost.
     lost : bool
-        The batch ended early because a ray was lost.
-    crossings : float64[crossings, columns]
-        See `splits.kernels.tallies.crossings`.
+        The call ended early because a ray was lost.
+    crossings : float64[crossings, columns], or None
+        See `splits.kernels.tallies.crossings`; None from kernels that record none.
     """
 
-    n_segments: int
+    n_segments: np.ndarray
     lost: bool
-    crossings: np.ndarray
+    crossings: Any
+
+
+class WeightSums(NamedTuple):
+    """Sums of the weights of rays at every wavelength.
+
+    Attributes
+    ----------
+    moments : float64[3, 3, wavelengths]
+        Over rays, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
+    min_weight : float64[wavelengths]
+        Smallest exit weight of any ray; 0 if one did not leave.
+    blocks : float32[blocks, 2, wavelengths]
+        Σ weight of every `BLOCK_SIZE` successive rays; the last block may have fewer.  Blocks in
+        excess of `N_BATCHES` are added to the first ones in turn.
+    """
+
+    moments: np.ndarray
+    min_weight: np.ndarray
+    blocks: np.ndarray
 
 
 def allocate_exits(n_rays: int, n_materials: int, n_extra_columns: int = 0) -> np.ndarray:
@@ -125,20 +126,14 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
 
     Returns
     -------
-    moments : float64[3, 3, wavelengths]
-        Over rays, [reflected, transmitted, both][Σ weight, Σ weight², largest weight].
-    minimum : float64[wavelengths]
-        Smallest exit weight of any ray; 0 if one did not leave.
-    blocks : float32[blocks, 2, wavelengths]
-        Σ weight of every `BLOCK_SIZE` successive rays; the last block may have fewer.  Blocks in
-        excess of `N_BATCHES` are added to the first ones in turn.
+    WeightSums
     """
     wavelengths = absorption.shape[0]
     moments = np.zeros((3, 3, wavelengths))
     rays = exits.shape[0]
     blocks = np.zeros((min(-(-rays // BLOCK_SIZE), N_BATCHES), 2, wavelengths), dtype=np.float32)
     previous = np.zeros((2, wavelengths))
-    minimum = np.full(wavelengths, np.inf)
+    min_weight = np.full(wavelengths, np.inf)
     alpha = transpose_absorption(absorption)
     if not weighted:
         alpha[:] = ZERO
@@ -151,13 +146,13 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
         if ground_column < 0 or (side <= 0 and not reaches_ground):
             # Fast path for rays that never reached a ground, most rays in deep media.
             if side < 0:
-                minimum[:] = 0.0
+                min_weight[:] = 0.0
             else:
                 compute_path_weights(lengths, weight, alpha, sides[side])
                 score_moments(moments[side], sides[side])
                 if ground_column >= 0:
                     score_moments(moments[2], sides[side])
-                update_minimum(minimum, sides[side])
+                update_minimum(min_weight, sides[side])
         else:
             sides[:] = ZERO
             if side >= 0:
@@ -168,7 +163,7 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
             for i in range(wavelengths):
                 sides[0, i] += sides[1, i]
             score_moments(moments[2], sides[0])
-            update_minimum(minimum, sides[0])
+            update_minimum(min_weight, sides[0])
         if (j + 1) % BLOCK_SIZE == 0 or j + 1 == rays:
             for side in range(2):
                 for i in range(wavelengths):
@@ -181,7 +176,7 @@ def tally_weights(exits, crossings, absorption, weighted, ground_column):
             moments[2, 0, i] = moments[0, 0, i] + moments[1, 0, i]
             moments[2, 1, i] = moments[0, 1, i] + moments[1, 1, i]
             moments[2, 2, i] = max(moments[0, 2, i], moments[1, 2, i])
-    return moments, minimum, blocks
+    return WeightSums(moments, min_weight, blocks)
 
 
 @inline_allocating
@@ -197,9 +192,21 @@ def transpose_absorption(absorption):
     return alpha
 
 
+@inline
+def compute_path_weight(path_lengths, roulette_weight, absorption, wavelength):
+    """Return the weight of a ray at one wavelength in double precision (SPLITSnow Eqs 5-6)."""
+    depth = 0.0
+    for material in range(absorption.shape[1]):
+        depth += absorption[wavelength, material] * path_lengths[material]
+    return roulette_weight * math.exp(-depth)
+
+
 @entry_point_no_refcount
 def compute_path_weights(path_lengths, roulette_weight, alpha, weight):
-    """Write the weight of a ray at every wavelength, factor · exp(−Σ α·length), into `weight`."""
+    """Write the weight of a ray at every wavelength, factor · exp(−Σ α·length), into `weight`.
+
+    In single precision, so that the exponentials of several wavelengths are vectorized.
+    """
     weight[:] = ZERO
     for material in range(alpha.shape[0]):
         segment = np.float32(path_lengths[material])
@@ -242,7 +249,7 @@ def score_moments(moments, weight):
 
 
 @inline
-def update_minimum(minimum, weight):
+def update_minimum(min_weight, weight):
     """Update the smallest weights with those of a ray."""
     for i in range(weight.size):
-        minimum[i] = min(minimum[i], weight[i] * ONE)
+        min_weight[i] = min(min_weight[i], weight[i] * ONE)

@@ -21,7 +21,7 @@ from splits.kernels.tallies.crossings import (
 )
 from splits.kernels.tallies.exits import EXIT_LENGTH, EXIT_SIDE, EXIT_WEIGHT, transpose_absorption
 
-DOWNWARD, UPWARD = 0, 1
+DOWNWELLING, UPWELLING = range(2)
 _MAX_SERIES_DEPTH = float32_constant(0.05)
 """Optical depth of a segment below which a series replaces the difference of exponentials."""
 _SIXTH, _TWENTY_FOURTH = float32_constant(1.0 / 6.0), float32_constant(1.0 / 24.0)
@@ -113,13 +113,13 @@ def tally_flux(exits, crossings, absorption, path_fractions, n_layers, ground_co
                 last.path_lengths[ground_column] += 1.0
                 for i in range(wavelengths):
                     last.transmittance[i] *= exp_float32(-alpha[ground_column, i])
-                _add_weighted(sums.boundary_weight[UPWARD, boundary], last.transmittance, weight)
+                _add_weighted(sums.boundary_weight[UPWELLING, boundary], last.transmittance, weight)
             first += 1
         side, weight = int(exits[ray, EXIT_SIDE]), exits[ray, EXIT_WEIGHT]
         if side >= 0:
             lengths = exits[ray, EXIT_LENGTH:]
             _tally_segment(sums, last, light, lengths, weight, constants, layer)
-            boundary, upward = (0, UPWARD) if side == 0 else (n_layers, DOWNWARD)
+            boundary, upward = (0, UPWELLING) if side == 0 else (n_layers, DOWNWELLING)
             _add_weighted(sums.boundary_weight[upward, boundary], light, weight)
     return sums
 

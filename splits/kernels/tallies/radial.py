@@ -8,11 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from splits.kernels.compiler.jit import entry_point
-from splits.kernels.tallies.angular import WEIGHT, WEIGHT_SQUARED, compute_path_weight
-from splits.kernels.tallies.exits import EXIT_ORDER, EXIT_POSITION, EXIT_SIDE
+from splits.kernels.tallies.angular import WEIGHT, WEIGHT_SQUARED
+from splits.kernels.tallies.exits import (
+    EXIT_LENGTH,
+    EXIT_ORDER,
+    EXIT_POSITION,
+    EXIT_SIDE,
+    EXIT_WEIGHT,
+    compute_path_weight,
+)
 
 
-class RadialTally(NamedTuple):
+class RadialSums(NamedTuple):
     """Distributions of exit positions, for the reflected and the transmitted side.
 
     Attributes
@@ -56,7 +63,7 @@ def tally_radial(
 
     Returns
     -------
-    RadialTally
+    RadialSums
     """
     wavelengths = absorption.shape[0]
     radial = np.zeros((2, wavelengths, n_bins))
@@ -64,7 +71,7 @@ def tally_radial(
     exit_map = np.zeros((2, 2, wavelengths, n_pixels, n_pixels))
     for j in range(exits.shape[0]):
         row = exits[j]
-        side = int(row[EXIT_SIDE])
+        side, lengths, roulette_weight = int(row[EXIT_SIDE]), row[EXIT_LENGTH:], row[EXIT_WEIGHT]
         if side < 0 or row[EXIT_ORDER] == 0.0:
             continue
         x, y = row[EXIT_POSITION], row[EXIT_POSITION + 1]
@@ -78,7 +85,7 @@ def tally_radial(
             along = min(int((x / map_half_width + 1.0) * 0.5 * n_pixels), n_pixels - 1)
             across = min(int((y / map_half_width + 1.0) * 0.5 * n_pixels), n_pixels - 1)
         for i in range(wavelengths):
-            weight = compute_path_weight(row, absorption, i)
+            weight = compute_path_weight(lengths, roulette_weight, absorption, i)
             radial[side, i, radial_bin] += weight
             first_moment[side, i] += weight * radius
             if inside and n_pixels > 0:
@@ -90,4 +97,4 @@ def tally_radial(
                 for column in (across, mirrored):
                     exit_map[WEIGHT, side, i, along, column] += 0.5 * weight
                     exit_map[WEIGHT_SQUARED, side, i, along, column] += 0.25 * weight * weight
-    return RadialTally(radial, first_moment, exit_map)
+    return RadialSums(radial, first_moment, exit_map)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from splits.kernels.base.ray import ABSORBED, ALIVE, REFLECTED, TO_GROUND, TRANSMITTED
 from splits.kernels.base.scene import NO_GROUND, NO_PARTICLES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
@@ -20,8 +21,7 @@ from splits.kernels.optics.scattering import (
     sample_scattering,
 )
 from splits.kernels.optics.stokes import make_unpolarized
-from splits.kernels.tallies.exits import ABSORBED, ALIVE, REFLECTED, TO_GROUND, TRANSMITTED
-from splits.kernels.transport.flight import find_adjacent_layer, record_crossing
+from splits.kernels.transport.flight import find_adjacent_layer, find_next_material, record_crossing
 from splits.kernels.transport.next_event import score_ground, score_scattering
 
 FIRST_DETECTOR_ROULETTE_DEPTH = -math.log(0.1)
@@ -126,9 +126,8 @@ def cross_interface(state, ray, scene, optics, path_lengths, crossings):
     if scene.ground_contact is not None and next_layer == layers.collision_coefficient.size:
         return replace(ray, status=TO_GROUND)
     near = interface_index(scene, optics, pore_material(layers, ray.layer, ray.pore_variate))
-    far = interface_index(scene, optics, layers.first_pore_material[ray.layer])
-    if inside:
-        far = interface_index(scene, optics, pore_material(layers, next_layer, ray.pore_variate))
+    behind = find_next_material(layers, ray.layer, next_layer, ray.pore_variate)
+    far = interface_index(scene, optics, behind)
     if not has_interface(scene, ray.layer, next_layer):
         far = near
     normal = orient_horizontal_normal(ray.direction)

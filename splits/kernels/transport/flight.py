@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from splits.kernels.base.ray import Segment, compute_position
+from splits.kernels.base.ray import ALIVE, LOST, Segment, compute_position
 from splits.kernels.base.scene import NO_PARTICLES
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
@@ -38,7 +38,6 @@ from splits.kernels.math.rng import uniform
 from splits.kernels.math.vectors import ORIGIN, Vector
 from splits.kernels.rough_surface.realization import SurfaceSlope
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing
-from splits.kernels.tallies.exits import ALIVE, LOST
 
 COLLISION, BOUNDARY, ROUGH_TOP, NO_EVENT = range(4)
 """Kinds of events: a grain or a particle, a layer boundary, the rough top, or none was found."""
@@ -93,6 +92,14 @@ def find_adjacent_layer(layer, direction):
 
 
 @inline_only
+def find_next_material(layers, layer, next_layer, pore_variate):
+    """Return the material behind the boundary ahead of a ray: a pore, or the medium outside."""
+    if 0 <= next_layer < layers.collision_coefficient.size:
+        return pore_material(layers, next_layer, pore_variate)
+    return layers.first_pore_material[layer]
+
+
+@inline_only
 def is_continuous(layers, optics, layer, other, pore_variate):
     """Return whether `other` is a layer whose pores have the refractive index of those of `layer`.
 
@@ -109,8 +116,7 @@ def is_continuous(layers, optics, layer, other, pore_variate):
 def record_crossing(ray, upward, scene, path_lengths, crossings):
     """Record the crossing of a ray into the next layer, if the scene records crossings."""
     if crossings is not None and scene.record_crossings:
-        code = encode_crossing(ray.layer if upward else ray.layer + 1, upward)
-        append_crossing(crossings, code, ray.weight, path_lengths)
+        append_crossing(crossings, encode_crossing(ray.layer, upward), ray.weight, path_lengths)
 
 
 @inline_only

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splits.kernels.base.ray import make_ray
+from splits.kernels.base.ray import ABSORBED, ALIVE, LOST, REFLECTED, TO_GROUND, make_ray
 from splits.kernels.base.work import FIRST_RAY, MAX_ORDER, N_RAYS, STREAM
 from splits.kernels.compiler.jit import entry_point, inline_only
 from splits.kernels.math.rng import start_stream, uniform
@@ -32,16 +32,7 @@ from splits.kernels.tallies.crossings import (
     has_capacity,
     set_current_ray,
 )
-from splits.kernels.tallies.exits import (
-    ABSORBED,
-    ALIVE,
-    EXIT_LENGTH,
-    LOST,
-    REFLECTED,
-    TO_GROUND,
-    BatchResult,
-    record_exit,
-)
+from splits.kernels.tallies.exits import EXIT_LENGTH, TraceResult, record_exit
 from splits.kernels.transport.events import (
     apply_roulette,
     collide,
@@ -169,7 +160,7 @@ def trace_ray(state, scene, optics, path_lengths, crossings, rough_top, max_orde
             ray = trace_history(state, ray, scene, optics, path_lengths, crossings, None, rough_top)
             continue
         if crossings is not None and scene.bottom_albedo is None and not scene.rules.analog:
-            code = encode_crossing(n_boundaries - 1, False)
+            code = encode_crossing(n_boundaries - 2, False)
             append_crossing(crossings, code, ray.weight, path_lengths)
         ray = reflect_from_ground(state, ray, scene, optics, path_lengths)
     return ray
@@ -178,8 +169,8 @@ def trace_ray(state, scene, optics, path_lengths, crossings, rough_top, max_orde
 @inline_only
 def record_ray(row, ray, path_lengths):
     """Write the exit of a ray into its row: Q, U and V over I follow the path lengths."""
-    side = ray.status == REFLECTED
-    record_exit(row, side, ray.position, ray.direction, ray.weight, ray.order)
+    reflected = ray.status == REFLECTED
+    record_exit(row, reflected, ray.position, ray.direction, ray.weight, ray.order)
     copy_into_row(row, EXIT_LENGTH, path_lengths)
     if ray.stokes is None:
         return
@@ -192,8 +183,8 @@ def record_ray(row, ray, path_lengths):
 
 
 @entry_point
-def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer):
-    """Trace a batch of rays and record their exits.
+def trace_rays(seed, work, scene, optics, exits, height_fields, surface_buffer):
+    """Trace the rays of a work item and record their exits.
 
     Parameters
     ----------
@@ -211,11 +202,12 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
 
     Returns
     -------
-    BatchResult
+    TraceResult
         With the crossings of boundaries, if the scene records them, and the hits of the ground,
         unless absorption there is analog.
     """
-    n_segments, number, n_recorded = 0, 0, 0
+    number, n_recorded = 0, 0
+    n_segments = np.zeros(1, dtype=np.int64)
     path_lengths = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
     crossings = allocate_crossings(optics.n.size)
@@ -231,41 +223,48 @@ def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer)
             if ray.status == ALIVE or ray.status == TO_GROUND:
                 # The buffer is full.  The ray is traced again, with the same random numbers.
                 break
-            n_segments += ray.n_segments
+            n_segments[0] += ray.n_segments
             if ray.status == LOST:
-                return BatchResult(n_segments, True, get_recorded(crossings))
+                return TraceResult(n_segments, True, get_recorded(crossings))
             if ray.status != ABSORBED:
                 record_ray(exits[number], ray, path_lengths)
             number += 1
         if number < work[N_RAYS]:
             # References to the buffer are counted here, outside the loop over rays.
             crossings = enlarge_buffer(crossings, n_recorded, 0)
-    return BatchResult(n_segments, False, get_recorded(crossings))
+    return TraceResult(n_segments, False, get_recorded(crossings))
 
 
 @entry_point
 def trace_to_detectors(seed, work, scene, optics, totals):
-    """Trace rays under a smooth surface, score them at detectors, and return the segments traced.
+    """Trace rays under a smooth surface, and score them at detectors.
 
     Parameters
     ----------
     seed, work, optics
-        See `trace_batch`.
+        See `trace_rays`.
     scene : Scene
         With detectors, whose sums are accumulated in place; layers of particles only.
     totals : float64[2, 2]
         [reflected, transmitted][`TOTAL`, `UNSCATTERED`], accumulated in place.
+
+    Returns
+    -------
+    TraceResult
+        Without crossings.
     """
-    n_segments = 0
+    n_segments = np.zeros(1, dtype=np.int64)
     path_lengths = np.zeros(optics.n.size)
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[N_RAYS]):
         start_stream(state, seed, work[STREAM], work[FIRST_RAY] + number)
         ray = trace_ray(state, scene, optics, path_lengths, None, None, work[MAX_ORDER])
-        n_segments += ray.n_segments
+        n_segments[0] += ray.n_segments
+        if ray.status == LOST:
+            return TraceResult(n_segments, True, None)
         if ray.status != ABSORBED:
             total = totals[0 if ray.status == REFLECTED else 1]
             total[TOTAL] += ray.weight
             if ray.order == 0:
                 total[UNSCATTERED] += ray.weight
-    return n_segments
+    return TraceResult(n_segments, False, None)

@@ -8,7 +8,7 @@ all of this is compiled away.
 
 from __future__ import annotations
 
-from splits.kernels.base.ray import NO_SEGMENT, compute_position
+from splits.kernels.base.ray import ABSORBED, LOST, NO_SEGMENT, REFLECTED, compute_position
 from splits.kernels.compiler.jit import inline_only
 from splits.kernels.compiler.replace import replace
 from splits.kernels.grains.state import interface_index, pore_material
@@ -21,7 +21,6 @@ from splits.kernels.rough_surface.intersection import (
     find_first_intersection,
     nudge_off_surface,
 )
-from splits.kernels.tallies.exits import ABSORBED, LOST, REFLECTED
 from splits.kernels.transport.events import reflect_from_opaque, sample_pore_variate
 from splits.kernels.transport.flight import NO_EVENT, ROUGH_TOP
 

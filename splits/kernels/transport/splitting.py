@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.kernels.base.ray import Ray
-from splits.kernels.base.work import FIRST_RAY, N_RAYS, NO_MAX_ORDER, STREAM
+from splits.kernels.base.ray import ALIVE, LOST, TRANSMITTED, Ray
+from splits.kernels.base.work import FIRST_RAY, MAX_ORDER, N_RAYS, STREAM
 from splits.kernels.compiler.jit import entry_point, inline_allocating
 from splits.kernels.compiler.replace import replace
 from splits.kernels.math.rng import mix64, start_stream, uniform
-from splits.kernels.tallies.exits import ALIVE, LOST, REFLECTED, TRANSMITTED, BatchStats
+from splits.kernels.tallies.exits import TraceResult
 from splits.kernels.transport.history import sample_source, trace_history
 from splits.kernels.transport.weight_window import WeightWindow, compute_relative_weight
 
@@ -41,9 +41,8 @@ class SplitRay(NamedTuple):
 
 
 class HistoryScore(NamedTuple):
-    """Reflected and transmitted weight of a history with splitting, its segments, and losses."""
+    """Transmitted weight of a history with splitting, its segments, and whether it was lost."""
 
-    reflected: float
     transmitted: float
     n_segments: int
     lost: bool
@@ -64,9 +63,9 @@ def split(state, split_ray, relative_weight, bank):
 
 @inline_allocating
 def trace_history_with_splitting(state, source_ray, scene, optics, kappa, profile):
-    """Trace a ray and its progeny, see `trace_batch_with_splitting`."""
+    """Trace a ray and its progeny, see `trace_with_splitting`."""
     path_lengths = np.zeros(optics.n.size)
-    reflected, transmitted, n_segments = 0.0, 0.0, 0
+    transmitted, n_segments = 0.0, 0
     bank = [source_ray]
     while len(bank) > 0:
         split_ray = bank.pop()
@@ -87,54 +86,52 @@ def trace_history_with_splitting(state, source_ray, scene, optics, kappa, profil
                 split_ray = SplitRay(ray, split_ray.weight / relative_weight, split_ray.stream)
             elif relative_weight > WINDOW_UPPER and len(bank) + MAX_SPLIT < BANK_SIZE:
                 split_ray = split(state, split_ray, relative_weight, bank)
-        weight = split_ray.weight * math.exp(-ray.optical_depth)
         if ray.status == LOST:
-            return HistoryScore(reflected, transmitted, n_segments, True)
-        if ray.status == REFLECTED:
-            reflected += weight
-        elif ray.status == TRANSMITTED:
-            transmitted += weight
-    return HistoryScore(reflected, transmitted, n_segments, False)
+            return HistoryScore(transmitted, n_segments, True)
+        if ray.status == TRANSMITTED:
+            transmitted += split_ray.weight * math.exp(-ray.optical_depth)
+    return HistoryScore(transmitted, n_segments, False)
 
 
 @entry_point
-def trace_batch_with_splitting(seed, work, scene, optics, kappa, moments, profile):
-    """Trace rays with splitting, and tally the moments of the weight of each history.
+def trace_with_splitting(seed, work, scene, optics, kappa, moments, profile):
+    """Trace rays with splitting, and tally the moments of their transmitted weights.
 
     Parameters
     ----------
     seed : int
-    work : int64[3]
-        See `splits.kernels.base.work`; without the order of scattering.
+    work : int64[4]
+        See `splits.kernels.base.work`.
     scene, optics
         See `splits.kernels.base.scene`.  The scene has a smooth top, an open bottom and no
         particles; `optics.absorption` is that of the single wavelength.
     kappa : float
         Decay rate of the window with depth (1/m).
-    moments : float64[2, 3]
-        For [reflected, transmitted]: sum, sum of squares and maximum of the weights of histories,
-        accumulated in place.
+    moments : float64[3]
+        Sum, sum of squares and maximum of the transmitted weights of histories, accumulated in
+        place.
     profile : float64[2, slices]
         See `splits.kernels.transport.weight_window.WeightWindow`; accumulated in place.
 
     Returns
     -------
-    BatchStats
+    TraceResult
+        Without crossings.
     """
-    n_segments = 0
+    n_segments = np.zeros(1, dtype=np.int64)
     state = np.zeros(1, dtype=np.uint64)
     for number in range(work[FIRST_RAY], work[FIRST_RAY] + work[N_RAYS]):
         start_stream(state, seed, work[STREAM], number)
-        ray = sample_source(state, scene, optics, None, NO_MAX_ORDER)
+        ray = sample_source(state, scene, optics, None, work[MAX_ORDER])
         # The weight window replaces the roulette by optical depth.
         ray = replace(ray, next_roulette=math.inf)
         source_ray = SplitRay(ray, 1.0, state[0])
         score = trace_history_with_splitting(state, source_ray, scene, optics, kappa, profile)
-        n_segments += score.n_segments
+        n_segments[0] += score.n_segments
         if score.lost:
-            return BatchStats(n_segments, True)
-        for row, weight in ((0, score.reflected), (1, score.transmitted)):
-            moments[row, 0] += weight
-            moments[row, 1] += weight * weight
-            moments[row, 2] = max(moments[row, 2], weight)
-    return BatchStats(n_segments, False)
+            return TraceResult(n_segments, True, None)
+        weight = score.transmitted
+        moments[0] += weight
+        moments[1] += weight * weight
+        moments[2] = max(moments[2], weight)
+    return TraceResult(n_segments, False, None)

@@ -13,8 +13,8 @@ new rays) are handled in a plain loop between the passes.  The formulas are thos
 kernel: `microfacet`, `fresnel` and `spheroid` serve both.
 """
 
-from splits.kernels.vectorized.batch import trace_batch
+from splits.kernels.vectorized.trace import trace_rays
 
 __all__ = [
-    "trace_batch",
+    "trace_rays",
 ]

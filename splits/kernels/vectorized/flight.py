@@ -89,10 +89,10 @@ def run_flight_step(lane, features, rejection_rules):
     lane.n_rejected = select(active & (not accepted), lane.n_rejected + ONE, ZERO)
     move_to_grain(lane, ray, collision, accepted, features)
     store_grain(lane, collision.entry.grain, accepted, features)
-    next_status = lane_state.LOST if lane.n_rejected > _MAX_REJECTIONS else next_status
+    next_status = lane_state.LANE_LOST if lane.n_rejected > _MAX_REJECTIONS else next_status
     absorbed = result.terminated | (accepted & (lane.order >= lane.max_order))
     lane.order += accepted
-    next_status = lane_state.ABSORBED if absorbed else next_status
+    next_status = lane_state.LANE_ABSORBED if absorbed else next_status
     lane.status = next_status if active else status
 
 

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 from numpy import float32 as single
 
+from splits.kernels.base.scene import WET_PORE
 from splits.kernels.compiler.jit import ONE, inline_only
 from splits.kernels.grains.interaction import RelativeIndex
-from splits.kernels.grains.state import get_layer_geometry
+from splits.kernels.grains.state import get_layer_geometry, refractive_index_of
 from splits.kernels.math.vectors import to_single
-from splits.kernels.optics.interface import ComplexIndex
 from splits.kernels.vectorized.lane_state import Material, Pore
-
-
-@inline_only
-def refractive_index_of(optics, item, material):
-    """Return the complex refractive index of a material for a work item."""
-    return ComplexIndex(optics.n[item, material], optics.k[item, material])
 
 
 @inline_only
 def get_material(optics, item, material):
     """Return the optical constants of a material for a work item in single precision."""
-    index = to_single(refractive_index_of(optics, item, material))
+    index = to_single(refractive_index_of(optics, (item, material)))
     return Material(index, single(optics.absorption[item, material]))
 
 
@@ -46,15 +40,15 @@ def set_layer_optics(lane, job):
     lane.layer_geometry = to_single(get_layer_geometry(layers, layer))
     lane.wet_fraction, lane.first_type = layers.wet_fraction[layer], grain_type
     lane.dry = make_pore(optics, item, dry, core)
-    lane.wet = make_pore(optics, item, dry + 1, core)
+    lane.wet = make_pore(optics, item, dry + WET_PORE, core)
     lane.core = get_material(optics, item, core)
 
 
 @inline_only
 def compute_relative_index(optics, item, near_material, far_material):
     """Return the `RelativeIndex` of two materials, computed in double precision."""
-    near = refractive_index_of(optics, item, near_material)
-    far = refractive_index_of(optics, item, far_material)
+    near = refractive_index_of(optics, (item, near_material))
+    far = refractive_index_of(optics, (item, far_material))
     same = near.n == far.n and near.k == far.k
     k = 0.0 if same else far.k / near.n
     m, m_minus_1 = single(far.n / near.n), single((far.n - near.n) / near.n)

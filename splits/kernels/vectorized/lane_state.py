@@ -25,12 +25,12 @@ STRIDE = 2 * VECTOR_WIDTH
 
 (
     IN_FLIGHT, AT_SURFACE, IN_REFLECTED_LOBE, IN_TRANSMITTED_LOBE,
-    AT_BOUNDARY, AT_GROUND, RESTART, RELOCATE, ABSORBED, LOST, IDLE,
+    AT_BOUNDARY, AT_GROUND, RESTART, RELOCATE, LANE_ABSORBED, LANE_LOST, IDLE,
 ) = map(int32, range(11))  # fmt: skip
 """Status of a lane.  The flight pass serves `IN_FLIGHT`; the surface pass `AT_SURFACE` and the
 cosine lobes on the near and on the far side.  The loop between the passes handles the rest: a
 boundary, the ground, a restart of the flight in the layer of its start, a search for the layer,
-finished rays (`ABSORBED`, `LOST`), and launches."""
+finished rays (`LANE_ABSORBED`, `LANE_LOST`), and launches."""
 
 
 class Material(NamedTuple):

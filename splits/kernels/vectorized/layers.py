@@ -8,47 +8,33 @@ from __future__ import annotations
 import numpy as np
 from numpy import float32 as single
 
-from splits.kernels.base.scene import NO_GROUND
+from splits.kernels.base.scene import NO_GROUND, Optics
 from splits.kernels.compiler.jit import ZERO, inline_only
 from splits.kernels.grains.free_path import compute_boundary_hit
+from splits.kernels.grains.state import pore_material, refractive_index_of
 from splits.kernels.math.vectors import UP, Vector, sample_cosine_lobe
 from splits.kernels.tallies.crossings import append_crossing, encode_crossing, set_current_ray
-from splits.kernels.transport.flight import find_adjacent_layer
+from splits.kernels.transport.flight import find_adjacent_layer, find_next_material, is_continuous
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.lane_motion import load_ray, move_to_boundary
-from splits.kernels.vectorized.lane_optics import refractive_index_of, set_layer_optics
+from splits.kernels.vectorized.lane_optics import set_layer_optics
 from splits.kernels.vectorized.lane_rng import draw_uniform
 from splits.kernels.vectorized.lifecycle import enter_layer, flush_path_lengths, refract_at_boundary
 
 
 @inline_only
-def lane_pore_material(lane, layers, layer):
-    """Return the material of the pore of a ray in a layer."""
-    wet = lane.pore_variate < single(layers.wet_fraction[layer])
-    return layers.first_pore_material[layer] + (1 if wet else 0)
-
-
-@inline_only
-def lane_pore_index(lane, job, layer):
-    """Return the complex refractive index of the pore of a ray in a layer."""
-    pore = lane_pore_material(lane, job.scene.layers, layer)
-    return refractive_index_of(job.optics, lane.item, pore)
-
-
-@inline_only
 def lane_is_continuous(lane, job, layer, other):
-    """Return whether `other` is a layer whose pores have the index of those of `layer`."""
-    if not 0 <= other < job.scene.layers.collision_coefficient.size:
-        return False
-    a, b = lane_pore_index(lane, job, layer), lane_pore_index(lane, job, other)
-    return a.n == b.n and a.k == b.k
+    """Return whether a ray passes from a layer to another one without an interface."""
+    n, k, absorption = job.optics
+    optics = Optics(n[lane.item], k[lane.item], absorption[lane.item])
+    return is_continuous(job.scene.layers, optics, layer, other, lane.pore_variate)
 
 
 @inline_only
 def set_layer(lane, job, layer):
     """Set the layer of a ray, with the pore that its variate selects."""
     lane.layer = layer
-    lane.pore_wet = lane.pore_variate < single(job.scene.layers.wet_fraction[layer])
+    lane.pore_wet = lane.pore_variate < job.scene.layers.wet_fraction[layer]
     set_layer_optics(lane, job)
 
 
@@ -71,8 +57,7 @@ def append_lane_crossing(lane, path_lengths, crossings, code):
 def record_crossing(lane, job, path_lengths, crossings, layer, upward):
     """Record the crossing of a ray into the next layer, if the scene records crossings."""
     if job.scene.record_crossings:
-        code = encode_crossing(layer if upward else layer + 1, upward)
-        append_lane_crossing(lane, path_lengths, crossings, code)
+        append_lane_crossing(lane, path_lengths, crossings, encode_crossing(layer, upward))
 
 
 @inline_only
@@ -87,7 +72,7 @@ def attenuate_segment(lane, job, path_lengths, crossings):
             boundary = layers.boundaries[layer] if d > 0.0 else layers.boundaries[layer + 1]
             length = min(max((boundary - z) / d, 0.0), remaining)
             z = boundary
-        pore = lane_pore_material(lane, layers, layer)
+        pore = pore_material(layers, layer, lane.pore_variate)
         path_lengths[pore] += length
         depth += length * job.optics.absorption[lane.item, pore]
         if layer == last_layer:
@@ -149,10 +134,10 @@ def cross_interface(lane, job, path_lengths, crossings):
         return False
     move_to_boundary(lane, ray, boundary_hit)
     attenuate_segment(lane, job, path_lengths, crossings)
-    near = lane_pore_index(lane, job, layer)
-    far = refractive_index_of(job.optics, lane.item, layers.first_pore_material[layer])
-    if inside:
-        far = lane_pore_index(lane, job, next_layer)
+    pore = pore_material(layers, layer, lane.pore_variate)
+    behind = find_next_material(layers, layer, next_layer, lane.pore_variate)
+    near = refractive_index_of(job.optics, (lane.item, pore))
+    far = refractive_index_of(job.optics, (lane.item, behind))
     transmitted = True
     if job.scene.rules.boundary_fresnel and (near.n != far.n or near.k != far.k):
         transmitted = refract_at_boundary(lane, ray.direction, near, far)
@@ -179,7 +164,7 @@ def reflect_from_ground(lane, job, path_lengths, crossings):
     """
     ground, bottom_layer = job.scene.ground_column, job.scene.layers.collision_coefficient.size - 1
     flush_path_lengths(lane, path_lengths, job.scene)
-    append_lane_crossing(lane, path_lengths, crossings, encode_crossing(bottom_layer + 1, False))
+    append_lane_crossing(lane, path_lengths, crossings, encode_crossing(bottom_layer, False))
     path_lengths[ground] += 1.0
     lane.optical_depth += single(job.optics.absorption[lane.item, ground])
     direction = sample_cosine_lobe(UP, draw_uniform(lane), draw_uniform(lane))
@@ -190,5 +175,5 @@ def reflect_from_ground(lane, job, path_lengths, crossings):
     lane.n_rejected = ZERO
     lane.status = lane_state.IN_FLIGHT if entered else lane_state.AT_GROUND
     if lane.order >= lane.max_order:
-        lane.status = lane_state.ABSORBED
+        lane.status = lane_state.LANE_ABSORBED
     lane.order += 1

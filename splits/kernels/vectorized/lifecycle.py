@@ -12,6 +12,7 @@ from splits.kernels.compiler.features import Features
 from splits.kernels.compiler.jit import ZERO, inline_only
 from splits.kernels.compiler.structure_of_arrays import initialize
 from splits.kernels.grains.free_path import compute_boundary_hit
+from splits.kernels.grains.state import refractive_index_of
 from splits.kernels.math.rng import compute_stream_start
 from splits.kernels.math.vectors import Vector, to_single
 from splits.kernels.optics.interface import orient_horizontal_normal, sample_interface
@@ -20,19 +21,19 @@ from splits.kernels.tallies.crossings import copy_into_row
 from splits.kernels.tallies.exits import EXIT_LENGTH, record_exit
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.lane_motion import attenuate, load_ray, move_to_boundary
-from splits.kernels.vectorized.lane_optics import refractive_index_of, set_layer_optics
+from splits.kernels.vectorized.lane_optics import set_layer_optics
 from splits.kernels.vectorized.lane_rng import draw_uniform
 from splits.kernels.vectorized.lane_state import N_LANES, STATE_SIZE, STRIDE, Lane
 
 
-class BatchJob(NamedTuple):
-    """Work of a batch, with its scene.
+class TraceJob(NamedTuple):
+    """Work of a kernel call, with its scene.
 
     Attributes
     ----------
     seed : int
     work : int64[items, 4]
-        See `splits.kernels.vectorized.batch.trace_batch`.
+        See `splits.kernels.vectorized.trace.trace_rays`.
     scene : Scene
     optics : Optics
         With a row for each item.
@@ -70,8 +71,8 @@ def enter_layer(lane, job, layer, d):
     lane.pore_wet, lane.pore_variate = wet, pore_variate
     if wet and job.scene.rules.boundary_fresnel:
         dry = layers.first_pore_material[layer]
-        near = refractive_index_of(job.optics, lane.item, dry)
-        far = refractive_index_of(job.optics, lane.item, dry + 1)
+        near = refractive_index_of(job.optics, (lane.item, dry))
+        far = refractive_index_of(job.optics, (lane.item, dry + WET_PORE))
         return refract_at_boundary(lane, d, near, far)
     lane.direction = to_single(d)
     return True
@@ -107,8 +108,8 @@ def cross_boundary(lane, job):
     if not (lane.pore_wet and job.scene.rules.boundary_fresnel):
         return True
     lane.n_rejected, lane.status = ZERO, lane_state.IN_FLIGHT
-    near = refractive_index_of(job.optics, lane.item, WET_PORE)
-    far = refractive_index_of(job.optics, lane.item, DRY_PORE)
+    near = refractive_index_of(job.optics, (lane.item, WET_PORE))
+    far = refractive_index_of(job.optics, (lane.item, DRY_PORE))
     return refract_at_boundary(lane, ray.direction, near, far)
 
 

@@ -39,7 +39,7 @@ def test_digest_is_independent_of_line_endings(package):
     [
         "materials/mixing.py",
         "media/snow.py",
-        "kernels/vectorized/batch.py",
+        "kernels/vectorized/trace.py",
         "simulation/engine.py",
         "experiments/run.py",
         "experiments/run_points.py",

@@ -61,10 +61,8 @@ def test_derivatives_match_differences_of_tallies(ground):
     assert derivatives.shape == (RAYS // BLOCK_SIZE, 2, PARAMETERS, WAVELENGTHS)
     for parameter, change in enumerate(changes):
         above, below = (
-            tally_weights(exits, crossings, absorption + sign * STEP * change, True, column)[0][
-                :2, 0
-            ]
-            for sign in (1.0, -1.0)
+            tally_weights(exits, crossings, perturbed, True, column).moments[:2, 0]
+            for perturbed in (absorption + STEP * change, absorption - STEP * change)
         )
         difference = (above - below) / (2.0 * STEP)
         # Weights are in single precision, and third derivatives about 30 times the first.

@@ -14,8 +14,8 @@ from scenes import compute_optics, make_medium_scene
 import splits
 from splits.kernels.compiler.passes import RefcountCheckedCompiler
 from splits.kernels.vectorized import flight, interaction, lane_state
-from splits.kernels.vectorized.batch import allocate_lanes
 from splits.kernels.vectorized.eligibility import select_features
+from splits.kernels.vectorized.trace import allocate_lanes
 
 ARITHMETIC = re.compile(
     r"\tv(?:add|sub|mul|fn?m(?:add|sub)\d+)([sp])s\s.*%([xyz])mm\d+(?: \{%k\d\})?(?: \{z\})?$", re.M

@@ -13,7 +13,7 @@ import splits
 from splits.core.validation import InvalidValue
 from splits.kernels.compiler.features import ALL_FEATURES
 from splits.kernels.tallies.crossings import CROSSING_LENGTH, CROSSING_RAY
-from splits.kernels.tallies.exits import EXIT_LENGTH, BatchResult
+from splits.kernels.tallies.exits import EXIT_LENGTH, TraceResult
 from splits.kernels.transport import history
 from splits.simulation import engine
 from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_round, simulate
@@ -149,15 +149,15 @@ class NumberedExits(SceneTracer):
     scene = height_fields = None
 
     def __init__(self, monkeypatch, lost=False):
-        def trace_batch(seed, work, scene, optics, exits, height_fields, surface_buffer):
+        def trace_rays(seed, work, scene, optics, exits, height_fields, surface_buffer):
             stream, first, count, _ = work
             exits[:, EXIT_LENGTH] = stream * 1e6 + np.arange(first, first + count)
             rays = np.repeat(np.arange(1, count, 2), 2)
             crossings = np.zeros((len(rays), CROSSING_LENGTH + 1))
             crossings[:, CROSSING_RAY], crossings[:, CROSSING_LENGTH] = rays, first + rays
-            return BatchResult(count, lost, crossings)
+            return TraceResult(np.array([count]), lost, crossings)
 
-        monkeypatch.setattr(history, "trace_batch", trace_batch)
+        monkeypatch.setattr(history, "trace_rays", trace_rays)
 
     def select_kernel(self, strata, kernel, share):
         """Leave the scalar kernel."""

@@ -1,4 +1,4 @@
-"""Batches of rays on lanes, of several work items at once."""
+"""Kernel that traces rays of several work items at once on lanes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from splits.kernels.tallies.crossings import (
     get_recorded,
     has_capacity,
 )
-from splits.kernels.tallies.exits import BatchResult
+from splits.kernels.tallies.exits import TraceResult
 from splits.kernels.vectorized import lane_state
 from splits.kernels.vectorized.flight import run_flight_pass
 from splits.kernels.vectorized.interaction import run_surface_pass
@@ -32,7 +32,7 @@ from splits.kernels.vectorized.layers import (
     restart_flight,
 )
 from splits.kernels.vectorized.lifecycle import (
-    BatchJob,
+    TraceJob,
     compact_lanes,
     cross_boundary,
     flush_path_lengths,
@@ -146,7 +146,7 @@ def handle_waiting_lanes(state, all_path_lengths, width, job, crossings, exits, 
         status = lane.status
         if status < lane_state.AT_BOUNDARY:
             continue
-        if status == lane_state.LOST:
+        if status == lane_state.LANE_LOST:
             return replace(queue, lost=True)
         if status == lane_state.IDLE and queue.next_ray == queue.n_rays:
             continue
@@ -180,8 +180,8 @@ def count_lanes(state, width):
 
 
 @entry_point
-def trace_batch(seed, work, scene, optics, exits, features):
-    """Trace a batch of rays of several work items and record their exits.
+def trace_rays(seed, work, scene, optics, exits, features):
+    """Trace the rays of several work items and record their exits.
 
     All items use the same lanes, which are idle only after the last ray was launched.
 
@@ -200,9 +200,9 @@ def trace_batch(seed, work, scene, optics, exits, features):
 
     Returns
     -------
-    BatchResult
-        `n_segments` is int64[items] and counts sampled grains, a measure of the cost.  `crossings`
-        has the boundaries, if the scene records them, and the hits of the ground.
+    TraceResult
+        `n_segments` counts sampled grains.  `crossings` has the boundaries, if the scene records
+        them, and the hits of the ground.
     """
     align_stack()
     types = scene.types
@@ -211,7 +211,7 @@ def trace_batch(seed, work, scene, optics, exits, features):
         (1.0 - types.sphericity * types.sphericity).astype(np.float32),
         (0.5 * types.facetness).astype(np.float32),
     )
-    job = BatchJob(seed, work, scene, optics, features)
+    job = TraceJob(seed, work, scene, optics, features)
     state, path_lengths = allocate_lanes(), np.zeros((N_LANES, optics.n.shape[1]))
     n_segments = np.zeros(len(work), dtype=np.int64)
     queue = SourceQueue(0, work[:, N_RAYS].sum(), 0, 0, 0, False)
@@ -229,7 +229,7 @@ def trace_batch(seed, work, scene, optics, exits, features):
                 state, path_lengths, width, job, crossings, exits, n_segments, queue
             )
             if queue.lost or queue.n_active == 0:
-                return BatchResult(n_segments, queue.lost, get_recorded(crossings))
+                return TraceResult(n_segments, queue.lost, get_recorded(crossings))
             if queue.n_active <= width - STRIDE:
                 width = compact_lanes(state, path_lengths, width, queue.n_active)
             n_in_flight, _ = count_lanes(state, width)

@@ -33,11 +33,11 @@ from splits.kernels.tallies.exits import (
 )
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.simulation.engine import simulate
+from splits.simulation.exit_tally import ExitTally
 from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import compute_optical_constants
+from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import ExitTally, StoppingRule, Stratum
-from splits.simulation.tracer import SceneTracer
+from splits.simulation.tally import StoppingRule, Stratum
 
 WAVELENGTHS_NM = [450.0, 600.0, 700.0, 800.0, 900.0, 1000.0]
 INCIDENCE_DEG = 40.0
@@ -218,7 +218,8 @@ def compute_likelihood_ratio(medium: Any, rays: int) -> tuple[np.ndarray, np.nda
     )
     tally = ScoreTally(nodes, absorption, 1.0 / medium.mean_free_path_m)
     run = RunOptions.from_arguments(1, None)
-    simulate(SceneTracer(medium, INCIDENCE_DEG), tally, StoppingRule(0.0, rays, fixed=True), run)
+    scene = build_scene(medium, INCIDENCE_DEG, False)
+    simulate(scene, tally, StoppingRule(0.0, rays, fixed=True), run)
     n_rays = tally.n_rays
     mean = tally.sums[0] / n_rays
     variance = (tally.sums[1] / n_rays - mean**2) / n_rays

@@ -20,11 +20,11 @@ from splits.simulation.engine import simulate
 from splits.simulation.fixed_budget import estimate_fixed_budget
 from splits.simulation.interpolation_bounds import MAX_LOG_CURVATURE, MAX_LOG_SLOPE
 from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SpectralTally
 from splits.simulation.tally import STRATUM_BOUNDS, StoppingRule
-from splits.simulation.tracer import SceneTracer
 
 # Wider apart than in any spectrum, so that the curvature is larger than the noise.
 MATERIALS = {
@@ -129,15 +129,15 @@ def print_bias() -> None:
             weights[row, rows[tuple(node)]] += weight
     spectral_rows = SpectralRows.from_media(PathSharingMedia.from_media([snow]), wavelengths)
     used = IndexNodes(all_nodes, weights.max(axis=0), np.zeros(len(wavelengths)))
-    tracer = SceneTracer(snow, 0.0)
+    scene = build_scene(snow, 0.0, False)
     deviations = []
     for seed in range(SEEDS):
-        tally = SpectralTally(spectral_rows, used, tracer.scene)
+        tally = SpectralTally(spectral_rows, used, scene)
         for stratum in tally.strata:
             # The same random streams at all nodes.
             stratum.stream %= len(STRATUM_BOUNDS)
         stop = StoppingRule(0.0, BIAS_RAYS * len(tally.strata), fixed=True)
-        simulate(tracer, tally, stop, RunOptions.from_arguments(seed, None))
+        simulate(scene, tally, stop, RunOptions.from_arguments(seed, None))
         means = tally.moments[:2, 0] / tally.count_rays()
         means *= (weights[0] - weights[1])[tally.node_of_row, tally.rows]
         deviations.append([np.bincount(tally.rows, mean, len(wavelengths)) for mean in means])

@@ -6,8 +6,6 @@ angle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from splits.instruments.angular_estimate import (
@@ -16,8 +14,10 @@ from splits.instruments.angular_estimate import (
     add_interpolation_error,
 )
 from splits.kernels.tallies.angular import AngularSums, tally_angular_bins
+from splits.kernels.tallies.exits import EXIT_LENGTH, N_STOKES_COLUMNS
+from splits.simulation.exit_tally import ExitTally
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import Evaluation, ExitTally, StoppingRule, Stratum
+from splits.simulation.tally import Evaluation, StoppingRule, Stratum
 
 DEFAULT_N_BINS = (18, 72)
 """Bins in polar and in azimuth angle: as many as bins of 5° by 5°."""
@@ -33,8 +33,8 @@ class AngularBinTally(AngularTally, ExitTally):
         See `Tally`.
     n_bins : (int, int)
         Bins in polar and in azimuth angle.
-    stokes_columns : sequence of int
-        Columns of exits that hold Q, U, V over I, or nothing.
+    polarized : bool
+        Whether exits have Stokes parameters.
 
     Attributes
     ----------
@@ -51,11 +51,12 @@ class AngularBinTally(AngularTally, ExitTally):
         nodes: IndexNodes,
         absorption: np.ndarray,
         n_bins: tuple[int, int],
-        stokes_columns: Sequence[int] = (),
+        polarized: bool,
     ) -> None:
         super().__init__(nodes, absorption)
         self.n_bins = n_bins
-        self.factor_columns = (-1, *stokes_columns)
+        first = EXIT_LENGTH + absorption.shape[1]
+        self.factor_columns = (-1, *range(first, first + N_STOKES_COLUMNS * polarized))
         n_rows = len(self.rows)
         self.bin_sums = np.zeros((len(self.factor_columns), 2, 2, n_rows, *n_bins))
         self.unscattered_sums = np.zeros((2, 2, n_rows))

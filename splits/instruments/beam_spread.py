@@ -21,10 +21,9 @@ from splits.simulation.arguments import (
 )
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import compute_optical_constants
+from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import SceneTracer
 
 _INTERPOLATION_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""
@@ -98,17 +97,16 @@ def beam_spread(
         check_half_width("beam_spread", half_width_m)
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_TOLERANCE)
-    tracer = SceneTracer(medium, incidence)
-
+    scene = build_scene(medium, incidence, False)
     if half_width_m is None:
         pilot = BeamSpreadTally(nodes, absorption, 0.0, 0, first_node=len(nodes.index))
-        simulate(tracer, pilot, StoppingRule(0.0, 1, fixed=True), run)
+        simulate(scene, pilot, StoppingRule(0.0, 1, fixed=True), run)
         radii = compute_quantile_radii(pilot.compute_radial_fractions().mean(axis=0), (0.75,))
         # One mean free path where no light leaves; the edge must be positive.
-        radius = radii[0].max() or 1.0 / tracer.scene.layers.collision_coefficient.max()
+        radius = radii[0].max() or 1.0 / scene.layers.collision_coefficient.max()
         half_width_m = np.clip(radius, *HALF_WIDTH_RANGE_M["beam_spread"])
     tally = BeamSpreadTally(nodes, absorption, float(half_width_m))
-    evaluation = simulate(tracer, tally, StoppingRule(0.0, rays, fixed=True), run)
+    evaluation = simulate(scene, tally, StoppingRule(0.0, rays, fixed=True), run)
     attributes = {
         **run.make_attributes("Spread of a beam", "beam_spread", medium),
         "incidence_deg": incidence,

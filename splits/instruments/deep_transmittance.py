@@ -15,7 +15,6 @@ from splits.instruments.single_scattering import single_scattering
 from splits.instruments.transmittance_tally import (
     N_PILOTS,
     PILOT_HISTORIES,
-    SplittingTracer,
     TransmittanceTally,
 )
 from splits.media.checks import check_medium
@@ -94,7 +93,7 @@ def deep_transmittance(
     ground = medium.reflecting_ground
     if ground is not None:
         raise invalid("ground", ground.name, "open", "no light leaves through a ground")
-    tracer = SplittingTracer(build_scene(medium, incidence, False))
+    scene = build_scene(medium, incidence, False)
     constants = compute_optical_constants(medium, wavelengths)
     diffusion_rates = estimate_attenuation_rate(medium, wavelengths, run)
     rates = _RATE_SAFETY_FACTOR * diffusion_rates
@@ -102,11 +101,11 @@ def deep_transmittance(
     for stage in range(N_PILOTS):
         pilot = TransmittanceTally(constants, rates, stage)
         pilot_stop = StoppingRule(0.0, PILOT_HISTORIES * n_wavelengths, fixed=True)
-        simulate(tracer, pilot, pilot_stop, run._replace(progress=None))
+        simulate(scene, pilot, pilot_stop, run._replace(progress=None))
         rates = np.minimum(pilot.fit_attenuation_rates(float(medium.depth_m)), diffusion_rates)
     tally = TransmittanceTally(constants, rates, N_PILOTS)
     stop = StoppingRule(relative_stderr, max_rays * n_wavelengths)
-    evaluation = simulate(tracer, tally, stop, run)
+    evaluation = simulate(scene, tally, stop, run)
     transmittance, errors, fractions = evaluation.estimate
     illumination = "hemispherical" if incidence == "diffuse" else "directional"
     long_name = f"{illumination}-hemispherical transmittance"

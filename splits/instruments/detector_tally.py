@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from splits.core.validation import invalid
 from splits.instruments.angular_bins import STOKES_NAMES
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally
-from splits.instruments.next_event import DetectorTracer
+from splits.kernels.base.scene import Scene
+from splits.kernels.transport.history import trace_to_detectors
+from splits.kernels.transport.next_event import Detectors
+from splits.media.medium import ParticleMedium
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
+from splits.simulation.tally import LOST_MESSAGE, RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
 
 PILOT_BATCHES = 128
 """Batches of the first round."""
@@ -25,10 +30,18 @@ class DetectorTally(AngularTally):
 
     Parameters
     ----------
-    tracer : DetectorTracer
+    layers : sequence of ParticleMedium
+        See `splits.instruments.next_event.get_detected_layers`.
+    scene : Scene
+    detectors : Detectors
     side : int
         0 reflected, 1 transmitted, to which the requested error applies.
     n_wavelengths : int
+
+    Raises
+    ------
+    ValueError
+        For the transmitted side of a medium whose lower boundary is not open.
 
     Attributes
     ----------
@@ -40,10 +53,22 @@ class DetectorTally(AngularTally):
 
     first_stream = 7_000_000
 
-    def __init__(self, tracer: DetectorTracer, side: int, n_wavelengths: int) -> None:
-        scene, layers, detectors = tracer.scene, tracer.layers, tracer.detectors
-        super().__init__(make_separate_nodes(tracer.index), np.zeros(tracer.index.shape))
-        self.shape, self.side, self.n_wavelengths = detectors.sums.shape, side, n_wavelengths
+    def __init__(
+        self,
+        layers: Sequence[ParticleMedium],
+        scene: Scene,
+        detectors: Detectors,
+        side: int,
+        n_wavelengths: int,
+    ) -> None:
+        if side == 1 and not detectors.has_lower_side:
+            allowed = "brdf with estimator = next_event"
+            raise invalid("target", "btdf", allowed, "the lower boundary is not open")
+        indices = [layer.compute_refractive_indices(np.zeros(1)) for layer in layers]
+        index = np.concatenate(indices, axis=1)
+        super().__init__(make_separate_nodes(index), np.zeros(index.shape))
+        self.detectors, self.shape = detectors, detectors.sums.shape
+        self.side, self.n_wavelengths = side, n_wavelengths
         self.has_lower_side, self.polarized = detectors.has_lower_side, scene.stokes is not None
         # Light that reaches the bottom has other angles than at detectors outside.
         self.undefined_variables = () if self.has_lower_side else ("btdf",)
@@ -63,6 +88,29 @@ class DetectorTally(AngularTally):
     def plan_first_round(self, stop: StoppingRule) -> np.ndarray:
         """Return the rays of the first round, at least two batches."""
         return np.maximum(super().plan_first_round(stop), 2 * RAYS_PER_CHUNK)
+
+    def trace_chunk(
+        self, seed: int, scene: Scene, stratum: Stratum, first_ray: int
+    ) -> tuple[np.ndarray, int]:
+        """Trace a batch of rays, and return its mean contributions and the segments traced.
+
+        Raises
+        ------
+        RuntimeError
+            If a ray was lost.
+        """
+        detectors = self.detectors._replace(
+            sums=np.zeros_like(self.detectors.sums),
+            peak_directions=np.zeros_like(self.detectors.peak_directions),
+        )
+        totals = np.zeros((2, 2))
+        work = np.array([stratum.stream, first_ray, self.rays_per_chunk, stratum.max_order])
+        scene = scene._replace(detectors=detectors)
+        result = trace_to_detectors(seed, work, scene, stratum.optics, totals)
+        if result.lost:
+            raise RuntimeError(LOST_MESSAGE)
+        sums = np.concatenate([detectors.sums.ravel(), totals.ravel()])
+        return sums / self.rays_per_chunk, int(result.n_segments[0])
 
     def merge(self, stratum: Stratum, score: np.ndarray) -> None:
         """Add the score of the next batch."""

@@ -22,9 +22,10 @@ from splits.instruments.angular_estimate import (
 from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.tallies.angular import AngularSums, tally_expansion
 from splits.kernels.tallies.exits import EXIT_ORDER
+from splits.simulation.exit_tally import ExitTally
 from splits.simulation.interpolation_bounds import INTERPOLATION_FACTOR
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, ExitTally, StoppingRule, Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
 
 MAX_DEGREE = 24
 """Largest degree of the polynomials, which resolve details of about 180°/24."""

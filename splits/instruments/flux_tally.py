@@ -17,10 +17,10 @@ from splits.instruments.flux_target import FluxTarget, allocate_flux_rays
 from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWELLING, UPWELLING, FluxSums, tally_flux
+from splits.simulation.exit_tally import ExitTally
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import (
     Evaluation,
-    ExitTally,
     StoppingRule,
     Stratum,
     compute_absorption_per_mfp,

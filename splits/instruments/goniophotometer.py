@@ -16,7 +16,7 @@ from splits.instruments.angular_estimate import AngularEstimate, AngularTally, E
 from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.detector_tally import DetectorTally
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
-from splits.instruments.next_event import DetectorTracer
+from splits.instruments.next_event import get_detected_layers, make_detectors
 from splits.kernels.tallies.angular import make_basis
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
@@ -29,10 +29,9 @@ from splits.simulation.arguments import (
 )
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
-from splits.simulation.scene import compute_optical_constants
+from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import SceneTracer, Tracer
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())
@@ -167,24 +166,23 @@ def goniophotometer(
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
     index, absorption = compute_optical_constants(medium, wavelengths)
     nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
-    tracer: Tracer
+    scene = build_scene(medium, incidence, False)
     tally: AngularTally
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     if estimator == "next_event":
-        tracer = DetectorTracer(medium, float(incidence), polar, azimuth, side)
-        tally = DetectorTally(tracer, side, len(wavelengths))
+        layers = get_detected_layers(medium)
+        detectors = make_detectors(layers, scene, polar, azimuth)
+        tally = DetectorTally(layers, scene, detectors, side, len(wavelengths))
+    elif bins is not None:
+        tally = AngularBinTally(nodes, absorption, bins, medium.polarized)
     else:
-        tracer = SceneTracer(medium, incidence)
-        if bins is not None:
-            tally = AngularBinTally(nodes, absorption, bins, tracer.stokes_columns)
-        else:
-            directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
-            axisymmetric = incidence in (0.0, "diffuse")
-            target_error = ErrorTarget(directions, axisymmetric, side, direction_mask)
-            tally = ExpansionTally(nodes, absorption, target_error, incidence != "diffuse")
+        directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
+        axisymmetric = incidence in (0.0, "diffuse")
+        target_error = ErrorTarget(directions, axisymmetric, side, direction_mask)
+        tally = ExpansionTally(nodes, absorption, target_error, incidence != "diffuse")
     is_fixed = rays is not None or bins is not None
     n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
-    evaluation = simulate(tracer, tally, StoppingRule(relative_stderr, n_rays, is_fixed), run)
+    evaluation = simulate(scene, tally, StoppingRule(relative_stderr, n_rays, is_fixed), run)
     estimate: AngularEstimate = evaluation.estimate
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),

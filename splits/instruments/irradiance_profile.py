@@ -27,9 +27,9 @@ from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import add_recording_planes, build_scene
 from splits.simulation.spectral_nodes import MAX_NODES, IndexNodes, choose_nodes
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import SceneTracer
 
 MAX_DEPTHS = 200
 MAX_TALLY_VALUES = 100_000_000
@@ -164,11 +164,12 @@ def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> 
     """Return the dataset of `irradiance_profile` to an error."""
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
     traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
-    tracer = SceneTracer(traced_medium.medium, incidence, planes_m=depths.tolist())
+    scene = build_scene(traced_medium.medium, incidence, False)
+    scene = add_recording_planes(scene, depths.tolist())
     nodes = _choose_nodes(traced_medium, max_stderr, target.band_weights is not None)
-    _check_memory(traced_medium, tracer.scene.layers.boundaries.size - 1, nodes)
-    tally = FluxTally(nodes, traced_medium, tracer.scene, target)
-    evaluation = simulate(tracer, tally, StoppingRule(max_stderr, max_rays), run)
+    _check_memory(traced_medium, scene.layers.boundaries.size - 1, nodes)
+    tally = FluxTally(nodes, traced_medium, scene, target)
+    evaluation = simulate(scene, tally, StoppingRule(max_stderr, max_rays), run)
     attributes = {
         **run.make_attributes("Light inside", "irradiance_profile", medium),
         "incidence_deg": incidence,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -16,12 +15,8 @@ from splits.core.validation import invalid
 from splits.kernels.base.scene import Scene
 from splits.kernels.optics.forward_peak import separate_peak
 from splits.kernels.optics.polarized_interface import compute_fresnel_mueller
-from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import ABOVE, BELOW, Detectors
 from splits.media.medium import Medium, ParticleMedium
-from splits.simulation.scene import build_scene
-from splits.simulation.tally import Stratum, Tally
-from splits.simulation.tracer import LOST_MESSAGE, Tracer
 
 NEGLIGIBLE_PROBABILITY = 1e-16
 """Probability of more successive scatterings into a peak than are stored."""
@@ -175,56 +170,3 @@ def compute_transmission(
     # dΩ inside/dΩ outside = cosθ/(n² cosθ'); a BRDF is per outer cosine.
     solid_angle_ratio = 1.0 / (media**2 * cosine.T)[:, 1:-1].T
     return np.transpose(solution, (4, 2, 3, 0, 1)) * solid_angle_ratio[..., np.newaxis]
-
-
-class DetectorTracer(Tracer):
-    """Tracer of rays in layers of particles under a smooth surface that contribute to detectors.
-
-    Parameters
-    ----------
-    medium : Medium
-    incidence_deg : float
-    polar, azimuth : float
-        Degrees, see `make_detectors`.
-    side : int
-        0 reflected, 1 transmitted, to which the requested error applies.
-
-    Raises
-    ------
-    ValueError
-        See `get_detected_layers`.
-    """
-
-    def __init__(
-        self, medium: Any, incidence_deg: float, polar: np.ndarray, azimuth: np.ndarray, side: int
-    ) -> None:
-        self.layers = get_detected_layers(medium)
-        self.index = medium.compute_refractive_indices(np.zeros(1))
-        self.scene = build_scene(medium, incidence_deg, False)
-        self.detectors = make_detectors(self.layers, self.scene, polar, azimuth)
-        if side == 1 and not self.detectors.has_lower_side:
-            allowed = "brdf with estimator = next_event"
-            raise invalid("target", "btdf", allowed, "the lower boundary is not open")
-
-    def trace_chunk(
-        self, seed: int, tally: Tally, stratum: Stratum, first_ray: int
-    ) -> tuple[np.ndarray, int]:
-        """Trace a chunk of rays, and return its mean contributions and the segments traced.
-
-        Raises
-        ------
-        RuntimeError
-            If a ray was lost.
-        """
-        detectors = self.detectors._replace(
-            sums=np.zeros_like(self.detectors.sums),
-            peak_directions=np.zeros_like(self.detectors.peak_directions),
-        )
-        totals = np.zeros((2, 2))
-        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk, stratum.max_order])
-        scene = self.scene._replace(detectors=detectors)
-        result = trace_to_detectors(seed, work, scene, stratum.optics, totals)
-        if result.lost:
-            raise RuntimeError(LOST_MESSAGE)
-        sums = np.concatenate([detectors.sums.ravel(), totals.ravel()])
-        return sums / tally.rays_per_chunk, int(result.n_segments[0])

@@ -18,11 +18,11 @@ from splits.simulation.deep_medium import truncate_deep_medium
 from splits.simulation.derivatives import NO_PERTURBATIONS, Perturbations
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
+from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import choose_nodes, make_separate_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SpectralEstimate, SpectralTally
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import SceneTracer
 from splits.simulation.truncated_medium import ERROR_BUDGET_FRACTION, TruncatedMedium
 
 MAX_ATTEMPTS = 3
@@ -90,7 +90,7 @@ class SpectralRequest(NamedTuple):
         """
         traced = path_sharing if truncation is None else truncation.path_sharing
         rows = self._make_rows(traced, truncation, perturbations)
-        tracer = SceneTracer(traced.media[0], self.incidence, analog=analog)
+        scene = build_scene(traced.media[0], self.incidence, analog)
         above_truncation = (1.0 - ERROR_BUDGET_FRACTION**2) ** 0.5
         target = self.max_stderr * (1.0 if truncation is None else above_truncation)
         for _ in range(MAX_ATTEMPTS):
@@ -99,8 +99,8 @@ class SpectralRequest(NamedTuple):
             else:
                 tolerance = INTERPOLATION_FRACTION * target
                 nodes = choose_nodes(rows.index, rows.interfaces, tolerance)
-            tally = SpectralTally(rows, nodes, tracer.scene)
-            evaluation = simulate(tracer, tally, StoppingRule(target, self.max_rays), self.run)
+            tally = SpectralTally(rows, nodes, scene)
+            evaluation = simulate(scene, tally, StoppingRule(target, self.max_rays), self.run)
             above: SpectralEstimate = evaluation.estimate
             if truncation is None:
                 return above

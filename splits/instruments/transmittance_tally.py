@@ -10,8 +10,7 @@ from splits.kernels.base.scene import Scene
 from splits.kernels.transport.splitting import trace_with_splitting
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
-from splits.simulation.tracer import Tracer
+from splits.simulation.tally import LOST_MESSAGE, Evaluation, StoppingRule, Stratum, Tally
 
 HISTORIES_PER_CHUNK = 64
 """Histories per chunk, the unit of parallel work."""
@@ -29,32 +28,6 @@ _MIN_SLICE_COLLISIONS = 200
 
 TransmittanceScore = tuple[np.ndarray, np.ndarray]
 """Σ weight, Σ weight² and the largest weight of transmitted histories; and the depth profile."""
-
-
-class SplittingTracer(Tracer):
-    """Tracer of rays that are split with depth, see `splits.kernels.transport.splitting`."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-
-    def trace_chunk(
-        self, seed: int, tally: Tally, stratum: Stratum, first_ray: int
-    ) -> tuple[TransmittanceScore, int]:
-        """Trace a chunk of histories, and return its score and the segments traced.
-
-        Raises
-        ------
-        RuntimeError
-            If no grain fits between the boundaries along a ray.
-        """
-        moments, profile = np.zeros(3), np.zeros((2, N_DEPTH_SLICES))
-        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk, stratum.max_order])
-        result = trace_with_splitting(
-            seed, work, self.scene, stratum.optics, stratum.splitting_rate, moments, profile
-        )
-        if result.lost:
-            raise RuntimeError("no grain fits between the boundaries along a ray")
-        return (moments, profile), int(result.n_segments[0])
 
 
 class TransmittanceEstimate(NamedTuple):
@@ -116,6 +89,25 @@ class TransmittanceTally(Tally):
         for row, stratum in enumerate(self.strata):
             stratum.stream = self.first_stream + (N_PILOTS + 1) * row + stage
             stratum.splitting_rate = float(splitting_rates[row])
+
+    def trace_chunk(
+        self, seed: int, scene: Scene, stratum: Stratum, first_ray: int
+    ) -> tuple[TransmittanceScore, int]:
+        """Trace a chunk of histories with splitting, and return its score and the segments.
+
+        Raises
+        ------
+        RuntimeError
+            If no grain fits between the boundaries along a ray.
+        """
+        moments, profile = np.zeros(3), np.zeros((2, N_DEPTH_SLICES))
+        work = np.array([stratum.stream, first_ray, self.rays_per_chunk, stratum.max_order])
+        result = trace_with_splitting(
+            seed, work, scene, stratum.optics, stratum.splitting_rate, moments, profile
+        )
+        if result.lost:
+            raise RuntimeError(LOST_MESSAGE)
+        return (moments, profile), int(result.n_segments[0])
 
     def merge(self, stratum: Stratum, score: TransmittanceScore) -> None:
         """Add the score of the next chunk of a stratum."""

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 
 from splits.core.progress import Progress, ProgressCallback
+from splits.kernels.base.scene import Scene
 from splits.kernels.compiler.features import Features
 from splits.simulation.run_options import RunOptions
-from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally
+from splits.simulation.tally import Evaluation, StoppingRule, Stratum, Tally, WorkItem
 from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
-from splits.simulation.tracer import Tracer, WorkItem
 
 MAX_JOB_BYTES = 2**27
 MAX_SEGMENTS_PER_JOB = 2e7
@@ -25,15 +25,14 @@ MIN_ROUND_GROWTH, MAX_ROUND_GROWTH = 1.25, 8.0
 MIN_REPORT_INTERVAL_S = 0.5
 
 
-def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) -> Evaluation:
+def simulate(scene: Scene, tally: Tally, stop: StoppingRule, run: RunOptions) -> Evaluation:
     """Trace rounds of rays and merge their scores, until a stopping rule is satisfied.
 
     Parameters
     ----------
-    tracer : Tracer
-        Traces rays of a scene.
+    scene : Scene
     tally : Tally
-        Receives the scores.
+        Traces rays and adds up their scores.
     stop : StoppingRule
     run : RunOptions
         Seed, threads, kernel and progress.  Results do not depend on the threads.
@@ -45,15 +44,15 @@ def simulate(tracer: Tracer, tally: Tally, stop: StoppingRule, run: RunOptions) 
     RuntimeError
         If a ray was lost.
     """
-    tracer.select_kernel(tally.strata, run.kernel, tally.shares_kernel)
+    tally.select_kernel(scene, run.kernel)
     report = ProgressReport(run.progress, stop.max_error)
     new_rays, remaining_rays, stop_reason = tally.plan_first_round(stop), 0.0, ""
     with DaemonThreadPool(run.threads) as pool:
         while not stop_reason:
-            jobs = make_jobs(tracer, tally, new_rays, run.threads)
+            jobs = make_jobs(scene, tally, new_rays, run.threads)
             costs = [sum(estimate_cost(one) * len(rays) for one, rays in job) for job in jobs]
             report.begin_round(int(new_rays.sum()), sum(costs), remaining_rays)
-            traced = pool.map(partial(tracer.trace_job, run.seed, tally), jobs)
+            traced = pool.map(partial(tally.trace_job, run.seed, scene), jobs)
             for job, cost, results in zip(jobs, costs, traced, strict=True):
                 for (stratum, _), (scores, n_segments) in zip(job, results, strict=True):
                     # In a fixed order, so that sums do not depend on the threads.
@@ -109,13 +108,13 @@ def estimate_cost(stratum: Stratum) -> float:
 
 
 def make_jobs(
-    tracer: Tracer, tally: Tally, new_rays: np.ndarray, threads: int
+    scene: Scene, tally: Tally, new_rays: np.ndarray, threads: int
 ) -> list[list[WorkItem]]:
     """Return jobs for threads: strata of one kernel, divided at equal costs.
 
     Parameters
     ----------
-    tracer : Tracer
+    scene : Scene
     tally : Tally
     new_rays : int, shape (strata,)
         Rays to add to each stratum, rounded up to whole chunks.
@@ -127,7 +126,7 @@ def make_jobs(
         if n_rays > 0:
             rays = range(stratum.n_rays, stratum.n_rays - n_rays // -size * size)
             by_kernel.setdefault(stratum.features, []).append((stratum, rays))
-    values_per_chunk = size * tracer.values_per_ray + tally.count_score_values()
+    values_per_chunk = size * tally.count_ray_values(scene) + tally.count_score_values()
     max_job_rays = max(1, MAX_JOB_BYTES // (8 * values_per_chunk)) * size
     jobs = []
     for features, items in by_kernel.items():

@@ -20,11 +20,11 @@ from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import make_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
 from splits.simulation.tally import StoppingRule
-from splits.simulation.tracer import SceneTracer
 
 
 def estimate_fixed_budget(
@@ -77,11 +77,11 @@ def estimate_fixed_budget(
     rows = SpectralRows.from_media(PathSharingMedia.from_media([medium]), wavelengths)
     nodes = make_nodes(rows.index, rows.interfaces, node_rows)
     nodes = replace(nodes, interpolation_bound=np.zeros(len(wavelengths)))
-    tracer = SceneTracer(medium, check_incidence(incidence_deg))
+    scene = build_scene(medium, check_incidence(incidence_deg), False)
     # A node keeps its streams if no wavelength uses its neighbour.
-    tally = SpectralTally(rows, nodes, tracer.scene, SINGLE_STRATUM)
+    tally = SpectralTally(rows, nodes, scene, SINGLE_STRATUM)
     stop = StoppingRule(0.0, rays_per_node * len(tally.strata), fixed=True)
-    estimate = simulate(tracer, tally, stop, run).estimate
+    estimate = simulate(scene, tally, stop, run).estimate
     return estimate.mean, estimate.stderr, estimate.batch_deviations
 
 

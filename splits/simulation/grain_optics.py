@@ -14,7 +14,6 @@ from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import OpticalConstants, build_scene
 from splits.simulation.single_scattering_tally import (
     WEIGHTED_MEANS,
-    IsolatedGrainTracer,
     SingleScatteringTally,
 )
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes, make_nodes
@@ -62,10 +61,9 @@ def compute_grain_optics(
     wet_fraction = _compute_wet_fraction(medium.wet_fraction, index, request.wet_pores)
     node_wet_fractions = _compute_wet_fraction(medium.wet_fraction, nodes.index, request.wet_pores)
     n_orders = request.max_moment + 1
-    tally = SingleScatteringTally(nodes, absorption, n_orders, request.n_rays)
-    tracer = IsolatedGrainTracer(scene, node_wet_fractions, n_orders)
+    tally = SingleScatteringTally(nodes, absorption, node_wet_fractions, n_orders, request.n_rays)
     stop = StoppingRule(0.0, request.n_rays * len(nodes.index), fixed=True)
-    simulate(tracer, tally, stop, request.run)
+    simulate(scene, tally, stop, request.run)
     values = tally.compute_grain_means()
     dry, wet = absorption[:, DRY_PORE], absorption[:, WET_PORE]
     grain_extinction = medium.extinction_per_m

@@ -26,7 +26,6 @@ from splits.simulation.scene import (
     build_scene,
     compute_material_constants,
     compute_optical_constants,
-    make_height_fields,
 )
 from splits.simulation.spectral_rows import PathSharingMedia
 
@@ -128,10 +127,10 @@ def compute_path_signature(medium: Medium) -> tuple[bytes, float]:
     ----------
     medium : Medium
     """
-    scene, height_fields = build_scene(medium, 0.0, False), make_height_fields(medium)
+    scene = build_scene(medium, 0.0, False)
     layers, types = scene.layers, scene.types
     # A rough surface has a length scale of its own.
-    unit = float(1.0 / layers.collision_coefficient[0]) if height_fields is None else 1.0
+    unit = float(1.0 / layers.collision_coefficient[0]) if scene.height_fields is None else 1.0
     scaled_scene = scene._replace(
         layers=layers._replace(
             boundaries=layers.boundaries / unit,
@@ -143,7 +142,7 @@ def compute_path_signature(medium: Medium) -> tuple[bytes, float]:
     # The matrix of particles has one index at all wavelengths and appears in no interface.
     matrices = [layer.refractive_index for layer in medium.scene_layers if not layer.has_grains]
     interfaces = zip(*medium.list_interfaces(), strict=True)
-    parts = (type(medium).__name__, len(medium.list_materials()), scaled_scene, height_fields)
+    parts = (type(medium).__name__, len(medium.list_materials()), scaled_scene)
     encoded = map(_encode, (*parts, matrices, *interfaces))
     return hashlib.sha256(b"".join(itertools.chain.from_iterable(encoded))).digest(), unit
 

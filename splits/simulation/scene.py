@@ -53,11 +53,6 @@ def make_height_fields(medium: Medium) -> HeightFields | None:
     return medium.scene_layers[0].make_height_fields()
 
 
-def count_length_columns(medium: Medium) -> int:
-    """Return the number of recorded lengths of a path: one per material, and hits of a ground."""
-    return len(medium.list_materials()) + (medium.reflecting_ground is not None)
-
-
 def compute_material_constants(medium: Medium, wavelength_nm: np.ndarray) -> OpticalConstants:
     """Return the optical constants of a medium's materials, with impurities, at wavelengths (nm).
 
@@ -104,11 +99,11 @@ def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Sce
     first_materials = np.cumsum([0, *(len(layer.list_materials()) for layer in media)])
     populations = [layer.make_grain_population() for layer in media]
     rules = (granular[0].interpretation if granular else Interpretation()).to_sampling_rules(analog)
-    has_ground = medium.reflecting_ground is not None
+    has_ground, height_fields = medium.reflecting_ground is not None, make_height_fields(medium)
     bottom_albedo = media[-1].scene_bottom.albedo
     return Scene(
         make_source(incidence_deg),
-        _make_layers(media, populations, first_materials, make_height_fields(medium)),
+        _make_layers(media, populations, first_materials, height_fields),
         _merge_grain_types(populations, first_materials) if granular else None,
         rules,
         make_particle_table(particle_layers) if particle_layers else None,
@@ -117,6 +112,7 @@ def build_scene(medium: Medium, incidence_deg: float | str, analog: bool) -> Sce
         ground_contact=None if bottom_albedo is None else True,
         bottom_albedo=None if has_ground else bottom_albedo,
         stokes=UNPOLARIZED if medium.polarized else None,
+        height_fields=height_fields,
         opaque=True if any(layer.opaque for layer in media) else None,
     )
 

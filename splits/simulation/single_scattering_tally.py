@@ -15,7 +15,6 @@ from splits.kernels.grains.single_grain import (
 from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.tally import Stratum, Tally
-from splits.simulation.tracer import Tracer
 
 GRAIN_RAYS_PER_CHUNK = 2048
 """Rays per chunk, the unit of parallel work."""
@@ -31,32 +30,6 @@ WEIGHTED_MEANS = (
 """Other means weighted by scattered light, in the order of `tally_single_scattering`."""
 
 
-class IsolatedGrainTracer(Tracer):
-    """Tracer of rays that hit one grain each.
-
-    Parameters
-    ----------
-    scene : Scene
-    wet_fractions : float, shape (nodes,)
-        Fraction of the light in pore space that is in wet pores, at each index node.
-    n_orders : int
-        Number of Legendre moments.
-    """
-
-    def __init__(self, scene: Scene, wet_fractions: np.ndarray, n_orders: int) -> None:
-        self.scene, self.wet_fractions, self.n_orders = scene, wet_fractions, n_orders
-
-    def trace_chunk(
-        self, seed: int, tally: Tally, stratum: Stratum, first_ray: int
-    ) -> tuple[ScatteringSums, int]:
-        """Return the sums of a chunk of rays, and their number."""
-        wet_fraction = self.wet_fractions[tally.node_of_row[stratum.node_rows.start]]
-        grain = IsolatedGrain(wet_fraction, self.scene, stratum.optics)
-        work = np.array([stratum.stream, first_ray, tally.rays_per_chunk, stratum.max_order])
-        sums = tally_single_scattering(seed, work, self.n_orders, grain, stratum.absorption)
-        return sums, tally.rays_per_chunk
-
-
 class SingleScatteringTally(Tally):
     """Tally of the directions and displacements of scattered rays, see `Tally`.
 
@@ -64,6 +37,8 @@ class SingleScatteringTally(Tally):
     ----------
     nodes, absorption
         See `Tally`.
+    wet_fractions : float, shape (nodes,)
+        Fraction of the light in pore space that is in wet pores, at each index node.
     n_orders : int
         Number of Legendre moments.
     n_rays : int
@@ -80,15 +55,30 @@ class SingleScatteringTally(Tally):
     first_stream = 2_000_000
 
     def __init__(
-        self, nodes: IndexNodes, absorption: np.ndarray, n_orders: int, n_rays: int
+        self,
+        nodes: IndexNodes,
+        absorption: np.ndarray,
+        wet_fractions: np.ndarray,
+        n_orders: int,
+        n_rays: int,
     ) -> None:
         super().__init__(nodes, absorption)
-        self.n_orders = n_orders
+        self.wet_fractions, self.n_orders = wet_fractions, n_orders
         self.rays_per_chunk = self.rays_per_round = min(n_rays, GRAIN_RAYS_PER_CHUNK)
         self.sums = np.zeros((3, n_orders + len(WEIGHTED_MEANS), len(self.rows)))
         self.batch_sums = np.zeros((N_SCATTERING_BATCHES, *self.sums.shape[1:]))
         self.values_per_row = (3 + N_SCATTERING_BATCHES) * self.sums.shape[1]
         self.add_strata()
+
+    def trace_chunk(
+        self, seed: int, scene: Scene, stratum: Stratum, first_ray: int
+    ) -> tuple[ScatteringSums, int]:
+        """Return the sums of a chunk of rays that hit one grain each, and their number."""
+        wet_fraction = self.wet_fractions[self.node_of_row[stratum.node_rows.start]]
+        grain = IsolatedGrain(wet_fraction, scene, stratum.optics)
+        work = np.array([stratum.stream, first_ray, self.rays_per_chunk, stratum.max_order])
+        sums = tally_single_scattering(seed, work, self.n_orders, grain, stratum.absorption)
+        return sums, self.rays_per_chunk
 
     def merge(self, stratum: Stratum, score: ScatteringSums) -> None:
         """Add the sums of the next chunk of a stratum."""

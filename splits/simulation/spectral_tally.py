@@ -17,6 +17,7 @@ import numpy as np
 from splits.kernels.base.scene import Scene
 from splits.kernels.tallies.derivatives import tally_derivatives
 from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, WeightSums, tally_weights
+from splits.simulation.exit_tally import ExitTally
 from splits.simulation.interpolation_bounds import bound_derivative_error, bound_fraction_error
 from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
 from splits.simulation.spectral_nodes import IndexNodes
@@ -24,7 +25,6 @@ from splits.simulation.spectral_rows import SpectralRows
 from splits.simulation.tally import (
     STRATUM_BOUNDS,
     Evaluation,
-    ExitTally,
     StoppingRule,
     Stratum,
     compute_absorption_per_mfp,

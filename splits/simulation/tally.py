@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splits.core.validation import invalid
 from splits.kernels.base.scene import Optics, Scene, make_bounding_optics
 from splits.kernels.base.work import NO_MAX_ORDER
 from splits.kernels.compiler.features import Features
@@ -19,6 +20,10 @@ RAYS_PER_CHUNK = 128
 STRATUM_BOUNDS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
 """Absorption over one mean distance between grains at which strata of wavelengths begin.  Visible
 light needs few rays and long paths, the near infrared many rays and short paths."""
+LOST_MESSAGE = (
+    "no grain fits between the boundaries along a ray, or a ray is lost at a rough surface: "
+    "the sample is barely thicker than its grains, or the incidence too close to 90 degrees"
+)
 STOP_REASONS = (
     "converged", "fixed_rays", "unresolved_lobe", "interpolation_bound", "no_light", "max_degree",
     "max_rays",
@@ -82,6 +87,12 @@ class Stratum:
     n_segments: int = 0
 
 
+WorkItem = tuple[Stratum, range]
+"""Successive rays of a stratum, a multiple of the rays of a chunk."""
+ItemScores = tuple[list[Any], int]
+"""The score of each chunk of a work item, in order, and the segments traced."""
+
+
 class StoppingRule(NamedTuple):
     """When tracing stops.
 
@@ -131,7 +142,9 @@ class Evaluation(NamedTuple):
 
 
 class Tally(ABC):
-    """Scores of rays, summed by node row.
+    """Scores of rays, summed by node row; it traces the rays, too.
+
+    A subclass traces chunk by chunk and defines `trace_chunk`, or redefines `trace_job`.
 
     A row of a result, a wavelength of one medium, is the weighted mean of the results at the index
     nodes around it.  A node row is a row at one of its nodes.
@@ -235,6 +248,50 @@ class Tally(ABC):
         """Return the largest number of values in the score of a chunk."""
         return self.values_per_row * int(np.diff(self.first_rows).max())
 
+    def count_ray_values(self, scene: Scene) -> int:
+        """Return the number of values that are recorded of each ray."""
+        return 0
+
+    def select_kernel(self, scene: Scene, kernel: str) -> None:
+        """Set the features of the kernel of each stratum; here, there is a scalar kernel only.
+
+        Raises
+        ------
+        ValueError
+            If the vectorized kernel is requested and does not support the scene.
+        """
+        if kernel == "vectorized":
+            raise invalid(
+                "kernel", "vectorized", "'auto' or 'scalar' for this sample",
+                "not for particle layers, analog absorption, stacked coatings, extreme inputs",
+            )  # fmt: skip
+
+    def trace_job(self, seed: int, scene: Scene, job: Sequence[WorkItem]) -> list[ItemScores]:
+        """Trace the items of a job, which use one kernel, and return the scores of each.
+
+        Threads trace jobs at the same time; no method that they call changes the tally.
+
+        Raises
+        ------
+        RuntimeError
+            If a ray was lost.
+        """
+        results = []
+        for stratum, rays in job:
+            chunks = [
+                self.trace_chunk(seed, scene, stratum, first_ray)
+                for first_ray in rays[:: self.rays_per_chunk]
+            ]
+            scores, n_segments = zip(*chunks, strict=True)
+            results.append((list(scores), sum(n_segments)))
+        return results
+
+    def trace_chunk(
+        self, seed: int, scene: Scene, stratum: Stratum, first_ray: int
+    ) -> tuple[Any, int]:
+        """Trace a chunk of a stratum's rays, and return its score and the segments traced."""
+        raise NotImplementedError
+
     @abstractmethod
     def merge(self, stratum: Stratum, score: Any) -> None:
         """Add the score of the next chunk of a stratum to the sums."""
@@ -328,11 +385,3 @@ class Tally(ABC):
         mean = total / n_rays
         variance = self.combine_nodes((square / n_rays - mean**2) / n_rays, power=2)
         return self.combine_nodes(mean), np.sqrt(np.maximum(variance, 0.0))
-
-
-class ExitTally(Tally):
-    """Tally of the exits and crossings of rays, see `Tally`."""
-
-    @abstractmethod
-    def score(self, stratum: Stratum, exits: np.ndarray, crossings: np.ndarray) -> Any:
-        """Return the score of a chunk of a stratum's rays, from their exits and crossings."""

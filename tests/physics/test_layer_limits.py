@@ -10,12 +10,12 @@ import pytest
 from chi2 import NEEDS_JIT, compute_z_bound, judge_scatter, judge_z
 
 import splits
-from splits.instruments.next_event import DetectorTracer
+from splits.instruments.next_event import make_detectors
 from splits.kernels.base.scene import make_bounding_optics
 from splits.kernels.optics.fresnel import fresnel
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import ABOVE
-from splits.simulation.scene import compute_optical_constants
+from splits.simulation.scene import build_scene, compute_optical_constants
 
 NM = [550.0]
 CONSERVATIVE = {"single_scattering_albedo": 1.0, "bottom_albedo": 1.0}
@@ -264,13 +264,14 @@ def test_local_estimation_above_a_bottom_has_no_btdf():
 def test_next_event_estimation_ends_at_the_largest_order(max_order):
     """The bottom counts as one order of scattering; without particles it is the only one."""
     layer = splits.ParticleLayer(optical_thickness=0.0, refractive_index=1.0, bottom_albedo=0.5)
-    tracer = DetectorTracer(layer, 50.0, np.array([0.0]), np.array([0.0]), 0)
-    scene = tracer.scene._replace(detectors=tracer.detectors)
+    scene, zenith = build_scene(layer, 50.0, False), np.array([0.0])
+    detectors = make_detectors([layer], scene, zenith, zenith)
+    scene = scene._replace(detectors=detectors)
     index, absorption = compute_optical_constants(layer, np.array(NM))
     optics, totals = make_bounding_optics(index[0], absorption), np.zeros((2, 2))
     trace_to_detectors(1, np.array([0, 0, 100, max_order]), scene, optics, totals)
     expected = 0.5 / math.pi if max_order == 1 else 0.0
-    assert tracer.detectors.sums[ABOVE, 0, 0] / 100 == pytest.approx(expected)
+    assert detectors.sums[ABOVE, 0, 0] / 100 == pytest.approx(expected)
 
 
 def test_lobes_too_narrow_for_the_expansion_are_reported():

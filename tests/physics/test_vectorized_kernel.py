@@ -27,11 +27,11 @@ from splits.kernels.vectorized.interaction import run_surface_pass
 from splits.kernels.vectorized.lane_state import N_LANES, Lane, Material, Pore
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
 from splits.simulation.tally import RAYS_PER_CHUNK, StoppingRule
-from splits.simulation.tracer import SceneTracer
 
 pytestmark = NEEDS_JIT
 
@@ -59,13 +59,13 @@ def make_tally(medium, wavelengths, scene):
 
 def trace_spectrum(medium, incidence, wavelengths, kernel, seed, rays=RAYS):
     """Return R and T, their standard errors, and the seconds elapsed on two threads."""
-    tracer = SceneTracer(medium, incidence)
-    tally = make_tally(medium, wavelengths, tracer.scene)
+    scene = build_scene(medium, incidence, False)
+    tally = make_tally(medium, wavelengths, scene)
     # Each wavelength with the features that it needs.
     tally.shares_kernel = False
     stop = StoppingRule(0.0, rays * len(wavelengths), fixed=True)
     start = time.perf_counter()
-    simulate(tracer, tally, stop, RunOptions.from_arguments(seed, 2, kernel))
+    simulate(scene, tally, stop, RunOptions.from_arguments(seed, 2, kernel))
     seconds = time.perf_counter() - start
     assert tally.kernel == kernel
     assert (tally.count_rays() == -(-rays // RAYS_PER_CHUNK) * RAYS_PER_CHUNK).all()
@@ -117,11 +117,12 @@ def test_vectorized_kernel_agrees_with_scalar_kernel():
 
 
 def test_paths_are_independent_of_other_ensembles():
-    tracer = SceneTracer(splits.Snow(depth_m=0.02), 30.0)
-    strata = make_tally(splits.Snow(), np.array([500.0, 800.0]), tracer.scene).strata
-    tracer.select_kernel(strata, "vectorized", False)
+    scene = build_scene(splits.Snow(depth_m=0.02), 30.0, False)
+    tally = make_tally(splits.Snow(), np.array([500.0, 800.0]), scene)
+    strata = tally.strata
+    tally.select_kernel(scene, "vectorized")
     ensemble_optics = [stratum.optics for stratum in strata]
-    features, scene = strata[0].features, tracer.scene
+    features = strata[0].features
 
     def trace_exits(items, optics):
         rows = allocate_exits(sum(rays for *_, rays, _ in items), 3)
@@ -148,15 +149,16 @@ def test_paths_are_independent_of_other_ensembles():
 
 def test_paths_are_independent_of_lane_and_batch():
     medium = splits.Snow(depth_m=0.02)
-    tracer = SceneTracer(medium, 30.0)
-    (stratum,) = make_tally(medium, np.array([900.0]), tracer.scene).strata
-    tracer.select_kernel([stratum], "vectorized", False)
+    scene = build_scene(medium, 30.0, False)
+    tally = make_tally(medium, np.array([900.0]), scene)
+    tally.select_kernel(scene, "vectorized")
+    (stratum,) = tally.strata
 
     def trace_exits(first, rays):
         rows = allocate_exits(rays, 3)
         work = np.array([[0, first, rays, NO_MAX_ORDER]])
         _, lost, _ = vectorized.trace_rays(
-            3, work, tracer.scene, to_single_item(stratum.optics), rows, stratum.features
+            3, work, scene, to_single_item(stratum.optics), rows, stratum.features
         )
         assert not lost
         return rows
@@ -173,19 +175,19 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
     wavelengths = np.array([650.0, 900.0])
     batches = 12
 
-    def make_selected_tally(tracer):
-        tally = make_tally(medium, wavelengths, tracer.scene)
-        tracer.select_kernel(tally.strata, kernel, tally.shares_kernel)
+    def make_selected_tally(scene):
+        tally = make_tally(medium, wavelengths, scene)
+        tally.select_kernel(scene, kernel)
         return tally
 
     def get_sums(tally):
         return np.concatenate([tally.moments.ravel(), tally.batch_sums.ravel()])
 
     def trace_sums(threads=None):
-        tracer = SceneTracer(medium, 10.0)
-        tally = make_tally(medium, wavelengths, tracer.scene)
+        scene = build_scene(medium, 10.0, False)
+        tally = make_tally(medium, wavelengths, scene)
         stop = StoppingRule(0.0, batches * RAYS_PER_CHUNK * len(wavelengths), fixed=True)
-        simulate(tracer, tally, stop, RunOptions.from_arguments(4, threads, kernel))
+        simulate(scene, tally, stop, RunOptions.from_arguments(4, threads, kernel))
         assert tally.n_rays == stop.max_rays
         return get_sums(tally)
 
@@ -193,15 +195,15 @@ def test_results_are_independent_of_threads_and_jobs(medium, kernel):
         """Return the ordered sums of jobs that trace every `jobs`-th chunk."""
         scores = {}
         for job in random.Random(1).sample(range(jobs), jobs):
-            tracer = SceneTracer(medium, 10.0)
-            tally = make_selected_tally(tracer)
+            scene = build_scene(medium, 10.0, False)
+            tally = make_selected_tally(scene)
             for number, stratum in enumerate(tally.strata):
                 for batch in range(job, batches, jobs):
                     first_ray = batch * RAYS_PER_CHUNK
                     item = (stratum, range(first_ray, first_ray + RAYS_PER_CHUNK))
-                    (((score,), _),) = tracer.trace_job(4, tally, [item])
+                    (((score,), _),) = tally.trace_job(4, scene, [item])
                     scores[number, batch] = score
-        tally = make_tally(medium, wavelengths, tracer.scene)
+        tally = make_tally(medium, wavelengths, scene)
         for (number, _), score in sorted(scores.items(), key=lambda item: item[0]):
             tally.merge(tally.strata[number], score)
             tally.strata[number].n_rays += RAYS_PER_CHUNK
@@ -216,13 +218,14 @@ def test_vectorized_kernel_conserves_energy():
     medium = splits.Snow(
         saturation=0.2, depth_m=0.01, refractive_index={"ice": 1.31, "water": 1.33}
     )
-    tracer = SceneTracer(medium, 60.0)
-    (stratum,) = make_tally(medium, np.array([600.0]), tracer.scene).strata
-    tracer.select_kernel([stratum], "vectorized", False)
+    scene = build_scene(medium, 60.0, False)
+    tally = make_tally(medium, np.array([600.0]), scene)
+    tally.select_kernel(scene, "vectorized")
+    (stratum,) = tally.strata
     rows = allocate_exits(3000, 3)
     work = np.array([[0, 0, 3000, NO_MAX_ORDER]])
     _, lost, _ = vectorized.trace_rays(
-        5, work, tracer.scene, to_single_item(stratum.optics), rows, stratum.features
+        5, work, scene, to_single_item(stratum.optics), rows, stratum.features
     )
     assert not lost
     assert (rows[:, 0] >= 0.0).all()

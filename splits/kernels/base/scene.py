@@ -118,6 +118,8 @@ class Scene(NamedTuple):
         Albedo of a Lambertian bottom whose absorption is analog; it replaces the ground.
     stokes : Stokes or None
         Polarization of the incident light; None without polarization.
+    height_fields : HeightFields or None
+        The rough surface on top, of which every ray has its own realization; None for a smooth top.
     opaque : True or None
         Whether the top layer absorbs all light that enters.
     detectors : Detectors or None
@@ -134,6 +136,7 @@ class Scene(NamedTuple):
     ground_contact: bool | None = None
     bottom_albedo: float | None = None
     stokes: Stokes | None = None
+    height_fields: Any = None
     opaque: bool | None = None
     detectors: Any = None
 

@@ -38,6 +38,8 @@ EXIT_POSITION = 6
 EXIT_LENGTH = 8
 """First of the columns of path lengths (m), one per material."""
 
+N_STOKES_COLUMNS = 3
+"""Columns of Q, U, V over I of polarized exits, after the path lengths."""
 BLOCK_SIZE = 8
 """Successive rays with separate sums, whose scatter gives the correlation of errors."""
 N_BATCHES = 32

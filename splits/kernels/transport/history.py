@@ -183,7 +183,7 @@ def record_ray(row, ray, path_lengths):
 
 
 @entry_point
-def trace_rays(seed, work, scene, optics, exits, height_fields, surface_buffer):
+def trace_rays(seed, work, scene, optics, exits, surface_buffer):
     """Trace the rays of a work item and record their exits.
 
     Parameters
@@ -196,9 +196,8 @@ def trace_rays(seed, work, scene, optics, exits, height_fields, surface_buffer):
     exits : float64[rays, columns]
         A row for each ray, from `splits.kernels.tallies.exits.allocate_exits`; polarized rays have
         three columns more, Q, U, V over I, with Q along the plane of the normal.
-    height_fields, surface_buffer : HeightFields, SurfaceRealization, or None
-        The rough surface on top, of which every ray has its own realization, and the buffer of
-        realizations, see `realization.allocate_realization`; None for a smooth top.
+    surface_buffer : SurfaceRealization or None
+        Buffer of realizations of a rough surface, see `realization.allocate_realization`.
 
     Returns
     -------
@@ -216,7 +215,7 @@ def trace_rays(seed, work, scene, optics, exits, height_fields, surface_buffer):
             start_stream(state, seed, work[STREAM], work[FIRST_RAY] + number)
             n_recorded = count_recorded(crossings)
             set_current_ray(crossings, number)
-            rough_top = sample_realization_if_rough(state, height_fields, surface_buffer)
+            rough_top = sample_realization_if_rough(state, scene.height_fields, surface_buffer)
             ray = trace_ray(
                 state, scene, optics, path_lengths, crossings, rough_top, work[MAX_ORDER]
             )

@@ -1,4 +1,4 @@
-"""A tracer without a kernel and a tally of given variances, for tests of the adaptive loop."""
+"""A tally of given variances that traces without a kernel, for tests of the adaptive loop."""
 
 from __future__ import annotations
 
@@ -7,39 +7,25 @@ import time
 import numpy as np
 
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, ExitTally, Stratum
-from splits.simulation.tracer import Tracer
+from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, Stratum, Tally
+
+SEGMENTS = (100, 10, 1)
+"""Segments of a ray by stratum."""
 
 
-class StubTracer(Tracer):
-    """Tracer whose rays have a given number of segments by stratum, and random scores by chunk.
+class StubTally(Tally):
+    """Tally of independent rows, one of each stratum, with given variances per ray.
+
+    Scores of chunks are random, and a ray has a given number of segments by stratum.
 
     Parameters
     ----------
-    segments_per_ray : sequence of int
+    variances : sequence of float
+    rays_per_round : int
     lost_ray : int, optional
         Ray of the first stratum that is lost.
     delay_s : float
         Time of a job (s) is 0, 1 or 2 times this, so that jobs end in another order.
-    """
-
-    def __init__(self, segments_per_ray, lost_ray=None, delay_s=0.0):
-        self.segments_per_ray, self.lost_ray, self.delay_s = segments_per_ray, lost_ray, delay_s
-
-    def trace_job(self, seed, tally, job):
-        (_, rays), *_ = job
-        time.sleep(self.delay_s * (2 - rays.start // tally.rays_per_chunk % 3))
-        return super().trace_job(seed, tally, job)
-
-    def trace_chunk(self, seed, tally, stratum, first_ray):
-        if stratum.stream == 0 and self.lost_ray in range(first_ray, first_ray + RAYS_PER_CHUNK):
-            raise RuntimeError("a ray was lost")
-        score = first_ray, np.random.default_rng((seed, stratum.stream, first_ray)).random()
-        return score, tally.rays_per_chunk * self.segments_per_ray[stratum.stream]
-
-
-class StubTally(ExitTally):
-    """Tally of independent rows, one of each stratum, with given variances per ray.
 
     Attributes
     ----------
@@ -48,7 +34,8 @@ class StubTally(ExitTally):
         Rays of each stratum after each round.
     """
 
-    def __init__(self, variances, rays_per_round=RAYS_PER_CHUNK):
+    def __init__(self, variances, rays_per_round=RAYS_PER_CHUNK, lost_ray=None, delay_s=0.0):
+        self.lost_ray, self.delay_s = lost_ray, delay_s
         self.variances, self.rays_per_round = np.array(variances), rays_per_round
         self.pilot_rays = rays_per_round
         n_rows = len(variances)
@@ -58,8 +45,16 @@ class StubTally(ExitTally):
         ]
         self.sums, self.rounds = np.zeros(n_rows), []
 
-    def score(self, stratum, exits, crossings):
-        return exits, crossings
+    def trace_job(self, seed, scene, job):
+        (_, rays), *_ = job
+        time.sleep(self.delay_s * (2 - rays.start // self.rays_per_chunk % 3))
+        return super().trace_job(seed, scene, job)
+
+    def trace_chunk(self, seed, scene, stratum, first_ray):
+        if stratum.stream == 0 and self.lost_ray in range(first_ray, first_ray + RAYS_PER_CHUNK):
+            raise RuntimeError("a ray was lost")
+        score = first_ray, np.random.default_rng((seed, stratum.stream, first_ray)).random()
+        return score, self.rays_per_chunk * SEGMENTS[stratum.stream]
 
     def merge(self, stratum, score):
         first, value = score

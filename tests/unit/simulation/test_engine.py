@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT
-from stub_tracing import StubTally, StubTracer
+from stub_tracing import SEGMENTS, StubTally
 
 import splits
 from splits.core.validation import InvalidValue
@@ -17,20 +17,22 @@ from splits.kernels.tallies.exits import EXIT_LENGTH, TraceResult
 from splits.kernels.transport import history
 from splits.simulation import engine
 from splits.simulation.engine import MAX_ROUND_GROWTH, ProgressReport, limit_round, simulate
+from splits.simulation.exit_tally import ExitTally
 from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
 from splits.simulation.run_options import RunOptions
+from splits.simulation.scene import build_scene
+from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
-from splits.simulation.tracer import SceneTracer
 
 MANY_RAYS = 10**8
-SEGMENTS = (100, 10, 1)
 WAVELENGTHS = [500.0, 1000.0, 1500.0]
 SNOW = splits.Snow(depth_m=0.02)
+SCENE = build_scene(SNOW, 0.0, False)
 
 
-def run(tally, stop, tracer=None, **settings):
+def run(tally, stop, scene=None, **settings):
     options = RunOptions.from_arguments(**{"seed": 1, "threads": 2, **settings})
-    return simulate(tracer or StubTracer(SEGMENTS), tally, stop, options)
+    return simulate(scene, tally, stop, options)
 
 
 def test_a_run_stops_when_converged():
@@ -106,11 +108,8 @@ def test_rounds_are_multiples_of_the_rays_per_round(rays_per_round):
 def test_scores_are_merged_in_order_on_any_number_of_threads(monkeypatch):
     def run_on(threads, seed=3):
         # `StubTally.merge` checks the order of the chunks of each stratum.
-        tally = StubTally([1.0, 30.0, 7.0])
-        tracer = StubTracer(SEGMENTS, delay_s=0.001)
-        evaluation = run(
-            tally, StoppingRule(0.03, MANY_RAYS), tracer=tracer, threads=threads, seed=seed
-        )
+        tally = StubTally([1.0, 30.0, 7.0], delay_s=0.001)
+        evaluation = run(tally, StoppingRule(0.03, MANY_RAYS), threads=threads, seed=seed)
         return tally.sums.tolist(), evaluation
 
     expected = run_on(1)
@@ -136,20 +135,22 @@ def test_a_run_uses_the_requested_threads(monkeypatch):
 
 @pytest.mark.parametrize("lost_ray", [0, 5000])
 def test_a_lost_ray_ends_the_run(lost_ray):
-    tally = StubTally([1.0, 1.0, 1.0])
+    tally = StubTally([1.0, 1.0, 1.0], lost_ray=lost_ray)
     with pytest.raises(RuntimeError, match="a ray was lost"):
-        run(tally, StoppingRule(0.01, MANY_RAYS), tracer=StubTracer(SEGMENTS, lost_ray))
+        run(tally, StoppingRule(0.01, MANY_RAYS))
     assert len(tally.rounds) == (0 if lost_ray == 0 else 2)
 
 
-class NumberedExits(SceneTracer):
-    """Tracer whose exits are the numbers of the rays; each odd ray crosses a boundary twice."""
+class NumberedExits(ExitTally):
+    """Tally of exits that are the numbers of the rays; each odd ray crosses a boundary twice."""
 
-    n_length_columns, stokes_columns, values_per_ray = 1, (), EXIT_LENGTH + 1
-    scene = height_fields = None
+    def __init__(self, monkeypatch, n_rows, lost=False):
+        super().__init__(make_separate_nodes(np.ones((n_rows, 1)) + 0j), np.zeros((n_rows, 1)))
+        self.strata = [
+            Stratum(row, None, self.select_node(row), np.zeros((1, 1))) for row in range(n_rows)
+        ]
 
-    def __init__(self, monkeypatch, lost=False):
-        def trace_rays(seed, work, scene, optics, exits, height_fields, surface_buffer):
+        def trace_rays(seed, work, scene, optics, exits, surface_buffer):
             stream, first, count, _ = work
             exits[:, EXIT_LENGTH] = stream * 1e6 + np.arange(first, first + count)
             rays = np.repeat(np.arange(1, count, 2), 2)
@@ -159,15 +160,18 @@ class NumberedExits(SceneTracer):
 
         monkeypatch.setattr(history, "trace_rays", trace_rays)
 
-    def select_kernel(self, strata, kernel, share):
-        """Leave the scalar kernel."""
+    def score(self, stratum, exits, crossings):
+        return exits, crossings
+
+    def merge(self, stratum, score):
+        raise AssertionError
 
 
 def test_exits_and_crossings_are_scored_by_chunk(monkeypatch):
-    tally = StubTally([1.0, 1.0])
+    tally = NumberedExits(monkeypatch, 2)
     items = [(0, 256, 384), (1, 0, 128)]
     job = [(tally.strata[row], range(first, first + count)) for row, first, count in items]
-    results = NumberedExits(monkeypatch).trace_job(1, tally, job)
+    results = tally.trace_job(1, SCENE, job)
     assert [n_segments for _, n_segments in results] == [384, 128]
     for (row, first_ray, count), (scores, _) in zip(items, results, strict=True):
         assert len(scores) == count // RAYS_PER_CHUNK
@@ -183,9 +187,10 @@ def test_exits_and_crossings_are_scored_by_chunk(monkeypatch):
             )
 
 
-def test_a_lost_ray_is_explained_by_the_tracer(monkeypatch):
+def test_a_lost_ray_is_explained(monkeypatch):
+    tally = NumberedExits(monkeypatch, 1, lost=True)
     with pytest.raises(RuntimeError, match="no grain fits between the boundaries"):
-        run(StubTally([1.0]), StoppingRule(1.0, 1), tracer=NumberedExits(monkeypatch, lost=True))
+        run(tally, StoppingRule(1.0, 1), SCENE, kernel="scalar")
 
 
 def test_kernels_are_named():

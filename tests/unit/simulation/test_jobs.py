@@ -13,13 +13,13 @@ from splits.simulation.engine import (
     estimate_cost,
     make_jobs,
 )
+from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.spectral_rows import SpectralRows
 from splits.simulation.spectral_tally import SpectralTally
 from splits.simulation.tally import RAYS_PER_CHUNK
-from splits.simulation.tracer import SceneTracer
 
-TRACER = SceneTracer(splits.Snow(depth_m=0.02), 0.0)
+SCENE = build_scene(splits.Snow(depth_m=0.02), 0.0, False)
 
 
 def make_tally(segments_per_ray):
@@ -28,7 +28,7 @@ def make_tally(segments_per_ray):
     index = np.ones((3, 3)) + 0j
     rows = SpectralRows(index, absorption, absorption, np.zeros((0, 3, 3)), ())
     nodes = IndexNodes(index[:1], np.ones((1, 3)), np.zeros(3))
-    tally = SpectralTally(rows, nodes, TRACER.scene)
+    tally = SpectralTally(rows, nodes, SCENE)
     assert len(tally.strata) == 3
     for stratum, n_segments in zip(tally.strata, segments_per_ray, strict=True):
         stratum.n_rays, stratum.n_segments = RAYS_PER_CHUNK, RAYS_PER_CHUNK * n_segments
@@ -37,7 +37,7 @@ def make_tally(segments_per_ray):
 
 def divide(tally, chunks, threads):
     """Return the jobs for given numbers of chunks of the strata."""
-    return make_jobs(TRACER, tally, RAYS_PER_CHUNK * np.array(chunks), threads)
+    return make_jobs(SCENE, tally, RAYS_PER_CHUNK * np.array(chunks), threads)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 7])
@@ -56,14 +56,16 @@ def test_jobs_contain_every_chunk_once_and_in_order(threads, chunks):
         n_rays = count * RAYS_PER_CHUNK
         assert firsts == list(range(stratum.n_rays, stratum.n_rays + n_rays, RAYS_PER_CHUNK))
     assert all(rays and len(rays) % RAYS_PER_CHUNK == 0 for job in jobs for _, rays in job)
-    bytes_per_chunk = 8 * (RAYS_PER_CHUNK * TRACER.values_per_ray + tally.count_score_values())
+    bytes_per_chunk = 8 * (
+        RAYS_PER_CHUNK * tally.count_ray_values(SCENE) + tally.count_score_values()
+    )
     n_chunks = [sum(len(rays) for _, rays in job) // RAYS_PER_CHUNK for job in jobs]
     assert max(n_chunks) * bytes_per_chunk <= MAX_JOB_BYTES
 
 
 def test_rays_are_rounded_up_to_whole_chunks():
     tally = make_tally((10, 10, 10))
-    items = [item for job in make_jobs(TRACER, tally, np.array([1, 0, 129]), 1) for item in job]
+    items = [item for job in make_jobs(SCENE, tally, np.array([1, 0, 129]), 1) for item in job]
     assert [(tally.strata.index(one), len(rays)) for one, rays in items] == [(0, 128), (2, 256)]
 
 

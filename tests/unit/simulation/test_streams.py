@@ -61,10 +61,10 @@ def test_strata_have_different_streams():
         SpectralTally(rows, nodes, analog_scene): 3,
         FluxTally(nodes, traced_medium, scene, None): 9,
         ExpansionTally(nodes, absorption, target, True): 3 * len(ORDER_CLASSES),
-        AngularBinTally(nodes, absorption, (2, 2)): 3,
+        AngularBinTally(nodes, absorption, (2, 2), False): 3,
         BeamSpreadTally(nodes, absorption, 1.0): 3,
         BeamSpreadTally(nodes, absorption, 1.0, first_node=3): 3,
-        SingleScatteringTally(nodes, absorption, 2, 2048): 3,
+        SingleScatteringTally(nodes, absorption, np.zeros(3), 2, 2048): 3,
         **{
             TransmittanceTally(traced_medium.constants, np.ones(3), stage): 3
             for stage in range(N_PILOTS + 1)

@@ -37,7 +37,8 @@ from splits.simulation.exit_tally import ExitTally
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import StoppingRule, Stratum
+from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.stratum import Stratum
 
 WAVELENGTHS_NM = [450.0, 600.0, 700.0, 800.0, 900.0, 1000.0]
 INCIDENCE_DEG = 40.0

@@ -24,7 +24,8 @@ from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SpectralTally
-from splits.simulation.tally import STRATUM_BOUNDS, StoppingRule
+from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.stratum import STRATUM_BOUNDS
 
 # Wider apart than in any spectrum, so that the curvature is larger than the noise.
 MATERIALS = {

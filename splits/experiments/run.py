@@ -28,7 +28,7 @@ from splits.experiments.run_table import run_table, write_table
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.media.sand_composition import SandComposition
 from splits.simulation.run_options import make_wavelength_coordinate
-from splits.simulation.tally import STOP_REASONS
+from splits.simulation.stopping_rule import STOP_REASONS
 
 POINT_VARIABLES = {
     "rays": ("number of rays traced", "1"),

@@ -17,7 +17,8 @@ from splits.kernels.tallies.angular import AngularSums, tally_angular_bins
 from splits.kernels.tallies.exits import EXIT_LENGTH, N_STOKES_COLUMNS
 from splits.simulation.exit_tally import ExitTally
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import Evaluation, StoppingRule, Stratum
+from splits.simulation.stopping_rule import Evaluation, StoppingRule
+from splits.simulation.stratum import Stratum
 
 DEFAULT_N_BINS = (18, 72)
 """Bins in polar and in azimuth angle: as many as bins of 5° by 5°."""

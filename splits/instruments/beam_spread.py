@@ -23,7 +23,7 @@ from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.tally import StoppingRule
+from splits.simulation.stopping_rule import StoppingRule
 
 _INTERPOLATION_TOLERANCE = 0.001
 """Bound on the error of a reflectance from interpolation between refractive indices."""

@@ -21,7 +21,8 @@ from splits.simulation.exit_tally import ExitTally
 from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Stratum
+from splits.simulation.stratum import Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK
 
 RADIUS_QUANTILES = (0.25, 0.5, 0.75, 0.9)
 """Fractions of the light that leave within the quantile radii."""

@@ -23,7 +23,7 @@ from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import build_scene, compute_optical_constants
-from splits.simulation.tally import StoppingRule
+from splits.simulation.stopping_rule import StoppingRule
 
 _RATE_SAFETY_FACTOR = 0.6
 """Fraction of the diffusion-theory rate for the first pilot run: too high a rate splits

@@ -25,7 +25,9 @@ from splits.kernels.tallies.exits import EXIT_ORDER
 from splits.simulation.exit_tally import ExitTally
 from splits.simulation.interpolation_bounds import INTERPOLATION_FACTOR
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
+from splits.simulation.stopping_rule import Evaluation, StoppingRule
+from splits.simulation.stratum import Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK
 
 MAX_DEGREE = 24
 """Largest degree of the polynomials, which resolve details of about 180°/24."""

@@ -19,12 +19,8 @@ from splits.kernels.tallies.exits import N_BATCHES
 from splits.kernels.tallies.flux import DOWNWELLING, UPWELLING, FluxSums, tally_flux
 from splits.simulation.exit_tally import ExitTally
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import (
-    Evaluation,
-    StoppingRule,
-    Stratum,
-    compute_absorption_per_mfp,
-)
+from splits.simulation.stopping_rule import Evaluation, StoppingRule
+from splits.simulation.stratum import Stratum, compute_absorption_per_mfp
 
 FLUX_RAYS_PER_CHUNK = 32
 """Rays whose weights are added up together: few, so that a first round of all batches is short."""

@@ -11,7 +11,7 @@ from splits.core.uncertainty import compute_batch_stderr
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.engine import MIN_ROUND_GROWTH
 from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
-from splits.simulation.tally import Stratum
+from splits.simulation.stratum import Stratum
 
 _MIN_RELATIVE_VARIANCE = 1e-9
 

@@ -31,7 +31,7 @@ from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene, compute_optical_constants
 from splits.simulation.spectral_nodes import choose_nodes
-from splits.simulation.tally import StoppingRule
+from splits.simulation.stopping_rule import StoppingRule
 
 POLAR_DEG = tuple(np.arange(0.0, 90.0, 2.5).tolist())
 AZIMUTH_DEG = tuple(np.arange(0.0, 360.0, 5.0).tolist())

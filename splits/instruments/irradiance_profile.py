@@ -28,15 +28,18 @@ from splits.simulation.arguments import check_incidence, check_wavelengths
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import add_recording_planes, build_scene
-from splits.simulation.spectral_nodes import MAX_NODES, IndexNodes, choose_nodes
-from splits.simulation.tally import StoppingRule
+from splits.simulation.spectral_nodes import (
+    INTERPOLATION_FRACTION,
+    MAX_NODES,
+    IndexNodes,
+    choose_nodes,
+)
+from splits.simulation.stopping_rule import StoppingRule
 
 MAX_DEPTHS = 200
 MAX_TALLY_VALUES = 100_000_000
 """Largest number of sums by batch, layer, material and wavelength; a run takes three times their
 memory."""
-INTERPOLATION_FRACTION = 0.4
-"""Fraction of the requested error that interpolation between indices may contribute."""
 BAND_INTERPOLATION_FRACTION = 0.04
 """The same for errors of bands, for which more index nodes need hardly any more rays."""
 ERROR_QUANTITIES = ("irradiance", "absorptance")

@@ -14,7 +14,7 @@ from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.illumination.sky_spectra import sky
 from splits.simulation.arguments import check_wavelengths
-from splits.simulation.tally import STOP_REASONS
+from splits.simulation.stopping_rule import STOP_REASONS
 
 DEFAULT_STEP_NM = 10.0
 MAX_DEFAULT_NM = 2495.0

@@ -19,16 +19,18 @@ from splits.simulation.derivatives import NO_PERTURBATIONS, Perturbations
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 from splits.simulation.scene import build_scene
-from splits.simulation.spectral_nodes import choose_nodes, make_separate_nodes
+from splits.simulation.spectral_nodes import (
+    INTERPOLATION_FRACTION,
+    choose_nodes,
+    make_separate_nodes,
+)
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SpectralEstimate, SpectralTally
-from splits.simulation.tally import StoppingRule
+from splits.simulation.stopping_rule import StoppingRule
 from splits.simulation.truncated_medium import ERROR_BUDGET_FRACTION, TruncatedMedium
 
 MAX_ATTEMPTS = 3
 """Runs of a truncated medium, each to half the error of the one before."""
-INTERPOLATION_FRACTION = 0.4
-"""Fraction of the requested error that interpolation between indices may contribute."""
 SIDE_QUANTITIES = ("reflectance", "transmittance")
 QUANTITY_LABELS = {
     "reflectance": "hemispherical reflectance",

@@ -10,7 +10,9 @@ from splits.kernels.base.scene import Scene
 from splits.kernels.transport.splitting import trace_with_splitting
 from splits.simulation.scene import OpticalConstants
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.tally import LOST_MESSAGE, Evaluation, StoppingRule, Stratum, Tally
+from splits.simulation.stopping_rule import Evaluation, StoppingRule
+from splits.simulation.stratum import Stratum
+from splits.simulation.tally import LOST_MESSAGE, Tally
 
 HISTORIES_PER_CHUNK = 64
 """Histories per chunk, the unit of parallel work."""

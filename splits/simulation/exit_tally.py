@@ -16,7 +16,8 @@ from splits.kernels.tallies.crossings import CROSSING_RAY
 from splits.kernels.tallies.exits import EXIT_LENGTH, N_STOKES_COLUMNS, TraceResult, allocate_exits
 from splits.kernels.transport import history
 from splits.kernels.vectorized.eligibility import select_features
-from splits.simulation.tally import LOST_MESSAGE, ItemScores, Stratum, Tally, WorkItem
+from splits.simulation.stratum import Stratum
+from splits.simulation.tally import LOST_MESSAGE, ItemScores, Tally, WorkItem
 
 CROSSINGS_PER_BOUNDARY = 4
 """Expected crossings of a boundary per ray, for the memory of a job."""

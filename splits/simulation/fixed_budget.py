@@ -24,7 +24,7 @@ from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import make_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
-from splits.simulation.tally import StoppingRule
+from splits.simulation.stopping_rule import StoppingRule
 
 
 def estimate_fixed_budget(

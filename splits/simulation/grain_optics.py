@@ -17,7 +17,7 @@ from splits.simulation.single_scattering_tally import (
     SingleScatteringTally,
 )
 from splits.simulation.spectral_nodes import IndexNodes, choose_nodes, make_nodes
-from splits.simulation.tally import StoppingRule
+from splits.simulation.stopping_rule import StoppingRule
 
 INTERPOLATION_TOLERANCE = 0.0005
 """Interpolation error allowed, as for a reflectance (see `splits.simulation.spectral_nodes`)."""

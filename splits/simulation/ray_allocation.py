@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.simulation.tally import Stratum
+from splits.simulation.stratum import Stratum
 
 LARGE_PROBLEM_ROWS = 4000
 """Number of rows up to which ray allocation considers all of them."""

@@ -14,7 +14,8 @@ from splits.kernels.grains.single_grain import (
 )
 from splits.simulation.interpolation_bounds import bound_fraction_error
 from splits.simulation.spectral_nodes import IndexNodes
-from splits.simulation.tally import Stratum, Tally
+from splits.simulation.stratum import Stratum
+from splits.simulation.tally import Tally
 
 GRAIN_RAYS_PER_CHUNK = 2048
 """Rays per chunk, the unit of parallel work."""

@@ -38,6 +38,8 @@ from splits.simulation.interpolation_bounds import (
 MAX_NODES = 64
 """Number of nodes above which every wavelength becomes a node of its own."""
 
+INTERPOLATION_FRACTION = 0.4
+"""Fraction of the requested error of a spectrum that interpolation between indices may be."""
 MAX_SEPARATE_NODES = 2500
 """Largest number of wavelengths that can be nodes of their own: memory is proportional to its
 square."""

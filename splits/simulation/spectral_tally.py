@@ -22,13 +22,8 @@ from splits.simulation.interpolation_bounds import bound_derivative_error, bound
 from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.spectral_rows import SpectralRows
-from splits.simulation.tally import (
-    STRATUM_BOUNDS,
-    Evaluation,
-    StoppingRule,
-    Stratum,
-    compute_absorption_per_mfp,
-)
+from splits.simulation.stopping_rule import Evaluation, StoppingRule
+from splits.simulation.stratum import STRATUM_BOUNDS, Stratum, compute_absorption_per_mfp
 
 PILOT_RAYS = 256
 ANALOG_PILOT_RAYS = 2048

@@ -1,144 +1,37 @@
-"""Tallies: what rays score, the strata of rays that serve a result, and sums over rays."""
+"""Tallies: they trace the rays of a scene, score them, and add up the scores."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from splits.core.validation import invalid
-from splits.kernels.base.scene import Optics, Scene, make_bounding_optics
+from splits.kernels.base.scene import Scene, make_bounding_optics
 from splits.kernels.base.work import NO_MAX_ORDER
-from splits.kernels.compiler.features import Features
 from splits.simulation.spectral_nodes import IndexNodes
+from splits.simulation.stopping_rule import Evaluation, StoppingRule
+from splits.simulation.stratum import (
+    INITIAL_SEGMENTS,
+    STRATUM_BOUNDS,
+    Stratum,
+    compute_absorption_per_mfp,
+)
 
 RAYS_PER_CHUNK = 128
 """Rays whose scores are added up together: fixed, so that sums do not depend on the threads."""
-STRATUM_BOUNDS = (-1.0, 0.0005, 0.0015, 0.004, 0.01, 0.03, 0.1)
-"""Absorption over one mean distance between grains at which strata of wavelengths begin.  Visible
-light needs few rays and long paths, the near infrared many rays and short paths."""
 LOST_MESSAGE = (
     "no grain fits between the boundaries along a ray, or a ray is lost at a rough surface: "
     "the sample is barely thicker than its grains, or the incidence too close to 90 degrees"
 )
-STOP_REASONS = (
-    "converged", "fixed_rays", "unresolved_lobe", "interpolation_bound", "no_light", "max_degree",
-    "max_rays",
-)  # fmt: skip
-"""Why runs stop.  Where several runs serve one result, the last of their reasons is stated."""
-INITIAL_SEGMENTS = 400.0
-"""Expected segments per ray, before tracing, of rays that little is absorbed of."""
-
-
-def compute_absorption_per_mfp(scene: Scene, absorption: np.ndarray) -> np.ndarray:
-    """Return the absorption over the smallest mean free path of a scene, by row.
-
-    Parameters
-    ----------
-    scene : Scene
-    absorption : float, shape (rows, columns)
-        Absorption coefficients (1/m).
-    """
-    materials = np.arange(absorption.shape[1]) != scene.ground_column
-    strength: np.ndarray = absorption[:, materials].max(axis=1)
-    return strength / scene.layers.collision_coefficient.max()
-
-
-@dataclass(eq=False)
-class Stratum:
-    """Rays with one random stream, for some node rows, or for some orders of scattering.
-
-    Rays for strongly absorbed wavelengths only can be terminated early by roulette, and those for
-    low orders of scattering after the last of these orders.
-
-    Attributes
-    ----------
-    stream : int
-        Number of the random streams.
-    optics : Optics
-    node_rows : slice
-        Node rows that the rays serve.
-    absorption : float, shape (node rows, columns)
-        Their absorption coefficients (1/m).
-    expected_segments : float
-        Expected segments per ray before any was traced.
-    max_order : int
-        Largest order of scattering of a ray.
-    splitting_rate : float
-        Rate (1/m) at which rays are split with depth.
-    features : Features or None
-        Features of the vectorized kernel, None for the scalar kernel.
-    n_rays, n_segments : int
-        Traced so far.
-    """
-
-    stream: int
-    optics: Optics
-    node_rows: slice
-    absorption: np.ndarray
-    expected_segments: float = INITIAL_SEGMENTS
-    max_order: int = NO_MAX_ORDER
-    splitting_rate: float = 0.0
-    features: Features | None = None
-    n_rays: int = 0
-    n_segments: int = 0
 
 
 WorkItem = tuple[Stratum, range]
 """Successive rays of a stratum, a multiple of the rays of a chunk."""
 ItemScores = tuple[list[Any], int]
 """The score of each chunk of a work item, in order, and the segments traced."""
-
-
-class StoppingRule(NamedTuple):
-    """When tracing stops.
-
-    Attributes
-    ----------
-    max_error : float
-        Largest error, absolute or relative as the tally defines it.
-    max_rays : int
-        Number of rays at which tracing stops in any case.
-    fixed : bool
-        Whether `max_rays` rays are traced whatever the error is.
-    """
-
-    max_error: float
-    max_rays: int
-    fixed: bool = False
-
-    def find_reason(self, evaluation: Evaluation, n_rays: int) -> str:
-        """Return why tracing stops after a number of rays, or an empty string."""
-        exhausted = n_rays >= self.max_rays
-        if self.fixed:
-            return "fixed_rays" if exhausted else ""
-        if evaluation.stop_reason:
-            return evaluation.stop_reason
-        if evaluation.error <= self.max_error:
-            return "converged"
-        return "max_rays" if exhausted else ""
-
-
-class Evaluation(NamedTuple):
-    """State of a run after a round of rays, and its result after the last.
-
-    Attributes
-    ----------
-    error : float
-        Largest error reached, as the tally defines it.
-    estimate : object
-        Estimate from all rays so far, which the tally defines.
-    stop_reason : str
-        One of `STOP_REASONS` once a run has stopped.  Before, a reason of the tally other than the
-        error and the number of rays, or an empty string.
-    """
-
-    error: float
-    estimate: Any = None
-    stop_reason: str = ""
 
 
 class Tally(ABC):

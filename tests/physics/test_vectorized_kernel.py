@@ -31,7 +31,8 @@ from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.spectral_rows import PathSharingMedia, SpectralRows
 from splits.simulation.spectral_tally import SINGLE_STRATUM, SpectralTally
-from splits.simulation.tally import RAYS_PER_CHUNK, StoppingRule
+from splits.simulation.stopping_rule import StoppingRule
+from splits.simulation.tally import RAYS_PER_CHUNK
 
 pytestmark = NEEDS_JIT
 

@@ -13,7 +13,7 @@ from splits.instruments.flux_errors import (
 from splits.instruments.flux_target import FluxTarget, allocate_flux_rays, make_variance_terms
 from splits.instruments.radiation_profile import make_sky_targets
 from splits.kernels.tallies.exits import N_BATCHES
-from splits.simulation.tally import Stratum
+from splits.simulation.stratum import Stratum
 
 RANDOM = np.random.default_rng(1)
 ROWS = np.array([0, 1, 2, 1, 2, 3])

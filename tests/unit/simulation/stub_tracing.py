@@ -7,7 +7,9 @@ import time
 import numpy as np
 
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, Stratum, Tally
+from splits.simulation.stopping_rule import Evaluation
+from splits.simulation.stratum import Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK, Tally
 
 SEGMENTS = (100, 10, 1)
 """Segments of a ray by stratum."""

@@ -22,7 +22,9 @@ from splits.simulation.ray_allocation import VarianceTerms, allocate_rays
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
 from splits.simulation.spectral_nodes import make_separate_nodes
-from splits.simulation.tally import RAYS_PER_CHUNK, Evaluation, StoppingRule, Stratum
+from splits.simulation.stopping_rule import Evaluation, StoppingRule
+from splits.simulation.stratum import Stratum
+from splits.simulation.tally import RAYS_PER_CHUNK
 
 MANY_RAYS = 10**8
 WAVELENGTHS = [500.0, 1000.0, 1500.0]

@@ -21,7 +21,8 @@ from splits.simulation.single_scattering_tally import SingleScatteringTally
 from splits.simulation.spectral_nodes import MAX_SEPARATE_NODES, make_separate_nodes
 from splits.simulation.spectral_rows import SpectralRows
 from splits.simulation.spectral_tally import ANALOG_STREAM, SpectralTally
-from splits.simulation.tally import STRATUM_BOUNDS, Tally
+from splits.simulation.stratum import STRATUM_BOUNDS
+from splits.simulation.tally import Tally
 
 
 def list_tally_classes(base=Tally):

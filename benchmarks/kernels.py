@@ -125,9 +125,7 @@ class KernelTimer:
         """Trace rays from number `first` on, and return the number of their segments."""
         work = np.array([[0, first, self.n_rays, NO_MAX_ORDER]])
         if self.features is None:
-            result = history.trace_rays(
-                seed, work[0], self.scene, self.optics, self.exits, None, None
-            )
+            result = history.trace_rays(seed, work[0], self.scene, self.optics, self.exits, None)
         else:
             optics = Optics(*(values[np.newaxis] for values in self.optics))
             result = vectorized.trace_rays(

@@ -99,7 +99,7 @@ def compute_with_kernel(kernel, medium, incidence, optics, seed, rays):
     exits = [allocate_exits(rays, one.n.size) for one in optics]
     if kernel == "scalar":
         for item, one, rows in zip(work, optics, exits, strict=True):
-            assert not history.trace_rays(seed, item, scene, one, rows, None, None).lost
+            assert not history.trace_rays(seed, item, scene, one, rows, None).lost
     else:
         features = [select_features(scene, one) for one in optics]
         assert None not in features

@@ -112,7 +112,7 @@ def test_reflected_and_ground_absorbed_weights_conserve_energy(kernel):
             1, work, scene, item_optics, exits, select_features(scene, optics)
         )
     else:
-        result = history.trace_rays(1, work[0], scene, optics, exits, None, None)
+        result = history.trace_rays(1, work[0], scene, optics, exits, None)
     ground_absorbed = np.zeros(len(exits))
     weights = result.crossings[:, CROSSING_WEIGHT] * np.exp(
         -result.crossings[:, CROSSING_LENGTH:] @ absorption[0]

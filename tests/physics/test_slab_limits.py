@@ -93,7 +93,7 @@ def test_opaque_grains_transmit_by_beer_lambert(entry):
                 mu,
             )
             work = np.array([ensemble, 0, rays, NO_MAX_ORDER])
-            result = history.trace_rays(seed + 10 * analog, work, scene, optics, exits, None, None)
+            result = history.trace_rays(seed + 10 * analog, work, scene, optics, exits, None)
             assert not result.lost
             moments, min_weights, _ = tally_weights(
                 exits, result.crossings, absorption[np.newaxis], not analog, NO_GROUND

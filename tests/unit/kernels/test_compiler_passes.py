@@ -156,5 +156,5 @@ def test_a_kernel_releases_the_arrays_of_its_scene():
     exits = allocate_exits(8, optics.n.size)
     arrays = (*scene.layers, *scene.types, *optics, exits)
     before = [sys.getrefcount(array) for array in arrays]
-    history.trace_rays(1, np.array([0, 0, 8, 100]), scene, optics, exits, None, None)
+    history.trace_rays(1, np.array([0, 0, 8, 100]), scene, optics, exits, None)
     assert [sys.getrefcount(array) for array in arrays] == before

@@ -157,20 +157,24 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
         _run_retrieval(experiment, target, measured, seed)
         return
     if experiment.fit:
-        from splits.experiments.papers.paper_tables import write_data_frame
-        from splits.experiments.papers.sand_trends import make_fit_table
-
-        parameters = arguments.output / f"{experiment.name}_parameters.csv"
-        write_data_frame(make_fit_table(load(target)), parameters)
-        _print_line(parameters)
+        _write_fitted_parameters(target)
     if has_figure:
         from splits.plotting import draw, save_figure
 
-        save_figure(
-            draw(load(target), experiment.resolve_figure(), *measured_spectra),
-            target.with_suffix(""),
-        )
+        figure = draw(load(target), experiment.resolve_figure(), *measured_spectra)
+        save_figure(figure, target.with_suffix(""))
         _print_line(target.with_suffix(".png"))
+
+
+def _write_fitted_parameters(path: Path) -> None:
+    """Write the parameters of fitted sands as a table beside their dataset."""
+    from splits.experiments.papers.paper_tables import write_data_frame
+    from splits.experiments.papers.sand_trends import make_fit_table
+    from splits.io.netcdf import load
+
+    parameters = path.with_name(f"{path.stem}_parameters.csv")
+    write_data_frame(make_fit_table(load(path)), parameters)
+    _print_line(parameters)
 
 
 def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed: int) -> None:

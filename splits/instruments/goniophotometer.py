@@ -164,8 +164,6 @@ def goniophotometer(
     bins = check_n_bins(n_bins) if estimator == "bins" else None
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
-    index, absorption = compute_optical_constants(medium, wavelengths)
-    nodes = choose_nodes(index, medium.list_interfaces(), _INTERPOLATION_FRACTION * relative_stderr)
     scene = build_scene(medium, incidence, False)
     tally: AngularTally
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
@@ -173,13 +171,15 @@ def goniophotometer(
         layers = get_detected_layers(medium)
         detectors = make_detectors(layers, scene, polar, azimuth)
         tally = DetectorTally(layers, scene, detectors, side, len(wavelengths))
-    elif bins is not None:
-        tally = AngularBinTally(nodes, absorption, bins, medium.polarized)
     else:
-        directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
-        axisymmetric = incidence in (0.0, "diffuse")
-        target_error = ErrorTarget(directions, axisymmetric, side, direction_mask)
-        tally = ExpansionTally(nodes, absorption, target_error, incidence != "diffuse")
+        index, absorption = compute_optical_constants(medium, wavelengths)
+        tolerance = _INTERPOLATION_FRACTION * relative_stderr
+        nodes = choose_nodes(index, medium.list_interfaces(), tolerance)
+        if bins is not None:
+            tally = AngularBinTally(nodes, absorption, bins, medium.polarized)
+        else:
+            target_error = _make_error_target(polar, azimuth, incidence, side, direction_mask)
+            tally = ExpansionTally(nodes, absorption, target_error, incidence != "diffuse")
     is_fixed = rays is not None or bins is not None
     n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
     evaluation = simulate(scene, tally, StoppingRule(relative_stderr, n_rays, is_fixed), run)
@@ -205,6 +205,18 @@ def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     """Return the directions of the stopping rule: all if only steeper ones are requested."""
     low = polar <= MAX_CONVERGED_POLAR_DEG
     return np.repeat(low if low.any() else ~low, len(azimuth))
+
+
+def _make_error_target(
+    polar: np.ndarray,
+    azimuth: np.ndarray,
+    incidence: float | str,
+    side: int,
+    direction_mask: np.ndarray,
+) -> ErrorTarget:
+    """Return what the requested error of an expansion applies to."""
+    directions = make_direction_grid(polar, azimuth, make_basis(MAX_DEGREE))
+    return ErrorTarget(directions, incidence in (0.0, "diffuse"), side, direction_mask)
 
 
 def _check_estimator(estimator: str, incidence: float | str) -> None:

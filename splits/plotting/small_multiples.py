@@ -62,8 +62,7 @@ def draw_small_multiples(
     columns = last if len(panel_dims) == 2 and last <= MAX_ROW_VALUES else DEFAULT_COLUMNS
     panel_points = list(itertools.product(*(dataset[d].values for d in panel_dims)))
     columns = min(columns, len(panel_points))
-    rows_per_quantity = -(-len(panel_points) // columns)
-    rows = rows_per_quantity * len(quantity)
+    rows = -(-len(panel_points) // columns) * len(quantity)
     nodes = find_coarse_nodes(dataset)
     with use_style():
         figure, panels = make_subplots(
@@ -74,10 +73,8 @@ def draw_small_multiples(
             sharex=True,
             squeeze=False,
         )
-        for number, name in enumerate(quantity):
-            panels_of_quantity = panels[
-                number * rows_per_quantity : (number + 1) * rows_per_quantity
-            ]
+        blocks = np.split(panels, len(quantity))
+        for panels_of_quantity, name in zip(blocks, quantity, strict=True):
             top = ylim or (0.0, _compute_axis_top(dataset, name))
             for axes, panel_point in zip(panels_of_quantity.flat, panel_points, strict=False):
                 labels = dict(zip(panel_dims, panel_point, strict=True))

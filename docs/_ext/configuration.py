@@ -1,7 +1,8 @@
 """Sphinx directives for tables of configuration keys, generated from their models.
 
-A page gives the meaning of each key; the allowed values and the default come from the model unless
-the page overrides them.  A key without a meaning, or a meaning without a key, causes a warning.
+A page gives the meaning of each key, unless the model describes it; the allowed values and the
+default come from the model unless the page overrides them.  A key without a meaning, or a meaning
+without a key, causes a warning.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from splits.experiments.config.instrument import (
     REQUIRED_SETTINGS,
 )
 from splits.experiments.config.sections import FIGURE_KINDS, FIGURE_QUANTITIES
-from splits.experiments.config.study_kinds import STUDY_FILES, STUDY_INPUTS, STUDY_PRODUCTS
+from splits.experiments.studies import AnyStudy
+from splits.experiments.studies.study import Study
 
 LOG = logging.getLogger(__name__)
 WORDS = {float: "a number", int: "a whole number", str: "text"}
@@ -102,7 +104,8 @@ class Keys(SphinxDirective):
         """Return the table."""
         module, name = self.arguments[0].rsplit(".", 1)
         fields = getattr(import_module(module), name).model_fields
-        meanings = yaml.safe_load("\n".join(self.content))
+        described = {key: one.description for key, one in fields.items() if one.description}
+        meanings = described | (yaml.safe_load("\n".join(self.content)) or {})
         for key in sorted(set(fields) ^ set(meanings)):
             problem = "has no meaning" if key in fields else "does not exist"
             LOG.warning(
@@ -142,22 +145,47 @@ class Instruments(SphinxDirective):
         return self.parse_text_to_nodes(table([*head, "`figure.quantity`"], rows))
 
 
-class Studies(SphinxDirective):
-    """``{study-kinds}``: inputs and outputs of each kind of study; the body describes them."""
+def list_study_kinds() -> list[type[Study]]:
+    """Return the classes of studies, in the order of their union."""
+    return [get_args(tagged)[0] for tagged in get_args(get_args(AnyStudy)[0])]
 
-    has_content = True
+
+class Studies(SphinxDirective):
+    """``{study-kinds}``: description, inputs, files and outputs of each kind of study."""
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
-        descriptions = yaml.safe_load("\n".join(self.content))
-        for kind in sorted(set(STUDY_PRODUCTS) ^ set(descriptions)):
-            LOG.warning("study-kinds: %s", kind, location=self.get_location())
         rows = []
-        for kind, description in descriptions.items():
-            columns = STUDY_INPUTS.get(kind, ()), STUDY_FILES.get(kind, ()), STUDY_PRODUCTS[kind]
+        for study in list_study_kinds():
+            columns = study.INPUTS, study.FILES, study.PRODUCTS
             cells = [", ".join(f"`{key}`" for key in column) or "—" for column in columns]
+            (kind,) = get_args(study.model_fields["kind"].annotation)
+            description = " ".join(study.__doc__.split("\n\n")[0].split()).rstrip(".")
             rows.append([f"`{kind}`", description, *cells])
         head = ["kind", "description", "`inputs`", "`files`", "`outputs`"]
+        return self.parse_text_to_nodes(table(head, rows))
+
+
+class StudyKeys(SphinxDirective):
+    """``{study-keys}``: a row for each key of studies, with the kinds that have it."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table."""
+        fields: dict[str, FieldInfo] = {}
+        kinds: dict[str, list[str]] = {}
+        for study in list_study_kinds():
+            (kind,) = get_args(study.model_fields["kind"].annotation)
+            for key, field in study.model_fields.items():
+                fields.setdefault(key, field)
+                kinds.setdefault(key, []).append(f"`{kind}`")
+        n_kinds = len(list_study_kinds())
+        rows = []
+        for key, field in fields.items():
+            owners = "all" if len(kinds[key]) == n_kinds else ", ".join(kinds[key])
+            values = "see above" if key == "kind" else allowed(field)
+            meaning = (Study.model_fields.get(key) or field).description
+            rows.append([f"`{key}`", meaning, owners, values, default(field)])
+        head = ["key", "meaning", "kinds", "allowed", "default"]
         return self.parse_text_to_nodes(table(head, rows))
 
 
@@ -165,6 +193,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in (
         ("config-keys", Keys), ("instrument-kinds", Instruments), ("study-kinds", Studies),
+        ("study-keys", StudyKeys),
     ):  # fmt: skip
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

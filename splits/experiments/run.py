@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from splits.core.atomic import check_writable
@@ -26,7 +24,6 @@ from splits.experiments.run_points import (
 )
 from splits.experiments.run_table import run_table, write_table
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
-from splits.media.sand_composition import SandComposition
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.stopping_rule import STOP_REASONS
 
@@ -200,38 +197,3 @@ def compute_refractive_indices(experiment: SimulationConfig) -> xr.Dataset:
         **make_provenance(f"experiment {experiment.name}"),
     }
     return xr.Dataset(variables, coordinates, to_netcdf_attributes(attributes))
-
-
-def make_composition_table(experiments: Mapping[str, SimulationConfig]) -> pd.DataFrame:
-    """Return the intermediate quantities of SPLITS section 4.2.5, a row per particle type and sand.
-
-    Parameters
-    ----------
-    experiments : mapping
-        By name.  Points of a grid with equal compositions appear once per experiment.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns experiment, sample, iron_oxide, hematite_ratio, magnetite, sand_density_kg_m3, and
-        those of `splits.media.sand_composition.SandComposition.to_rows`.
-    """
-    rows: list[dict[str, object]] = []
-    for name, experiment in experiments.items():
-        seen: list[SandComposition] = []
-        medium: Any
-        for labels, medium, _ in experiment.iter_points():
-            composition = getattr(medium, "composition", None)
-            if composition is None or composition in seen:
-                continue
-            seen.append(composition)
-            sample = {
-                "experiment": name,
-                "sample": " · ".join(f"{p} {label}" for p, label in labels.items()),
-                "iron_oxide": medium.iron_oxide,
-                "hematite_ratio": medium.hematite_ratio,
-                "magnetite": medium.magnetite,
-                "sand_density_kg_m3": medium.density_kg_m3,
-            }
-            rows += [sample | row for row in composition.to_rows()]
-    return pd.DataFrame(rows)

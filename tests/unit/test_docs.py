@@ -18,7 +18,6 @@ from splits.experiments.config.instrument import InstrumentSection
 from splits.experiments.config.retrieve import NoiseSection, RetrieveSection
 from splits.experiments.config.sections import FigureSection, FitSection
 from splits.experiments.config.settings import Accuracy, Settings
-from splits.experiments.config.study import SensitivityPair, Study
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -57,8 +56,6 @@ def test_every_public_name_is_documented():
         FigureSection,
         Settings,
         Accuracy,
-        Study,
-        SensitivityPair,
     ],
 )
 def test_every_configuration_key_is_documented(model):
@@ -66,6 +63,14 @@ def test_every_configuration_key_is_documented(model):
     name = re.escape(f"{model.__module__}.{model.__name__}")
     table = re.search(rf"```{{config-keys}} {name}\n(.*?)```", page, re.S)[1]
     assert set(re.findall(r"^(\w+):", table, re.M)) == set(model.model_fields)
+
+
+@pytest.mark.parametrize("study", configuration.list_study_kinds())
+def test_every_key_of_a_study_is_described(study):
+    assert all(field.description for key, field in study.model_fields.items() if key != "kind")
+    assert study.__doc__ and study.MESSAGE
+    captions = {path.stem for path in (ROOT / "workflow" / "report").glob("*.rst")}
+    assert {one.caption for one in study.PRODUCTS.values()} - {""} <= captions
 
 
 def test_documented_limits_and_defaults_match_the_models():

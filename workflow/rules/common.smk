@@ -5,9 +5,9 @@ from splits.core.provenance import (
     hash_files,
     hash_physics_sources,
 )
-from splits.experiments.config.study import describe_missing, find_incomplete_studies
-from splits.experiments.config.study_kinds import FIGURE_SUFFIXES, STUDY_FILES
 from splits.experiments.run_table import count_parts
+from splits.experiments.studies.checks import find_incomplete_studies
+from splits.experiments.studies.study import FIGURE_SUFFIXES, describe_missing
 
 STUDIES = SETTINGS.studies
 # Studies with missing experiments, with a message for each.
@@ -39,55 +39,6 @@ EXPERIMENTS_WITH_FIGURE = [
     name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"
 ]
 COMPLETE_STUDIES = [name for name in STUDIES if name not in INCOMPLETE_STUDIES]
-
-# Caption and category in the report, by kind of study and product.
-REPORTS = {
-    "sensitivity": {
-        "table": ("sensitivity_table", "Sensitivity"),
-        "chosen": ("sensitivity", "Sensitivity"),
-        "figure": ("sensitivity", "Experiments"),
-    },
-    "agreement": {
-        "agreement": ("agreement", "Agreement"),
-        "bands": ("measured_bands", "Agreement"),
-        "table1": ("table1", "Agreement"),
-        "table3": ("table3", "Agreement"),
-        "figure": ("letcher", "Agreement"),
-    },
-    "sand_tables": {
-        "trends": ("sand_trends", "Sand"),
-        "weights": ("sand_weights", "Sand"),
-        "colours": ("sand_colours", "Sand"),
-    },
-    "interpretation": {
-        "table": ("interpretation_ranking", "Agreement"),
-        "statements": ("interpretation_statements", "Agreement"),
-        "without": ("interpretation_without", "Agreement"),
-        "figure": ("interpretation_ranking", "Agreement"),
-    },
-    "sobol": {
-        "table": ("sobol", "Sensitivity"),
-        "figure": ("sobol", "Sensitivity"),
-    },
-    "bands": {
-        "table": ("bands", "Sensitivity"),
-        "figure": ("bands", "Sensitivity"),
-    },
-    "anisotropy": {
-        "table": ("anisotropy", "Sand"),
-        "misfits": ("anisotropy", "Sand"),
-        "figure": ("anisotropy", "Sand"),
-    },
-    "sand_compositions": {"table": ("sand_compositions", "Sand")},
-    "angular_trends": {"table": ("angular_trends", "Angles")},
-    "layer_trends": {"table": ("layer_trends", "Layers")},
-    "surface_area": {
-        "table": ("surface_area", "Agreement"),
-        "figure": ("surface_area", "Agreement"),
-        "law": ("surface_area_law", "Agreement"),
-        "law_figure": ("surface_area_law", "Agreement"),
-    },
-}
 
 
 def match_any(names):
@@ -178,36 +129,45 @@ def choose_threads(name):
     return cores if EXPERIMENTS[name].fit else max(1, cores // n_parallel)
 
 
-def list_studies_of_kind(kind):
-    """Return the names of the complete studies of a kind."""
-    return [name for name in COMPLETE_STUDIES if STUDIES[name].kind == kind]
+def choose_study_threads(name):
+    """Return a function of the threads of a study: those of its simulations, if it has any."""
+    return lambda wildcards: count_cores() if STUDIES[name].USES_ALL_THREADS else 1
 
 
-def format_study_output(name):
+def list_study_datasets(name):
+    """Return the datasets that a study reads, by experiment and study."""
+    return {
+        **{one: f"{RESULTS}/data/{one}.nc" for one in STUDIES[name].list_experiments()},
+        **{
+            other: f"{RESULTS}/{STUDIES[other].list_product_paths(other)['data'][0]}"
+            for other in STUDIES[name].list_studies()
+        },
+    }
+
+
+def list_study_inputs(name):
+    """Return the datasets and the tables of numbers that a study reads."""
+    return {
+        "data": list(list_study_datasets(name).values()),
+        "tables": list(STUDIES[name].list_file_paths(SETTINGS.table_folders).values()),
+    }
+
+
+def format_study_outputs(name):
     """Return the products of a study by key; the first file of each is shown in the report."""
     made = {}
     for key, paths in STUDIES[name].list_product_paths(name).items():
         first, *others = (f"{RESULTS}/{path}" for path in paths)
-        if key in REPORTS[STUDIES[name].kind]:
-            caption, category = REPORTS[STUDIES[name].kind][key]
-            labels = {"experiment": Path(first).stem} if others else None
+        product = STUDIES[name].PRODUCTS[key]
+        if product.caption:
             first = report(
                 first,
-                caption=f"../report/{caption}.rst",
-                category=category,
-                labels=labels,
+                caption=f"../report/{product.caption}.rst",
+                category=product.category,
+                labels={"experiment": Path(first).stem} if others else None,
             )
         made[key] = [first, *others] if others else first
     return made
-
-
-def list_study_files(name):
-    """Return the tables of numbers that a study reads, by key."""
-    kind = STUDIES[name].kind
-    return {
-        key: str(SETTINGS.table_folders[STUDY_FILES[kind][key]] / file)
-        for key, file in STUDIES[name].files.items()
-    }
 
 
 def hash_program(*names):

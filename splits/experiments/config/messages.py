@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import date
 from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -29,6 +29,14 @@ def format_validation_error(model: type[BaseModel], error: ValidationError) -> s
     location, error_type = first["loc"], first["type"]
     if error_type == "value_error":
         return str(first["ctx"]["error"])
+    if error_type in ("union_tag_invalid", "union_tag_not_found"):
+        section, kind = _resolve_location(model, location)
+        tags = [tag for option in _list_options(kind) for tag in _list_tags(option)]
+        key, allowed = f"{section}.kind", f"one of {', '.join(tags)}"
+        if error_type == "union_tag_not_found":
+            return f"{key}: missing, must be {allowed}"
+        tag = first["ctx"]["tag"]
+        return str(invalid(key, tag, allowed, suggest_name(tag, tags)))
     if error_type in ("extra_forbidden", "invalid_key"):
         section, kind = _resolve_location(model, location[:-1])
         fields = next(k for k in _list_options(kind) if _is_section(k)).model_fields
@@ -58,6 +66,10 @@ def _resolve_location(model: type[BaseModel], location: Sequence[Any]) -> tuple[
         if part == "[key]":
             kind = str
             continue
+        tagged = [option for option in _list_options(kind) if part in _list_tags(option)]
+        if len(_list_options(kind)) > 1 and tagged:
+            kind = tagged[0]
+            continue
         for option in _list_options(kind):
             origin, inner = get_origin(option), get_args(option)
             if _is_section(option) and part in option.model_fields:
@@ -77,8 +89,19 @@ def _resolve_location(model: type[BaseModel], location: Sequence[Any]) -> tuple[
 
 def _list_options(kind: Any) -> list[Any]:
     """Return the types that a key may have, without None."""
+    kind = _strip_metadata(kind)
     kinds = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
-    return [option for option in kinds if option is not type(None)]
+    return [_strip_metadata(option) for option in kinds if option is not type(None)]
+
+
+def _strip_metadata(kind: Any) -> Any:
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+
+
+def _list_tags(kind: Any) -> tuple[Any, ...]:
+    """Return the values of the key `kind` that select a section of a discriminated union."""
+    field = kind.model_fields.get("kind") if _is_section(kind) else None
+    return get_args(field.annotation) if field and get_origin(field.annotation) is Literal else ()
 
 
 def _is_section(kind: Any) -> bool:

@@ -21,8 +21,8 @@ from splits.experiments.config.sections import (
     check_path,
     check_text,
 )
-from splits.experiments.config.study import Study
-from splits.experiments.config.study_checks import check_studies
+from splits.experiments.studies import AnyStudy
+from splits.experiments.studies.checks import check_studies
 from splits.io.ro_crate import ORCID_URL, Author
 
 DEFAULT_LICENCE = "MIT"
@@ -104,7 +104,7 @@ class Settings(ConfigSection):
     archive: tuple[str, ...] | Literal["all"] = "all"
     archive_license: str = DEFAULT_LICENCE
     archive_authors: tuple[ArchiveAuthor, ...] = ()
-    studies: dict[str, Study] = Field(default_factory=dict)
+    studies: dict[str, AnyStudy] = Field(default_factory=dict)
     explorer: dict[str, str] = Field(default_factory=dict)
     explorer_directions: dict[str, str] = Field(default_factory=dict)
 

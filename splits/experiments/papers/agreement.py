@@ -45,7 +45,7 @@ def make_agreement_table(
     Parameters
     ----------
     datasets : mapping
-        By name, see `splits.experiments.config.study_inputs.SNOW_INPUTS`.
+        By name, see `splits.experiments.studies.agreement.AgreementStudy`.
     published : pandas.DataFrame
         See `splits.analysis.measured.read_published`.
     sensitivities : xarray.Dataset

@@ -48,7 +48,7 @@ def make_brdf_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
     Parameters
     ----------
     datasets : mapping
-        By name, some or all of `splits.experiments.config.study_inputs.BRDF_INPUTS`.
+        By name, some or all of `splits.experiments.studies.trends.AngularTrendsStudy`.
     """
     planes = {role: select_principal_plane(dataset) for role, dataset in datasets.items()}
     rows: list[dict[str, object]] = []

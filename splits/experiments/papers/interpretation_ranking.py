@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from splits.experiments.config.study_inputs import OVERLAP_CHOICES, OVERLAP_KEYS, OVERLAPS_KEY
 from splits.experiments.papers.interpretation_runs import (
     WATER_TABLES,
     InterpretationRun,
@@ -39,6 +38,7 @@ from splits.experiments.papers.snow_statements import (
     get_stated_trends,
     list_extreme_pairs,
 )
+from splits.experiments.studies.interpretation import OVERLAP_CHOICES, OVERLAP_KEYS, OVERLAPS_KEY
 from splits.media import Interpretation
 from splits.media.interpretations import INTERPRETATION_SETS
 

@@ -20,7 +20,7 @@ def make_layer_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, 
     Parameters
     ----------
     datasets : mapping
-        By name, some or all of `splits.experiments.config.study_inputs.LAYER_INPUTS`.
+        By name, some or all of `splits.experiments.studies.trends.LayerTrendsStudy`.
     """
     rows: dict[str, Callable[[xr.Dataset], dict[str, object]]] = {
         "lens": _make_lens_row,

@@ -29,7 +29,7 @@ def make_sand_trend_table(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
     Parameters
     ----------
     datasets : mapping
-        By name, see `splits.experiments.config.study_inputs.SAND_INPUTS`.
+        By name, see `splits.experiments.studies.sand_tables.SandTablesStudy`.
 
     Returns
     -------

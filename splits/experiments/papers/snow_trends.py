@@ -44,7 +44,7 @@ def make_snow_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
     Parameters
     ----------
     datasets : mapping
-        By name, see `splits.experiments.config.study_inputs.SNOW_INPUTS`.
+        By name, see `splits.experiments.studies.agreement.AgreementStudy`.
     """
     saturations, quantity = datasets["saturation_transmittance"], "transmittance"
     ends = saturations.isel(saturation=[0, -1])

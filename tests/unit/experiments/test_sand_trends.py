@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 
 from splits.experiments import load_experiment
+from splits.experiments.papers.composition_table import make_composition_table
 from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
-from splits.experiments.run import make_composition_table
 
 WAVELENGTHS = np.arange(400.0, 1001.0, 10.0)
 GRIDS = {

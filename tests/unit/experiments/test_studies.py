@@ -11,8 +11,8 @@ import xarray as xr
 
 from splits.experiments import ConfigError, ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
-from splits.experiments.config.study import find_incomplete_studies
 from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
+from splits.experiments.studies.checks import find_incomplete_studies
 
 ROOT = Path(__file__).parents[3]
 SETTINGS_CONTENT = read_yaml(ROOT / "config" / "config.yaml")
@@ -100,13 +100,17 @@ def test_experiment_names_of_studies_are_rejected(shipped, name):
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "outputs": {"table": "nul"}},
          r"own\.outputs\.table = 'nul': must be lower-case letters"),
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "n_bands": 2},
-         r"own\.n_bands = 2: must be left out unless kind = 'bands'"),
+         r"own\.n_bands: unknown key, must be one of kind, outputs, inputs"),
         ({"kind": "anisotropy", "inputs": {"directions": "sand_fig11_brdf"},
           "files": {"directions": "wet_sand_directions.csv"}},
          r"'sand_fig11_brdf': must be .*over interpretation and saturation"),
         ({"kind": "anisotropy", "inputs": {"directions": "wet_sand_directions"}},
+         r"own\.files: missing, must be a mapping"),
+        ({"kind": "anisotropy", "inputs": {"directions": "wet_sand_directions"}, "files": {}},
          r"own\.files = {}: must be with directions"),
-        ({"kind": "layer_trends"}, r"own\.inputs = {}: must be with one of lens, volume"),
+        ({"kind": "layer_trends"}, r"own\.inputs: missing, must be a mapping"),
+        ({"kind": "layer_trends", "inputs": {}},
+         r"own\.inputs = {}: must be with one of lens, volume"),
         ({"kind": "angular_trends", "inputs": {"facets": "a"}},
          r"own\.inputs\.facets: unknown key.*did you mean facetness"),
         ({"kind": "angular_trends", "inputs": {"facetness": "fig21_grain_size"}},
@@ -115,11 +119,16 @@ def test_experiment_names_of_studies_are_rejected(shipped, name):
          r"incidence = 'fig16_incidence': must be .*incidence_deg = 0"),
         ({"kind": "angular_trends", "inputs": {"wavelength": "fig08_grain_size"}},
          r"'fig08_grain_size': must be an experiment with a goniophotometer"),
-        ({"kind": "sand_compositions", "inputs": {"lens": "a"}}, "must be left out for kind"),
-        ({"kind": "sensitivity"}, r"own\.pairs = {}: must be at least one pair"),
-        ({"kind": "interpretation"}, r"own\.sensitivity = None: must be the name of a study"),
+        ({"kind": "sand_compositions", "inputs": {"lens": "a"}},
+         r"own\.inputs: unknown key, must be one of kind, outputs"),
+        ({"kind": "sensitivity"}, r"own\.pairs: missing, must be a mapping"),
+        ({"kind": "sensitivity", "pairs": {}}, r"own\.pairs = {}: must be at least one pair"),
+        ({"inputs": {}}, r"own\.kind: missing, must be one of sensitivity, agreement"),
+        ({"kind": "interpretation", "files": {"published": "splitsnow2021.csv"},
+          "sensitivity": "agreement", "interpretation": {"overlaps": ["keep"]}},
+         r"own\.sensitivity = 'agreement': must be .*sensitivity"),
         ({"kind": "layer_trends", "sensitivity": "sensitivity", "inputs": {"lens": "a"}},
-         r"own\.sensitivity = 'sensitivity': must be left out for kind"),
+         r"own\.sensitivity: unknown key, must be one of kind, outputs, inputs"),
         ({"kind": "sensitivity", "files": {"published": "splitsnow.csv"},
           "pairs": {"a": {"parameter": "saturation", "experiment": "b", "low": 0, "high": 1}}},
          r"files\.published = 'splitsnow\.csv': must be one of.*did you mean splitsnow2021\.csv"),

@@ -1,0 +1,100 @@
+"""Study that compares a run with the published and measured numbers of SPLITSnow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.studies.study import (
+    FILES_DESCRIPTION,
+    ROLES_DESCRIPTION,
+    Study,
+    StudyProduct,
+    StudyRun,
+    check_sensitivity,
+)
+from splits.experiments.studies.study_input import StudyInput
+
+_VISIBLE_NM = (400.0, 700.0)
+_AVIRIS_NM = (842.25, 1073.76, 1237.93)
+
+
+class AgreementStudy(Study):
+    """Comparison of a run with published and measured numbers of snow."""
+
+    PRODUCTS: ClassVar = {
+        "agreement": StudyProduct("{study}", "agreement", "Agreement"),
+        "bands": StudyProduct("{study}_bands", "measured_bands", "Agreement"),
+        "table1": StudyProduct("{study}_table1", "table1", "Agreement"),
+        "table3": StudyProduct("{study}_table3", "table3", "Agreement"),
+        "figure": StudyProduct.make_figure("{study}_measured", "letcher", "Agreement"),
+    }
+    INPUTS: ClassVar = {
+        "sample": StudyInput(("density_kg_m3",), {"density_kg_m3": (450,)}),
+        "thick_transmittance": StudyInput(band_nm=(400.0, 1000.0)),
+        "grain_size": StudyInput(
+            ("grain_size_um",), band_nm=(400.0, 2500.0),
+            at_nm=(1500.0, 1800.0, 2000.0, 2250.0, 2500.0),
+        ),
+        "facetness": StudyInput(("facetness",), band_nm=(700.0, 1300.0)),
+        "density": StudyInput(("density_kg_m3",), {"density_kg_m3": (300, 450)}),
+        "depth": StudyInput(("depth_m",), at_nm=(1030.0,), band_nm=_VISIBLE_NM),
+        "grain_size_transmittance": StudyInput(("grain_size_um",), band_nm=_VISIBLE_NM),
+        "saturation_transmittance": StudyInput(("saturation",), band_nm=(400.0, 1450.0)),
+        "density_transmittance": StudyInput(
+            ("density_kg_m3",), at_nm=(1420.0,), band_nm=_VISIBLE_NM
+        ),
+        "aviris": StudyInput(at_nm=_AVIRIS_NM),
+        "letcher": StudyInput(
+            ("medium", "depth_m", "incidence_deg"),
+            {"depth_m": (0.34, 0.045), "incidence_deg": ("beam", "diffuse")},
+        ),
+        "interpretation": StudyInput(("interpretation",), at_nm=_AVIRIS_NM),
+    }  # fmt: skip
+    FILES: ClassVar = {"published": "published", "aviris": "measured", "letcher": "measured"}
+    MESSAGE: ClassVar = "Comparing results with published and measured numbers"
+
+    kind: Literal["agreement"]
+    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+    files: dict[str, str] = Field(description=FILES_DESCRIPTION)
+    sensitivity: str = Field(
+        description="name of the study of kind `sensitivity` for the same snow"
+    )
+
+    def list_studies(self) -> list[str]:
+        """Return the study of sensitivity of the same snow."""
+        return [self.sensitivity]
+
+    def check(
+        self,
+        available: Mapping[str, ExperimentConfig],
+        tables: Mapping[str, Path],
+        studies: Mapping[str, Study],
+    ) -> None:
+        """Reject unknown or missing names, and experiments and tables that do not serve."""
+        check_sensitivity(self.sensitivity, studies)
+        super().check(available, tables, studies)
+
+    def make(self, run: StudyRun) -> None:
+        """Make the tables and the figure."""
+        from splits.analysis.measured import compare_with_letcher, read_published, read_spectra
+        from splits.experiments.papers.agreement import make_agreement_table
+        from splits.experiments.papers.paper_tables import make_table1, make_table3
+        from splits.plotting import describe_conditions, draw_measured_albedo
+
+        datasets = {role: run.load(name) for role, name in self.inputs.items()}
+        aviris, letcher = (read_spectra(Path(run.files[key])) for key in ("aviris", "letcher"))
+        published = read_published(Path(run.files["published"]))
+        sensitivity = run.load(self.sensitivity)
+        table = make_agreement_table(datasets, published, sensitivity, aviris, letcher)
+        run.write_table("agreement", table)
+        albedo = compare_with_letcher(datasets["letcher"], letcher)
+        run.write_table("bands", albedo)
+        conditions = describe_conditions(datasets["letcher"])
+        run.save_figure("figure", draw_measured_albedo(albedo, conditions))
+        run.write_table("table1", make_table1(datasets["sample"]))
+        run.write_table("table3", make_table3(datasets["interpretation"], aviris, published))

@@ -1,0 +1,83 @@
+"""Checks of all studies together: their names, and the experiments that they need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from splits.core.validation import invalid
+from splits.core.yaml import ConfigError
+from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
+from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
+from splits.experiments.studies.study import Study
+
+
+def check_studies(
+    studies: Mapping[str, Study],
+    available: Mapping[str, ExperimentConfig],
+    tables: Mapping[str, Path],
+) -> None:
+    """Reject invalid studies, and names that are used twice.
+
+    Parameters
+    ----------
+    studies, available : mapping
+        Studies, and all experiments, by name.
+    tables : mapping
+        Folders of ``published`` and ``measured`` tables.
+
+    Raises
+    ------
+    ConfigError
+        With one line that names the study, the key, the value and the allowed values.
+    """
+    for name, study in studies.items():
+        try:
+            if not NAME_PATTERN.fullmatch(name) or name in RESERVED_NAMES:
+                raise invalid("name", name, f"{NAME_RULE}, none of the workflow's rules")
+            study.check(available, tables, studies)
+        except ValueError as error:
+            raise ConfigError(f"studies.{name}.{error}") from None
+    _check_unique_names(studies, available)
+
+
+def find_incomplete_studies(
+    studies: Mapping[str, Study],
+    selected: Mapping[str, ExperimentConfig],
+    available: Mapping[str, ExperimentConfig],
+) -> dict[str, str]:
+    """Return a message for each study of which not all experiments are selected."""
+    messages = {}
+    for name, study in studies.items():
+        missing = study.describe_missing(selected, available, studies)
+        if missing:
+            messages[name] = f"study {name} is left out: {'; '.join(missing)}"
+    return messages
+
+
+def _check_unique_names(
+    studies: Mapping[str, Study], available: Mapping[str, ExperimentConfig]
+) -> None:
+    """Reject names of experiments and studies that other products have."""
+    owners: dict[str, str] = {}
+    for study, definition in studies.items():
+        owner = f"the study {study}"
+        for name in dict.fromkeys([study, *definition.list_product_names(study).values()]):
+            if owners.setdefault(name, owner) != owner:
+                raise ConfigError(_describe_name_conflict(f"studies.{study}", name, owners[name]))
+    study_names = set(owners)
+    for name, experiment in available.items():
+        for suffix, section in (("parameters", experiment.fit), ("retrieved", experiment.retrieve)):
+            table = f"{name}_{suffix}"
+            if table in study_names:
+                key = f"experiment {name}"
+                raise ConfigError(_describe_name_conflict(key, table, owners[table]))
+            if section:
+                owners[table] = f"the table of the experiment {name}"
+    for name in available:
+        if name in owners:
+            raise ConfigError(_describe_name_conflict(f"experiment {name}", name, owners[name]))
+
+
+def _describe_name_conflict(key: str, name: str, owner: str) -> str:
+    return f"{key}: {invalid('name', name, 'unique', f'{owner} has it')}"

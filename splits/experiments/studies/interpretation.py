@@ -1,0 +1,124 @@
+"""Study that ranks combinations of interpretations by their misfit to the statements of a paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from splits.core.provenance import hash_physics_sources
+from splits.core.validation import check_choice, invalid, unknown_key
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.studies.study import (
+    FILES_DESCRIPTION,
+    Study,
+    StudyProduct,
+    StudyRun,
+    check_sensitivity,
+)
+from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
+
+if TYPE_CHECKING:
+    from splits.experiments.config.settings import Settings
+
+OVERLAPS_KEY = "overlaps"
+"""Key of a ranking of interpretations that sets `OVERLAP_KEYS` together."""
+OVERLAP_KEYS = ("overlap_with_previous_segment", "overlap_with_boundary")
+"""Fields of `splits.Interpretation` for grains that overlap the last segment or a boundary."""
+OVERLAP_CHOICES = {
+    "reject": ("reject", "reject"),
+    "keep": ("keep", "keep"),
+    "skip": ("skip", "skip"),
+    "segment overlap kept": ("keep", "reject"),
+}
+"""Values of `OVERLAPS_KEY`, and those of `OVERLAP_KEYS` for each."""
+STANDARD_STDERR = 0.002
+"""Standard error of the accuracy for which the runs of a ranking are sized."""
+
+
+class InterpretationStudy(Study):
+    """Combinations of interpretations, ranked by their misfit."""
+
+    PRODUCTS: ClassVar = {
+        "table": StudyProduct("{study}", "interpretation_ranking", "Agreement"),
+        "statements": StudyProduct("{study}_statements", "interpretation_statements", "Agreement"),
+        "without": StudyProduct("{study}_without", "interpretation_without", "Agreement"),
+        "figure": StudyProduct.make_figure("{study}", "interpretation_ranking", "Agreement"),
+    }
+    FILES: ClassVar = {"published": "published"}
+    MESSAGE: ClassVar = "Ranking the interpretations of the paper"
+    USES_ALL_THREADS: ClassVar = True
+
+    kind: Literal["interpretation"]
+    files: dict[str, str] = Field(description=FILES_DESCRIPTION)
+    sensitivity: str = Field(
+        description="name of the study of kind `sensitivity` for the same snow"
+    )
+    interpretation: dict[str, tuple[str, ...]] = Field(description="choices to combine")
+    stated: dict[str, str] = Field({}, description="unambiguous choices of the paper")
+
+    def list_studies(self) -> list[str]:
+        """Return the study of sensitivity of the same snow."""
+        return [self.sensitivity]
+
+    def list_parameters(
+        self, settings: Settings, experiments: Mapping[str, ExperimentConfig]
+    ) -> dict[str, Any]:
+        """Return seed and accuracy of its simulations."""
+        max_stderr = settings.accuracies[settings.accuracy].max_stderr
+        return {
+            "seed": settings.seed,
+            "stderr_scale": max_stderr / STANDARD_STDERR,
+            "physics": hash_physics_sources(),
+        }
+
+    def check(
+        self,
+        available: Mapping[str, ExperimentConfig],
+        tables: Mapping[str, Path],
+        studies: Mapping[str, Study],
+    ) -> None:
+        """Reject unknown names and choices, and a table that does not serve."""
+        check_sensitivity(self.sensitivity, studies)
+        super().check(available, tables, studies)
+        if not self.interpretation:
+            raise invalid("interpretation", self.interpretation, "choices by keyword")
+        known = {f.name: INTERPRETATION_CHOICES[f.name] for f in fields(Interpretation)}
+        known[OVERLAPS_KEY] = tuple(OVERLAP_CHOICES)
+        for key, choices in self.interpretation.items():
+            if key not in known:
+                raise unknown_key(f"interpretation.{key}", known)
+            for choice in choices:
+                check_choice(f"interpretation.{key}", choice, known[key])
+        for key, choice in self.stated.items():
+            if key not in self.interpretation:
+                raise unknown_key(f"stated.{key}", self.interpretation)
+            check_choice(f"stated.{key}", choice, self.interpretation[key])
+
+    def make(self, run: StudyRun) -> None:
+        """Make the tables and the figure."""
+        from splits.analysis.measured import read_published
+        from splits.experiments.papers.interpretation_ranking import rank_interpretations
+        from splits.experiments.papers.interpretation_tables import (
+            find_differing_keys,
+            make_leave_out_table,
+            make_ranking_table,
+            make_statement_table,
+        )
+        from splits.plotting import draw_interpretation_shifts
+
+        choices, published = self.interpretation, read_published(Path(run.files["published"]))
+        seed, stderr_scale = run.parameters["seed"], run.parameters["stderr_scale"]
+        combinations, stated = rank_interpretations(
+            published, choices, self.stated, seed, run.threads, stderr_scale, run.log
+        )
+        names = find_differing_keys(combinations)
+        table = make_statement_table(combinations, stated, names)
+        ranking = make_ranking_table(combinations, stated, choices, self.stated)
+        run.write_table("table", ranking)
+        run.write_table("statements", table)
+        run.write_table("without", make_leave_out_table(combinations, stated, names))
+        run.save_figure("figure", draw_interpretation_shifts(table))

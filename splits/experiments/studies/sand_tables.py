@@ -1,0 +1,110 @@
+"""Studies of sand: the statements of SPLITS, and the compositions of all sands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from splits.core.provenance import hash_physics_sources
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.studies.study import ROLES_DESCRIPTION, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study_input import StudyInput
+
+if TYPE_CHECKING:
+    from splits.experiments.config.settings import Settings
+
+_RANGE_NM, _COLOUR_NM = (400.0, 1000.0), (400.0, 780.0)
+
+
+class SandTablesStudy(Study):
+    """Statements of SPLITS on sand."""
+
+    PRODUCTS: ClassVar = {
+        key: StudyProduct(f"{{study}}_{key}", f"sand_{key}", "Sand")
+        for key in ("trends", "weights", "colours")
+    }
+    INPUTS: ClassVar = {
+        "samples": StudyInput(("medium",), band_nm=_RANGE_NM),
+        "wet_colours": StudyInput(("medium", "saturation"), band_nm=_COLOUR_NM),
+        "colours": StudyInput(("medium",), band_nm=_COLOUR_NM),
+        "iron_oxide": StudyInput(("iron_oxide",), band_nm=_RANGE_NM),
+        "hematite_ratio": StudyInput(("hematite_ratio",), band_nm=(480.0, 700.0)),
+        "magnetite": StudyInput(("magnetite",), band_nm=_RANGE_NM),
+        "texture": StudyInput(("texture",), band_nm=_RANGE_NM),
+        "fine_fraction": StudyInput(("texture",), band_nm=(400.0, 500.0)),
+        "mineral_weight": StudyInput(
+            ("medium", "refractive_index"), {"refractive_index": ("as modelled",)}
+        ),
+        "interpretation": StudyInput(
+            ("medium", "interpretation"), {"interpretation": ("default",)}
+        ),
+        "size_tail": StudyInput(("medium", "size_tail"), {"size_tail": (1e-4,)}),
+    }
+    MESSAGE: ClassVar = "Comparing sand with the trends stated in SPLITS"
+
+    kind: Literal["sand_tables"]
+    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+
+    def make(self, run: StudyRun) -> None:
+        """Make the tables."""
+        import pandas as pd
+
+        from splits.analysis.colour import make_colour_table
+        from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
+
+        datasets = {role: run.load(name) for role, name in self.inputs.items()}
+        weights = [
+            make_shift_table(datasets["mineral_weight"], "refractive_index", "as modelled"),
+            make_shift_table(datasets["interpretation"], "interpretation", "default"),
+            make_shift_table(datasets["size_tail"], "size_tail", 1e-4),
+        ]
+        colours = [
+            make_colour_table(datasets[role]).assign(experiment=self.inputs[role])
+            for role in ("wet_colours", "colours")
+        ]
+        run.write_table("trends", make_sand_trend_table(datasets))
+        run.write_table("weights", pd.concat(weights))
+        run.write_table("colours", pd.concat(colours))
+
+
+class SandCompositionsStudy(Study):
+    """Compositions of all selected sands."""
+
+    PRODUCTS: ClassVar = {"table": StudyProduct("{study}", "sand_compositions", "Sand")}
+    MESSAGE: ClassVar = "Listing the compositions of all sands"
+
+    kind: Literal["sand_compositions"]
+
+    def list_parameters(
+        self, settings: Settings, experiments: Mapping[str, ExperimentConfig]
+    ) -> dict[str, Any]:
+        """Return the experiments with sand."""
+        sands = {
+            name: experiment.dump_simulation()
+            for name, experiment in experiments.items()
+            if experiment.medium.get("kind") == "sand"
+        }
+        return {"experiments": sands, "physics": hash_physics_sources()}
+
+    def describe_missing(
+        self,
+        selected: Mapping[str, ExperimentConfig],
+        available: Mapping[str, ExperimentConfig],
+        studies: Mapping[str, Study],
+    ) -> list[str]:
+        """Return a message if no experiment with sand is selected."""
+        has_sand = any(one.medium.get("kind") == "sand" for one in selected.values())
+        return [] if has_sand else ["no experiment with sand is selected"]
+
+    def make(self, run: StudyRun) -> None:
+        """Make the table."""
+        from splits.experiments.papers.composition_table import make_composition_table
+
+        experiments = {
+            name: SimulationConfig.model_validate(content)
+            for name, content in run.parameters["experiments"].items()
+        }
+        run.write_table("table", make_composition_table(experiments))

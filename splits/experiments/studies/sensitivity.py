@@ -1,0 +1,105 @@
+"""Study of mean sensitivity indices of spectra to parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from splits.core.validation import invalid
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.sections import ConfigSection
+from splits.experiments.studies.study import FILES_DESCRIPTION, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study_input import StudyInput, check_input
+
+DEPTHS_M: Mapping[str, tuple[float | str, ...]] = {"depth_m": (0.12, 0.02)}
+"""Depths of `splits.experiments.papers.sensitivity_table.QUANTITY_CONDITIONS`."""
+BAND_NM = (400.0, 2500.0)
+
+
+class SensitivityPair(ConfigSection):
+    """Two values of a parameter between which the sensitivity of a spectrum is computed.
+
+    `experiment` varies the parameter, and the experiment `interpretation` the interpretation of the
+    papers as well.  `source` is the origin of the two values: the paper, or our choice.
+    """
+
+    parameter: str = Field(description="parameter that varies")
+    experiment: str = Field(description="experiment over the parameter and the depth")
+    interpretation: str | None = Field(
+        None, description="experiment that also varies the interpretations of the papers"
+    )
+    low: float | str = Field(description="value or label at one end of the range")
+    high: float | str = Field(description="value or label at the other end")
+    source: Literal["paper", "ours"] = Field(
+        "ours", description="who chose the two values; the figure indicates this"
+    )
+
+    def list_experiments(self) -> list[str]:
+        """Return the names of its experiments."""
+        return [self.experiment, *([self.interpretation] if self.interpretation else [])]
+
+    def check(self, key: str, available: Mapping[str, ExperimentConfig]) -> None:
+        """Reject experiments that do not serve."""
+        axes = (self.parameter, "depth_m")
+        extremes: dict[str, tuple[float | str, ...]] = {self.parameter: (self.low, self.high)}
+        if self.experiment in available:
+            required = StudyInput(axes, {**extremes, **DEPTHS_M}, band_nm=BAND_NM)
+            check_input(f"{key}.experiment", available[self.experiment], required)
+        if self.interpretation in available:
+            required = StudyInput((*axes, "interpretation"), DEPTHS_M, band_nm=BAND_NM)
+            check_input(f"{key}.interpretation", available[str(self.interpretation)], required)
+
+
+class SensitivityStudy(Study):
+    """Mean sensitivity indices of spectra to parameters."""
+
+    PRODUCTS: ClassVar = {
+        "table": StudyProduct("{study}", "sensitivity_table", "Sensitivity"),
+        "chosen": StudyProduct("{study}_chosen", "sensitivity", "Sensitivity"),
+        "data": StudyProduct("{study}_index", folder="data", suffixes=(".nc",)),
+        "figure": StudyProduct.make_figure("{study}_index", "sensitivity", "Experiments"),
+    }
+    FILES: ClassVar = {"published": "published"}
+    OPTIONAL_FILES: ClassVar = True
+    MESSAGE: ClassVar = "Computing mean sensitivity indices"
+
+    kind: Literal["sensitivity"]
+    pairs: dict[str, SensitivityPair] = Field(description="pairs of values by name; see below")
+    files: dict[str, str] = Field({}, description=FILES_DESCRIPTION)
+
+    def list_experiments(self) -> list[str]:
+        """Return the names of the experiments of the study, without repetition."""
+        names = [name for pair in self.pairs.values() for name in pair.list_experiments()]
+        return list(dict.fromkeys(names))
+
+    def check_inputs(self, available: Mapping[str, ExperimentConfig]) -> None:
+        """Reject experiments that do not serve."""
+        if not self.pairs:
+            raise invalid("pairs", self.pairs, "at least one pair")
+        for name, pair in self.pairs.items():
+            pair.check(f"pairs.{name}", available)
+
+    def make(self, run: StudyRun) -> None:
+        """Make the tables, the dataset and the figure."""
+        from splits import save
+        from splits.analysis.measured import read_published
+        from splits.experiments.papers.sensitivity_table import (
+            describe_ranges,
+            make_sensitivity_table,
+            select_chosen_sensitivities,
+        )
+        from splits.plotting import draw_sensitivity_bars
+
+        pairs = {name: pair.model_dump() for name, pair in self.pairs.items()}
+        datasets = {name: run.load(name) for name in self.list_experiments()}
+        table = make_sensitivity_table(datasets, pairs)
+        published = run.files.get("published")
+        known = read_published(Path(published)) if published else None
+        chosen = select_chosen_sensitivities(table, known)
+        run.write_table("table", table)
+        run.write_table("chosen", chosen.to_dataframe().reset_index())
+        save(chosen, run.outputs["data"][0])
+        run.save_figure("figure", draw_sensitivity_bars(chosen, describe_ranges(pairs)))

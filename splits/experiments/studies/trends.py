@@ -1,0 +1,74 @@
+"""Studies of statements in words: on BRDFs of both grain models, and on rough layers."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from splits.experiments.studies.study import ROLES_DESCRIPTION, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study_input import StudyInput, make_goniophotometer_input
+
+
+class AngularTrendsStudy(Study):
+    """Statements of the papers on BRDFs; a subset of the roles is sufficient.
+
+    Values are in the order of the papers: grain sizes from coarse to fine, facetness from low to
+    high.
+    """
+
+    PRODUCTS: ClassVar = {"table": StudyProduct("{study}", "angular_trends", "Angles")}
+    INPUTS: ClassVar = {
+        "incidence": make_goniophotometer_input("incidence_deg", labels={"incidence_deg": (0,)}),
+        "grazing": make_goniophotometer_input("incidence_deg"),
+        "wavelength": make_goniophotometer_input(at_nm=(600.0, 1800.0)),
+        "grain_size": make_goniophotometer_input("grain_size_um"),
+        "grain_size_uniform": make_goniophotometer_input("grain_size_um"),
+        "grain_size_infrared": make_goniophotometer_input("grain_size_um"),
+        "facetness": make_goniophotometer_input("facetness"),
+        "sand": make_goniophotometer_input("incidence_deg", labels={"incidence_deg": (60,)}),
+    }
+    MESSAGE: ClassVar = "Comparing BRDFs with the trends stated in the papers"
+    SOME_INPUTS_SUFFICE: ClassVar = True
+
+    kind: Literal["angular_trends"]
+    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+
+    def make(self, run: StudyRun) -> None:
+        """Make the table."""
+        import pandas as pd
+
+        from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
+
+        datasets = {role: run.load(name) for role, name in self.inputs.items()}
+        run.write_table("table", pd.DataFrame(make_brdf_trend_rows(datasets)))
+
+
+class LayerTrendsStudy(Study):
+    """Statements of the paper on rough layers; a subset of the roles is sufficient."""
+
+    PRODUCTS: ClassVar = {"table": StudyProduct("{study}", "layer_trends", "Layers")}
+    INPUTS: ClassVar = {
+        "lens": StudyInput(instrument="lens"),
+        "volume": make_goniophotometer_input(
+            "medium", labels={"medium": ("surface only", "surface and volume")}
+        ),
+        "slope_correlation": make_goniophotometer_input("surface"),
+        "polarization": make_goniophotometer_input("polarized"),
+        "multiple_reflection": make_goniophotometer_input("polarized"),
+        "band_limit": StudyInput(("surface",)),
+    }
+    MESSAGE: ClassVar = "Comparing rough layers with the statements of their paper"
+    SOME_INPUTS_SUFFICE: ClassVar = True
+
+    kind: Literal["layer_trends"]
+    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+
+    def make(self, run: StudyRun) -> None:
+        """Make the table."""
+        import pandas as pd
+
+        from splits.experiments.papers.layer_trends import make_layer_trend_rows
+
+        datasets = {role: run.load(name) for role, name in self.inputs.items()}
+        run.write_table("table", pd.DataFrame(make_layer_trend_rows(datasets)))

@@ -1,0 +1,50 @@
+for NAME in COMPLETE_STUDIES:
+
+    rule:
+        name:
+            NAME
+        input:
+            **list_study_inputs(NAME),
+        output:
+            **format_study_outputs(NAME),
+        log:
+            f"{RESULTS}/logs/{NAME}.log",
+        benchmark:
+            f"{RESULTS}/benchmarks/{NAME}.tsv"
+        conda:
+            "../../environment.yml"
+        threads: choose_study_threads(NAME)
+        params:
+            study=escape_param(STUDIES[NAME].model_dump(mode="json")),
+            parameters=escape_param(
+                STUDIES[NAME].list_parameters(SETTINGS, EXPERIMENTS)
+            ),
+            inputs=list(list_study_datasets(NAME)),
+            files=list(STUDIES[NAME].list_file_paths(SETTINGS.table_folders)),
+        message:
+            STUDIES[NAME].MESSAGE
+        script:
+            "../scripts/study.py"
+
+
+rule fitted_parameters:
+    input:
+        f"{RESULTS}/data/{{experiment}}.nc",
+    output:
+        report(
+            f"{RESULTS}/tables/{{experiment}}_parameters.csv",
+            caption="../report/fits.rst",
+            category="Sand",
+            labels={"experiment": "{experiment}"},
+        ),
+    log:
+        f"{RESULTS}/logs/fitted_parameters/{{experiment}}.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/fitted_parameters/{{experiment}}.tsv"
+    conda:
+        "../../environment.yml"
+    threads: 1
+    message:
+        "Listing the sands fitted by {wildcards.experiment}"
+    script:
+        "../scripts/fitted_parameters.py"

@@ -1,0 +1,29 @@
+"""Make the tables and figures of a study (snakemake script)."""
+
+import json
+
+from splits.core.interrupts import exit_on_signals
+
+exit_on_signals(snakemake.rule)
+
+from pydantic import TypeAdapter
+
+from splits.core.progress import open_progress_log
+from splits.experiments.studies import AnyStudy
+from splits.experiments.studies.study import StudyRun
+
+study = TypeAdapter(AnyStudy).validate_python(json.loads(snakemake.params.study))
+with open_progress_log(snakemake.log[0]) as log:
+    study.make(
+        StudyRun(
+            inputs=dict(zip(snakemake.params.inputs, snakemake.input.data, strict=True)),
+            files=dict(zip(snakemake.params.files, snakemake.input.tables, strict=True)),
+            outputs={
+                key: [paths] if isinstance(paths, str) else list(paths)
+                for key, paths in snakemake.output.items()
+            },
+            parameters=json.loads(snakemake.params.parameters),
+            threads=snakemake.threads,
+            log=log,
+        )
+    )

@@ -145,6 +145,12 @@ def list_study_datasets(name):
     }
 
 
+def list_study_parameters(name):
+    """Return what the products of a study depend on besides its files and keys."""
+    max_stderr = SETTINGS.accuracies[SETTINGS.accuracy].max_stderr
+    return STUDIES[name].list_parameters(SETTINGS.seed, max_stderr, EXPERIMENTS)
+
+
 def list_study_inputs(name):
     """Return the datasets and the tables of numbers that a study reads."""
     return {

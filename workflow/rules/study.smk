@@ -16,9 +16,7 @@ for NAME in COMPLETE_STUDIES:
         threads: choose_study_threads(NAME)
         params:
             study=escape_param(STUDIES[NAME].model_dump(mode="json")),
-            parameters=escape_param(
-                STUDIES[NAME].list_parameters(SETTINGS, EXPERIMENTS)
-            ),
+            parameters=escape_param(list_study_parameters(NAME)),
             inputs=list(list_study_datasets(NAME)),
             files=list(STUDIES[NAME].list_file_paths(SETTINGS.table_folders)),
         message:

@@ -31,6 +31,7 @@ from splits.experiments.papers.misfit import (
     compute_misfit,
     select_statements,
 )
+from splits.experiments.papers.overlap_choices import OVERLAP_CHOICES, OVERLAP_KEYS, OVERLAPS_KEY
 from splits.experiments.papers.snow_statements import (
     STAGES,
     STATED_NUMBERS,
@@ -38,7 +39,6 @@ from splits.experiments.papers.snow_statements import (
     get_stated_trends,
     list_extreme_pairs,
 )
-from splits.experiments.studies.interpretation import OVERLAP_CHOICES, OVERLAP_KEYS, OVERLAPS_KEY
 from splits.media import Interpretation
 from splits.media.interpretations import INTERPRETATION_SETS
 

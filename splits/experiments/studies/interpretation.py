@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import check_choice, invalid, unknown_key
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.papers.overlap_choices import OVERLAP_CHOICES, OVERLAPS_KEY
 from splits.experiments.studies.study import (
     FILES_DESCRIPTION,
     Study,
@@ -21,20 +22,6 @@ from splits.experiments.studies.study import (
 )
 from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
 
-if TYPE_CHECKING:
-    from splits.experiments.config.settings import Settings
-
-OVERLAPS_KEY = "overlaps"
-"""Key of a ranking of interpretations that sets `OVERLAP_KEYS` together."""
-OVERLAP_KEYS = ("overlap_with_previous_segment", "overlap_with_boundary")
-"""Fields of `splits.Interpretation` for grains that overlap the last segment or a boundary."""
-OVERLAP_CHOICES = {
-    "reject": ("reject", "reject"),
-    "keep": ("keep", "keep"),
-    "skip": ("skip", "skip"),
-    "segment overlap kept": ("keep", "reject"),
-}
-"""Values of `OVERLAPS_KEY`, and those of `OVERLAP_KEYS` for each."""
 STANDARD_STDERR = 0.002
 """Standard error of the accuracy for which the runs of a ranking are sized."""
 
@@ -65,12 +52,11 @@ class InterpretationStudy(Study):
         return [self.sensitivity]
 
     def list_parameters(
-        self, settings: Settings, experiments: Mapping[str, ExperimentConfig]
+        self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
     ) -> dict[str, Any]:
         """Return seed and accuracy of its simulations."""
-        max_stderr = settings.accuracies[settings.accuracy].max_stderr
         return {
-            "seed": settings.seed,
+            "seed": seed,
             "stderr_scale": max_stderr / STANDARD_STDERR,
             "physics": hash_physics_sources(),
         }

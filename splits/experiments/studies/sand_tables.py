@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -12,9 +12,6 @@ from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.studies.study import ROLES_DESCRIPTION, Study, StudyProduct, StudyRun
 from splits.experiments.studies.study_input import StudyInput
-
-if TYPE_CHECKING:
-    from splits.experiments.config.settings import Settings
 
 _RANGE_NM, _COLOUR_NM = (400.0, 1000.0), (400.0, 780.0)
 
@@ -79,7 +76,7 @@ class SandCompositionsStudy(Study):
     kind: Literal["sand_compositions"]
 
     def list_parameters(
-        self, settings: Settings, experiments: Mapping[str, ExperimentConfig]
+        self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
     ) -> dict[str, Any]:
         """Return the experiments with sand."""
         sands = {

@@ -18,7 +18,6 @@ from splits.experiments.studies.study_input import StudyInput, check_input
 if TYPE_CHECKING:
     import xarray as xr
 
-    from splits.experiments.config.settings import Settings
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 """File suffixes of figures; the report shows the first."""
@@ -137,7 +136,7 @@ class Study(ConfigSection):
         return []
 
     def list_parameters(
-        self, settings: Settings, experiments: Mapping[str, ExperimentConfig]
+        self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
     ) -> dict[str, Any]:
         """Return what the products depend on besides inputs, files and keys of the study."""
         return {}

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from splits.experiments.config.settings import Settings
-
 
 class TableStudy(Study):
     """Study of tables with any names, which are titles."""
@@ -28,10 +26,10 @@ class TableStudy(Study):
     inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
 
     def list_parameters(
-        self, settings: Settings, experiments: Mapping[str, ExperimentConfig]
+        self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
     ) -> dict[str, Any]:
         """Return the seed, and a digest of the sources."""
-        return {"seed": settings.seed, "program": hash_files(PACKAGE_FOLDER, RETRIEVAL_SOURCES)}
+        return {"seed": seed, "program": hash_files(PACKAGE_FOLDER, RETRIEVAL_SOURCES)}
 
     def check_inputs(self, available: Mapping[str, ExperimentConfig]) -> None:
         """Reject experiments that are no tables over two numeric parameters or more."""

@@ -1,8 +1,10 @@
 """Workflow that runs all experiments and studies of config/ and draws their figures.
 
-snakemake --cores 2                             all results
+snakemake --cores 2                             the papers, and own experiments
+snakemake --cores 2 explorer                    another group of experiments
+snakemake --cores 2 everything                  all groups
 snakemake --cores 2 fig08_grain_size            one experiment or study
-snakemake --cores 2 --config accuracy=draft     all results at low accuracy
+snakemake --cores 2 --config accuracy=draft     results at low accuracy
 """
 
 import os
@@ -43,10 +45,10 @@ try:
         update_config(config, read_yaml(Path(FILE)))
     update_config(config, COMMAND_LINE.config)
     SETTINGS = load_settings(config)
-    AVAILABLE = load_experiments(
+    EXPERIMENTS = load_experiments(
         SETTINGS.experiments_folder, SETTINGS.media_folder, SETTINGS.measured_folder
     )
-    EXPERIMENTS = SETTINGS.select_experiments(AVAILABLE)
+    SELECTED = SETTINGS.select_experiments(EXPERIMENTS)
 except ConfigError as error:
     raise WorkflowError(str(error)) from None
 
@@ -66,30 +68,31 @@ include: "workflow/rules/benchmark.smk"
 include: "workflow/rules/update_docs.smk"
 
 
-onstart:
-    # A study of which only some experiments are selected is reported, since this may be unintended.
-    for name, line in INCOMPLETE_STUDIES.items():
-        if set(STUDIES[name].list_experiments()) & set(EXPERIMENTS):
-            logger.info(line)
-    if MISSING_EXPLORER_TABLES and set(SETTINGS.explorer.values()) & set(
-        EXPERIMENTS
-    ):
-        logger.info(
-            f"the explorer is left out: {'; '.join(MISSING_EXPLORER_TABLES)}"
-        )
-    elif EXPLORER_TABLES and MISSING_DIRECTIONS:
-        logger.info(
-            f"the explorer has no directions: {'; '.join(MISSING_DIRECTIONS)}"
-        )
-
-
 rule all:
     default_target: True
     input:
-        [list_products(name) for name in EXPERIMENTS],
-        list_study_products(),
+        list_products(SELECTED),
+        list_study_products(SELECTED, SELECTED_GROUPS),
+        list_explorer(SELECTED),
         REPORTED,
-        [f"{RESULTS}/explorer.html"] if EXPLORER_TABLES else [],
+
+
+rule everything:
+    input:
+        list_products(EXPERIMENTS),
+        list_study_products(EXPERIMENTS, GROUPS),
+        list_explorer(EXPERIMENTS),
+
+
+for GROUP in dict.fromkeys([*GROUPS, "explorer"]):
+
+    rule:
+        name:
+            GROUP
+        input:
+            list_products(GROUPS.get(GROUP, [])),
+            list_group_studies(GROUP),
+            list_explorer(EXPERIMENTS if GROUP == "explorer" else GROUPS[GROUP]),
 
 
 for NAME in EXPERIMENTS:
@@ -98,4 +101,4 @@ for NAME in EXPERIMENTS:
         name:
             NAME
         input:
-            list_products(NAME),
+            list_products([NAME]),

@@ -200,7 +200,7 @@ def list_configuration_files(settings: Settings) -> dict[str, Path]:
     experiments = Path(settings.experiments_folder)
     for path in sorted(experiments.rglob("*.y*ml")):
         name = read_yaml(path).get("name", path.stem)
-        if settings.experiments == "all" or name in settings.experiments:
+        if name in settings.experiments:
             files[f"config/experiments/{path.relative_to(experiments).as_posix()}"] = path
     for path in sorted(Path(settings.media_folder).glob("*.yaml")):
         files[f"config/media/{path.name}"] = path
@@ -222,14 +222,13 @@ def make_configuration_members(settings: Settings) -> dict[str, bytes]:
     Parameters
     ----------
     settings : Settings
-        Settings in force, from the configuration file and the command line.
+        Those of the archive, see `Settings.select_archived`.
 
     Returns
     -------
     dict
         Contents by name of member.
     """
-    settings = settings.select_archived()
     members: dict[str, bytes] = {}
     for name, path in list_configuration_files(settings).items():
         is_yaml = path.suffix in (".yaml", ".yml")

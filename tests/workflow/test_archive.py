@@ -114,10 +114,10 @@ def test_archive_of_chosen_experiments_reproduces_those(project, tmp_path_factor
 )
 def test_archive_setting_accepts_the_forms_of_experiments(given, names):
     accuracies = {"accuracies": {"standard": {"max_stderr": 0.1}}}
-    settings = load_settings(accuracies | {"archive": given, "experiments": given})
-    assert (
-        settings.archive == settings.experiments == settings.select_archived().experiments == names
-    )
+    settings = load_settings(accuracies | {"archive": given, "experiments": ["a", "b", "c"]})
+    assert settings.archive == names
+    archived = settings.select_archived(["a", "b", "c"])
+    assert archived.experiments == (("a", "b", "c") if names == "all" else names)
 
 
 def test_invalid_source_date_epoch_is_rejected_before_any_job(project, monkeypatch):
@@ -304,7 +304,7 @@ def test_effective_configuration_is_packed_below_config(tmp_path, monkeypatch):
         accuracies={"rough": {"max_stderr": 0.1}}, results="/somewhere/results",
         experiments_folder=str(tmp_path / "experiments"), media_folder="experiments/../media",
     )  # fmt: skip
-    members = make_configuration_members(settings)
+    members = make_configuration_members(settings.select_archived(settings.experiments))
     digest = hashlib.sha256(b"moved").hexdigest()[:16]
     place = f"config/tables/{digest}/moved.csv"
     assert set(members) == {
@@ -332,12 +332,12 @@ def test_hidden_files_are_skipped_and_unknown_types_rejected(tmp_path, monkeypat
     for name in ("snow.csv", "notes.md", ".DS_Store"):
         (folder / name).write_text("x", encoding="utf-8")
     settings = Settings(accuracies={"standard": {"max_stderr": 0.1}})
-    members = set(make_configuration_members(settings)) - {"config/config.yaml"}
+    members = set(make_configuration_members(settings.select_archived(settings.experiments))) - {"config/config.yaml"}
     assert members == {f"config/measured/field/{name}" for name in ("snow.csv", "notes.md")}
     (folder / "snow.xlsx").write_text("x", encoding="utf-8")
     line = r"^archive = 'config/measured/field/snow\.xlsx': must be .*not a file type of config"
     with pytest.raises(ValueError, match=line):
-        make_configuration_members(settings)
+        make_configuration_members(settings.select_archived(settings.experiments))
 
 
 def test_author_names_are_escaped_in_markdown(make_archive):

@@ -41,7 +41,7 @@ def few_datasets(shipped):
 
 
 def test_workflow_plans_all_experiments(shipped):
-    run = shipped.snakemake("--dry-run", config="accuracy=standard")
+    run = shipped.snakemake("everything", "--dry-run", config="accuracy=standard")
     assert run.code == 0, run.text
     experiments = load_experiments(
         shipped.folder / "config" / "experiments", shipped.folder / "config" / "media"
@@ -56,7 +56,7 @@ def test_workflow_plans_all_experiments(shipped):
     for rule, count in (
         ("simulate", len(experiments) - len(tables)), ("figure", len(with_figure) - len(retrieved)),
         ("retrieve", len(retrieved)),
-        ("table", len(tables)), ("table_part", sum(map(count_parts, tables))), ("explorer", 1),
+        ("table", len(tables)), ("table_part", sum(map(count_parts, tables))), ("explorer_page", 1),
     ):  # fmt: skip
         assert re.search(rf"^{rule} +{count}$", run.text, re.MULTILINE)
     for rule in (

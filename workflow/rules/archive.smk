@@ -1,9 +1,6 @@
 from splits.experiments.archive import get_packing_time, list_configuration_files
 
-ARCHIVED = SETTINGS.select_archived()
-ARCHIVED_EXPERIMENTS = (
-    EXPERIMENTS if ARCHIVED.experiments == "all" else ARCHIVED.experiments
-)
+ARCHIVED = SETTINGS.select_archived(SELECTED)
 if "archive" in sys.argv[1:]:
     # Invalid values are rejected before anything runs.
     try:
@@ -20,13 +17,17 @@ if "archive" in sys.argv[1:]:
 
 rule archive:
     input:
-        results=[list_products(name) for name in ARCHIVED_EXPERIMENTS]
-        + (list_study_products() if SETTINGS.archive == "all" else []),
+        results=list_products(ARCHIVED.experiments)
+        + (
+            list_study_products(SELECTED, SELECTED_GROUPS)
+            if SETTINGS.archive == "all"
+            else []
+        ),
         configuration=lambda wildcards: list_configuration_files(ARCHIVED).values(),
         tables=lambda wildcards: sorted(
             {
                 t
-                for name in ARCHIVED_EXPERIMENTS
+                for name in ARCHIVED.experiments
                 for t in EXPERIMENTS[name].list_table_paths()
             }
         ),

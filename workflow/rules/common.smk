@@ -10,20 +10,24 @@ from splits.experiments.studies.checks import find_incomplete_studies
 from splits.experiments.studies.study import FIGURE_SUFFIXES, describe_missing
 
 STUDIES = SETTINGS.studies
-# Studies with missing experiments, with a message for each.
-INCOMPLETE_STUDIES = find_incomplete_studies(STUDIES, EXPERIMENTS, AVAILABLE)
+# Studies of which experiments do not exist, with a message for each.
+INCOMPLETE_STUDIES = find_incomplete_studies(STUDIES, EXPERIMENTS)
 for NAME in set(INCOMPLETE_STUDIES) & set(sys.argv[1:]):
     raise WorkflowError(INCOMPLETE_STUDIES[NAME])
+COMPLETE_STUDIES = [name for name in STUDIES if name not in INCOMPLETE_STUDIES]
+
+# Experiments by group.
+GROUPS = {
+    group: [name for name, e in EXPERIMENTS.items() if e.group == group]
+    for group in dict.fromkeys(e.group for e in EXPERIMENTS.values())
+}
+SELECTED_GROUPS = (
+    GROUPS if SETTINGS.experiments == "everything" else SETTINGS.experiments
+)
 
 TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
-# Missing tables and directions of the explorer.  It requires all of its tables; directions are
-# optional.
-MISSING_EXPLORER_TABLES = describe_missing(
-    SETTINGS.explorer.values(), EXPERIMENTS, AVAILABLE
-)
-MISSING_DIRECTIONS = describe_missing(
-    SETTINGS.explorer_directions.values(), EXPERIMENTS, AVAILABLE
-)
+# The explorer requires all of its tables; directions are optional.
+MISSING_EXPLORER_TABLES = describe_missing(SETTINGS.explorer.values(), EXPERIMENTS)
 EXPLORER_TABLES = {} if MISSING_EXPLORER_TABLES else SETTINGS.explorer
 EXPLORER_DIRECTIONS = {
     label: name
@@ -38,7 +42,6 @@ EXPERIMENTS_WITH_RETRIEVAL = [name for name, e in EXPERIMENTS.items() if e.retri
 EXPERIMENTS_WITH_FIGURE = [
     name for name, e in EXPERIMENTS.items() if e.figure.kind != "none"
 ]
-COMPLETE_STUDIES = [name for name in STUDIES if name not in INCOMPLETE_STUDIES]
 
 
 def match_any(names):
@@ -61,30 +64,54 @@ def list_table_parts(name):
     return [f"{RESULTS}/blocks/{name}/part_{part}.json" for part in range(number)]
 
 
-def list_products(name):
-    """Return all products of an experiment."""
-    suffixes = FIGURE_SUFFIXES if name in EXPERIMENTS_WITH_FIGURE else ()
-    made = [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
-    if EXPERIMENTS[name].fit:
-        made.append(f"{RESULTS}/tables/{name}_parameters.csv")
-    if name in EXPERIMENTS_WITH_RETRIEVAL:
-        made.append(f"{RESULTS}/tables/{name}_retrieved.csv")
-    return list_datasets([name]) + made
+def list_products(names):
+    """Return all products of experiments."""
+    made = list_datasets(names)
+    for name in names:
+        suffixes = FIGURE_SUFFIXES if name in EXPERIMENTS_WITH_FIGURE else ()
+        made += [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
+        if EXPERIMENTS[name].fit:
+            made.append(f"{RESULTS}/tables/{name}_parameters.csv")
+        if name in EXPERIMENTS_WITH_RETRIEVAL:
+            made.append(f"{RESULTS}/tables/{name}_retrieved.csv")
+    return made
 
 
-def list_study_products():
-    """Return the products of the studies whose experiments are all selected."""
+def list_study_products(experiments, groups):
+    """Return the products of the studies of these groups, over these experiments only."""
     return [
         f"{RESULTS}/{path}"
         for name in COMPLETE_STUDIES
+        if set(STUDIES[name].list_experiments()) <= set(experiments)
+        and (STUDIES[name].group is None or STUDIES[name].group in groups)
         for paths in STUDIES[name].list_product_paths(name).values()
         for path in paths
     ]
 
 
+def list_group_studies(group):
+    """Return the products of the studies that need experiments of a group, or name it."""
+    experiments = {*GROUPS.get(group, ()), *GROUPS.get("papers", ())}
+    others = (
+        set()
+        if group == "papers"
+        else set(list_study_products(GROUPS.get("papers", ()), ()))
+    )
+    return [
+        path for path in list_study_products(experiments, [group]) if path not in others
+    ]
+
+
+def list_explorer(experiments):
+    """Return the page of the explorer, if its tables are among these experiments."""
+    complete = EXPLORER_TABLES and set(EXPLORER_TABLES.values()) <= set(experiments)
+    return [f"{RESULTS}/explorer.html"] if complete else []
+
+
 def list_study_figures():
-    """Return the names of the figures of the studies whose experiments are all selected."""
-    return [Path(path).stem for path in list_study_products() if path.endswith(".png")]
+    """Return the names of the figures of all studies."""
+    products = list_study_products(EXPERIMENTS, GROUPS)
+    return [Path(path).stem for path in products if path.endswith(".png")]
 
 
 def list_measured_files(name):
@@ -124,7 +151,7 @@ def choose_threads(name):
     experiment, and a fit, which is long, have all cores.
     """
     requested = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
-    n_parallel = min(4, len(requested or EXPERIMENTS))
+    n_parallel = min(4, len(requested or SELECTED))
     cores = count_cores()
     return cores if EXPERIMENTS[name].fit else max(1, cores // n_parallel)
 
@@ -148,7 +175,7 @@ def list_study_datasets(name):
 def list_study_parameters(name):
     """Return what the products of a study depend on besides its files and keys."""
     max_stderr = SETTINGS.accuracies[SETTINGS.accuracy].max_stderr
-    return STUDIES[name].list_parameters(SETTINGS.seed, max_stderr, EXPERIMENTS)
+    return STUDIES[name].list_parameters(SETTINGS.seed, max_stderr, SELECTED)
 
 
 def list_study_inputs(name):

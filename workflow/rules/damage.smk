@@ -16,7 +16,8 @@ def check_files():
     Renamed datasets are simulated again, since the job graph is made from the existing files.  A dry
     run only reports them.
     """
-    studies = [path for path in list_study_products() if path.endswith(".nc")]
+    products = list_study_products(EXPERIMENTS, GROUPS)
+    studies = [path for path in products if path.endswith(".nc")]
     for path in map(Path, list_datasets(EXPERIMENTS) + studies):
         experiment = path.stem if path.stem in EXPERIMENTS else ""
         try:

@@ -1,4 +1,4 @@
-rule explorer:
+rule explorer_page:
     input:
         # Lists, since labels given by users may equal names of methods of `snakemake.input`.
         tables=list_datasets(EXPLORER_TABLES.values()),

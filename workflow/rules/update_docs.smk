@@ -7,8 +7,8 @@ if "update_docs" in sys.argv and SETTINGS.accuracy != "standard":
 # Documents are not outputs, because Snakemake removes outputs before a job; the rule always runs.
 rule update_docs:
     input:
-        [list_products(name) for name in EXPERIMENTS],
-        list_study_products(),
+        list_products(EXPERIMENTS),
+        list_study_products(EXPERIMENTS, GROUPS),
     log:
         f"{RESULTS}/logs/update_docs.log",
     conda:

@@ -22,7 +22,7 @@ from splits.experiments.config.sections import (
     FigureSection,
     check_text,
 )
-from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE, SimulationConfig
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.media.medium import Medium
 from splits.plotting.panels import (
@@ -35,16 +35,21 @@ from splits.plotting.panels import (
 )
 
 RESERVED_NAMES = (
-    "all", "archive", "explorer", "benchmark_kernels", "benchmarks", "update_docs", "figure",
-    "figure_speed_against_error", "fitted_parameters", "retrieve", "simulate",
-    "speed_against_error", "table", "table_part",
+    "all", "everything", "archive", "explorer", "explorer_page", "benchmark_kernels", "benchmarks",
+    "update_docs", "figure", "figure_speed_against_error", "fitted_parameters", "retrieve",
+    "simulate", "speed_against_error", "table", "table_part",
 )  # fmt: skip
 """Names of rules of the workflow, which experiments may not have."""
+
+
+OWN_GROUP = "own"
+"""Group of experiments that name none."""
 
 
 class ExperimentConfig(SimulationConfig):
     """A simulation with its title, caption, figure and retrieval."""
 
+    group: str = OWN_GROUP
     title: str = ""
     caption: str = ""
     figure: FigureSection = Field(default_factory=FigureSection)
@@ -57,6 +62,13 @@ class ExperimentConfig(SimulationConfig):
             raise invalid(
                 "name", value, "none of the workflow's rules " + ", ".join(RESERVED_NAMES)
             )
+        return value
+
+    @field_validator("group")
+    @classmethod
+    def _check_group(cls, value: str) -> str:
+        if not NAME_PATTERN.fullmatch(value) or value in {*RESERVED_NAMES} - {"explorer"}:
+            raise invalid("group", value, f"{NAME_RULE}, none of the workflow's rules")
         return value
 
     @field_validator("figure", mode="before")

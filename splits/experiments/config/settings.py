@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import posixpath
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid, suggest_name
 from splits.core.yaml import ConfigError
-from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
 from splits.experiments.config.sections import (
     MAX_LABEL_CHARS,
     MAX_TITLE_CHARS,
@@ -75,6 +75,8 @@ def _is_orcid(digits: str) -> bool:
     return digits[-1] == "0123456789X"[(12 - total) % 11]
 
 
+DEFAULT_GROUPS = ("papers", OWN_GROUP)
+"""Groups of experiments that are selected by default."""
 EXPLORER_DIRECTION_AXES = ("optical_radius_um", "incidence_deg")
 """Grid axes of the experiments that give the explorer's BRDFs."""
 
@@ -92,7 +94,7 @@ FOLDER_KEYS = (
 class Settings(ConfigSection):
     """The main configuration file."""
 
-    experiments: Literal["all"] | tuple[str, ...] = "all"
+    experiments: Literal["everything"] | tuple[str, ...] = DEFAULT_GROUPS
     accuracy: str = "standard"
     accuracies: dict[str, Accuracy]
     seed: int = Field(default=1, ge=0, lt=2**63)
@@ -112,7 +114,7 @@ class Settings(ConfigSection):
     @classmethod
     def _split_names(cls, value: Any) -> Any:
         # Lists on the command line are separated by commas.
-        if isinstance(value, str) and value != "all":
+        if isinstance(value, str) and value not in ("all", "everything"):
             return tuple(name.strip() for name in value.split(","))
         return value
 
@@ -165,12 +167,25 @@ class Settings(ConfigSection):
         """Folders of the tables of measured and of published numbers."""
         return {"measured": Path(self.measured_folder), "published": Path(self.published_folder)}
 
-    def select_archived(self) -> Settings:
-        """Return the settings of a run that makes the content of an archive only."""
+    def select_archived(self, selected: Iterable[str]) -> Settings:
+        """Return the settings of a run that makes the content of an archive only.
+
+        Parameters
+        ----------
+        selected : iterable of str
+            Names of the selected experiments.
+
+        Raises
+        ------
+        ConfigError
+            If no experiment of the archive is selected.
+        """
         if self.archive == "all":
-            return self
-        is_all = self.experiments == "all"
-        names = tuple(name for name in self.archive if is_all or name in self.experiments)
+            return self.model_copy(update={"experiments": tuple(selected)})
+        names = tuple(name for name in self.archive if name in selected)
+        if not names:
+            allowed = "one or more of the experiments selected"
+            raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
         others: dict[str, Any] = {"studies": {}, "explorer": {}, "explorer_directions": {}}
         return self.model_copy(update={"experiments": names, "archive": "all", **others})
 
@@ -213,15 +228,25 @@ class Settings(ConfigSection):
         ConfigError
             For an unknown or repeated name, or an invalid study.
         """
-        for key, names in (("experiments", self.experiments), ("archive", self.archive)):
-            for name in () if names == "all" else names:
-                if name not in available:
-                    hint = suggest_name(name, available) or "known: " + ", ".join(available)
+        groups = dict.fromkeys([*DEFAULT_GROUPS, *(one.group for one in available.values())])
+        for key, names, known in (
+            ("experiments", self.experiments, [*groups, *available]),
+            ("archive", self.archive, list(available)),
+        ):
+            for name in () if isinstance(names, str) else names:
+                if name not in known:
+                    hint = suggest_name(name, known) or "known: " + ", ".join(known)
                     raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
-        if not self.select_archived().experiments:
-            allowed = "one or more of the experiments selected"
-            raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
+        for group in dict.fromkeys(one.group for one in available.values()):
+            if group in available or group in self.studies:
+                raise ConfigError(f"group = {group!r}: must differ from experiments and studies")
+        chosen = [*groups] if self.experiments == "everything" else self.experiments
+        selected = {
+            name: one for name, one in available.items() if name in chosen or one.group in chosen
+        }
+        if not selected:
+            raise ConfigError(f"experiments = {', '.join(chosen)}: no experiment is in this group")
+        self.select_archived(selected)
         check_studies(self.studies, available, self.table_folders)
         self._check_explorer(available)
-        selected = available if self.experiments == "all" else self.experiments
-        return {name: available[name] for name in selected}
+        return selected

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from splits.core.validation import check_choice
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.studies.study import (
     FILES_DESCRIPTION,
@@ -15,7 +16,6 @@ from splits.experiments.studies.study import (
     Study,
     StudyProduct,
     StudyRun,
-    check_sensitivity,
 )
 from splits.experiments.studies.study_input import StudyInput
 
@@ -76,7 +76,8 @@ class AgreementStudy(Study):
         studies: Mapping[str, Study],
     ) -> None:
         """Reject unknown or missing names, and experiments and tables that do not serve."""
-        check_sensitivity(self.sensitivity, studies)
+        names = [name for name, study in studies.items() if study.kind == "sensitivity"]
+        check_choice("sensitivity", self.sensitivity, names)
         super().check(available, tables, studies)
 
     def make(self, run: StudyRun) -> None:

@@ -42,14 +42,12 @@ def check_studies(
 
 
 def find_incomplete_studies(
-    studies: Mapping[str, Study],
-    selected: Mapping[str, ExperimentConfig],
-    available: Mapping[str, ExperimentConfig],
+    studies: Mapping[str, Study], available: Mapping[str, ExperimentConfig]
 ) -> dict[str, str]:
-    """Return a message for each study of which not all experiments are selected."""
+    """Return a message for each study of which not all experiments exist."""
     messages = {}
     for name, study in studies.items():
-        missing = study.describe_missing(selected, available, studies)
+        missing = study.describe_missing(available, studies)
         if missing:
             messages[name] = f"study {name} is left out: {'; '.join(missing)}"
     return messages

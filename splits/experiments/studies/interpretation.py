@@ -18,7 +18,6 @@ from splits.experiments.studies.study import (
     Study,
     StudyProduct,
     StudyRun,
-    check_sensitivity,
 )
 from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
 
@@ -41,15 +40,8 @@ class InterpretationStudy(Study):
 
     kind: Literal["interpretation"]
     files: dict[str, str] = Field(description=FILES_DESCRIPTION)
-    sensitivity: str = Field(
-        description="name of the study of kind `sensitivity` for the same snow"
-    )
     interpretation: dict[str, tuple[str, ...]] = Field(description="choices to combine")
     stated: dict[str, str] = Field({}, description="unambiguous choices of the paper")
-
-    def list_studies(self) -> list[str]:
-        """Return the study of sensitivity of the same snow."""
-        return [self.sensitivity]
 
     def list_parameters(
         self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
@@ -68,7 +60,6 @@ class InterpretationStudy(Study):
         studies: Mapping[str, Study],
     ) -> None:
         """Reject unknown names and choices, and a table that does not serve."""
-        check_sensitivity(self.sensitivity, studies)
         super().check(available, tables, studies)
         if not self.interpretation:
             raise invalid("interpretation", self.interpretation, "choices by keyword")

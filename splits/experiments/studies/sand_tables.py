@@ -87,14 +87,11 @@ class SandCompositionsStudy(Study):
         return {"experiments": sands, "physics": hash_physics_sources()}
 
     def describe_missing(
-        self,
-        selected: Mapping[str, ExperimentConfig],
-        available: Mapping[str, ExperimentConfig],
-        studies: Mapping[str, Study],
+        self, available: Mapping[str, ExperimentConfig], studies: Mapping[str, Study]
     ) -> list[str]:
-        """Return a message if no experiment with sand is selected."""
-        has_sand = any(one.medium.get("kind") == "sand" for one in selected.values())
-        return [] if has_sand else ["no experiment with sand is selected"]
+        """Return a message if there is no experiment with sand."""
+        has_sand = any(one.medium.get("kind") == "sand" for one in available.values())
+        return [] if has_sand else ["no experiment has sand"]
 
     def make(self, run: StudyRun) -> None:
         """Make the table."""

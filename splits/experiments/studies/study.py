@@ -121,6 +121,9 @@ class Study(ConfigSection):
     USES_ALL_THREADS: ClassVar[bool] = False
 
     kind: str = Field(description="kind of the study")
+    group: str | None = Field(
+        None, description="group of experiments with which the study is selected"
+    )
     outputs: dict[str, str] = Field({}, description="other names for products of the study")
 
     def make(self, run: StudyRun) -> None:
@@ -161,16 +164,13 @@ class Study(ConfigSection):
         return {key: str(tables[self.FILES[key]] / file) for key, file in files.items()}
 
     def describe_missing(
-        self,
-        selected: Mapping[str, ExperimentConfig],
-        available: Mapping[str, ExperimentConfig],
-        studies: Mapping[str, Study],
+        self, available: Mapping[str, ExperimentConfig], studies: Mapping[str, Study]
     ) -> list[str]:
-        """Return messages about experiments that the study needs and that are not selected."""
+        """Return messages about experiments that the study needs and that do not exist."""
         required = self.list_experiments()
         for name in self.list_studies():
             required += studies[name].list_experiments()
-        return describe_missing(required, selected, available)
+        return describe_missing(required, available)
 
     def check(
         self,
@@ -231,22 +231,12 @@ class Study(ConfigSection):
 
 
 def describe_missing(
-    required: Iterable[str],
-    selected: Mapping[str, ExperimentConfig],
-    available: Mapping[str, ExperimentConfig],
+    required: Iterable[str], available: Mapping[str, ExperimentConfig]
 ) -> list[str]:
-    """Return messages about required experiments that are not selected or do not exist."""
-    required = [name for name in dict.fromkeys(required) if name not in selected]
-    unselected = [name for name in required if name in available]
-    messages = [f"not selected: {', '.join(unselected)}"] if unselected else []
-    for name in required:
+    """Return messages about required experiments that do not exist."""
+    messages = []
+    for name in dict.fromkeys(required):
         if name not in available:
             hint = suggest_name(name, available)
             messages.append(f"no such experiment: {name}" + (f" ({hint})" if hint else ""))
     return messages
-
-
-def check_sensitivity(name: str, studies: Mapping[str, Study]) -> None:
-    """Reject the name of a study that is not one of sensitivity."""
-    names = [key for key, study in studies.items() if study.kind == "sensitivity"]
-    check_choice("sensitivity", name, names)

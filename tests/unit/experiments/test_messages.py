@@ -61,8 +61,8 @@ WRONG_TYPES = {
         "figure.select.saturation = [0]: must be a number or text",
     "title: 2024": "title = 2024: must be text (put it into quotes)",
     "fit: 5": "fit = 5: must be a mapping with measured",
-    "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, title, caption, "
-        "figure, retrieve",
+    "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, group, title, "
+        "caption, figure, retrieve",
 }  # fmt: skip
 
 
@@ -204,7 +204,7 @@ def test_all_invalid_files_are_reported_at_once(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"experiments": 5}, 'experiments = 5: must be "all" or a list of names'),
+        ({"experiments": 5}, 'experiments = 5: must be "everything" or a list of names'),
         ({"seed": True}, "seed = True: must be a whole number"),
         ({"accuracies": {"standard": {"max_stderr": "low"}}},
          "accuracies.standard.max_stderr = 'low': must be a number"),

@@ -32,8 +32,12 @@ def make_settings(studies):
 
 def test_shipped_studies_are_complete(shipped):
     settings = load_settings(SETTINGS_CONTENT)
-    assert set(settings.select_experiments(shipped)) == set(shipped)
-    assert find_incomplete_studies(settings.studies, shipped, shipped) == {}
+    assert set(
+        load_settings(SETTINGS_CONTENT | {"experiments": "everything"}).select_experiments(shipped)
+    ) == set(shipped)
+    papers = settings.select_experiments(shipped)
+    assert {one.group for one in papers.values()} == {"papers"}
+    assert find_incomplete_studies(settings.studies, shipped) == {}
     paths = {
         path
         for name, study in settings.studies.items()
@@ -43,13 +47,15 @@ def test_shipped_studies_are_complete(shipped):
     figures = (
         "fig23_sensitivity", "interpretation_ranking", "letcher2022_measured",
         "surface_area_spectra_found", "surface_area_law", "sobol_indices_by_wavelength",
-        "wet_sand_anisotropy", "band_selection",
+        "wet_sand_anisotropy", "band_selection", "sensitivity_by_interpretation_index",
     )  # fmt: skip
     figure_paths = {
         f"figures/{name}{suffix}" for name in figures for suffix in (".png", ".svg", ".pdf")
     }
     assert paths == figure_paths | {
         "data/fig23_sensitivity.nc", "tables/sensitivity.csv", "tables/table2.csv",
+        "data/sensitivity_by_interpretation_index.nc", "tables/sensitivity_by_interpretation.csv",
+        "tables/sensitivity_by_interpretation_chosen.csv",
         "tables/agreement.csv", "tables/interpretation_ranking.csv",
         "tables/sobol_indices_by_wavelength.csv", "tables/band_selection.csv",
         "tables/wet_sand_anisotropy.csv", "tables/wet_sand_anisotropy_by_angle.csv",
@@ -100,7 +106,7 @@ def test_experiment_names_of_studies_are_rejected(shipped, name):
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "outputs": {"table": "nul"}},
          r"own\.outputs\.table = 'nul': must be lower-case letters"),
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "n_bands": 2},
-         r"own\.n_bands: unknown key, must be one of kind, outputs, inputs"),
+         r"own\.n_bands: unknown key, must be one of kind, group, outputs, inputs"),
         ({"kind": "anisotropy", "inputs": {"directions": "sand_fig11_brdf"},
           "files": {"directions": "wet_sand_directions.csv"}},
          r"'sand_fig11_brdf': must be .*over interpretation and saturation"),
@@ -120,15 +126,14 @@ def test_experiment_names_of_studies_are_rejected(shipped, name):
         ({"kind": "angular_trends", "inputs": {"wavelength": "fig08_grain_size"}},
          r"'fig08_grain_size': must be an experiment with a goniophotometer"),
         ({"kind": "sand_compositions", "inputs": {"lens": "a"}},
-         r"own\.inputs: unknown key, must be one of kind, outputs"),
+         r"own\.inputs: unknown key, must be one of kind, group, outputs"),
         ({"kind": "sensitivity"}, r"own\.pairs: missing, must be a mapping"),
         ({"kind": "sensitivity", "pairs": {}}, r"own\.pairs = {}: must be at least one pair"),
         ({"inputs": {}}, r"own\.kind: missing, must be one of sensitivity, agreement"),
-        ({"kind": "interpretation", "files": {"published": "splitsnow2021.csv"},
-          "sensitivity": "agreement", "interpretation": {"overlaps": ["keep"]}},
+        ({**SETTINGS_CONTENT["studies"]["agreement"], "outputs": {}, "sensitivity": "agreement"},
          r"own\.sensitivity = 'agreement': must be .*sensitivity"),
         ({"kind": "layer_trends", "sensitivity": "sensitivity", "inputs": {"lens": "a"}},
-         r"own\.sensitivity: unknown key, must be one of kind, outputs, inputs"),
+         r"own\.sensitivity: unknown key, must be one of kind, group, outputs, inputs"),
         ({"kind": "sensitivity", "files": {"published": "splitsnow.csv"},
           "pairs": {"a": {"parameter": "saturation", "experiment": "b", "low": 0, "high": 1}}},
          r"files\.published = 'splitsnow\.csv': must be one of.*did you mean splitsnow2021\.csv"),
@@ -151,16 +156,46 @@ def test_invalid_studies_are_rejected_in_one_line(shipped, study, message):
 
 def test_missing_experiments_of_a_study_are_reported(shipped):
     study = {"kind": "angular_trends", "inputs": {"facetness": "fig22_facetnes"}}
-    incomplete = find_incomplete_studies(make_settings({"own": study}).studies, {}, shipped)
-    assert incomplete["own"] == (
-        "study own is left out: no such experiment: fig22_facetnes (did you mean fig22_facetness?)"
-    )
-    assert incomplete["layer_trends"].startswith(
-        "study layer_trends is left out: not selected: layer"
-    )
-    assert incomplete["sand_compositions"].endswith("no experiment with sand is selected")
-    for name in ("agreement", "interpretation_ranking"):
-        assert "sensitivity_density" in incomplete[name], "these depend on their sensitivity study"
+    studies = make_settings({"own": study}).studies
+    assert find_incomplete_studies(studies, shipped) == {
+        "own": "study own is left out: no such experiment: fig22_facetnes "
+        "(did you mean fig22_facetness?)"
+    }
+    incomplete = find_incomplete_studies(studies, {})
+    assert incomplete["sand_compositions"].endswith("no experiment has sand")
+    assert "sensitivity_density" in incomplete["agreement"], "it reads its sensitivity study"
+
+
+@pytest.mark.parametrize(
+    ("experiments", "message"),
+    [
+        (["fig08_grain", "own"], r"experiments = 'fig08_grain': no such experiment \(did you mean"),
+        (["own"], "experiments = own: no experiment is in this group"),
+        ("wet_sands", "experiments = 'wet_sands': no such experiment .*wet_sand"),
+    ],
+)
+def test_invalid_selections_are_rejected(shipped, experiments, message):
+    with pytest.raises(ConfigError, match=message):
+        load_settings(SETTINGS_CONTENT | {"experiments": experiments}).select_experiments(shipped)
+
+
+def test_groups_and_experiments_are_selected(shipped):
+    chosen = {"experiments": "wet_sand,fig08_grain_size"}
+    selected = load_settings(SETTINGS_CONTENT | chosen).select_experiments(shipped)
+    assert set(selected) == {"fig08_grain_size", "wet_sand_directions", "retrieved_wet_sand",
+                             "retrieved_wet_sand_by_volume"}  # fmt: skip
+
+
+@pytest.mark.parametrize("group", ["all", "everything", "Wet sand", "simulate"])
+def test_invalid_groups_are_rejected(group):
+    with pytest.raises(ValueError, match=f"group = '{group}'"):
+        ExperimentConfig.model_validate({"name": "a", "group": group})
+
+
+def test_groups_differ_from_experiments(shipped):
+    experiment = ExperimentConfig.model_validate({"name": "a", "group": "fig08_grain_size"})
+    with pytest.raises(ConfigError, match="group = 'fig08_grain_size': must differ"):
+        load_settings(SETTINGS_CONTENT).select_experiments({**shipped, "a": experiment})
 
 
 def test_a_study_of_some_inputs_has_their_rows():

@@ -332,7 +332,9 @@ def test_hidden_files_are_skipped_and_unknown_types_rejected(tmp_path, monkeypat
     for name in ("snow.csv", "notes.md", ".DS_Store"):
         (folder / name).write_text("x", encoding="utf-8")
     settings = Settings(accuracies={"standard": {"max_stderr": 0.1}})
-    members = set(make_configuration_members(settings.select_archived(settings.experiments))) - {"config/config.yaml"}
+    members = set(make_configuration_members(settings.select_archived(settings.experiments))) - {
+        "config/config.yaml"
+    }
     assert members == {f"config/measured/field/{name}" for name in ("snow.csv", "notes.md")}
     (folder / "snow.xlsx").write_text("x", encoding="utf-8")
     line = r"^archive = 'config/measured/field/snow\.xlsx': must be .*not a file type of config"

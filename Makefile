@@ -1,4 +1,4 @@
-# make run         set up .venv, run every experiment of config/ and write the report
+# make run         set up .venv, run the experiments of the papers and own ones, and write the report
 # make draft       the same at low accuracy, into results/draft
 # make resume      continue make run after a crash (ACCURACY=draft for a draft)
 # make test        set up .venv and run the tests, except those that take minutes each

@@ -15,7 +15,7 @@ from splits.core.validation import check_choice, invalid
 from splits.core.yaml import ConfigError, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.figure_limits import check_figure_size
-from splits.experiments.config.medium import LAYERS_KEY, apply_bases
+from splits.experiments.config.medium import apply_bases
 from splits.experiments.config.messages import format_validation_error
 from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.config.sections import check_path
@@ -27,6 +27,7 @@ from splits.experiments.config.unused_settings import (
     collect_keywords,
 )
 from splits.experiments.run_fit import check_fit
+from splits.media.kinds import LAYERS_KEY
 from splits.media.measured_inputs import override_keywords
 from splits.retrieval.measurement import MAX_REFLECTANCE
 

@@ -27,6 +27,8 @@ from .media import Sand as Sand
 from .media import SandInterpretation as SandInterpretation
 from .media import Snow as Snow
 from .media import Stack as Stack
+from .media.named_media import list_media as list_media
+from .media.named_media import load_medium as load_medium
 from .retrieval.band_selection import select_bands as select_bands
 from .retrieval.maps import retrieve_map as retrieve_map
 from .retrieval.retrieve import retrieve as retrieve

@@ -16,6 +16,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from splits.core.yaml import dump_yaml, read_yaml
 from splits.experiments.config.load import load_settings
+from splits.media.named_media import NAMED_MEDIA_FOLDER
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENTS = ROOT / "config" / "experiments"
@@ -54,7 +55,7 @@ class Page:
     target: str
     """Target of snakemake."""
     files: dict[str, str] = field(default_factory=dict)
-    """YAML content by title."""
+    """Content of YAML and TOML files by title."""
 
     @property
     def image(self) -> Path:
@@ -71,8 +72,15 @@ class Page:
             )
         parts.append(self.caption)
         parts.append(f"```console\n$ snakemake --cores 2 {self.target}\n```")
-        parts += [f"{name}:\n\n```yaml\n{text.rstrip()}\n```" for name, text in self.files.items()]
+        parts += [
+            f"{name}:\n\n```{_get_language(name)}\n{text.rstrip()}\n```"
+            for name, text in self.files.items()
+        ]
         return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _get_language(title: str) -> str:
+    return "toml" if title.endswith(".toml`") else "yaml"
 
 
 @functools.cache
@@ -87,7 +95,7 @@ def _experiment(path: Path) -> Page:
     files = {f"`{path.relative_to(ROOT).as_posix()}`": path.read_text(encoding="utf-8")}
     base = content.get("medium", {}).get("base")
     if base:
-        base_file = ROOT / "config" / "media" / f"{base}.yaml"
+        base_file = NAMED_MEDIA_FOLDER / f"{base}.toml"
         label = f"Base medium `{base_file.relative_to(ROOT).as_posix()}`"
         files[label] = base_file.read_text(encoding="utf-8")
     title, caption = (str(content.get(key, "")).strip() for key in ("title", "caption"))

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from _numbers.colour_values import COLOUR_NUMBERS
 from _numbers.formatting import (
     QuotedNumber,
     QuotedValue,
@@ -347,6 +348,7 @@ QUOTED_NUMBERS = {
     **_list_sensitivity_numbers(),
     **_list_sand_numbers(),
     **_list_angular_and_layer_numbers(),
+    **COLOUR_NUMBERS,
     **TIMING_NUMBERS,
     **RETRIEVAL_NUMBERS,
     "draws": QuotedNumber(CODE_SOURCE, lambda _: (MAX_REJECTIONS, None, ""), "power"),

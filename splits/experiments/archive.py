@@ -46,7 +46,7 @@ Archived on {date} from commit {commit}. Licence of the results: {licence}. Auth
 | `figures/` | figures of these datasets, PNG, SVG and PDF |
 | `tables/` | tables, CSV |
 | `config/` | configuration of the run: settings (with those of the command line), experiments, \
-media, measured and published tables, user-defined refractive indices |
+own media, measured and published tables, user-defined refractive indices |
 | `ro-crate-metadata.json` | list of all files with sizes, types and SHA-256, software, authors \
 and licences (RO-Crate {crate}) |
 | `versions.json` | versions of all Python packages in use |
@@ -188,8 +188,9 @@ def _check_member_names(members: Iterable[str]) -> None:
 def list_configuration_files(settings: Settings) -> dict[str, Path]:
     """Return the files that a run with these settings reads, by their name in an archive.
 
-    These are the selected experiments and all media, measured and published tables, without
-    hidden files.  Their names start with ``config/`` wherever their folders are.
+    These are the selected experiments, own media, and all measured and published tables, without
+    hidden files.  The named media are part of the package.  Names in the archive start with
+    ``config/`` wherever the folders are.
 
     Raises
     ------

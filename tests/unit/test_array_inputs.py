@@ -54,8 +54,8 @@ INVALID_INPUTS = {
 
 LABELLED = {name: case for name, case in CASES.items() if case.labels}
 NON_ARRAYS = {
-    "Progress", "ProgressBar", "Interpretation", "SandInterpretation", "__version__", "load",
-    "open_table",
+    "Progress", "ProgressBar", "Interpretation", "SandInterpretation", "__version__", "list_media",
+    "load", "load_medium", "open_table",
     "save", "sensor_bands", "surface_map",
 }  # fmt: skip
 """Public names without array arguments, and those that store datasets unchanged."""

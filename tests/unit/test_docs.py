@@ -195,7 +195,7 @@ def test_pages_referenced_in_sources_exist():
     folders = ("splits", "workflow", "config", "tests")
     files = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "Snakefile")]
     files += [path for folder in folders for path in (ROOT / folder).rglob("*.*")]
-    suffixes = {".py", ".smk", ".rst", ".yaml", ".md", ""}
+    suffixes = {".py", ".smk", ".rst", ".yaml", ".toml", ".md", ""}
     referenced = {
         page
         for path in files

@@ -16,10 +16,10 @@ import xarray as xr
 import splits
 
 ROOT = Path(__file__).parents[2]
-AXES_ARE_KEYWORDS = {f"Table.{name}" for name in (
+TAKES_OTHER_KEYWORDS = {f"Table.{name}" for name in (
     "derivatives", "deviations", "interp", "interpolation_errors", "to_isofit", "to_spires",
-)}  # fmt: skip
-"""Methods that take the axes of a table as keywords, which differ between tables."""
+)} | {"load_medium"}  # fmt: skip
+"""Callables whose keywords are the axes of a table, or the keywords of a medium."""
 
 
 def list_public_callables():
@@ -37,7 +37,7 @@ def test_public_callables_have_complete_signatures(name):
     parameters = inspect.signature(list_public_callables()[name]).parameters.values()
     kinds = {parameter.kind for parameter in parameters}
     assert Parameter.VAR_POSITIONAL not in kinds
-    assert (Parameter.VAR_KEYWORD in kinds) == (name in AXES_ARE_KEYWORDS)
+    assert (Parameter.VAR_KEYWORD in kinds) == (name in TAKES_OTHER_KEYWORDS)
     assert all(
         parameter.annotation is not Parameter.empty
         for parameter in parameters
@@ -89,6 +89,7 @@ INVALID_CALLS = {
     "lens": lambda: splits.lens(LAYER, [1], -1),
     "radiation_profile": lambda: splits.radiation_profile(SNOW, {"direct": [1]}, [0.1]),
     "load": lambda: splits.load("there/is/none.nc"),
+    "load_medium": lambda: splits.load_medium("red_dune", saturation=2),
     "open_table": lambda: splits.open_table("there/is/none.nc"),
     "phase_function": lambda: splits.phase_function(3),
     "irradiance_profile": lambda: splits.irradiance_profile(SNOW, [500], [-1]),
@@ -105,8 +106,8 @@ INVALID_CALLS = {
     "build_table": lambda: splits.build_table(splits.Snow.natural, {"depth_m": [1, 2]}, "x"),
     "with_diffraction": lambda: splits.with_diffraction(EMPTY, -1),
 }
-NO_INVALID_VALUES = {"Progress", "ProgressBar", "Sky"}
-"""Results of instruments and of `splits.sky`, and the progress bar, which accepts any text."""
+NO_INVALID_VALUES = {"Progress", "ProgressBar", "Sky", "list_media"}
+"""Results of instruments and of `splits.sky`, the progress bar, and a function of no arguments."""
 
 
 def test_every_public_callable_has_an_invalid_call():

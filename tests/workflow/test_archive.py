@@ -50,11 +50,12 @@ def test_archive_reproduces_its_run(project, tmp_path, tmp_path_factory, environ
     near = tmp_path / "my_water.csv"
     near.write_text("wavelength_nm,n,k\n400,1.34,2e-9\n1000,1.33,3e-6\n")
     project.put("other", EXPERIMENT)
-    project.put(
-        "deep/alone", f"{EXPERIMENT}name: single\n".replace("0.01}", f"0.01, {TABLES % own}}}")
-    )
+    medium = f"{{base: mine, depth_m: 0.01, {TABLES % own}}}"
+    text = EXPERIMENT.replace("{depth_m: 0.01}", medium)
+    project.put("deep/alone", f"{text}name: single\n")
     media = tmp_path_factory.mktemp("far") / "media"
-    (tmp_path / "config" / "media").rename(media)
+    media.mkdir()
+    (media / "mine.yaml").write_text("density_kg_m3: 300\n")
     chosen = f"accuracy=tiny experiments=single seed=7 media_folder={media}"
     chosen += " archive_license=CC-BY-4.0"
     run = project.snakemake("archive", "--cores", 2, config=chosen)
@@ -64,7 +65,7 @@ def test_archive_reproduces_its_run(project, tmp_path, tmp_path_factory, environ
     assert set(members) >= ALWAYS | {"requirements.txt", "config/config.yaml"}
     drawn = {f"figures/single.{kind}" for kind in ("png", "svg", "pdf")}
     assert {"data/single.nc", *drawn} <= set(members)
-    assert {"config/experiments/deep/alone.yaml", "config/media/splits_base.yaml"} <= set(members)
+    assert {"config/experiments/deep/alone.yaml", "config/media/mine.yaml"} <= set(members)
     assert not any("other" in name or ".." in name or name.startswith("/") for name in members)
     tables = [name for name in members if name.endswith(("my_ice.csv", "my_water.csv"))]
     assert sorted(members[name] for name in tables) == sorted([own.read_bytes(), near.read_bytes()])
@@ -85,6 +86,7 @@ def test_archive_reproduces_its_run(project, tmp_path, tmp_path_factory, environ
         drop_run_specific_attributes(repeated), drop_run_specific_attributes(packed)
     )
     assert packed.attrs["seed"] == 7
+    assert packed.attrs["snow_density_kg_m3"] == 300.0
     assert packed.attrs["snow_refractive_index_ice"] == "my_ice.csv"
     assert len(packed.attrs["snow_refractive_index_ice_sha256"]) == 64
     texts = [value for value in packed.attrs.values() if isinstance(value, str)]

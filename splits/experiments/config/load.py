@@ -15,7 +15,7 @@ from splits.core.validation import check_choice, invalid
 from splits.core.yaml import ConfigError, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.figure_limits import check_figure_size
-from splits.experiments.config.medium import LAYERS_KEY, apply_bases
+from splits.experiments.config.medium import apply_bases
 from splits.experiments.config.messages import format_validation_error
 from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.config.sections import check_path
@@ -27,7 +27,9 @@ from splits.experiments.config.unused_settings import (
     collect_keywords,
 )
 from splits.experiments.run_fit import check_fit
+from splits.media.kinds import LAYERS_KEY
 from splits.media.measured_inputs import override_keywords
+from splits.media.named_media import NAMED_MEDIA, read_named_medium
 from splits.retrieval.measurement import MAX_REFLECTANCE
 
 SectionType = TypeVar("SectionType", bound=BaseModel)
@@ -47,7 +49,8 @@ def load_experiment(
     ----------
     path : path
     media_folder : path
-        Folder of the files ``NAME.yaml`` to which ``medium: {base: NAME}`` refers.
+        Folder of own media, the files ``NAME.yaml`` to which ``medium: {base: NAME}`` may refer in
+        addition to the names of `splits.list_media`.  It need not exist.
     measured_folder : path, optional
         Folder of measured tables; by default ``measured`` beside that of media.
 
@@ -149,9 +152,9 @@ def _check_figure_table(experiment: ExperimentConfig, measured: pd.DataFrame) ->
 
 
 def _resolve_samples(samples: Any, folder: Path) -> dict[str, Any]:
-    """Return the media of a grid by label; names of files are replaced by their content."""
+    """Return the media of a grid by label; names are replaced by the settings of these media."""
     if isinstance(samples, list) and not all(isinstance(name, str) for name in samples):
-        allowed = "names of files, or a mapping from labels to media"
+        allowed = "names of media, or a mapping from labels to media"
         raise invalid(f"grid.{SAMPLE_KEY}", samples, allowed)
     named = {name: name for name in samples} if isinstance(samples, list) else samples
     return {
@@ -165,17 +168,29 @@ def _resolve_samples(samples: Any, folder: Path) -> dict[str, Any]:
 
 
 def _apply_base(medium: Any, key: str, folder: Path) -> Any:
-    """Return the settings of a medium, with those of its ``base`` file as defaults."""
+    """Return the settings of a medium, with those of its ``base`` as defaults."""
     if not isinstance(medium, dict) or "base" not in medium:
         return medium
-    base = check_choice(f"{key}.base", medium["base"], [p.stem for p in folder.glob("*.yaml")])
+    base = medium["base"]
     settings = {name: value for name, value in medium.items() if name != "base"}
-    content = read_yaml(folder / f"{base}.yaml")
+    content = _read_base(base, f"{key}.base", folder)
     kind = content.get("kind", "snow")
     if settings.get("kind", kind) != kind:
         hint = "or leave out base"
         raise invalid(f"{key}.kind", settings["kind"], f"{kind}, as its base {base}", hint)
     return override_keywords(content, settings)
+
+
+def _read_base(base: Any, key: str, folder: Path) -> dict[str, Any]:
+    """Return the settings of a named medium, or of a file of the folder of media."""
+    own_files = {path.stem: path for path in folder.glob("*.yaml")}
+    check_choice(key, base, {*own_files, *NAMED_MEDIA})
+    if base not in own_files:
+        return read_named_medium(base)
+    if base in NAMED_MEDIA:
+        hint = f"the package has a medium of this name: rename {own_files[base]}"
+        raise invalid(key, base, "the name of one medium only", hint)
+    return read_yaml(own_files[base])
 
 
 def _apply_all_bases(medium: Any, key: str, folder: Path) -> Any:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_layer_parameter
 from splits.core.paths import expand_path
-from splits.core.validation import check_choice, format_key, invalid, key_prefix, unknown_key
-from splits.media import ParticleLayer, Sand, Snow, Stack
+from splits.core.validation import check_choice, format_key, invalid, unknown_key
 from splits.media.interpretations import merge_interpretations
+from splits.media.kinds import LAYER_CLASSES, LAYERS_KEY, get_kind, iter_layers
 from splits.media.measured_inputs import override_keywords
 
-LAYERS_KEY = "layers"
 MERGED_KEYWORDS = (
     "interpretation",
     "refractive_index",
@@ -24,22 +23,8 @@ MERGED_KEYWORDS = (
     "algae_cells_ml",
 )
 """Keywords that are mappings: values of a grid are merged into those of the medium."""
-LAYER_CLASSES: dict[str, Any] = {
-    "snow": Snow,
-    "natural_snow": Snow,
-    "sand": Sand,
-    "particle_layer": ParticleLayer,
-}
-"""Media that a stack may hold."""
-MEDIUM_FACTORIES: dict[str, Callable[..., Any]] = LAYER_CLASSES | {"natural_snow": Snow.natural}
-"""Functions that make a medium from its settings, by kind."""
 STACK_EXCLUDED_KEYWORDS = ("ground", "bottom_albedo", "opaque")
 """Keywords that these media do not have as layers of a stack."""
-
-
-def get_kind(layer: Mapping[str, Any]) -> str:
-    """Return the kind of a layer."""
-    return str(layer.get("kind", "snow"))
 
 
 def list_layer_keywords(layer: Mapping[str, Any], is_top: bool) -> list[str]:
@@ -48,20 +33,9 @@ def list_layer_keywords(layer: Mapping[str, Any], is_top: bool) -> list[str]:
     return [name for name in list_keywords(LAYER_CLASSES[get_kind(layer)]) if name not in excluded]
 
 
-def iter_layers(key: str, layers: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield the key and the settings of every layer; reject invalid ones."""
-    if not isinstance(layers, (list, tuple)) or not layers:
-        raise invalid(f"{key}.{LAYERS_KEY}", layers, "a list of layers, top first")
-    for number, layer in enumerate(layers):
-        layer_key = f"{key}.{LAYERS_KEY}.{number}"
-        if not isinstance(layer, Mapping):
-            raise invalid(layer_key, layer, "a mapping of a medium's keywords")
-        yield layer_key, layer
-
-
 def check_layers(prefix: str, layers: Any) -> None:
     """Reject layers of an unknown kind or with an unknown keyword."""
-    for layer_key, layer in iter_layers(prefix, layers):
+    for layer_key, layer in iter_layers(f"{prefix}.{LAYERS_KEY}", layers):
         check_choice(f"{layer_key}.kind", get_kind(layer), LAYER_CLASSES)
         keywords = list_layer_keywords(layer, layer_key.endswith(".0"))
         for key in layer:
@@ -152,21 +126,10 @@ def apply_bases(key: str, medium: Any, apply_base: Callable[[Any, str], Any]) ->
     if not isinstance(medium, Mapping) or LAYERS_KEY not in medium:
         return medium
     layers = [
-        apply_base(layer, layer_key) for layer_key, layer in iter_layers(key, medium[LAYERS_KEY])
+        apply_base(layer, layer_key)
+        for layer_key, layer in iter_layers(f"{key}.{LAYERS_KEY}", medium[LAYERS_KEY])
     ]
     return {**medium, LAYERS_KEY: layers}
-
-
-def make_stack(layers: Any, ground: Any = None, interpretation: Any = None) -> Stack:
-    """Return the stack of some settings; errors name the layer."""
-    media = []
-    for number, layer in enumerate(layers):
-        with key_prefix(f"{LAYERS_KEY}.{number}"):
-            kind, settings = get_kind(layer), {k: v for k, v in layer.items() if k != "kind"}
-            # Below all layers is the stack's ground.
-            bottom = {"bottom_albedo": None} if kind == "particle_layer" else {}
-            media.append(MEDIUM_FACTORIES[kind](**settings, **bottom))
-    return Stack(tuple(media), ground, interpretation)
 
 
 TABLE_KEYS = ("refractive_index", "ground", "impurities_ng_g")

@@ -32,24 +32,20 @@ from splits.experiments.config.instrument import (
     USE_GRID_HINT,
     InstrumentSection,
 )
-from splits.experiments.config.medium import LAYER_CLASSES as LAYER_MEDIA
 from splits.experiments.config.medium import (
-    LAYERS_KEY,
-    MEDIUM_FACTORIES,
     MERGED_KEYWORDS,
     apply_paths,
     check_grid_layers,
     check_layers,
     identify_by_content,
     list_table_paths,
-    make_stack,
     replace_table_paths,
 )
 from splits.experiments.config.sections import ConfigSection, FitSection
 from splits.instruments.next_event import get_detected_layers
-from splits.media import Stack
 from splits.media.checks import check_thickness
 from splits.media.interpretations import merge_interpretations
+from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, make_medium
 from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
 from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
@@ -59,7 +55,6 @@ from splits.simulation.scene import (
 )
 from splits.tables.axes import ParameterGrid
 
-MEDIUM_CLASSES: dict[str, Any] = {**LAYER_MEDIA, "stack": Stack}
 SAMPLE_KEY = "medium"
 """Grid dimension whose values are media: their settings replace those of the base medium."""
 SEMI_INFINITE_INSTRUMENTS = ("spectrophotometer", "refractive_index", "table")
@@ -318,11 +313,7 @@ class SimulationConfig(ConfigSection):
         return self._make_medium(self.merge_settings(base, point))
 
     def _make_medium(self, settings: Mapping[str, Any]) -> Medium:
-        kind = self.medium.get("kind", "snow")
-        medium: Medium = (
-            make_stack(**settings) if kind == "stack" else MEDIUM_FACTORIES[kind](**settings)
-        )
-        return medium
+        return make_medium(self.medium.get("kind", "snow"), settings)
 
     def dump_simulation(self) -> dict[str, Any]:
         """Return all settings that affect the results, for `SimulationConfig.model_validate`."""

@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from splits.core.validation import format_key, invalid
-from splits.experiments.config.medium import LAYERS_KEY, MERGED_KEYWORDS
+from splits.experiments.config.medium import MERGED_KEYWORDS
 from splits.experiments.config.simulation import SAMPLE_KEY, SimulationConfig
 from splits.media import ParticleLayer
+from splits.media.kinds import LAYERS_KEY
 from splits.media.measured_inputs import REPLACED_FIELDS
 from splits.tables.axes import INCIDENCE
 

@@ -11,9 +11,9 @@ import splits
 from splits.core.keywords import list_keywords
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.settings import Accuracy
-from splits.experiments.config.simulation import MEDIUM_CLASSES
 from splits.experiments.run import run
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
+from splits.media.kinds import MEDIUM_CLASSES
 
 WAVES = {"rms_height_m": 0.01, "wave_number_per_m": 20, "waves": 8, "correlation": "gaussian"}
 LENS = {

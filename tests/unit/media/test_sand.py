@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import xarray as xr
-import yaml
 
 import splits
 from splits import Sand, SandInterpretation
@@ -15,9 +12,9 @@ from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.materials import make_refractive_index
 from splits.media.grain_statistics import surface_to_volume_ratio
 from splits.media.interpretations import INTERPRETATION_CHOICES
+from splits.media.named_media import read_named_medium
 from splits.simulation.interpolation_bounds import select_grain_interfaces
 
-MEDIA = Path(__file__).parents[3] / "config" / "media"
 ORDER = "min <= mean <= max <= 1"
 INTERPRETATIONS = list(SandInterpretation.__dataclass_fields__)
 EIGHT_TYPES = {
@@ -67,7 +64,7 @@ class UnusedIndex:
 
 
 def test_defaults_are_the_shipped_base_case():
-    shipped = yaml.safe_load((MEDIA / "splits_base.yaml").read_text(encoding="utf-8"))
+    shipped = read_named_medium("splits_base")
     assert shipped.pop("kind") == Sand.kind
     # The base case of Fig 8 except for its texture, with the constants of Table 2.
     assert shipped.pop("texture") == [0, 0.1, 0.9]
@@ -81,9 +78,7 @@ def test_defaults_are_the_shipped_base_case():
 
 @pytest.mark.parametrize("sample", ["10019201", "10039240", "13j9823", "19au9815"])
 def test_samples_of_table_5_are_accepted(sample):
-    shipped = yaml.safe_load((MEDIA / f"tec_{sample}.yaml").read_text(encoding="utf-8"))
-    assert shipped.pop("kind") == Sand.kind
-    sand = Sand(**shipped)
+    sand = splits.load_medium(f"tec_{sample}")
     assert 2650.0 < sand.density_kg_m3 < 3000.0
     assert sum(sand.composition.volume_fractions) == pytest.approx(1.0, abs=1e-14)
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from splits import Interpretation, Snow
 from splits.materials import ice_density
 from splits.media.checks import check_thickness
 from splits.media.interpretations import INTERPRETATION_CHOICES, merge_interpretations
+from splits.media.named_media import read_named_medium
 
-TABLE1 = Path(__file__).parents[3] / "config" / "media" / "splitsnow_table1.yaml"
 ORDER = "min <= mean <= max <= 1"
 INVALID_SNOWS = [
     ("grain_size_um", (750, 300), "1 <= min <= max <= 100000"),
@@ -51,7 +49,7 @@ NAMES = [field.name for field in fields(Interpretation)]
 
 
 def test_defaults_equal_the_sample_of_table_1():
-    shipped = yaml.safe_load(TABLE1.read_text(encoding="utf-8"))
+    shipped = read_named_medium("splitsnow_table1")
     assert shipped.pop("kind") == Snow.kind
     assert set(shipped) == set(Snow.__dataclass_fields__) - {
         "refractive_index",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping
 
 from pydantic import BaseModel, ConfigDict
@@ -118,8 +119,6 @@ class ReportContents(_ReportModel):
         Paths of the benchmarks that are shown.
     explorer : bool
         Whether the run writes the explorer.
-    sources : str
-        Digest of the files that determine the page.
     """
 
     accuracy: str
@@ -129,7 +128,11 @@ class ReportContents(_ReportModel):
     sections: tuple[ReportSection, ...]
     benchmarks: tuple[str, ...] = ()
     explorer: bool = False
-    sources: str = ""
+
+    def compute_digest(self) -> str:
+        """Return the digest of the contents and of the files that determine the page."""
+        sources = hash_files(PACKAGE_FOLDER / "experiments" / "report", REPORT_SOURCES)
+        return hashlib.sha256(f"{sources} {self.model_dump_json()}".encode()).hexdigest()[:16]
 
 
 def make_report_contents(
@@ -172,7 +175,6 @@ def make_report_contents(
         ),
         benchmarks=tuple(benchmarks),
         explorer=explorer,
-        sources=hash_files(PACKAGE_FOLDER / "experiments" / "report", REPORT_SOURCES),
     )
 
 

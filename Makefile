@@ -1,4 +1,4 @@
-# make run         set up .venv, run the experiments of the papers and own ones, and write the report
+# make run         set up .venv, run the experiments of the papers and own ones into results/
 # make draft       the same at low accuracy, into results/draft
 # make resume      continue make run after a crash (ACCURACY=draft for a draft)
 # make test        set up .venv and run the tests, except those that take minutes each
@@ -14,10 +14,6 @@ CORES ?= 2
 ACCURACY ?= standard
 LOCKED = --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate
 REPORT = results/$(if $(filter standard,$(ACCURACY)),,$(ACCURACY)/)report.html
-# Files that the report shows or depends on and that are newer than it.
-MADE = $(addprefix $(dir $(REPORT)),data figures tables benchmarks)
-NEWER = find Snakefile config $(MADE) -newer $(REPORT) -print -quit 2>/dev/null; \
-	find workflow splits benchmarks -name '*.*' ! -name '*.pyc' -type f -newer $(REPORT) -print -quit
 VENV := .venv
 BIN := $(VENV)/bin
 
@@ -34,10 +30,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 run: $(VENV)/ready
 	$(BIN)/snakemake --cores $(CORES) --config accuracy=$(ACCURACY)
-	@if [ ! -s $(REPORT) ] || [ -n "$$($(NEWER))" ]; then \
-		$(BIN)/snakemake --report $(REPORT:.html=.aside.html) --config accuracy=$(ACCURACY) && \
-		mv $(REPORT:.html=.aside.html) $(REPORT); \
-	else echo "$(REPORT) is up to date"; fi
+	@echo "Report: $(REPORT)"
 
 setup: $(VENV)/ready
 

@@ -24,8 +24,9 @@ beside the table as reference_*.nc until a source of the physics or the medium c
 
     python benchmarks/speed_against_error.py [TABLE.csv]
 
-With --quick, 22 wavelengths, large errors and a rough reference test that the program runs; its
-times are not meaningful.
+With --short, one medium, larger errors and a reference that is accurate enough for these take less
+than a minute.  With --quick, 22 wavelengths, large errors and a rough reference test that the
+program runs; its times are not meaningful.
 """
 
 # ruff: noqa: E402
@@ -111,6 +112,7 @@ class SpeedPlan:
         return self.wavelengths[::10]
 
 
+SHORT = SpeedPlan(errors=(0.016, 0.008, 0.004), reference_stderr=0.001, property_rays=20_000)
 QUICK = SpeedPlan(100, (0.02, 0.01, 0.005), 0.002, 4_000, 1)
 
 
@@ -321,18 +323,18 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("table", nargs="?", type=expand_path, help="CSV to write")
-    parser.add_argument(
-        "--quick", action="store_true", help="test run: few wavelengths, large errors"
-    )
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--short", action="store_true", help="one medium, larger errors")
+    size.add_argument("--quick", action="store_true", help="test run: few wavelengths")
     parser.add_argument("--medium", action="append", choices=MEDIA, help="only these media")
     parser.add_argument(
         "--reference-stderr", type=float, help=f"default: {SpeedPlan.reference_stderr:g}"
     )
     arguments = parser.parse_args()
-    plan = QUICK if arguments.quick else SpeedPlan()
+    plan = SHORT if arguments.short else QUICK if arguments.quick else SpeedPlan()
     if arguments.reference_stderr:
         plan = replace(plan, reference_stderr=arguments.reference_stderr)
-    media = arguments.medium or list(MEDIA)
+    media = arguments.medium or list(MEDIA)[: 1 if arguments.short else None]
     folder = arguments.table.parent if arguments.table else Path("results/benchmarks")
     table = measure_all(plan, media, folder)
     if arguments.table:

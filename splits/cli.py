@@ -182,28 +182,12 @@ def _run_retrieval(experiment: ExperimentConfig, path: Path, folder: Path, seed:
     section = experiment.retrieve
     if section is None:
         return
-    from splits.analysis.measured import read_spectra
-    from splits.experiments.papers.paper_tables import write_data_frame
-    from splits.experiments.run_retrieve import (
-        combine_samples,
-        make_retrieval_table,
-        run_retrieve,
-    )
-    from splits.plotting.retrieval import draw_retrievals
-    from splits.plotting.style import save_figure
-    from splits.tables.table import open_table
+    from splits.experiments.run_retrieve import write_retrieval
 
-    measured = read_spectra(folder / section.measured, "retrieve.measured")
-    results = run_retrieve(section, open_table(path), measured, seed, _log)
-    table = path.with_name(f"{experiment.name}_retrieved.csv")
-    write_data_frame(make_retrieval_table(results, section.reference_values), table)
+    table, figure = path.with_name(f"{path.stem}_retrieved.csv"), path.with_suffix(".png")
+    write_retrieval(section, path, folder / section.measured, seed, (table, figure), _log)
     _print_line(table)
-    combined = combine_samples(results, experiment.name)
-    save_figure(
-        draw_retrievals(combined, section.reference_values, section.list_sample_prefixes()),
-        path.with_suffix(""),
-    )
-    _print_line(path.with_suffix(".png"))
+    _print_line(figure)
 
 
 def _log(line: str) -> None:

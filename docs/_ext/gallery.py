@@ -22,26 +22,6 @@ ROOT = Path(__file__).parents[2]
 EXPERIMENTS = ROOT / "config" / "experiments"
 GALLERY = ROOT / "docs" / "gallery"
 STUDIES = "studies"
-CAPTIONS = {
-    "sensitivity": {"figure": "sensitivity"},
-    "agreement": {"figure": "letcher"},
-    "interpretation": {"figure": "interpretation_ranking"},
-    "sobol": {"figure": "sobol"},
-    "bands": {"figure": "bands"},
-    "anisotropy": {"figure": "anisotropy"},
-    "surface_area": {"figure": "surface_area", "law_figure": "surface_area_law"},
-}
-"""Files of workflow/report/ that describe the figures of studies, by kind and product."""
-TITLES = {
-    "sensitivity": "Mean sensitivity indices",
-    "letcher": "Measured albedo and three kinds of grains",
-    "interpretation_ranking": "All combinations of interpretations",
-    "anisotropy": "Modelled and measured anisotropy of wet sand",
-    "bands": "Most informative bands",
-    "sobol": "Sobol indices by wavelength",
-    "surface_area": "Surface area of measured snow",
-    "surface_area_law": "Reflectance at 1310 nm and surface area",
-}
 
 
 @dataclass(frozen=True)
@@ -108,13 +88,13 @@ def _studies() -> list[Page]:
     study_pages = []
     settings = load_settings(read_yaml(ROOT / "config" / "config.yaml"))
     for name, study in settings.studies.items():
-        paths = study.list_product_paths(name)
         section = dump_yaml({"studies": {name: study.model_dump(mode="json", exclude_unset=True)}})
-        for product, report in CAPTIONS.get(study.kind, {}).items():
-            caption = (ROOT / "workflow" / "report" / f"{report}.rst").read_text(encoding="utf-8")
-            files = {"In `config/config.yaml`": section}
-            stem = Path(paths[product][0]).stem
-            study_pages.append(Page(STUDIES, stem, TITLES[report], caption.strip(), name, files))
+        files = {"In `config/config.yaml`": section}
+        for key, paths in study.list_product_paths(name).items():
+            product, stem = study.PRODUCTS[key], Path(paths[0]).stem
+            if product.folder == "figures":
+                page = Page(STUDIES, stem, product.title, product.caption, name, files)
+                study_pages.append(page)
     return study_pages
 
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 _FORMULA_PATTERN = re.compile(r"[=@＝＠\t\r\n]|[+\-＋－](?=.)", re.DOTALL)
 """Start of a field that spreadsheets evaluate as a formula; signed numbers are exempt."""
 _MARKDOWN_PATTERN = re.compile(r"[\\`*_\[\]<>&~|$]")
-_RST_LESS_THAN = "&lt;"
-"""Replacement of "<" in `escape_rst`; it is unambiguous, because "&" in text is escaped."""
 
 
 def escape_json(value: Any) -> str:
@@ -27,29 +25,6 @@ def escape_json(value: Any) -> str:
     Any JSON parser restores the same value.
     """
     return json.dumps(value, ensure_ascii=False).replace("<", "\\u003c")
-
-
-def escape_rst(text: str) -> str:
-    """Return the reStructuredText of a plain text: paragraphs without markup.
-
-    Parameters
-    ----------
-    text : str
-        Empty lines separate paragraphs.
-
-    Returns
-    -------
-    str
-        Text without "<", because the Snakemake report copies parameters of rules unescaped into a
-        script.  The template of the caption, ``workflow/report/figure.rst``, restores it.
-    """
-    paragraphs = (" ".join(part.split()) for part in re.split(r"\n\s*\n", text.strip()))
-    return "\n\n".join(re.sub(r"[^\w\s]|_", _escape_rst_character, part) for part in paragraphs)
-
-
-def _escape_rst_character(match: re.Match[str]) -> str:
-    """Return the reStructuredText of one character other than a letter, digit or space."""
-    return _RST_LESS_THAN if match[0] == "<" else "\\" + match[0]
 
 
 def escape_mathtext(text: str) -> str:

@@ -97,21 +97,26 @@ def get_package_version() -> str:
 @cache
 def get_git_commit() -> str:
     """Return the git commit of the source tree, "-dirty" if it has changes, or "unknown"."""
-
-    def git(*arguments: str) -> str:
-        result = subprocess.run(
-            ["git", "-C", str(PACKAGE_FOLDER), *arguments],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        return result.stdout.strip()
-
     try:
-        head = git("rev-parse", "HEAD")
-        return head + ("-dirty" if git("status", "--porcelain", "--", ".") else "")
+        head = _run_git("rev-parse", "HEAD")
+        return head + ("-dirty" if _run_git("status", "--porcelain", "--", ".") else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
+
+
+@cache
+def get_commit_date() -> str:
+    """Return the date of the git commit of the source tree, such as 2026-01-31, or "unknown"."""
+    try:
+        return _run_git("log", "-1", "--format=%cs")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def _run_git(*arguments: str) -> str:
+    """Return the output of git in the source tree."""
+    command = ["git", "-C", str(PACKAGE_FOLDER), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 __version__ = get_package_version()

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
+from splits.analysis.measured import read_spectra
 from splits.core.parameter_names import describe_parameter
 from splits.core.validation import key_prefix
 from splits.experiments.config.retrieve import RetrieveSection
+from splits.experiments.papers.paper_tables import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.result import RetrievalResult
 from splits.retrieval.retrieve import retrieve
 from splits.retrieval.state_vector import SCALE
-from splits.tables.table import Table
+from splits.tables.table import Table, open_table
 
 LogCallback = Callable[[str], None]
 SINGLE_MODEL, OWN_MODEL = "", "splits"
@@ -241,3 +244,36 @@ def _combine_model(retrievals: list[SampleRetrieval]) -> xr.Dataset:
     misfits = np.array([retrieval.reference_chi2 for retrieval in retrievals])
     attributes = {"long_name": "chi2 at reference values", "units": "1"}
     return joined.assign(chi2_at_reference=("sample", misfits, attributes))
+
+
+def write_retrieval(
+    section: RetrieveSection,
+    table: str | Path,
+    measured: str | Path,
+    seed: int,
+    outputs: tuple[str | Path, str | Path],
+    log: LogCallback,
+) -> None:
+    """Retrieve parameters from measured spectra, and write them as a table and as a figure.
+
+    Parameters
+    ----------
+    section : RetrieveSection
+    table, measured : path
+        Dataset of the table, with the name of the experiment, and measured spectra.
+    seed : int
+    outputs : tuple of path
+        CSV table, and figure, which is written in all formats.
+    log : callable
+        Receives one line of text per sample.
+    """
+    from splits.plotting.retrieval import draw_retrievals
+    from splits.plotting.style import save_figure
+
+    spectra = read_spectra(Path(measured), "retrieve.measured")
+    results = run_retrieve(section, open_table(table), spectra, seed, log)
+    references = section.reference_values
+    write_data_frame(make_retrieval_table(results, references), outputs[0])
+    combined = combine_samples(results, Path(table).stem)
+    figure = draw_retrievals(combined, references, section.list_sample_prefixes())
+    save_figure(figure, Path(outputs[1]).with_suffix(""))

@@ -28,10 +28,13 @@ def test_user_study_makes_its_outputs(project):
         "data/cold.nc", "data/warming_index.nc",
         "figures/cold.pdf", "figures/cold.png", "figures/cold.svg",
         "figures/warming_index.pdf", "figures/warming_index.png", "figures/warming_index.svg",
-        "tables/warming.csv", "tables/warming_chosen.csv",
+        "report.html", "tables/warming.csv", "tables/warming_chosen.csv",
     ]  # fmt: skip
     table = pd.read_csv(project.folder / "results" / "tiny" / "tables" / "warming_chosen.csv")
     assert set(table.parameter) == {"temperature"} and "published" not in table
+    report = (project.folder / "results" / "tiny" / "report.html").read_text(encoding="utf-8")
+    # The study has no key reproduces, so it is not listed under a paper.
+    assert "Own experiments" in report and "Figure 23" not in report
 
 
 def test_requested_study_with_missing_experiments_is_reported(project):
@@ -76,7 +79,7 @@ def test_user_retrieval_and_sobol_indices_make_their_outputs(project):
         "figures/choosing.pdf", "figures/choosing.png", "figures/choosing.svg",
         "figures/grains.pdf", "figures/grains.png", "figures/grains.svg",
         "figures/telling.pdf", "figures/telling.png", "figures/telling.svg",
-        "tables/choosing.csv", "tables/grains_retrieved.csv", "tables/telling.csv",
+        "report.html", "tables/choosing.csv", "tables/grains_retrieved.csv", "tables/telling.csv",
     ]  # fmt: skip
     tables = project.folder / "results" / "tiny" / "tables"
     retrieved = pd.read_csv(tables / "grains_retrieved.csv")

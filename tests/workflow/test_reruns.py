@@ -60,7 +60,8 @@ def project_copy(finished, tmp_path):
 
 
 def test_data_and_figures_are_written(finished):
-    assert finished.results(RESULTS) == sorted(list_outputs("first") + list_outputs("second"))
+    outputs = [*list_outputs("first"), *list_outputs("second"), "report.html"]
+    assert finished.results(RESULTS) == sorted(outputs)
     assert (finished.folder / RESULTS / "logs" / "simulate" / "first.log").stat().st_size > 0
     first = splits.load(get_data_path(finished, "first"))
     assert first.sizes["wavelength"] == 2
@@ -79,6 +80,11 @@ def test_second_run_has_nothing_to_do(project_copy):
     assert run.jobs() == []
 
 
+def test_changed_title_writes_only_the_report_again(project_copy):
+    project_copy.put("first", FIRST.replace("title: First", "title: Number {one}"))
+    assert project_copy.snakemake("--dry-run").jobs() == ["Writing the report"]
+
+
 def test_change_reruns_only_dependent_jobs(project_copy):
     """Changes are a caption of the first, a value of the second, and a new third experiment."""
     assert len(THIRD.splitlines()) <= 12
@@ -90,8 +96,11 @@ def test_change_reruns_only_dependent_jobs(project_copy):
     run = project_copy.snakemake("--cores", 1)
     assert run.code == 0, run.text
     assert run.jobs() == [
-        "Drawing first", "Drawing second", "Drawing third", "Simulating second", "Simulating third",
+        "Drawing second", "Drawing third", "Simulating second", "Simulating third",
+        "Writing the report",
     ]  # fmt: skip
+    report = (project_copy.folder / RESULTS / "report.html").read_text(encoding="utf-8")
+    assert "Number one" in report and "Of several." in report and ">Third<" in report
     assert get_data_path(project_copy, "first").stat().st_mtime_ns == untouched
     assert splits.load(get_data_path(project_copy, "second")).attrs["snow_depth_m"] == 0.02
     assert set(list_outputs("third")) <= set(project_copy.results(RESULTS))

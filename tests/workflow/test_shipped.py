@@ -68,7 +68,7 @@ def test_workflow_plans_all_experiments(shipped):
 
 
 def test_rules_do_not_use_workflow_cores(shipped):
-    """Reports run without --cores, for which Snakemake rejects `workflow.cores`."""
+    """Snakemake rejects `workflow.cores` if `--cores` is missing, as in a check of the rules."""
     for path in (shipped.folder / "workflow").rglob("*.smk"):
         assert "workflow.cores" not in path.read_text(encoding="utf-8"), path
 

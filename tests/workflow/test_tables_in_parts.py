@@ -37,6 +37,7 @@ def test_table_is_built_in_parts_and_rebuilt_from_kept_blocks(project):
     assert run.code == 0, run.text
     assert run.jobs() == [
         "Assembling snow", "Drawing snow", "Simulating part 0 of snow", "Simulating part 1 of snow",
+        "Writing the report",
     ]  # fmt: skip
     assert "2 of 3 axes share paths (optical_radius_um, impurities_ng_g.black_carbon)" in run.text
     results = project.folder / RESULTS

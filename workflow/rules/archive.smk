@@ -7,9 +7,6 @@ if "archive" in sys.argv[1:]:
         get_packing_time()
     except ValueError as error:
         raise WorkflowError(str(error)) from None
-
-
-if "archive" in sys.argv[1:]:
     for path in map(str, list_configuration_files(SETTINGS).values()):
         if {"{", "}"} & set(path):
             raise WorkflowError(f"archive = {path!r}: must be paths without {{ and }}")
@@ -39,7 +36,6 @@ rule archive:
         f"{RESULTS}/benchmarks/archive.tsv"
     conda:
         "../../environment.yml"
-    threads: 1
     params:
         settings=ARCHIVED.model_dump(mode="json"),
         repository=lambda wildcards: str(workflow.basedir),

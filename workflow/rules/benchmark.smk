@@ -1,16 +1,14 @@
 BENCHMARK_OPTIONS = [] if SETTINGS.accuracy == "standard" else ["--quick"]
 BENCHMARKED = [
-    f"{RESULTS}/benchmarks/speed_against_error.csv",
-    f"{RESULTS}/benchmarks/speed_against_error.png",
-    f"{RESULTS}/benchmarks/speed_against_error.svg",
-    f"{RESULTS}/benchmarks/speed_against_error.pdf",
+    *(
+        f"{RESULTS}/benchmarks/speed_against_error{suffix}"
+        for suffix in (".csv", *FIGURE_SUFFIXES)
+    ),
     f"{RESULTS}/benchmarks/kernels.csv",
 ]
-# Benchmarks take many minutes, so `all` includes them only for a report, if they exist.
-REPORTED = (
-    BENCHMARKED
-    if "--report" in sys.argv and all(Path(path).exists() for path in BENCHMARKED)
-    else []
+# Benchmarks take many minutes, so the report shows them only if they exist.
+REPORTED_BENCHMARKS = (
+    BENCHMARKED if all(Path(path).exists() for path in BENCHMARKED) else []
 )
 
 
@@ -22,11 +20,7 @@ rule benchmarks:
 # A benchmark reserves all cores, so that no other job runs at the same time.
 rule speed_against_error:
     output:
-        report(
-            f"{RESULTS}/benchmarks/speed_against_error.csv",
-            caption="../report/speed_against_error.rst",
-            category="Benchmarks",
-        ),
+        f"{RESULTS}/benchmarks/speed_against_error.csv",
     log:
         f"{RESULTS}/logs/speed_against_error.log",
     conda:
@@ -53,18 +47,11 @@ rule speed_against_error:
         "../scripts/benchmark.py"
 
 
-rule benchmark_kernels:
+use rule speed_against_error as benchmark_kernels with:
     output:
-        report(
-            f"{RESULTS}/benchmarks/kernels.csv",
-            caption="../report/kernels.rst",
-            category="Benchmarks",
-        ),
+        f"{RESULTS}/benchmarks/kernels.csv",
     log:
         f"{RESULTS}/logs/kernels.log",
-    conda:
-        "../../environment.yml"
-    threads: 64
     params:
         program="kernels.py",
         options=BENCHMARK_OPTIONS,
@@ -72,28 +59,19 @@ rule benchmark_kernels:
         physics=hash_physics_sources(),
     message:
         "Comparing the times of the kernels"
-    script:
-        "../scripts/benchmark.py"
 
 
 rule figure_speed_against_error:
     input:
         f"{RESULTS}/benchmarks/speed_against_error.csv",
     output:
-        report(
-            f"{RESULTS}/benchmarks/speed_against_error.png",
-            caption="../report/speed_against_error_figure.rst",
-            category="Benchmarks",
-        ),
-        f"{RESULTS}/benchmarks/speed_against_error.svg",
-        f"{RESULTS}/benchmarks/speed_against_error.pdf",
+        multiext(f"{RESULTS}/benchmarks/speed_against_error", *FIGURE_SUFFIXES),
     log:
         f"{RESULTS}/logs/figure_speed_against_error.log",
     benchmark:
         f"{RESULTS}/benchmarks/figure_speed_against_error.tsv"
     conda:
         "../../environment.yml"
-    threads: 1
     message:
         "Drawing error against time"
     script:

@@ -1,20 +1,23 @@
-from splits.core.escaping import escape_json, escape_rst
+from splits.core.escaping import escape_json
 from splits.core.provenance import (
     PACKAGE_FOLDER,
     RETRIEVAL_SOURCES,
     hash_files,
     hash_physics_sources,
 )
+from splits.experiments.config.sections import FIGURE_SUFFIXES
 from splits.experiments.run_table import count_parts
-from splits.experiments.studies.checks import find_incomplete_studies
-from splits.experiments.studies.study import FIGURE_SUFFIXES, describe_missing
+from splits.experiments.studies.checks import find_incomplete_studies, select_studies
+from splits.experiments.studies.study import describe_missing
 
 STUDIES = SETTINGS.studies
 # Studies of which experiments do not exist, with a message for each.
 INCOMPLETE_STUDIES = find_incomplete_studies(STUDIES, EXPERIMENTS)
 for NAME in set(INCOMPLETE_STUDIES) & set(sys.argv[1:]):
     raise WorkflowError(INCOMPLETE_STUDIES[NAME])
-COMPLETE_STUDIES = [name for name in STUDIES if name not in INCOMPLETE_STUDIES]
+COMPLETE_STUDIES = {
+    name: study for name, study in STUDIES.items() if name not in INCOMPLETE_STUDIES
+}
 
 # Experiments by group.
 GROUPS = {
@@ -26,16 +29,10 @@ SELECTED_GROUPS = (
 )
 
 TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
-# The explorer requires all of its tables; directions are optional.
-MISSING_EXPLORER_TABLES = describe_missing(SETTINGS.explorer.values(), EXPERIMENTS)
-EXPLORER_TABLES = {} if MISSING_EXPLORER_TABLES else SETTINGS.explorer
-EXPLORER_DIRECTIONS = {
-    label: name
-    for label, name in SETTINGS.explorer_directions.items()
-    if name in EXPERIMENTS
-}
+EXPLORER_TABLES, EXPLORER_DIRECTIONS = SETTINGS.select_explorer(EXPERIMENTS)
 if "explorer" in sys.argv[1:] and not EXPLORER_TABLES:
-    LACKING = "; ".join(MISSING_EXPLORER_TABLES) or "explorer names no tables"
+    MISSING = describe_missing(SETTINGS.explorer.values(), EXPERIMENTS)
+    LACKING = "; ".join(MISSING) or "explorer names no tables"
     raise WorkflowError(f"the explorer is left out: {LACKING}")
 # Experiments whose tables are used for retrievals.
 EXPERIMENTS_WITH_RETRIEVAL = [name for name, e in EXPERIMENTS.items() if e.retrieve]
@@ -66,40 +63,29 @@ def list_table_parts(name):
 
 def list_products(names):
     """Return all products of experiments."""
-    made = list_datasets(names)
-    for name in names:
-        suffixes = FIGURE_SUFFIXES if name in EXPERIMENTS_WITH_FIGURE else ()
-        made += [f"{RESULTS}/figures/{name}{suffix}" for suffix in suffixes]
-        if EXPERIMENTS[name].fit:
-            made.append(f"{RESULTS}/tables/{name}_parameters.csv")
-        if name in EXPERIMENTS_WITH_RETRIEVAL:
-            made.append(f"{RESULTS}/tables/{name}_retrieved.csv")
-    return made
+    return [
+        f"{RESULTS}/{path}"
+        for name in names
+        for path in EXPERIMENTS[name].list_product_paths()
+    ]
 
 
 def list_study_products(experiments, groups):
     """Return the products of the studies of these groups, over these experiments only."""
     return [
         f"{RESULTS}/{path}"
-        for name in COMPLETE_STUDIES
-        if set(STUDIES[name].list_experiments()) <= set(experiments)
-        and (STUDIES[name].group is None or STUDIES[name].group in groups)
-        for paths in STUDIES[name].list_product_paths(name).values()
+        for name, study in select_studies(COMPLETE_STUDIES, experiments, groups).items()
+        for paths in study.list_product_paths(name).values()
         for path in paths
     ]
 
 
 def list_group_studies(group):
     """Return the products of the studies that need experiments of a group, or name it."""
-    experiments = {*GROUPS.get(group, ()), *GROUPS.get("papers", ())}
-    others = (
-        set()
-        if group == "papers"
-        else set(list_study_products(GROUPS.get("papers", ()), ()))
-    )
-    return [
-        path for path in list_study_products(experiments, [group]) if path not in others
-    ]
+    papers = GROUPS.get("papers", ())
+    others = [] if group == "papers" else list_study_products(papers, ())
+    made = list_study_products({*GROUPS.get(group, ()), *papers}, [group])
+    return [path for path in made if path not in others]
 
 
 def list_explorer(experiments):
@@ -108,39 +94,19 @@ def list_explorer(experiments):
     return [f"{RESULTS}/explorer.html"] if complete else []
 
 
-def list_study_figures():
-    """Return the names of the figures of all studies."""
-    products = list_study_products(EXPERIMENTS, GROUPS)
-    return [Path(path).stem for path in products if path.endswith(".png")]
-
-
-def list_measured_files(name):
-    """Return the measured table that an experiment's figure shows, if any."""
-    measured = EXPERIMENTS[name].figure.measured
+def list_measured_files(section):
+    """Return the measured table that a section of an experiment names, if any."""
+    measured = section and section.measured
     return [f"{SETTINGS.measured_folder}/{measured}"] if measured else []
 
 
-def list_fitted_files(name):
-    """Return the measured table to which an experiment fits sands, if any."""
-    fit = EXPERIMENTS[name].fit
-    return [f"{SETTINGS.measured_folder}/{fit.measured}"] if fit else []
-
-
-def list_retrieved_files(name):
-    """Return the measured table of an experiment's retrieval."""
-    return [f"{SETTINGS.measured_folder}/{EXPERIMENTS[name].retrieve.measured}"]
-
-
 def escape_param(value):
-    """Return a parameter with users' text as JSON, without wildcards for Snakemake.
-
-    The report inserts parameters into a script without escaping.
-    """
+    """Return a parameter with users' text as JSON, in which Snakemake searches no wildcards."""
     return lambda wildcards: escape_json(value)
 
 
 def count_cores():
-    """Return the number of cores, 1 for a report, which runs nothing."""
+    """Return the number of cores, 1 without `--cores`."""
     return workflow.resource_settings.cores or 1
 
 
@@ -172,12 +138,6 @@ def list_study_datasets(name):
     }
 
 
-def list_study_parameters(name):
-    """Return what the products of a study depend on besides its files and keys."""
-    max_stderr = SETTINGS.accuracies[SETTINGS.accuracy].max_stderr
-    return STUDIES[name].list_parameters(SETTINGS.seed, max_stderr, SELECTED)
-
-
 def list_study_inputs(name):
     """Return the datasets and the tables of numbers that a study reads."""
     return {
@@ -187,20 +147,11 @@ def list_study_inputs(name):
 
 
 def format_study_outputs(name):
-    """Return the products of a study by key; the first file of each is shown in the report."""
-    made = {}
-    for key, paths in STUDIES[name].list_product_paths(name).items():
-        first, *others = (f"{RESULTS}/{path}" for path in paths)
-        product = STUDIES[name].PRODUCTS[key]
-        if product.caption:
-            first = report(
-                first,
-                caption=f"../report/{product.caption}.rst",
-                category=product.category,
-                labels={"experiment": Path(first).stem} if others else None,
-            )
-        made[key] = [first, *others] if others else first
-    return made
+    """Return the products of a study by key."""
+    return {
+        key: [f"{RESULTS}/{path}" for path in paths]
+        for key, paths in STUDIES[name].list_product_paths(name).items()
+    }
 
 
 def hash_program(*names):

@@ -9,7 +9,6 @@ rule explorer_page:
         f"{RESULTS}/logs/explorer.log",
     conda:
         "../../environment.yml"
-    threads: 1
     params:
         labels=list(EXPLORER_TABLES),
         directions=list(EXPLORER_DIRECTIONS),

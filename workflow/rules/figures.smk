@@ -1,16 +1,11 @@
 rule figure:
     input:
         data=f"{RESULTS}/data/{{experiment}}.nc",
-        measured=lambda wildcards: list_measured_files(wildcards.experiment),
-    output:
-        report(
-            f"{RESULTS}/figures/{{experiment}}.png",
-            caption="../report/figure.rst",
-            category="Experiments",
-            labels={"experiment": "{experiment}"},
+        measured=lambda wildcards: list_measured_files(
+            EXPERIMENTS[wildcards.experiment].figure
         ),
-        f"{RESULTS}/figures/{{experiment}}.svg",
-        f"{RESULTS}/figures/{{experiment}}.pdf",
+    output:
+        multiext(f"{RESULTS}/figures/{{experiment}}", *FIGURE_SUFFIXES),
     log:
         f"{RESULTS}/logs/figure/{{experiment}}.log",
     benchmark:
@@ -21,13 +16,10 @@ rule figure:
         ),
     conda:
         "../../environment.yml"
-    threads: 1
     params:
         figure=lambda wildcards: escape_json(
             EXPERIMENTS[wildcards.experiment].resolve_figure()
         ),
-        title=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].title),
-        caption=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].caption),
     message:
         "Drawing {wildcards.experiment}"
     script:

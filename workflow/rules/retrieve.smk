@@ -1,24 +1,12 @@
 rule retrieve:
     input:
         table=f"{RESULTS}/data/{{experiment}}.nc",
-        measured=lambda wildcards: list_retrieved_files(wildcards.experiment),
-    output:
-        table=report(
-            f"{RESULTS}/tables/{{experiment}}_retrieved.csv",
-            caption="../report/retrieved.rst",
-            category="Retrievals",
-            labels={"experiment": "{experiment}"},
+        measured=lambda wildcards: list_measured_files(
+            EXPERIMENTS[wildcards.experiment].retrieve
         ),
-        figure=[
-            report(
-                f"{RESULTS}/figures/{{experiment}}.png",
-                caption="../report/retrieved.rst",
-                category="Retrievals",
-                labels={"experiment": "{experiment}"},
-            ),
-            f"{RESULTS}/figures/{{experiment}}.svg",
-            f"{RESULTS}/figures/{{experiment}}.pdf",
-        ],
+    output:
+        table=f"{RESULTS}/tables/{{experiment}}_retrieved.csv",
+        figure=multiext(f"{RESULTS}/figures/{{experiment}}", *FIGURE_SUFFIXES),
     log:
         f"{RESULTS}/logs/retrieve/{{experiment}}.log",
     benchmark:
@@ -27,13 +15,10 @@ rule retrieve:
         experiment=match_any(EXPERIMENTS_WITH_RETRIEVAL),
     conda:
         "../../environment.yml"
-    threads: 1
     params:
         retrieve=lambda wildcards: escape_json(
             EXPERIMENTS[wildcards.experiment].retrieve.model_dump(mode="json")
         ),
-        title=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].title),
-        caption=lambda wildcards: escape_rst(EXPERIMENTS[wildcards.experiment].caption),
         seed=SETTINGS.seed,
         program=hash_files(PACKAGE_FOLDER, RETRIEVAL_SOURCES),
     message:

@@ -1,7 +1,9 @@
 rule simulate:
     input:
         tables=lambda wildcards: EXPERIMENTS[wildcards.experiment].list_table_paths(),
-        measured=lambda wildcards: list_fitted_files(wildcards.experiment),
+        measured=lambda wildcards: list_measured_files(
+            EXPERIMENTS[wildcards.experiment].fit
+        ),
     output:
         f"{RESULTS}/data/{{experiment}}.nc",
     log:

@@ -1,3 +1,4 @@
+MAX_STDERR = SETTINGS.accuracies[SETTINGS.accuracy].max_stderr
 for NAME in COMPLETE_STUDIES:
 
     rule:
@@ -15,8 +16,12 @@ for NAME in COMPLETE_STUDIES:
             "../../environment.yml"
         threads: choose_study_threads(NAME)
         params:
-            study=escape_param(STUDIES[NAME].model_dump(mode="json")),
-            parameters=escape_param(list_study_parameters(NAME)),
+            study=escape_param(
+                STUDIES[NAME].model_dump(mode="json", exclude={"reproduces"})
+            ),
+            parameters=escape_param(
+                STUDIES[NAME].list_parameters(SETTINGS.seed, MAX_STDERR, SELECTED)
+            ),
             inputs=list(list_study_datasets(NAME)),
             files=list(STUDIES[NAME].list_file_paths(SETTINGS.table_folders)),
         message:
@@ -29,19 +34,13 @@ rule fitted_parameters:
     input:
         f"{RESULTS}/data/{{experiment}}.nc",
     output:
-        report(
-            f"{RESULTS}/tables/{{experiment}}_parameters.csv",
-            caption="../report/fits.rst",
-            category="Sand",
-            labels={"experiment": "{experiment}"},
-        ),
+        f"{RESULTS}/tables/{{experiment}}_parameters.csv",
     log:
         f"{RESULTS}/logs/fitted_parameters/{{experiment}}.log",
     benchmark:
         f"{RESULTS}/benchmarks/fitted_parameters/{{experiment}}.tsv"
     conda:
         "../../environment.yml"
-    threads: 1
     message:
         "Listing the sands fitted by {wildcards.experiment}"
     script:

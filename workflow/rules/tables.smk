@@ -40,7 +40,6 @@ rule table:
     priority: 1
     conda:
         "../../environment.yml"
-    threads: 1
     params:
         experiment=lambda wildcards: EXPERIMENTS[wildcards.experiment].dump_simulation(),
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),

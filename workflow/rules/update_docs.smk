@@ -13,9 +13,10 @@ rule update_docs:
         f"{RESULTS}/logs/update_docs.log",
     conda:
         "../../environment.yml"
-    threads: 1
     params:
-        figures=EXPERIMENTS_WITH_FIGURE + list_study_figures(),
+        figures=lambda wildcards, input: [
+            Path(path).stem for path in input if path.endswith(".png")
+        ],
     message:
         "Writing numbers and figures of this run into README.md and docs"
     script:

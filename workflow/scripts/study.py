@@ -18,10 +18,7 @@ with open_progress_log(snakemake.log[0]) as log:
         StudyRun(
             inputs=dict(zip(snakemake.params.inputs, snakemake.input.data, strict=True)),
             files=dict(zip(snakemake.params.files, snakemake.input.tables, strict=True)),
-            outputs={
-                key: [paths] if isinstance(paths, str) else list(paths)
-                for key, paths in snakemake.output.items()
-            },
+            outputs={key: list(paths) for key, paths in snakemake.output.items()},
             parameters=json.loads(snakemake.params.parameters),
             threads=snakemake.threads,
             log=log,

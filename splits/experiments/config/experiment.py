@@ -10,11 +10,13 @@ from pydantic import Field, field_validator, model_validator
 from splits.analysis.colour import covers_visible
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.grid import find_label, to_coordinate_values
+from splits.experiments.config.reproduces import ReproducesSection
 from splits.experiments.config.retrieve import RetrieveSection
 from splits.experiments.config.retrieve_checks import check_retrieve_section
 from splits.experiments.config.sections import (
     FIGURE_KINDS,
     FIGURE_QUANTITIES,
+    FIGURE_SUFFIXES,
     KINDS_OF_SETTING,
     MAX_CAPTION_CHARS,
     MAX_TITLE_CHARS,
@@ -36,8 +38,8 @@ from splits.plotting.panels import (
 
 RESERVED_NAMES = (
     "all", "everything", "archive", "explorer", "explorer_page", "benchmark_kernels", "benchmarks",
-    "update_docs", "figure", "figure_speed_against_error", "fitted_parameters", "retrieve",
-    "simulate", "speed_against_error", "table", "table_part",
+    "update_docs", "figure", "figure_speed_against_error", "fitted_parameters", "report",
+    "retrieve", "simulate", "speed_against_error", "table", "table_part",
 )  # fmt: skip
 """Names of rules of the workflow, which experiments may not have."""
 
@@ -50,6 +52,7 @@ class ExperimentConfig(SimulationConfig):
     """A simulation with its title, caption, figure and retrieval."""
 
     group: str = OWN_GROUP
+    reproduces: ReproducesSection | None = None
     title: str = ""
     caption: str = ""
     figure: FigureSection = Field(default_factory=FigureSection)
@@ -233,6 +236,16 @@ class ExperimentConfig(SimulationConfig):
         if has_no_grain_distance and "mean_grain_distance" in self.figure.quantity:
             hint = "left out: a particle layer has no grains, and a stack has no single distance"
             raise invalid("figure.quantity", "mean_grain_distance", hint)
+
+    def list_product_paths(self) -> list[str]:
+        """Return the files of the experiment, relative to the results folder."""
+        figure = f"figures/{self.name}"
+        return [
+            f"data/{self.name}.nc",
+            *(figure + suffix for suffix in FIGURE_SUFFIXES if self.figure.kind != "none"),
+            *([f"tables/{self.name}_parameters.csv"] if self.fit else []),
+            *([f"tables/{self.name}_retrieved.csv"] if self.retrieve else []),
+        ]
 
     def resolve_figure(self) -> dict[str, Any]:
         """Return the section `figure` for `splits.plotting.draw`, with its kind resolved.

@@ -20,6 +20,8 @@ from splits.retrieval.sand_parameters import resolve_ranges
 MAX_LABEL_CHARS = 80
 MAX_TITLE_CHARS = 200
 MAX_CAPTION_CHARS = 5000
+FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
+"""File suffixes of figures."""
 
 
 def check_text(key: str, value: str, max_chars: int, multiline: bool = False) -> str:

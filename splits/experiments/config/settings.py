@@ -218,6 +218,19 @@ class Settings(ConfigSection):
                 allowed = f"a goniophotometer over {' and '.join(EXPLORER_DIRECTION_AXES)}"
                 raise ConfigError(f"{key}: must be {allowed}")
 
+    def select_explorer(
+        self, available: Mapping[str, ExperimentConfig]
+    ) -> tuple[dict[str, str], dict[str, str]]:
+        """Return the experiments of the explorer's tables and directions, by label.
+
+        Without one of the tables there are none; directions are optional.
+        """
+        is_complete = set(self.explorer.values()) <= set(available)
+        directions = {
+            label: name for label, name in self.explorer_directions.items() if name in available
+        }
+        return self.explorer if is_complete else {}, directions
+
     def select_experiments(
         self, available: Mapping[str, ExperimentConfig]
     ) -> dict[str, ExperimentConfig]:

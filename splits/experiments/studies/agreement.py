@@ -27,11 +27,43 @@ class AgreementStudy(Study):
     """Comparison of a run with published and measured numbers of snow."""
 
     PRODUCTS: ClassVar = {
-        "agreement": StudyProduct("{study}", "agreement", "Agreement"),
-        "bands": StudyProduct("{study}_bands", "measured_bands", "Agreement"),
-        "table1": StudyProduct("{study}_table1", "table1", "Agreement"),
-        "table3": StudyProduct("{study}_table3", "table3", "Agreement"),
-        "figure": StudyProduct.make_figure("{study}_measured", "letcher", "Agreement"),
+        "agreement": StudyProduct(
+            "{study}",
+            "Published numbers, trends and measured spectra",
+            "Every number and every trend of spectra that the SPLITSnow paper states, and measured "
+            "spectra, compared with these runs: the published value, the simulated value with its "
+            "standard error, the difference, the tolerance (bar) and the verdict.",
+            is_comparison=True,
+        ),
+        "bands": StudyProduct(
+            "{study}_bands",
+            "Measured and modelled albedo by wavelength",
+            "Measured and modelled albedo by wavelength for the snow of Letcher et al. (2022), for "
+            "modelled natural snow and for grains of SPLITSnow Table 1, at two depths.",
+        ),
+        "table1": StudyProduct(
+            "{study}_table1",
+            "The representative sample",
+            "Inputs of the representative sample and derived quantities.",
+            place="Table 1",
+        ),
+        "table3": StudyProduct(
+            "{study}_table3",
+            "Reflectance in three bands of AVIRIS-NG",
+            "The measured mean, the simulated value with its standard error, and the value that "
+            "the paper states. The simulations are for the default interpretation, and with one "
+            "choice changed at a time.",
+            place="Table 3",
+        ),
+        "figure": StudyProduct.make_figure(
+            "{study}_measured",
+            "Measured albedo and three kinds of grains",
+            "Albedo measured by Letcher et al. (2022) and modelled with the measured density and "
+            "specific surface area under 85 % diffuse light. Nothing is fitted. Modelled natural "
+            "snow has the grain shape measured by tomography. The other two models have the grains "
+            "of SPLITSnow Table 1, scaled to that specific surface area. The absolute uncertainty "
+            "of the measurement is about 2 %.",
+        ),
     }
     INPUTS: ClassVar = {
         "sample": StudyInput(("density_kg_m3",), {"density_kg_m3": (450,)}),

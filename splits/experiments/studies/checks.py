@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from splits.core.validation import invalid
@@ -51,6 +51,18 @@ def find_incomplete_studies(
         if missing:
             messages[name] = f"study {name} is left out: {'; '.join(missing)}"
     return messages
+
+
+def select_studies(
+    studies: Mapping[str, Study], experiments: Iterable[str], groups: Iterable[str]
+) -> dict[str, Study]:
+    """Return the studies of these groups, or of no group, over these experiments only."""
+    return {
+        name: study
+        for name, study in studies.items()
+        if set(study.list_experiments()) <= set(experiments)
+        and (study.group is None or study.group in groups)
+    }
 
 
 def _check_unique_names(

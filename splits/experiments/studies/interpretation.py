@@ -29,10 +29,35 @@ class InterpretationStudy(Study):
     """Combinations of interpretations, ranked by their misfit."""
 
     PRODUCTS: ClassVar = {
-        "table": StudyProduct("{study}", "interpretation_ranking", "Agreement"),
-        "statements": StudyProduct("{study}_statements", "interpretation_statements", "Agreement"),
-        "without": StudyProduct("{study}_without", "interpretation_without", "Agreement"),
-        "figure": StudyProduct.make_figure("{study}", "interpretation_ranking", "Agreement"),
+        "table": StudyProduct(
+            "{study}",
+            "Ranking of combinations of interpretations",
+            "Misfit of every combination, with its rank.",
+        ),
+        "statements": StudyProduct(
+            "{study}_statements",
+            "Statements by combination of interpretations",
+            "Every number and trend for each combination of interpretations that was simulated in "
+            "all stages, with its standard error and its difference from the paper in units of the "
+            "tolerance.",
+        ),
+        "without": StudyProduct(
+            "{study}_without",
+            "Best combination without a group of statements",
+            "Best combination of interpretations if a group of statements is excluded, and the "
+            "difference between its misfit and that of the second best.",
+        ),
+        "figure": StudyProduct.make_figure(
+            "{study}",
+            "All combinations of interpretations",
+            "Combinations of interpretations compared with 24 statements of SPLITSnow; "
+            "docs/theory/interpretation.md lists the statements that are not used. The misfit is "
+            "the sum of squared differences in units of the tolerances of the table of agreement. "
+            "A trend contributes only if it is violated, with a tolerance of a tenth of the "
+            "compared quantity. The statements are evaluated in stages. Combinations with rank 0 "
+            "were dropped after the first stages, because their misfit was larger than that of the "
+            "others.",
+        ),
     }
     FILES: ClassVar = {"published": "published"}
     MESSAGE: ClassVar = "Ranking the interpretations of the paper"

@@ -21,10 +21,37 @@ class SurfaceAreaStudy(Study):
     """Specific surface areas of measured snow."""
 
     PRODUCTS: ClassVar = {
-        "table": StudyProduct("{study}", "surface_area", "Agreement"),
-        "law": StudyProduct("{study}_law", "surface_area_law", "Agreement"),
-        "figure": StudyProduct.make_figure("{study}_found", "surface_area", "Agreement"),
-        "law_figure": StudyProduct.make_figure("{study}_law", "surface_area_law", "Agreement"),
+        "table": StudyProduct(
+            "{study}",
+            "Specific surface area of measured snow",
+            "The specific surface area and the scale from all ranges of wavelength and from parts "
+            "of them, with the error due to the noise of the model. The differences between the "
+            "parts are a better estimate of the uncertainty.",
+        ),
+        "law": StudyProduct(
+            "{study}_law",
+            "Reflectance at 1310 nm by specific surface area",
+            "Simulated values, and those of two laws.",
+        ),
+        "figure": StudyProduct.make_figure(
+            "{study}_found",
+            "Surface area of measured snow",
+            "Three measured reflectance spectra of snow (Dozier 2021) and the fitted deep, clean, "
+            "modelled natural snow. Only the specific surface area and the scale are fitted, at "
+            "700-900, 990-1090, 1220-1300, 1500-1750 and 2060-2350 nm, outside the absorption "
+            "bands of water vapour. The sensor measured a single direction, while the modelled "
+            "reflectance is directional-hemispherical; the scale compensates for only a part of "
+            "the difference. There are no measurements of the snow itself.",
+        ),
+        "law_figure": StudyProduct.make_figure(
+            "{study}_law",
+            "Reflectance at 1310 nm and surface area",
+            "Reflectance at 1310 nm of deep snow at normal incidence against specific surface "
+            "area. Modelled natural snow and smooth spheres are simulated. The other lines are the "
+            "laws of Kokhanovsky & Zege (2004), valid for weak absorption, and of Malinka et al. "
+            "(2016), computed with snowoptics. The grey area is the range of reflectance that "
+            "Gallet et al. (2009) state for specific surface areas below 60 m2/kg.",
+        ),
     }
     INPUTS: ClassVar = {
         "spectra": StudyInput(
@@ -64,9 +91,27 @@ class AnisotropyStudy(Study):
     """Modelled and measured ratios to the nadir of wet sand, by angle."""
 
     PRODUCTS: ClassVar = {
-        "table": StudyProduct("{study}", "anisotropy", "Sand"),
-        "misfits": StudyProduct("{study}_by_angle", "anisotropy", "Sand"),
-        "figure": StudyProduct.make_figure("{study}", "anisotropy", "Sand"),
+        "table": StudyProduct(
+            "{study}",
+            "Ratio to the nadir of wet sand by direction",
+            "Measured and modelled ratio to the nadir in each direction.",
+        ),
+        "misfits": StudyProduct(
+            "{study}_by_angle",
+            "Anisotropy of wet sand by angle",
+            "Root-mean-square differences for every water content, wavelength and viewing angle. "
+            "The spread is the difference between the measurement and an isotropic model, whose "
+            "ratio is 1.",
+        ),
+        "figure": StudyProduct.make_figure(
+            "{study}",
+            "Modelled and measured anisotropy of wet sand",
+            "Ratio to the nadir of dune sand (Nur & Bachmann 2023), dry, wet and saturated with "
+            "water, for an incidence angle of 40 degrees: the reflectance in a direction divided "
+            "by that at the nadir in the same scan. This ratio does not depend on the reference "
+            "panel and the irradiance. The measurement is compared with two models: water that "
+            "fills narrow pores first, and water in whole pores as in the paper.",
+        ),
     }
     INPUTS: ClassVar = {"directions": make_goniophotometer_input("interpretation", "saturation")}
     FILES: ClassVar = {"directions": "measured"}

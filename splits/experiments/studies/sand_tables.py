@@ -20,8 +20,30 @@ class SandTablesStudy(Study):
     """Statements of SPLITS on sand."""
 
     PRODUCTS: ClassVar = {
-        key: StudyProduct(f"{{study}}_{key}", f"sand_{key}", "Sand")
-        for key in ("trends", "weights", "colours")
+        "trends": StudyProduct(
+            "{study}_trends",
+            "Trends stated in SPLITS",
+            "Every spectral trend that SPLITS states for sand. The number is the smallest step in "
+            "the stated direction, with its standard error. A trend agrees with the paper if this "
+            "step exceeds three standard errors.",
+            is_comparison=True,
+        ),
+        "weights": StudyProduct(
+            "{study}_weights",
+            "Effect of data and interpretation on reflectance",
+            "Change of the reflectance of five sands, 400-1000 nm, if one input is changed: the "
+            "absorption index k of the two minerals without a public table (goethite, kaolinite), "
+            "the ordinary ray of hematite alone, each interpretation of the paper, or the mass "
+            "fraction that is assumed outside the outermost limits of size.",
+        ),
+        "colours": StudyProduct(
+            "{study}_colours",
+            "Colours of dry and wet sand",
+            "Colours of SPLITS Figs 7 and 9: tristimulus values, CIELAB with standard errors and "
+            "sRGB, for the CIE 1931 2° observer under the illuminant D65. Standard errors are "
+            "standard deviations over runs with different seeds. The interpolation bound is an "
+            "upper bound on the error of interpolation between refractive indices.",
+        ),
     }
     INPUTS: ClassVar = {
         "samples": StudyInput(("medium",), band_nm=_RANGE_NM),
@@ -70,7 +92,17 @@ class SandTablesStudy(Study):
 class SandCompositionsStudy(Study):
     """Compositions of all selected sands."""
 
-    PRODUCTS: ClassVar = {"table": StudyProduct("{study}", "sand_compositions", "Sand")}
+    PRODUCTS: ClassVar = {
+        "table": StudyProduct(
+            "{study}",
+            "Compositions of the sands",
+            "Composition of every sand of the experiments: mass fractions, densities and volume "
+            "fractions of the types of grain, minerals by mass and by volume within each type, "
+            "volume fraction of iron oxide in a mixture or coating, and volume fraction of "
+            "coatings.",
+            place="section 4.2.5",
+        ),
+    }
     MESSAGE: ClassVar = "Listing the compositions of all sands"
 
     kind: Literal["sand_compositions"]

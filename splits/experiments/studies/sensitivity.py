@@ -57,10 +57,31 @@ class SensitivityStudy(Study):
     """Mean sensitivity indices of spectra to parameters."""
 
     PRODUCTS: ClassVar = {
-        "table": StudyProduct("{study}", "sensitivity_table", "Sensitivity"),
-        "chosen": StudyProduct("{study}_chosen", "sensitivity", "Sensitivity"),
+        "table": StudyProduct(
+            "{study}",
+            "Mean sensitivity index for all pairs of values",
+            "Mean sensitivity index for every pair of simulated values and for every "
+            "interpretation of the papers. In the index msi, wavelengths where both spectra are "
+            "below two standard errors contribute 0; msi_resolved excludes them; resolved_fraction "
+            "is the fraction of the other wavelengths.",
+        ),
+        "chosen": StudyProduct(
+            "{study}_chosen",
+            "Mean sensitivity indices",
+            "The values of the figure, and the published ones.",
+            place="Table 2",
+        ),
         "data": StudyProduct("{study}_index", folder="data", suffixes=(".nc",)),
-        "figure": StudyProduct.make_figure("{study}_index", "sensitivity", "Experiments"),
+        "figure": StudyProduct.make_figure(
+            "{study}_index",
+            "Mean sensitivity indices",
+            "Mean sensitivity index of reflectance (12 cm, 400-2500 nm) and transmittance (2 cm, "
+            "400-1420 nm). Error bars extend over two standard errors to either side. Standard "
+            "errors include the correlation of errors between wavelengths. The paper does not "
+            "state the extremes of saturation and density: those used here are in the "
+            "configuration, and the table of sensitivities has the index for others.",
+            place="Fig 23",
+        ),
     }
     FILES: ClassVar = {"published": "published"}
     OPTIONAL_FILES: ClassVar = True

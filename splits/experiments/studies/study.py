@@ -11,7 +11,8 @@ from pydantic import Field
 from splits.analysis.measured import read_measured, read_published, read_spectra
 from splits.core.validation import check_choice, invalid, suggest_name, unknown_key
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.sections import ConfigSection, check_path
+from splits.experiments.config.reproduces import PaperKey
+from splits.experiments.config.sections import FIGURE_SUFFIXES, ConfigSection, check_path
 from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
 from splits.experiments.studies.study_input import StudyInput, check_input
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
-"""File suffixes of figures; the report shows the first."""
 TABLE_READERS = {"published": read_published, "directions": read_measured}
 """Functions that read tables of studies other than spectra."""
 
@@ -32,22 +31,28 @@ class StudyProduct(NamedTuple):
     ----------
     name : str
         Default name, in which ``{study}`` is that of the study.
-    caption, category : str
-        Template of the caption in the report, and section; without a caption, it is not shown.
+    title, caption : str
+        Plain text in the report and in the gallery; without a title, it is not shown.
     folder : str
     suffixes : tuple of str
+    place : str
+        Figure, table or section of the paper that the study reproduces, such as "Fig 23".
+    is_comparison : bool
+        Whether it is a table of statements with a verdict on each.
     """
 
     name: str
+    title: str = ""
     caption: str = ""
-    category: str = ""
     folder: str = "tables"
     suffixes: tuple[str, ...] = (".csv",)
+    place: str = ""
+    is_comparison: bool = False
 
     @classmethod
-    def make_figure(cls, name: str, caption: str, category: str) -> StudyProduct:
+    def make_figure(cls, name: str, title: str, caption: str, place: str = "") -> StudyProduct:
         """Return a figure, in all formats."""
-        return cls(name, caption, category, "figures", FIGURE_SUFFIXES)
+        return cls(name, title, caption, "figures", FIGURE_SUFFIXES, place)
 
 
 ROLES_DESCRIPTION = "experiments by role"
@@ -123,6 +128,9 @@ class Study(ConfigSection):
     kind: str = Field(description="kind of the study")
     group: str | None = Field(
         None, description="group of experiments with which the study is selected"
+    )
+    reproduces: PaperKey | None = Field(
+        None, description="paper with which the report lists the products of the study"
     )
     outputs: dict[str, str] = Field({}, description="other names for products of the study")
 

@@ -61,8 +61,21 @@ class SobolStudy(TableStudy):
     """Sobol indices by wavelength of the parameters of tables; roles are the titles of panels."""
 
     PRODUCTS: ClassVar = {
-        "table": StudyProduct("{study}", "sobol", "Sensitivity"),
-        "figure": StudyProduct.make_figure("{study}", "sobol", "Sensitivity"),
+        "table": StudyProduct(
+            "{study}",
+            "Sobol indices by wavelength",
+            "The values of the figure. Parameters are uniform between low and high.",
+        ),
+        "figure": StudyProduct.make_figure(
+            "{study}",
+            "Sobol indices by wavelength",
+            "Sobol indices of reflectance for the tables of the explorer. The first-order index is "
+            "the fraction of the variance that is due to one parameter alone. The total index "
+            "includes its interactions with other parameters. Parameters are independent and "
+            "uniform over their ranges, in the coordinate in which reflectance is closest to "
+            "linear (the logarithm of a size, the square root of an amount). Standard errors are "
+            "those of sampling, from 16 repetitions.",
+        ),
     }
     MESSAGE: ClassVar = "Computing Sobol indices of tables"
 
@@ -88,8 +101,20 @@ class BandsStudy(TableStudy):
     """Most informative bands for the axes of tables, one after the other; roles are titles."""
 
     PRODUCTS: ClassVar = {
-        "table": StudyProduct("{study}", "bands", "Sensitivity"),
-        "figure": StudyProduct.make_figure("{study}", "bands", "Sensitivity"),
+        "table": StudyProduct(
+            "{study}",
+            "Most informative bands",
+            "The values of the figure: information in bits, and the spread.",
+        ),
+        "figure": StudyProduct.make_figure(
+            "{study}",
+            "Most informative bands",
+            "Most informative bands for the tables of the explorer: the band with the largest "
+            "information on all parameters, then the band that adds most to it, and so on "
+            "(information in bits, after Rodgers 1996). The noise of each band is 0.01. The spread "
+            "is the posterior standard deviation of a parameter divided by the prior one, in the "
+            "coordinate in which reflectance is closest to linear.",
+        ),
     }
     MESSAGE: ClassVar = "Selecting the most informative bands"
 

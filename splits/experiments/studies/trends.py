@@ -17,7 +17,18 @@ class AngularTrendsStudy(Study):
     high.
     """
 
-    PRODUCTS: ClassVar = {"table": StudyProduct("{study}", "angular_trends", "Angles")}
+    PRODUCTS: ClassVar = {
+        "table": StudyProduct(
+            "{study}",
+            "Statements on BRDFs",
+            "Statements of SPLITSnow (section 5.3) and SPLITS (Fig 11) in words on their BRDFs, "
+            "expressed as numbers with standard errors. A trend agrees with the paper if its "
+            "smallest step exceeds three standard errors. Rows with the verdict outside are trends "
+            "that are not reproduced with the default interpretation of the papers; see "
+            "docs/theory/angles.md.",
+            is_comparison=True,
+        ),
+    }
     INPUTS: ClassVar = {
         "incidence": make_goniophotometer_input("incidence_deg", labels={"incidence_deg": (0,)}),
         "grazing": make_goniophotometer_input("incidence_deg"),
@@ -47,7 +58,18 @@ class AngularTrendsStudy(Study):
 class LayerTrendsStudy(Study):
     """Statements of the paper on rough layers; a subset of the roles is sufficient."""
 
-    PRODUCTS: ClassVar = {"table": StudyProduct("{study}", "layer_trends", "Layers")}
+    PRODUCTS: ClassVar = {
+        "table": StudyProduct(
+            "{study}",
+            "Statements on layers with a rough surface",
+            "Statements of Budak & Grimailo (2020) in words on layers under rough surfaces, "
+            "expressed as numbers with standard errors: the statistical lens, the contribution of "
+            "a volume below a surface, and the effects of the correlation of slopes, of "
+            "polarization, and of the band limit of a surface without finite slopes. The paper "
+            "states no numbers; see docs/theory/agreement.md.",
+            is_comparison=True,
+        ),
+    }
     INPUTS: ClassVar = {
         "lens": StudyInput(instrument="lens"),
         "volume": make_goniophotometer_input(

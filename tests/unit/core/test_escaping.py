@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import importlib
 import json
 import re
 
@@ -19,7 +18,6 @@ from splits.core.escaping import (
     escape_json,
     escape_markdown,
     escape_mathtext,
-    escape_rst,
 )
 from splits.experiments import ConfigError, load_experiments, load_settings
 from splits.experiments.papers.paper_tables import write_data_frame
@@ -39,35 +37,6 @@ WORDS = [
     "..", "- a", "1. a", "* a", "> a", "# a", "::", "--", "====", "a_ b__", "| a", "_a_", "__x__",
 ]  # fmt: skip
 """Markup, formulas and harmless text."""
-DIRECTIVES = [
-    ".. raw:: html\n   :file: secret.txt", ".. include:: secret.txt", ".. |y| replace:: z",
-    "a\n\n.. raw:: html\n\n   <b>x</b>", "Title\n=====\n\nText", "a\n  b\n\n  * c", "x::\n\n   y",
-]  # fmt: skip
-
-
-def render_rst(source):
-    """Return the text of the paragraphs that docutils renders."""
-    core = pytest.importorskip("docutils.core")
-    writer = importlib.import_module("docutils.writers").get_writer_class("html")()
-    parts = core.publish_parts(source, writer=writer, settings_overrides={"report_level": 1})
-    body = parts["body"]
-    assert "system-message" not in body and "<a" not in body
-    assert set(re.findall(r"</?(\w+)", body)) <= {"p", "strong"}
-    return [html.unescape(re.sub("<[^>]*>", "", p)) for p in re.findall(r"<p>.*?</p>", body, re.S)]
-
-
-@pytest.mark.parametrize("text", [*WORDS, *DIRECTIVES])
-def test_captions_are_rendered_as_plain_paragraphs(text):
-    source = escape_rst(text)
-    # Captions are also embedded in a script.
-    assert "<" not in source
-    source = source.replace("&lt;", "\\<")
-    words = [" ".join(paragraph.split()) for paragraph in re.split(r"\n\s*\n", text.strip())]
-    assert render_rst(source) == words
-    # Title and caption as in the template of figures.
-    first = words[0] if len(words) > 1 else f"{words[0]} And more."
-    caption = f"**{escape_rst(words[0])}.** {source}\nAnd more.".replace("&lt;", "\\<")
-    assert " ".join(render_rst(caption)[0].split()) == f"{words[0]}. {first}"
 
 
 @pytest.mark.parametrize("text", WORDS)

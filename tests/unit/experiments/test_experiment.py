@@ -29,9 +29,10 @@ def list_points(**content):
 def test_reserved_names_are_those_of_the_rules():
     files = [ROOT / "Snakefile", *sorted((ROOT / "workflow" / "rules").glob("*.smk"))]
     text = "\n".join(path.read_text(encoding="utf-8") for path in files)
-    assert set(re.findall(r"^(?:rule|checkpoint)\s+(\w+)\s*:", text, re.MULTILINE)) == {
-        *RESERVED_NAMES
-    } - {"explorer"}, "the target of the explorer is in the loop over groups"
+    pattern = r"^(?:rule|checkpoint|use rule \w+ as)\s+(\w+)\s*(?:with)?:"
+    assert set(re.findall(pattern, text, re.MULTILINE)) == {*RESERVED_NAMES} - {"explorer"}, (
+        "the target of the explorer is in the loop over groups"
+    )
 
 
 @pytest.mark.parametrize("name", RESERVED_NAMES)

@@ -61,8 +61,8 @@ WRONG_TYPES = {
         "figure.select.saturation = [0]: must be a number or text",
     "title: 2024": "title = 2024: must be text (put it into quotes)",
     "fit: 5": "fit = 5: must be a mapping with measured",
-    "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, group, title, "
-        "caption, figure, retrieve",
+    "5: 6": "5: unknown key, must be one of name, medium, instrument, grid, fit, group, "
+        "reproduces, title, caption, figure, retrieve",
 }  # fmt: skip
 
 

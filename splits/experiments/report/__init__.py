@@ -1,0 +1,1 @@
+"""Report of the workflow: one HTML page of figures, comparisons with papers, and tables."""

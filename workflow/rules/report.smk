@@ -1,0 +1,33 @@
+from splits.experiments.report.contents import make_report_contents
+
+REPORT_CONTENTS = make_report_contents(
+    SETTINGS,
+    SELECTED,
+    select_studies(COMPLETE_STUDIES, SELECTED, SELECTED_GROUPS),
+    [Path(path).relative_to(RESULTS).as_posix() for path in REPORTED_BENCHMARKS],
+    explorer=bool(list_explorer(SELECTED)),
+)
+
+
+rule report:
+    input:
+        list_products(SELECTED),
+        list_study_products(SELECTED, SELECTED_GROUPS),
+        list_explorer(SELECTED),
+        REPORTED_BENCHMARKS,
+    output:
+        f"{RESULTS}/report.html",
+    log:
+        f"{RESULTS}/logs/report.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/report.tsv"
+    conda:
+        "../../environment.yml"
+    params:
+        # Snakemake records the digest only, since it prints recorded parameters that change.
+        contents=lambda wildcards: REPORT_CONTENTS,
+        digest=REPORT_CONTENTS.compute_digest(),
+    message:
+        "Writing the report"
+    script:
+        "../scripts/report.py"

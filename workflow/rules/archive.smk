@@ -32,8 +32,6 @@ rule archive:
         f"{RESULTS}/archive/splits-results.zip",
     log:
         f"{RESULTS}/logs/archive.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/archive.tsv"
     conda:
         "../../environment.yml"
     params:

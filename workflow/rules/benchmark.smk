@@ -1,36 +1,49 @@
-BENCHMARK_OPTIONS = [] if SETTINGS.accuracy == "standard" else ["--quick"]
-BENCHMARKED = [
-    *(
-        f"{RESULTS}/benchmarks/speed_against_error{suffix}"
-        for suffix in (".csv", *FIGURE_SUFFIXES)
-    ),
-    f"{RESULTS}/benchmarks/kernels.csv",
-]
-# Benchmarks take many minutes, so the report shows them only if they exist.
+# Programs of benchmarks/ with their options.
+BENCHMARKS = {
+    "speed_against_error_short": ["speed_against_error.py", "--short"],
+    "speed_against_error": ["speed_against_error.py"],
+    "kernels": ["kernels.py"],
+}
+# Low accuracy levels only test that they run.
+if SETTINGS.accuracies[SETTINGS.accuracy].max_stderr > 0.01:
+    BENCHMARKS = {name: [call[0], "--quick"] for name, call in BENCHMARKS.items()}
+
+
+def list_benchmark_files(name):
+    """Return the table and the figure of a benchmark of time against error."""
+    return [f"{RESULTS}/benchmarks/{name}{s}" for s in (".csv", *FIGURE_SUFFIXES)]
+
+
+# Time against error belongs to the results of the papers.
 REPORTED_BENCHMARKS = (
-    BENCHMARKED if all(Path(path).exists() for path in BENCHMARKED) else []
+    list_benchmark_files("speed_against_error_short")
+    if set(GROUPS.get("papers", ["papers"])) <= set(SELECTED)
+    else []
 )
 
 
 rule benchmarks:
     input:
-        BENCHMARKED,
+        list_benchmark_files("speed_against_error"),
+        f"{RESULTS}/benchmarks/kernels.csv",
 
 
 # A benchmark reserves all cores, so that no other job runs at the same time.
-rule speed_against_error:
+rule benchmark:
     output:
-        f"{RESULTS}/benchmarks/speed_against_error.csv",
+        f"{RESULTS}/benchmarks/{{name}}.csv",
     log:
-        f"{RESULTS}/logs/speed_against_error.log",
+        f"{RESULTS}/logs/benchmark/{{name}}.log",
+    wildcard_constraints:
+        name=match_any(BENCHMARKS),
     conda:
         "../../environment.yml"
     threads: 64
     params:
-        program="speed_against_error.py",
-        options=BENCHMARK_OPTIONS,
-        source=lambda wildcards: hash_program(
-            "speed_against_error.py", "method_table.py", "theories.py"
+        call=lambda wildcards: BENCHMARKS[wildcards.name],
+        sources=hash_files(
+            Path(workflow.basedir) / "benchmarks",
+            ["speed_against_error.py", "method_table.py", "theories.py", "kernels.py"],
         ),
         physics=hash_physics_sources(),
         theories=hash_files(
@@ -42,37 +55,23 @@ rule speed_against_error:
             ],
         ),
     message:
-        "Measuring time against error of all methods"
+        "Benchmark {wildcards.name}"
     script:
         "../scripts/benchmark.py"
 
 
-use rule speed_against_error as benchmark_kernels with:
-    output:
-        f"{RESULTS}/benchmarks/kernels.csv",
-    log:
-        f"{RESULTS}/logs/kernels.log",
-    params:
-        program="kernels.py",
-        options=BENCHMARK_OPTIONS,
-        source=lambda wildcards: hash_program("kernels.py"),
-        physics=hash_physics_sources(),
-    message:
-        "Comparing the times of the kernels"
-
-
-rule figure_speed_against_error:
+rule figure_benchmark:
     input:
-        f"{RESULTS}/benchmarks/speed_against_error.csv",
+        f"{RESULTS}/benchmarks/{{name}}.csv",
     output:
-        multiext(f"{RESULTS}/benchmarks/speed_against_error", *FIGURE_SUFFIXES),
+        multiext(f"{RESULTS}/benchmarks/{{name}}", *FIGURE_SUFFIXES),
     log:
-        f"{RESULTS}/logs/figure_speed_against_error.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/figure_speed_against_error.tsv"
+        f"{RESULTS}/logs/figure_benchmark/{{name}}.log",
+    wildcard_constraints:
+        name="speed_against_error.*",
     conda:
         "../../environment.yml"
     message:
         "Drawing error against time"
     script:
-        "../scripts/figure_speed_against_error.py"
+        "../scripts/figure_benchmark.py"

@@ -152,8 +152,3 @@ def format_study_outputs(name):
         key: [f"{RESULTS}/{path}" for path in paths]
         for key, paths in STUDIES[name].list_product_paths(name).items()
     }
-
-
-def hash_program(*names):
-    """Return the digest of the sources of a benchmark."""
-    return hash_files(Path(workflow.basedir) / "benchmarks", list(names))

@@ -8,8 +8,6 @@ rule figure:
         multiext(f"{RESULTS}/figures/{{experiment}}", *FIGURE_SUFFIXES),
     log:
         f"{RESULTS}/logs/figure/{{experiment}}.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/figure/{{experiment}}.tsv"
     wildcard_constraints:
         experiment=match_any(
             set(EXPERIMENTS_WITH_FIGURE) - set(EXPERIMENTS_WITH_RETRIEVAL)

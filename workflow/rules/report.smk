@@ -9,6 +9,11 @@ REPORT_CONTENTS = make_report_contents(
 )
 
 
+# The contents depend on the targets, which jobs on a cluster do not know.
+localrules:
+    report,
+
+
 rule report:
     input:
         list_products(SELECTED),
@@ -19,8 +24,6 @@ rule report:
         f"{RESULTS}/report.html",
     log:
         f"{RESULTS}/logs/report.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/report.tsv"
     conda:
         "../../environment.yml"
     params:

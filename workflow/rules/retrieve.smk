@@ -9,8 +9,6 @@ rule retrieve:
         figure=multiext(f"{RESULTS}/figures/{{experiment}}", *FIGURE_SUFFIXES),
     log:
         f"{RESULTS}/logs/retrieve/{{experiment}}.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/retrieve/{{experiment}}.tsv"
     wildcard_constraints:
         experiment=match_any(EXPERIMENTS_WITH_RETRIEVAL),
     conda:

@@ -37,8 +37,6 @@ rule fitted_parameters:
         f"{RESULTS}/tables/{{experiment}}_parameters.csv",
     log:
         f"{RESULTS}/logs/fitted_parameters/{{experiment}}.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/fitted_parameters/{{experiment}}.tsv"
     conda:
         "../../environment.yml"
     message:

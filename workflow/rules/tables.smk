@@ -33,8 +33,6 @@ rule table:
         f"{RESULTS}/data/{{experiment}}.nc",
     log:
         f"{RESULTS}/logs/table/{{experiment}}.log",
-    benchmark:
-        f"{RESULTS}/benchmarks/table/{{experiment}}.tsv"
     wildcard_constraints:
         experiment=match_any(TABLES),
     priority: 1

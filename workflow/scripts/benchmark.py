@@ -6,8 +6,9 @@ from pathlib import Path
 
 from splits.core.progress import open_progress_log
 
-program = Path(__file__).parents[2] / "benchmarks" / snakemake.params.program
-command = [sys.executable, str(program), snakemake.output[0], *snakemake.params.options]
+name, *options = snakemake.params.call
+program = Path(__file__).parents[2] / "benchmarks" / name
+command = [sys.executable, str(program), snakemake.output[0], *options]
 with (
     open_progress_log(snakemake.log[0]) as log,
     subprocess.Popen(
@@ -17,4 +18,4 @@ with (
     for line in process.stdout:
         log(line.rstrip("\n"))
 if process.returncode:
-    sys.exit(f"{program.name} failed, see {snakemake.log[0]}")
+    sys.exit(f"{name} failed, see {snakemake.log[0]}")

@@ -37,9 +37,9 @@ from splits.plotting.panels import (
 )
 
 RESERVED_NAMES = (
-    "all", "everything", "archive", "explorer", "explorer_page", "benchmark_kernels", "benchmarks",
-    "update_docs", "figure", "figure_speed_against_error", "fitted_parameters", "report",
-    "retrieve", "simulate", "speed_against_error", "table", "table_part",
+    "all", "everything", "archive", "explorer", "explorer_page", "benchmark", "benchmarks",
+    "update_docs", "figure", "figure_benchmark", "fitted_parameters", "report", "retrieve",
+    "simulate", "table", "table_part",
 )  # fmt: skip
 """Names of rules of the workflow, which experiments may not have."""
 

@@ -249,7 +249,7 @@ def _make_speed_view(paths: Iterable[str], folder: Path) -> ItemView | None:
     title = "Error against time of all methods"
     content = make_speed_table(folder / table)
     return ItemView(
-        ReportItem(anchor="speed-figure", name="speed_against_error", title=title, figure=stem),
+        ReportItem(anchor="speed-figure", name=Path(SPEED_TABLE).stem, title=title, figure=stem),
         heading=title,
         label="",
         place="",

@@ -1,8 +1,8 @@
 # make run         set up .venv, run the experiments of the papers and own ones into results/
 # make draft       the same at low accuracy, into results/draft
 # make resume      continue make run after a crash (ACCURACY=draft for a draft)
-# make test        set up .venv and run the tests, except those that take minutes each
-# make test-long   run those
+# make test        set up .venv and run the tests, except those marked "long"
+# make test-all    set up .venv and run all tests
 # make campaign    generated experiment files, kills and damaged files at random, and the scatter of
 #                  seeds against standard errors (one to two hours)
 # make calibration the last of these only: docs/calibration.csv, docs/images/calibration.png
@@ -25,7 +25,7 @@ TESTS = $(addprefix tests/,physics workflow campaigns kernels statistics unit)
 # Each job is a process; cached bytecode shortens its start.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run setup test test-long campaign calibration compliance resume draft docs package \
+.PHONY: run setup test test-all campaign calibration compliance resume draft docs package \
 	lint benchmarks lock clean
 
 run: $(VENV)/ready
@@ -44,8 +44,8 @@ resume: $(VENV)/ready
 test: $(VENV)/ready
 	$(PYTEST) -m "not long" $(TESTS)
 
-test-long: $(VENV)/ready
-	$(PYTEST) -m long $(TESTS)
+test-all: $(VENV)/ready
+	$(PYTEST) $(TESTS)
 
 campaign: $(VENV)/ready
 	CALIBRATION=all KILLS=200 DAMAGES=30 CAMPAIGN=10000,300 $(BIN)/python -m pytest -s tests/campaigns

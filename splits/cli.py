@@ -109,7 +109,7 @@ def _make_parser() -> argparse.ArgumentParser:
 def _run_experiment(arguments: argparse.Namespace) -> None:
     """Run an experiment and write its dataset, figure and tables atomically."""
     import_optional("pydantic", "experiments", "experiment files need")
-    import_optional("yaml", "experiments", "experiment files need")
+    import_optional("ruamel.yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_spectra
     from splits.core.atomic import check_writable
     from splits.core.interrupts import exit_on_signals
@@ -125,7 +125,7 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
     threads = check_threads(arguments.threads)
     experiment = load_experiment(arguments.file, arguments.media)
-    file_seed = experiment.instrument.seed
+    file_seed = getattr(experiment.instrument, "seed", None)
     if arguments.seed is not None and file_seed is not None:
         raise invalid(
             "--seed", arguments.seed, "left out", f"the file has instrument.seed = {file_seed}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
@@ -35,6 +35,7 @@ class ExperimentConfig(SimulationConfig):
 
     group: str = Field(
         OWN_GROUP,
+        json_schema_extra={"pattern": f"^{NAME_PATTERN.pattern}$"},
         description="group with which the experiment is selected, see `experiments` in the main "
         "file; a name that no experiment, study or rule has",
     )
@@ -46,14 +47,16 @@ class ExperimentConfig(SimulationConfig):
         description="caption of the figure in the report; plain text, an empty line begins a "
         "paragraph",
     )
-    figure: Annotated[FigureSection, BeforeValidator(_parse_no_figure)] = Field(
+    figure: Annotated[
+        FigureSection,
+        BeforeValidator(_parse_no_figure, json_schema_input_type=Literal["none"] | FigureSection),
+    ] = Field(
         default_factory=FigureSection,
-        description="settings of the figure, or `none` for no figure; see [below](#figure)",
+        description="settings of the figure, or `none` for no figure",
     )
     retrieve: RetrieveSection | None = Field(
         None,
-        description="retrieves parameters from measured spectra with the table of the experiment; "
-        "see [below](#retrieve)",
+        description="retrieves parameters from measured spectra with the table of the experiment",
     )
 
     @field_validator("name")

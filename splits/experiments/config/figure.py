@@ -48,7 +48,10 @@ Formula = AfterValidator(check_mathematics)
 class FigureSection(FiniteSection):
     """Settings of an experiment's figure."""
 
-    quantity: Annotated[tuple[QuantityName, ...], BeforeValidator(to_tuple)] = Field(
+    quantity: Annotated[
+        tuple[QuantityName, ...],
+        BeforeValidator(to_tuple, json_schema_input_type=QuantityName | tuple[QuantityName, ...]),
+    ] = Field(
         ("reflectance",), description="one quantity, or several; `brdf` for a goniophotometer"
     )
     kind: FigureKind | None = Field(

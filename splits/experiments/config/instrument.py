@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -40,6 +40,7 @@ def _check_incidence(value: Any) -> float | str:
     return check_incidence(value)
 
 
+BeamAngle = Annotated[float, Field(ge=0.0, le=89.9999)]
 Rays = Annotated[
     int | None, Field(ge=1, lt=2**63, description="number of rays, instead of a target error")
 ]
@@ -139,9 +140,10 @@ class SpectralInstrument(Instrument):
 class OpticalInstrument(SpectralInstrument):
     """An instrument that traces light to a target error."""
 
-    incidence_deg: Annotated[float | str, BeforeValidator(_check_incidence)] = Field(
-        0.0, description="incidence angle of the beam (°), from 0 to 89.9999, or `diffuse`"
-    )
+    incidence_deg: Annotated[
+        float | str,
+        BeforeValidator(_check_incidence, json_schema_input_type=BeamAngle | Literal["diffuse"]),
+    ] = Field(0.0, description="incidence angle of the beam (°), from 0 to 89.9999, or `diffuse`")
     stderr_scale: float = Field(
         1.0, ge=0.01, le=100.0,
         description="factor of the target error of the accuracy; not with `rays` or bins",

@@ -48,7 +48,7 @@ Azimuths = Annotated[
     Angles, AfterValidator(lambda x: tuple(check_direction_angles("", x, 360.0).tolist()))
 ]
 Depths = Annotated[Angles, AfterValidator(lambda x: tuple(check_screen_depths("", x).tolist()))]
-ESTIMATOR = "how exiting rays become results; see [estimators](../theory/estimators.md)"
+ESTIMATOR = "how exiting rays become results"
 
 
 class Refractometer(SpectralInstrument):

@@ -91,10 +91,12 @@ class RetrieveSection(FiniteSection):
         description="parameters to retrieve, which are axes of the grid or `scale`; a mapping also "
         "gives their ranges (low, high)",
     )
-    noise: Annotated[NoiseSection | None, BeforeValidator(_check_noise_type)] = Field(
+    noise: Annotated[
+        NoiseSection | None,
+        BeforeValidator(_check_noise_type, json_schema_input_type=NoiseSection | None),
+    ] = Field(
         None,
-        description="standard errors of the measurement, see below; by default estimated from the "
-        "misfit",
+        description="standard errors of the measurement, by default estimated from the misfit",
     )
     samples: tuple[str, ...] = Field((), description="samples to use; by default all")
     fixed: dict[str, float | str] = Field({}, description="values of the other axes")
@@ -114,7 +116,12 @@ class RetrieveSection(FiniteSection):
         description="a published law for snow, with which the parameters of the samples are also "
         "retrieved (Kokhanovsky and Zege 2004, as implemented in snowoptics)",
     )
-    prior_from: Annotated[tuple[PriorFromSample, ...], BeforeValidator(to_tuple)] = Field(
+    prior_from: Annotated[
+        tuple[PriorFromSample, ...],
+        BeforeValidator(
+            to_tuple, json_schema_input_type=PriorFromSample | tuple[PriorFromSample, ...]
+        ),
+    ] = Field(
         (),
         description="a sample (`sample`), or a list of them, that is retrieved first, with the "
         "parameters of `fixed` known; the marginal posteriors of its other parameters are priors "

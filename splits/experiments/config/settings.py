@@ -123,7 +123,8 @@ class Settings(ConfigSection):
     """The main configuration file."""
 
     experiments: Annotated[
-        Literal["everything"] | tuple[str, ...], BeforeValidator(_split_names)
+        Literal["everything"] | tuple[str, ...],
+        BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
     ] = Field(
         DEFAULT_GROUPS,
         description="names of experiments, and of groups of experiments, which a run makes",
@@ -133,7 +134,7 @@ class Settings(ConfigSection):
         description="accuracy level of the run, one of the names under `accuracies`",
     )
     accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy] = Field(
-        description="target errors by name; see below"
+        description="target errors by name"
     )
     seed: int = Field(
         1, ge=0, lt=2**63,
@@ -155,7 +156,10 @@ class Settings(ConfigSection):
         description="folder of the results; accuracies other than `standard` write to a subfolder "
         "with their name",
     )
-    archive: Annotated[tuple[str, ...] | Literal["all"], BeforeValidator(_split_names)] = Field(
+    archive: Annotated[
+        tuple[str, ...] | Literal["all"],
+        BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
+    ] = Field(
         "all",
         description="experiments in the archive of `snakemake archive`; on the command line with "
         "commas",
@@ -172,7 +176,7 @@ class Settings(ConfigSection):
     )
     studies: dict[str, AnyStudy] = Field(
         default_factory=dict,
-        description="tables and figures made from several experiments; see below",
+        description="tables and figures made from several experiments",
     )
     explorer: dict[Label, str] = Field(
         default_factory=dict,

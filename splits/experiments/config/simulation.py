@@ -86,6 +86,7 @@ class SimulationConfig(ConfigSection):
     """
 
     name: Annotated[str, AfterValidator(_check_name)] = Field(
+        json_schema_extra={"pattern": f"^{NAME_PATTERN.pattern}$"},
         description="name of the experiment, of its files and of its target in the workflow, by "
         "default that of the file: lower-case letters, digits and underscores, beginning with a "
         "letter, at most 64; not the name of a rule, of a study or of a product of a study, nor of "
@@ -93,18 +94,15 @@ class SimulationConfig(ConfigSection):
     )
     medium: dict[str, Any] = Field(
         default_factory=lambda: {"kind": "snow"},
-        description="the sample, by default snow of SPLITSnow Table 1; see [below](#medium)",
+        description="the sample, by default snow of SPLITSnow Table 1",
     )
-    instrument: AnyInstrument = Field(
-        Spectrophotometer(), description="the virtual instrument; see [below](#instrument)"
-    )
+    instrument: AnyInstrument = Field(Spectrophotometer(), description="the virtual instrument")
     grid: Annotated[dict[str, dict[str, Any]], BeforeValidator(label_grid)] = Field(
-        default_factory=dict, description="parameters that vary; see [below](#grid)"
+        default_factory=dict, description="parameters that vary"
     )
     fit: FitSection | None = Field(
         None,
-        description="fits a sand to measured spectra instead of simulating given media; see "
-        "[below](#fit)",
+        description="fits a sand to measured spectra instead of simulating given media",
     )
 
     @model_validator(mode="after")

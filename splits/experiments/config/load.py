@@ -23,7 +23,6 @@ from splits.experiments.config.simulation import SAMPLE_KEY
 from splits.experiments.config.unused_settings import (
     check_replaced_settings,
     check_unused_keywords,
-    collect_keywords,
 )
 from splits.experiments.run_fit import check_fit
 from splits.media.measured_inputs import override_keywords
@@ -76,9 +75,9 @@ def _to_single_line(text: str) -> str:
 
 def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConfig:
     """Return the experiment of a file; errors need not name the file."""
-    content = {"name": path.stem, **read_yaml(path)}
-    check_replaced_settings(content)
-    keywords = collect_keywords(content)
+    given = read_yaml(path)
+    content = {"name": path.stem, **given}
+    check_replaced_settings(given)
     medium, grid = content.get("medium", {}), content.get("grid")
     if not isinstance(medium, dict):
         raise invalid("medium", medium, "a mapping of keys to values")
@@ -95,7 +94,7 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
         }
         content["grid"] = grid | {LAYERS_KEY: stacks}
     experiment = validate_content(ExperimentConfig, content)
-    check_unused_keywords(experiment, keywords)
+    check_unused_keywords(experiment, given)
     if experiment.figure.measured:
         _check_figure_table(
             experiment, _read_measured("figure.measured", measured, experiment.figure.measured)

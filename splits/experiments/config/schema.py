@@ -18,7 +18,7 @@ from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SAMPLE_KEY
 from splits.tables.axes import INCIDENCE
 
-JSON_TYPES = {
+JSON_TYPES: dict[str, dict[str, Any]] = {
     "float": {"type": "number"}, "bool": {"type": "boolean"}, "None": {"type": "null"},
     "Mapping[str, Any]": {"type": "object"},
     "Mapping[str, float]": {"type": "object", "additionalProperties": {"type": "number"}},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import posixpath
 import re
 from collections.abc import Iterable, Mapping
@@ -66,15 +67,13 @@ def _is_orcid(digits: str) -> bool:
     """Return whether a text is an ORCID with a valid check digit (ISO 7064, MOD 11-2)."""
     if not re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", digits, re.ASCII):
         return False
-    total = 0
-    for digit in digits.replace("-", "")[:-1]:
-        total = 2 * (total + int(digit))
+    total = functools.reduce(lambda x, digit: 2 * (x + int(digit)), digits[:-1].replace("-", ""), 0)
     return digits[-1] == "0123456789X"[(12 - total) % 11]
 
 
 DEFAULT_GROUPS = ("papers", OWN_GROUP)
 """Groups of experiments that are selected by default."""
-EXPLORER_DIRECTION_AXES = ("optical_radius_um", "incidence_deg")
+EXPLORER_AXES = {"optical_radius_um", "incidence_deg"}
 """Grid axes of the experiments that give the explorer's BRDFs."""
 
 
@@ -232,26 +231,21 @@ class Settings(ConfigSection):
     def _check_explorer(self, available: Mapping[str, ExperimentConfig]) -> None:
         """Reject experiments that the explorer cannot show."""
         for label, name in self.explorer.items():
-            if name in available and available[name].instrument.kind != "table":
-                kind = available[name].instrument.kind
-                raise ConfigError(f"explorer.{label} = {name!r}: must be a table (it is a {kind})")
-            rows = dict(zip(*available[name].make_axes(), strict=True)) if name in available else {}
-            for axis, row in rows.items():
+            if name not in available:
+                continue
+            key, kind = f"explorer.{label} = {name!r}", available[name].instrument.kind
+            if kind != "table":
+                raise ConfigError(f"{key}: must be a table (it is a {kind})")
+            for axis, row in zip(*available[name].make_axes(), strict=True):
                 if len(row) < 2 or isinstance(row[0], str):
-                    key = f"explorer.{label} = {name!r}"
                     raise ConfigError(f"{key}: its axis {axis} must have at least two numbers")
         for label, name in self.explorer_directions.items():
-            key = f"explorer_directions.{label} = {name!r}"
+            key, one = f"explorer_directions.{label} = {name!r}", available.get(name)
             if label not in self.explorer:
                 labels = ", ".join(self.explorer) or "none"
                 raise ConfigError(f"{key}: must have the name of a table in explorer ({labels})")
-            if name not in available:
-                continue
-            experiment = available[name]
-            if experiment.instrument.kind != "goniophotometer" or {*experiment.grid} != {
-                *EXPLORER_DIRECTION_AXES
-            }:
-                allowed = f"a goniophotometer over {' and '.join(EXPLORER_DIRECTION_AXES)}"
+            if one and (one.instrument.kind, {*one.grid}) != ("goniophotometer", EXPLORER_AXES):
+                allowed = "a goniophotometer over optical_radius_um and incidence_deg"
                 raise ConfigError(f"{key}: must be {allowed}")
 
     def select_experiments(

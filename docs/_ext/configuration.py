@@ -44,7 +44,7 @@ def allowed(field: FieldInfo) -> str:
 def default(field: FieldInfo) -> str:
     """Return the default of a field."""
     if field.is_required():
-        return "required"
+        return "—" if "by default" in str(field.description) else "required"
     value = field.get_default(call_default_factory=True)
     if value is None or value in ("", (), {}) or isinstance(value, BaseModel):
         return "—"

@@ -89,10 +89,12 @@ def _prefix_message(location: str, error: Exception) -> str:
     """Return the message of a validator's error, with the location before its key."""
     if not isinstance(error, InvalidValue):
         return str(error)
-    # The key of an error may repeat the name of the field that a validator checks.
+    # The key of an error may be complete, or repeat the name of the field that a validator checks.
     section, _, field = location.rpartition(".")
-    is_repeated = re.split(r"\W", error.key, maxsplit=1)[0] == field
-    return str(error.add_prefix(section if is_repeated else location))
+    first = re.split(r"\W", error.key, maxsplit=1)[0]
+    if first == location.partition(".")[0]:
+        return str(error)
+    return str(error.add_prefix(section if first == field else location))
 
 
 def _resolve_location(model: type[BaseModel], location: Sequence[Any]) -> tuple[str, Any]:
@@ -159,8 +161,10 @@ def describe_limits(limits: Mapping[str, Any]) -> str:
 
 def describe_type(kind: Any, quote: str = "") -> str:
     """Return a description of the values of a type, with names in quotation marks."""
-    options = (_describe_option(option, quote) for option in list_options(kind))
-    return " or ".join(dict.fromkeys(options))
+    options = list_options(kind)
+    if len(options) > 1 and all(map(list_tags, options)):
+        return "a mapping of keys to values"
+    return " or ".join(dict.fromkeys(_describe_option(option, quote) for option in options))
 
 
 def _describe_option(kind: Any, quote: str) -> str:

@@ -20,13 +20,7 @@ from splits.experiments.config.instrument_kinds import (
 )
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.instruments import (
-    beam_spread,
-    goniophotometer,
-    lens,
-    spectrophotometer,
-    surface_map,
-)
+from splits.instruments import beam_spread, goniophotometer, lens, spectrophotometer, surface_map
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import to_netcdf_attributes
 from splits.media.medium import Medium

@@ -51,8 +51,7 @@ class ExperimentConfig(SimulationConfig):
         FigureSection,
         BeforeValidator(_parse_no_figure, json_schema_input_type=Literal["none"] | FigureSection),
     ] = Field(
-        default_factory=FigureSection,
-        description="settings of the figure, or `none` for no figure",
+        default_factory=FigureSection, description="settings of the figure, or `none` for no figure"
     )
     retrieve: RetrieveSection | None = Field(
         None,

@@ -83,8 +83,7 @@ class FigureSection(FiniteSection):
         "differences from `default`, those of the panel of the default",
     )
     note: Annotated[Title, Formula] | None = Field(
-        None,
-        description="a sentence below the figure; may contain formulas between dollar signs",
+        None, description="a sentence below the figure; may contain formulas between dollar signs"
     )
 
     @field_validator("select", mode="before")

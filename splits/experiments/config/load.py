@@ -20,10 +20,7 @@ from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SAMPLE_KEY
-from splits.experiments.config.unused_settings import (
-    check_replaced_settings,
-    check_unused_keywords,
-)
+from splits.experiments.config.unused_settings import check_replaced_settings, check_unused_keywords
 from splits.experiments.run_fit import check_fit
 from splits.media.measured_inputs import override_keywords
 from splits.retrieval.measurement import MAX_REFLECTANCE

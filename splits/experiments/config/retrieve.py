@@ -85,18 +85,17 @@ class RetrieveSection(FiniteSection):
 
     measured: MeasuredFile = Field(
         description=f"{MEASURED_DESCRIPTION}; a suffix such as `@50` of a sample's name is its "
-        "incidence angle, which must be in the table",
+        "incidence angle, which must be in the table"
     )
     free: dict[str, tuple[float, float]] | tuple[str, ...] = Field(
         description="parameters to retrieve, which are axes of the grid or `scale`; a mapping also "
-        "gives their ranges (low, high)",
+        "gives their ranges (low, high)"
     )
     noise: Annotated[
         NoiseSection | None,
         BeforeValidator(_check_noise_type, json_schema_input_type=NoiseSection | None),
     ] = Field(
-        None,
-        description="standard errors of the measurement, by default estimated from the misfit",
+        None, description="standard errors of the measurement, by default estimated from the misfit"
     )
     samples: tuple[str, ...] = Field((), description="samples to use; by default all")
     fixed: dict[str, float | str] = Field({}, description="values of the other axes")

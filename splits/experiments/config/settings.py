@@ -129,8 +129,7 @@ class Settings(ConfigSection):
         description="names of experiments, and of groups of experiments, which a run makes",
     )
     accuracy: str = Field(
-        "standard",
-        description="accuracy level of the run, one of the names under `accuracies`",
+        "standard", description="accuracy level of the run, one of the names under `accuracies`"
     )
     accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy] = Field(
         description="target errors by name"
@@ -174,12 +173,10 @@ class Settings(ConfigSection):
         "and `affiliation`",
     )
     studies: dict[str, AnyStudy] = Field(
-        default_factory=dict,
-        description="tables and figures made from several experiments",
+        default_factory=dict, description="tables and figures made from several experiments"
     )
     explorer: dict[Label, str] = Field(
-        default_factory=dict,
-        description="experiments of the tables in `explorer.html`, by label",
+        default_factory=dict, description="experiments of the tables in `explorer.html`, by label"
     )
     explorer_directions: dict[str, str] = Field(
         default_factory=dict,

@@ -18,13 +18,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
-from splits.core.validation import (
-    InvalidValue,
-    check_choice,
-    format_key,
-    invalid,
-    unknown_key,
-)
+from splits.core.validation import InvalidValue, check_choice, format_key, invalid, unknown_key
 from splits.experiments.config.grid import MAX_GRID_POINTS, label_grid
 from splits.experiments.config.instrument import USE_GRID_HINT, OpticalInstrument
 from splits.experiments.config.instrument_kinds import (
@@ -54,10 +48,7 @@ from splits.media.interpretations import merge_interpretations
 from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
 from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
-from splits.simulation.scene import (
-    compute_optical_constants,
-    make_height_fields,
-)
+from splits.simulation.scene import compute_optical_constants, make_height_fields
 from splits.tables.axes import ParameterGrid
 
 MEDIUM_CLASSES: dict[str, Any] = {**LAYER_MEDIA, "stack": Stack}
@@ -101,8 +92,7 @@ class SimulationConfig(ConfigSection):
         default_factory=dict, description="parameters that vary"
     )
     fit: FitSection | None = Field(
-        None,
-        description="fits a sand to measured spectra instead of simulating given media",
+        None, description="fits a sand to measured spectra instead of simulating given media"
     )
 
     @model_validator(mode="after")

@@ -40,10 +40,7 @@ CORE_SCHEMA = {
         r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
     ),
 }
-"""Plain scalars other than text, by type: the core schema of YAML 1.2.
-
-All others are text, such as 1:15, yes and 2001-01-01.  All expressions match in linear time.
-"""
+"""Plain scalars by type in the core schema of YAML 1.2, all others are text; in linear time."""
 _TAG_PREFIX = "tag:yaml.org,2002:"
 _UNAMBIGUOUS_TEXT = re.compile(r"(?!(y|n|yes|no|on|off|true|false|null)$)[^\W\d_].*", re.I | re.S)
 """Texts that are text in YAML 1.1 and 1.2 without quotes."""
@@ -141,7 +138,8 @@ def _check_tag(event: Any, allowed: tuple[str, ...]) -> str:
     """Return the type that a tag states, by default the first one allowed; reject other tags."""
     kind = (event.tag or "!").removeprefix(_TAG_PREFIX)
     if kind not in ("!", *allowed):
-        raise _make_error(event, f"the tag !!{format_key(kind)} is not allowed here")
+        tag = format_key(event.tag.replace(_TAG_PREFIX, "!!"))
+        raise _make_error(event, f"the tag {tag} is not allowed here")
     return allowed[0] if kind == "!" else kind
 
 
@@ -207,20 +205,18 @@ def locate_message(path: Path, message: str) -> str:
 class _Representer(SafeRepresenter):
     """Representer of values that YAML 1.1 parsers read as `read_yaml` does."""
 
+    def represent_text(self, text: str) -> Any:
+        style = None if _UNAMBIGUOUS_TEXT.fullmatch(text) else "'"
+        return self.represent_scalar(f"{_TAG_PREFIX}str", text, style=style)
 
-def _represent_text(representer: _Representer, text: str) -> Any:
-    style = None if _UNAMBIGUOUS_TEXT.fullmatch(text) else "'"
-    return representer.represent_scalar(f"{_TAG_PREFIX}str", text, style=style)
-
-
-def _represent_float(representer: _Representer, value: float) -> Any:
-    node = representer.represent_float(value)
-    node.value = node.value if "." in node.value else node.value.replace("e", ".0e")
-    return node
+    def represent_number(self, value: float) -> Any:
+        node = self.represent_float(value)
+        node.value = node.value if "." in node.value else node.value.replace("e", ".0e")
+        return node
 
 
-_Representer.add_representer(str, _represent_text)
-_Representer.add_representer(float, _represent_float)
+_Representer.add_representer(str, _Representer.represent_text)
+_Representer.add_representer(float, _Representer.represent_number)
 
 
 def dump_yaml(content: dict[str, Any]) -> str:

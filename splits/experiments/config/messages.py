@@ -67,6 +67,8 @@ def format_validation_error(model: type[BaseModel], error: ValidationError) -> s
     limits = describe_limits(first.get("ctx", {}))
     finite = "finite " if error_type == "finite_number" else ""
     allowed = limits or describe_type(kind).replace("a number", f"a {finite}number")
+    if error_type == "literal_error" and len(_list_alternatives(model, location)) > 1:
+        allowed += f" for {location[-2]}"
     return str(invalid(key, value, allowed, _suggest_value(kind, value)))
 
 
@@ -75,14 +77,20 @@ def _make_key_error(model: type[BaseModel], location: Sequence[Any], value: Any)
     name = location[-1]
     section, kind = _resolve_location(model, location[:-1])
     key, option = f"{section}.{name}".lstrip("."), next(filter(is_section, list_options(kind)))
-    # The last part of the location of a tagged section is its tag.
-    union = list_options(_resolve_location(model, location[:-2])[1]) if location[:-1] else []
-    owners = [tag for one in union if is_section(one) and name in one.model_fields
-              for tag in list_tags(one)]  # fmt: skip
-    if owners and len(union) > 1:
+    union = _list_alternatives(model, location)
+    owners = [tag for one in union if name in one.model_fields for tag in list_tags(one)]
+    if owners:
         hint = f"it belongs to {', '.join(owners)}"
         return invalid(key, value, f"left out for {location[-2]}", hint)
     return unknown_key(key, option.model_fields)
+
+
+def _list_alternatives(model: type[BaseModel], location: Sequence[Any]) -> list[Any]:
+    """Return the sections of a tagged union, at the location of a key of one of them."""
+    # The tag of the section is the last part of the location before the key.
+    _, kind = _resolve_location(model, location[:-2])
+    options = list_options(kind) if len(location) > 1 else []
+    return options if any(location[-2] in list_tags(option) for option in options) else []
 
 
 def _prefix_message(location: str, error: Exception) -> str:

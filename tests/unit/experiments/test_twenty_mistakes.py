@@ -69,8 +69,8 @@ MISTAKES = [
      "step or a list of numbers (write [550])", IN_SCHEMA),
     ("95", "45", "line 12: instrument.incidence_deg = 95: must be in [0, 89.9999] degrees",
      IN_SCHEMA),
-    ("brfd", "brdf", "line 13: instrument.target = 'brfd': must be one of brdf, btdf (did you mean "
-     "brdf?)", IN_SCHEMA),
+    ("brfd", "brdf", "line 13: instrument.target = 'brfd': must be one of brdf, btdf for "
+     "goniophotometer (did you mean brdf?)", IN_SCHEMA),
     ("[180, 0]", "[0, 180]", "line 14: instrument.azimuth_deg = [180.0, 0.0]: must be strictly "
      "increasing (numbers 1 and 2 of 2)", NO_ORDER),
     ("  n_bins: [18, 72]\n", "", "line 15: instrument.n_bins = (18, 72): must be left out without "

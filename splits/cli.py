@@ -98,6 +98,13 @@ def _make_parser() -> argparse.ArgumentParser:
     cache.add_argument("--clear", action="store_true", help="delete the cached kernels")
     cache.set_defaults(action=_manage_cache)
 
+    schema = commands.add_parser(
+        "schema", help="write JSON schemas, with which editors check configuration files"
+    )
+    schema.add_argument("folder", type=Path, nargs="?", default=Path(), metavar="FOLDER",
+                        help="output folder (default: current folder)")  # fmt: skip
+    schema.set_defaults(action=_write_schemas)
+
     unpack = commands.add_parser("unpack", help="verify an archive of results and unpack it")
     unpack.add_argument("archive", type=Path, help="zip file made by `snakemake archive`")
     unpack.add_argument("folder", type=Path, nargs="?",
@@ -109,7 +116,7 @@ def _make_parser() -> argparse.ArgumentParser:
 def _run_experiment(arguments: argparse.Namespace) -> None:
     """Run an experiment and write its dataset, figure and tables atomically."""
     import_optional("pydantic", "experiments", "experiment files need")
-    import_optional("yaml", "experiments", "experiment files need")
+    import_optional("ruamel.yaml", "experiments", "experiment files need")
     from splits.analysis.measured import read_spectra
     from splits.core.atomic import check_writable
     from splits.core.interrupts import exit_on_signals
@@ -125,7 +132,7 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     seed = 1 if arguments.seed is None else check_integer("--seed", arguments.seed, 0)
     threads = check_threads(arguments.threads)
     experiment = load_experiment(arguments.file, arguments.media)
-    file_seed = experiment.instrument.seed
+    file_seed = getattr(experiment.instrument, "seed", None)
     if arguments.seed is not None and file_seed is not None:
         raise invalid(
             "--seed", arguments.seed, "left out", f"the file has instrument.seed = {file_seed}"
@@ -231,6 +238,15 @@ def _manage_cache(arguments: argparse.Namespace) -> None:
             for path in kernels:
                 folder.remove(path.name)
             _print_line(f"deleted {len(kernels)}")
+
+
+def _write_schemas(arguments: argparse.Namespace) -> None:
+    """Write the JSON schemas of experiment files and of the main file."""
+    import_optional("pydantic", "experiments", "schemas need")
+    from splits.experiments.config.schema import write_schemas
+
+    for path in write_schemas(arguments.folder):
+        _print_line(path)
 
 
 def _unpack_archive(arguments: argparse.Namespace) -> None:

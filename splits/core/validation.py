@@ -89,7 +89,8 @@ class InvalidValue(ValueError):
     def add_prefix(self, prefix: str, extra_hint: str = "") -> InvalidValue:
         """Return the error with a section before the key and an additional hint."""
         hint = ") (".join(part for part in (self.hint, extra_hint) if part)
-        return type(self)(f"{prefix}.{self.key}", self.value, self.allowed, hint)
+        key = ".".join(part for part in (prefix, self.key) if part)
+        return type(self)(key, self.value, self.allowed, hint)
 
 
 class UnknownKey(InvalidValue):

@@ -1,16 +1,19 @@
-"""Safe YAML loading with size limits and one-line errors."""
+"""Safe reading of YAML 1.2 with size limits, one-line errors and the lines of keys."""
 
 from __future__ import annotations
 
 import copy
 import functools
+import io
 import math
 import re
-from collections.abc import Hashable
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
-import yaml
+from ruamel.yaml import YAML, events
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.representer import SafeRepresenter
 
 from splits.core.validation import format_key, short_repr
 
@@ -25,7 +28,7 @@ MAX_NUMBER_CHARS = 1000
 
 
 class ConfigError(ValueError):
-    """Invalid configuration; the message names file, key, value and range."""
+    """Invalid configuration; the message names file, line, key, value and range."""
 
 
 CORE_SCHEMA = {
@@ -36,138 +39,125 @@ CORE_SCHEMA = {
         r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?"
         r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
     ),
-    "merge": re.compile("<<"),
 }
-"""Plain scalars other than text, by tag: the core schema of YAML 1.2, and merged mappings.
-
-All other scalars are text, such as 1:15, yes, off and 2001-01-01, which are 75, true, false and a
-date in YAML 1.1.  All expressions match in linear time.
-"""
+"""Plain scalars by type in the core schema of YAML 1.2, all others are text; in linear time."""
 _TAG_PREFIX = "tag:yaml.org,2002:"
+_UNAMBIGUOUS_TEXT = re.compile(r"(?!(y|n|yes|no|on|off|true|false|null)$)[^\W\d_].*", re.I | re.S)
+"""Texts that are text in YAML 1.1 and 1.2 without quotes."""
 
 
-def _find_tag(text: str) -> str | None:
-    """Return the tag of a plain scalar, or None for text."""
-    return next(
-        (f"{_TAG_PREFIX}{kind}" for kind, form in CORE_SCHEMA.items() if form.fullmatch(text)), None
-    )
+class Node(NamedTuple):
+    """A value, the line of its key, its items by key or number, and the number of values in it."""
+
+    value: Any
+    line: int
+    items: dict[Any, Node]
+    size: int
 
 
-class _Loader(yaml.SafeLoader):
-    """Loader of the YAML 1.2 core schema with size limits, which rejects duplicate keys.
-
-    Exceptions of PyYAML's constructors are raised as errors of the file.
-    """
-
-    yaml_constructors: ClassVar[dict[Any, Any]] = {
-        tag: constructor
-        for tag, constructor in yaml.SafeLoader.yaml_constructors.items()
-        if tag is None or tag.removeprefix(_TAG_PREFIX) in ("null", "str", "seq", "map")
-    }
+class _Parser:
+    """Parser of a text into nodes, within the limits of this module."""
 
     def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self.depth = 0
-        self.sizes: dict[int, int] = {}
+        self.events: Iterator[Any] = YAML(typ="safe", pure=True).parse(text)
+        self.anchors: dict[str, Node] = {}
+        self.n_nodes = 0
 
-    def resolve(self, kind: type[yaml.Node], value: str | None, implicit: Any) -> str:
-        """Return the tag of a node without an explicit tag."""
-        if kind is yaml.ScalarNode and implicit[0]:
-            return _find_tag(value or "") or f"{_TAG_PREFIX}str"
-        tag: str = super().resolve(kind, value, implicit)
-        return tag
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Compose a node and count its values; an alias counts as much as its anchor."""
-        mark = self.peek_event().start_mark
-        self.depth += 1
-        if self.depth > MAX_DEPTH:
-            raise _make_error(mark, f"more than {MAX_DEPTH} lists and mappings within each other")
-        alias = self.check_event(yaml.AliasEvent)
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        if alias and id(node) not in self.sizes:
-            raise _make_error(mark, "an alias within its own anchor")
-        if not alias:
-            self.sizes[id(node)] = 1 + sum(self.sizes[id(part)] for part in _list_children(node))
-        if self.sizes[id(node)] > MAX_NODES:
-            raise _make_error(mark, f"more than {MAX_NODES} values")
+    def parse_node(self, event: Any, depth: int) -> Node:
+        """Return the node that begins with an event; an alias counts as much as its anchor."""
+        is_alias, n_before = isinstance(event, events.AliasEvent), self.n_nodes
+        if depth > MAX_DEPTH:
+            raise _make_error(event, f"more than {MAX_DEPTH} lists and mappings within each other")
+        if is_alias and event.anchor not in self.anchors:
+            raise _make_error(event, f"no anchor &{event.anchor} ends before this alias")
+        self.n_nodes += self.anchors[event.anchor].size if is_alias else 1
+        if self.n_nodes > MAX_NODES:
+            raise _make_error(event, f"more than {MAX_NODES} values")
+        if is_alias:
+            return self.anchors[event.anchor]
+        items: dict[Any, Node] = {}
+        value: Any
+        if isinstance(event, events.ScalarEvent):
+            value = _make_scalar(event)
+        elif isinstance(event, events.SequenceStartEvent):
+            _check_tag(event, ("seq",))
+            while not isinstance(start := next(self.events), events.SequenceEndEvent):
+                items[len(items)] = self.parse_node(start, depth + 1)
+            value = [node.value for node in items.values()]
+        else:
+            _check_tag(event, ("map",))
+            items = self.parse_mapping(depth)
+            value = {key: node.value for key, node in items.items()}
+        node = Node(value, event.start_mark.line + 1, items, self.n_nodes - n_before)
+        if event.anchor:
+            self.anchors[event.anchor] = node
         return node
 
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """Construct the value of a node; raise a YAML error if it is invalid."""
-        try:
-            return super().construct_object(node, deep)
-        except (ValueError, LookupError, TypeError, AttributeError, OverflowError):
-            description = (
-                short_repr(node.value) if isinstance(node.value, str) else "a list or mapping"
-            )
-            tag = str(node.tag).rpartition(":")[2]
-            raise _make_error(
-                node.start_mark, f"{description} is not of type {format_key(tag)}"
-            ) from None
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Construct a mapping with plain, distinct keys."""
-        seen = set()
-        for part, _ in node.value:
-            if part.tag == f"{_TAG_PREFIX}merge":
+    def parse_mapping(self, depth: int) -> dict[Any, Node]:
+        """Return the nodes of a mapping by key, with those of merged mappings as defaults."""
+        items: dict[Any, Node] = {}
+        merged: dict[Any, Node] = {}
+        while not isinstance(event := next(self.events), events.MappingEndEvent):
+            key, line = self.parse_node(event, depth + 1).value, event.start_mark.line + 1
+            if isinstance(key, dict | list):
+                raise _make_error(event, "a key that is not text")
+            if key in items:
+                lines = f"in lines {items[key].line} and {line}"
+                raise _make_error(event, f"{short_repr(key)} given twice, {lines}")
+            node = self.parse_node(next(self.events), depth + 1)
+            if key != "<<" or getattr(event, "style", "alias"):
+                items[key] = node._replace(line=line)
                 continue
-            key = self.construct_object(part, deep=True)
-            if not isinstance(key, Hashable) or isinstance(key, tuple):
-                raise _make_error(part.start_mark, "a key that is not text")
-            if key in seen:
-                raise _make_error(node.start_mark, f"{format_key(key)} given twice")
-            seen.add(key)
-        return super().construct_mapping(node, deep)
+            for part in node.items.values() if isinstance(node.value, list) else [node]:
+                if not isinstance(part.value, dict):
+                    raise _make_error(event, "<< without a mapping")
+                merged = {**part.items, **merged}
+        return {**merged, **items}
 
-    def construct_plain(self, node: yaml.ScalarNode) -> bool | int | float:
-        """Construct a boolean or a number; raise a YAML error if it is too long or too large."""
-        kind, text = node.tag.removeprefix(_TAG_PREFIX), str(node.value)
-        if len(text) > MAX_NUMBER_CHARS:
-            raise _make_error(node.start_mark, f"a number of more than {MAX_NUMBER_CHARS} digits")
-        if not CORE_SCHEMA[kind].fullmatch(text):
-            raise ValueError(text)
-        if kind == "bool":
-            return text.lower() == "true"
-        if kind == "int":
-            base = {"0o": 8, "0x": 16}.get(text[:2], 10)
-            return int(text if base == 10 else text[2:], base)
+
+def _make_scalar(event: Any) -> Any:
+    """Return the value of a scalar; raise a YAML error for a number that is too long or large."""
+    text, kind = event.value, _check_tag(event, ("str", *CORE_SCHEMA))
+    if event.tag is None and event.implicit[0]:
+        kind = next((name for name, form in CORE_SCHEMA.items() if form.fullmatch(text)), "str")
+    if kind in ("int", "float") and len(text) > MAX_NUMBER_CHARS:
+        raise _make_error(event, f"a number of more than {MAX_NUMBER_CHARS} digits")
+    if kind != "str" and not CORE_SCHEMA[kind].fullmatch(text):
+        raise _make_error(event, f"{short_repr(text)} is not of type {kind}")
+    if kind == "float":
         value = float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
         if math.isinf(value) and "inf" not in text.lower():
-            raise _make_error(node.start_mark, f"{short_repr(text)} is too large a number")
+            raise _make_error(event, f"{short_repr(text)} is too large a number")
         return value
+    if kind == "int":
+        return int(text, 0 if text[:2] in ("0o", "0x") else 10)
+    return {"null": None, "bool": text.lower() == "true"}.get(kind, text)
 
 
-for _kind in ("bool", "int", "float"):
-    _Loader.add_constructor(f"{_TAG_PREFIX}{_kind}", _Loader.construct_plain)
+def _check_tag(event: Any, allowed: tuple[str, ...]) -> str:
+    """Return the type that a tag states, by default the first one allowed; reject other tags."""
+    kind = (event.tag or "!").removeprefix(_TAG_PREFIX)
+    if kind not in ("!", *allowed):
+        tag = format_key(event.tag.replace(_TAG_PREFIX, "!!"))
+        raise _make_error(event, f"the tag {tag} is not allowed here")
+    return allowed[0] if kind == "!" else kind
 
 
-class _Dumper(yaml.SafeDumper):
-    """Dumper of text that `_Loader` and YAML 1.1 parsers read identically."""
-
-    def resolve(self, kind: type[yaml.Node], value: str | None, implicit: Any) -> str:
-        """Return the tag of a node; text that any parser reads otherwise is quoted."""
-        tag: str = super().resolve(kind, value, implicit)
-        plain = kind is yaml.ScalarNode and implicit[0] and tag == f"{_TAG_PREFIX}str"
-        return (plain and _find_tag(value or "")) or tag
-
-
-def _make_error(mark: yaml.Mark | None, problem: str) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
-
-
-def _list_children(node: yaml.Node | None) -> list[yaml.Node]:
-    """Return the child nodes of a list or mapping; none for a scalar."""
-    if isinstance(node, yaml.SequenceNode):
-        return list(node.value)
-    return [x for pair in node.value for x in pair] if isinstance(node, yaml.MappingNode) else []
+def _make_error(event: Any, problem: str) -> MarkedYAMLError:
+    return MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
 
 
 @functools.lru_cache(maxsize=64)
-def _parse(text: str) -> Any:
-    """Return the content of a YAML text."""
-    return yaml.load(text, Loader=_Loader)
+def _parse(text: str) -> Node:
+    """Return the root node of a YAML text."""
+    parser = _Parser(text)
+    starts = (event for event in parser.events if isinstance(event, events.DocumentStartEvent))
+    if next(starts, None) is None:
+        return Node(None, 1, {}, 0)
+    root = parser.parse_node(next(parser.events), 1)
+    if (event := next(starts, None)) is not None:
+        raise _make_error(event, "more than one document")
+    return root
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -182,10 +172,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
         if path.stat().st_size > MAX_BYTES:
             raise ConfigError(f"{path}: must be at most {MAX_BYTES // 1024} KiB")
         # Parsed once and copied, because many experiments use the same file.
-        content = copy.deepcopy(_parse(path.read_text(encoding="utf-8")))
+        content = copy.deepcopy(_parse(path.read_text(encoding="utf-8")).value)
     except OSError as error:
         raise ConfigError(f"{format_key(path)}: cannot be read ({error.strerror})") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (YAMLError, UnicodeDecodeError) as error:
         mark = getattr(error, "problem_mark", None)
         position = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not text"
@@ -195,6 +185,45 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return content
 
 
+def locate_message(path: Path, message: str) -> str:
+    """Return a message that begins with a key, after the file and the line of the key.
+
+    The line of a missing key is that of its section.
+    """
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    items, rest, position = _parse(text).items, message, ""
+    while True:
+        names = {format_key(key): node for key, node in items.items()}
+        known = [name for name in names if name and re.match(re.escape(name) + r"[].[ :]", rest)]
+        if not known:
+            return f"{path}{position}: {message}"
+        name = max(known, key=len)
+        items, rest = names[name].items, rest.removeprefix(name).lstrip("].[")
+        position = f", line {names[name].line}"
+
+
+class _Representer(SafeRepresenter):
+    """Representer of values that YAML 1.1 parsers read as `read_yaml` does."""
+
+    def represent_text(self, text: str) -> Any:
+        style = None if _UNAMBIGUOUS_TEXT.fullmatch(text) else "'"
+        return self.represent_scalar(f"{_TAG_PREFIX}str", text, style=style)
+
+    def represent_number(self, value: float) -> Any:
+        node = self.represent_float(value)
+        node.value = node.value if "." in node.value else node.value.replace("e", ".0e")
+        return node
+
+
+_Representer.add_representer(str, _Representer.represent_text)
+_Representer.add_representer(float, _Representer.represent_number)
+
+
 def dump_yaml(content: dict[str, Any]) -> str:
     """Return the YAML text from which `read_yaml` restores the content."""
-    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+    stream = io.StringIO()
+    yaml: Any = YAML(typ="safe", pure=True)
+    yaml.Representer, yaml.default_flow_style = _Representer, False
+    yaml.sort_base_mapping_type_on_output = False
+    yaml.dump(content, stream)
+    return stream.getvalue()

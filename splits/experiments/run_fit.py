@@ -64,7 +64,7 @@ def run_fit(
     samples = check_fit(experiment, measured)
     ranges = experiment.fit.ranges if experiment.fit else {}
     wavelength = measured.wavelength_nm.to_numpy(dtype=float)
-    max_stderr = min(experiment.instrument.stderr_scale * accuracy.max_stderr, 0.5)
+    max_stderr = experiment.instrument.scale_stderr(accuracy.max_stderr)
     cases = list(itertools.product(experiment.iter_settings(), samples))
     workers = threads or count_cpus()
 
@@ -78,7 +78,7 @@ def run_fit(
             measured[sample].to_numpy(dtype=float),
             incidence,
             ranges,
-            seed if experiment.instrument.seed is None else experiment.instrument.seed,
+            experiment.instrument.get_seed(seed),
             max(1, workers // len(cases)),
             lambda line: log(f"{prefix}: {line}"),
             effort=choose_effort(max_stderr),

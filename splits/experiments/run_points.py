@@ -11,16 +11,16 @@ import xarray as xr
 
 from splits.core.progress import Progress
 from splits.experiments.checkpoints import PointCache
-from splits.experiments.config.instrument import SURFACE_INSTRUMENTS, InstrumentSection
+from splits.experiments.config.instrument import Instrument, OpticalInstrument
+from splits.experiments.config.instrument_kinds import (
+    BeamSpread,
+    Goniophotometer,
+    Lens,
+    Spectrophotometer,
+)
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
-from splits.instruments import (
-    beam_spread,
-    goniophotometer,
-    lens,
-    spectrophotometer,
-    surface_map,
-)
+from splits.instruments import beam_spread, goniophotometer, lens, spectrophotometer, surface_map
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import to_netcdf_attributes
 from splits.media.medium import Medium
@@ -65,7 +65,7 @@ def simulate_points(
     a common scale of all lengths.
     """
     instrument, points = experiment.instrument, list(experiment.iter_points())
-    seed = seed if instrument.seed is None else instrument.seed
+    seed = instrument.get_seed(seed)
     results: dict[int, xr.Dataset] = {}
     groups = _group_by_shared_paths(instrument, points)
     if len(groups) < len(points):
@@ -98,10 +98,10 @@ def simulate_points(
 
 
 def _group_by_shared_paths(
-    instrument: InstrumentSection, points: Sequence[GridPoint]
+    instrument: Instrument, points: Sequence[GridPoint]
 ) -> list[tuple[list[int], MediaGroup | None]]:
     """Return the indices of points that share paths, with their group (None for single points)."""
-    if instrument.kind != "spectrophotometer" or instrument.estimator == "analog":
+    if not isinstance(instrument, Spectrophotometer) or instrument.estimator == "analog":
         return [([index], None) for index in range(len(points))]
     wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
     groups: list[tuple[list[int], MediaGroup | None]] = []
@@ -120,7 +120,7 @@ def _group_by_shared_paths(
 def _simulate_group(
     points: Sequence[GridPoint],
     group: MediaGroup,
-    instrument: InstrumentSection,
+    instrument: Instrument,
     accuracy: Accuracy,
     seed: int,
     threads: int | None,
@@ -128,7 +128,7 @@ def _simulate_group(
 ) -> list[xr.Dataset]:
     """Simulate points that share paths, in the order of the group's media."""
     max_rays = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
-    error = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
+    error = instrument.scale_stderr(accuracy.max_stderr)
     _, _, beam = points[0]
     run = RunOptions.from_arguments(seed, threads, progress=progress)
     request = SpectralRequest.from_arguments(
@@ -200,7 +200,7 @@ def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -
 
 
 def simulate_point(
-    instrument: InstrumentSection,
+    instrument: Instrument,
     medium: Medium,
     incidence_deg: float | str,
     accuracy: Accuracy,
@@ -209,26 +209,20 @@ def simulate_point(
     progress: Callable[[Progress], None],
 ) -> xr.Dataset:
     """Simulate one point of a grid, see `splits.experiments.run.run`."""
+    arguments = {"seed": seed, **instrument.list_arguments()}
+    if not isinstance(instrument, OpticalInstrument):
+        measure: Callable[..., xr.Dataset] = lens if isinstance(instrument, Lens) else surface_map
+        return measure(medium, **arguments)
+    arguments |= {"threads": threads, "progress": progress}
     scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence_deg)
-    common: dict[str, Any] = {"seed": seed, "threads": threads, "progress": progress}
-    keys = (
-        "estimator", "target", "polar_deg", "azimuth_deg", "n_bins", "rays", "half_width_m",
-        "radius_m", "screen_depth_m", "centre_on", "realizations",
-    )  # fmt: skip
-    arguments = {key: getattr(instrument, key) for key in keys}
-    arguments = {key: value for key, value in arguments.items() if value is not None}
-    if instrument.kind in SURFACE_INSTRUMENTS:
-        measure: Callable[..., xr.Dataset] = lens if instrument.kind == "lens" else surface_map
-        return measure(medium, seed=seed, **arguments)
-    common |= arguments
-    if instrument.kind == "beam_spread":
+    if isinstance(instrument, BeamSpread):
         effort = (0.02 / (instrument.stderr_scale * accuracy.relative_stderr)) ** 2
-        common.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))
-        return beam_spread(*scene, **common)
+        arguments.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))
+        return beam_spread(*scene, **arguments)
     if accuracy.max_rays is not None:
-        common["max_rays"] = accuracy.max_rays
-    if instrument.kind == "goniophotometer":
-        common["relative_stderr"] = min(instrument.stderr_scale * accuracy.relative_stderr, 0.5)
-        return goniophotometer(*scene, **common)
-    common["max_stderr"] = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
-    return spectrophotometer(*scene, **common)
+        arguments["max_rays"] = accuracy.max_rays
+    if isinstance(instrument, Goniophotometer):
+        arguments["relative_stderr"] = instrument.scale_stderr(accuracy.relative_stderr)
+        return goniophotometer(*scene, **arguments)
+    arguments["max_stderr"] = instrument.scale_stderr(accuracy.max_stderr)
+    return spectrophotometer(*scene, **arguments)

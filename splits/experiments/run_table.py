@@ -12,6 +12,7 @@ import xarray as xr
 
 from splits.core.atomic import atomic_write
 from splits.core.progress import Progress
+from splits.experiments.config.instrument_kinds import TableInstrument
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments.spectral_run import SpectralRequest
@@ -23,36 +24,38 @@ from splits.tables.build import compute_block_digest, iterate_blocks
 from splits.tables.plan import PathGroup, TablePlan
 from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
 
-DEFAULT_N_BLOCKS = 8
-"""Default number of parts of a table that run as separate jobs."""
 MAX_RAYS = 20_000_000
 LogCallback = Callable[[str], None]
 
 
 def count_parts(experiment: SimulationConfig) -> int:
     """Return the number of parts of a table."""
-    return experiment.instrument.blocks or DEFAULT_N_BLOCKS
+    return _get_instrument(experiment).blocks
+
+
+def _get_instrument(experiment: SimulationConfig) -> TableInstrument:
+    """Return the instrument of a table."""
+    instrument = experiment.instrument
+    assert isinstance(instrument, TableInstrument)
+    return instrument
 
 
 def make_plan(experiment: SimulationConfig) -> TablePlan:
     """Return the plan of a table; reject points that cannot be simulated."""
-    instrument = experiment.instrument
-    axes, wavelengths = experiment.make_axes(), instrument.get_wavelengths()
-    return TablePlan.from_grid(experiment.make_medium, axes, wavelengths, instrument.incidence_deg)
+    instrument, axes = experiment.instrument, experiment.make_axes()
+    wavelengths, incidence = instrument.get_wavelengths(), instrument.get_incidence()
+    return TablePlan.from_grid(experiment.make_medium, axes, wavelengths, incidence)
 
 
 def make_request(
     experiment: SimulationConfig, accuracy: Accuracy, seed: int, threads: int | None = None
 ) -> TableRequest:
     """Return the settings of a table's simulation."""
-    instrument = experiment.instrument
-    own_seed = seed if instrument.seed is None else instrument.seed
-    error = min(instrument.stderr_scale * accuracy.max_stderr, 0.5)
-    rays = accuracy.max_rays or MAX_RAYS
-    run = RunOptions.from_arguments(own_seed, threads)
+    instrument = _get_instrument(experiment)
+    error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
+    run = RunOptions.from_arguments(instrument.get_seed(seed), threads)
     request = SpectralRequest.from_arguments(instrument.get_wavelengths(), 0.0, error, rays, run)
-    quantities = instrument.quantities or ("reflectance",)
-    return TableRequest(request, quantities, instrument.covariance == "keep")
+    return TableRequest(request, instrument.quantities, instrument.covariance == "keep")
 
 
 def run_part(

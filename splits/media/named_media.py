@@ -88,7 +88,7 @@ def _is_yaml_file(name: object) -> bool:
 
 
 def _read_yaml_file(path: str | Path) -> dict[str, Any]:
-    import_optional("yaml", "experiments", "medium files need")
+    import_optional("ruamel.yaml", "experiments", "medium files need")
     from splits.core.yaml import read_yaml
 
     return read_yaml(expand_path(path, "name"))

@@ -73,7 +73,7 @@ def draw(
     ----------
     dataset : xarray.Dataset
     section : mapping
-        See `splits.experiments.config.sections.FigureSection`.
+        See `splits.experiments.config.figure.FigureSection`.
     measured : pandas.DataFrame, optional
         Measured values to show together with spectra.
 

@@ -12,8 +12,11 @@ from typing import Any
 
 from hypothesis import strategies as st
 
+from splits.experiments.config.figure import KINDS_OF_SETTING, SINGLE_POINT_KINDS
 from splits.experiments.config.grid import make_label
-from splits.experiments.config.sections import FIGURE_KINDS, KINDS_OF_SETTING, SINGLE_POINT_KINDS
+from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS
+
+FIGURE_KINDS = {kind: model.FIGURES for kind, model in INSTRUMENT_KINDS.items()}
 
 
 class RawText(str):

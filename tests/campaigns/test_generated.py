@@ -182,9 +182,9 @@ def limit_rays(experiment: ExperimentConfig) -> ExperimentConfig:
     """Return the experiment with few rays, which takes less than 0.1 s per point."""
     instrument = experiment.instrument
     limits = {"rays": 1000, "realizations": 3}
-    current = {key: getattr(instrument, key) for key in limits}
+    current = {key: getattr(instrument, key, None) for key in limits}
     reduced = {key: min(value, limits[key]) for key, value in current.items() if value is not None}
-    if instrument.kind == "beam_spread" or instrument.estimator == "bins":
+    if instrument.kind == "beam_spread" or getattr(instrument, "estimator", None) == "bins":
         reduced["rays"] = min(current["rays"] or 1000, 1000)
     return experiment.model_copy(update={"instrument": instrument.model_copy(update=reduced)})
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -14,10 +15,12 @@ import splits
 from splits.core.yaml import read_yaml
 from splits.experiments import load_settings
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.instrument import InstrumentSection
-from splits.experiments.config.retrieve import NoiseSection, RetrieveSection
-from splits.experiments.config.sections import FigureSection, FitSection
-from splits.experiments.config.settings import Accuracy, Settings
+from splits.experiments.config.figure import FigureSection
+from splits.experiments.config.instrument import WavelengthGrid
+from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS, Goniophotometer
+from splits.experiments.config.retrieve import NoiseSection, PriorFromSample, RetrieveSection
+from splits.experiments.config.sections import FitSection
+from splits.experiments.config.settings import Accuracy, ArchiveAuthor, Settings
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -45,24 +48,24 @@ def test_every_public_name_is_documented():
     assert sorted(set(splits.__all__) - {"__version__"}) == sorted(documented)
 
 
-@pytest.mark.parametrize(
-    "model",
-    [
-        ExperimentConfig,
-        InstrumentSection,
-        FitSection,
-        RetrieveSection,
-        NoiseSection,
-        FigureSection,
-        Settings,
-        Accuracy,
-    ],
-)
-def test_every_configuration_key_is_documented(model):
+MODELS = [
+    ExperimentConfig, FitSection, FigureSection, RetrieveSection, NoiseSection, PriorFromSample,
+    WavelengthGrid, Settings, Accuracy, ArchiveAuthor, *INSTRUMENT_KINDS.values(),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_configuration_key_is_described(model):
+    fields = model.model_fields.items()
+    assert all(field.description for key, field in fields if key != "kind")
+    assert model.__doc__
+
+
+def test_tables_of_keys_show_known_models():
     page = (DOCS / "reference" / "configuration.md").read_text(encoding="utf-8")
-    name = re.escape(f"{model.__module__}.{model.__name__}")
-    table = re.search(rf"```{{config-keys}} {name}\n(.*?)```", page, re.S)[1]
-    assert set(re.findall(r"^(\w+):", table, re.M)) == set(model.model_fields)
+    names = re.findall(r"```{config-keys} ([\w.]+)\.(\w+)\n", page)
+    shown = {getattr(import_module(module), name) for module, name in names}
+    assert set(MODELS[:1]) < shown and set(MODELS) & shown
 
 
 @pytest.mark.parametrize("study", configuration.list_study_kinds())
@@ -74,13 +77,13 @@ def test_every_key_of_a_study_is_described(study):
 
 
 def test_documented_limits_and_defaults_match_the_models():
-    fields = InstrumentSection.model_fields
-    assert configuration.allowed(fields["target"]) == "`brdf`, `btdf`"
+    fields = Goniophotometer.model_fields
+    assert configuration.allowed(fields["target"]) == "one of `brdf`, `btdf`"
     assert configuration.allowed(fields["rays"]) == "a whole number, at least 1"
-    assert configuration.allowed(fields["n_bins"]) == "2 numbers"
-    assert configuration.default(fields["kind"]) == "`spectrophotometer`"
+    assert configuration.allowed(fields["n_bins"]) == "a list of 2 whole numbers"
+    assert configuration.default(fields["target"]) == "`brdf`"
     assert configuration.default(fields["stderr_scale"]) == "`1.0`"
-    assert configuration.default(fields["rays"]) == "none"
+    assert configuration.default(fields["rays"]) == "—"
     limits = Accuracy.model_fields["relative_stderr"]
     assert configuration.allowed(limits) == "a number, at least 0.0001, at most 0.5"
     assert configuration.default(Accuracy.model_fields["max_stderr"]) == "required"

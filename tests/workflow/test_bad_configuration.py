@@ -92,8 +92,10 @@ def test_all_invalid_experiments_are_reported_at_once(project):
     run = project.snakemake("--cores", 1, "good")
     lines = [line for line in run.text.splitlines() if line.startswith("config/experiments")]
     assert len(lines) == 2, run.text
-    assert lines[0].startswith("config/experiments/one.yaml: titel: unknown key")
-    assert lines[1].startswith("config/experiments/two.yaml: instrument.wavelength_nm = 500: must")
+    assert lines[0].startswith("config/experiments/one.yaml, line 1: titel: unknown key")
+    assert lines[1].startswith(
+        "config/experiments/two.yaml, line 1: instrument.wavelength_nm = 500: must"
+    )
     check_nothing_ran(run, project)
 
 

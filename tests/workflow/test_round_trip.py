@@ -17,7 +17,7 @@ from compliance import collect_remarks
 import splits
 from splits.core.atomic import atomic_write
 from splits.experiments import ExperimentConfig, SimulationConfig, load_experiment, load_settings
-from splits.experiments.config.sections import FIGURE_KINDS
+from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS
 from splits.experiments.run import run
 from splits.plotting import draw
 from splits.plotting.style import FIGURE_SUFFIXES
@@ -172,9 +172,9 @@ def finished(make_project, tmp_path_factory):
 def test_cases_cover_all_kinds(finished):
     project, _ = finished
     experiments = [read_experiment(project, name) for name in CASES]
-    assert {experiment.instrument.kind for experiment in experiments} == set(FIGURE_KINDS)
+    assert {experiment.instrument.kind for experiment in experiments} == set(INSTRUMENT_KINDS)
     assert {experiment.resolve_figure()["kind"] for experiment in experiments} >= {
-        kinds[0] for kinds in FIGURE_KINDS.values()
+        model.FIGURES[0] for model in INSTRUMENT_KINDS.values()
     }
 
 

@@ -1,79 +1,32 @@
-"""Section `instrument` of an experiment file.
-
-Settings that the chosen instrument does not have are rejected.
-"""
+"""Section `instrument` of an experiment file: what all instruments have in common."""
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from splits.core.validation import check_integer, check_range, invalid, key_prefix
+from splits.core.validation import invalid
+from splits.experiments.config.figure import FigureSection
 from splits.experiments.config.grid import make_even_spacing
-from splits.experiments.config.sections import ConfigSection
-from splits.instruments.angular_bins import DEFAULT_N_BINS
-from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
-from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
-from splits.instruments.lens import (
-    DEFAULT_RAYS,
-    check_ring_radius,
-    check_ring_size,
-    check_screen_depths,
-)
-from splits.instruments.surface_map import DEFAULT_POINTS, MAX_REALIZATIONS
-from splits.simulation.arguments import (
-    check_direction_angles,
-    check_half_width,
-    check_incidence,
-    check_n_bins,
-    check_wavelengths,
-)
+from splits.experiments.config.sections import FiniteSection
+from splits.media.medium import Medium
+from splits.simulation.arguments import check_incidence, check_wavelengths
 
-ESTIMATORS = {
-    "spectrophotometer": ("spectral", "analog"),
-    "goniophotometer": ("expansion", "bins", "next_event"),
-}
-INSTRUMENTS_OF_SETTING = {
-    "rays": ("goniophotometer", "beam_spread", "lens"),
-    "target": ("goniophotometer",),
-    "polar_deg": ("goniophotometer",),
-    "azimuth_deg": ("goniophotometer",),
-    "n_bins": ("goniophotometer",),
-    "half_width_m": ("beam_spread", "surface_map", "lens"),
-    "radius_m": ("lens",),
-    "screen_depth_m": ("lens",),
-    "centre_on": ("lens",),
-    "realizations": ("lens", "surface_map"),
-    "quantities": ("table",),
-    "covariance": ("table",),
-    "blocks": ("table",),
-}
-"""Settings that only some instruments have, with these instruments."""
-UNUSED_SETTINGS = {
-    "surface_map": ("wavelength_nm", "incidence_deg", "stderr_scale"),
-    "lens": ("wavelength_nm", "incidence_deg", "stderr_scale"),
-    "refractive_index": ("incidence_deg", "stderr_scale", "seed"),
-}
-"""Settings that these instruments do not have, unlike all others."""
 USE_GRID_HINT = "several values belong under grid"
-SURFACE_INSTRUMENTS = ("surface_map", "lens")
-"""Instruments that measure a rough surface only."""
-REQUIRED_SETTINGS = {"surface_map": ("half_width_m",), "lens": ("radius_m", "screen_depth_m")}
-"""Settings that an instrument requires."""
+MAX_STDERR = 0.5
+"""Largest target error of a simulation."""
 
 
-class WavelengthGrid(ConfigSection):
+class WavelengthGrid(FiniteSection):
     """Equidistant wavelengths in nm, both ends included, and additional single ones."""
 
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    start: float
-    stop: float
-    step: float = Field(gt=0)
-    also: tuple[float, ...] = ()
+    start: float = Field(description="first wavelength (nm)")
+    stop: float = Field(description="last wavelength (nm)")
+    step: float = Field(gt=0, description="distance between wavelengths (nm)")
+    also: tuple[float, ...] = Field((), description="additional wavelengths (nm)")
 
     def to_array(self) -> np.ndarray:
         """Return the wavelengths (nm), increasing."""
@@ -81,138 +34,128 @@ class WavelengthGrid(ConfigSection):
         return np.unique(np.concatenate([steps, self.also]))
 
 
-class InstrumentSection(ConfigSection):
-    """A virtual instrument and its settings."""
+def _check_incidence(value: Any) -> float | str:
+    if isinstance(value, list | tuple):
+        raise invalid("", value, "one angle or diffuse", USE_GRID_HINT)
+    return check_incidence(value)
 
-    model_config = ConfigDict(allow_inf_nan=False)
 
-    kind: Literal[
-        "spectrophotometer",
-        "goniophotometer",
-        "beam_spread",
-        "refractive_index",
-        "surface_map",
-        "lens",
-        "table",
-    ] = "spectrophotometer"
-    wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
-        start=400, stop=2500, step=10
+BeamAngle = Annotated[float, Field(ge=0.0, le=89.9999)]
+Rays = Annotated[
+    int | None, Field(ge=1, lt=2**63, description="number of rays, instead of a target error")
+]
+Seed = Annotated[
+    int | None,
+    Field(ge=0, lt=2**63, description="seed of this experiment; by default that of the main file"),
+]
+
+
+class Instrument(FiniteSection):
+    """A virtual instrument.
+
+    Attributes
+    ----------
+    FIGURES, QUANTITIES : tuple of str
+        Kinds of its figures, the default first, and quantities that they may show.
+    N_POSITIONS : int
+        Number of directions or positions for each wavelength.
+    MEASURES_SURFACE, MEASURES_BEAM, ALLOWS_SEMI_INFINITE : bool
+        Whether it measures a rough surface only, whether its light is a beam, and whether it
+        simulates semi-infinite media.
+    """
+
+    FIGURES: ClassVar[tuple[str, ...]]
+    QUANTITIES: ClassVar[tuple[str, ...]] = ()
+    N_POSITIONS: ClassVar[int] = 1
+    MEASURES_SURFACE: ClassVar[bool] = False
+    MEASURES_BEAM: ClassVar[bool] = False
+    ALLOWS_SEMI_INFINITE: ClassVar[bool] = False
+
+    kind: str
+
+    def get_wavelengths(self) -> np.ndarray:
+        """Return the wavelengths (nm); an arbitrary one if they have no effect."""
+        return np.array([550.0])
+
+    def get_incidence(self) -> float | str:
+        """Return the incidence angle (°) or "diffuse"."""
+        incidence: float | str = getattr(self, "incidence_deg", 0.0)
+        return incidence
+
+    def get_seed(self, default: int) -> int:
+        """Return the seed of the experiment, by default that of the main file."""
+        seed: int | None = getattr(self, "seed", None)
+        return default if seed is None else seed
+
+    def scale_stderr(self, stderr: float) -> float:
+        """Return the target error of the experiment for that of the accuracy."""
+        return min(getattr(self, "stderr_scale", 1.0) * stderr, MAX_STDERR)
+
+    def count_values(self) -> int:
+        """Return the number of values of a quantity at one point of a grid."""
+        return self.N_POSITIONS * self.get_wavelengths().size
+
+    def list_arguments(self) -> dict[str, Any]:
+        """Return the keyword arguments of the instrument's function that no other one has."""
+        shared = {"kind", "wavelength_nm", "incidence_deg", "stderr_scale", "seed"}
+        return self.model_dump(exclude=shared, exclude_none=True)
+
+    def check_medium(self, medium: Medium) -> None:
+        """Reject a medium that the instrument or its estimator cannot measure."""
+        is_semi_infinite = medium.is_semi_infinite and medium.lowest_layer.has_grains
+        is_analog = getattr(self, "estimator", None) == "analog"
+        if is_semi_infinite and (is_analog or not self.ALLOWS_SEMI_INFINITE):
+            hint = "semi-infinite media require the spectrophotometer and its estimator spectral"
+            raise invalid("medium.depth_m", math.inf, "finite", hint)
+
+    def check_figure(self, figure: FigureSection, kind: str) -> None:
+        """Reject a figure of quantities that the instrument does not measure."""
+        if kind != "none" and kind not in self.FIGURES:
+            allowed = f"one of {', '.join(self.FIGURES)} for instrument.kind = {self.kind!r}"
+            raise invalid("figure.kind", kind, allowed)
+        if "quantity" in figure.model_fields_set:
+            figure.check_quantities(self.QUANTITIES)
+
+
+class SpectralInstrument(Instrument):
+    """An instrument with wavelengths."""
+
+    wavelength_nm: WavelengthGrid | tuple[float, ...] = Field(
+        WavelengthGrid(start=400, stop=2500, step=10),
+        description="vacuum wavelengths (nm), increasing, by default 400 to 2500 in steps of 10; "
+        "required for particle layers",
     )
-    incidence_deg: float | str = 0.0
-    estimator: Literal["spectral", "analog", "expansion", "bins", "next_event"] | None = None
-    stderr_scale: float = 1.0
-    seed: int | None = Field(default=None, ge=0)
-    rays: int | None = Field(default=None, ge=1)
-    target: Literal["brdf", "btdf"] | None = None
-    polar_deg: tuple[float, ...] | None = None
-    azimuth_deg: tuple[float, ...] | None = None
-    n_bins: tuple[int, int] | None = None
-    half_width_m: float | None = Field(default=None, gt=0)
-    radius_m: float | None = Field(default=None, gt=0)
-    screen_depth_m: tuple[float, ...] | None = None
-    centre_on: Literal["crest", "trough", "origin"] | None = None
-    realizations: int | None = Field(default=None, ge=1)
-    quantities: tuple[Literal["reflectance", "transmittance"], ...] | None = None
-    covariance: Literal["keep", "leave_out"] | None = None
-    blocks: int | None = Field(default=None, ge=1, le=10_000)
-
-    @field_validator("incidence_deg", mode="before")
-    @classmethod
-    def _check_incidence(cls, value: float | str) -> float | str:
-        with key_prefix("instrument"):
-            if isinstance(value, (list, tuple)):
-                raise invalid("incidence_deg", value, "one angle or diffuse", USE_GRID_HINT)
-            return check_incidence(value)
-
-    @field_validator("stderr_scale")
-    @classmethod
-    def _check_error_factor(cls, value: float) -> float:
-        return check_range("instrument.stderr_scale", value, 0.01, 100.0)
 
     @model_validator(mode="after")
-    def _check_settings(self) -> InstrumentSection:
-        allowed_estimators = ESTIMATORS.get(self.kind, ())
-        if self.estimator is not None and self.estimator not in allowed_estimators:
-            allowed = (
-                "one of " + ", ".join(allowed_estimators) if allowed_estimators else "left out"
-            )
-            raise invalid("instrument.estimator", self.estimator, f"{allowed} for {self.kind}")
-        for key, kinds in INSTRUMENTS_OF_SETTING.items():
-            if getattr(self, key) is not None and self.kind not in kinds:
-                raise invalid(
-                    f"instrument.{key}", getattr(self, key), f"left out for {self.kind}",
-                    "it belongs to " + " and ".join(kinds),
-                )  # fmt: skip
-        for key in REQUIRED_SETTINGS.get(self.kind, ()):
-            if getattr(self, key) is None:
-                raise invalid(f"instrument.{key}", None, f"given for {self.kind}")
-        for key, low in (("rays", 1), ("seed", 0), ("realizations", 1)):
-            if getattr(self, key) is not None:
-                check_integer(f"instrument.{key}", getattr(self, key), low)
-        with key_prefix("instrument"):
-            self._check_extent()
-        for key in ("polar_deg", "azimuth_deg") if self.estimator == "bins" else ():
-            if getattr(self, key) is not None:
-                raise invalid(f"instrument.{key}", getattr(self, key), "left out with bins")
-        if self.n_bins is not None and self.estimator != "bins":
-            raise invalid("instrument.n_bins", self.n_bins, "left out without estimator = bins")
-        for key, end in (("polar_deg", 90.0), ("azimuth_deg", 360.0)):
-            if getattr(self, key) is not None:
-                check_direction_angles(f"instrument.{key}", getattr(self, key), end)
-        if self.n_bins is not None:
-            with key_prefix("instrument"):
-                check_n_bins(self.n_bins)
-        self._check_unused()
+    def _check_wavelengths(self) -> SpectralInstrument:
+        self.get_wavelengths()
         return self
-
-    def _check_extent(self) -> None:
-        """Reject an extent that an imaging instrument cannot measure."""
-        if self.half_width_m is not None:
-            check_half_width(self.kind, self.half_width_m)
-        if self.kind == "surface_map" and self.realizations is not None:
-            check_integer("realizations", self.realizations, 2, MAX_REALIZATIONS)
-        if self.kind == "lens":
-            if self.half_width_m is None and self.centre_on != "origin":
-                hint = "range of the search for the crest; or centre_on: origin"
-                raise invalid("half_width_m", None, "given for lens", hint)
-            if self.half_width_m is not None and self.centre_on == "origin":
-                hint = "there is no search for a crest"
-                raise invalid("half_width_m", self.half_width_m, "left out over the origin", hint)
-            depths = check_screen_depths("screen_depth_m", self.screen_depth_m)
-            check_ring_radius(self.radius_m)
-            check_ring_size(self.rays or DEFAULT_RAYS, self.realizations or 1, depths.size)
-
-    def _check_unused(self) -> None:
-        """Reject settings that have no effect."""
-        for key in UNUSED_SETTINGS.get(self.kind, ()):
-            value = getattr(self, key)
-            if value != type(self).model_fields[key].default:
-                shown = value.model_dump() if isinstance(value, BaseModel) else value
-                raise invalid(f"instrument.{key}", shown, f"left out for {self.kind}")
-        fixed_by = "rays" if self.rays is not None else "bins" if self.estimator == "bins" else ""
-        if fixed_by and self.stderr_scale != 1.0:
-            raise invalid(
-                "instrument.stderr_scale", self.stderr_scale, f"left out with {fixed_by}",
-                "the number of rays is fixed there, not the error",
-            )  # fmt: skip
 
     def get_wavelengths(self) -> np.ndarray:
         """Return the wavelengths (nm)."""
         grid = self.wavelength_nm
-        with key_prefix("instrument"):
-            return check_wavelengths(grid.to_array() if isinstance(grid, WavelengthGrid) else grid)
+        return check_wavelengths(grid.to_array() if isinstance(grid, WavelengthGrid) else grid)
 
-    def count_values(self) -> int:
-        """Return the number of values of a quantity at one point of a grid."""
-        if self.kind == "lens":
-            return len(self.screen_depth_m or ()) * (self.rays or DEFAULT_RAYS)
-        if self.kind == "surface_map":
-            return DEFAULT_POINTS**2
-        n_values = 1
-        if self.kind == "beam_spread":
-            n_values = len(SIDES) * N_MAP_PIXELS**2
-        elif self.estimator == "bins":
-            n_values = math.prod(self.n_bins or DEFAULT_N_BINS)
-        elif self.kind == "goniophotometer":
-            n_values = len(self.polar_deg or POLAR_DEG) * len(self.azimuth_deg or AZIMUTH_DEG)
-        return n_values * self.get_wavelengths().size
+
+class OpticalInstrument(SpectralInstrument):
+    """An instrument that traces light to a target error."""
+
+    incidence_deg: Annotated[
+        float | str,
+        BeforeValidator(_check_incidence, json_schema_input_type=BeamAngle | Literal["diffuse"]),
+    ] = Field(0.0, description="incidence angle of the beam (°), from 0 to 89.9999, or `diffuse`")
+    stderr_scale: float = Field(
+        1.0, ge=0.01, le=100.0,
+        description="factor of the target error of the accuracy; not with `rays` or bins",
+    )  # fmt: skip
+    seed: Seed = None
+
+    @model_validator(mode="after")
+    def _check_stderr_scale(self) -> OpticalInstrument:
+        uses_bins = getattr(self, "estimator", None) == "bins"
+        has_rays = getattr(self, "rays", None) is not None
+        if (has_rays or uses_bins) and self.stderr_scale != 1.0:
+            allowed = f"left out with {'rays' if has_rays else 'bins'}"
+            hint = "the number of rays is fixed there, not the error"
+            raise invalid("stderr_scale", self.stderr_scale, allowed, hint)
+        return self

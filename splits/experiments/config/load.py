@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ValidationError
 
 from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid
-from splits.core.yaml import ConfigError, read_yaml
+from splits.core.yaml import ConfigError, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.figure_limits import check_figure_size
 from splits.experiments.config.medium import apply_bases
-from splits.experiments.config.messages import format_validation_error
+from splits.experiments.config.messages import validate_content
 from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import SAMPLE_KEY
-from splits.experiments.config.unused_settings import (
-    check_replaced_settings,
-    check_unused_keywords,
-    collect_keywords,
-)
+from splits.experiments.config.unused_settings import check_replaced_settings, check_unused_keywords
 from splits.experiments.run_fit import check_fit
 from splits.media.kinds import LAYERS_KEY
 from splits.media.measured_inputs import override_keywords
 from splits.media.named_media import NAMED_MEDIA, read_named_medium
 from splits.retrieval.measurement import MAX_REFLECTANCE
-
-SectionType = TypeVar("SectionType", bound=BaseModel)
 
 MAX_MESSAGE_CHARS = 450
 """Largest number of characters of a message, without the name of its file."""
@@ -59,14 +52,15 @@ def load_experiment(
     ConfigError
         One line that names the file, the key, the value and the allowed values.
     """
+    file = Path(path)
     try:
-        path, media = expand_path(path), expand_path(media_folder, "media_folder")
+        file, media = expand_path(path), expand_path(media_folder, "media_folder")
         measured = expand_path(measured_folder or media.parent / "measured", "measured_folder")
-        return _parse_experiment(path, media, measured)
+        return _parse_experiment(file, media, measured)
     except ConfigError:
         raise
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: {_to_single_line(str(error))}") from None
+        raise ConfigError(locate_message(file, _to_single_line(str(error)))) from None
 
 
 def _to_single_line(text: str) -> str:
@@ -81,9 +75,9 @@ def _to_single_line(text: str) -> str:
 
 def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConfig:
     """Return the experiment of a file; errors need not name the file."""
-    content = {"name": path.stem, **read_yaml(path)}
-    check_replaced_settings(content)
-    keywords = collect_keywords(content)
+    given = read_yaml(path)
+    content = {"name": path.stem, **given}
+    check_replaced_settings(given)
     medium, grid = content.get("medium", {}), content.get("grid")
     if not isinstance(medium, dict):
         raise invalid("medium", medium, "a mapping of keys to values")
@@ -99,9 +93,8 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
             for label, layers in grid[LAYERS_KEY].items()
         }
         content["grid"] = grid | {LAYERS_KEY: stacks}
-    experiment = _validate(ExperimentConfig, content)
-    check_unused_keywords(experiment, keywords)
-    check_figure_size(experiment)
+    experiment = validate_content(ExperimentConfig, content)
+    check_unused_keywords(experiment, given)
     if experiment.figure.measured:
         _check_figure_table(
             experiment, _read_measured("figure.measured", measured, experiment.figure.measured)
@@ -223,7 +216,7 @@ def load_experiments(
             continue
         name = experiment.name
         if name in experiments:
-            errors.append(f"{path}: name = {name!r}: already taken by {files[name]}")
+            errors.append(locate_message(path, f"name = {name!r}: already taken by {files[name]}"))
         experiments[name], files[name] = experiment, path
     if errors:
         raise ConfigError("\n".join(errors))
@@ -242,16 +235,16 @@ def _check_table_paths(path: Path, experiment: ExperimentConfig) -> None:
 
 
 def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -> Settings:
-    """Return the settings of the main configuration, given as a mapping."""
+    """Return the settings of the main configuration, given as a mapping.
+
+    Errors name the line of `origin`, unless the value comes from the command line.
+    """
     try:
-        return _validate(Settings, content)
+        return validate_content(Settings, content)
     except ValueError as error:
-        raise ConfigError(f"{origin}: {_to_single_line(str(error))}") from None
-
-
-def _validate(model: type[SectionType], content: dict[str, Any]) -> SectionType:
-    """Return the model of some content; raise a one-line error for invalid content."""
-    try:
-        return model.model_validate(content)
-    except ValidationError as error:
-        raise ValueError(format_validation_error(model, error)) from None
+        message, path = _to_single_line(str(error)), Path(origin)
+        key = re.split(r"\W", message, maxsplit=1)[0]
+        given = read_yaml(path).get(key) if path.is_file() else None
+        is_in_file = repr(given) == repr(content.get(key))
+        message = locate_message(path, message) if is_in_file else f"{path}: {message}"
+        raise ConfigError(message) from None

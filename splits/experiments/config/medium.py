@@ -67,30 +67,20 @@ def check_grid_layers(
     stacks += [
         settings[LAYERS_KEY] for settings in grid.get(sample, {}).values() if LAYERS_KEY in settings
     ]
-    for parameter in grid:
-        for layers in stacks:
-            check_parameter_path(parameter, layers)
+    paths = {parameter: parse_layer_parameter(parameter) for parameter in grid}
+    for layers in stacks:
+        for parameter, path in paths.items():
+            if path is not None:
+                _check_path(f"grid.{parameter}", *path, layers)
 
 
-def check_parameter_path(parameter: str, layers: list[Mapping[str, Any]]) -> bool:
-    """Return whether a parameter of a grid is a path to a layer; reject an invalid path."""
-    path = parse_layer_parameter(parameter)
-    if path is None:
-        return False
-    number, key = path
+def _check_path(path: str, number: int, key: str, layers: list[Mapping[str, Any]]) -> None:
+    """Reject a path to a missing layer, or to a keyword that a layer does not have."""
     if number >= len(layers):
-        raise invalid(
-            f"grid.{parameter}",
-            f"layer {number}",
-            f"0 to {len(layers) - 1}",
-            "counted from the top",
-        )
+        raise invalid(path, f"layer {number}", f"0 to {len(layers) - 1}", "counted from the top")
     keywords = list_layer_keywords(layers[number], number == 0)
     if key not in keywords:
-        raise unknown_key(
-            f"grid.{parameter}", [f"{LAYERS_KEY}.{number}.{keyword}" for keyword in keywords]
-        )
-    return True
+        raise unknown_key(path, [f"{LAYERS_KEY}.{number}.{keyword}" for keyword in keywords])
 
 
 def apply_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:

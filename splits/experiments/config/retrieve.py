@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from splits.core.validation import (
-    check_choice,
-    check_range,
-    format_key,
-    invalid,
-    key_prefix,
-    snap_to_limits,
+from splits.core.validation import check_choice, format_key, invalid, snap_to_limits
+from splits.experiments.config.sections import (
+    MEASURED_DESCRIPTION,
+    FiniteSection,
+    Interval,
+    MeasuredFile,
+    to_tuple,
 )
-from splits.experiments.config.sections import ConfigSection, check_measured_file
 from splits.tables.axes import INCIDENCE
 
 WAVELENGTH_COLUMN = "wavelength_nm"
@@ -27,31 +26,32 @@ ANGLE_SEPARATOR = "@"
 """Separator between the name of a sample and its angle of incidence."""
 
 
-class NoiseSection(ConfigSection):
-    """Standard errors of measured reflectances: absolute, and relative to the value.
+class NoiseSection(FiniteSection):
+    """Standard errors of measured reflectances: absolute, and relative to the value."""
 
-    Absolute errors are independent; relative ones are correlated over `correlation_nm`, if given.
-    """
-
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    absolute: float = 0.0
-    relative: float = 0.0
-    correlation_nm: float | None = None
+    absolute: float = Field(
+        0.0, ge=0.0, le=1.0,
+        description="standard error in units of reflectance, independent at each wavelength; "
+        "`independent` in Python",
+    )  # fmt: skip
+    relative: float = Field(
+        0.0, ge=0.0, le=1.0,
+        description="standard error as a fraction of the value, correlated over `correlation_nm`; "
+        "in Python `stderr`, in units of reflectance",
+    )  # fmt: skip
+    correlation_nm: float | None = Field(
+        None, gt=0.0, le=1e5,
+        description="correlation length of the relative errors (nm); by default they are "
+        "independent",
+    )  # fmt: skip
 
     @model_validator(mode="after")
     def _check_noise(self) -> NoiseSection:
-        with key_prefix("retrieve.noise"):
-            for key in ("absolute", "relative"):
-                check_range(key, getattr(self, key), 0.0, 1.0)
-            if not self.absolute + self.relative > 0.0:
-                raise invalid("absolute", 0.0, "above 0, or relative", "no measurement is exact")
-            if self.correlation_nm is not None:
-                check_range("correlation_nm", self.correlation_nm, 0.0, 1e5, open_low=True)
-                if not self.relative:
-                    hint = "absolute errors are independent"
-                    raise invalid("correlation_nm", self.correlation_nm,
-                                 "left out without relative", hint)  # fmt: skip
+        if not self.absolute + self.relative > 0.0:
+            raise invalid("absolute", 0.0, "above 0, or relative", "no measurement is exact")
+        if self.correlation_nm is not None and not self.relative:
+            hint = "absolute errors are independent"
+            raise invalid("correlation_nm", self.correlation_nm, "left out without relative", hint)
         return self
 
     def evaluate(self, values: np.ndarray) -> Any:
@@ -63,72 +63,74 @@ class NoiseSection(ConfigSection):
         return correlated | ({"independent": self.absolute} if self.absolute else {})
 
 
-class PriorFromSample(ConfigSection):
-    """A sample that is retrieved first, with some parameters fixed.
-
-    Its posterior of the other parameters is the prior of the samples whose names begin with
-    `applies_to` (by default all).
-    """
-
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    sample: str
-    fixed: dict[str, float | str]
-    applies_to: str = ""
+def _check_noise_type(value: Any) -> Any:
+    if value is None or isinstance(value, dict | NoiseSection):
+        return value
+    allowed = "a mapping such as {relative: 0.01, absolute: 0.003}, or left out"
+    raise invalid("", value, allowed, "without it the misfit gives the errors")
 
 
-class RetrieveSection(ConfigSection):
-    """Measured spectra from which parameters are retrieved with the experiment's table.
+class PriorFromSample(FiniteSection):
+    """A sample that is retrieved first, with some parameters fixed."""
 
-    `measured` names a file of config/measured with a column ``wavelength_nm`` and a column per
-    sample; `samples` selects some of them.  A sample's name may end in its angle of incidence,
-    as ``@50``.  `free`, `fixed` and `prior` are as for `splits.retrieve`.  `exclude_nm` are
-    intervals to leave out, such as absorption bands of water vapour.  `reference_values` are
-    independent values by parameter and sample, shown for comparison.  Without `noise` the
-    measurement error is estimated from the misfit.  `model_axis` is an axis of texts: every sample
-    is retrieved with each of them.  `compare_with` is a published law of snow, with which all
-    samples are retrieved as well.
-    """
+    sample: str = Field(description="name of the sample")
+    fixed: dict[str, float | str] = Field(description="known parameters of the sample")
+    applies_to: str = Field(
+        "", description="beginning of the names of the samples that use its posterior as a prior"
+    )
 
-    model_config = ConfigDict(allow_inf_nan=False)
 
-    measured: str
-    free: dict[str, tuple[float, float]] | tuple[str, ...]
-    noise: NoiseSection | None = None
-    samples: tuple[str, ...] = ()
-    fixed: dict[str, float | str] = Field(default_factory=dict)
-    prior: dict[str, tuple[float, float]] = Field(default_factory=dict)
-    exclude_nm: tuple[tuple[float, float], ...] = ()
-    model_axis: str | None = None
-    compare_with: Literal["kokhanovsky_zege_2004"] | None = None
-    prior_from: tuple[PriorFromSample, ...] = ()
-    reference_values: dict[str, dict[str, float]] = Field(default_factory=dict)
+class RetrieveSection(FiniteSection):
+    """Measured spectra, and the parameters to retrieve with the table of the experiment."""
 
-    @field_validator("measured")
-    @classmethod
-    def _check_measured(cls, value: str) -> str:
-        return check_measured_file("retrieve.measured", value)
-
-    @field_validator("noise", mode="before")
-    @classmethod
-    def _check_noise_type(cls, value: Any) -> Any:
-        if value is None or isinstance(value, dict | NoiseSection):
-            return value
-        allowed = "a mapping such as {relative: 0.01, absolute: 0.003}, or left out"
-        hint = "without it the misfit gives the errors"
-        raise invalid("retrieve.noise", value, allowed, hint)
-
-    @field_validator("prior_from", mode="before")
-    @classmethod
-    def _to_tuple(cls, value: Any) -> Any:
-        return (value,) if isinstance(value, dict) else value
-
-    @model_validator(mode="after")
-    def _check_intervals(self) -> RetrieveSection:
-        for low, high in self.exclude_nm:
-            if not low < high:
-                raise invalid("retrieve.exclude_nm", [low, high], "low < high")
-        return self
+    measured: MeasuredFile = Field(
+        description=f"{MEASURED_DESCRIPTION}; a suffix such as `@50` of a sample's name is its "
+        "incidence angle, which must be in the table"
+    )
+    free: dict[str, tuple[float, float]] | tuple[str, ...] = Field(
+        description="parameters to retrieve, which are axes of the grid or `scale`; a mapping also "
+        "gives their ranges (low, high)"
+    )
+    noise: Annotated[
+        NoiseSection | None,
+        BeforeValidator(_check_noise_type, json_schema_input_type=NoiseSection | None),
+    ] = Field(
+        None, description="standard errors of the measurement, by default estimated from the misfit"
+    )
+    samples: tuple[str, ...] = Field((), description="samples to use; by default all")
+    fixed: dict[str, float | str] = Field({}, description="values of the other axes")
+    prior: dict[str, tuple[float, float]] = Field(
+        {}, description="prior (mean, standard deviation) by parameter"
+    )
+    exclude_nm: tuple[Interval, ...] = Field(
+        (), description="intervals (low, high) of wavelengths to exclude"
+    )
+    model_axis: str | None = Field(
+        None,
+        description="an axis of texts whose values are alternative models; each sample is "
+        "retrieved with all of them",
+    )
+    compare_with: Literal["kokhanovsky_zege_2004"] | None = Field(
+        None,
+        description="a published law for snow, with which the parameters of the samples are also "
+        "retrieved (Kokhanovsky and Zege 2004, as implemented in snowoptics)",
+    )
+    prior_from: Annotated[
+        tuple[PriorFromSample, ...],
+        BeforeValidator(
+            to_tuple, json_schema_input_type=PriorFromSample | tuple[PriorFromSample, ...]
+        ),
+    ] = Field(
+        (),
+        description="a sample (`sample`), or a list of them, that is retrieved first, with the "
+        "parameters of `fixed` known; the marginal posteriors of its other parameters are priors "
+        "of all other samples, or of those whose names begin with `applies_to`",
+    )
+    reference_values: dict[str, dict[str, float]] = Field(
+        {},
+        description="independent values by parameter and sample, shown in the figure for "
+        "comparison",
+    )
 
     def select_spectra(
         self, measured: pd.DataFrame, wavelengths: np.ndarray

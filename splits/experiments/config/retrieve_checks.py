@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from splits.core.validation import check_choice, invalid, key_prefix, snap_to_limits
+from splits.experiments.config.instrument_kinds import TableInstrument
 from splits.experiments.config.retrieve import RetrieveSection, parse_incidence_deg
 from splits.experiments.config.simulation import SimulationConfig
 from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
@@ -27,26 +28,12 @@ LAW_UNSUPPORTED_KEYWORDS = (
 AxisNodes = Mapping[str, tuple[Any, ...]]
 
 
-def check_retrieve_section(
-    experiment: SimulationConfig, section: RetrieveSection, figure_keys: Iterable[str] = ()
-) -> None:
-    """Reject a retrieval that the table of its experiment does not allow.
-
-    Parameters
-    ----------
-    experiment : SimulationConfig
-    section : RetrieveSection
-    figure_keys : iterable of str
-        Settings of the section `figure`, of which a retrieval may have none.
-    """
+def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSection) -> None:
+    """Reject a retrieval that the table of its experiment does not allow."""
     instrument, grid = experiment.instrument, experiment.grid
-    if instrument.kind != "table":
+    if not isinstance(instrument, TableInstrument):
         raise invalid("instrument.kind", instrument.kind, "table with a section retrieve")
-    figure_settings = sorted(figure_keys)
-    if figure_settings:
-        hint = "the figure shows the retrieved parameters"
-        raise invalid("figure", figure_settings, "left out with a section retrieve", hint)
-    if "reflectance" not in (instrument.quantities or ("reflectance",)):
+    if "reflectance" not in instrument.quantities:
         raise invalid("instrument.quantities", instrument.quantities, "with reflectance")
     rows = dict(zip(*experiment.make_axes(), strict=True))
     _check_models(section, rows)
@@ -66,9 +53,6 @@ def check_retrieve_section(
             raise invalid(f"retrieve.fixed.{name}", None, "given", "or make it free")
     for name in section.reference_values:
         check_choice("retrieve.reference_values", name, list(section.free))
-    for name in section.fixed:
-        if name in section.free:
-            raise invalid(f"retrieve.fixed.{name}", section.fixed[name], "left out, as it is free")
     if not [name for name in section.free if name != SCALE]:
         raise invalid("retrieve.free", list(section.free), "at least one parameter of the grid")
     _check_reference_values(section, rows)
@@ -109,7 +93,7 @@ def check_measured_spectra(
 
 def _check_sample_angle(sample: str, experiment: SimulationConfig) -> None:
     """Reject a sample with an angle of incidence other than the single one of the table."""
-    angle, beam = parse_incidence_deg(sample), experiment.instrument.incidence_deg
+    angle, beam = parse_incidence_deg(sample), experiment.instrument.get_incidence()
     if angle is not None and INCIDENCE not in experiment.grid and angle != beam:
         allowed = f"of incidence {beam}, the only one of the table"
         raise invalid("retrieve.samples", sample, allowed, f"or give grid.{INCIDENCE}")

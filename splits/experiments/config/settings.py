@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 import posixpath
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid, suggest_name
 from splits.core.yaml import ConfigError
 from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
-from splits.experiments.config.sections import (
-    MAX_LABEL_CHARS,
-    MAX_TITLE_CHARS,
-    ConfigSection,
-    check_path,
-    check_text,
-)
+from splits.experiments.config.sections import ConfigSection, Label, Title, check_path
 from splits.experiments.studies import AnyStudy
 from splits.experiments.studies.checks import check_studies
 from splits.io.ro_crate import ORCID_URL, Author
@@ -38,46 +33,47 @@ _LICENCE_PATTERN = re.compile(
 class Accuracy(ConfigSection):
     """Target standard errors and the limit of rays of simulations."""
 
-    max_stderr: float = Field(ge=1e-6, le=0.5)
-    relative_stderr: float = Field(default=0.02, ge=1e-4, le=0.5)
-    max_rays: int | None = Field(default=None, ge=1, lt=2**63)
+    max_stderr: float = Field(
+        ge=1e-6, le=0.5, description="largest standard error of a hemispherical quantity"
+    )
+    relative_stderr: float = Field(
+        0.02, ge=1e-4, le=0.5,
+        description="largest relative standard error of a value by direction or position",
+    )  # fmt: skip
+    max_rays: int | None = Field(
+        None, ge=1, lt=2**63,
+        description="largest number of rays per spectrum, or per set of spectra that share paths, "
+        "even if the target error is not reached; by default that of the instrument",
+    )  # fmt: skip
+
+
+def _check_orcid(value: str) -> str:
+    digits = value.removeprefix(ORCID_URL)
+    if not value or _is_orcid(digits):
+        return digits
+    allowed = "an ORCID such as 0000-0002-1825-0097, with a valid check digit"
+    raise invalid("", value, allowed)
 
 
 class ArchiveAuthor(ConfigSection):
     """An author of the results in an archive."""
 
-    name: str
-    orcid: str = ""
-    affiliation: str = ""
-
-    @field_validator("name", "affiliation")
-    @classmethod
-    def _check_text(cls, value: str) -> str:
-        return check_text("archive_authors", value, MAX_TITLE_CHARS)
-
-    @field_validator("orcid")
-    @classmethod
-    def _check_orcid(cls, value: str) -> str:
-        digits = value.removeprefix(ORCID_URL)
-        if not value or _is_orcid(digits):
-            return digits
-        allowed = "an ORCID such as 0000-0002-1825-0097, with a valid check digit"
-        raise invalid("archive_authors.orcid", value, allowed)
+    name: Title = Field(description="name of the author")
+    orcid: Annotated[str, AfterValidator(_check_orcid)] = Field("", description="ORCID")
+    affiliation: Title = Field("", description="institution of the author")
 
 
 def _is_orcid(digits: str) -> bool:
     """Return whether a text is an ORCID with a valid check digit (ISO 7064, MOD 11-2)."""
     if not re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", digits, re.ASCII):
         return False
-    total = 0
-    for digit in digits.replace("-", "")[:-1]:
-        total = 2 * (total + int(digit))
+    total = functools.reduce(lambda x, digit: 2 * (x + int(digit)), digits[:-1].replace("-", ""), 0)
     return digits[-1] == "0123456789X"[(12 - total) % 11]
 
 
 DEFAULT_GROUPS = ("papers", OWN_GROUP)
 """Groups of experiments that are selected by default."""
-EXPLORER_DIRECTION_AXES = ("optical_radius_um", "incidence_deg")
+EXPLORER_AXES = {"optical_radius_um", "incidence_deg"}
 """Grid axes of the experiments that give the explorer's BRDFs."""
 
 
@@ -91,66 +87,102 @@ FOLDER_KEYS = (
 """Settings that are paths of folders."""
 
 
+def _split_names(value: Any) -> Any:
+    # Lists on the command line are separated by commas.
+    if isinstance(value, str) and value not in ("all", "everything"):
+        return tuple(name.strip() for name in value.split(","))
+    return value
+
+
+def _check_folder(value: str) -> str:
+    # Snakemake compares paths as texts, so each file needs a unique spelling.
+    path = posixpath.normpath(str(expand_path(value, ""))) if value else "."
+    if path == ".":
+        raise invalid("", value, "the path of a folder")
+    return check_path("", path)
+
+
+def _check_licence(value: str) -> str:
+    if not _LICENCE_PATTERN.fullmatch(value):
+        raise invalid("", value, "an SPDX identifier such as MIT or CC-BY-4.0, or a URL")
+    return value
+
+
+def _check_accuracy_name(name: str) -> str:
+    if not _ACCURACY_PATTERN.fullmatch(name) or name.lower() in RESULT_FOLDERS:
+        allowed = "letters, digits, _, - and ., none of " + ", ".join(RESULT_FOLDERS)
+        raise invalid("", name, allowed, "it names a folder")
+    return name
+
+
+Folder = Annotated[str, AfterValidator(_check_folder)]
+
+
 class Settings(ConfigSection):
     """The main configuration file."""
 
-    experiments: Literal["everything"] | tuple[str, ...] = DEFAULT_GROUPS
-    accuracy: str = "standard"
-    accuracies: dict[str, Accuracy]
-    seed: int = Field(default=1, ge=0, lt=2**63)
-    experiments_folder: str = "config/experiments"
-    media_folder: str = "config/media"
-    measured_folder: str = "config/measured"
-    published_folder: str = "config/published"
-    results: str = "results"
-    archive: tuple[str, ...] | Literal["all"] = "all"
-    archive_license: str = DEFAULT_LICENCE
-    archive_authors: tuple[ArchiveAuthor, ...] = ()
-    studies: dict[str, AnyStudy] = Field(default_factory=dict)
-    explorer: dict[str, str] = Field(default_factory=dict)
-    explorer_directions: dict[str, str] = Field(default_factory=dict)
-
-    @field_validator("experiments", "archive", mode="before")
-    @classmethod
-    def _split_names(cls, value: Any) -> Any:
-        # Lists on the command line are separated by commas.
-        if isinstance(value, str) and value not in ("all", "everything"):
-            return tuple(name.strip() for name in value.split(","))
-        return value
-
-    @field_validator(*FOLDER_KEYS)
-    @classmethod
-    def _check_folder(cls, value: str, info: ValidationInfo) -> str:
-        key = str(info.field_name)
-        # Snakemake compares paths as texts, so each file needs a unique spelling.
-        path = posixpath.normpath(str(expand_path(value, key))) if value else "."
-        if path == ".":
-            raise invalid(key, value, "the path of a folder")
-        return check_path(key, path)
-
-    @field_validator("archive_license")
-    @classmethod
-    def _check_licence(cls, value: str) -> str:
-        if not _LICENCE_PATTERN.fullmatch(value):
-            allowed = "an SPDX identifier such as MIT or CC-BY-4.0, or a URL"
-            raise invalid("archive_license", value, allowed)
-        return value
-
-    @field_validator("explorer")
-    @classmethod
-    def _check_labels(cls, value: dict[str, str]) -> dict[str, str]:
-        for label in value:
-            check_text("explorer (label)", label, MAX_LABEL_CHARS)
-        return value
-
-    @field_validator("accuracies")
-    @classmethod
-    def _check_accuracy_names(cls, value: dict[str, Accuracy]) -> dict[str, Accuracy]:
-        for name in value:
-            if not _ACCURACY_PATTERN.fullmatch(name) or name.lower() in RESULT_FOLDERS:
-                allowed = "letters, digits, _, - and ., none of " + ", ".join(RESULT_FOLDERS)
-                raise invalid("accuracies", name, allowed, "it names a folder")
-        return value
+    experiments: Annotated[
+        Literal["everything"] | tuple[str, ...],
+        BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
+    ] = Field(
+        DEFAULT_GROUPS,
+        description="names of experiments, and of groups of experiments, which a run makes",
+    )
+    accuracy: str = Field(
+        "standard", description="accuracy level of the run, one of the names under `accuracies`"
+    )
+    accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy] = Field(
+        description="target errors by name"
+    )
+    seed: int = Field(
+        1, ge=0, lt=2**63,
+        description="seed of all random numbers; the same seed gives the same results",
+    )  # fmt: skip
+    experiments_folder: Folder = Field(
+        "config/experiments",
+        description="folder of the experiments; a path without `{ } < >`, like the other folders",
+    )
+    media_folder: Folder = Field("config/media", description="folder of the media")
+    measured_folder: Folder = Field(
+        "config/measured", description="folder of the tables of measured numbers"
+    )
+    published_folder: Folder = Field(
+        "config/published", description="folder of the tables of published numbers"
+    )
+    results: Folder = Field(
+        "results",
+        description="folder of the results; accuracies other than `standard` write to a subfolder "
+        "with their name",
+    )
+    archive: Annotated[
+        tuple[str, ...] | Literal["all"],
+        BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
+    ] = Field(
+        "all",
+        description="experiments in the archive of `snakemake archive`; on the command line with "
+        "commas",
+    )
+    archive_license: Annotated[str, AfterValidator(_check_licence)] = Field(
+        DEFAULT_LICENCE,
+        description="licence of the results in an archive: an SPDX identifier such as `CC-BY-4.0`, "
+        "or a URL",
+    )
+    archive_authors: tuple[ArchiveAuthor, ...] = Field(
+        (),
+        description="authors of the results in an archive, each with `name` and optionally `orcid` "
+        "and `affiliation`",
+    )
+    studies: dict[str, AnyStudy] = Field(
+        default_factory=dict, description="tables and figures made from several experiments"
+    )
+    explorer: dict[Label, str] = Field(
+        default_factory=dict, description="experiments of the tables in `explorer.html`, by label"
+    )
+    explorer_directions: dict[str, str] = Field(
+        default_factory=dict,
+        description="goniophotometers over `optical_radius_um` and `incidence_deg` for tables of "
+        "the explorer, by the same labels",
+    )
 
     @model_validator(mode="after")
     def _check_accuracy(self) -> Settings:
@@ -196,26 +228,21 @@ class Settings(ConfigSection):
     def _check_explorer(self, available: Mapping[str, ExperimentConfig]) -> None:
         """Reject experiments that the explorer cannot show."""
         for label, name in self.explorer.items():
-            if name in available and available[name].instrument.kind != "table":
-                kind = available[name].instrument.kind
-                raise ConfigError(f"explorer.{label} = {name!r}: must be a table (it is a {kind})")
-            rows = dict(zip(*available[name].make_axes(), strict=True)) if name in available else {}
-            for axis, row in rows.items():
+            if name not in available:
+                continue
+            key, kind = f"explorer.{label} = {name!r}", available[name].instrument.kind
+            if kind != "table":
+                raise ConfigError(f"{key}: must be a table (it is a {kind})")
+            for axis, row in zip(*available[name].make_axes(), strict=True):
                 if len(row) < 2 or isinstance(row[0], str):
-                    key = f"explorer.{label} = {name!r}"
                     raise ConfigError(f"{key}: its axis {axis} must have at least two numbers")
         for label, name in self.explorer_directions.items():
-            key = f"explorer_directions.{label} = {name!r}"
+            key, one = f"explorer_directions.{label} = {name!r}", available.get(name)
             if label not in self.explorer:
                 labels = ", ".join(self.explorer) or "none"
                 raise ConfigError(f"{key}: must have the name of a table in explorer ({labels})")
-            if name not in available:
-                continue
-            experiment = available[name]
-            if experiment.instrument.kind != "goniophotometer" or {*experiment.grid} != {
-                *EXPLORER_DIRECTION_AXES
-            }:
-                allowed = f"a goniophotometer over {' and '.join(EXPLORER_DIRECTION_AXES)}"
+            if one and (one.instrument.kind, {*one.grid}) != ("goniophotometer", EXPLORER_AXES):
+                allowed = "a goniophotometer over optical_radius_um and incidence_deg"
                 raise ConfigError(f"{key}: must be {allowed}")
 
     def select_explorer(

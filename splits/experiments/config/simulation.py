@@ -12,25 +12,21 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
-from splits.core.validation import (
-    InvalidValue,
-    check_choice,
-    format_key,
-    invalid,
-    key_prefix,
-    unknown_key,
-)
+from splits.core.validation import InvalidValue, check_choice, format_key, invalid, unknown_key
 from splits.experiments.config.grid import MAX_GRID_POINTS, label_grid
-from splits.experiments.config.instrument import (
-    SURFACE_INSTRUMENTS,
-    USE_GRID_HINT,
-    InstrumentSection,
+from splits.experiments.config.instrument import USE_GRID_HINT, OpticalInstrument
+from splits.experiments.config.instrument_kinds import (
+    AnyInstrument,
+    BeamSpread,
+    Goniophotometer,
+    Spectrophotometer,
+    TableInstrument,
 )
 from splits.experiments.config.medium import (
     MERGED_KEYWORDS,
@@ -42,28 +38,28 @@ from splits.experiments.config.medium import (
     replace_table_paths,
 )
 from splits.experiments.config.sections import ConfigSection, FitSection
-from splits.instruments.next_event import get_detected_layers
 from splits.media.checks import check_thickness
 from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, make_medium
 from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
 from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
-from splits.simulation.scene import (
-    compute_optical_constants,
-    make_height_fields,
-)
+from splits.simulation.scene import compute_optical_constants, make_height_fields
 from splits.tables.axes import ParameterGrid
 
 SAMPLE_KEY = "medium"
 """Grid dimension whose values are media: their settings replace those of the base medium."""
-SEMI_INFINITE_INSTRUMENTS = ("spectrophotometer", "refractive_index", "table")
-"""Instruments for semi-infinite media."""
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
 NAME_RULE = (
     "lower-case letters, digits and underscores, a letter first, no device such as con or nul"
 )
 """Rule for names of experiments, studies and their products: valid file names on all systems."""
+
+
+def _check_name(value: str) -> str:
+    if not NAME_PATTERN.fullmatch(value):
+        raise invalid("", value, NAME_RULE)
+    return value
 
 
 class SimulationConfig(ConfigSection):
@@ -75,23 +71,24 @@ class SimulationConfig(ConfigSection):
     keywords.  All combinations are simulated.
     """
 
-    name: str
-    medium: dict[str, Any] = Field(default_factory=lambda: {"kind": "snow"})
-    instrument: InstrumentSection = InstrumentSection()
-    grid: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    fit: FitSection | None = None
-
-    @field_validator("name")
-    @classmethod
-    def _check_name(cls, value: str) -> str:
-        if not NAME_PATTERN.fullmatch(value):
-            raise invalid("name", value, NAME_RULE)
-        return value
-
-    @field_validator("grid", mode="before")
-    @classmethod
-    def _label_grid(cls, value: Any) -> Any:
-        return label_grid(value)
+    name: Annotated[str, AfterValidator(_check_name)] = Field(
+        json_schema_extra={"pattern": f"^{NAME_PATTERN.pattern}$"},
+        description="name of the experiment, of its files and of its target in the workflow, by "
+        "default that of the file: lower-case letters, digits and underscores, beginning with a "
+        "letter, at most 64; not the name of a rule, of a study or of a product of a study, nor of "
+        "a device such as `con`",
+    )
+    medium: dict[str, Any] = Field(
+        default_factory=lambda: {"kind": "snow"},
+        description="the sample, by default snow of SPLITSnow Table 1",
+    )
+    instrument: AnyInstrument = Field(Spectrophotometer(), description="the virtual instrument")
+    grid: Annotated[dict[str, dict[str, Any]], BeforeValidator(label_grid)] = Field(
+        default_factory=dict, description="parameters that vary"
+    )
+    fit: FitSection | None = Field(
+        None, description="fits a sand to measured spectra instead of simulating given media"
+    )
 
     @model_validator(mode="after")
     def _check_runnable(self) -> SimulationConfig:
@@ -121,16 +118,16 @@ class SimulationConfig(ConfigSection):
         self._check_size()
         wavelengths = self.instrument.get_wavelengths()
         has_ground: set[bool] = set()
-        has_beam = self.instrument.kind in ("goniophotometer", "beam_spread")
         for labels, medium, incidence in self.iter_points():
             with self.locate_errors(labels):
                 if not self.fit:
                     compute_optical_constants(medium, wavelengths)
-                check_beam_angle(incidence) if has_beam else check_incidence(incidence)
+                check = check_beam_angle if self.instrument.MEASURES_BEAM else check_incidence
+                check(incidence)
                 check_thickness(medium)
             self._check_medium(kind, medium)
             has_ground.add(medium.reflecting_ground is not None)
-        if len(has_ground) > 1 and self.instrument.kind == "goniophotometer":
+        if len(has_ground) > 1 and isinstance(self.instrument, Goniophotometer):
             hint = "a BTDF exists only where light leaves the lower boundary"
             raise invalid("grid", "open and reflecting grounds", "of one kind", hint)
         self._check_grid()
@@ -138,23 +135,23 @@ class SimulationConfig(ConfigSection):
 
     def _check_fit(self, kind: str) -> None:
         """Reject settings that a fit does not allow."""
-        if self.fit and self.instrument.kind != "spectrophotometer":
+        if not self.fit:
+            return
+        instrument = self.instrument
+        if not isinstance(instrument, Spectrophotometer):
             allowed = "spectrophotometer with a section fit"
-            raise invalid("instrument.kind", self.instrument.kind, allowed)
-        if self.fit and kind != "sand":
+            raise invalid("instrument.kind", instrument.kind, allowed)
+        if kind != "sand":
             raise invalid("medium.kind", kind, "sand in an experiment with a section fit")
-        if self.fit and "wavelength_nm" in self.instrument.model_fields_set:
-            raise invalid(
-                "instrument.wavelength_nm",
-                "given",
-                "left out: a fit uses the measured wavelengths",
-            )
-        if self.fit and self.instrument.estimator == "analog":
+        if "wavelength_nm" in instrument.model_fields_set:
+            allowed = "left out: a fit uses the measured wavelengths"
+            raise invalid("instrument.wavelength_nm", "given", allowed)
+        if instrument.estimator == "analog":
             raise invalid("instrument.estimator", "analog", "left out: fits reuse paths")
 
     def _check_size(self) -> None:
         """Reject a grid whose dataset would not fit into memory."""
-        if self.instrument.kind == "table":
+        if isinstance(self.instrument, TableInstrument):
             # The blocks of a table are written one by one.
             self.make_axes()
             return
@@ -172,15 +169,16 @@ class SimulationConfig(ConfigSection):
     def _check_grid(self) -> None:
         """Reject grids that an instrument does not allow."""
         instrument = self.instrument
-        if instrument.kind in SURFACE_INSTRUMENTS and "incidence_deg" in self.grid:
+        has_incidence = isinstance(instrument, OpticalInstrument)
+        if not has_incidence and "incidence_deg" in self.grid:
             raise invalid(
                 "grid.incidence_deg", list(self.grid["incidence_deg"].values()),
                 f"left out for {instrument.kind}",
             )  # fmt: skip
-        if "incidence_deg" in self.grid and instrument.incidence_deg != 0.0:
+        if "incidence_deg" in self.grid and instrument.get_incidence() != 0.0:
             allowed = "left out, because grid.incidence_deg sets it"
-            raise invalid("instrument.incidence_deg", instrument.incidence_deg, allowed)
-        if instrument.kind == "beam_spread" and self.grid and instrument.half_width_m is None:
+            raise invalid("instrument.incidence_deg", instrument.get_incidence(), allowed)
+        if isinstance(instrument, BeamSpread) and self.grid and instrument.half_width_m is None:
             raise invalid(
                 "instrument.half_width_m", None, "given where there is a grid",
                 "all maps of one dataset have the same axes",
@@ -194,30 +192,15 @@ class SimulationConfig(ConfigSection):
         is_layer = kind == "particle_layer"
         is_rough = is_layer and make_height_fields(medium) is not None
         instrument = self.instrument
-        if instrument.kind in SURFACE_INSTRUMENTS and not is_rough:
+        if instrument.MEASURES_SURFACE and not is_rough:
             given = kind if not is_layer else "a layer without surface"
             raise invalid("medium.kind", given, f"a layer with a surface for {instrument.kind}")
-        is_traceable = not (medium.is_semi_infinite and medium.lowest_layer.has_grains)
-        if not is_traceable and (
-            instrument.kind not in SEMI_INFINITE_INSTRUMENTS or instrument.estimator == "analog"
-        ):
-            hint = "semi-infinite media require the spectrophotometer and its estimator spectral"
-            raise invalid("medium.depth_m", math.inf, "finite", hint)
-        if instrument.estimator == "next_event":
-            with key_prefix("instrument"):
-                get_detected_layers(medium)
-        if instrument.target == "btdf" and medium.reflecting_ground is not None:
-            raise invalid("instrument.target", "btdf", "brdf over a ground")
+        instrument.check_medium(medium)
         has_wavelengths = "wavelength_nm" in instrument.model_fields_set
-        if (
-            is_layer
-            and not has_wavelengths
-            and instrument.kind not in (*SURFACE_INSTRUMENTS, "refractive_index")
-        ):
-            raise invalid(
-                "instrument.wavelength_nm", None, "given for a layer, for example [550]",
-                "properties of layers do not depend on wavelength",
-            )  # fmt: skip
+        if is_layer and isinstance(instrument, OpticalInstrument) and not has_wavelengths:
+            allowed = "given for a layer, for example [550]"
+            hint = "properties of layers do not depend on wavelength"
+            raise invalid("instrument.wavelength_nm", None, allowed, hint)
 
     def list_table_paths(self) -> list[str]:
         """Return the paths of users' own tables, on which the results depend."""
@@ -245,7 +228,7 @@ class SimulationConfig(ConfigSection):
                 prefix = f"grid.{SAMPLE_KEY}.{labels[SAMPLE_KEY]}"
             else:
                 prefix = "fit" if key in FitSection.model_fields else "medium"
-                prefix = "instrument" if key in InstrumentSection.model_fields else prefix
+                prefix = "instrument" if key in type(self.instrument).model_fields else prefix
             has_several = prefix == "medium" and self._has_several_values(key)
             raise error.add_prefix(prefix, USE_GRID_HINT if has_several else "") from None
 
@@ -266,7 +249,7 @@ class SimulationConfig(ConfigSection):
         for labels in self._iter_labels():
             point_labels = dict(zip(self.grid, labels, strict=True))
             values = {p: self.grid[p][label] for p, label in point_labels.items()}
-            incidence = values.pop("incidence_deg", self.instrument.incidence_deg)
+            incidence = values.pop("incidence_deg", self.instrument.get_incidence())
             yield point_labels, self.merge_settings(base, values), incidence
 
     def _iter_labels(self) -> Iterator[tuple[str, ...]]:
@@ -274,7 +257,7 @@ class SimulationConfig(ConfigSection):
 
         All points of a table are checked when it is built.
         """
-        if self.instrument.kind != "table":
+        if not isinstance(self.instrument, TableInstrument):
             yield from itertools.product(*self.grid.values())
             return
         first = [next(iter(values)) for values in self.grid.values()]

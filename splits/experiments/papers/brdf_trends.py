@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.directions import select_principal_plane
-from splits.experiments.papers.snow_trends import make_significance_row
+from splits.experiments.papers.snow_trends import compute_differences, make_significance_row
 
 FORWARD_PEAK_ANGLES_DEG = (45.0, 82.5)
 """Range of viewing angles (degrees) in which the forward peak is searched."""
@@ -67,45 +67,24 @@ def make_brdf_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
 def _make_incidence_rows(plane: xr.Dataset) -> list[dict[str, object]]:
     value, error = compute_relative_range(plane.sel(incidence_deg=0.0), 60.0)
     height, height_error = compute_forward_peak(plane)
-    rows = [
-        make_significance_row(
-            f"nearly Lambertian at 0°, {_format_wavelength(plane)}: "
-            f"{MAX_LAMBERTIAN_RANGE:g} less the relative range within 60°",
-            "Fig 19",
-            MAX_LAMBERTIAN_RANGE - np.atleast_1d(value),
-            np.atleast_1d(error),
-        )
-    ]
-    for i, angle in enumerate(plane.incidence_deg.values[1:], start=1):
-        rows.append(
-            make_significance_row(
-                f"forward peak above the nadir at {angle:g}°, {_format_wavelength(plane)}",
-                "Fig 19",
-                np.atleast_1d(height[i]),
-                np.atleast_1d(height_error[i]),
-            )
-        )
-    angles = ", ".join(f"{angle:g}°" for angle in plane.incidence_deg.values)
+    wavelength, limit = _format_wavelength(plane), MAX_LAMBERTIAN_RANGE
+    statement = f"nearly Lambertian at 0°, {wavelength}: {limit:g} less the relative range"
+    rows = [make_significance_row(f"{statement} within 60°", "Fig 19", limit - value, error)]
+    angles = [f"{angle:g}°" for angle in plane.incidence_deg.values]
+    for i, angle in enumerate(angles[1:], start=1):
+        statement = f"forward peak above the nadir at {angle}, {wavelength}"
+        rows.append(make_significance_row(statement, "Fig 19", height[i], height_error[i]))
     side = plane.sel(angle=60.0)
-    ratio, error = _normalize_by_nadir(side.brdf.values, side.brdf_stderr.values, plane)
-    rows.append(
-        make_significance_row(
-            f"forward side (60°) over the nadir rises with incidence, {angles}: smallest step",
-            "Fig 19",
-            np.diff(ratio),
-            np.hypot(error[1:], error[:-1]),
-        )
-    )
-    for i in range(2, len(height)):
-        low, high = (f"{plane.incidence_deg.values[k]:g}°" for k in (i - 1, i))
-        rows.append(
-            make_significance_row(
-                f"forward peak higher at {high} than at {low}, {_format_wavelength(plane)}",
-                "Fig 19",
-                np.atleast_1d(height[i] - height[i - 1]),
-                np.atleast_1d(np.hypot(height_error[i], height_error[i - 1])),
-            )
-        )
+    ratios = _normalize_by_nadir(side.brdf.values, side.brdf_stderr.values, plane)
+    statement = f"forward side (60°) over the nadir rises with incidence, {', '.join(angles)}"
+    steps = compute_differences(*ratios)
+    rows.append(make_significance_row(f"{statement}: smallest step", "Fig 19", *steps))
+    for i, (step, step_error) in enumerate(
+        zip(*compute_differences(height, height_error), strict=True)
+    ):
+        if i:
+            statement = f"forward peak higher at {angles[i + 1]} than at {angles[i]}, {wavelength}"
+            rows.append(make_significance_row(statement, "Fig 19", step, step_error))
     return rows
 
 
@@ -119,19 +98,11 @@ def _make_grazing_rows(plane: xr.Dataset) -> list[dict[str, object]]:
     ratio, error = _normalize_by_nadir(top.brdf.values, top.brdf_stderr.values, plane)
     *all_but_last, last = (f"{angle:g}" for angle in plane.incidence_deg.values)
     angles = " and ".join(filter(None, [", ".join(all_but_last), last]))
+    darker = f"nadir darker than the limb at {angles}°, {_format_wavelength(plane)}: smallest"
+    more = "the more so the larger the incidence: smallest step"
     return [
-        make_significance_row(
-            f"nadir darker than the limb at {angles}°, {_format_wavelength(plane)}: smallest",
-            "Fig 16",
-            ratio - 1.0,
-            error,
-        ),
-        make_significance_row(
-            "the more so the larger the incidence: smallest step",
-            "Fig 16",
-            np.diff(ratio),
-            np.hypot(error[1:], error[:-1]),
-        ),
+        make_significance_row(darker, "Fig 16", ratio - 1.0, error),
+        make_significance_row(more, "Fig 16", *compute_differences(ratio, error)),
     ]
 
 
@@ -142,16 +113,11 @@ def _make_wavelength_rows(plane: xr.Dataset) -> list[dict[str, object]]:
     excess = np.array([float(s.brdf - nadir.brdf) for s in sides])
     errors = np.array([float(np.hypot(s.brdf_stderr, nadir.brdf_stderr)) for s in sides])
     value, error = compute_relative_range(plane.sel(wavelength=[600.0, 1800.0]), 82.5)
+    darker = "nadir darkening at 1800 nm: below both sides at 60°"
+    larger = "relative range larger at 1800 nm than at 600 nm"
     return [
-        make_significance_row(
-            "nadir darkening at 1800 nm: below both sides at 60°", "Fig 17", excess, errors
-        ),
-        make_significance_row(
-            "relative range larger at 1800 nm than at 600 nm",
-            "Fig 18",
-            np.atleast_1d(value[1] - value[0]),
-            np.atleast_1d(np.hypot(*error)),
-        ),
+        make_significance_row(darker, "Fig 17", excess, errors),
+        make_significance_row(larger, "Fig 18", value[1] - value[0], np.hypot(*error)),
     ]
 
 
@@ -161,55 +127,23 @@ def _make_grain_size_rows(planes: Mapping[str, xr.Dataset]) -> list[dict[str, ob
     At 600 nm the heights above the nadir are compared as well: coarse grains transmit more light.
     """
     uniform = "Fig 20, size_sampling: uniform"
+    smallest, largest = "fine grains have the smallest peak", "fine grains have the largest peak"
+    least = "fine grains' peak is least above the nadir"
     rows = []
     for role, sign, place, statement, measure in (
-        ("grain_size", -1.0, "Fig 20", "fine grains have the smallest peak", _find_forward_maximum),
-        (
-            "grain_size_uniform",
-            -1.0,
-            uniform,
-            "fine grains have the smallest peak",
-            _find_forward_maximum,
-        ),
-        (
-            "grain_size",
-            -1.0,
-            "Fig 20",
-            "fine grains' peak is least above the nadir",
-            compute_forward_peak,
-        ),
-        (
-            "grain_size_uniform",
-            -1.0,
-            uniform,
-            "fine grains' peak is least above the nadir",
-            compute_forward_peak,
-        ),
-        (
-            "grain_size_infrared",
-            +1.0,
-            "Fig 21",
-            "fine grains have the largest peak",
-            _find_forward_maximum,
-        ),
+        ("grain_size", -1.0, "Fig 20", smallest, _find_forward_maximum),
+        ("grain_size_uniform", -1.0, uniform, smallest, _find_forward_maximum),
+        ("grain_size", -1.0, "Fig 20", least, compute_forward_peak),
+        ("grain_size_uniform", -1.0, uniform, least, compute_forward_peak),
+        ("grain_size_infrared", +1.0, "Fig 21", largest, _find_forward_maximum),
     ):
-        if role not in planes:
-            continue
-        plane = planes[role].isel(wavelength=0)
-        value, error = measure(plane)
-        rows.append(
-            make_significance_row(
-                f"forward, {float(plane.wavelength):g} nm: {statement}",
-                place,
-                sign * (value[-1] - value[:-1]),
-                np.hypot(error[-1], error[:-1]),
-            )
-        )
+        if role in planes:
+            plane = planes[role].isel(wavelength=0)
+            value, error = measure(plane)
+            excess, excess_error = sign * (value[-1] - value[:-1]), np.hypot(error[-1], error[:-1])
+            statement = f"forward, {_format_wavelength(plane)}: {statement}"
+            rows.append(make_significance_row(statement, place, excess, excess_error))
     return rows
-
-
-def _format_incidence(plane: xr.Dataset) -> str:
-    return f"{float(plane.attrs['incidence_deg']):g}°"
 
 
 def _format_wavelength(plane: xr.Dataset) -> str:
@@ -235,15 +169,12 @@ def _find_forward_maximum(plane: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
 
 def _make_facetness_rows(plane: xr.Dataset) -> list[dict[str, object]]:
     value, error = compute_relative_range(plane, 75.0)
-    return [
-        make_significance_row(
-            "low facetness varies most with the angle, "
-            f"{_format_incidence(plane)}, {_format_wavelength(plane)}",
-            "Fig 22",
-            value[0] - value[1:],
-            np.hypot(error[0], error[1:]),
-        )
-    ]
+    incidence = f"{float(plane.attrs['incidence_deg']):g}°"
+    statement = (
+        f"low facetness varies most with the angle, {incidence}, {_format_wavelength(plane)}"
+    )
+    excess, excess_error = value[0] - value[1:], np.hypot(error[0], error[1:])
+    return [make_significance_row(statement, "Fig 22", excess, excess_error)]
 
 
 def _make_sand_rows(plane: xr.Dataset) -> list[dict[str, object]]:
@@ -253,13 +184,8 @@ def _make_sand_rows(plane: xr.Dataset) -> list[dict[str, object]]:
     rows = []
     for statement, angle in (("forward scattering", 75.0), ("retro-reflection", -60.0)):
         side = part.sel(angle=angle)
-        rows.append(
-            make_significance_row(
-                f"sand, {statement} at 60° incidence, {_format_wavelength(plane)}: "
-                f"{angle:g}° above the nadir",
-                "SPLITS Fig 11",
-                np.atleast_1d(float(side.brdf - nadir.brdf)),
-                np.atleast_1d(float(np.hypot(side.brdf_stderr, nadir.brdf_stderr))),
-            )
-        )
+        statement = f"sand, {statement} at 60° incidence, {_format_wavelength(plane)}"
+        excess, error = side.brdf - nadir.brdf, np.hypot(side.brdf_stderr, nadir.brdf_stderr)
+        text = f"{statement}: {angle:g}° above the nadir"
+        rows.append(make_significance_row(text, "SPLITS Fig 11", excess, error))
     return rows

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -101,6 +101,16 @@ class RankedCombination:
     values: StatementValues = field(default_factory=dict)
     n_stages: int = 0
     min_misfit: float = 0.0
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all stages are simulated."""
+        return self.n_stages == len(STAGES)
+
+    def describe(self, names: Iterable[str]) -> str:
+        """Return the choices of some fields of the interpretation."""
+        fields = self.run.interpretation.as_dict()
+        return ", ".join(f"{name}: {fields[name]}" for name in names)
 
     def is_consistent_with(self, stated_choices: Mapping[str, str]) -> bool:
         """Return whether the interpretation agrees with the choices that a text states."""

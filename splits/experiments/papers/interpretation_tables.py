@@ -16,7 +16,6 @@ from splits.experiments.papers.interpretation_ranking import (
 )
 from splits.experiments.papers.interpretation_runs import WATER_TABLES
 from splits.experiments.papers.misfit import PublishedStatement
-from splits.experiments.papers.snow_statements import STAGES
 
 STATEMENT_GROUPS = {
     "Table 3": ("table3",),
@@ -43,7 +42,7 @@ def make_ranking_table(
     """
     rows = []
     for combination in combinations:
-        complete = combination.n_stages == len(STAGES)
+        complete = combination.is_complete
         matches = combination.find_best_matches(stated)
         order = _sort_waters(matches)
         for water in order if complete else order[:1]:
@@ -102,10 +101,9 @@ def make_statement_table(
         Fields of the interpretation that identify combinations.
     """
     rows = []
-    complete = [combination for combination in combinations if combination.n_stages == len(STAGES)]
+    complete = [combination for combination in combinations if combination.is_complete]
     for number, combination in enumerate(complete, start=1):
-        fields = combination.run.interpretation.as_dict()
-        label = ", ".join(f"{name}: {fields[name]}" for name in names)
+        label = combination.describe(names)
         matches = combination.find_best_matches(stated)
         for index, (water, (name, statement)) in enumerate(
             itertools.product(_sort_waters(matches), stated.items())
@@ -143,7 +141,7 @@ def make_leave_out_table(
     margin_stderr, the difference of the two misfits, for complete combinations.
     """
     rows = []
-    complete = [combination for combination in combinations if combination.n_stages == len(STAGES)]
+    complete = [combination for combination in combinations if combination.is_complete]
     for group, prefixes in {"nothing": (), **STATEMENT_GROUPS}.items():
         statements = {
             name: statement
@@ -156,9 +154,7 @@ def make_leave_out_table(
                 (match.misfit for match in combination.find_best_matches(statements)),
                 key=lambda misfit: misfit.total,
             )
-            fields = combination.run.interpretation.as_dict()
-            label = ", ".join(f"{key}: {fields[key]}" for key in names)
-            best.append((nearest, label))
+            best.append((nearest, combination.describe(names)))
         best.sort(key=lambda pair: pair[0].total)
         if len(best) < 2:
             continue
@@ -180,7 +176,7 @@ def find_differing_keys(combinations: Sequence[RankedCombination]) -> list[str]:
     interpretations = [
         combination.run.interpretation.as_dict()
         for combination in combinations
-        if combination.n_stages == len(STAGES)
+        if combination.is_complete
     ]
     return [
         name

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from splits.analysis.directions import select_principal_plane
-from splits.experiments.papers.snow_trends import make_significance_row
+from splits.experiments.papers.snow_trends import compute_differences, make_significance_row
 
 MAX_ANGLE_DEG = 75.0
 """Largest viewing angle (degrees) at which curves are compared."""
@@ -53,24 +53,18 @@ def _select_plane(dataset: xr.Dataset) -> xr.Dataset:
 def _make_lens_row(dataset: xr.Dataset) -> dict[str, object]:
     """Return the comparison of the densest image of a ring above a crest with the ring."""
     best = dataset.isel(screen_depth=dataset.concentration.argmax("screen_depth"))
-    return make_significance_row(
-        "statistical lens: inverse mean square size of a ring's image "
-        f"{float(best.screen_depth):g} m below a crest, above 1 by",
-        "Fig 2",
-        best.concentration.values - 1.0,
-        best.concentration_stderr.values,
-    )
+    place = f"{float(best.screen_depth):g} m below a crest"
+    statement = f"statistical lens: inverse mean square size of a ring's image {place}, above 1 by"
+    excess, error = best.concentration - 1.0, best.concentration_stderr
+    return make_significance_row(statement, "Fig 2", excess, error)
 
 
 def _make_volume_row(plane: xr.Dataset) -> dict[str, object]:
     """Return the comparison of a surface above a volume with the surface only."""
     both, surface = (plane.sel(medium=name) for name in ("surface and volume", "surface only"))
-    return make_significance_row(
-        "very rough glass: BRDF (1/sr) that the volume adds, where least significant",
-        "Fig 3",
-        (both.brdf - surface.brdf).values,
-        np.hypot(both.brdf_stderr, surface.brdf_stderr).values,
-    )
+    statement = "very rough glass: BRDF (1/sr) that the volume adds, where least significant"
+    error = np.hypot(both.brdf_stderr, surface.brdf_stderr)
+    return make_significance_row(statement, "Fig 3", both.brdf - surface.brdf, error)
 
 
 def _make_change_row(
@@ -90,11 +84,7 @@ def _make_change_row(
 
 def _make_band_limit_row(dataset: xr.Dataset) -> dict[str, object]:
     """Return the smallest decrease of reflectance with the band limit."""
-    value = dataset.reflectance.isel(wavelength=0).values
-    error = dataset.reflectance_stderr.isel(wavelength=0).values
-    return make_significance_row(
-        "exponential correlation: reflectance falls as the band limit rises: smallest step",
-        "Eq 3",
-        -np.diff(value),
-        np.hypot(error[1:], error[:-1]),
-    )
+    part = dataset.isel(wavelength=0)
+    steps = compute_differences(-part.reflectance.values, part.reflectance_stderr.values)
+    statement = "exponential correlation: reflectance falls as the band limit rises: smallest step"
+    return make_significance_row(statement, "Eq 3", *steps)

@@ -9,13 +9,7 @@ from matplotlib.lines import Line2D
 
 from splits.experiments.papers.performance import METHODS, SCALED, THEORIES
 from splits.plotting.annotations import annotate_figure
-from splits.plotting.style import (
-    TWO_COLUMNS_INCHES,
-    Colour,
-    make_subplots,
-    pick_colours,
-    use_style,
-)
+from splits.plotting.style import TWO_COLUMNS_INCHES, Colour, make_subplots, pick_colours, use_style
 
 METHOD_MARKERS = ("s", "D", "v", "^", "o", "P", "X")
 THEORY_GREYS = ("0.15", "0.5")

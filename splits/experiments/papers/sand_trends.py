@@ -12,6 +12,7 @@ import xarray as xr
 from splits.core.uncertainty import compute_band_error, compute_weighted_error, make_band_weights
 from splits.experiments.papers.snow_trends import (
     compute_band_mean,
+    compute_differences,
     make_monotone_row,
     make_significance_row,
 )
@@ -65,16 +66,10 @@ def _make_rise_rows(samples: xr.Dataset) -> list[dict[str, object]]:
             float(compute_weighted_error(part, "reflectance", after - before))
             for before, after in itertools.pairwise(weights)
         ]
-        rows.append(
-            make_significance_row(
-                f"reflectance of {sample} rises over bands "
-                + ", ".join(f"{low}-{high}" for low, high in RISING_BANDS_NM)
-                + " nm: smallest step",
-                "section 2.1, Fig 6",
-                np.diff(means),
-                np.array(errors),
-            )
-        )
+        bands = ", ".join(f"{low}-{high}" for low, high in RISING_BANDS_NM)
+        statement = f"reflectance of {sample} rises over bands {bands} nm: smallest step"
+        place = "section 2.1, Fig 6"
+        rows.append(make_significance_row(statement, place, np.diff(means), errors))
     return rows
 
 
@@ -89,12 +84,9 @@ def _make_reddening_row(dataset: xr.Dataset) -> dict[str, object]:
     )
     ratio = (red / green).values
     error = ratio * compute_weighted_error(dataset, "reflectance", slope).values
-    return make_significance_row(
-        "hematite for goethite shifts to the red: ratio of 620-700 to 480-560 nm, smallest step",
-        "Fig 8",
-        np.diff(ratio),
-        np.hypot(error[1:], error[:-1]),
-    )
+    statement = "hematite for goethite shifts to the red: ratio of 620-700 to 480-560 nm"
+    steps = compute_differences(ratio, error)
+    return make_significance_row(f"{statement}, smallest step", "Fig 8", *steps)
 
 
 def make_shift_table(dataset: xr.Dataset, dimension: str, reference: str | float) -> pd.DataFrame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,10 @@ QUANTITY_CONDITIONS: dict[str, dict[str, Any]] = {
     "transmittance": {"depth_m": 0.02, "wavelength_nm": (400.0, 1420.0)},
 }
 """Depth and wavelengths for each quantity in SPLITSnow sections 5.2.2 and 5.4."""
+COLUMNS = [
+    "parameter", "quantity", "interpretation", "low", "high", "chosen", "msi", "msi_stderr",
+    "msi_resolved", "resolved_fraction",
+]  # fmt: skip
 
 
 def compute_pair_sensitivity(
@@ -57,8 +62,7 @@ def make_sensitivity_table(
     Returns
     -------
     pandas.DataFrame
-        Columns parameter, quantity, interpretation, low, high, chosen, msi, msi_stderr,
-        msi_resolved, resolved_fraction.
+        With `COLUMNS`.
     """
     rows = []
     for name, pair in pairs.items():
@@ -71,7 +75,7 @@ def make_sensitivity_table(
                 for high in values[position + 1 :]:
                     index = compute_pair_sensitivity(ranges, dimension, low, high, quantity)
                     chosen = _is_same_label(low, pair["low"]) and _is_same_label(high, pair["high"])
-                    rows.append(_make_row(name, quantity, "default", low, high, chosen, index))
+                    rows.append((name, quantity, "default", low, high, chosen, *astuple(index)))
             if interpretation is None:
                 continue
             # The experiment over ranges has the default interpretation.
@@ -81,8 +85,8 @@ def make_sensitivity_table(
                 part = select_points(interpretation, {"interpretation": str(label)})
                 low, high = part[dimension].values[[0, -1]]
                 index = compute_pair_sensitivity(part, dimension, low, high, quantity)
-                rows.append(_make_row(name, quantity, str(label), low, high, False, index))
-    return pd.DataFrame(rows)
+                rows.append((name, quantity, str(label), low, high, False, *astuple(index)))
+    return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def select_chosen_sensitivities(
@@ -153,26 +157,3 @@ def _is_same_label(value: Any, label: Any) -> bool:
     if isinstance(value, (int, float, np.number)):
         return bool(np.isclose(float(value), float(label)))
     return str(value) == str(label)
-
-
-def _make_row(
-    parameter: str,
-    quantity: str,
-    interpretation: str,
-    low: Any,
-    high: Any,
-    chosen: bool,
-    sensitivity: SensitivityIndex,
-) -> dict[str, Any]:
-    return {
-        "parameter": parameter,
-        "quantity": quantity,
-        "interpretation": interpretation,
-        "low": low,
-        "high": high,
-        "chosen": chosen,
-        "msi": sensitivity.index,
-        "msi_stderr": sensitivity.stderr,
-        "msi_resolved": sensitivity.index_resolved,
-        "resolved_fraction": sensitivity.resolved_fraction,
-    }

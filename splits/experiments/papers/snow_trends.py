@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -32,10 +33,15 @@ def compute_steps(
     means = compute_band_mean(dataset, quantity, low, high)
     mean = means.values
     error = compute_band_error(dataset, quantity, low, high).transpose(*means.dims).values
-    axis = means.dims.index(dimension)
-    before = np.delete(error, -1, axis=axis)
-    after = np.delete(error, 0, axis=axis)
-    return np.diff(mean, axis=axis), np.hypot(after, before)
+    return compute_differences(mean, error, means.dims.index(dimension))
+
+
+def compute_differences(
+    value: np.ndarray, error: np.ndarray, axis: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the differences of successive independent values along an axis, and their errors."""
+    before, after = np.delete(error, -1, axis=axis), np.delete(error, 0, axis=axis)
+    return np.diff(value, axis=axis), np.hypot(after, before)
 
 
 def make_snow_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, object]]:
@@ -79,24 +85,15 @@ def make_snow_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
 def make_ranking_rows(sensitivities: xr.Dataset) -> list[dict[str, object]]:
     """Return one row per step of the ranking of sensitivities of reflectance (Table 2)."""
     reflectance = sensitivities.sel(quantity="reflectance")
-    ranking = [
-        ("grain_size", "facetness"),
-        ("grain_size", "density"),
-        ("saturation", "density"),
-        ("facetness", "density"),
-    ]
     rows = []
-    for stronger, weaker in ranking:
+    for stronger, weaker in (
+        ("grain_size", "facetness"), ("grain_size", "density"), ("saturation", "density"),
+        ("facetness", "density"),
+    ):  # fmt: skip
         a, b = (reflectance.sel(parameter=p) for p in (stronger, weaker))
-        rows.append(
-            make_significance_row(
-                f"MSI of reflectance: {stronger.replace('_', ' ')} above "
-                f"{weaker.replace('_', ' ')}",
-                "Table 2",
-                np.atleast_1d(float(a.msi - b.msi)),
-                np.atleast_1d(float(np.hypot(a.msi_stderr, b.msi_stderr))),
-            )
-        )
+        statement = f"MSI of reflectance: {stronger} above {weaker}".replace("_", " ")
+        error = np.hypot(a.msi_stderr, b.msi_stderr)
+        rows.append(make_significance_row(statement, "Table 2", a.msi - b.msi, error))
     return rows
 
 
@@ -107,21 +104,12 @@ REFLECTANCE_PEAKS_NM = {1800.0: (1500.0, 2000.0), 2250.0: (2000.0, 2500.0)}
 def _make_row(
     quantity: str, place: str, value: float, error: float, within: bool, bar: str
 ) -> dict[str, object]:
-    return {
-        "id": "trend",
-        "quantity": quantity,
-        "place": place,
-        "ours": value,
-        "stderr": error,
-        "bar": bar,
-        "verdict": "agrees" if within else "outside",
-    }
+    row = {"id": "trend", "quantity": quantity, "place": place, "ours": value, "stderr": error}
+    return {**row, "bar": bar, "verdict": "agrees" if within else "outside"}
 
 
-def make_significance_row(
-    quantity: str, place: str, value: np.ndarray, error: np.ndarray
-) -> dict[str, object]:
-    """Return the row of the least significant of several values expected to be positive.
+def make_significance_row(quantity: str, place: str, value: Any, error: Any) -> dict[str, object]:
+    """Return the row of the least significant of some values expected to be positive.
 
     Columns are id, quantity, place, ours, stderr, bar, verdict.  The trend agrees if the value
     exceeds `MIN_TREND_SIGMA` standard errors.
@@ -129,9 +117,8 @@ def make_significance_row(
     value, error = np.ravel(value), np.ravel(error)
     worst = int(np.argmin(value / error))
     v, e = float(value[worst]), float(error[worst])
-    row = _make_row(
-        quantity, place, v, e, v > MIN_TREND_SIGMA * e, f"above {MIN_TREND_SIGMA:g} standard errors"
-    )
+    bar = f"above {MIN_TREND_SIGMA:g} standard errors"
+    row = _make_row(quantity, place, v, e, v > MIN_TREND_SIGMA * e, bar)
     if not abs(v) > MIN_TREND_SIGMA * e:
         row["verdict"] = UNRESOLVED_VERDICT
     return row
@@ -156,18 +143,13 @@ def _make_facetness_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
     ends = dataset.isel(facetness=[0, -1])
     rise, rise_error = compute_steps(ends, "reflectance", "facetness", 700, 1300)
     worst = int(np.argmin(step / error))
+    value, stderr = float(step[worst]), float(error[worst])
+    rises = "reflectance rises from least to most facetness, 700-1300 nm"
+    never_falls = "reflectance never falls with facetness, 700-1300 nm: smallest step"
+    is_met, bar = value > -MIN_TREND_SIGMA * stderr, f"above -{MIN_TREND_SIGMA:g} standard errors"
     return [
-        make_significance_row(
-            "reflectance rises from least to most facetness, 700-1300 nm", "Fig 9", rise, rise_error
-        ),
-        _make_row(
-            "reflectance never falls with facetness, 700-1300 nm: smallest step",
-            "Fig 9",
-            float(step[worst]),
-            float(error[worst]),
-            bool(step[worst] > -MIN_TREND_SIGMA * error[worst]),
-            f"above -{MIN_TREND_SIGMA:g} standard errors",
-        ),
+        make_significance_row(rises, "Fig 9", rise, rise_error),
+        _make_row(never_falls, "Fig 9", value, stderr, is_met, bar),
     ]
 
 
@@ -176,12 +158,9 @@ def _make_band_comparison_row(dataset: xr.Dataset) -> dict[str, object]:
     ends = dataset.isel(grain_size_um=[0, -1])
     infrared, infrared_error = compute_steps(ends, "reflectance", "grain_size_um", 700, 1300)
     visible, visible_error = compute_steps(ends, "reflectance", "grain_size_um", 400, 700)
-    return make_significance_row(
-        "reflectance falls more with grain size in 700-1300 nm than in 400-700 nm",
-        "Fig 8",
-        visible - infrared,
-        np.hypot(infrared_error, visible_error),
-    )
+    statement = "reflectance falls more with grain size in 700-1300 nm than in 400-700 nm"
+    error = np.hypot(infrared_error, visible_error)
+    return make_significance_row(statement, "Fig 8", visible - infrared, error)
 
 
 def _make_peak_row(
@@ -190,12 +169,9 @@ def _make_peak_row(
     part = dataset.sel(wavelength=[left, peak, right])
     r, e = part.reflectance.values, part.reflectance_stderr.values
     height = np.minimum(r[..., 1] - r[..., 0], r[..., 1] - r[..., 2])
-    return make_significance_row(
-        f"reflectance peaks at {peak:g} nm between {left:g} and {right:g} nm: smallest height",
-        "Fig 8",
-        height,
-        np.linalg.norm(e, axis=-1),
-    )
+    statement = f"reflectance peaks at {peak:g} nm between {left:g} and {right:g} nm"
+    error = np.linalg.norm(e, axis=-1)
+    return make_significance_row(f"{statement}: smallest height", "Fig 8", height, error)
 
 
 def _make_depth_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
@@ -208,29 +184,13 @@ def _make_depth_rows(dataset: xr.Dataset) -> list[dict[str, object]]:
         ratio = t[i + 1] / t[i]
         error = ratio * np.hypot(e[i + 1] / t[i + 1], e[i] / t[i])
         ratio_errors.append(error)
-        rows.append(
-            _make_row(
-                f"transmittance, 400-700 nm, {2e3 * depth:g} mm over {1e3 * depth:g} mm: "
-                "approximately half",
-                "Fig 11",
-                float(ratio),
-                float(error),
-                0.35 <= ratio <= 0.65,
-                "0.35 to 0.65",
-            )
-        )
+        depths = f"{2e3 * depth:g} mm over {1e3 * depth:g} mm"
+        statement = f"transmittance, 400-700 nm, {depths}: approximately half"
+        is_met, bar = 0.35 <= ratio <= 0.65, "0.35 to 0.65"
+        rows.append(_make_row(statement, "Fig 11", float(ratio), float(error), is_met, bar))
     infrared = dataset.isel(depth_m=[0, 1]).sel(wavelength=1030)
     (shallow, deep), (e0, e1) = infrared.transmittance.values, infrared.transmittance_stderr.values
     drop = deep / shallow
-    visible = t[1] / t[0]
-    error = np.hypot(e1, drop * e0) / shallow
-    value = np.atleast_1d(float(visible - drop))
-    rows.append(
-        make_significance_row(
-            "doubling the depth cuts transmittance more at 1030 nm than in 400-700 nm",
-            "Fig 11",
-            value,
-            np.atleast_1d(np.hypot(error, ratio_errors[0])),
-        )
-    )
-    return rows
+    error = np.hypot(np.hypot(e1, drop * e0) / shallow, ratio_errors[0])
+    statement = "doubling the depth cuts transmittance more at 1030 nm than in 400-700 nm"
+    return [*rows, make_significance_row(statement, "Fig 11", t[1] / t[0] - drop, error)]

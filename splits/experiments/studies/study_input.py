@@ -10,6 +10,7 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.instrument_kinds import Goniophotometer
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,9 @@ def check_input(name: str, experiment: ExperimentConfig, required: StudyInput) -
     ):
         low, high = required.band_nm
         raise make_error(f"an experiment over wavelengths from {low:g} to {high:g} nm")
-    has_own_directions = instrument.polar_deg or instrument.estimator == "bins"
-    if required.instrument == "goniophotometer" and has_own_directions:
+    if isinstance(instrument, Goniophotometer) and (
+        instrument.polar_deg or instrument.estimator == "bins"
+    ):
         raise make_error("an experiment with the usual polar_deg")
 
 

@@ -213,5 +213,5 @@ def test_table_files_with_wildcard_characters_are_rejected(tmp_path):
 
 def test_labels_of_the_explorer_are_one_line():
     content = {"accuracies": {"standard": {"max_stderr": 0.01}}, "explorer": {"a\nb": "deep"}}
-    with pytest.raises(ConfigError, match=r"explorer \(label\) = .*control characters"):
+    with pytest.raises(ConfigError, match=r"explorer \(key\) = .*control characters"):
         load_settings(content)

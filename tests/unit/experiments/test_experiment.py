@@ -15,6 +15,7 @@ from splits.experiments.config.experiment import RESERVED_NAMES
 from splits.experiments.config.grid import make_label
 from splits.experiments.config.instrument import WavelengthGrid
 from splits.experiments.config.load import read_yaml
+from splits.experiments.config.messages import validate_content
 
 ROOT = Path(__file__).parents[3]
 SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
@@ -132,7 +133,7 @@ def test_interpretations_on_a_grid_are_merged():
 )
 def test_invalid_simulations_are_rejected(content, message):
     with pytest.raises(ValueError, match=message):
-        ExperimentConfig(name="made", **content)
+        validate_content(ExperimentConfig, {"name": "made", **content})
 
 
 def test_wavelength_grids_include_both_ends():

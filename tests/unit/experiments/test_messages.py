@@ -21,14 +21,15 @@ WAVELENGTHS = "must be a mapping with start, stop, step or a list of numbers"
 
 
 def read_message(tmp_path, content):
-    """Return the error message of a file without its path."""
+    """Return the error message of a file without its path and line."""
     path = tmp_path / "wrong.yaml"
     path.write_text(content if isinstance(content, str) else yaml.safe_dump(content), "utf-8")
     with pytest.raises(ConfigError) as error:
         load_experiment(path, MEDIA)
     text = str(error.value)
-    assert text.startswith(f"{path}: ") and "\n" not in text
-    return text.removeprefix(f"{path}: ")
+    position, message = re.fullmatch(rf"{re.escape(str(path))}(, line \d+): (.*)", text).groups()
+    assert position
+    return message
 
 
 WRONG_TYPES = {
@@ -54,7 +55,12 @@ WRONG_TYPES = {
     "instrument: {kind: goniophotometre}":
         "instrument.kind = 'goniophotometre': must be one of spectrophotometer, goniophotometer, "
         "beam_spread, refractive_index, surface_map, lens, table (did you mean goniophotometer?)",
-    "instrument: {n_bins: [5]}": "instrument.n_bins = [5]: must be a list of 2 whole numbers",
+    "instrument: {kind: goniophotometer, n_bins: [5]}":
+        "instrument.n_bins = [5]: must be a list of 2 whole numbers",
+    "instrument: {kind: table, radius_m: 3}":
+        "instrument.radius_m = 3: must be left out for table (it belongs to lens)",
+    "instrument: {kind: lens, radius_m: 1}":
+        "instrument.screen_depth_m: missing, must be a list of numbers",
     "instrument: 5": "instrument = 5: must be a mapping of keys to values",
     "figure: {ylim: [0, 1, 2]}": "figure.ylim = [0, 1, 2]: must be a list of 2 numbers",
     "figure: {select: {saturation: [0]}}":
@@ -195,7 +201,10 @@ def test_all_invalid_files_are_reported_at_once(tmp_path):
     with pytest.raises(ConfigError) as error:
         load_experiments(tmp_path)
     lines = str(error.value).splitlines()
-    starts = ("a.yaml: titel: unknown", "c.yaml: name = 'b': already", "d.yaml, line 1: not YAML")
+    starts = (
+        "a.yaml, line 1: titel: unknown", "c.yaml, line 1: name = 'b': already",
+        "d.yaml, line 1: not YAML",
+    )  # fmt: skip
     assert len(lines) == len(starts)
     for line, start in zip(lines, starts, strict=True):
         assert line.startswith(str(tmp_path / start))
@@ -216,3 +225,14 @@ def test_settings_of_wrong_types_are_described(change, message):
     settings = {**read_yaml(ROOT / "config" / "config.yaml"), **change}
     with pytest.raises(ConfigError, match=f"^config/config.yaml: {re.escape(message)}"):
         load_settings(settings)
+
+
+def test_settings_of_the_file_are_located(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("seed: 1\naccuracies:\n  standard: {max_stderr: 2}\n", "utf-8")
+    content = read_yaml(path)
+    message = "accuracies.standard.max_stderr = 2: must be at most 0.5"
+    with pytest.raises(ConfigError, match=f"^{re.escape(str(path))}, line 3: {message}"):
+        load_settings(content, str(path))
+    with pytest.raises(ConfigError, match=f"^{re.escape(str(path))}: seed = -1"):
+        load_settings({**content, "seed": -1, "accuracies": {}}, str(path))

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 import splits
 from splits.core.validation import InvalidValue
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.messages import validate_content
 from splits.experiments.config.retrieve import NoiseSection, RetrieveSection
 from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.run_retrieve import combine_samples, make_retrieval_table, run_retrieve
@@ -146,8 +147,8 @@ INVALID_SECTIONS = {
 @pytest.mark.parametrize("name", INVALID_SECTIONS)
 def test_invalid_sections_are_rejected(name):
     changes, message = INVALID_SECTIONS[name]
-    with pytest.raises((ValidationError, InvalidValue), match=message):
-        RetrieveSection.model_validate(SECTION | changes)
+    with pytest.raises(ValueError, match=message):
+        validate_content(ExperimentConfig, {**TABLE, "retrieve": SECTION | changes})
 
 
 ASYMPTOTIC_MODEL = {"compare_with": "kokhanovsky_zege_2004"}

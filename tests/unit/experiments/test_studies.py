@@ -11,6 +11,7 @@ import xarray as xr
 
 from splits.experiments import ConfigError, ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
+from splits.experiments.config.messages import validate_content
 from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
 from splits.experiments.studies.checks import find_incomplete_studies
 
@@ -106,7 +107,7 @@ def test_experiment_names_of_studies_are_rejected(shipped, name):
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "outputs": {"table": "nul"}},
          r"own\.outputs\.table = 'nul': must be lower-case letters"),
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "n_bands": 2},
-         r"own\.n_bands: unknown key, must be one of kind, group, reproduces, outputs, inputs"),
+         r"own\.n_bands = 2: must be left out for sobol \(it belongs to bands\)"),
         ({"kind": "anisotropy", "inputs": {"directions": "sand_fig11_brdf"},
           "files": {"directions": "wet_sand_directions.csv"}},
          r"'sand_fig11_brdf': must be .*over interpretation and saturation"),
@@ -126,14 +127,14 @@ def test_experiment_names_of_studies_are_rejected(shipped, name):
         ({"kind": "angular_trends", "inputs": {"wavelength": "fig08_grain_size"}},
          r"'fig08_grain_size': must be an experiment with a goniophotometer"),
         ({"kind": "sand_compositions", "inputs": {"lens": "a"}},
-         r"own\.inputs: unknown key, must be one of kind, group, reproduces, outputs"),
+         r"own\.inputs = .*: must be left out for sand_compositions \(it belongs to agreement"),
         ({"kind": "sensitivity"}, r"own\.pairs: missing, must be a mapping"),
         ({"kind": "sensitivity", "pairs": {}}, r"own\.pairs = {}: must be at least one pair"),
         ({"inputs": {}}, r"own\.kind: missing, must be one of sensitivity, agreement"),
         ({**SETTINGS_CONTENT["studies"]["agreement"], "outputs": {}, "sensitivity": "agreement"},
          r"own\.sensitivity = 'agreement': must be .*sensitivity"),
         ({"kind": "layer_trends", "sensitivity": "sensitivity", "inputs": {"lens": "a"}},
-         r"own\.sensitivity: unknown key, must be one of kind, group, reproduces, outputs, inputs"),
+         r"own\.sensitivity = .*: must be left out for layer_trends \(it belongs to agreement"),
         ({"kind": "sensitivity", "files": {"published": "splitsnow.csv"},
           "pairs": {"a": {"parameter": "saturation", "experiment": "b", "low": 0, "high": 1}}},
          r"files\.published = 'splitsnow\.csv': must be one of.*did you mean splitsnow2021\.csv"),
@@ -244,4 +245,4 @@ def test_tables_of_studies_are_read_before_the_run(shipped, tmp_path):
 @pytest.mark.parametrize("name", ["con", "nul", "com1", "lpt9"])
 def test_reserved_device_names_are_rejected(name):
     with pytest.raises(ValueError, match=f"name = '{name}'.*no device such as con"):
-        ExperimentConfig.model_validate({"name": name})
+        validate_content(ExperimentConfig, {"name": name})

@@ -7,6 +7,7 @@ import pytest
 
 import splits
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.messages import validate_content
 from splits.experiments.config.settings import Accuracy
 from splits.experiments.run import run
 from splits.plotting import draw
@@ -126,4 +127,4 @@ def test_experiments_with_layers_run_and_are_drawn(instrument, grid):
 )  # fmt: skip
 def test_invalid_experiments_are_rejected(content, message):
     with pytest.raises((ValueError, TypeError), match=message):
-        ExperimentConfig(name="made", **content)
+        validate_content(ExperimentConfig, {"name": "made", **content})

@@ -1,0 +1,275 @@
+"""Models of all kinds of instruments."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, ClassVar, Literal, get_args
+
+import numpy as np
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+
+from splits.core.validation import invalid, key_prefix
+from splits.experiments.config.figure import FigureSection
+from splits.experiments.config.instrument import (
+    Instrument,
+    OpticalInstrument,
+    Rays,
+    Seed,
+    SpectralInstrument,
+)
+from splits.instruments.angular_bins import DEFAULT_N_BINS
+from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
+from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
+from splits.instruments.lens import (
+    DEFAULT_RAYS,
+    check_ring_radius,
+    check_ring_size,
+    check_screen_depths,
+)
+from splits.instruments.next_event import get_detected_layers
+from splits.instruments.surface_map import DEFAULT_POINTS, MAX_REALIZATIONS
+from splits.media.medium import Medium
+from splits.plotting.panels import (
+    MAX_AZIMUTH_GAP_DEG,
+    MIN_AZIMUTHS,
+    MIN_POLAR_ANGLES,
+    can_map_hemisphere,
+)
+from splits.simulation.arguments import check_direction_angles, check_half_width, check_n_bins
+
+Angles = tuple[float, ...]
+MapHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("surface_map", x))]
+BeamHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("beam_spread", x))]
+LensHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("lens", x))]
+PolarAngles = Annotated[
+    Angles, AfterValidator(lambda x: tuple(check_direction_angles("", x, 90.0).tolist()))
+]
+Azimuths = Annotated[
+    Angles, AfterValidator(lambda x: tuple(check_direction_angles("", x, 360.0).tolist()))
+]
+Depths = Annotated[Angles, AfterValidator(lambda x: tuple(check_screen_depths("", x).tolist()))]
+ESTIMATOR = "how exiting rays become results"
+
+
+class Refractometer(SpectralInstrument):
+    """Refractive indices of the materials of a medium."""
+
+    FIGURES: ClassVar = ("refractive_index",)
+    ALLOWS_SEMI_INFINITE: ClassVar = True
+
+    kind: Literal["refractive_index"]
+
+
+class Spectrophotometer(OpticalInstrument):
+    """Hemispherical reflectance and transmittance."""
+
+    FIGURES: ClassVar = ("spectra", "points", "swatches", "fit")
+    QUANTITIES: ClassVar = ("reflectance", "transmittance", "absorptance", "mean_grain_distance")
+    ALLOWS_SEMI_INFINITE: ClassVar = True
+
+    kind: Literal["spectrophotometer"] = "spectrophotometer"
+    estimator: Literal["spectral", "analog"] = Field("spectral", description=ESTIMATOR)
+
+
+class Goniophotometer(OpticalInstrument):
+    """BRDF and BTDF by direction."""
+
+    FIGURES: ClassVar = ("principal_plane", "hemisphere", "lobes", "bins", "polarization")
+    QUANTITIES: ClassVar = ("brdf", "btdf", "reflectance_factor", "anisotropy_factor")
+    MEASURES_BEAM: ClassVar = True
+
+    kind: Literal["goniophotometer"]
+    estimator: Literal["expansion", "bins", "next_event"] = Field(
+        "expansion", description=ESTIMATOR
+    )
+    rays: Rays = None
+    target: Literal["brdf", "btdf"] = Field(
+        "brdf", description="quantity to which the target error applies"
+    )
+    polar_deg: PolarAngles | None = Field(
+        None, description="polar angles from the normal (°); by default 0 to 87.5 in steps of 2.5"
+    )
+    azimuth_deg: Azimuths | None = Field(
+        None,
+        description="azimuths from the direction in which the beam travels (°), 0 is forward; by "
+        "default 0 to 355 in steps of 5",
+    )
+    n_bins: Annotated[tuple[int, int], AfterValidator(check_n_bins)] | None = Field(
+        None,
+        description="numbers of angular bins from the horizon to the zenith, and in azimuth; by "
+        "default `[18, 72]`",
+    )
+
+    @model_validator(mode="after")
+    def _check_estimator(self) -> Goniophotometer:
+        uses_bins = self.estimator == "bins"
+        for key in ("polar_deg", "azimuth_deg") if uses_bins else ():
+            if getattr(self, key) is not None:
+                raise invalid(key, getattr(self, key), "left out with bins")
+        if self.n_bins is not None and not uses_bins:
+            raise invalid("n_bins", self.n_bins, "left out without estimator = bins")
+        return self
+
+    def count_values(self) -> int:
+        """Return the number of values of a quantity at one point of a grid."""
+        n_directions = len(self.polar_deg or POLAR_DEG) * len(self.azimuth_deg or AZIMUTH_DEG)
+        if self.estimator == "bins":
+            n_directions = math.prod(self.n_bins or DEFAULT_N_BINS)
+        return n_directions * self.get_wavelengths().size
+
+    def check_medium(self, medium: Medium) -> None:
+        """Reject a medium that the estimator or the target does not allow."""
+        super().check_medium(medium)
+        if self.estimator == "next_event":
+            with key_prefix("instrument"):
+                get_detected_layers(medium)
+        if self.target == "btdf" and medium.reflecting_ground is not None:
+            raise invalid("instrument.target", "btdf", "brdf over a ground")
+
+    def check_figure(self, figure: FigureSection, kind: str) -> None:
+        """Reject a figure of quantities or directions that the instrument does not measure."""
+        super().check_figure(figure, kind)
+        if kind == "none":
+            return
+        if kind == "hemisphere":
+            self._check_hemisphere()
+        hint = "figures show the principal plane"
+        if self.azimuth_deg is not None and not {0.0, 180.0} <= set(self.azimuth_deg):
+            raise invalid("instrument.azimuth_deg", self.azimuth_deg, "with 0 and 180", hint)
+        if self.n_bins is not None and self.n_bins[1] % 2:
+            raise invalid("instrument.n_bins", self.n_bins, "an even number around", hint)
+        estimators = {"bins": ("bins",), "polarization": ("next_event", "bins")}.get(kind)
+        if estimators and self.estimator not in estimators:
+            allowed = f"{' or '.join(estimators)} for figure.kind = {kind!r}"
+            raise invalid("instrument.estimator", self.estimator, allowed)
+
+    def _check_hemisphere(self) -> None:
+        """Reject a hemisphere map of directions that do not cover all azimuths."""
+        polar, azimuth = self.polar_deg or POLAR_DEG, self.azimuth_deg or AZIMUTH_DEG
+        key = "azimuth_deg" if self.azimuth_deg is not None else "polar_deg"
+        if self.n_bins is not None:
+            key, (rows, columns) = "n_bins", self.n_bins
+            polar = tuple(np.linspace(0.0, 90.0, rows))
+            azimuth = tuple(np.linspace(0.0, 360.0, columns, endpoint=False))
+        if not can_map_hemisphere(np.asarray(polar), np.asarray(azimuth)):
+            raise invalid(
+                f"instrument.{key}", getattr(self, key),
+                f"at least {MIN_POLAR_ANGLES} polar angles and {MIN_AZIMUTHS} azimuths at most "
+                f"{MAX_AZIMUTH_GAP_DEG:g} degrees apart, all around, for figure.kind = "
+                "'hemisphere'",
+            )  # fmt: skip
+
+
+class BeamSpread(OpticalInstrument):
+    """Map of the light around a narrow beam."""
+
+    FIGURES: ClassVar = ("spread",)
+    N_POSITIONS: ClassVar = len(SIDES) * N_MAP_PIXELS**2
+    MEASURES_BEAM: ClassVar = True
+
+    kind: Literal["beam_spread"]
+    rays: Rays = None
+    half_width_m: BeamHalfWidth | None = Field(
+        None,
+        description="half the side length of the map (m), by default from the spread; required "
+        "with a grid",
+    )
+
+
+class TableInstrument(OpticalInstrument):
+    """Table of spectra over a grid, for interpolation and retrieval."""
+
+    FIGURES: ClassVar = ("summary",)
+    QUANTITIES: ClassVar = ("reflectance", "transmittance")
+    ALLOWS_SEMI_INFINITE: ClassVar = True
+
+    kind: Literal["table"]
+    quantities: tuple[Literal["reflectance", "transmittance"], ...] = Field(
+        ("reflectance",), description="quantities in the table"
+    )
+    covariance: Literal["keep", "leave_out"] = Field(
+        "leave_out",
+        description="whether the table contains the contributions of batches of rays to the errors",
+    )
+    blocks: int = Field(
+        8, ge=1, le=10_000,
+        description="number of parts of the table, each simulated by one job",
+    )  # fmt: skip
+
+
+class SurfaceMap(Instrument):
+    """Heights of a rough surface."""
+
+    FIGURES: ClassVar = ("surface",)
+    N_POSITIONS: ClassVar = DEFAULT_POINTS**2
+    MEASURES_SURFACE: ClassVar = True
+
+    kind: Literal["surface_map"]
+    seed: Seed = None
+    half_width_m: MapHalfWidth = Field(description="half the side length of the map (m)")
+    realizations: int = Field(
+        100, ge=2, le=MAX_REALIZATIONS, description="number of realizations of the surface"
+    )
+
+
+class Lens(Instrument):
+    """Images of a ring of rays through a rough surface."""
+
+    FIGURES: ClassVar = ("lens",)
+    MEASURES_SURFACE: ClassVar = True
+
+    kind: Literal["lens"]
+    seed: Seed = None
+    radius_m: Annotated[float, AfterValidator(check_ring_radius)] = Field(
+        description="radius of the ring of rays (m)"
+    )
+    screen_depth_m: Depths = Field(description="depths of the screens (m), increasing")
+    centre_on: Literal["crest", "trough", "origin"] = Field(
+        "crest", description="point of the surface above which the ring is centred"
+    )
+    half_width_m: LensHalfWidth | None = Field(
+        None,
+        description="half the side length of the square in which the crest is searched (m); "
+        "required, except over the origin",
+    )
+    rays: int = Field(DEFAULT_RAYS, ge=1, description="number of rays in the ring")
+    realizations: int = Field(1, ge=1, description="number of realizations of the surface")
+
+    @model_validator(mode="after")
+    def _check_extent(self) -> Lens:
+        if self.half_width_m is None and self.centre_on != "origin":
+            hint = "range of the search for the crest; or centre_on: origin"
+            raise invalid("half_width_m", None, "given for lens", hint)
+        if self.half_width_m is not None and self.centre_on == "origin":
+            hint = "there is no search for a crest"
+            raise invalid("half_width_m", self.half_width_m, "left out over the origin", hint)
+        check_ring_size(self.rays, self.realizations, len(self.screen_depth_m))
+        return self
+
+    def count_values(self) -> int:
+        """Return the number of values of a quantity at one point of a grid."""
+        return len(self.screen_depth_m) * self.rays
+
+
+def get_instrument_kind(content: Any) -> Any:
+    """Return the kind of an instrument, by default a spectrophotometer."""
+    if isinstance(content, dict):
+        return content.get("kind", "spectrophotometer")
+    return getattr(content, "kind", None)
+
+
+AnyInstrument = Annotated[
+    Annotated[Spectrophotometer, Tag("spectrophotometer")]
+    | Annotated[Goniophotometer, Tag("goniophotometer")]
+    | Annotated[BeamSpread, Tag("beam_spread")]
+    | Annotated[Refractometer, Tag("refractive_index")]
+    | Annotated[SurfaceMap, Tag("surface_map")]
+    | Annotated[Lens, Tag("lens")]
+    | Annotated[TableInstrument, Tag("table")],
+    Discriminator(get_instrument_kind),
+]
+"""An instrument of any kind, which the key `kind` determines."""
+INSTRUMENT_KINDS: dict[str, type[Instrument]] = {
+    get_args(part)[1].tag: get_args(part)[0] for part in get_args(get_args(AnyInstrument)[0])
+}
+"""Model of each kind of instrument."""

@@ -1,0 +1,135 @@
+"""JSON schemas of configuration files, with which editors check and complete them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from splits.core.atomic import atomic_write
+from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.settings import Settings
+from splits.experiments.config.simulation import SAMPLE_KEY
+from splits.media import Stack
+from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
+from splits.tables.axes import INCIDENCE
+
+JSON_TYPES: dict[str, dict[str, Any]] = {
+    "float": {"type": "number"}, "bool": {"type": "boolean"}, "None": {"type": "null"},
+    "Mapping[str, Any]": {"type": "object"},
+    "Mapping[str, float]": {"type": "object", "additionalProperties": {"type": "number"}},
+}  # fmt: skip
+"""Schemas of the annotations of a medium's keywords, besides tuples of numbers."""
+
+
+def write_schemas(folder: Path) -> list[Path]:
+    """Write the schemas of experiment files and of the main file; return their paths."""
+    paths = []
+    for name, model in (("experiment", ExperimentConfig), ("config", Settings)):
+        paths.append(folder / f"{name}.schema.json")
+        text = json.dumps(make_schema(model), indent=1, ensure_ascii=False) + "\n"
+        with atomic_write(paths[-1]) as temporary_path:
+            temporary_path.write_text(text, encoding="utf-8")
+    return paths
+
+
+def make_schema(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the schema of `ExperimentConfig` or `Settings`."""
+    schema = model.model_json_schema()
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+    definitions: dict[str, Any] = schema["$defs"]
+    if model is ExperimentConfig:
+        _add_media(schema["properties"], definitions)
+        del schema["required"]  # the name of a file is the default of its only required key
+    simplified: dict[str, Any] = _simplify(schema, definitions)
+    return simplified
+
+
+def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
+    """Add the keywords of media, and the parameters of grids, to the schema of experiments."""
+    factories: dict[str, Callable[..., Any]] = {**MEDIUM_FACTORIES, "stack": Stack}
+    media = {kind: _make_medium(kind, factory) for kind, factory in factories.items()}
+    keywords = {key: True for medium in media.values() for key in medium["properties"]}
+    based = {"type": "object", "properties": keywords, "additionalProperties": False}
+    # The kind of a medium with a base may be that of its base.
+    choice = {"if": {"required": ["base"]}, "then": based, "else": {"$ref": "#/$defs/snow"}}
+    definitions |= media
+    definitions["medium"] = _make_choice(
+        {kind: {"$ref": f"#/$defs/{kind}"} for kind in media}, choice
+    )
+    properties["medium"] = {
+        "$ref": "#/$defs/medium", "description": properties["medium"]["description"],
+    }  # fmt: skip
+    names = [*(key for key in keywords if key not in ("kind", "base")), INCIDENCE, SAMPLE_KEY]
+    paths = rf"^(({'|'.join(IMPURITY_KEYWORDS)})\.\w+|{LAYERS_KEY}\.\d+\.\w+)$"
+    properties["grid"] |= {
+        "propertyNames": {"anyOf": [{"enum": names}, {"pattern": paths}]},
+        "additionalProperties": {"type": ["array", "object"], "minItems": 1, "minProperties": 1},
+    }
+
+
+def _make_medium(kind: str, factory: Callable[..., Any]) -> dict[str, Any]:
+    """Return the schema of a kind of medium, from the signature of its function."""
+    base = {"type": "string", "description": "name of a file with the other keywords"}
+    properties: dict[str, Any] = {"kind": {"const": kind}, "base": base}
+    for name, parameter in signature(factory).parameters.items():
+        long_name, units = describe_parameter(name)
+        options = [_describe_annotation(one) for one in str(parameter.annotation).split(" | ")]
+        types = {"anyOf": options} if all(options) else {}
+        properties[name] = {
+            **(options[0] if len(options) == 1 else types),
+            "description": long_name if units == "1" else f"{long_name} ({units})",
+        }
+    if LAYERS_KEY in properties:
+        layers = {"type": "array", "items": {"$ref": "#/$defs/medium"}, "minItems": 1}
+        properties[LAYERS_KEY] |= layers
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _describe_annotation(annotation: str) -> dict[str, Any]:
+    """Return the schema of an annotation; an empty one allows all values."""
+    if not annotation.startswith("tuple[float"):
+        return JSON_TYPES.get(annotation, {})
+    count = annotation.count("float")
+    numbers = {"type": "array", "items": {"type": "number"}}
+    return {**numbers, "minItems": count, "maxItems": count}
+
+
+def _make_choice(by_kind: Mapping[str, Any], default: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of a mapping whose key `kind` determines its schema."""
+    has_kind = {"required": ["kind"]}
+    return {
+        "type": "object",
+        "properties": {"kind": {"enum": list(by_kind)}},
+        "allOf": [
+            {"if": {"properties": {"kind": {"const": kind}}, **has_kind}, "then": schema}
+            for kind, schema in by_kind.items()
+        ] + [{"if": {"not": has_kind}, "then": default}],
+    }  # fmt: skip
+
+
+def _simplify(schema: Any, definitions: Mapping[str, Any]) -> Any:
+    """Return a schema without titles, and with the key `kind` as the condition of its unions.
+
+    Editors then report the wrong key, instead of a mapping that matches no alternative.
+    """
+    if isinstance(schema, list):
+        return [_simplify(item, definitions) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    titles = [key for key, value in schema.items() if key == "title" and isinstance(value, str)]
+    simplified = {k: _simplify(v, definitions) for k, v in schema.items() if k not in titles}
+    if "oneOf" in simplified:
+        references = simplified.pop("oneOf")
+        models = [definitions[one["$ref"].rpartition("/")[2]] for one in references]
+        kinds = [model["properties"]["kind"]["const"] for model in models]
+        optional = [one for one, model in zip(references, models, strict=True)
+                    if "kind" not in model.get("required", ())]  # fmt: skip
+        by_kind = dict(zip(kinds, references, strict=True))
+        simplified |= _make_choice(by_kind, optional[0] if optional else {"required": ["kind"]})
+    return simplified

@@ -1,0 +1,72 @@
+"""JSON schemas of configuration files: those of config/ are current and accept its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from splits import cli
+from splits.core.yaml import read_yaml
+from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.schema import make_schema
+from splits.experiments.config.settings import Settings
+
+CONFIG = Path(__file__).parents[3] / "config"
+EXPERIMENTS = Draft202012Validator(make_schema(ExperimentConfig))
+SETTINGS = Draft202012Validator(make_schema(Settings))
+
+
+def test_shipped_schemas_are_current(tmp_path, capsys):
+    assert cli.main(["schema", str(tmp_path)]) == 0
+    written = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert {path.name for path in written} == {path.name for path in CONFIG.glob("*.json")}
+    for path in written:
+        shipped = (CONFIG / path.name).read_text(encoding="utf-8")
+        assert path.read_text(encoding="utf-8") == shipped, "run: splits schema config"
+
+
+@pytest.mark.parametrize("schema", [EXPERIMENTS, SETTINGS])
+def test_schemas_are_valid(schema):
+    schema.check_schema(schema.schema)
+
+
+@pytest.mark.parametrize("path", sorted(CONFIG.rglob("*.yaml")), ids=lambda path: path.stem)
+def test_shipped_files_match_their_schema(path):
+    if path.parent == CONFIG:
+        SETTINGS.validate(read_yaml(path))
+    elif (CONFIG / "experiments") in path.parents:
+        EXPERIMENTS.validate(read_yaml(path))
+    else:
+        EXPERIMENTS.validate({"medium": read_yaml(path)})
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"figure": "none"},
+        {"medium": {"base": "splits_base", "iron_oxide": 0.1}},
+        {"medium": {"kind": "stack", "layers": [{"depth_m": 0.1}, {"kind": "sand"}]}},
+        {"grid": {"layers.0.depth_m": [1], "impurities_ng_g.black_carbon": [0, 1]}},
+        {"instrument": {"incidence_deg": "diffuse"}, "figure": {"quantity": "reflectance"}},
+    ],
+)
+def test_valid_contents_match_the_schema(content):
+    EXPERIMENTS.validate(content)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"medium": {"iron_oxide": 0.1}},
+        {"medium": {"kind": "stack", "layers": [{"kind": "sand", "facetness": [0, 1, 0.5, 0.1]}]}},
+        {"medium": {"density_kg_m3": "300"}},
+        {"grid": {"layers.depth_m": [1]}},
+        {"instrument": {"kind": "lens", "radius_m": 1}},
+        {"instrument": {"rays": 10}},
+        {"figure": "nothing"},
+    ],
+)
+def test_invalid_contents_do_not_match_the_schema(content):
+    assert not EXPERIMENTS.is_valid(content)

@@ -8,7 +8,7 @@
 # make calibration the last of these only: docs/calibration.csv, docs/images/calibration.png
 # make compliance  check the datasets of make run against the CF conventions (ACCURACY=draft)
 # make docs        set up .venv, build the documentation in docs/_build/html and run its examples
-# make setup       set up .venv only
+# make setup       set up .venv only; tests, lint and documentation add what they need
 PYTHON ?= python3
 CORES ?= 2
 ACCURACY ?= standard
@@ -41,26 +41,26 @@ resume: $(VENV)/ready
 	$(BIN)/snakemake --unlock
 	$(MAKE) run
 
-test: $(VENV)/ready
+test: $(VENV)/dev
 	$(PYTEST) -m "not long" $(TESTS)
 
-test-all: $(VENV)/ready
+test-all: $(VENV)/dev
 	$(PYTEST) $(TESTS)
 
-campaign: $(VENV)/ready
+campaign: $(VENV)/dev
 	CALIBRATION=all KILLS=200 DAMAGES=30 CAMPAIGN=10000,300 $(BIN)/python -m pytest -s tests/campaigns
 
-calibration: $(VENV)/ready
+calibration: $(VENV)/dev
 	$(BIN)/python tests/campaigns/calibration.py docs
 
 # Builds wheel and sdist, installs them into clean environments, computes one spectrum.
-package: $(VENV)/ready
+package: $(VENV)/dev
 	$(BIN)/python benchmarks/installation.py
 
-compliance: $(VENV)/ready
+compliance: $(VENV)/dev
 	$(BIN)/python tests/compliance.py $(dir $(REPORT))data
 
-lint: $(VENV)/ready
+lint: $(VENV)/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/snakefmt --check Snakefile workflow
@@ -68,10 +68,10 @@ lint: $(VENV)/ready
 	$(BIN)/mypy
 
 # Warnings are errors: broken links, invalid formulas, examples that fail.
-docs: $(VENV)/ready
+docs: $(VENV)/dev
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --fresh-env --write-all --quiet -b html docs docs/_build/html
 
-benchmarks: $(VENV)/ready
+benchmarks: $(VENV)/dev
 	$(BIN)/snakemake --cores $(CORES) benchmarks
 	$(BIN)/python benchmarks/interpolation.py
 	$(BIN)/python benchmarks/deep_transmittance.py
@@ -89,20 +89,31 @@ benchmarks: $(VENV)/ready
 
 # uv installs in seconds what takes pip a minute.  pip is the fallback if uv finds no packages, for
 # example behind a mirror that only the settings of pip name.
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+define INSTALL
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r $(1) || \
+		$(PIP_INSTALL) --require-hashes -r $(1)
+endef
+
 $(VENV)/ready: pyproject.toml requirements.txt requirements-uv.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed')"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-uv.txt
-	$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements.txt || \
-		$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
-		--config-settings editable_mode=compat -e .
+	$(PIP_INSTALL) --require-hashes -r requirements-uv.txt
+	$(call INSTALL,requirements.txt)
+	$(PIP_INSTALL) --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
+	touch $@
+
+# What tests, lint, documentation and benchmarks need besides.
+$(VENV)/dev: $(VENV)/ready requirements-dev.txt
+	$(call INSTALL,requirements-dev.txt)
 	touch $@
 
 # Pins every dependency, with hashes.
-lock: $(VENV)/ready
+lock: $(VENV)/dev
 	printf 'setuptools>=77\n' | $(BIN)/uv pip compile $(LOCKED) --extra tests --extra docs --extra cluster \
-		--output-file requirements.txt pyproject.toml -
+		--output-file requirements-dev.txt pyproject.toml -
+	printf 'setuptools>=77\n' | $(BIN)/uv pip compile $(LOCKED) --extra workflow \
+		--constraint requirements-dev.txt --output-file requirements.txt pyproject.toml -
 	printf 'uv\n' | $(BIN)/uv pip compile $(LOCKED) --output-file requirements-uv.txt -
 
 clean:

@@ -6,14 +6,18 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
 import yaml
 
 from splits.experiments import Settings
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-CONDA_NAMES = {"dask": "dask-core", "matplotlib": "matplotlib-base"}
-LOCK = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+CONDA_NAMES = {"matplotlib": "matplotlib-base"}
+LOCKS = {
+    name: (ROOT / name).read_text(encoding="utf-8")
+    for name in ("requirements.txt", "requirements-dev.txt")
+}
 
 
 def parse_lower_bounds(requirements):
@@ -43,9 +47,9 @@ def parse_version(version):
     return tuple(int(part) for part in re.findall(r"\d+", version))
 
 
-def parse_pins():
-    """Return the versions and hashes that requirements.txt pins."""
-    entries = re.split(r"\n(?=\S)", LOCK.strip())
+def parse_pins(name):
+    """Return the versions and hashes that a lock file pins."""
+    entries = re.split(r"\n(?=\S)", LOCKS[name].strip())
     pinned = {}
     for entry in entries:
         head = re.match(r"([\w.-]+)==(\S+)", entry)
@@ -84,23 +88,30 @@ def test_conda_recipe_matches_the_package():
     ]
 
 
-def test_every_dependency_is_pinned_within_its_bound():
-    pinned = parse_pins()
-    required = list_required_bounds(*PROJECT["optional-dependencies"])
-    for name, bound in required.items():
-        version, _ = pinned[name.replace(".", "-")]
+@pytest.mark.parametrize(
+    ("name", "extras"),
+    [("requirements.txt", ["workflow"]), ("requirements-dev.txt", PROJECT["optional-dependencies"])],
+)
+def test_every_dependency_is_pinned_within_its_bound(name, extras):
+    pinned = parse_pins(name)
+    required = list_required_bounds(*extras)
+    for package, bound in required.items():
+        version, _ = pinned[package.replace(".", "-")]
         assert parse_version(version) >= parse_version(bound)
 
 
-def test_every_pin_has_hashes():
-    for name, (_, hashes) in parse_pins().items():
+def test_lock_files_agree_and_every_pin_has_hashes():
+    pinned, smaller = parse_pins("requirements-dev.txt"), parse_pins("requirements.txt")
+    assert smaller.items() <= pinned.items()
+    for name, (_, hashes) in pinned.items():
         assert hashes, f"{name} has no hash"
 
 
-def test_the_lock_file_contains_no_hosts():
-    assert "://" not in LOCK
+@pytest.mark.parametrize("lock", LOCKS.values(), ids=LOCKS)
+def test_lock_files_contain_no_hosts(lock):
+    assert "://" not in lock
     assert not re.search(
-        r"^\s*(-i|-f|--\w*index\w*|--find-links|--trusted-host)", LOCK, re.MULTILINE
+        r"^\s*(-i|-f|--\w*index\w*|--find-links|--trusted-host)", lock, re.MULTILINE
     )
 
 

@@ -15,7 +15,8 @@ from snakemake.exceptions import WorkflowError
 from snakemake.utils import update_config
 
 from splits.core.interrupts import forward_interrupts
-from splits.experiments import ConfigError, load_experiments, load_settings, read_yaml
+from splits.core.yaml import ConfigError, read_yaml
+from splits.experiments import load_experiments, load_settings
 
 # Otherwise snakemake would wait for running jobs to complete.
 forward_interrupts()

@@ -121,8 +121,8 @@ def _run_experiment(arguments: argparse.Namespace) -> None:
     from splits.core.atomic import check_writable
     from splits.core.interrupts import exit_on_signals
     from splits.core.validation import check_integer, invalid
+    from splits.experiments.config.accuracy import Accuracy
     from splits.experiments.config.load import load_experiment
-    from splits.experiments.config.settings import Accuracy
     from splits.experiments.config.simulation import SimulationConfig
     from splits.experiments.run import write_run
     from splits.experiments.run_fit import run_fit

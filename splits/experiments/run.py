@@ -13,8 +13,8 @@ from splits.core.atomic import check_writable
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
 from splits.experiments.checkpoints import PointCache
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.grid import make_grid_coordinates
-from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run_points import (
     STDERR_ATTRIBUTES,

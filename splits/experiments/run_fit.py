@@ -14,8 +14,8 @@ import xarray as xr
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_choice, check_range, invalid, key_prefix
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.grid import make_grid_coordinates
-from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF

@@ -11,6 +11,7 @@ import xarray as xr
 
 from splits.core.progress import Progress
 from splits.experiments.checkpoints import PointCache
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.instrument import Instrument, OpticalInstrument
 from splits.experiments.config.instrument_kinds import (
     BeamSpread,
@@ -18,7 +19,6 @@ from splits.experiments.config.instrument_kinds import (
     Lens,
     Spectrophotometer,
 )
-from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments import beam_spread, goniophotometer, lens, spectrophotometer, surface_map
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra

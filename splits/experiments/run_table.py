@@ -12,8 +12,8 @@ import xarray as xr
 
 from splits.core.atomic import atomic_write
 from splits.core.progress import Progress
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.instrument_kinds import TableInstrument
-from splits.experiments.config.settings import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments.spectral_run import SpectralRequest
 from splits.io.netcdf import save

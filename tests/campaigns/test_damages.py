@@ -20,7 +20,8 @@ import pytest
 from chi2 import NEEDS_JIT
 
 import splits
-from splits.experiments import ConfigError, load_experiment
+from splits.core.yaml import ConfigError
+from splits.experiments import load_experiment
 from splits.experiments.archive import pack_archive
 from splits.io.integrity import DamagedFileError
 from splits.io.unarchive import ArchiveError, unpack_archive

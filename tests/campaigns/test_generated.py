@@ -27,10 +27,10 @@ from chi2 import NEEDS_JIT
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from splits.experiments import ConfigError
+from splits.core.yaml import ConfigError
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.load import load_experiment
-from splits.experiments.config.settings import Accuracy
 from splits.experiments.run import run
 from splits.plotting import draw
 

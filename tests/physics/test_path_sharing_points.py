@@ -7,7 +7,7 @@ import pytest
 from chi2 import NEEDS_JIT, compute_z_bound
 
 import splits
-from splits.experiments.config.settings import Accuracy
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.run import run
 from splits.experiments.run_points import simulate_points

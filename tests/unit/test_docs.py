@@ -14,13 +14,14 @@ from _numbers.gallery_images import MAX_IMAGE_BYTES, MAX_WIDTH_PX, compress_figu
 import splits
 from splits.core.yaml import read_yaml
 from splits.experiments import load_settings
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.figure import FigureSection
 from splits.experiments.config.instrument import WavelengthGrid
 from splits.experiments.config.instrument_kinds import INSTRUMENT_KINDS, Goniophotometer
 from splits.experiments.config.retrieve import NoiseSection, PriorFromSample, RetrieveSection
 from splits.experiments.config.sections import FitSection
-from splits.experiments.config.settings import Accuracy, ArchiveAuthor, Settings
+from splits.experiments.config.settings import ArchiveAuthor, Settings
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

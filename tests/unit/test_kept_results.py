@@ -121,9 +121,8 @@ RESULTS = {
 """Functions that return the result of every public function that returns data."""
 NO_DATASET = {
     "Interpretation", "ParticleLayer", "Progress", "ProgressBar", "RoughSurface", "Sand",
-    "SandInterpretation", "Sky",
-    "Snow", "Stack", "__version__", "load", "open_table", "save", "save_brdf", "sensor_bands",
-    "sky",
+    "SandInterpretation", "Sky", "Snow", "Stack", "__version__", "list_media", "load",
+    "load_medium", "open_table", "save", "save_brdf", "sensor_bands", "sky",
 }  # fmt: skip
 """Public names of inputs, of reading and writing, and of progress reports."""
 

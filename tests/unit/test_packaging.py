@@ -90,7 +90,10 @@ def test_conda_recipe_matches_the_package():
 
 @pytest.mark.parametrize(
     ("name", "extras"),
-    [("requirements.txt", ["workflow"]), ("requirements-dev.txt", PROJECT["optional-dependencies"])],
+    [
+        ("requirements.txt", ["workflow"]),
+        ("requirements-dev.txt", PROJECT["optional-dependencies"]),
+    ],
 )
 def test_every_dependency_is_pinned_within_its_bound(name, extras):
     pinned = parse_pins(name)

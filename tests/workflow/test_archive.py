@@ -13,7 +13,8 @@ import yaml
 from rocrate.rocrate import ROCrate
 
 import splits
-from splits.experiments import ConfigError, load_experiment, load_settings
+from splits.core.yaml import ConfigError
+from splits.experiments import load_experiment, load_settings
 from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.settings import Settings
 from splits.io.citation import make_software_info

@@ -92,7 +92,7 @@ def test_table_is_built_in_parts_and_rebuilt_from_kept_blocks(project):
     ],
 )
 def test_invalid_tables_are_rejected(tmp_path, change, line):
-    from splits.experiments import ConfigError
+    from splits.core.yaml import ConfigError
 
     path = tmp_path / "snow.yaml"
     path.write_text(TABLE.replace(*change), encoding="utf-8")

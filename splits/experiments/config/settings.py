@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid, suggest_name
 from splits.core.yaml import ConfigError
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
 from splits.experiments.config.sections import ConfigSection, Label, Title, check_path
 from splits.experiments.studies import AnyStudy
@@ -28,23 +29,6 @@ _ACCURACY_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LICENCE_PATTERN = re.compile(
     r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[\w.~:/?#@!$&'()*+,;=%-]{1,300}", re.ASCII
 )
-
-
-class Accuracy(ConfigSection):
-    """Target standard errors and the limit of rays of simulations."""
-
-    max_stderr: float = Field(
-        ge=1e-6, le=0.5, description="largest standard error of a hemispherical quantity"
-    )
-    relative_stderr: float = Field(
-        0.02, ge=1e-4, le=0.5,
-        description="largest relative standard error of a value by direction or position",
-    )  # fmt: skip
-    max_rays: int | None = Field(
-        None, ge=1, lt=2**63,
-        description="largest number of rays per spectrum, or per set of spectra that share paths, "
-        "even if the target error is not reached; by default that of the instrument",
-    )  # fmt: skip
 
 
 def _check_orcid(value: str) -> str:

@@ -19,7 +19,8 @@ from splits.core.escaping import (
     escape_markdown,
     escape_mathtext,
 )
-from splits.experiments import ConfigError, load_experiments, load_settings
+from splits.core.yaml import ConfigError
+from splits.experiments import load_experiments, load_settings
 from splits.experiments.papers.paper_tables import write_data_frame
 from splits.plotting import draw_sensitivity_bars, draw_spectra
 from splits.plotting.interpretation_shifts import draw_shifts

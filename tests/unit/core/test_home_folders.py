@@ -17,7 +17,8 @@ from splits import cli
 from splits.analysis.measured import read_measured
 from splits.analysis.theory.phase_function_export import write_libradtran
 from splits.core.validation import InvalidValue
-from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
+from splits.core.yaml import ConfigError
+from splits.experiments import load_experiment, load_experiments, load_settings
 from splits.experiments.archive import make_configuration_members, pack_archive
 from splits.experiments.config.medium import identify_by_content
 from splits.io.unarchive import unpack_archive, verify_archive

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from splits.core.yaml import MAX_NUMBER_CHARS, dump_yaml, read_yaml
-from splits.experiments import ConfigError, load_experiment
+from splits.core.yaml import MAX_NUMBER_CHARS, ConfigError, dump_yaml, read_yaml
+from splits.experiments import load_experiment
 
 ROOT = Path(__file__).parents[3]
 SHIPPED_FILES = [*sorted((ROOT / "config").rglob("*.y*ml")), ROOT / "CITATION.cff"]

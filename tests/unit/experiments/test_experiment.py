@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from splits import Snow
-from splits.experiments import ConfigError, ExperimentConfig, load_experiments, load_settings
+from splits.core.yaml import ConfigError
+from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.experiment import RESERVED_NAMES
 from splits.experiments.config.grid import make_label
 from splits.experiments.config.instrument import WavelengthGrid

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from splits.experiments import ConfigError, load_experiments, load_settings
+from splits.core.yaml import ConfigError
+from splits.experiments import load_experiments, load_settings
 
 EXPERIMENTS = {
     "one": """

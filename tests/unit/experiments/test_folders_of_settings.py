@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from splits.experiments import ConfigError, load_settings
+from splits.core.yaml import ConfigError
+from splits.experiments import load_settings
 
 ACCURACIES = {"accuracies": {"standard": {"max_stderr": 0.1}}}
 

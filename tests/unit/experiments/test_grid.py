@@ -9,8 +9,8 @@ import xarray as xr
 
 import splits
 from splits.core.keywords import list_keywords
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.settings import Accuracy
 from splits.experiments.run import run
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.media.kinds import MEDIUM_CLASSES

@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from splits.core.yaml import MAX_BYTES, read_yaml
-from splits.experiments import ConfigError, load_experiment, load_settings
+from splits.core.yaml import MAX_BYTES, ConfigError, read_yaml
+from splits.experiments import load_experiment, load_settings
 
 HUGE_NUMBER = "1" + 400 * "0"
 ALIAS_BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(

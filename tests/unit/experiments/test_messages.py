@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from splits.experiments import ConfigError, load_experiment, load_experiments, load_settings
+from splits.core.yaml import ConfigError
+from splits.experiments import load_experiment, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 
 ROOT = Path(__file__).parents[3]

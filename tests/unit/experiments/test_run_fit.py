@@ -10,10 +10,11 @@ from chi2 import NEEDS_JIT
 from stated_errors import list_variables_with_errors
 
 from splits import load, save
-from splits.experiments import ConfigError, load_experiment
+from splits.core.yaml import ConfigError
+from splits.experiments import load_experiment
 from splits.experiments import run_fit as module
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.settings import Accuracy
 from splits.experiments.papers.sand_trends import UNDETERMINED_VERDICT, make_fit_table
 from splits.plotting import draw
 from splits.retrieval.sand_forward_model import Effort

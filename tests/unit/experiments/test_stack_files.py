@@ -9,10 +9,11 @@ import pytest
 from pydantic import ValidationError
 
 import splits
-from splits.experiments import ConfigError, load_experiment
+from splits.core.yaml import ConfigError
+from splits.experiments import load_experiment
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.grid import make_grid_coordinates
-from splits.experiments.config.settings import Accuracy
 from splits.experiments.run import run
 from splits.io.netcdf import save
 from splits.plotting.style import format_parameter

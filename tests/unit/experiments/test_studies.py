@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.experiments import ConfigError, ExperimentConfig, load_experiments, load_settings
+from splits.core.yaml import ConfigError
+from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.messages import validate_content
 from splits.experiments.papers.brdf_trends import make_brdf_trend_rows

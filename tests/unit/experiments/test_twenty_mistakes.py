@@ -8,8 +8,8 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from splits import cli
-from splits.core.yaml import read_yaml
-from splits.experiments import ConfigError, load_experiment
+from splits.core.yaml import ConfigError, read_yaml
+from splits.experiments import load_experiment
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.schema import make_schema
 
@@ -50,7 +50,8 @@ MISTAKES = [
     ("title: again\n", "", "line 25: not YAML ('title' given twice, in lines 2 and 25)",
      NOT_PARSED),
     ("captoin", "caption", "line 3: captoin: unknown key, must be one of name, medium, "
-     "instrument, grid, fit, group, reproduces, title, caption, figure, retrieve (did you mean caption?)",
+     "instrument, grid, fit, group, reproduces, title, caption, figure, retrieve "
+     "(did you mean caption?)",
      IN_SCHEMA),
     ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of spectra, "
      "points, refractive_index, swatches, fit, principal_plane, hemisphere, lobes, bins, spread, "

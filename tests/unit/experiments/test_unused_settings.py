@@ -13,8 +13,9 @@ from chi2 import NEEDS_JIT
 
 import splits
 from splits import cli
-from splits.experiments import ConfigError, SimulationConfig, load_experiment, load_settings
-from splits.experiments.config.settings import Accuracy
+from splits.core.yaml import ConfigError
+from splits.experiments import SimulationConfig, load_experiment, load_settings
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.run import run
 
 ROOT = Path(__file__).parents[3]

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from splits.experiments import ConfigError, ExperimentConfig, load_experiment
+from splits.core.yaml import ConfigError
+from splits.experiments import ExperimentConfig, load_experiment
 from splits.plotting import draw, draw_spectra, save_figure
 from splits.plotting.panels import MAX_LINES, MAX_PANELS, MAX_ROWS, choose_panel_parameters
 

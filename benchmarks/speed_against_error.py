@@ -112,7 +112,9 @@ class SpeedPlan:
         return self.wavelengths[::10]
 
 
-SHORT = SpeedPlan(errors=(0.016, 0.008, 0.004), reference_stderr=0.001, property_rays=20_000)
+SHORT = SpeedPlan(
+    errors=(0.016, 0.008, 0.004), reference_stderr=0.001, property_rays=20_000, n_repeats=1
+)
 QUICK = SpeedPlan(100, (0.02, 0.01, 0.005), 0.002, 4_000, 1)
 
 

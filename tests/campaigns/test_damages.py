@@ -27,6 +27,8 @@ from splits.io.integrity import DamagedFileError
 from splits.io.unarchive import ArchiveError, unpack_archive
 
 N_DAMAGES = int(os.environ.get("DAMAGES", "4"))
+pytestmark = pytest.mark.long
+
 CONFIG = Path(__file__).parents[2] / "config"
 SHIPPED_FILES = sorted((CONFIG / "experiments").rglob("*.yaml"))
 PROGRAM = """

@@ -26,7 +26,7 @@ from chi2 import NEEDS_JIT
 import splits
 from splits.io.netcdf import drop_run_specific_attributes
 
-pytestmark = [NEEDS_JIT, pytest.mark.slow]
+pytestmark = [NEEDS_JIT, pytest.mark.slow, pytest.mark.long]
 
 N_KILLS = int(os.environ.get("KILLS", "5"))
 N_WORKFLOW_KILLS = max(1, N_KILLS // 5)

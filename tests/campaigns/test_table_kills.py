@@ -21,7 +21,7 @@ from chi2 import NEEDS_JIT
 import splits
 from splits.tables import build
 
-pytestmark = [NEEDS_JIT, pytest.mark.slow]
+pytestmark = [NEEDS_JIT, pytest.mark.slow, pytest.mark.long]
 
 N_KILLS = max(2, int(os.environ.get("KILLS", "5")) // 4)
 N_ENSEMBLES = 6

@@ -18,6 +18,7 @@ CUSTOM_SKY = {
 }
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_radiation_profile_conserves_energy():
     """Incoming irradiance equals reflected, absorbed and transmitted power, and the given total."""
@@ -73,6 +74,7 @@ def compute_stack_profile(error, **settings):
     )
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_radiation_profile_reaches_the_error_of_its_target():
     power, irradiance = (

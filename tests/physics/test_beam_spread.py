@@ -19,6 +19,8 @@ from splits.kernels.tallies.exits import (
 )
 from splits.kernels.tallies.radial import tally_radial
 
+pytestmark = pytest.mark.long
+
 SNOW = splits.Snow(depth_m=0.02)
 
 

@@ -116,6 +116,7 @@ def integrate_impacts(value, entry="projected"):
     return integrate.quad(integrand, 0.0, 0.5 * math.pi, limit=400)[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("facetness", [0.0, 0.5])
 def test_coatings_of_equal_material_merge(facetness):
     """No facet between equal materials deviates rays: segments h₁/|n·d| and h₂/|n·d| add up."""

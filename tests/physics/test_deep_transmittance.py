@@ -9,7 +9,7 @@ from scipy import stats
 
 import splits
 
-pytestmark = NEEDS_JIT
+pytestmark = [NEEDS_JIT, pytest.mark.long]
 
 
 def test_grains_without_contrast_follow_beers_law():

@@ -60,6 +60,7 @@ def compute_central_difference(medium, name, step, error):
     return value, np.sqrt(variance)
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_derivatives_agree_with_independent_runs():
     z = []

@@ -103,6 +103,7 @@ def test_packed_grains_agree_with_corrected_transfer(entry, incidence):
     assert (np.abs(corrected - actual)[:, :2] <= PACKED_TOLERANCE + 3.0 * stderr[:, :2]).all()
 
 
+@pytest.mark.long
 def test_errors_of_optics_propagate_to_discrete_ordinates():
     snow = make_dry_snow(10.0, 275.0)
     names = ("reflectance", "transmittance", "absorptance")

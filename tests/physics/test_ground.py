@@ -129,6 +129,7 @@ def test_reflected_and_ground_absorbed_weights_conserve_energy(kernel):
     )
 
 
+@pytest.mark.long
 def test_spectral_and_analog_estimators_agree_over_a_ground():
     z = []
     for number, name in enumerate(MEDIA):

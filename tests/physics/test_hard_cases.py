@@ -79,6 +79,7 @@ def measure_ice(geometry, incidence, kernel, seed):
     return measure(make_snow(geometry), incidence_deg=incidence, kernel=kernel, seed=seed)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("geometry", GEOMETRIES)
 def test_ice_spectra_are_valid_and_kernels_agree(geometry, kernel):
@@ -233,6 +234,7 @@ def measure_transmittance(medium, incidence, **settings):
     return fractions[1, 0], errors[1, 0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_transmittance_of_smooth_spheres_falls_towards_90_degrees(kernel):
     # All grains lie below the boundary, so a ray along it hits their tops at grazing incidence.
@@ -290,6 +292,7 @@ def mean_fresnel_reflectance(index):
     )[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_absorptance_of_opaque_grains_follows_fresnel(kernel):
     # The snow is so thin that a ray rarely hits two: A = (1 − exp(−depth/distance)) (1 − <R>).
@@ -306,6 +309,7 @@ def test_absorptance_of_opaque_grains_follows_fresnel(kernel):
     judge_z(z, "opaque spheres")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("k", [1.0, 3.0])
 def test_opaque_grains_have_no_transmittance(k, kernel):

@@ -30,6 +30,8 @@ from splits.kernels.math.vectors import Vector, add_scaled, dot, scale
 from splits.kernels.optics.fresnel import FresnelResult, fresnel, refract
 from splits.kernels.optics.interface import ComplexIndex
 
+pytestmark = pytest.mark.long
+
 N_SCATTERINGS = 10_000_000
 MAX_DRIFT = 1e-9
 EPS = 2.0**-52

@@ -12,6 +12,8 @@ from test_layer_exact import REFERENCE, make_layer
 import splits
 from splits.simulation.diffusion import effective_mean_free_path
 
+pytestmark = pytest.mark.long
+
 pd = pytest.importorskip("pandas")
 ROUGH = {"rms_height_m": 0.01, "wave_number_per_m": 10.0, "correlation": "gaussian"}
 HAZE = splits.ParticleLayer(2.0, 0.95, 0.6, 1.33, None, depth_m=0.01)

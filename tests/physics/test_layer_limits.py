@@ -47,6 +47,7 @@ def test_layer_without_particles_is_a_plate(index, incidence):
     assert float(ds.absorptance[0]) == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("polarized", [False, True])
 @pytest.mark.parametrize(
     "settings",
@@ -105,6 +106,7 @@ def test_spectral_and_analog_estimators_agree():
     judge_z(z, "analog against spectral", independent=1)
 
 
+@pytest.mark.long
 def test_polarization_has_no_effect_without_polarizers():
     settings = {"optical_thickness": 2.0, "refractive_index": 1.0, "max_polarization": 0.0}
     polar = np.array([0.0, 30.0, 60.0])
@@ -144,6 +146,7 @@ def test_brdf_obeys_helmholtz_reciprocity(polarized):
     assert np.abs(z).max() < 3.0
 
 
+@pytest.mark.long
 def test_local_estimation_agrees_with_expansion():
     layer = splits.ParticleLayer(optical_thickness=2.0, asymmetry=0.5, bottom_albedo=None)
     polar, azimuth = np.arange(0.0, 85.0, 10.0), [0.0, 90.0, 180.0]
@@ -176,6 +179,7 @@ def test_errors_of_local_estimation_from_few_batches():
         judge_scatter(*([ds[name + end] for ds in runs] for end in ("", "_stderr")), name)
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_bins_and_local_estimation_agree_on_polarization():
     # With two interfaces, local estimation sums their multiple reflections; bins record rays only.

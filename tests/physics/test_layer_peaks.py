@@ -24,6 +24,8 @@ import splits
 from splits.kernels.optics import forward_peak
 from splits.kernels.optics.phase_function import evaluate_phase_function
 
+pytestmark = pytest.mark.long
+
 NM = [700.0]
 SEEDS = 24
 SIDES = ("brdf", "btdf")

@@ -10,6 +10,8 @@ from chi2 import judge_z
 
 import splits
 
+pytestmark = pytest.mark.long
+
 TABLE = {"cosine": [-1.0, 0.0, 0.5, 1.0], "density": [0.3, 0.1, 0.4, 2.0]}
 LAYERS = {
     "forward": {"optical_thickness": 5.0, "single_scattering_albedo": 0.95, "asymmetry": 0.75,

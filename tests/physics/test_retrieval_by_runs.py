@@ -15,6 +15,8 @@ from splits.retrieval.media import make_medium_state_vector
 from splits.retrieval.simulation_model import select_simulation_wavelengths
 from splits.retrieval.simulation_schedule import ProgressTracker
 
+pytestmark = pytest.mark.long
+
 W = np.arange(500.0, 1400.0, 100.0)
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 

@@ -64,6 +64,7 @@ def test_small_roughness_approaches_the_flat_surface(incidence):
     judge_z(z, "small roughness", independent=1)
 
 
+@pytest.mark.long
 def test_rough_surface_is_reciprocal():
     layer = splits.ParticleLayer(
         refractive_index=1.52, optical_thickness=5.0, single_scattering_albedo=0.95,

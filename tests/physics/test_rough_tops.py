@@ -48,6 +48,7 @@ def compute_z(one, other):
     return (one[0] - other[0]) / np.hypot(one[1], other[1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("incidence", [0.0, 70.0, "diffuse"])
 def test_rough_layer_in_stack_equals_the_layer(incidence):
     """Stacks of one and of two sublayers agree with the independent particle-layer kernel."""

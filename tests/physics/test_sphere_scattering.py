@@ -100,6 +100,7 @@ def mean_path(i, n):
     return math.cos(t)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("entry", ["projected", "uniform"])
 def test_mean_cosine_and_path_of_a_smooth_sphere(entry):
     weight = projected_density if entry == "projected" else math.sin

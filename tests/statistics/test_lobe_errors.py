@@ -152,6 +152,7 @@ def test_truncation_does_not_enlarge_errors_of_a_lambertian_surface():
     assert 0.8 < compute_rms(np.array(z)) < 1.2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [2, 8, 40])
 def test_noise_is_rarely_significant(count):
     n_samples = 40_000

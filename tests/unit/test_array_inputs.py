@@ -86,6 +86,7 @@ def test_all_public_functions_are_covered():
     assert not covered & NON_ARRAYS
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", list_case_names(CASES, runs=True))
 def test_equivalent_inputs_give_the_same_result(case):
     values = np.array(case.values)

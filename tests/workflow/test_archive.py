@@ -22,6 +22,8 @@ from splits.io.netcdf import drop_run_specific_attributes, get_git_commit, get_p
 from splits.io.ro_crate import METADATA_FILE, Author
 from splits.io.unarchive import unpack_archive
 
+pytestmark = pytest.mark.long
+
 EXPERIMENT = "title: Alone\nmedium: {depth_m: 0.01}\ninstrument: {wavelength_nm: [500, 900]}\n"
 TABLES = "refractive_index: {ice: %s, water: my_water.csv}"
 ALWAYS = {"CITATION.cff", "LICENSE", "README.md", "SHA256SUMS", METADATA_FILE, "versions.json"}

@@ -12,7 +12,7 @@ import xarray as xr
 import splits
 from splits.io.netcdf import drop_run_specific_attributes
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 EXPERIMENT = "instrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"
 NAMES = ("damaged", "swapped", "sound")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 ROOT = Path(__file__).parents[2]
 INDICES = "title: Indices\ninstrument: {kind: refractive_index, wavelength_nm: [500, 900]}\n"

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 INDICES = "instrument: {kind: refractive_index, wavelength_nm: [500, 600]}\nfigure: none\n"
 TABLE = """\

@@ -73,6 +73,7 @@ def test_data_and_figures_are_written(finished):
         assert variable.attrs["long_name"] and variable.attrs["units"]
 
 
+@pytest.mark.long
 def test_second_run_has_nothing_to_do(project_copy):
     run = project_copy.snakemake("--cores", 1)
     assert run.code == 0, run.text
@@ -80,6 +81,7 @@ def test_second_run_has_nothing_to_do(project_copy):
     assert run.jobs() == []
 
 
+@pytest.mark.long
 def test_changed_title_writes_only_the_report_again(project_copy):
     project_copy.put("first", FIRST.replace("title: First", "title: Number {one}"))
     assert project_copy.snakemake("--dry-run").jobs() == ["Writing the report"]
@@ -106,6 +108,7 @@ def test_change_reruns_only_dependent_jobs(project_copy):
     assert set(list_outputs("third")) <= set(project_copy.results(RESULTS))
 
 
+@pytest.mark.long
 def test_target_name_plans_that_experiment_only(project):
     project.put("second", SECOND)
     project.put("third", THIRD)
@@ -114,6 +117,7 @@ def test_target_name_plans_that_experiment_only(project):
     assert run.jobs() == ["Drawing third", "Simulating third"]
 
 
+@pytest.mark.long
 def test_number_of_threads_does_not_change_results(finished, project):
     project.put("first", FIRST)
     project.put("second", SECOND)

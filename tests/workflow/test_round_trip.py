@@ -22,7 +22,7 @@ from splits.experiments.run import run
 from splits.plotting import draw
 from splits.plotting.style import FIGURE_SUFFIXES
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 SNOW = "medium: {base: splitsnow_table1, depth_m: 0.01}\n"
 SAND = "medium: {kind: sand, depth_m: 0.01}\n"

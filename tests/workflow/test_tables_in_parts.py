@@ -11,7 +11,7 @@ from splits.core.validation import InvalidValue
 from splits.experiments import load_experiment
 from splits.io.netcdf import drop_run_specific_attributes
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 TABLE = """\
 title: Table

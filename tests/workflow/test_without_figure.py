@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 INDICES = "figure: none\ninstrument: {kind: refractive_index, wavelength_nm: [500]}\n"
 

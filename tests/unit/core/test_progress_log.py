@@ -97,6 +97,7 @@ def run_in_shell(tmp_path, before="", after="", **environment):
     return result, splits.load(tmp_path / "é" / "small.nc")
 
 
+@pytest.mark.long
 @NEEDS_JIT
 @FULL_DISK
 @pytest.mark.parametrize(

@@ -30,6 +30,7 @@ def test_accuracy_presets_match_the_shipped_configuration(pytestconfig):
     assert presets == shipped["accuracies"]
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_run_writes_a_dataset_and_a_figure(tmp_path, capsys):
     file = tmp_path / "small.yaml"

@@ -145,6 +145,7 @@ def test_a_seed_of_the_file_is_not_ignored(tmp_path, capsys):
     )
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_run_retrieves_measured_spectra(tmp_path):
     path = tmp_path / "grains.yaml"

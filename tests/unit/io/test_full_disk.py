@@ -73,6 +73,7 @@ def list_open_files():
     return [os.readlink(link) for link in links if os.path.islink(link)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("write", [save_dataset, save_table, save_image, save_archive])
 def test_a_full_disk_is_reported_without_leftovers(disk, write):
     for _ in range(2):

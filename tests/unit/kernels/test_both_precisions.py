@@ -155,6 +155,7 @@ def draw_interfaces(random, indices, extinction):
     ]  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lobe", [False, True])
 @pytest.mark.parametrize("name", FEATURES)
 def test_interactions_at_an_interface(random, name, lobe):

@@ -334,6 +334,7 @@ def run_processes(folder, count=1):
     return [(*process.communicate(timeout=300), process.returncode) for process in processes]
 
 
+@pytest.mark.long
 @NEEDS_JIT
 @pytest.mark.slow
 def test_processes_share_kernels_and_recover_from_damage(tmp_path):

@@ -175,6 +175,7 @@ def test_rays_without_intersection():
     assert from_below == pytest.approx(5.0 + height, rel=1e-12)
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_horizontal_ray_without_intersection_is_lost():
     # cos t + cos(2t + π) is nowhere above 9/8; the bound on heights is 2.

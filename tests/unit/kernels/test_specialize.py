@@ -165,6 +165,7 @@ SPHERES = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("above", [None, ParticleLayer(optical_thickness=0.3, bottom_albedo=None)])
 def test_another_shape_is_traced_alone_and_in_stacks(above, monkeypatch, tmp_path):
     """Balls, and spheroids that are spheres, reflect the same."""

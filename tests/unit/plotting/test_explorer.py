@@ -116,6 +116,7 @@ LABELS = [
 """Labels with markup, and harmless ones."""
 
 
+@pytest.mark.long
 @NEEDS_BROWSER
 def test_browser_shows_labels_as_plain_text(tmp_path):
     path, axes = tmp_path / "explorer.html", list(AXES)[1:-1]

@@ -115,6 +115,7 @@ def test_figure_none_is_the_only_spelling(tmp_path):
         draw(make_dataset({}), load_text(tmp_path, "figure: none").resolve_figure())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("grid", "quantities", "n_panels"),
     [

@@ -35,6 +35,7 @@ def image():
     return make_image(np.geomspace(60.0, 1500.0, 4), [20.0, 200.0, 900.0])
 
 
+@pytest.mark.long
 def test_pixels_match_single_retrievals(table, image):
     result = splits.retrieve_map(image, table, [SIZE, SOOT], 0.01, fixed=FIXED)
     assert result[SIZE].dims == ("y", "x")

@@ -104,6 +104,7 @@ def test_samples_follow_a_non_gaussian_posterior(table):
     ).all()
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_credible_intervals_cover_the_truth(table):
     random = np.random.default_rng(5)
@@ -171,6 +172,7 @@ def test_a_misfit_enlarges_the_errors(table):
     assert result.stderr[SIZE] > 3.0 * plain.stderr[SIZE]
 
 
+@pytest.mark.long
 def test_unknown_noise_is_estimated_from_the_misfit(table):
     """Stated errors match the deviations for noise with a correlation length of 100 nm."""
     random = np.random.default_rng(11)

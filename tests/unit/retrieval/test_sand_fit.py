@@ -136,6 +136,7 @@ def test_gauss_newton_finds_minima_at_bounds(truth):
     np.testing.assert_allclose(state[:2], truth, atol=0.02)
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_a_known_sand_is_retrieved():
     # A dark sand, which is cheap to simulate, and narrow ranges, as the search is short.

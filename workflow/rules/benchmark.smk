@@ -7,13 +7,6 @@ BENCHMARKS = {
 # Low accuracy levels only test that they run.
 if SETTINGS.accuracies[SETTINGS.accuracy].max_stderr > 0.01:
     BENCHMARKS = {name: [call[0], "--quick"] for name, call in BENCHMARKS.items()}
-
-
-def list_benchmark_files(name):
-    """Return the table and the figure of a benchmark of time against error."""
-    return [f"{RESULTS}/benchmarks/{name}{s}" for s in (".csv", *FIGURE_SUFFIXES)]
-
-
 # Time against error belongs to the results of the papers.
 REPORTED_BENCHMARKS = (
     list_benchmark_files("speed_against_error_short")

@@ -152,3 +152,8 @@ def format_study_outputs(name):
         key: [f"{RESULTS}/{path}" for path in paths]
         for key, paths in STUDIES[name].list_product_paths(name).items()
     }
+
+
+def list_benchmark_files(name):
+    """Return the table and the figure of a benchmark of time against error."""
+    return [f"{RESULTS}/benchmarks/{name}{s}" for s in (".csv", *FIGURE_SUFFIXES)]

@@ -9,6 +9,14 @@ REPORT_CONTENTS = make_report_contents(
 )
 
 
+REPORTED = [
+    *list_products(SELECTED),
+    *list_study_products(SELECTED, SELECTED_GROUPS),
+    *list_explorer(SELECTED),
+    *REPORTED_BENCHMARKS,
+]
+
+
 # The contents depend on the targets, which jobs on a cluster do not know.
 localrules:
     report,
@@ -16,10 +24,7 @@ localrules:
 
 rule report:
     input:
-        list_products(SELECTED),
-        list_study_products(SELECTED, SELECTED_GROUPS),
-        list_explorer(SELECTED),
-        REPORTED_BENCHMARKS,
+        REPORTED,
     output:
         f"{RESULTS}/report.html",
     log:

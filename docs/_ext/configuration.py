@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib import import_module
-from typing import ClassVar, get_args
+from typing import ClassVar
 
 from docutils import nodes
 from pydantic import BaseModel
@@ -19,8 +19,7 @@ from splits.experiments.config.messages import (
     describe_type,
     list_tags,
 )
-from splits.experiments.studies import AnyStudy
-from splits.experiments.studies.study import Study
+from splits.experiments.studies import STUDY_KINDS
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
@@ -85,18 +84,13 @@ class Instruments(SphinxDirective):
         return self.parse_text_to_nodes(table(head, rows))
 
 
-def list_study_kinds() -> list[type[Study]]:
-    """Return the classes of studies, in the order of their union."""
-    return [get_args(tagged)[0] for tagged in get_args(get_args(AnyStudy)[0])]
-
-
 class Studies(SphinxDirective):
     """``{study-kinds}``: description, inputs, files and outputs of each kind of study."""
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
         rows = []
-        for study in list_study_kinds():
+        for study in STUDY_KINDS.values():
             columns = study.INPUTS, study.FILES, study.PRODUCTS
             cells = [", ".join(f"`{key}`" for key in column) or "—" for column in columns]
             rows.append([f"`{list_tags(study)[0]}`", describe(study), *cells])
@@ -133,7 +127,7 @@ class InstrumentKeys(SphinxDirective):
 class StudyKeys(InstrumentKeys):
     """``{study-keys}``: a row for each key of studies, with the kinds that have it."""
 
-    models: ClassVar = {list_tags(study)[0]: study for study in list_study_kinds()}
+    models: ClassVar = {list_tags(study)[0]: study for study in STUDY_KINDS.values()}
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -6,13 +6,12 @@ from splits.core.interrupts import exit_on_signals
 
 exit_on_signals(snakemake.rule)
 
-from pydantic import TypeAdapter
-
 from splits.core.progress import open_progress_log
-from splits.experiments.studies import AnyStudy
+from splits.experiments.studies import STUDY_KINDS
 from splits.experiments.studies.study import StudyRun
 
-study = TypeAdapter(AnyStudy).validate_python(json.loads(snakemake.params.study))
+content = json.loads(snakemake.params.study)
+study = STUDY_KINDS[content["kind"]].model_validate(content)
 with open_progress_log(snakemake.log[0]) as log:
     study.make(
         StudyRun(

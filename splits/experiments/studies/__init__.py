@@ -1,20 +1,31 @@
 """Studies: tables and figures made from several experiments; one class for each kind.
 
-Another kind is a subclass of `splits.experiments.studies.study.Study` in a file of this folder, and
-a member of `AnyStudy`.
+A further kind is a file of this folder with a subclass of
+`splits.experiments.studies.study.Study`.
 """
 
-from typing import Annotated, Any
+import importlib
+import pkgutil
+from collections.abc import Iterator
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any, get_args
 
 from pydantic import Discriminator, Tag
 
-from splits.experiments.studies.agreement import AgreementStudy
-from splits.experiments.studies.interpretation import InterpretationStudy
-from splits.experiments.studies.measured import AnisotropyStudy, SurfaceAreaStudy
-from splits.experiments.studies.sand_tables import SandCompositionsStudy, SandTablesStudy
-from splits.experiments.studies.sensitivity import SensitivityStudy
-from splits.experiments.studies.tables import BandsStudy, SobolStudy
-from splits.experiments.studies.trends import AngularTrendsStudy, LayerTrendsStudy
+from splits.experiments.studies.study import Study
+
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")
+
+
+def _iter_kinds(base: type[Study]) -> Iterator[tuple[str, type[Study]]]:
+    """Yield the kinds of studies and their classes: those whose key `kind` is a literal."""
+    for study in base.__subclasses__():
+        kinds = get_args(study.model_fields["kind"].annotation)
+        if kinds:
+            yield kinds[0], study
+        yield from _iter_kinds(study)
 
 
 def get_study_kind(content: Any) -> Any:
@@ -22,18 +33,10 @@ def get_study_kind(content: Any) -> Any:
     return content.get("kind") if isinstance(content, dict) else getattr(content, "kind", None)
 
 
-AnyStudy = Annotated[
-    Annotated[SensitivityStudy, Tag("sensitivity")]
-    | Annotated[AgreementStudy, Tag("agreement")]
-    | Annotated[SandTablesStudy, Tag("sand_tables")]
-    | Annotated[SandCompositionsStudy, Tag("sand_compositions")]
-    | Annotated[AngularTrendsStudy, Tag("angular_trends")]
-    | Annotated[LayerTrendsStudy, Tag("layer_trends")]
-    | Annotated[InterpretationStudy, Tag("interpretation")]
-    | Annotated[SurfaceAreaStudy, Tag("surface_area")]
-    | Annotated[SobolStudy, Tag("sobol")]
-    | Annotated[BandsStudy, Tag("bands")]
-    | Annotated[AnisotropyStudy, Tag("anisotropy")],
+STUDY_KINDS = dict(_iter_kinds(Study))
+"""Classes of studies by kind."""
+AnyStudy: Any = Annotated[
+    reduce(or_, (Annotated[study, Tag(kind)] for kind, study in STUDY_KINDS.items())),
     Discriminator(get_study_kind),
 ]
 """A study of any kind, which the key `kind` determines."""

@@ -222,7 +222,7 @@ class Study(ConfigSection):
             which = "one of" if self.SOME_INPUTS_SUFFICE else "the roles"
             raise invalid("inputs", inputs, f"with {which} {', '.join(missing)}")
         for role, name in inputs.items():
-            if name in available:
+            if name in available and role in self.INPUTS:
                 check_input(f"inputs.{role}", available[name], self.INPUTS[role])
 
     def _check_files(self, tables: Mapping[str, Path]) -> None:

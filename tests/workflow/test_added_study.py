@@ -1,0 +1,41 @@
+"""The kind of study that the documentation adds in one file works in the workflow."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import pandas as pd
+import pytest
+from conftest import ROOT, Project
+
+pytestmark = [pytest.mark.slow, pytest.mark.long]
+
+PAGE = ROOT / "docs" / "how-to" / "own-study.md"
+BLOCK = re.compile(r"```(?:python|yaml)\n(?:# (\S+)\n)?(.*?)```", re.DOTALL)
+
+
+def test_study_of_the_documentation_makes_its_table(tmp_path, environment):
+    for name in ("splits", "workflow", "config", "benchmarks"):
+        ignored = shutil.ignore_patterns("__pycache__", "experiments" if name == "config" else "")
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=ignored)
+    for name in ("Snakefile", "environment.yml"):
+        shutil.copy(ROOT / name, tmp_path)
+    for path, text in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
+        if path:
+            (tmp_path / path).parent.mkdir(exist_ok=True)
+            (tmp_path / path).write_text(text, encoding="utf-8")
+        else:
+            with open(tmp_path / "config" / "config.yaml", "a", encoding="utf-8") as file:
+                file.write(text.removeprefix("studies:\n"))
+    variables = environment | {"PYTHONPATH": str(tmp_path)}
+    project = Project(tmp_path, variables, snakefile=tmp_path / "Snakefile")
+    run = project.snakemake("visible", "--cores", 2)
+    assert run.code == 0, run.text
+    table = pd.read_csv(tmp_path / "results" / "tiny" / "tables" / "visible.csv")
+    assert list(table.experiment) == ["fresh", "old"]
+    assert table.reflectance.between(0.9, 1.0).all() and table.stderr.between(1e-5, 0.1).all()
+    config = tmp_path / "config" / "config.yaml"
+    config.write_text(config.read_text(encoding="utf-8").replace("[450, 650]", "1"), "utf-8")
+    invalid = project.snakemake("visible")
+    assert invalid.code != 0 and "studies.visible.band_nm = 1: must be a list" in invalid.text

@@ -90,6 +90,7 @@ def test_radiation_profile_reaches_the_error_of_its_target():
     assert power.attrs["rays"] <= 20_000 < irradiance.attrs["rays"] <= 40_000
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_errors_of_radiation_profile_follow_max_stderr():
     rough, fine = (compute_stack_profile(error) for error in (0.05, 0.0006))

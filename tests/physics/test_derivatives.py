@@ -78,6 +78,7 @@ def test_derivatives_agree_with_independent_runs():
     judge_z(np.array([row[-1] for row in z]), bound_added=True)
 
 
+@pytest.mark.long
 @NEEDS_JIT
 def test_derivatives_keep_the_requested_order():
     names = ["density_kg_m3", "ground", "incidence_deg"]

@@ -62,6 +62,7 @@ def test_rough_layer_in_stack_equals_the_layer(incidence):
     judge_z(np.concatenate(z), independent=2)
 
 
+@pytest.mark.long
 def test_brdf_of_stack_equals_that_of_the_layer():
     view = {"polar_deg": [15.0, 45.0, 70.0], "azimuth_deg": [0.0, 90.0, 180.0], "rays": 200_000}
     one, other = (
@@ -74,6 +75,7 @@ def test_brdf_of_stack_equals_that_of_the_layer():
     judge_z(((one.brdf - other.brdf) / error).values.ravel(), independent=4, bound_added=True)
 
 
+@pytest.mark.long
 def test_waves_of_zero_height_have_no_effect():
     flat = splits.Stack([make_layer(surface={**WAVES, "rms_height_m": 0.0}), SNOW])
     assert (measure(flat, 30.0, 4) == measure(splits.Stack([make_layer(), SNOW]), 30.0, 4)).all()

@@ -12,7 +12,7 @@ import pytest
 
 import splits
 
-pytestmark = [
+pytestmark = , pytest.mark.long]
     pytest.mark.slow,
     pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX"),
 ]

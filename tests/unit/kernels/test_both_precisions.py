@@ -182,6 +182,7 @@ def test_interactions_at_an_interface(random, name, lobe):
                 assert np.abs((double[:, :3] ** 2).sum(axis=1) - 1.0).max() < 1e-13
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", list(FEATURES)[1:])
 def test_unused_features_change_nothing(random, name):
     """Without absorption and with the default interpretation more features change nothing."""

@@ -12,7 +12,8 @@ import pytest
 
 import splits
 
-pytestmark = , pytest.mark.long]
+pytestmark = [
+    pytest.mark.long,
     pytest.mark.slow,
     pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX"),
 ]

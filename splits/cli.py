@@ -227,17 +227,17 @@ def _print_versions(arguments: argparse.Namespace) -> None:
 
 
 def _manage_cache(arguments: argparse.Namespace) -> None:
-    """Print the content of the kernel cache folders, or clear them."""
-    from splits.kernels.compiler.cache_folders import list_cache_folders
+    """Print the content of the kernel cache, or clear it."""
+    from splits.kernels.compiler.cache_folder import find_cache_folder
 
-    for folder in list_cache_folders():
-        kernels = sorted(folder.path.glob("*.nbc"))
-        size = sum(path.stat().st_size for path in kernels) / 1e6
-        _print_line(f"{folder.path}: {len(kernels)} compiled kernels, {size:.1f} MB")
-        if arguments.clear:
-            for path in kernels:
-                folder.remove(path.name)
-            _print_line(f"deleted {len(kernels)}")
+    folder = find_cache_folder()
+    kernels = sorted(folder.glob("*.nbc")) if folder else []
+    size = sum(path.stat().st_size for path in kernels) / 1e6
+    _print_line(f"{folder}: {len(kernels)} compiled kernels, {size:.1f} MB")
+    if arguments.clear:
+        for path in kernels:
+            path.unlink(missing_ok=True)
+        _print_line(f"deleted {len(kernels)}")
 
 
 def _write_schemas(arguments: argparse.Namespace) -> None:

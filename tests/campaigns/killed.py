@@ -15,7 +15,7 @@ import splits
 from splits.core.atomic import atomic_write
 from splits.experiments.archive import pack_archive
 from splits.io.unarchive import unpack_archive
-from splits.kernels.compiler import cache_folders as kernels
+from splits.kernels.compiler.cache_folder import find_cache_folder
 from splits.plotting import draw_surface, save_figure
 
 DATA_FILE, TABLE_FILE, FIGURE_STEM = "data/made.nc", "tables/made.csv", "figures/made"
@@ -37,7 +37,7 @@ def make_missing_outputs(results: Path, cache: Path) -> None:
     """Make the missing outputs of a folder of results, with kernels of a private cache."""
     os.environ["XDG_CACHE_HOME"] = str(cache)
     numba.config.CACHE_DIR = ""
-    kernels.list_cache_folders.cache_clear()
+    find_cache_folder.cache_clear()
     data, table, archive = (results / name for name in (DATA_FILE, TABLE_FILE, ARCHIVE_FILE))
     if not data.exists():
         layer = splits.ParticleLayer(surface=ROUGH_SURFACE, depth_m=10.0)

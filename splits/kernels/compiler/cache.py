@@ -20,9 +20,10 @@ import numba
 from numba.core import serialize
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
+from splits.core.atomic import atomic_write
 from splits.core.compile_notice import COMPILING_MESSAGE, announce
 from splits.kernels.compiler import cache_lock
-from splits.kernels.compiler.cache_folders import list_cache_folders, warn_once
+from splits.kernels.compiler.cache_folder import find_cache_folder, warn_once
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
@@ -49,7 +50,7 @@ class _CacheLocator:
         """Do nothing: folders are created when a file is written."""
 
     def get_cache_path(self) -> str:
-        return str(list_cache_folders()[0].path) if list_cache_folders() else ""
+        return str(find_cache_folder() or "")
 
     def get_source_stamp(self) -> str:
         # The name of the folder contains the digest of the sources.
@@ -125,7 +126,7 @@ class CacheFiles:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._locked_folders: dict[Any, Path] = {}
+        self._locked: dict[Any, Path] = {}
 
     def make_file_name(self, key: Any) -> str:
         """Return the file name of a key."""
@@ -133,63 +134,63 @@ class CacheFiles:
 
     def load(self, key: Any) -> Any:
         """Return the data saved under a key, or None; remove damaged files."""
-        name = self.make_file_name(key)
-        for folder in list_cache_folders():
-            content = folder.read(name)
-            if content is None:
-                continue
+        folder = find_cache_folder()
+        if folder is None:
+            return None
+        path = folder / self.make_file_name(key)
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        try:
             payload = content[_DIGEST_BYTES:]
-            try:
-                if hashlib.sha256(payload).digest() != content[:_DIGEST_BYTES]:
-                    raise ValueError("checksum differs")
-                saved, data = pickle.loads(payload)
-            except Exception:
-                warn_once(f"{folder.path}: damaged compiled kernels are removed and compiled again")
-                folder.remove(name)
-                continue
-            # Different types may have the same name.
-            if saved == key:
-                return data
-        return None
+            if hashlib.sha256(payload).digest() != content[:_DIGEST_BYTES]:
+                raise ValueError("checksum differs")
+            saved, data = pickle.loads(payload)
+        except Exception:
+            warn_once(f"{folder}: damaged compiled kernels are removed and compiled again")
+            with suppress(OSError):
+                path.unlink()
+            return None
+        # Different types may have the same name.
+        return data if saved == key else None
 
     def save(self, key: Any, data: Any) -> None:
-        """Save data under a key in the first folder that is writable."""
+        """Save data under a key; without success, the kernel serves this process only."""
+        folder = find_cache_folder()
+        if folder is None:
+            return
         payload = serialize.dumps((key, data))
-        content = hashlib.sha256(payload).digest() + payload
-        reasons = []
-        for folder in list_cache_folders():
-            try:
-                folder.write(self.make_file_name(key), content)
-                return
-            except OSError as error:
-                reasons.append(f"{folder.path}: {error.strerror or error}")
-        warn_once(f"compiled kernels are not kept for the next process ({'; '.join(reasons)})")
+        try:
+            with atomic_write(folder / self.make_file_name(key)) as path, open(path, "xb") as file:
+                file.write(hashlib.sha256(payload).digest() + payload)
+        except OSError as error:
+            reason = f"{folder}: {error.strerror or error}"
+            warn_once(f"compiled kernels are not kept for the next process ({reason})")
 
     def acquire_lock(self, sig: Any) -> bool:
         """Lock a signature while this process compiles it; return whether the lock is held.
 
         Another process may have compiled the signature during the wait.
         """
-        for folder in list_cache_folders():
-            with suppress(OSError):
-                folder.create()
-                if cache_lock.acquire_lock(folder.path, f"{self.name} {sig}"):
-                    self._locked_folders[sig] = folder.path
-                    return True
-        return False
+        folder = find_cache_folder()
+        if folder is None or not cache_lock.acquire_lock(folder, f"{self.name} {sig}"):
+            return False
+        self._locked[sig] = folder
+        return True
 
     def release_lock(self, sig: Any) -> None:
         """Release the lock of a signature."""
-        if sig in self._locked_folders:
-            cache_lock.release_lock(self._locked_folders.pop(sig), f"{self.name} {sig}")
+        if sig in self._locked:
+            cache_lock.release_lock(self._locked.pop(sig), f"{self.name} {sig}")
 
     def release_all_locks(self) -> None:
         """Release the locks of all signatures."""
-        for sig in list(self._locked_folders):
+        for sig in list(self._locked):
             self.release_lock(sig)
 
     def flush(self) -> None:
         """Remove all files of the function."""
-        for folder in list_cache_folders():
-            for path in folder.path.glob(f"{glob.escape(self.name)}.*.nbc"):
-                folder.remove(path.name)
+        folder = find_cache_folder()
+        for path in folder.glob(f"{glob.escape(self.name)}.*.nbc") if folder else ():
+            path.unlink(missing_ok=True)

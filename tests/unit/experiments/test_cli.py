@@ -11,7 +11,7 @@ from chi2 import NEEDS_JIT
 
 import splits
 from splits import cli
-from splits.kernels.compiler import cache_folders
+from splits.kernels.compiler import cache_folder
 
 SMALL = """
 title: Small
@@ -88,11 +88,10 @@ def test_versions_list_the_package_and_its_dependencies(capsys):
 
 
 def test_cached_kernels_are_counted_and_cleared(tmp_path, capsys, monkeypatch):
-    folder = cache_folders.CacheFolder(tmp_path / "kernels", True)
-    folder.write("a.nbc", b"x" * 2000)
-    monkeypatch.setattr(cache_folders, "list_cache_folders", lambda: (folder,))
+    (tmp_path / "a.nbc").write_bytes(b"x" * 2000)
+    monkeypatch.setattr(cache_folder, "find_cache_folder", lambda: tmp_path)
     assert cli.main(["cache"]) == 0
-    assert capsys.readouterr().out == f"{folder.path}: 1 compiled kernels, 0.0 MB\n"
+    assert capsys.readouterr().out == f"{tmp_path}: 1 compiled kernels, 0.0 MB\n"
     assert cli.main(["cache", "--clear"]) == 0
     assert capsys.readouterr().out.endswith("deleted 1\n")
-    assert list(folder.path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == []

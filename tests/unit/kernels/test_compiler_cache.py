@@ -19,10 +19,9 @@ import pytest
 from chi2 import NEEDS_JIT
 from numba import njit
 
-from splits.core import atomic
-from splits.kernels.compiler import cache, cache_folders, cache_lock
+from splits.kernels.compiler import cache, cache_folder, cache_lock
 from splits.kernels.compiler.cache import KernelCache, enable_caching
-from splits.kernels.compiler.cache_folders import CacheFolder, list_cache_folders
+from splits.kernels.compiler.cache_folder import find_cache_folder, make_private_folder
 
 SCRIPT = """
 import numpy as np
@@ -50,27 +49,25 @@ def count_cache_hits(kernel):
 
 
 @pytest.fixture
-def folders(monkeypatch, tmp_path):
-    """Return two cache folders: the user's own and a fallback."""
-    pair = (
-        CacheFolder(tmp_path / "own" / "numba", False),
-        CacheFolder(tmp_path / "temporary", False),
-    )
-    monkeypatch.setattr(cache, "list_cache_folders", lambda: pair)
-    cache_folders.warn_once.cache_clear()
-    return pair
+def folder(monkeypatch, tmp_path):
+    """Return the cache folder, of two candidates: the user's own and one for temporary files."""
+    candidates = (tmp_path / "own" / "numba", tmp_path / "temporary")
+    monkeypatch.setattr(cache_folder, "_list_candidates", lambda: candidates)
+    monkeypatch.setattr(cache, "find_cache_folder", find_cache_folder.__wrapped__)
+    cache_folder.warn_once.cache_clear()
+    return candidates[0]
 
 
 def list_kernel_files(folder):
-    return sorted(folder.path.rglob("*.nbc"))
+    return sorted(folder.rglob("*.nbc"))
 
 
 @NEEDS_JIT
-def test_a_kernel_is_compiled_once(folders, caplog):
+def test_a_kernel_is_compiled_once(folder, caplog):
     first, second = make_kernel(), make_kernel()
     assert (first(1), second(1), second(1.5)) == (2, 2, 2.5)
     assert count_cache_hits(first) == 0 and count_cache_hits(second) == 1
-    assert len(list_kernel_files(folders[0])) == 2 and list_kernel_files(folders[1]) == []
+    assert len(list_kernel_files(folder)) == 2
     assert caplog.messages == []
 
 
@@ -104,25 +101,25 @@ DAMAGES = [
 
 @NEEDS_JIT
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_kernel_is_compiled_again(damage, folders, caplog):
+def test_a_damaged_kernel_is_compiled_again(damage, folder, caplog):
     make_kernel()(1)
-    (path,) = list_kernel_files(folders[0])
+    (path,) = list_kernel_files(folder)
     content = path.read_bytes()
     path.write_bytes(damage(content))
     recompiled = make_kernel()
     assert recompiled(1) == 2 and count_cache_hits(recompiled) == 0
     (message,) = caplog.messages
-    assert str(folders[0].path) in message and "damaged" in message and "\n" not in message
+    assert str(folder) in message and "damaged" in message and "\n" not in message
     reloaded = make_kernel()
     assert reloaded(1) == 2 and count_cache_hits(reloaded) == 1
-    assert len(caplog.messages) == 1 and list_kernel_files(folders[0]) == [path]
+    assert len(caplog.messages) == 1 and list_kernel_files(folder) == [path]
 
 
 @NEEDS_JIT
-def test_damage_is_reported_once(folders, caplog):
+def test_damage_is_reported_once(folder, caplog):
     first = make_kernel()
     first(1), first(1.5)
-    for path in list_kernel_files(folders[0]):
+    for path in list_kernel_files(folder):
         path.write_bytes(b"")
     recompiled = make_kernel()
     assert (recompiled(1), recompiled(1.5)) == (2, 2.5)
@@ -130,7 +127,7 @@ def test_damage_is_reported_once(folders, caplog):
 
 
 @NEEDS_JIT
-def test_kernels_that_fail_to_load_are_compiled_again(folders, caplog, monkeypatch):
+def test_kernels_that_fail_to_load_are_compiled_again(folder, caplog, monkeypatch):
     make_kernel()(1)
 
     def fail(*parts):
@@ -139,7 +136,7 @@ def test_kernels_that_fail_to_load_are_compiled_again(folders, caplog, monkeypat
     monkeypatch.setattr(KernelCache._impl_class, "rebuild", fail)
     assert make_kernel()(1) == 2
     (message,) = caplog.messages
-    assert str(folders[0].path) in message and "gone in this version" in message
+    assert str(folder) in message and "gone in this version" in message
 
 
 class _FullDisk:
@@ -160,31 +157,29 @@ class _FullDisk:
 
 
 @NEEDS_JIT
-def test_a_full_disk_does_not_stop_compilation(folders, caplog, monkeypatch):
-    monkeypatch.setattr(cache_folders, "open", _FullDisk, raising=False)
+def test_a_full_disk_does_not_stop_compilation(folder, caplog, monkeypatch):
+    monkeypatch.setattr(cache, "open", _FullDisk, raising=False)
     assert make_kernel()(1) == 2
     (message,) = caplog.messages
-    assert str(folders[0].path) in message and "No space left" in message
-    assert {path.name for folder in folders for path in folder.path.iterdir()} <= {
-        cache_lock.LOCK_FILE
-    }
+    assert str(folder) in message and "No space left" in message
+    assert {path.name for path in folder.iterdir()} <= {cache_lock.LOCK_FILE}
 
 
 @NEEDS_JIT
-def test_second_folder_is_used_if_first_is_unwritable(folders, caplog):
+def test_second_folder_is_used_if_first_is_unwritable(folder, caplog):
     # A file where a folder should be: not even root can write below it.
-    folders[0].path.parent.write_text("")
+    folder.parent.write_text("")
     assert make_kernel()(1) == 2
-    assert len(list_kernel_files(folders[1])) == 1
+    assert len(list_kernel_files(folder.parents[1] / "temporary")) == 1
     reloaded = make_kernel()
     assert reloaded(1) == 2 and count_cache_hits(reloaded) == 1
     assert caplog.messages == []
 
 
 @NEEDS_JIT
-def test_folders_are_accessible_to_the_user_only(folders):
+def test_folders_are_accessible_to_the_user_only(folder):
     make_kernel()(1)
-    status = folders[0].path.stat()
+    status = folder.stat()
     assert status.st_mode & 0o777 == 0o700 and status.st_uid == os.getuid()
 
 
@@ -196,128 +191,75 @@ class _ForeignCode:
 
 
 def test_kernels_of_old_versions_are_removed(monkeypatch, tmp_path):
-    monkeypatch.setattr(cache_folders, "compute_kernels_digest", lambda: "new")
+    monkeypatch.setattr(cache_folder, "compute_kernels_digest", lambda: "new")
     for name, age in (("numba-old", 2.0), ("numba-recent", 0.5), ("notes", 2.0)):
         (tmp_path / name).mkdir()
-        timestamp = time.time() - age * cache_folders.MAX_UNUSED_AGE_S
+        timestamp = time.time() - age * cache_folder.MAX_UNUSED_AGE_S
         os.utime(tmp_path / name, (timestamp, timestamp))
-    CacheFolder(tmp_path / "numba-new", False).write("kernel", b"content")
+    make_private_folder(tmp_path / "numba-new")
     remaining = {folder.name for folder in tmp_path.iterdir()}
     assert remaining == {"numba-recent", "numba-new", "notes"}
 
 
-KILLED_PROGRAM = """
-import os, pathlib, signal, sys
-from splits.kernels.compiler.cache_folders import CacheFolder
-
-os.replace = lambda *paths: os.kill(os.getpid(), signal.SIGKILL)
-CacheFolder(pathlib.Path(sys.argv[1]), True).write("killed", b"content")
-"""
-
-
-def test_temporary_files_of_killed_writers_are_removed(tmp_path):
-    subprocess.run([sys.executable, "-c", KILLED_PROGRAM, str(tmp_path)])
-    assert len(list(tmp_path.iterdir())) == 2
-    with atomic.atomic_write(tmp_path / "living") as living:
-        living.write_text("whole")
-        CacheFolder(tmp_path, True).write("kernel", b"content")
-        assert living.exists()
-    assert {path.name for path in tmp_path.iterdir()} == {"kernel", "living"}
-
-
-def plant_foreign_kernel(folders):
+def plant_foreign_kernel(folder):
     """Replace the kernel by a foreign file with a matching checksum."""
     make_kernel()(1)
-    (path,) = list_kernel_files(folders[0])
+    (path,) = list_kernel_files(folder)
     content = pickle.dumps(_ForeignCode())
     path.write_bytes(hashlib.sha256(content).digest() + content)
 
 
-def test_the_planted_file_runs_foreign_code(folders):
+def test_the_planted_file_runs_foreign_code(folder):
     with pytest.raises(SystemExit):
         pickle.loads(pickle.dumps(_ForeignCode()))
 
 
 @NEEDS_JIT
 @pytest.mark.parametrize("violation", ["open to others", "a link", "of another user"])
-def test_folders_writable_by_others_are_not_read(violation, folders, caplog, monkeypatch):
-    plant_foreign_kernel(folders)
-    folder = folders[0].path
+def test_folders_writable_by_others_are_not_read(violation, folder, caplog, monkeypatch):
+    plant_foreign_kernel(folder)
     if violation == "open to others":
         folder.chmod(0o777)
     elif violation == "a link":
         folder.rename(folder.with_name("elsewhere"))
         folder.symlink_to(folder.with_name("elsewhere"))
     else:
-        monkeypatch.setattr(cache_folders, "_get_user_id", lambda: os.getuid() + 1)
+        monkeypatch.setattr(cache_folder, "_get_user_id", lambda: os.getuid() + 1)
     assert make_kernel()(1) == 2
     assert str(folder) in caplog.messages[0] and "own" in caplog.messages[0]
     if violation != "of another user":
-        assert len(list_kernel_files(folders[1])) == 1
+        assert len(list_kernel_files(folder.parents[1] / "temporary")) == 1
 
 
-@NEEDS_JIT
-@pytest.mark.skipif(os.name == "nt", reason="owners of POSIX")
-@pytest.mark.parametrize("violation", ["of another user", "open to the group", "open to all"])
-def test_files_of_others_are_not_loaded(violation, folders, caplog, monkeypatch):
-    named = CacheFolder(folders[0].path, True)
-    monkeypatch.setattr(cache, "list_cache_folders", lambda: (named, folders[1]))
-    plant_foreign_kernel((named,))
-    named.path.chmod(0o777)
-    (path,) = list_kernel_files(named)
-    planted = path.read_bytes()
-    if violation == "of another user" and os.getuid() == 0:
-        os.chown(path, 12_345, -1)
-    elif violation == "of another user":
-        # Only root can change the owner of a file, so the user's id is changed instead.
-        monkeypatch.setattr(cache_folders, "_get_user_id", lambda: os.getuid() + 1)
-    else:
-        path.chmod(0o664 if "group" in violation else 0o666)
-    assert make_kernel()(1) == 2
-    assert "other users" in caplog.messages[0] and str(named.path) in caplog.messages[0]
-    # They are not replaced either, as their owners would replace them in turn: the next folder
-    # is used.
-    assert path.read_bytes() == planted
-    if cache_folders._get_user_id() == os.getuid():
-        assert len(list_kernel_files(folders[1])) == 1
-
-
-@NEEDS_JIT
-def test_files_of_root_are_loaded(folders, monkeypatch):
-    named = CacheFolder(folders[0].path, True)
-    monkeypatch.setattr(cache, "list_cache_folders", lambda: (named,))
-    make_kernel()(1)
-    if list_kernel_files(named)[0].stat().st_uid != 0:
-        pytest.skip("needs a file of root")
-    monkeypatch.setattr(cache_folders, "_get_user_id", lambda: 12_345)
-    reloaded = make_kernel()
-    assert reloaded(1) == 2 and count_cache_hits(reloaded) == 1
-
-
-def test_temporary_folder_is_never_user_defined(monkeypatch, tmp_path):
+def test_each_user_has_a_folder_in_a_shared_one(monkeypatch, tmp_path):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    first, last = list_cache_folders.__wrapped__()
-    assert first.path.is_relative_to(tmp_path) and first.user_defined
-    assert first.path.name == f"numba-{cache_folders.compute_kernels_digest()}"
-    assert last.path.parent == Path(tempfile.gettempdir()) and not last.user_defined
-    assert last.path.name == f"splits-{os.getuid()}-numba-{cache_folders.compute_kernels_digest()}"
+    first, last = cache_folder._list_candidates()
+    name = f"splits-{os.getuid()}-numba-{cache_folder.compute_kernels_digest()}"
+    assert (first, last) == (tmp_path / name, Path(tempfile.gettempdir()) / name)
 
 
 def test_users_without_a_home_use_the_temporary_folder(monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
-    (only,) = list_cache_folders.__wrapped__()
-    assert only.path.parent == Path(tempfile.gettempdir())
+    (only,) = cache_folder._list_candidates()
+    assert only.parent == Path(tempfile.gettempdir())
+
+
+@NEEDS_JIT
+def test_without_a_folder_kernels_serve_one_process(folder, caplog, monkeypatch):
+    monkeypatch.setattr(cache_folder, "_list_candidates", lambda: ())
+    assert make_kernel()(1) == 2
+    assert "not kept" in caplog.messages[0]
 
 
 def test_a_warning_is_printed_once_and_unchanged(capsys, monkeypatch):
-    cache_folders.warn_once.cache_clear()
-    logger = logging.getLogger(cache_folders.__name__)
+    cache_folder.warn_once.cache_clear()
+    logger = logging.getLogger(cache_folder.__name__)
     monkeypatch.setattr(logger, "handlers", [logging._StderrHandler(logging.WARNING)])
     monkeypatch.setattr(logger, "propagate", False)
-    cache_folders.warn_once("one line")
-    cache_folders.warn_once("one line")
+    cache_folder.warn_once("one line")
+    cache_folder.warn_once("one line")
     assert capsys.readouterr().err == "one line\n"
 
 

@@ -13,7 +13,6 @@ from scenes import compute_optics, make_medium_scene
 
 import splits
 from splits.kernels.compiler import cache
-from splits.kernels.compiler.cache_folders import CacheFolder
 from splits.kernels.compiler.jit import entry_point, inline, inline_allocating, inline_only
 from splits.kernels.tallies.exits import allocate_exits
 from splits.kernels.transport import history
@@ -38,9 +37,8 @@ def compute_total(x):
 
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
-    cache_folder = CacheFolder(tmp_path / "numba", False)
-    monkeypatch.setattr(cache, "list_cache_folders", lambda: (cache_folder, cache_folder))
-    return cache_folder.path
+    monkeypatch.setattr(cache, "find_cache_folder", lambda: tmp_path)
+    return tmp_path
 
 
 @NEEDS_JIT

@@ -14,7 +14,6 @@ from numba.core.errors import TypingError
 import splits
 from splits.kernels.base.scene import make_bounding_optics
 from splits.kernels.compiler import cache
-from splits.kernels.compiler.cache_folders import CacheFolder
 from splits.kernels.compiler.jit import inline, inline_only, specialize
 from splits.kernels.grains import spheroid, state
 from splits.kernels.grains.spheroid import Chord
@@ -170,7 +169,7 @@ SPHERES = {
 def test_another_shape_is_traced_alone_and_in_stacks(above, monkeypatch, tmp_path):
     """Balls, and spheroids that are spheres, reflect the same."""
     # The digest of the cached kernels does not cover the versions in this file.
-    monkeypatch.setattr(cache, "list_cache_folders", lambda: (CacheFolder(tmp_path, False),))
+    monkeypatch.setattr(cache, "find_cache_folder", lambda: tmp_path)
     spheres = [make(**SPHERES) for make in (BallSnow, Snow)]
     media = spheres if above is None else [Stack([above, one]) for one in spheres]
     balls, spheroids = (

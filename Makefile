@@ -1,4 +1,4 @@
-# make run         set up .venv, run the experiments of the papers and own ones into results/
+# make run         set up .venv, run the experiments of the papers and your own into results/
 # make draft       the same at low accuracy, into results/draft
 # make resume      continue make run after a crash (ACCURACY=draft for a draft)
 # make test        set up .venv and run the tests, except those marked "long"

@@ -1,6 +1,6 @@
 """Workflow that runs all experiments and studies of config/ and writes a report on them.
 
-snakemake --cores 2                             the papers, and own experiments
+snakemake --cores 2                             the papers, and your own experiments
 snakemake --cores 2 explorer                    another group of experiments
 snakemake --cores 2 everything                  all groups
 snakemake --cores 2 fig08_grain_size            one experiment or study
@@ -82,7 +82,7 @@ rule everything:
         rules.all.input,
 
 
-for GROUP in dict.fromkeys([*GROUPS, "explorer"]):
+for GROUP in dict.fromkeys([*GROUPS, "papers", "own", "explorer"]):
 
     rule:
         name:
@@ -90,7 +90,8 @@ for GROUP in dict.fromkeys([*GROUPS, "explorer"]):
         input:
             list_products(GROUPS.get(GROUP, [])),
             list_group_studies(GROUP),
-            list_explorer(EXPERIMENTS if GROUP == "explorer" else GROUPS[GROUP]),
+            list_explorer(EXPERIMENTS if GROUP == "explorer" else GROUPS.get(GROUP, [])),
+            REPORTED_BENCHMARKS if GROUP == "papers" else [],
 
 
 for NAME in EXPERIMENTS:

@@ -86,7 +86,7 @@ def _make_parser() -> argparse.ArgumentParser:
     run.add_argument("--seed", type=int, help="seed of the random numbers (default: 1)")
     run.add_argument("--threads", type=int, help="number of threads (default: all processors)")
     run.add_argument("--media", type=Path, default=Path("config/media"), metavar="FOLDER",
-                     help="folder of own media, `base: NAME` (default: config/media)")  # fmt: skip
+                     help="folder of your media, `base: NAME` (default: config/media)")  # fmt: skip
     run.set_defaults(action=_run_experiment)
 
     versions = commands.add_parser(

@@ -69,7 +69,9 @@ class _Parser:
         if depth > MAX_DEPTH:
             raise _make_error(event, f"more than {MAX_DEPTH} lists and mappings within each other")
         if is_alias and event.anchor not in self.anchors:
-            raise _make_error(event, f"no anchor &{event.anchor} ends before this alias")
+            raise _make_error(
+                event, f"no anchor &{format_key(event.anchor)} ends before this alias"
+            )
         self.n_nodes += self.anchors[event.anchor].size if is_alias else 1
         if self.n_nodes > MAX_NODES:
             raise _make_error(event, f"more than {MAX_NODES} values")

@@ -193,8 +193,11 @@ class PlotLines:
         n_colours = len(self.colours)
         norm = BoundaryNorm(np.arange(n_colours + 1) - 0.5, n_colours)
         ticks = np.arange(0, n_colours, -(-n_colours // MAX_COLOUR_ENTRIES))
-        specs = [panel.get_subplotspec() for panel in axes]
-        rows = len({spec.rowspan.start for spec in specs if spec is not None})
+        specs = [spec for panel in axes if (spec := panel.get_subplotspec()) is not None]
+        if len({id(spec.get_gridspec()) for spec in specs}) > 1:
+            # Matplotlib cannot lay out a bar that spans several grids of panels.
+            axes, specs = axes[:1], specs[:1]
+        rows = len({spec.rowspan.start for spec in specs})
         colour_bar = figure.colorbar(
             ScalarMappable(norm, ListedColormap(self.colours)), ax=list(axes), ticks=ticks,
             aspect=20 * rows, label=title or format_parameter(self.colour_dim), pad=0.02,

@@ -1,6 +1,7 @@
 from splits.experiments.archive import get_packing_time, list_configuration_files
 
 ARCHIVED = SETTINGS.select_archived(SELECTED)
+ARCHIVED_NAMES = [name for name in ARCHIVED.experiments if name in EXPERIMENTS]
 if "archive" in sys.argv[1:]:
     # Invalid values are rejected before anything runs.
     try:
@@ -14,7 +15,7 @@ if "archive" in sys.argv[1:]:
 
 rule archive:
     input:
-        results=list_products(ARCHIVED.experiments)
+        results=list_products(ARCHIVED_NAMES)
         + (
             list_study_products(SELECTED, SELECTED_GROUPS)
             if SETTINGS.archive == "all"
@@ -24,7 +25,7 @@ rule archive:
         tables=lambda wildcards: sorted(
             {
                 t
-                for name in ARCHIVED.experiments
+                for name in ARCHIVED_NAMES
                 for t in EXPERIMENTS[name].list_table_paths()
             }
         ),

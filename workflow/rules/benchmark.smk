@@ -34,9 +34,9 @@ rule benchmark:
     threads: 64
     params:
         call=lambda wildcards: BENCHMARKS[wildcards.name],
-        sources=hash_files(
+        sources=lambda wildcards: hash_files(
             Path(workflow.basedir) / "benchmarks",
-            ["speed_against_error.py", "method_table.py", "theories.py", "kernels.py"],
+            [BENCHMARKS[wildcards.name][0], "method_table.py", "theories.py"],
         ),
         physics=hash_physics_sources(),
         theories=hash_files(

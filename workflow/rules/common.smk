@@ -13,8 +13,13 @@ from splits.experiments.studies.study import describe_missing
 STUDIES = SETTINGS.studies
 # Studies of which experiments do not exist, with a message for each.
 INCOMPLETE_STUDIES = find_incomplete_studies(STUDIES, EXPERIMENTS)
-for NAME in set(INCOMPLETE_STUDIES) & set(sys.argv[1:]):
-    raise WorkflowError(INCOMPLETE_STUDIES[NAME])
+for NAME, MESSAGE in INCOMPLETE_STUDIES.items():
+    if NAME in sys.argv[1:]:
+        raise WorkflowError(MESSAGE)
+    if workflow.is_main_process and set(STUDIES[NAME].list_experiments()) & set(
+        SELECTED
+    ):
+        logger.warning(MESSAGE)
 COMPLETE_STUDIES = {
     name: study for name, study in STUDIES.items() if name not in INCOMPLETE_STUDIES
 }
@@ -72,9 +77,10 @@ def list_products(names):
 
 def list_study_products(experiments, groups):
     """Return the products of the studies of these groups, over these experiments only."""
+    chosen = {name: EXPERIMENTS[name] for name in experiments}
     return [
         f"{RESULTS}/{path}"
-        for name, study in select_studies(COMPLETE_STUDIES, experiments, groups).items()
+        for name, study in select_studies(COMPLETE_STUDIES, chosen, groups).items()
         for paths in study.list_product_paths(name).values()
         for path in paths
     ]
@@ -116,15 +122,11 @@ def choose_threads(name):
     Up to four simulations run in parallel, which hides their start-up times.  A single requested
     experiment, and a fit, which is long, have all cores.
     """
-    requested = set(workflow.dag_settings.targets) & set(EXPERIMENTS)
-    n_parallel = min(4, len(requested or SELECTED))
+    targets = workflow.dag_settings.targets
+    requested = {name for target in targets for name in GROUPS.get(target, [target])}
+    n_parallel = min(4, len(requested & set(EXPERIMENTS) or SELECTED))
     cores = count_cores()
     return cores if EXPERIMENTS[name].fit else max(1, cores // n_parallel)
-
-
-def choose_study_threads(name):
-    """Return a function of the threads of a study: those of its simulations, if it has any."""
-    return lambda wildcards: count_cores() if STUDIES[name].USES_ALL_THREADS else 1
 
 
 def list_study_datasets(name):
@@ -132,8 +134,11 @@ def list_study_datasets(name):
     return {
         **{one: f"{RESULTS}/data/{one}.nc" for one in STUDIES[name].list_experiments()},
         **{
-            other: f"{RESULTS}/{STUDIES[other].list_product_paths(other)['data'][0]}"
+            other: f"{RESULTS}/{path}"
             for other in STUDIES[name].list_studies()
+            for paths in STUDIES[other].list_product_paths(other).values()
+            for path in paths
+            if path.endswith(".nc")
         },
     }
 
@@ -146,7 +151,7 @@ def list_study_inputs(name):
     }
 
 
-def format_study_outputs(name):
+def list_study_outputs(name):
     """Return the products of a study by key."""
     return {
         key: [f"{RESULTS}/{path}" for path in paths]

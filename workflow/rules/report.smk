@@ -17,8 +17,9 @@ REPORTED = [
 ]
 
 
-# The contents depend on the targets, which jobs on a cluster do not know.
+# The contents depend on the targets, which jobs of a cluster do not have.
 localrules:
+    archive,
     report,
 
 

@@ -1,5 +1,9 @@
 MAX_STDERR = SETTINGS.accuracies[SETTINGS.accuracy].max_stderr
-for NAME in COMPLETE_STUDIES:
+PAPER_SOURCES = [
+    f"experiments/papers/{path.name}"
+    for path in sorted((PACKAGE_FOLDER / "experiments" / "papers").glob("*.py"))
+]
+for NAME, STUDY in COMPLETE_STUDIES.items():
 
     rule:
         name:
@@ -7,25 +11,29 @@ for NAME in COMPLETE_STUDIES:
         input:
             **list_study_inputs(NAME),
         output:
-            **format_study_outputs(NAME),
+            **list_study_outputs(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
         benchmark:
             f"{RESULTS}/benchmarks/{NAME}.tsv"
+        # Without datasets, a study is a table of the selected experiments, which jobs of a cluster
+        # cannot derive: they have no targets.
+        localrule: not list_study_datasets(NAME)
         conda:
             "../../environment.yml"
-        threads: choose_study_threads(NAME)
+        threads: count_cores() if STUDY.USES_ALL_THREADS else 1
         params:
             study=escape_param(
-                STUDIES[NAME].model_dump(mode="json", exclude={"reproduces"})
+                STUDY.model_dump(mode="json", exclude={"reproduces", "group"})
             ),
             parameters=escape_param(
-                STUDIES[NAME].list_parameters(SETTINGS.seed, MAX_STDERR, SELECTED)
+                STUDY.list_parameters(SETTINGS.seed, MAX_STDERR, SELECTED)
             ),
+            sources=hash_files(PACKAGE_FOLDER, [STUDY.get_source(), *PAPER_SOURCES]),
             inputs=list(list_study_datasets(NAME)),
-            files=list(STUDIES[NAME].list_file_paths(SETTINGS.table_folders)),
+            files=list(STUDY.list_file_paths(SETTINGS.table_folders)),
         message:
-            STUDIES[NAME].MESSAGE
+            STUDY.MESSAGE
         script:
             "../scripts/study.py"
 

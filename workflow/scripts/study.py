@@ -15,7 +15,7 @@ study = STUDY_KINDS[content["kind"]].model_validate(content)
 with open_progress_log(snakemake.log[0]) as log:
     study.make(
         StudyRun(
-            inputs=dict(zip(snakemake.params.inputs, snakemake.input.data, strict=True)),
+            datasets=dict(zip(snakemake.params.inputs, snakemake.input.data, strict=True)),
             files=dict(zip(snakemake.params.files, snakemake.input.tables, strict=True)),
             outputs={key: list(paths) for key, paths in snakemake.output.items()},
             parameters=json.loads(snakemake.params.parameters),

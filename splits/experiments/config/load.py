@@ -176,7 +176,7 @@ def _apply_base(medium: Any, key: str, folder: Path) -> Any:
 
 def _read_base(base: Any, key: str, folder: Path) -> dict[str, Any]:
     """Return the settings of a named medium, or of a file of the folder of media."""
-    own_files = {path.stem: path for path in folder.glob("*.yaml")}
+    own_files = {path.stem: path for path in folder.glob("*.y*ml")}
     check_choice(key, base, {*own_files, *NAMED_MEDIA})
     if base not in own_files:
         return read_named_medium(base)

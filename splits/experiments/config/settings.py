@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import posixpath
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -183,27 +183,38 @@ class Settings(ConfigSection):
         """Folders of the tables of measured and of published numbers."""
         return {"measured": Path(self.measured_folder), "published": Path(self.published_folder)}
 
-    def select_archived(self, selected: Iterable[str]) -> Settings:
+    def select_archived(self, selected: Mapping[str, ExperimentConfig]) -> Settings:
         """Return the settings of a run that makes the content of an archive only.
 
         Parameters
         ----------
-        selected : iterable of str
-            Names of the selected experiments.
+        selected : mapping
+            The selected experiments by name.
 
         Raises
         ------
         ConfigError
-            If no experiment of the archive is selected.
+            If an experiment of the archive is not selected.
         """
         if self.archive == "all":
-            return self.model_copy(update={"experiments": tuple(selected)})
-        names = tuple(name for name in self.archive if name in selected)
-        if not names:
-            allowed = "one or more of the experiments selected"
-            raise ConfigError(f"archive = {', '.join(self.archive)}: must be {allowed}")
+            groups = {one.group for one in selected.values()}
+            if self.experiments != "everything":
+                groups &= {*self.experiments}
+            studies = {
+                name: study
+                for name, study in self.studies.items()
+                if study.group is None or study.group in groups
+            }
+            # The groups of these studies select them, and their experiments.
+            named = dict.fromkeys(study.group for study in studies.values() if study.group)
+            names = (*selected, *named)
+            return self.model_copy(update={"experiments": names, "studies": studies})
+        for name in self.archive:
+            if name not in selected:
+                hint = "add it or its group to experiments"
+                raise ConfigError(f"archive = {name!r}: must be a selected experiment ({hint})")
         others: dict[str, Any] = {"studies": {}, "explorer": {}, "explorer_directions": {}}
-        return self.model_copy(update={"experiments": names, "archive": "all", **others})
+        return self.model_copy(update={"experiments": self.archive, "archive": "all", **others})
 
     def list_authors(self) -> tuple[Author, ...]:
         """Return the authors of an archive, if any are given."""
@@ -260,7 +271,8 @@ class Settings(ConfigSection):
             for name in () if isinstance(names, str) else names:
                 if name not in known:
                     hint = suggest_name(name, known) or "known: " + ", ".join(known)
-                    raise ConfigError(f"{key} = {name!r}: no such experiment ({hint})")
+                    what = "experiment or group" if key == "experiments" else "experiment"
+                    raise ConfigError(f"{key} = {name!r}: no such {what} ({hint})")
         for group in dict.fromkeys(one.group for one in available.values()):
             if group in available or group in self.studies:
                 raise ConfigError(f"group = {group!r}: must differ from experiments and studies")
@@ -269,7 +281,8 @@ class Settings(ConfigSection):
             name: one for name, one in available.items() if name in chosen or one.group in chosen
         }
         if not selected:
-            raise ConfigError(f"experiments = {', '.join(chosen)}: no experiment is in this group")
+            given = ", ".join(chosen) or "[]"
+            raise ConfigError(f"experiments = {given}: must select at least one experiment")
         self.select_archived(selected)
         check_studies(self.studies, available, self.table_folders)
         self._check_explorer(available)

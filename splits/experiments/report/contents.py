@@ -227,8 +227,8 @@ def _list_study_items(name: str, study: Study) -> list[ReportItem]:
                 caption=product.caption,
                 place=product.place if study.reproduces else "",
                 figure=figure,
-                tables=() if figure else tuple(ReportTable(path=path) for path in made),
-                datasets=datasets if figure else (),
+                tables=tuple(ReportTable(path=path) for path in made if path.endswith(".csv")),
+                datasets=datasets if figure else tuple(p for p in made if not p.endswith(".csv")),
                 is_comparison=product.is_comparison and study.reproduces is not None,
             )
         )

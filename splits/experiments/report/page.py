@@ -133,6 +133,7 @@ def make_context(contents: ReportContents, folder: Path) -> dict[str, Any]:
     return {
         "contents": contents,
         "has_papers": any(section.key in PAPERS for section in contents.sections),
+        "has_all_papers": {*PAPERS} <= {section.key for section in contents.sections},
         "n_experiments": sum(item.anchor.startswith("experiment-") for item in items),
         "comparisons": comparisons,
         "place_of": _map_places(comparisons),
@@ -185,8 +186,13 @@ def _make_item_view(item: ReportItem, folder: Path) -> ItemView:
         paragraphs=_split_paragraphs(item.caption),
         picture=_make_picture(folder / item.figure) if item.figure else None,
         tables=tables,
-        links=[Link(FILE_KINDS[PurePosixPath(p).suffix], p) for p in _list_paths([item])],
+        links=[Link(_get_file_kind(p), p) for p in _list_paths([item])],
     )
+
+
+def _get_file_kind(path: str) -> str:
+    suffix = PurePosixPath(path).suffix
+    return FILE_KINDS.get(suffix, suffix[1:])
 
 
 def _list_paths(items: Iterable[ReportItem]) -> list[str]:

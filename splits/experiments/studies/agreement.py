@@ -107,7 +107,7 @@ class AgreementStudy(Study):
         tables: Mapping[str, Path],
         studies: Mapping[str, Study],
     ) -> None:
-        """Reject unknown or missing names, and experiments and tables that do not serve."""
+        """Reject unknown or missing names, and unsuitable experiments and tables."""
         names = [name for name, study in studies.items() if study.kind == "sensitivity"]
         check_choice("sensitivity", self.sensitivity, names)
         super().check(available, tables, studies)

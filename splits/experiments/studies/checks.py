@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from splits.core.validation import invalid
+from splits.core.validation import check_choice, invalid
 from splits.core.yaml import ConfigError
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
 from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
@@ -31,10 +31,13 @@ def check_studies(
     ConfigError
         With one line that names the study, the key, the value and the allowed values.
     """
+    groups = dict.fromkeys(one.group for one in available.values())
     for name, study in studies.items():
         try:
             if not NAME_PATTERN.fullmatch(name) or name in RESERVED_NAMES:
                 raise invalid("name", name, f"{NAME_RULE}, none of the workflow's rules")
+            if study.group is not None:
+                check_choice("group", study.group, groups)
             study.check(available, tables, studies)
         except ValueError as error:
             raise ConfigError(f"studies.{name}.{error}") from None
@@ -54,13 +57,15 @@ def find_incomplete_studies(
 
 
 def select_studies(
-    studies: Mapping[str, Study], experiments: Iterable[str], groups: Iterable[str]
+    studies: Mapping[str, Study],
+    experiments: Mapping[str, ExperimentConfig],
+    groups: Iterable[str],
 ) -> dict[str, Study]:
     """Return the studies of these groups, or of no group, over these experiments only."""
     return {
         name: study
         for name, study in studies.items()
-        if set(study.list_experiments()) <= set(experiments)
+        if not study.describe_missing(experiments, studies)
         and (study.group is None or study.group in groups)
     }
 

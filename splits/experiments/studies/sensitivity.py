@@ -42,7 +42,7 @@ class SensitivityPair(ConfigSection):
         return [self.experiment, *([self.interpretation] if self.interpretation else [])]
 
     def check(self, key: str, available: Mapping[str, ExperimentConfig]) -> None:
-        """Reject experiments that do not serve."""
+        """Reject experiments that do not meet the requirements."""
         axes = (self.parameter, "depth_m")
         extremes: dict[str, tuple[float | str, ...]] = {self.parameter: (self.low, self.high)}
         if self.experiment in available:
@@ -97,7 +97,7 @@ class SensitivityStudy(Study):
         return list(dict.fromkeys(names))
 
     def check_inputs(self, available: Mapping[str, ExperimentConfig]) -> None:
-        """Reject experiments that do not serve."""
+        """Reject experiments that do not meet the requirements."""
         if not self.pairs:
             raise invalid("pairs", self.pairs, "at least one pair")
         for name, pair in self.pairs.items():

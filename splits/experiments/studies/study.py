@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from pydantic import Field
 
 from splits.analysis.measured import read_measured, read_published, read_spectra
+from splits.core.provenance import PACKAGE_FOLDER
 from splits.core.validation import check_choice, invalid, suggest_name, unknown_key
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.reproduces import PaperKey
@@ -64,8 +66,10 @@ class StudyRun(NamedTuple):
 
     Attributes
     ----------
-    inputs, files : dict of str to str
-        Paths of the results of experiments and of other studies, and of tables of numbers.
+    datasets : dict of str to str
+        Paths of the datasets of experiments and of other studies, by their names.
+    files : dict of str to str
+        Paths of the tables of numbers, by key.
     outputs : dict of str to list of str
         Paths of the products, by key.
     parameters : dict of str to object
@@ -75,7 +79,7 @@ class StudyRun(NamedTuple):
         Writes a line to the terminal and to the log file.
     """
 
-    inputs: dict[str, str]
+    datasets: dict[str, str]
     files: dict[str, str]
     outputs: dict[str, list[str]]
     parameters: dict[str, Any]
@@ -86,7 +90,7 @@ class StudyRun(NamedTuple):
         """Return the results of an experiment."""
         from splits import load
 
-        return load(self.inputs[experiment])
+        return load(self.datasets[experiment])
 
     def write_table(self, key: str, table: Any) -> None:
         """Write a table of the study."""
@@ -114,7 +118,10 @@ class Study(ConfigSection):
         Tables of numbers that it reads, and their folders: "published" or "measured".
     MESSAGE : str
         What it does, for the terminal.
-    SOME_INPUTS_SUFFICE, OPTIONAL_FILES, USES_ALL_THREADS : bool
+    SOME_INPUTS_SUFFICE, OPTIONAL_FILES : bool
+        Whether some of the roles suffice, and whether the tables may be left out.
+    USES_ALL_THREADS : bool
+        Whether `make` simulates, and therefore has all cores.
     """
 
     PRODUCTS: ClassVar[Mapping[str, StudyProduct]]
@@ -137,6 +144,11 @@ class Study(ConfigSection):
     def make(self, run: StudyRun) -> None:
         """Make all products."""
         raise NotImplementedError
+
+    @classmethod
+    def get_source(cls) -> str:
+        """Return the source file of the kind, relative to the package."""
+        return Path(inspect.getfile(cls)).relative_to(PACKAGE_FOLDER).as_posix()
 
     def list_experiments(self) -> list[str]:
         """Return the names of the experiments of the study, without repetition."""
@@ -186,7 +198,7 @@ class Study(ConfigSection):
         tables: Mapping[str, Path],
         studies: Mapping[str, Study],
     ) -> None:
-        """Reject unknown or missing names, and experiments and tables that do not serve.
+        """Reject unknown or missing names, and unsuitable experiments and tables.
 
         Parameters
         ----------

@@ -89,7 +89,7 @@ class SobolStudy(TableStudy):
 
         indices = {}
         for role, name in self.inputs.items():
-            table = splits.open_table(run.inputs[name])
+            table = splits.open_table(run.datasets[name])
             free = list_numeric_axes(table.dataset, table.axes[:-1])
             seed = run.parameters["seed"]
             indices[role.replace("_", " ")] = splits.sobol_indices(table, free, seed=seed)
@@ -156,7 +156,7 @@ class BandsStudy(TableStudy):
 
         selections = {}
         for role, name in self.inputs.items():
-            table = splits.open_table(run.inputs[name])
+            table = splits.open_table(run.datasets[name])
             fixed = {n: value for n, value in self.fixed.items() if n in table.axes}
             free = [n for n in list_numeric_axes(table.dataset, table.axes[:-1]) if n not in fixed]
             bands = self.bands or table.dataset.wavelength.values

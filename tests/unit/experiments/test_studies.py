@@ -14,7 +14,7 @@ from splits.experiments import ExperimentConfig, load_experiments, load_settings
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.messages import validate_content
 from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
-from splits.experiments.studies.checks import find_incomplete_studies
+from splits.experiments.studies.checks import find_incomplete_studies, select_studies
 
 ROOT = Path(__file__).parents[3]
 SETTINGS_CONTENT = read_yaml(ROOT / "config" / "config.yaml")
@@ -26,6 +26,11 @@ SETTINGS_CONTENT |= {
 @pytest.fixture(scope="module")
 def shipped():
     return load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
+
+
+@pytest.fixture
+def settings():
+    return load_settings(SETTINGS_CONTENT)
 
 
 def make_settings(studies):
@@ -131,7 +136,7 @@ def test_experiment_names_of_studies_are_rejected(shipped, name):
          r"own\.inputs = .*: must be left out for sand_compositions \(it belongs to agreement"),
         ({"kind": "sensitivity"}, r"own\.pairs: missing, must be a mapping"),
         ({"kind": "sensitivity", "pairs": {}}, r"own\.pairs = {}: must be at least one pair"),
-        ({"inputs": {}}, r"own\.kind: missing, must be one of sensitivity, agreement"),
+        ({"inputs": {}}, r"own\.kind: missing, must be one of agreement, interpretation"),
         ({**SETTINGS_CONTENT["studies"]["agreement"], "outputs": {}, "sensitivity": "agreement"},
          r"own\.sensitivity = 'agreement': must be .*sensitivity"),
         ({"kind": "layer_trends", "sensitivity": "sensitivity", "inputs": {"lens": "a"}},
@@ -171,9 +176,9 @@ def test_missing_experiments_of_a_study_are_reported(shipped):
 @pytest.mark.parametrize(
     ("experiments", "message"),
     [
-        (["fig08_grain", "own"], r"experiments = 'fig08_grain': no such experiment \(did you mean"),
-        (["own"], "experiments = own: no experiment is in this group"),
-        ("wet_sands", "experiments = 'wet_sands': no such experiment .*wet_sand"),
+        (["fig08_grain", "own"], r"experiments = 'fig08_grain': no such experiment or group \(did"),
+        (["own"], "experiments = own: must select at least one"),
+        ("wet_sands", "experiments = 'wet_sands': no such experiment or group .*wet_sand"),
     ],
 )
 def test_invalid_selections_are_rejected(shipped, experiments, message):
@@ -247,3 +252,33 @@ def test_tables_of_studies_are_read_before_the_run(shipped, tmp_path):
 def test_reserved_device_names_are_rejected(name):
     with pytest.raises(ValueError, match=f"name = '{name}'.*no device such as con"):
         validate_content(ExperimentConfig, {"name": name})
+
+
+def test_studies_are_selected_with_all_that_they_read(settings, shipped):
+    agreement = settings.studies["agreement"]
+    own = {name: shipped[name] for name in agreement.list_experiments()}
+    sensitivity = settings.studies[agreement.sensitivity].list_experiments()
+    both = own | {name: shipped[name] for name in sensitivity}
+    assert set(select_studies(settings.studies, own, ())) == set()
+    assert {"agreement", "sensitivity"} <= set(select_studies(settings.studies, both, ()))
+    without_sand = {"fig08_grain_size": shipped["fig08_grain_size"]}
+    assert select_studies(settings.studies, without_sand, ()) == {}
+
+
+def test_archive_keeps_the_groups_of_its_studies(settings, shipped):
+    everything = settings.model_copy(update={"experiments": "everything"})
+    archived = everything.select_archived(shipped)
+    assert archived.select_experiments(shipped) == shipped
+    assert {"interpretations", *shipped} <= set(archived.experiments)
+    papers = {name: one for name, one in shipped.items() if one.group == "papers"}
+    archived = settings.select_archived(papers)
+    assert "interpretation_ranking" not in archived.studies and "agreement" in archived.studies
+    partial = settings.model_copy(update={"archive": ("fig08_grain_size", "retrieved_dozier")})
+    with pytest.raises(ConfigError, match="archive = 'retrieved_dozier': must be a selected exp"):
+        partial.select_archived(papers)
+
+
+def test_group_of_a_study_is_that_of_experiments(shipped):
+    settings = make_settings({"a": {"kind": "sand_compositions", "group": "paper"}})
+    with pytest.raises(ConfigError, match=r"studies\.a\.group = 'paper': must be one of .*papers"):
+        settings.select_experiments(shipped)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -226,3 +228,9 @@ def test_interpretations_are_shown_as_shifts_from_the_default():
     assert default.lines[0].get_ydata().max() > 0.3
     np.testing.assert_allclose(one.lines[0].get_ydata(), 0.1, atol=1e-12)
     np.testing.assert_allclose(other.lines[0].get_ydata(), -0.1, atol=1e-12)
+
+
+def test_colour_bar_beside_several_quantities_fits():
+    dataset = make_dataset(wavelength=np.arange(400.0, 1440.0, 100.0))
+    # Matplotlib would warn of panels without area.
+    draw_principal_planes(dataset, ["brdf", "btdf"]).savefig(io.BytesIO())

@@ -143,14 +143,6 @@ def list_study_datasets(name):
     }
 
 
-def list_study_inputs(name):
-    """Return the datasets and the tables of numbers that a study reads."""
-    return {
-        "data": list(list_study_datasets(name).values()),
-        "tables": list(STUDIES[name].list_file_paths(SETTINGS.table_folders).values()),
-    }
-
-
 def list_study_outputs(name):
     """Return the products of a study by key."""
     return {

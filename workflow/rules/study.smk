@@ -9,13 +9,12 @@ for NAME, STUDY in COMPLETE_STUDIES.items():
         name:
             NAME
         input:
-            **list_study_inputs(NAME),
+            data=list(list_study_datasets(NAME).values()),
+            tables=list(STUDY.list_file_paths(SETTINGS.table_folders).values()),
         output:
             **list_study_outputs(NAME),
         log:
             f"{RESULTS}/logs/{NAME}.log",
-        benchmark:
-            f"{RESULTS}/benchmarks/{NAME}.tsv"
         # Without datasets, a study is a table of the selected experiments, which jobs of a cluster
         # cannot derive: they have no targets.
         localrule: not list_study_datasets(NAME)

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import re
 import shutil
+from pathlib import Path
 
 import pandas as pd
 import pytest
-from conftest import ROOT, Project
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
+ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "own-study.md"
 BLOCK = re.compile(r"```(?:python|yaml)\n(?:# (\S+)\n)?(.*?)```", re.DOTALL)
 
 
-def test_study_of_the_documentation_makes_its_table(tmp_path, environment):
-    for name in ("splits", "workflow", "config", "benchmarks"):
-        ignored = shutil.ignore_patterns("__pycache__", "experiments" if name == "config" else "")
+def test_study_of_the_documentation_makes_its_table(make_project, tmp_path, environment):
+    project = make_project(tmp_path)
+    for name in ("splits", "workflow", "benchmarks"):
+        ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(ROOT / name, tmp_path / name, ignore=ignored)
     for name in ("Snakefile", "environment.yml"):
         shutil.copy(ROOT / name, tmp_path)
@@ -28,8 +30,8 @@ def test_study_of_the_documentation_makes_its_table(tmp_path, environment):
         else:
             with open(tmp_path / "config" / "config.yaml", "a", encoding="utf-8") as file:
                 file.write(text.removeprefix("studies:\n"))
-    variables = environment | {"PYTHONPATH": str(tmp_path)}
-    project = Project(tmp_path, variables, snakefile=tmp_path / "Snakefile")
+    project.environment = environment | {"PYTHONPATH": str(tmp_path)}
+    project.snakefile = tmp_path / "Snakefile"
     run = project.snakemake("visible", "--cores", 2)
     assert run.code == 0, run.text
     table = pd.read_csv(tmp_path / "results" / "tiny" / "tables" / "visible.csv")

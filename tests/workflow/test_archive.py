@@ -6,6 +6,7 @@ import hashlib
 import json
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import xarray as xr
@@ -29,6 +30,11 @@ TABLES = "refractive_index: {ice: %s, water: my_water.csv}"
 ALWAYS = {"CITATION.cff", "LICENSE", "README.md", "SHA256SUMS", METADATA_FILE, "versions.json"}
 ROOT = Path(__file__).parents[2]
 ADA = {"name": "Ada Example", "orcid": "0000-0002-1825-0097", "affiliation": "A University"}
+
+
+def stand_for(*names):
+    """Return substitutes of experiments by name."""
+    return {name: SimpleNamespace(group="own") for name in names}
 
 
 def read_members(path):
@@ -121,7 +127,7 @@ def test_archive_setting_accepts_the_forms_of_experiments(given, names):
     accuracies = {"accuracies": {"standard": {"max_stderr": 0.1}}}
     settings = load_settings(accuracies | {"archive": given, "experiments": ["a", "b", "c"]})
     assert settings.archive == names
-    archived = settings.select_archived(["a", "b", "c"])
+    archived = settings.select_archived(stand_for("a", "b", "c"))
     assert archived.experiments == (("a", "b", "c") if names == "all" else names)
 
 
@@ -250,7 +256,10 @@ def test_authors_of_the_citation_are_those_of_the_results(make_archive, tmp_path
         ({"archive_license": "https://a.org/<b>"}, "archive_license = .*: must be an SPDX"),
         ({"archive_authors": [{"orcid": "x"}]}, "archive_authors"),
         ({"archive_authors": [ADA | {"orcid": "0000-0002-1825-0098"}]}, "with a valid check digit"),
-        ({"archive_authors": [ADA | {"orcid": "12"}]}, r"archive_authors\.orcid = '12': must be"),
+        (
+            {"archive_authors": [ADA | {"orcid": "12"}]},
+            r"archive_authors\[0\]\.orcid = '12': must be",
+        ),
         ({"archive_authors": [ADA | {"name": "A\nB"}]}, "without control characters"),
         ({"archive_authors": "Ada"}, "archive_authors = 'Ada': must be"),
     ],
@@ -304,12 +313,12 @@ def test_effective_configuration_is_packed_below_config(tmp_path, monkeypatch):
         (tmp_path / "experiments" / f"{name}.yaml").write_text("{}")
     (tmp_path / "media" / "base.yaml").write_text("refractive_index: {water: config/../moved.csv}")
     settings = Settings(
-        experiments=("plain", "second", "third"), archive=("plain", "second", "not_chosen"),
+        experiments=("plain", "second", "third"), archive=("plain", "second"),
         accuracy="rough", seed=3,
         accuracies={"rough": {"max_stderr": 0.1}}, results="/somewhere/results",
         experiments_folder=str(tmp_path / "experiments"), media_folder="experiments/../media",
     )  # fmt: skip
-    members = make_configuration_members(settings.select_archived(settings.experiments))
+    members = make_configuration_members(settings.select_archived(stand_for(*settings.experiments)))
     digest = hashlib.sha256(b"moved").hexdigest()[:16]
     place = f"config/tables/{digest}/moved.csv"
     assert set(members) == {
@@ -337,14 +346,12 @@ def test_hidden_files_are_skipped_and_unknown_types_rejected(tmp_path, monkeypat
     for name in ("snow.csv", "notes.md", ".DS_Store"):
         (folder / name).write_text("x", encoding="utf-8")
     settings = Settings(accuracies={"standard": {"max_stderr": 0.1}})
-    members = set(make_configuration_members(settings.select_archived(settings.experiments))) - {
-        "config/config.yaml"
-    }
+    members = set(make_configuration_members(archived)) - {"config/config.yaml"}
     assert members == {f"config/measured/field/{name}" for name in ("snow.csv", "notes.md")}
     (folder / "snow.xlsx").write_text("x", encoding="utf-8")
     line = r"^archive = 'config/measured/field/snow\.xlsx': must be .*not a file type of config"
     with pytest.raises(ValueError, match=line):
-        make_configuration_members(settings.select_archived(settings.experiments))
+        make_configuration_members(archived)
 
 
 def test_author_names_are_escaped_in_markdown(make_archive):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from splits.core.validation import check_choice, invalid
+from splits.core.validation import invalid
 from splits.core.yaml import ConfigError
 from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
 from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
@@ -31,13 +31,10 @@ def check_studies(
     ConfigError
         With one line that names the study, the key, the value and the allowed values.
     """
-    groups = dict.fromkeys(one.group for one in available.values())
     for name, study in studies.items():
         try:
             if not NAME_PATTERN.fullmatch(name) or name in RESERVED_NAMES:
                 raise invalid("name", name, f"{NAME_RULE}, none of the workflow's rules")
-            if study.group is not None:
-                check_choice("group", study.group, groups)
             study.check(available, tables, studies)
         except ValueError as error:
             raise ConfigError(f"studies.{name}.{error}") from None
@@ -47,10 +44,13 @@ def check_studies(
 def find_incomplete_studies(
     studies: Mapping[str, Study], available: Mapping[str, ExperimentConfig]
 ) -> dict[str, str]:
-    """Return a message for each study of which not all experiments exist."""
+    """Return a message for each study of which not all experiments, or no group, exist."""
     messages = {}
+    groups = {one.group for one in available.values()}
     for name, study in studies.items():
         missing = study.describe_missing(available, studies)
+        if study.group is not None and study.group not in groups:
+            missing.append(f"no experiment is in its group {study.group}")
         if missing:
             messages[name] = f"study {name} is left out: {'; '.join(missing)}"
     return messages

@@ -346,6 +346,7 @@ def test_hidden_files_are_skipped_and_unknown_types_rejected(tmp_path, monkeypat
     for name in ("snow.csv", "notes.md", ".DS_Store"):
         (folder / name).write_text("x", encoding="utf-8")
     settings = Settings(accuracies={"standard": {"max_stderr": 0.1}})
+    archived = settings.select_archived(stand_for(*settings.experiments))
     members = set(make_configuration_members(archived)) - {"config/config.yaml"}
     assert members == {f"config/measured/field/{name}" for name in ("snow.csv", "notes.md")}
     (folder / "snow.xlsx").write_text("x", encoding="utf-8")

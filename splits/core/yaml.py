@@ -1,4 +1,4 @@
-"""Safe reading of YAML 1.2 with size limits, one-line errors and the lines of keys."""
+"""Safe parser of YAML 1.2 with size limits, one-line errors and the lines of keys."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ class InterpretationStudy(Study):
         tables: Mapping[str, Path],
         studies: Mapping[str, Study],
     ) -> None:
-        """Reject unknown names and choices, and a table that does not serve."""
+        """Reject unknown names and choices, and an unsuitable table."""
         super().check(available, tables, studies)
         if not self.interpretation:
             raise invalid("interpretation", self.interpretation, "choices by keyword")

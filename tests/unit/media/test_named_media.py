@@ -121,7 +121,7 @@ def test_yaml_files_may_hold_any_kind_of_medium(tmp_path):
         ("kind: stack\n", "layers = None: must be a list of layers, top first"),
         (STACK.replace("particle_layer", "ice"), r"layers\.1\.kind = 'ice': must be one of"),
         (STACK.replace("0.1", "-1"), r"layers\.0\.depth_m = -1: must be"),
-        (f"{STACK}roof: 1\n", "roof: unknown key, must be one of layers, ground"),
+        (f"{STACK}cover: 1\n", "cover: unknown key, must be one of layers, ground"),
         ("iron_oxide: 0.1\n", "iron_oxide: unknown key"),
         ("- 1\n", r"mine\.yaml: must be a mapping"),
     ],

@@ -3,6 +3,9 @@
 Beams need no solution of their own.  By reciprocity, the reflectance under a beam is the radiance
 in the direction of the beam under isotropic light, and the fraction that a layer or the ground
 absorbs is the radiance in that direction from isothermal emission by this layer or by the ground.
+
+Radiances are vectors over the streams of all states, followed by the further directions of all
+states; they are scaled as in `splits.discrete_ordinates.slab`.
 """
 
 from __future__ import annotations
@@ -12,8 +15,65 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.slab import Slab
+from splits.discrete_ordinates.slab import LayerOptics, Slab, join_blocks
 from splits.discrete_ordinates.streams import Streams
+
+
+class Element(NamedTuple):
+    """Reflection and transmission of a layer, or of the interface between two layers.
+
+    Attributes
+    ----------
+    reflection_above, reflection_below : float, shape (..., radiances, radiances)
+        Of light from above and from below.
+    transmission_down, transmission_up : float, shape (..., radiances, radiances)
+    emission : float, shape (..., radiances) or None
+        Isothermal emission on both sides; None for an interface.
+    """
+
+    reflection_above: np.ndarray
+    reflection_below: np.ndarray
+    transmission_down: np.ndarray
+    transmission_up: np.ndarray
+    emission: np.ndarray | None
+
+    @classmethod
+    def from_slab(cls, slab: Slab, isotropic: np.ndarray) -> Element:
+        """Return a layer, which is the same from both sides, with its isotropic radiance."""
+        n_directions = slab.direct.shape[-1]
+        none = np.zeros((*slab.reflection.shape[:-1], n_directions))
+        no_beam = np.zeros((*slab.direct.shape, n_directions))
+        reflection = join_blocks([[slab.reflection, none], [slab.beam_reflection, no_beam]])
+        direct = slab.direct[..., np.newaxis] * np.eye(n_directions)
+        transmission = join_blocks([[slab.transmission, none], [slab.beam_transmission, direct]])
+        vector = isotropic[..., np.newaxis]
+        emission = (vector - reflection @ vector - transmission @ vector)[..., 0]
+        return cls(reflection, reflection, transmission, transmission, emission)
+
+
+class Boundary(NamedTuple):
+    """Upper or lower boundary of the sample, with the air outside.
+
+    Attributes
+    ----------
+    reflection, transmission : float, shape (..., radiances)
+        Of light from inside; of light from both sides.
+    shares : float, shape (..., states × directions)
+        Share of each state in the light that leaves along a direction.
+    outer_reflectance : float, shape (..., directions + 1)
+        Reflectance of the boundary itself from outside, for the beams and for diffuse light.
+    """
+
+    reflection: np.ndarray
+    transmission: np.ndarray
+    shares: np.ndarray
+    outer_reflectance: np.ndarray
+
+    @classmethod
+    def make_transparent(cls, n_streams: int, n_directions: int) -> Boundary:
+        """Return the boundary of a layer without water, which neither reflects nor refracts."""
+        ones = np.ones(n_streams + n_directions)
+        return cls(0.0 * ones, ones, ones[n_streams:], np.zeros(n_directions + 1))
 
 
 class Budget(NamedTuple):
@@ -25,6 +85,7 @@ class Budget(NamedTuple):
     transmittance : float, shape (..., directions + 1)
         Of an open lower boundary, or the light that the ground absorbs.
     absorption : float, shape (layers, ..., directions + 1)
+        Top first.
     """
 
     reflectance: np.ndarray
@@ -32,58 +93,86 @@ class Budget(NamedTuple):
     absorption: np.ndarray
 
 
-def compute_budget(slabs: Sequence[Slab], ground: np.ndarray, streams: Streams) -> Budget:
+def make_isotropic(optics: LayerOptics, streams: Streams, n_directions: int) -> np.ndarray:
+    """Return the scaled radiance in equilibrium with a radiance of 1 outside."""
+    states = np.sqrt(optics.equilibrium)[..., np.newaxis]
+    parts = (states * np.sqrt(streams.weights * streams.cosines), states * np.ones(n_directions))
+    return np.concatenate([part.reshape(*part.shape[:-2], -1) for part in parts], axis=-1)
+
+
+def compute_budget(
+    elements: Sequence[Element], isotropic: Sequence[np.ndarray], boundaries: Sequence[Boundary],
+    ground: np.ndarray, n_streams: int,
+) -> Budget:  # fmt: skip
     """Return the reflectance, the transmittance and the absorption of every layer.
 
     Parameters
     ----------
-    slabs : sequence of Slab
-        Layers, top first, with one batch shape.
+    elements : sequence of Element
+        Layers and the interfaces between them, top first.
+    isotropic : sequence of two arrays, shape (..., radiances)
+        Isotropic radiance in the top layer and in the bottom layer.
+    boundaries : sequence of two Boundary
+        At the top and at the bottom.
     ground : float, shape (...)
         Albedo of the Lambertian ground; 0 for an open lower boundary.
-    streams : Streams
+    n_streams : int
+        Number of the streams of all states in one hemisphere.
     """
-    lambertian, n_directions = streams.flux_vector, streams.directions.size
-    batch = slabs[0].reflection.shape[:-2]
-    albedo = np.broadcast_to(ground, batch)[..., np.newaxis]
-    # Radiances in the streams and in the directions that rise from what lies below: for reflected
-    # light as matrices, for emitted light one column for the ground and each layer.
-    reflection = 2.0 * albedo[..., np.newaxis] * np.outer(lambertian, lambertian)
-    beam_reflection = 2.0 * albedo[..., np.newaxis] * np.outer(np.ones(n_directions), lambertian)
-    emission = (1.0 - albedo)[..., np.newaxis, :] * lambertian[:, np.newaxis]
-    beam_emission = np.broadcast_to((1.0 - albedo)[..., np.newaxis, :], (*batch, n_directions, 1))
-    for slab in reversed(slabs):
-        inverse = np.linalg.inv(np.eye(lambertian.size) - slab.reflection @ reflection)
-        inverse_t = np.swapaxes(inverse, -1, -2)
-        own, own_beam = _emit(slab, lambertian)
-        # The layer emits downwards, too.
-        rising = inverse_t @ np.concatenate([emission, reflection @ own], axis=-1)
-        falling = slab.reflection @ rising
-        falling[..., -1:] += own
-        arriving = beam_reflection @ falling
-        arriving[..., :-1] += beam_emission
-        emission = slab.transmission @ rising
-        emission[..., -1:] += own
-        beam_emission = slab.beam_transmission @ rising + slab.direct[..., np.newaxis] * arriving
-        beam_emission[..., -1:] += own_beam
-        passed = inverse @ slab.transmission
-        beam_reflection = slab.beam_reflection + (
-            slab.beam_transmission @ (reflection @ passed)
-            + slab.direct[..., np.newaxis] * (beam_reflection @ passed)
+    top, bottom = boundaries
+    reflection, emission = _reflect_at_bottom(bottom, isotropic[1], ground, n_streams)
+    for element in reversed(elements):
+        unit = np.eye(reflection.shape[-1])
+        inverse = np.linalg.inv(unit - element.reflection_below @ reflection)
+        falling = element.reflection_below @ emission
+        if element.emission is not None:
+            own = element.emission[..., np.newaxis]
+            falling = np.concatenate([falling, own], axis=-1)
+            emission = np.concatenate([emission, np.zeros_like(own)], axis=-1)
+        returned = reflection @ inverse
+        emission = element.transmission_up @ (emission + returned @ falling)
+        if element.emission is not None:
+            emission[..., -1] += element.emission
+        reflection = element.reflection_above + (
+            element.transmission_up @ (returned @ element.transmission_down)
         )
-        reflection = slab.reflection + slab.transmission @ reflection @ passed
-    incident = reflection @ lambertian
-    reflectance = np.concatenate(
-        [beam_reflection @ lambertian, 2.0 * (incident @ lambertian)[..., np.newaxis]], axis=-1
-    )
-    diffuse = 2.0 * np.einsum("i,...ij->...j", lambertian, emission)[..., np.newaxis, :]
-    absorbed = np.moveaxis(np.concatenate([beam_emission, diffuse], axis=-2), -1, 0)
-    return Budget(reflectance, absorbed[0], absorbed[:0:-1])
+    return _leave_at_top(reflection, emission, top, isotropic[0], n_streams)
 
 
-def _emit(slab: Slab, lambertian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the isothermal emission of a layer, in the streams and in the directions."""
-    both_sides = slab.reflection @ lambertian + slab.transmission @ lambertian
-    beam = (slab.beam_reflection + slab.beam_transmission) @ lambertian
-    emission = (lambertian - both_sides)[..., np.newaxis]
-    return emission, (1.0 - beam - slab.direct)[..., np.newaxis]
+def _reflect_at_bottom(
+    bottom: Boundary, isotropic: np.ndarray, ground: np.ndarray, n_streams: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the reflection by the lower boundary and the ground, and the emission of the latter.
+
+    Light that the boundary reflects back to the ground is reflected there again.
+    """
+    passing = bottom.transmission * isotropic
+    flux = passing.copy()
+    flux[..., n_streams:] = 0.0
+    diffuse = bottom.outer_reflectance[..., -1]
+    gain = 1.0 / (1.0 - ground * diffuse)
+    lambertian = 2.0 * (ground * gain)[..., np.newaxis, np.newaxis]
+    reflection = lambertian * passing[..., :, np.newaxis] * flux[..., np.newaxis, :]
+    diagonal = np.arange(passing.shape[-1])
+    reflection[..., diagonal, diagonal] += bottom.reflection
+    emission = ((1.0 - ground) * gain)[..., np.newaxis] * passing
+    return reflection, emission[..., np.newaxis]
+
+
+def _leave_at_top(
+    reflection: np.ndarray, emission: np.ndarray, top: Boundary, isotropic: np.ndarray,
+    n_streams: int,
+) -> Budget:  # fmt: skip
+    """Return the budget of light that leaves through the upper boundary."""
+    unit = np.eye(reflection.shape[-1])
+    inverse = np.linalg.inv(unit - reflection * top.reflection[..., np.newaxis, :])
+    entering = (top.transmission * isotropic)[..., np.newaxis]
+    rising = inverse @ np.concatenate([reflection @ entering, emission], axis=-1)
+    leaving = (entering * rising)[..., :n_streams, :]
+    diffuse = 2.0 * leaving.sum(axis=-2, keepdims=True)
+    n_directions = top.outer_reflectance.shape[-1] - 1
+    by_state = (top.shares / isotropic[..., n_streams:])[..., np.newaxis] * rising[..., n_streams:, :]
+    beams = by_state.reshape(*by_state.shape[:-2], -1, n_directions, by_state.shape[-1])
+    values = np.moveaxis(np.concatenate([beams.sum(axis=-3), diffuse], axis=-2), -1, 0)
+    return Budget(values[0] + top.outer_reflectance, values[1], values[:1:-1])
+

@@ -10,7 +10,7 @@ from numpy.polynomial.legendre import leggauss
 
 
 class Streams(NamedTuple):
-    """Streams of one hemisphere, and further directions that no light is scattered from.
+    """Streams of one hemisphere.
 
     The quadrature of each hemisphere is that of Gauss and Legendre on (0, 1), "double Gauss"
     (Sykes 1951, Monthly Notices of the Royal Astronomical Society 111, 377).
@@ -21,19 +21,15 @@ class Streams(NamedTuple):
         Cosines of the angle with the normal.
     weights : float, shape (streams,)
         Weights, with a sum of 1.
-    directions : float, shape (directions,)
-        Cosines of the beams and of the directions of observation.
     """
 
     cosines: np.ndarray
     weights: np.ndarray
-    directions: np.ndarray
 
     @classmethod
-    def from_number(cls, number: int, directions: np.ndarray) -> Streams:
-        """Return the streams of both hemispheres, `number` in all, and further directions."""
-        cosines, weights = _compute_double_gauss(number // 2)
-        return cls(cosines, weights, np.asarray(directions, dtype=float))
+    def from_number(cls, number: int) -> Streams:
+        """Return the streams of one hemisphere, where `number` is that of both."""
+        return cls(*_compute_double_gauss(number // 2))
 
     @property
     def flux_vector(self) -> np.ndarray:
@@ -52,20 +48,20 @@ def _compute_double_gauss(number: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def compute_legendre(cosines: np.ndarray, mode: int, orders: int) -> np.ndarray:
-    """Return the associated Legendre functions of one azimuthal mode, shape (orders, cosines).
+    """Return the associated Legendre functions of one azimuthal mode, shape (orders, ...).
 
     They are normalized by √((l − m)!/(l + m)!), so that the addition theorem of the phase function
     has no factors.  Orders below the mode are 0.
 
     Parameters
     ----------
-    cosines : float, shape (cosines,)
+    cosines : float, shape (...)
     mode : int
         Number m of the azimuthal mode.
     orders : int
         Number of orders l, from 0.
     """
-    values = np.zeros((orders, cosines.size))
+    values = np.zeros((orders, *cosines.shape))
     if mode >= orders:
         return values
     sine = np.sqrt((1.0 - cosines) * (1.0 + cosines))

@@ -45,11 +45,13 @@ class SingleScatteringTally(Tally):
     n_rays : int
         Rays per node: a multiple of `GRAIN_RAYS_PER_CHUNK`, or a smaller one of
         `N_SCATTERING_BATCHES`.
+    n_wet_orders : int
+        Number of Legendre moments of the light that enters a wet pore, at most `n_orders`.
 
     Attributes
     ----------
-    sums : float, shape (3, orders + 4, node rows)
-    batch_sums : float, shape (N_SCATTERING_BATCHES, orders + 4, node rows)
+    sums : float, shape (3, scores, node rows)
+    batch_sums : float, shape (N_SCATTERING_BATCHES, scores, node rows)
         See `splits.kernels.grains.single_grain.tally_single_scattering`.
     """
 
@@ -62,11 +64,14 @@ class SingleScatteringTally(Tally):
         wet_fractions: np.ndarray,
         n_orders: int,
         n_rays: int,
+        n_wet_orders: int = 1,
     ) -> None:
         super().__init__(nodes, absorption)
         self.wet_fractions, self.n_orders = wet_fractions, n_orders
+        self.n_wet_orders = n_wet_orders
         self.rays_per_chunk = self.rays_per_round = min(n_rays, GRAIN_RAYS_PER_CHUNK)
-        self.sums = np.zeros((3, n_orders + len(WEIGHTED_MEANS), len(self.rows)))
+        n_scores = n_orders + len(WEIGHTED_MEANS) - 1 + n_wet_orders
+        self.sums = np.zeros((3, n_scores, len(self.rows)))
         self.batch_sums = np.zeros((N_SCATTERING_BATCHES, *self.sums.shape[1:]))
         self.values_per_row = (3 + N_SCATTERING_BATCHES) * self.sums.shape[1]
         self.add_strata()
@@ -78,7 +83,8 @@ class SingleScatteringTally(Tally):
         wet_fraction = self.wet_fractions[self.node_of_row[stratum.node_rows.start]]
         grain = IsolatedGrain(wet_fraction, scene, stratum.optics)
         work = np.array([stratum.stream, first_ray, self.rays_per_chunk, stratum.max_order])
-        sums = tally_single_scattering(seed, work, self.n_orders, grain, stratum.absorption)
+        orders = self.n_orders, self.n_wet_orders
+        sums = tally_single_scattering(seed, work, orders, grain, stratum.absorption)
         return sums, self.rays_per_chunk
 
     def merge(self, stratum: Stratum, score: ScatteringSums) -> None:

@@ -68,7 +68,7 @@ def fill_legendre(x, values):
 
 
 @entry_point
-def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
+def tally_single_scattering(seed, work, orders, isolated_grain, absorption):
     """Trace rays through one grain each, and tally their directions by weight.
 
     Parameters
@@ -76,8 +76,9 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
     seed : int
     work : int64[4]
         See `splits.kernels.base.work`.
-    n_orders : int
-        Legendre polynomials to tally.
+    orders : (int, int)
+        Numbers of Legendre polynomials to tally, for all rays and for those that leave into a wet
+        pore, at least 1 each.
     isolated_grain : IsolatedGrain
         The absorption of its optics is a lower bound of `absorption`.
     absorption : float64[wavelengths, materials]
@@ -85,17 +86,19 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
 
     Returns
     -------
-    sums : float64[3, orders + 4, wavelengths]
+    sums : float64[3, scores, wavelengths]
         Over rays, with w the weight: Σ w x, Σ w² x and Σ w² x², where x are the Legendre
         polynomials P_l(cosΘ) of the scattering angle Θ; then, with δ the displacement from entry to
-        exit point (m) and d, d' the directions before and after, δ·d, δ·d' and δ·δ; and 1 if the
-        ray leaves into a wet pore, or 0.
-    batches : float64[N_SCATTERING_BATCHES, orders + 4, wavelengths]
+        exit point (m) and d, d' the directions before and after, δ·d, δ·d' and δ·δ; and P_l(cosΘ)
+        again if the ray leaves into a wet pore, or 0.
+    batches : float64[N_SCATTERING_BATCHES, scores, wavelengths]
         Σ w x over each batch.
     """
-    sums = np.zeros((3, n_orders + 4, absorption.shape[0]))
-    batches = np.zeros((N_SCATTERING_BATCHES, n_orders + 4, absorption.shape[0]))
-    scores = np.zeros(n_orders + 4)
+    n_orders, n_wet_orders = orders
+    n_scores = n_orders + 3 + n_wet_orders
+    sums = np.zeros((3, n_scores, absorption.shape[0]))
+    batches = np.zeros((N_SCATTERING_BATCHES, n_scores, absorption.shape[0]))
+    scores = np.zeros(n_scores)
     wet_fraction = isolated_grain.scene.layers.wet_fraction[0]
     path_lengths = np.zeros(absorption.shape[1])
     state = np.zeros(1, dtype=np.uint64)
@@ -124,7 +127,9 @@ def tally_single_scattering(seed, work, n_orders, isolated_grain, absorption):
         scores[n_orders] = displacement.z
         scores[n_orders + 1] = dot(displacement, d)
         scores[n_orders + 2] = dot(displacement, displacement)
-        scores[n_orders + 3] = 1.0 if ray.pore_variate < wet_fraction else 0.0
+        is_wet = 1.0 if ray.pore_variate < wet_fraction else 0.0
+        for order in range(n_wet_orders):
+            scores[n_orders + 3 + order] = is_wet * scores[order]
         score_ray(
             scores,
             path_lengths,

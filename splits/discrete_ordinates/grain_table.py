@@ -1,0 +1,152 @@
+"""Single scattering by grains of one material, as a function of refractive index and absorption.
+
+What a grain does to light depends on its size only through the absorption of its material times
+its mean chord 1/K,
+
+    x = α/K,    q = x/(1 + x),
+
+so one table serves all sizes and wavelengths.  It holds the moments M_l of the light that leaves a
+grain,
+
+    M_l = ⟨w P_l(cosΘ)⟩,    w = exp(−α L),    M_l(x) = M_l(0) − q E_l(q),
+
+where M_0 is the single-scattering albedo and E_l is smooth for weak and for strong absorption.  In
+wet snow, light enters the grain from a dry or a wet pore and leaves into one of the two, and M_l
+depends on both and on the saturation.  Interpolation is polynomial, between the nodes of Chebyshev.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+MAX_ABSORPTION = 200.0
+"""Largest x; about that of ice at 2000 nm for a specific surface area of 0.25 m²/kg."""
+
+
+class Axis(NamedTuple):
+    """Axis of a table: nodes of Chebyshev, at both ends and between.
+
+    Attributes
+    ----------
+    nodes : float, shape (nodes,)
+        Increasing.
+    """
+
+    nodes: np.ndarray
+
+    @classmethod
+    def from_limits(cls, low: float, high: float, number: int) -> Axis:
+        """Return an axis of a number of nodes."""
+        position = 0.5 - 0.5 * np.cos(np.pi * np.arange(number) / (number - 1))
+        return cls(low + (high - low) * position)
+
+    def contains(self, values: np.ndarray) -> np.ndarray:
+        """Return whether values are on the axis."""
+        inside: np.ndarray = (values >= self.nodes[0]) & (values <= self.nodes[-1])
+        return inside
+
+    def compute_weights(self, values: np.ndarray) -> np.ndarray:
+        """Return the weights of the nodes in polynomial interpolation, shape (values, nodes).
+
+        Barycentric formula (Berrut & Trefethen 2004, SIAM Review 46, 501).
+        """
+        if self.nodes.size == 1:
+            return np.ones((values.size, 1))
+        signs = (-1.0) ** np.arange(self.nodes.size)
+        signs[[0, -1]] *= 0.5
+        difference = values[:, np.newaxis] - self.nodes
+        exact = difference == 0.0
+        weights = signs / np.where(exact, 1.0, difference)
+        hits = exact.any(axis=1)
+        weights[hits] = exact[hits]
+        normalized: np.ndarray = weights / weights.sum(axis=1, keepdims=True)
+        return normalized
+
+
+class GrainTable(NamedTuple):
+    """Moments of the light that grains scatter, over contrast, saturation and absorption.
+
+    Attributes
+    ----------
+    contrast : Axis
+        n − 1, with the refractive index n of the grains relative to air.
+    saturation : Axis
+        Fraction of wet pores; one node, 0, for dry grains.
+    absorption : Axis
+        q.
+    moments : float, shape (contrasts, saturations, 2, 2, orders)
+        M_l(0) for light from a dry or wet pore: into any pore, and into a wet pore per saturation;
+        of dry grains (contrasts, 1, 1, 1, orders), into any pore.
+    slopes : float, shape (contrasts, saturations, 2, 2, absorptions, orders)
+        E_l, likewise.
+    stderr : float, shape (contrasts, absorptions)
+        Standard error of a reflectance due to that of the moments, see `grain_tabulation`.
+    """
+
+    contrast: Axis
+    saturation: Axis
+    absorption: Axis
+    moments: np.ndarray
+    slopes: np.ndarray
+    stderr: np.ndarray
+
+    def covers(self, contrast: np.ndarray, absorption: np.ndarray) -> np.ndarray:
+        """Return where the table has values, for contrasts and absorptions x."""
+        return self.contrast.contains(contrast) & (absorption <= MAX_ABSORPTION)
+
+    def compute_moments(
+        self, contrast: np.ndarray, absorption: np.ndarray, saturation: float = 0.0
+    ) -> np.ndarray:
+        """Return the moments M_l, shape (values, pores, pores, orders).
+
+        Parameters
+        ----------
+        contrast, absorption : float, shape (values,)
+            n − 1 and x, within the table.
+        saturation : float
+            Fraction of wet pores.
+        """
+        by_contrast = self.contrast.compute_weights(contrast)
+        by_saturation = self.saturation.compute_weights(np.array([saturation]))[0]
+        q = absorption / (1.0 + absorption)
+        by_absorption = self.absorption.compute_weights(q)
+        slopes = np.tensordot(by_saturation, self.slopes, (0, 1))
+        n_contrasts, n_orders = len(by_contrast.T), self.moments.shape[-1]
+        # (contrasts, pores, pores, absorptions, orders): first the sum over pairs of nodes.
+        pairs = (by_contrast[:, :, np.newaxis] * by_absorption[:, np.newaxis]).reshape(q.size, -1)
+        by_pair = np.moveaxis(slopes, 3, 1).reshape(pairs.shape[1], -1)
+        without = np.tensordot(by_saturation, self.moments, (0, 1)).reshape(n_contrasts, -1)
+        moments = by_contrast @ without - q[:, np.newaxis] * (pairs @ by_pair)
+        n_pores = self.moments.shape[2]
+        return moments.reshape(q.size, n_pores, n_pores, n_orders)
+
+    def interpolate_stderr(self, contrast: np.ndarray, absorption: np.ndarray) -> np.ndarray:
+        """Return the standard errors of a reflectance, shape (values,)."""
+        row = np.searchsorted(self.contrast.nodes, contrast).clip(0, len(self.stderr) - 1)
+        q = absorption / (1.0 + absorption)
+        column = np.searchsorted(self.absorption.nodes, q).clip(0, self.stderr.shape[1] - 1)
+        stderr: np.ndarray = self.stderr[row, column]
+        return stderr
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return the table as a dataset."""
+        variables = {
+            "moment": (("contrast", "saturation", "pore", "exit_pore", "order"), self.moments),
+            "slope": (
+                ("contrast", "saturation", "pore", "exit_pore", "absorption", "order"),
+                self.slopes,
+            ),
+            "reflectance_stderr": (("contrast", "absorption"), self.stderr),
+        }
+        axes = {name: getattr(self, name).nodes for name in ("contrast", "saturation", "absorption")}
+        return xr.Dataset(variables, axes)
+
+    @classmethod
+    def from_dataset(cls, dataset: xr.Dataset) -> GrainTable:
+        """Return the table in a dataset."""
+        axes = [Axis(dataset[name].values) for name in ("contrast", "saturation", "absorption")]
+        arrays = (dataset[name].values for name in ("moment", "slope", "reflectance_stderr"))
+        return cls(*axes, *(array.astype(float) for array in arrays))

@@ -42,4 +42,12 @@ def ice_density(temperature_c: float) -> float:
     CRC Handbook of Chemistry and Physics (Rumble 2019), as used in SPLITSnow appendix A.
     """
     temperature_c = check_range("temperature_c", temperature_c, -40.0, 0.0, "degrees Celsius")
-    return float(np.interp(temperature_c, _ICE_TEMPERATURE_C, _ICE_DENSITY_KG_M3))
+    return float(interpolate_ice_density(temperature_c))
+
+
+def interpolate_ice_density(temperature_c: np.ndarray | float) -> np.ndarray:
+    """Return the density of ice (kg/m³) at temperatures (°C), those of `ice_density`, unchecked.
+
+    Beyond −40 and 0 °C it is that of the nearer limit; NaN gives NaN.
+    """
+    return np.asarray(np.interp(temperature_c, _ICE_TEMPERATURE_C, _ICE_DENSITY_KG_M3))

@@ -55,11 +55,11 @@ INVALID_INPUTS = {
 LABELLED = {name: case for name, case in CASES.items() if case.labels}
 NON_ARRAYS = {
     "Progress", "ProgressBar", "Interpretation", "SandInterpretation", "__version__", "list_media",
-    "load", "load_medium", "open_table",
+    "load", "load_medium", "open_table", "read_caaml", "read_crocus",
     "save", "sensor_bands", "surface_map",
 }  # fmt: skip
 """Public names without array arguments, and those that store datasets unchanged."""
-DATASET_CALLS = {"save_brdf", "with_diffraction", "retrieve_map", "Table"}
+DATASET_CALLS = {"save_brdf", "with_diffraction", "retrieve_map", "SnowPacks", "Table"}
 """Functions whose arrays are within datasets, tested separately below."""
 
 
@@ -210,6 +210,25 @@ def test_tables_accept_all_equivalent_inputs(form):
         for convert in (np.array, EQUIVALENT_INPUTS[form])
     ]
     assert_same(*results)
+
+
+def make_snowpack(form, values):
+    """Return the specific surface area of a snowpack whose variables are arrays of one type."""
+    names = ("thickness_m", "density_kg_m3", "specific_surface_area_m2_kg")
+    arrays = {name: (("time", "layer"), form(np.array(values))) for name in names}
+    return splits.SnowPacks(xr.Dataset(arrays)).dataset
+
+
+@pytest.mark.parametrize("form", sorted(set(EQUIVALENT_INPUTS) - {"DataArray"}))
+def test_snowpacks_accept_all_equivalent_inputs(form):
+    values = [[16.0, 32.0], [64.0, 128.0]]
+    assert_same(make_snowpack(np.array, values), make_snowpack(EQUIVALENT_INPUTS[form], values))
+
+
+@pytest.mark.parametrize("kind", ["truth", "date", "text", "complex"])
+def test_snowpacks_of_non_numbers_are_rejected(kind):
+    with pytest.raises(InvalidValue):
+        make_snowpack(INVALID_INPUTS[kind], [[16.0, 32.0]])
 
 
 GAP_CALLS = {

@@ -1,0 +1,208 @@
+"""Input of `splits.SnowPacks`: variables of a dataset or a long table as arrays, with checks."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.core.arrays import as_float_array, check_increasing
+from splits.core.parameter_names import describe_parameter, parse_impurity_parameter
+from splits.core.units import convert_units
+from splits.core.validation import invalid, join_names, suggest_name, unknown_key
+from splits.materials.impurities import list_impurities
+from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
+
+LAYER_DIM = "layer"
+DEFAULT_LABEL = "time"
+THICKNESS_KEY, DENSITY_KEY, DEPTH_KEY = "thickness_m", "density_kg_m3", "depth_top_m"
+TEMPERATURE_KEY, WATER_KEY, ZENITH_KEY = "temperature_c", "liquid_water_content", "sun_zenith_deg"
+DEFAULTS = {TEMPERATURE_KEY: -1.0, WATER_KEY: 0.0}
+"""Values of optional variables that are not given."""
+IMPURITIES_KEY = "impurities_ng_g"
+DESCRIPTIONS = {
+    THICKNESS_KEY: ("thickness of the layer", "m"),
+    DEPTH_KEY: ("depth of the top of the layer below the surface", "m"),
+    ZENITH_KEY: ("zenith angle of the sun", "degree"),
+}
+"""Long names and units of variables that are no parameters of a medium."""
+FLAG_NAME, LAYER_FLAG_NAME = "quality_flag", "layer_flag"
+KNOWN_NAMES = (
+    THICKNESS_KEY, DENSITY_KEY, SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, *DEFAULTS, DEPTH_KEY,
+    ZENITH_KEY,
+)  # fmt: skip
+
+
+class SnowPackInput(NamedTuple):
+    """Variables of snowpacks as arrays.
+
+    Attributes
+    ----------
+    label : str
+        Dimension of the snowpacks.
+    coordinates : xarray.Dataset
+        Coordinates along this dimension, without variables.
+    values : dict of float, shape (snowpacks, layers)
+        Variables of layers by name, in their units; NaN for missing and for infinite numbers.
+    layered : set of str
+        Names of the variables that were given for each layer, not for a snowpack as a whole.
+    sun_zenith_deg : float, shape (snowpacks,), or None
+    """
+
+    label: str
+    coordinates: xr.Dataset
+    values: dict[str, np.ndarray]
+    layered: set[str]
+    sun_zenith_deg: np.ndarray | None
+
+
+def describe_variable(name: str) -> tuple[str, str]:
+    """Return the long name and units of a variable of snowpacks."""
+    return DESCRIPTIONS.get(name) or describe_parameter(name)
+
+
+def read_input(data: Any, label: str | None) -> SnowPackInput:
+    """Return the variables of snowpacks; see `splits.SnowPacks` for the arguments and errors."""
+    if isinstance(data, pd.DataFrame):
+        data = _pivot_frame(data, label)
+    if not isinstance(data, xr.Dataset):
+        allowed = "an xarray.Dataset or a pandas.DataFrame"
+        raise invalid("data", type(data).__name__, allowed, "read files with splits.load first")
+    data = data.drop_vars([FLAG_NAME, LAYER_FLAG_NAME], errors="ignore")
+    data = data.reset_coords([name for name in KNOWN_NAMES if name in data.coords])
+    check_names(data.data_vars)
+    label = _find_label(data, label)
+    _check_labels(label, data.get_index(label))
+    if LAYER_DIM in data.coords:
+        number = as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
+        check_increasing(LAYER_DIM, number)
+    names = [str(name) for name in data.data_vars]
+    layered = {name for name in names if LAYER_DIM in data[name].dims}
+    values = {name: _read_variable(data, name, label) for name in names}
+    zenith = values.pop(ZENITH_KEY, None)
+    if DEPTH_KEY in values:
+        _check_depths(values.pop(DEPTH_KEY), data.get_index(label))
+    others = [name for name, v in data.coords.items() if not set(v.dims) <= {label}]
+    coordinates = data.drop_vars([*data.data_vars, *others])
+    return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith)
+
+
+def check_names(given: Iterable[Hashable]) -> None:
+    """Check that all required variables are given and that all given ones are known."""
+    names = [str(name) for name in given]
+    for name in names:
+        kind = (parse_impurity_parameter(name) or ("", ""))[1]
+        if name.startswith(f"{IMPURITIES_KEY}."):
+            if kind not in list_impurities():
+                kind = name.partition(".")[2]
+                hint = suggest_name(kind, list_impurities())
+                raise invalid(IMPURITIES_KEY, kind, f"one of {join_names(list_impurities())}", hint)
+        elif name not in KNOWN_NAMES:
+            raise unknown_key(name, [*KNOWN_NAMES, f"{IMPURITIES_KEY}.black_carbon"])
+    for name in (THICKNESS_KEY, DENSITY_KEY):
+        if name not in names:
+            raise invalid(name, None, "given", f"a variable over snowpacks and {LAYER_DIM}")
+    sizes = [name for name in (SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY) if name in names]
+    if not sizes:
+        raise invalid(SURFACE_AREA_KEY, None, f"given, or {OPTICAL_RADIUS_KEY}")
+    if len(sizes) == 2:
+        raise invalid(OPTICAL_RADIUS_KEY, "given", f"left out where {SURFACE_AREA_KEY} is given")
+
+
+def _find_label(data: xr.Dataset, label: str | None) -> str:
+    """Return the dimension of the snowpacks."""
+    dims = [str(dim) for dim in data[THICKNESS_KEY].dims]
+    others = [dim for dim in dims if dim != LAYER_DIM]
+    if LAYER_DIM not in dims or len(others) != 1 or label not in (None, *others):
+        hint = "stack other dimensions: dataset.stack(snowpack=('time', 'point'))"
+        allowed = f"over {label or 'time, or another label,'} and {LAYER_DIM}"
+        raise invalid(f"{THICKNESS_KEY} dimensions", tuple(dims), allowed, hint)
+    for name, size in data[THICKNESS_KEY].sizes.items():
+        if size == 0:
+            raise invalid(str(name), "no values", "at least one")
+    return others[0]
+
+
+def _check_labels(label: str, index: pd.Index) -> None:
+    """Check that each snowpack has a label of its own."""
+    if index.to_frame().isna().to_numpy().any():
+        raise invalid(label, "a gap", "a label for each snowpack", "masked, NaN or missing")
+    duplicates = index[index.duplicated()]
+    if duplicates.size:
+        hint = f"{duplicates.size} of {index.size} labels repeat an earlier one"
+        raise invalid(label, str(duplicates[0]), "different for each snowpack", hint)
+
+
+def _read_variable(data: xr.Dataset, name: str, label: str) -> np.ndarray:
+    """Return the numbers of a variable in its unit, over snowpacks and layers if it has layers."""
+    variable = data[name]
+    expected = (label,) if name == ZENITH_KEY else (label, LAYER_DIM)
+    if not set(variable.dims) <= set(expected):
+        raise invalid(f"{name} dimensions", variable.dims, f"among {', '.join(expected)}")
+    numbers = as_float_array(name, variable, allow_gaps=True)
+    numbers[~np.isfinite(numbers)] = np.nan
+    numbers = convert_units(name, numbers, variable.attrs.get("units"), describe_variable(name)[1])
+    sizes = {dim: data.sizes[dim] for dim in expected}
+    full = xr.Variable(variable.dims, numbers).set_dims(sizes).transpose(*expected)
+    return np.array(full.values)
+
+
+def _check_depths(depths_m: np.ndarray, index: pd.Index) -> None:
+    """Check that the depths of each snowpack increase; absent layers may have none."""
+    deepest = np.fmax.accumulate(depths_m, axis=1)
+    rows, layers = np.nonzero(depths_m[:, 1:] <= deepest[:, :-1])
+    if rows.size:
+        row, layer = rows[0], layers[0]
+        pair = [float(deepest[row, layer]), float(depths_m[row, layer + 1])]
+        hint = f"layer {layer + 1} of the snowpack at {index[row]}; {LAYER_DIM} 0 is at the top"
+        raise invalid(DEPTH_KEY, pair, "strictly increasing from the surface down", hint)
+
+
+def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
+    """Return the dataset of a table with one row per layer; rows that do not exist are NaN."""
+    if any(name is not None for name in frame.index.names):
+        frame = frame.reset_index()
+    label = label or DEFAULT_LABEL
+    for name in (label, LAYER_DIM):
+        if name not in frame.columns:
+            hint = suggest_name(name, map(str, frame.columns))
+            raise invalid(name, None, "a column", hint or "label= names that of the snowpacks")
+    if not len(frame):
+        raise invalid("data", "no rows", "at least one")
+    rows, labels = pd.factorize(frame[label])
+    number = as_float_array(LAYER_DIM, frame[LAYER_DIM], "numbers, 0 at the top")
+    columns, layers = pd.factorize(number, sort=True)
+    if (rows < 0).any():
+        raise invalid(label, "a gap", "a label in each row", "masked, NaN or missing")
+    repeated = pd.DataFrame({"row": rows, "column": columns}).duplicated().to_numpy()
+    if repeated.any():
+        position = int(np.flatnonzero(repeated)[0])
+        pair = f"{labels[rows[position]]}, {number[position]:g}"
+        raise invalid(f"{label}, {LAYER_DIM}", pair, "different in each row", "rows repeat")
+    index = pd.Index(labels).infer_objects()
+    if isinstance(index, pd.DatetimeIndex) and index.tz is not None:
+        index = index.tz_convert("UTC").tz_localize(None)
+    dataset = xr.Dataset(coords={label: index, LAYER_DIM: layers})
+    for column in frame.columns.drop([label, LAYER_DIM]):
+        numbers = as_float_array(str(column), frame[column], allow_gaps=True)
+        table = np.full((index.size, layers.size), np.nan)
+        table[rows, columns] = numbers
+        if column == ZENITH_KEY:
+            dataset[column] = (label, _reduce_to_snowpacks(str(column), table, index))
+        else:
+            dataset[str(column)] = ((label, LAYER_DIM), table)
+    return dataset
+
+
+def _reduce_to_snowpacks(key: str, table: np.ndarray, index: pd.Index) -> np.ndarray:
+    """Return the only number of each row, NaN for rows without numbers."""
+    lowest, highest = np.fmin.reduce(table, axis=1), np.fmax.reduce(table, axis=1)
+    different = np.flatnonzero(lowest < highest)
+    if different.size:
+        row = different[0]
+        pair = [float(lowest[row]), float(highest[row])]
+        raise invalid(key, pair, "the same for all layers of a snowpack", f"at {index[row]}")
+    return lowest

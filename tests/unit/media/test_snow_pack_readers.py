@@ -1,0 +1,286 @@
+"""Readers of snowpacks: CAAML files and output of Crocus, written by the tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import splits
+from splits.core.validation import InvalidValue
+
+NAN = np.nan
+NAMESPACE = "http://caaml.org/Schemas/SnowProfileIACS/v6.0.5"
+
+
+# --- CAAML ----------------------------------------------------------------------------------------
+
+
+def write_layers(profile, tag, unit, rows):
+    """Return the element of a profile; rows are top and thickness (cm) and value."""
+    layers = "".join(
+        f'<c:Layer><c:depthTop uom="cm">{top}</c:depthTop>'
+        + (f'<c:thickness uom="cm">{thickness}</c:thickness>' if thickness is not None else "")
+        + (f'<c:{tag} uom="{unit}">{value}</c:{tag}>' if tag else "")
+        + "</c:Layer>"
+        for top, thickness, value in rows
+    )
+    return f"<c:{profile}>{layers}</c:{profile}>"
+
+
+STRATIGRAPHY = write_layers("stratProfile", "", "", [(0, 10, 0), (10, 30, 0), (40, 60, 0)])
+DENSITY = write_layers(
+    "densityProfile", "density", "kgm-3", [(0, 10, 100), (10, 10, 200), (25, 10, 300), (45, 5, 350)]
+)
+AREA = write_layers("specSurfAreaProfile", "specSurfArea", "m2kg-1", [(0, 5, 40), (5, 10, 30)])
+WATER = write_layers("lwcProfile", "lwc", "% by Vol", [(0, 100, 2.0)])
+TEMPERATURE = (
+    '<c:tempProfile><c:Obs><c:depth uom="cm">0</c:depth><c:snowTemp uom="degC">-10</c:snowTemp>'
+    '</c:Obs><c:Obs><c:depth uom="cm">50</c:depth><c:snowTemp uom="degC">-5</c:snowTemp></c:Obs>'
+    "</c:tempProfile>"
+)
+
+
+def write_pit(path, *profiles, time="2024-02-01T11:30:00+01:00", namespace=NAMESPACE, before="",
+              direction="top down"):  # fmt: skip
+    """Write a CAAML file and return its path."""
+    path.write_text(
+        f'<?xml version="1.0" encoding="UTF-8"?>{before}<c:SnowProfile xmlns:c="{namespace}">'
+        "<c:timeRef><c:recordTime><c:TimeInstant>"
+        f"<c:timePosition>{time}</c:timePosition></c:TimeInstant></c:recordTime></c:timeRef>"
+        f'<c:snowProfileResultsOf><c:SnowProfileMeasurements dir="{direction}">'
+        f"{''.join(profiles)}</c:SnowProfileMeasurements></c:snowProfileResultsOf></c:SnowProfile>",
+        encoding="utf-8",
+    )
+    return path
+
+
+def test_profiles_are_averaged_over_their_overlap_with_layers(tmp_path):
+    packs = splits.read_caaml(write_pit(tmp_path / "a.xml", STRATIGRAPHY, DENSITY, AREA))
+    row = packs.dataset.isel(time=0)
+    assert row.time.values == np.datetime64("2024-02-01T10:30")
+    np.testing.assert_allclose(row.thickness_m, [0.1, 0.3, 0.6])
+    np.testing.assert_allclose(row.density_kg_m3, [100.0, 250.0, 350.0])
+    # The second layer overlaps the second interval, the third one lies below both.
+    np.testing.assert_allclose(row.specific_surface_area_m2_kg, [35.0, 30.0, 30.0])
+    assert (row.temperature_c == -1.0).all() and (row.liquid_water_content == 0.0).all()
+    assert packs.is_good.all()
+
+
+def test_temperatures_are_interpolated_and_water_is_subtracted(tmp_path):
+    path = write_pit(tmp_path / "a.xml", STRATIGRAPHY, DENSITY, AREA, WATER, TEMPERATURE)
+    row = splits.read_caaml(str(path)).dataset.isel(time=0)
+    np.testing.assert_allclose(row.temperature_c, [-9.5, -7.5, -5.0])
+    np.testing.assert_allclose(row.liquid_water_content, 0.02)
+    np.testing.assert_allclose(row.density_kg_m3, [80.0, 230.0, 330.0])
+
+
+def test_layers_beyond_the_measurements_may_be_missing(tmp_path):
+    path = write_pit(tmp_path / "a.xml", STRATIGRAPHY, DENSITY, AREA)
+    packs = splits.read_caaml(path, extend=False)
+    assert packs.count_flags()["missing_value"] == 1
+    area = packs.dataset.specific_surface_area_m2_kg.values[0]
+    np.testing.assert_allclose(area, [35.0, 30.0, NAN])
+
+
+def test_layers_without_overlap_are_interpolated(tmp_path):
+    density = write_layers("densityProfile", "density", "kgm-3", [(0, 10, 100), (40, 20, 300)])
+    packs = splits.read_caaml(write_pit(tmp_path / "a.xml", STRATIGRAPHY, density, AREA))
+    # The middle of the layer is at 25 cm, those of the intervals at 5 and 50 cm.
+    np.testing.assert_allclose(packs.dataset.density_kg_m3[0], [100.0, 100 + 200 * 20 / 45, 300.0])
+
+
+def test_points_and_units_are_read(tmp_path):
+    points = (
+        '<c:specSurfAreaProfile><c:MeasurementComponents><c:depth uom="mm"/>'
+        '<c:specSurfArea uom="m2kg-1"/></c:MeasurementComponents><c:Measurements>'
+        "<c:tupleList>10,40 50,44 200,20 600,10</c:tupleList></c:Measurements>"
+        "</c:specSurfAreaProfile>"
+    )
+    density = DENSITY.replace("kgm-3", "g cm-3").replace(">100<", ">0.1<")
+    packs = splits.read_caaml(write_pit(tmp_path / "a.xml", STRATIGRAPHY, density, points))
+    row = packs.dataset.isel(time=0)
+    np.testing.assert_allclose(row.specific_surface_area_m2_kg, [42.0, 20.0, 10.0])
+    assert row.density_kg_m3.values[0] == pytest.approx(100.0)
+    assert packs.count_flags()["out_of_range"] == 1
+
+
+def test_stratigraphy_may_be_in_any_order_incomplete_or_absent(tmp_path):
+    layers = [(10, None, 0), (0, 10, 0), (40, 60, 0)]
+    reordered = write_layers("stratProfile", "", "", layers)
+    packs = splits.read_caaml(write_pit(tmp_path / "a.xml", reordered, DENSITY, AREA))
+    np.testing.assert_allclose(packs.dataset.thickness_m[0], [0.1, 0.3, 0.6])
+    gap = write_layers("stratProfile", "", "", [(0, 10, 0), (40, 60, 0)])
+    packs = splits.read_caaml(write_pit(tmp_path / "a.xml", gap, DENSITY, AREA))
+    np.testing.assert_allclose(packs.dataset.thickness_m[0], [0.1, 0.3, 0.6])
+    assert packs.count_flags()["missing_value"] == 1
+    packs = splits.read_caaml(write_pit(tmp_path / "a.xml", DENSITY, AREA))
+    np.testing.assert_allclose(
+        packs.dataset.thickness_m[0], [0.05, 0.05, 0.05, 0.05, 0.05, 0.1, 0.1, 0.05]
+    )
+    assert splits.read_caaml(write_pit(tmp_path / "a.xml")).count_flags()["no_snow"] == 1
+    unknown = STRATIGRAPHY.replace(">60<", ">unknown<")
+    packs = splits.read_caaml(write_pit(tmp_path / "a.xml", unknown, DENSITY, AREA))
+    assert packs.count_flags()["missing_value"] == 1
+
+
+def test_several_files_are_one_dataset(tmp_path):
+    paths = [
+        write_pit(tmp_path / "a.xml", STRATIGRAPHY, DENSITY, AREA),
+        write_pit(tmp_path / "b.xml", STRATIGRAPHY, DENSITY, time="2024-03-01T12:00:00"),
+        write_pit(tmp_path / "c.xml", time="2024-05-01T12:00:00Z"),
+    ]
+    packs = splits.read_caaml(paths)
+    assert packs.dataset.quality_flag.values.tolist() == [0, 2, 1]
+    assert packs.dataset.time.values[1] == np.datetime64("2024-03-01T12:00")
+    named = splits.read_caaml(paths, label="file")
+    assert named.dataset.file.values.tolist() == ["a.xml", "b.xml", "c.xml"]
+    with pytest.raises(InvalidValue, match="time = '2024-02-01 10:30:00': must be different"):
+        splits.read_caaml([paths[0], paths[0]])
+    with pytest.raises(InvalidValue, match="label = 'site': must be time or file"):
+        splits.read_caaml(paths, label="site")
+    with pytest.raises(InvalidValue, match=r"path = .*at least one file"):
+        splits.read_caaml([])
+
+
+BOMB = '<!DOCTYPE bomb [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>'
+OVERLAP = write_layers("stratProfile", "", "", [(0, 10, 0), (5, 30, 0)])
+
+
+@pytest.mark.parametrize(
+    ("profiles", "options", "message"),
+    [
+        ((), {"before": BOMB}, "a.xml: DOCTYPE = 'given': must be left out"),
+        ((), {"namespace": NAMESPACE.replace("6.0.5", "5.0")}, "must be a SnowProfile of Snow"),
+        ((), {"time": "yesterday at noon"}, "a.xml: timePosition = 'yesterday at noon'"),
+        ((), {"direction": "bottom up"}, "a.xml: dir = 'bottom up': must be top down"),
+        ((OVERLAP,), {}, "a.xml: depthTop = 0.05: must be below the layer above it"),
+        ((STRATIGRAPHY, DENSITY.replace("kgm-3", "N")), {}, "a.xml: density.units = 'N'"),
+        ((STRATIGRAPHY, DENSITY.replace(">200<", ">heavy<")), {}, "density = 'heavy': must be a"),
+        (("<c:open>",), {}, "path = 'a.xml': must be an XML file of CAAML .mismatched tag"),
+    ],
+)
+def test_invalid_files_raise_one_line(tmp_path, profiles, options, message):
+    path = write_pit(tmp_path / "a.xml", *profiles, **options)
+    with pytest.raises(InvalidValue, match=message) as error:
+        splits.read_caaml(path)
+    assert "\n" not in str(error.value)
+
+
+# --- Crocus ---------------------------------------------------------------------------------------
+
+
+def make_output(**units):
+    """Return output of Crocus for three times, three layers and two points."""
+    dims = ("time", "snow_layer", "Number_of_points")
+    thickness = np.full((3, 3, 2), 0.1)
+    thickness[0, 2], thickness[1] = 1e20, 0.0
+    present = (thickness > 0.0) & (thickness < 1e20)
+    fields = {
+        "SNOWDZ": (thickness, "m"), "RSN_VEG": (np.where(present, 300.0, 1e20), "kg/m3"),
+        "SNOWSSA": (np.where(present, 20.0, 1e20), "m2/kg"),
+        "SNOWLIQ": (np.where(present, 30.0, 0.0), "kg/m3"),
+        "SNOWTEMP": (np.where(present, np.float32(273.16), 1e20), "K"),
+        "SNOWIMP1": (np.where(present, 9e-8, 0.0), "g/g"),
+        "SNOWIMP2": (np.where(present, 9e-6, 0.0), "g/g"),
+    }  # fmt: skip
+    variables = {
+        name: (dims, values, {"units": units.get(name, unit)})
+        for name, (values, unit) in fields.items()
+    }
+    variables["WSN_T_ISBA"] = (("time", "Number_of_points"), np.full((3, 2), 60.0))
+    times = pd.date_range("2024-01-01", periods=3, freq="6h")
+    return xr.Dataset(variables, {"time": times})
+
+
+def test_output_is_converted():
+    packs = splits.read_crocus(make_output(), point=1)
+    assert packs.label == "time"
+    assert packs.dataset.quality_flag.values.tolist() == [0, 1, 0]
+    assert packs.dataset.layer_flag.values.tolist() == [[0, 0, 1], [1, 1, 1], [0, 0, 0]]
+    layer = packs.dataset.isel(time=2, layer=0)
+    assert layer.liquid_water_content == pytest.approx(0.03)
+    assert layer.density_kg_m3 == pytest.approx(270.0)
+    assert layer.temperature_c == 0.0
+    assert layer["impurities_ng_g.black_carbon"] == pytest.approx(90.0 / 0.9)
+    assert layer["impurities_ng_g.dust_sahara"] == pytest.approx(9000.0 / 0.9)
+    assert len(packs.make_stack("2024-01-01T12:00").layers) == 3
+
+
+def test_all_points_are_pairs_with_the_time():
+    packs = splits.read_crocus(make_output())
+    assert packs.label == "snowpack" and len(packs) == 6
+    assert packs.count_flags() == splits.SnowPacks(packs.dataset).count_flags()
+    assert packs.count_flags()["no_snow"] == 2
+
+
+def test_files_of_one_point_and_patches_are_read(tmp_path):
+    path = tmp_path / "PRO.nc"
+    output = make_output().isel(Number_of_points=[0])
+    encoding = {name: {"_FillValue": 1e20} for name in output.data_vars}
+    output.expand_dims(Number_of_Patches=[0]).to_netcdf(path, encoding=encoding)
+    packs = splits.read_crocus(path)
+    expected = splits.read_crocus(make_output(), point=0)
+    xr.testing.assert_equal(packs.dataset, expected.dataset)
+    splits.save(packs.dataset, tmp_path / "packs.nc")
+    assert splits.load(tmp_path / "packs.nc").equals(packs.dataset)
+
+
+def test_units_in_descriptions_and_depths_of_water_are_read():
+    output = make_output(SNOWLIQ="")
+    output["SNOWLIQ"].attrs = {"comment": "snow liquid water (m)"}
+    output["SNOWLIQ"] = output.SNOWLIQ.copy(data=output.SNOWLIQ.values * 0.1 / 1000.0)
+    output = output.rename(RSN_VEG="SNOWRO", time="Time")
+    packs = splits.read_crocus(output, point=0)
+    expected = splits.read_crocus(make_output(), point=0)
+    xr.testing.assert_allclose(packs.dataset, expected.dataset)
+
+
+def test_impurities_are_chosen():
+    packs = splits.read_crocus(make_output(), impurities={"SNOWIMP2": "dust_colorado"}, point=0)
+    assert packs.impurities == ("dust_colorado",)
+    assert splits.read_crocus(make_output(), impurities={}, point=0).impurities == ()
+
+
+def test_bad_layers_flag_their_snowpack():
+    output = make_output().isel(Number_of_points=0)
+    output["SNOWSSA"][0, 0] = 1e20
+    output["RSN_VEG"][2, 1] = 950.0
+    packs = splits.read_crocus(output)
+    assert packs.dataset.quality_flag.values.tolist() == [2, 1, 3]
+
+
+PATCHES = make_output().expand_dims(tile=[0, 1])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: splits.read_crocus(make_output().drop_vars("SNOWLIQ")), "SNOWLIQ = None: must be"),
+        (lambda: splits.read_crocus(make_output(SNOWLIQ="")), "SNOWLIQ.units = None: must be kg"),
+        (lambda: splits.read_crocus(make_output(SNOWLIQ="kg")), "SNOWLIQ.units = 'kg'"),
+        (lambda: splits.read_crocus(make_output(SNOWDZ="kg/m2")), "SNOWDZ.units = 'kg/m2'"),
+        (lambda: splits.read_crocus(make_output(), point=2), "point = 2: must be a whole number"),
+        (lambda: splits.read_crocus(make_output(), patch=0), "patch = 0: must be left out"),
+        (lambda: splits.read_crocus(PATCHES), "patch = None: must be a whole number from 0 to 1"),
+        (lambda: splits.read_crocus(make_output().rename(time="t")), "SNOWDZ dimensions"),
+        (lambda: splits.read_crocus(make_output(), impurities=["SNOWIMP1"]), "impurities = "),
+        (lambda: splits.read_crocus(make_output(), impurities={"SNOWIMP3": "dust_sahara"}),
+         "impurities = 'SNOWIMP3': must be one of SNOWIMP1, SNOWIMP2"),
+        (lambda: splits.read_crocus(make_output(), impurities={"SNOWIMP1": "soot"}),
+         "impurities_ng_g = 'soot'.*did you mean black_carbon"),
+        (lambda: splits.read_crocus(
+            make_output(), impurities={"SNOWIMP1": "dust_sahara", "SNOWIMP2": "dust_sahara"}
+        ), "different types"),
+    ],
+)  # fmt: skip
+def test_invalid_output_raises_one_line(call, message):
+    with pytest.raises(InvalidValue, match=message) as error:
+        call()
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(FileNotFoundError, match=r"none\.nc: no such file"):
+        splits.read_crocus("none.nc")

@@ -98,7 +98,7 @@ class GrainTable(NamedTuple):
         return self.contrast.contains(contrast) & (absorption <= MAX_ABSORPTION)
 
     def compute_moments(
-        self, contrast: np.ndarray, absorption: np.ndarray, saturation: float = 0.0
+        self, contrast: np.ndarray, absorption: np.ndarray, saturation: float, orders: int
     ) -> np.ndarray:
         """Return the moments M_l, shape (values, pores, pores, orders).
 
@@ -107,27 +107,36 @@ class GrainTable(NamedTuple):
         contrast, absorption : float, shape (values,)
             n − 1 and x, within the table.
         saturation : float
-            Fraction of wet pores.
+            Fraction of wet pores; not used for dry grains.
+        orders : int
+            Number of moments, which are 0 beyond those of the table.
         """
         by_contrast = self.contrast.compute_weights(contrast)
         by_saturation = self.saturation.compute_weights(np.array([saturation]))[0]
         q = absorption / (1.0 + absorption)
         by_absorption = self.absorption.compute_weights(q)
-        slopes = np.tensordot(by_saturation, self.slopes, (0, 1))
-        n_contrasts, n_orders = len(by_contrast.T), self.moments.shape[-1]
-        # (contrasts, pores, pores, absorptions, orders): first the sum over pairs of nodes.
+        n_known, n_pores = min(orders, self.moments.shape[-1]), self.moments.shape[2]
+        without, slopes = (
+            np.tensordot(by_saturation, values[..., :n_known], (0, 1))
+            for values in (self.moments, self.slopes)
+        )
+        # One product over the pairs of a contrast and an absorption.
         pairs = (by_contrast[:, :, np.newaxis] * by_absorption[:, np.newaxis]).reshape(q.size, -1)
         by_pair = np.moveaxis(slopes, 3, 1).reshape(pairs.shape[1], -1)
-        without = np.tensordot(by_saturation, self.moments, (0, 1)).reshape(n_contrasts, -1)
-        moments = by_contrast @ without - q[:, np.newaxis] * (pairs @ by_pair)
-        n_pores = self.moments.shape[2]
-        return moments.reshape(q.size, n_pores, n_pores, n_orders)
+        known = by_contrast @ without.reshape(len(without), -1) - q[:, np.newaxis] * (
+            pairs @ by_pair
+        )
+        moments = np.zeros((q.size, n_pores, n_pores, orders))
+        moments[..., :n_known] = known.reshape(q.size, n_pores, n_pores, n_known)
+        return moments
 
     def interpolate_stderr(self, contrast: np.ndarray, absorption: np.ndarray) -> np.ndarray:
-        """Return the standard errors of a reflectance, shape (values,)."""
-        row = np.searchsorted(self.contrast.nodes, contrast).clip(0, len(self.stderr) - 1)
+        """Return the standard errors of a reflectance, shape (..., values), at the next nodes."""
         q = absorption / (1.0 + absorption)
-        column = np.searchsorted(self.absorption.nodes, q).clip(0, self.stderr.shape[1] - 1)
+        row, column = (
+            np.searchsorted(axis.nodes, values).clip(0, axis.nodes.size - 1)
+            for axis, values in ((self.contrast, contrast), (self.absorption, q))
+        )
         stderr: np.ndarray = self.stderr[row, column]
         return stderr
 

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from splits.core.uncertainty import compute_jackknife_stderr, compute_leave_one_out_means
+from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, Axis, GrainTable
+from splits.discrete_ordinates.slab import LayerOptics, solve_slab
+from splits.discrete_ordinates.streams import Streams
 from splits.kernels.base.scene import WET_PORE
+from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
+from splits.materials.library import load_dataset
+from splits.media.natural_snow import NATURAL_REFRACTIVE_INDICES
 from splits.media.snow import Snow
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
@@ -19,6 +27,16 @@ from splits.simulation.stopping_rule import StoppingRule
 
 WEAK_ABSORPTION = 1e-6
 """Absorption x at which the derivative of the moments at 0 is taken."""
+CONTRAST_LIMITS = (0.16, 0.4)
+"""Contrasts of ice with air, which are those of 200 to 2700 nm."""
+WATER_WAVELENGTHS_NM = (200.0, 2701.0, 5.0)
+"""First wavelength, end and step (nm) for the index of water that belongs to a contrast of ice."""
+SATURATION_LIMITS, N_SATURATIONS = (0.02, 0.5), 4
+N_ABSORPTIONS, N_ORDERS = 16, 33
+WET_RAYS_DIVISOR = 8
+"""Rays of dry grains relative to those of wet ones, whose table has eight times as many rows."""
+ERROR_STREAMS, ERROR_COSINES = 16, (1.0, 0.5, 0.1)
+"""Streams, and cosines of beams, for the error of a reflectance."""
 
 
 class TableAxes(NamedTuple):
@@ -36,6 +54,23 @@ class TableAxes(NamedTuple):
     saturation: Axis
     absorption: Axis
     water: np.ndarray
+
+    @classmethod
+    def from_water(cls, is_wet: bool, contrasts: int, absorptions: int) -> TableAxes:
+        """Return the axes for dry or wet grains of natural snow, with numbers of nodes."""
+        contrast = Axis.from_limits(*CONTRAST_LIMITS, contrasts)
+        wavelengths = np.arange(*WATER_WAVELENGTHS_NM)
+        ice, water = (
+            load_dataset(material, NATURAL_REFRACTIVE_INDICES[material])(wavelengths).real
+            for material in ("ice", "water")
+        )
+        order = np.argsort(ice)
+        return cls(
+            contrast,
+            Axis.from_limits(*SATURATION_LIMITS, N_SATURATIONS) if is_wet else Axis(np.zeros(1)),
+            Axis.from_limits(0.0, MAX_ABSORPTION / (1.0 + MAX_ABSORPTION), absorptions),
+            np.interp(1.0 + contrast.nodes, ice[order], water[order]),
+        )
 
 
 def tabulate_grains(snow: Snow, axes: TableAxes, orders: int, rays: int, run: RunOptions) -> GrainTable:
@@ -58,22 +93,24 @@ def tabulate_grains(snow: Snow, axes: TableAxes, orders: int, rays: int, run: Ru
     pores = (0.0, 1.0) if axes.saturation.nodes.any() else (0.0,)
     shape = (axes.contrast.nodes.size, axes.saturation.nodes.size, len(pores), len(pores))
     moments = np.empty((*shape, absorption.size, orders))
+    stderr = np.zeros((axes.contrast.nodes.size, q.size))
     for row, saturation in enumerate(axes.saturation.nodes):
         wet = replace(snow, saturation=float(saturation))
         for source, is_wet in enumerate(pores):
-            moments[:, row, source] = _trace_grains(wet, axes, is_wet, absorption, orders, rays, run)
+            tally = _trace_grains(wet, axes, is_wet, absorption, orders, rays, run)
+            moments[:, row, source] = _compute_means(tally, axes, orders, wet.saturation)
+            stderr = np.maximum(stderr, _compute_reflectance_error(tally, axes, orders)[:, 1:])
     without, weak = moments[..., 0, :], moments[..., 1:, :]
     x = absorption[1:, np.newaxis]
     slopes = (without[..., np.newaxis, :] - weak) * (1.0 + x) / x
-    stderr = np.zeros((axes.contrast.nodes.size, q.size))
-    return GrainTable(axes.contrast, axes.saturation, axes.absorption, without, slopes, stderr)
+    return GrainTable(*axes[:3], without, slopes, stderr)
 
 
 def _trace_grains(
     snow: Snow, axes: TableAxes, is_wet: float, absorption: np.ndarray, orders: int, rays: int,
     run: RunOptions,
-) -> np.ndarray:  # fmt: skip
-    """Return the moments for light from one pore, shape (contrasts, pores, absorptions, orders)."""
+) -> SingleScatteringTally:  # fmt: skip
+    """Return the tally of light from dry or wet pores; rows are contrasts times absorptions."""
     materials = snow.list_materials()
     index = np.ones((axes.contrast.nodes.size, len(materials)), dtype=complex)
     index[:, WET_PORE] = axes.water
@@ -87,9 +124,61 @@ def _trace_grains(
     tally = SingleScatteringTally(nodes, per_metre, fractions, orders, rays, n_wet_orders)
     stop = StoppingRule(0.0, rays * len(index), fixed=True)
     simulate(build_scene(snow, 0.0, False), tally, stop, run)
+    return tally
+
+
+def _compute_means(
+    tally: SingleScatteringTally, axes: TableAxes, orders: int, saturation: float
+) -> np.ndarray:
+    """Return the moments as in `GrainTable`, shape (contrasts, pores, absorptions, orders)."""
     mean = tally.combine_nodes(tally.sums[0] / tally.count_rays())
-    by_row = mean.T.reshape(len(index), absorption.size, -1)
+    by_row = mean.T.reshape(axes.contrast.nodes.size, -1, len(mean))
     every, wet = by_row[..., :orders], by_row[..., orders + len(WEIGHTED_MEANS) - 1 :]
-    if not snow.saturation:
-        return every[:, np.newaxis]
-    return np.stack([every, wet / snow.saturation], axis=1)
+    parts = [every, wet / saturation] if saturation else [every]
+    return np.stack(parts, axis=1)
+
+
+def _compute_reflectance_error(
+    tally: SingleScatteringTally, axes: TableAxes, orders: int
+) -> np.ndarray:
+    """Return the jackknife error of the reflectance of a half-space of grains.
+
+    It is the largest of that under diffuse light and under beams, shape (contrasts, absorptions).
+    """
+    scale = N_SCATTERING_BATCHES / tally.count_rays()
+    batches = tally.combine_nodes(tally.batch_sums[:, :orders] * scale)
+    means = np.moveaxis(compute_leave_one_out_means(batches), 1, -1)
+    albedo = np.minimum(means[..., 0], 1.0)
+    optics = LayerOptics.from_albedo(
+        np.full(albedo.shape, np.inf), albedo, means / means[..., :1]
+    ).truncate(ERROR_STREAMS)
+    streams, cosines = Streams.from_number(ERROR_STREAMS), np.array(ERROR_COSINES)
+    isotropic = make_isotropic(optics, streams, cosines.size)
+    slab = solve_slab(optics, streams, cosines[np.newaxis])
+    face = Boundary.make_transparent(streams.cosines.size, cosines.size)
+    budget = compute_budget(
+        [Element.from_slab(slab, isotropic)], (isotropic, isotropic), (face, face),
+        np.zeros(albedo.shape), streams.cosines.size,
+    )  # fmt: skip
+    error = compute_jackknife_stderr(budget.reflectance).max(axis=-1)
+    shaped: np.ndarray = error.reshape(axes.contrast.nodes.size, -1)
+    return shaped
+
+
+def save_natural_grains(folder: Path, rays: int, run: RunOptions) -> None:
+    """Write the tables of dry and of wet grains of natural snow into a folder.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+    rays : int
+        Rays per refractive index of dry grains.
+    run : RunOptions
+    """
+    snow = Snow.natural(specific_surface_area_m2_kg=20.0)
+    for name, n_contrasts, n_rays in (("dry", 8, rays), ("wet", 7, rays // WET_RAYS_DIVISOR)):
+        axes = TableAxes.from_water(name == "wet", n_contrasts, N_ABSORPTIONS)
+        table = tabulate_grains(snow, axes, N_ORDERS, n_rays, run).to_dataset()
+        compact = {"dtype": "f4", "zlib": True, "complevel": 9}
+        encoding = {variable: compact for variable in table.data_vars}
+        table.to_netcdf(folder / f"natural_grains_{name}.nc", encoding=encoding)

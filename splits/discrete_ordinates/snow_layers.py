@@ -1,0 +1,131 @@
+"""Layers of natural snow as arrays, for one snowpack or for many, and their optics."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.pores import DRY, WET
+from splits.discrete_ordinates.slab import LayerOptics
+from splits.kernels.base.scene import DRY_PORE, WET_PORE
+from splits.media.snow import Snow
+from splits.simulation.scene import compute_material_constants
+
+MIN_SATURATION = 1e-9
+"""Saturation of a dry layer of a wet snowpack, so that its wet pores have a radiance."""
+
+
+class SnowLayer(NamedTuple):
+    """One layer of each of several snowpacks, at several wavelengths.
+
+    Attributes
+    ----------
+    depth_m : float, shape (...)
+        Thickness (m), 0 for an absent layer.
+    collisions_per_m : float, shape (...)
+        Collisions with grains per metre of path.
+    saturation : float, shape (...)
+    contrast : float, shape (wavelengths,)
+        Refractive index of ice minus 1.
+    water_index : float, shape (wavelengths,)
+        Refractive index of water.
+    grain_absorption : float, shape (..., wavelengths)
+        Absorption coefficient of the grains times their mean chord.
+    pore_absorption : float, shape (..., wavelengths, 2)
+        Absorption coefficient (1/m) of dry and of wet pores, per metre of path between grains.
+    """
+
+    depth_m: np.ndarray
+    collisions_per_m: np.ndarray
+    saturation: np.ndarray
+    contrast: np.ndarray
+    water_index: np.ndarray
+    grain_absorption: np.ndarray
+    pore_absorption: np.ndarray
+
+    @classmethod
+    def from_snow(cls, snow: Snow, wavelength_nm: np.ndarray) -> SnowLayer:
+        """Return a layer of snow at wavelengths (nm)."""
+        index, absorption = compute_material_constants(snow, wavelength_nm)
+        water = snow.refractive_index["water"](wavelength_nm)
+        return cls(
+            np.asarray(snow.depth_m),
+            np.asarray(snow.extinction_per_m),
+            np.asarray(snow.saturation),
+            index[:, -1].real - 1.0,
+            water.real,
+            absorption[:, -1] / snow.attenuation_per_m,
+            absorption[:, [DRY_PORE, WET_PORE]],
+        )
+
+    def compute_optics(self, table: GrainTable, orders: int) -> LayerOptics:
+        """Return the optics, per metre, with leading dimensions (..., wavelengths).
+
+        Parameters
+        ----------
+        table : GrainTable
+            Of dry grains, or of wet ones, which gives two states.
+        orders : int
+            Number of Legendre moments.
+        """
+        shape = self.grain_absorption.shape
+        collisions, depth = (
+            np.broadcast_to(values[..., np.newaxis], shape)
+            for values in (self.collisions_per_m, self.depth_m)
+        )
+        moments = self._compute_moments(table, orders)
+        n_states = moments.shape[-2]
+        extinction = collisions[..., np.newaxis] + self.pore_absorption[..., :n_states]
+        rate = collisions[..., np.newaxis, np.newaxis, np.newaxis]
+        if n_states == 1:
+            return LayerOptics(depth, extinction, rate * moments, np.ones((*shape, 1)))
+        saturation = np.maximum(self.saturation, MIN_SATURATION)[..., np.newaxis]
+        wet = np.broadcast_to(saturation * self.water_index**2, shape)
+        dry = np.broadcast_to(1.0 - saturation, shape)
+        scattering = _balance_states(moments, saturation, self.water_index)
+        return LayerOptics(depth, extinction, rate * scattering, np.stack([dry, wet], axis=-1))
+
+    def _compute_moments(self, table: GrainTable, orders: int) -> np.ndarray:
+        """Return the moments of the table, shape (..., wavelengths, states, states, orders)."""
+        if not np.ndim(self.depth_m):
+            return table.compute_moments(
+                self.contrast, self.grain_absorption, float(self.saturation), orders
+            )
+        n_states = table.moments.shape[2]
+        moments = np.empty((*self.grain_absorption.shape, n_states, n_states, orders))
+        for position in np.ndindex(self.depth_m.shape):
+            moments[position] = table.compute_moments(
+                self.contrast, self.grain_absorption[position], float(self.saturation[position]),
+                orders,
+            )  # fmt: skip
+        return moments
+
+
+def _balance_states(moments: np.ndarray, saturation: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return the symmetric scattering between dry and wet pores.
+
+    Light that leaves into the other pore is n² times as likely from a wet pore as from a dry one,
+    per fraction of the pores; the mean of both estimates is used.  The rest of the light stays in
+    its pore, so that nothing is lost.
+
+    Parameters
+    ----------
+    moments : float, shape (..., wavelengths, 2, 2, orders)
+        See `GrainTable`.
+    saturation : float, shape (..., 1)
+    index : float, shape (wavelengths,)
+        Refractive index of water.
+    """
+    fraction, n = saturation[..., np.newaxis], index[:, np.newaxis]
+    from_dry, into_wet = moments[..., DRY, 0, :], moments[..., DRY, 1, :]
+    from_wet, kept_wet = moments[..., WET, 0, :], moments[..., WET, 1, :]
+    into_dry = (from_wet - fraction * kept_wet) / (1.0 - fraction)
+    exchange = 0.5 * (into_wet / n + into_dry * n)
+    scattering = np.empty_like(moments)
+    changed = np.sqrt(fraction * (1.0 - fraction)) * exchange
+    scattering[..., DRY, WET, :] = scattering[..., WET, DRY, :] = changed
+    scattering[..., DRY, DRY, :] = from_dry - fraction * n * exchange
+    scattering[..., WET, WET, :] = from_wet - (1.0 - fraction) / n * exchange
+    return scattering

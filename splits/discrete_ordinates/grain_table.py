@@ -84,6 +84,8 @@ class GrainTable(NamedTuple):
         E_l, likewise.
     stderr : float, shape (contrasts, absorptions)
         Standard error of a reflectance due to that of the moments, see `grain_tabulation`.
+    water : float, shape (contrasts,)
+        Refractive index of water in wet pores.
     """
 
     contrast: Axis
@@ -92,6 +94,7 @@ class GrainTable(NamedTuple):
     moments: np.ndarray
     slopes: np.ndarray
     stderr: np.ndarray
+    water: np.ndarray
 
     def covers(self, contrast: np.ndarray, absorption: np.ndarray) -> np.ndarray:
         """Return where the table has values, for contrasts and absorptions x."""
@@ -149,6 +152,7 @@ class GrainTable(NamedTuple):
                 self.slopes,
             ),
             "reflectance_stderr": (("contrast", "absorption"), self.stderr),
+            "water_index": ("contrast", self.water),
         }
         axes = {name: getattr(self, name).nodes for name in ("contrast", "saturation", "absorption")}
         return xr.Dataset(variables, axes)
@@ -157,5 +161,5 @@ class GrainTable(NamedTuple):
     def from_dataset(cls, dataset: xr.Dataset) -> GrainTable:
         """Return the table in a dataset."""
         axes = [Axis(dataset[name].values) for name in ("contrast", "saturation", "absorption")]
-        arrays = (dataset[name].values for name in ("moment", "slope", "reflectance_stderr"))
-        return cls(*axes, *(array.astype(float) for array in arrays))
+        names = ("moment", "slope", "reflectance_stderr", "water_index")
+        return cls(*axes, *(dataset[name].values.astype(float) for name in names))

@@ -103,7 +103,7 @@ def tabulate_grains(snow: Snow, axes: TableAxes, orders: int, rays: int, run: Ru
     without, weak = moments[..., 0, :], moments[..., 1:, :]
     x = absorption[1:, np.newaxis]
     slopes = (without[..., np.newaxis, :] - weak) * (1.0 + x) / x
-    return GrainTable(*axes[:3], without, slopes, stderr)
+    return GrainTable(*axes[:3], without, slopes, stderr, axes.water)
 
 
 def _trace_grains(

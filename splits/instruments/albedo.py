@@ -39,6 +39,7 @@ def albedo(
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
+    solver: str = "monte_carlo",
     bands: Mapping[str, Any] | str | None = None,
     threads: int | None = None,
     progress: ProgressCallback = None,
@@ -61,6 +62,8 @@ def albedo(
         and for diffuse light, 1e-6 to 0.5.  The albedo combines both, so its error is at most this.
     seed : int
         Non-negative; diffuse light uses the next one.
+    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+        As for `splits.spectrophotometer`.
     bands : mapping or str, optional
         Names of bands to their limits (nm): ``{"visible": (305, 700)}``; or to a spectral response,
         a mapping of ``wavelength_nm`` and ``response`` or the path of a CSV file with these
@@ -96,7 +99,7 @@ def albedo(
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         return spectrophotometer(
             medium, wavelengths, incidence, max_stderr, run.seed + number,
-            threads=run.threads, progress=progress,
+            solver=solver, threads=run.threads, progress=progress,
         )  # fmt: skip
 
     mixed = mix_direct_and_diffuse(sky_spectrum, wavelengths, simulate_component, ["reflectance"])

@@ -11,6 +11,12 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, invalid, to_text_keys
+from splits.instruments.solver import (
+    DISCRETE_ORDINATES,
+    MONTE_CARLO,
+    choose_solver,
+    solve_estimate,
+)
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest, make_spectrum
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
@@ -37,6 +43,7 @@ def spectrophotometer(
     max_stderr: float = 0.002,
     seed: int = 1,
     *,
+    solver: str = "monte_carlo",
     estimator: str = "spectral",
     jacobian: Sequence[str] = (),
     max_rays: int = 20_000_000,
@@ -69,6 +76,11 @@ def spectrophotometer(
         each.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
+    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+        "discrete_ordinates" solves the equation of radiative transfer in plane layers of modelled
+        natural snow (`splits.Snow.natural`), without noise and in milliseconds: see
+        docs/theory/discrete-ordinates.md.  Media for which it does not hold are rejected, or
+        simulated with paths under "auto".
     estimator : {"spectral", "analog"}
         "spectral" uses the same paths at all wavelengths.  "analog", for one medium, is the
         algorithm of the papers: each wavelength is traced separately, and absorption is sampled at
@@ -146,7 +158,16 @@ def spectrophotometer(
     )
     first = next(iter(media.values()))
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
+    dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
     parameters = _check_jacobian(medium, request, estimator, jacobian)
+    obstacle = None if not analog and not parameters else "estimator or jacobian needs paths"
+    if choose_solver(solver, media.values(), request.wavelengths, obstacle) == DISCRETE_ORDINATES:
+        estimate = solve_estimate(
+            list(media.values()), request.wavelengths, request.incidence, request.max_stderr
+        )
+        dataset = make_spectrum(request, first, estimate, truncation=None, dims=dims)
+        dataset.attrs["solver"] = DISCRETE_ORDINATES
+        return _label_media(dataset, media) if is_mapping else dataset
     perturbations = Perturbations.select_exact(first, parameters, request.wavelengths)
     path_sharing = PathSharingMedia(
         (*media.values(), *perturbations.media),
@@ -155,9 +176,8 @@ def spectrophotometer(
     )
     truncation = None if analog else request.truncate(path_sharing)
     estimate = request.simulate(path_sharing, truncation, perturbations, analog=analog)
-    dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
     dataset = make_spectrum(request, first, estimate, truncation=truncation, dims=dims)
-    dataset.attrs["estimator"] = estimator
+    dataset.attrs |= {"solver": MONTE_CARLO, "estimator": estimator}
     if is_mapping:
         return _label_media(dataset, media)
     if not parameters:

@@ -1,0 +1,105 @@
+"""Choice between Monte Carlo simulation and discrete ordinates, and spectra by the latter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from splits.core.validation import check_choice, invalid
+from splits.discrete_ordinates.applicability import find_obstacle, make_snowpack
+from splits.discrete_ordinates.snowpack import SpectrumSolution, solve_spectrum
+from splits.kernels.tallies.exits import N_BATCHES
+from splits.media.medium import Medium
+from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
+
+MONTE_CARLO, DISCRETE_ORDINATES, AUTO = "monte_carlo", "discrete_ordinates", "auto"
+SOLVERS = (MONTE_CARLO, DISCRETE_ORDINATES, AUTO)
+KIND_OF_ERROR = "bound"
+"""Kind of the errors of discrete ordinates: they are common to all wavelengths."""
+
+
+def choose_solver(
+    solver: Any, media: Iterable[Medium], wavelength_nm: np.ndarray, obstacle: str | None = None
+) -> str:
+    """Return the solver for media: with "auto", discrete ordinates where they apply.
+
+    Parameters
+    ----------
+    solver : object
+        As given by the user.
+    media : iterable of Medium
+    wavelength_nm : float, shape (wavelengths,)
+    obstacle : str, optional
+        Another reason why discrete ordinates do not apply.
+
+    Raises
+    ------
+    ValueError
+        For an unknown solver, and where discrete ordinates are requested and do not apply.
+    """
+    solver = check_choice("solver", solver, SOLVERS)
+    if solver == MONTE_CARLO:
+        return MONTE_CARLO
+    reasons = (find_obstacle(medium, wavelength_nm) for medium in media)
+    obstacle = obstacle or next((reason for reason in reasons if reason), None)
+    if obstacle is None:
+        return DISCRETE_ORDINATES
+    if solver == AUTO:
+        return MONTE_CARLO
+    allowed = "'monte_carlo' or 'auto' for this medium"
+    raise invalid("solver", solver, allowed, f"for discrete ordinates, {obstacle}")
+
+
+def solve_estimate(
+    media: Sequence[Medium], wavelength_nm: np.ndarray, incidence: float | str, max_stderr: float
+) -> SpectralEstimate:
+    """Return hemispherical values of media by discrete ordinates, in the form of simulations.
+
+    Parameters
+    ----------
+    media : sequence of Medium
+        Without obstacle (`splits.discrete_ordinates.applicability.find_obstacle`).
+    wavelength_nm : float, shape (wavelengths,)
+    incidence : float or "diffuse"
+        Degrees, or isotropic light.
+    max_stderr : float
+        Determines the number of streams.
+    """
+    is_diffuse = incidence == "diffuse"
+    cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
+    column = -1 if is_diffuse else 0
+    solutions = [
+        solve_spectrum(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
+        for medium in media
+    ]
+    sides = [
+        np.concatenate([getattr(one.budget, name)[..., column] for one in solutions])
+        for name in ("reflectance", "transmittance")
+    ]
+    reflectance, transmittance = (np.clip(side, 0.0, 1.0) for side in sides)
+    mean = np.stack([reflectance, transmittance, 1.0 - reflectance - transmittance])
+    error = np.concatenate([one.error for one in solutions])
+    n_rows = error.size
+    # A bounded quantity cannot be wrong by more than itself.
+    stderr = np.minimum(error, np.maximum(mean, np.finfo(float).eps))
+    return SpectralEstimate(
+        mean, stderr, stderr, np.zeros((N_BATCHES, 2, n_rows)), _make_no_derivatives(n_rows),
+        np.zeros(n_rows), _describe(solutions),
+    )  # fmt: skip
+
+
+def _make_no_derivatives(n_rows: int) -> Derivatives:
+    none = np.zeros((2, 0, n_rows))
+    return Derivatives(none, np.zeros((N_BATCHES, 2, 0, n_rows)), none)
+
+
+def _describe(solutions: Sequence[SpectrumSolution]) -> dict[str, Any]:
+    """Return the attributes of spectra by discrete ordinates."""
+    return {
+        "rays": 0,
+        "streams": max(one.n_streams for one in solutions),
+        "truncation_error": float(max(one.truncation.max() for one in solutions)),
+        "optics_error": float(max(one.optics_error.max() for one in solutions)),
+    }

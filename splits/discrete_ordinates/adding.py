@@ -171,8 +171,10 @@ def _leave_at_top(
     leaving = (entering * rising)[..., :n_streams, :]
     diffuse = 2.0 * leaving.sum(axis=-2, keepdims=True)
     n_directions = top.outer_reflectance.shape[-1] - 1
-    by_state = (top.shares / isotropic[..., n_streams:])[..., np.newaxis] * rising[..., n_streams:, :]
-    beams = by_state.reshape(*by_state.shape[:-2], -1, n_directions, by_state.shape[-1])
+    shares = (top.shares / isotropic[..., n_streams:])[..., np.newaxis]
+    by_state = shares * rising[..., n_streams:, :]
+    n_states = by_state.shape[-2] // max(n_directions, 1)
+    beams = by_state.reshape(*by_state.shape[:-2], n_states, n_directions, by_state.shape[-1])
     values = np.moveaxis(np.concatenate([beams.sum(axis=-3), diffuse], axis=-2), -1, 0)
     return Budget(values[0] + top.outer_reflectance, values[1], values[:1:-1])
 

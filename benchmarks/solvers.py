@@ -1,0 +1,173 @@
+"""Time and error of every way to a spectrum of natural snow, on one core in one run.
+
+Spectra of 211 wavelengths, 400-2500 nm, of two snowpacks under a beam of 53°:
+
+ordinates      `splits.spectrophotometer(..., solver="discrete_ordinates")`, with 8 to 16 streams
+paths          the same with solver="monte_carlo", to three errors
+PythonicDISORT discrete ordinates of another package, with the same grains
+TARTES         two streams, with the shape of the grains of `splits.Snow.natural`
+snowoptics     asymptotic theory (Kokhanovsky & Zege 2004), for a half-space
+
+Deviations are from discrete ordinates with 64 streams.  Those of TARTES and snowoptics are
+differences of models.
+
+    python benchmarks/solvers.py [TABLE.csv]
+"""
+
+# ruff: noqa: E402
+
+from __future__ import annotations
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pandas as pd
+import PythonicDISORT
+import snowoptics
+import tartes
+
+import splits
+from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.snowpack import load_natural_grains
+from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
+
+WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
+INCIDENCE_DEG = 53.0
+COSINES = np.array([np.cos(np.radians(INCIDENCE_DEG))])
+SOIL_ALBEDO = 0.2
+SNOWPACKS = {
+    "half-space": splits.Stack([splits.Snow.natural(specific_surface_area_m2_kg=20)]),
+    "three layers on soil": splits.Stack(
+        [
+            splits.Snow.natural(
+                specific_surface_area_m2_kg=area, density_kg_m3=density, depth_m=depth
+            )
+            for area, density, depth in ((45, 120, 0.03), (25, 250, 0.1), (12, 350, 0.2))
+        ],
+        ground=SOIL_ALBEDO,
+    ),
+}
+PATH_ERRORS = (0.004, 0.002, 0.001)
+N_REPEATS = 5
+REFERENCE_STREAMS = 64
+
+
+def time_call(function: Callable[[], np.ndarray], repeats: int) -> tuple[np.ndarray, float]:
+    """Return the result of a function, and the shortest time of some calls (s)."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        result = function()
+        times.append(time.perf_counter() - start)
+    return result, min(times)
+
+
+def list_ways(medium: splits.Stack) -> Iterator[tuple[str, str, Callable[[], np.ndarray], int]]:
+    """Yield the name, the setting, the function and the repeats of every way."""
+
+    def simulate(**settings: object) -> np.ndarray:
+        return splits.spectrophotometer(
+            medium, WAVELENGTHS_NM, INCIDENCE_DEG, threads=1, **settings
+        ).reflectance.values
+
+    for error in (0.002, 1e-4, 1e-5):
+        yield "ordinates", f"error {error:g}", lambda error=error: simulate(
+            max_stderr=error, solver="discrete_ordinates"
+        ), N_REPEATS  # fmt: skip
+    for error in PATH_ERRORS:
+        yield "paths", f"error {error:g}", lambda error=error: simulate(max_stderr=error), 1
+    for streams in (8, 16):
+        yield "PythonicDISORT", f"{streams} streams", lambda streams=streams: solve_pydisort(
+            medium, streams
+        ), 1  # fmt: skip
+    yield "TARTES", "two streams", lambda: solve_tartes(medium), N_REPEATS
+    if medium.is_semi_infinite:
+        yield "snowoptics", "asymptotic", solve_snowoptics, N_REPEATS
+
+
+def solve_pydisort(medium: splits.Stack, streams: int) -> np.ndarray:
+    """Return the albedo by PythonicDISORT, with the same single scattering."""
+    snowpack = make_snowpack(medium, WAVELENGTHS_NM)
+    optics = [one.compute_optics(load_natural_grains(wet=False), streams + 1)
+              for one in snowpack.layers]  # fmt: skip
+    albedo = []
+    for row, ground in enumerate(snowpack.ground):
+        extinction = np.array([one.extinction[row, 0] for one in optics])
+        depth = np.array([min(float(one.thickness[row]), 1e3) for one in optics])
+        scattering = np.array([one.scattering[row, 0, 0] for one in optics])
+        moments = scattering / scattering[:, :1]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            _, up, *_ = PythonicDISORT.pydisort(
+                np.cumsum(extinction * depth), np.minimum(scattering[:, 0] / extinction, 1 - 1e-9),
+                streams, moments, COSINES[0], 1.0 / COSINES[0], 0.0, only_flux=True,
+                f_arr=np.maximum(moments[:, streams], 0.0),
+                BDRF_Fourier_modes=[ground] if ground else [],
+            )  # fmt: skip
+        albedo.append(float(up(0.0)))
+    return np.array(albedo)
+
+
+def solve_tartes(medium: splits.Stack) -> np.ndarray:
+    """Return the albedo of TARTES, with the B and g of the grains."""
+    shape, layers = NATURAL_GRAIN_SHAPE, medium.layers
+    return tartes.albedo(
+        WAVELENGTHS_NM * 1e-9,
+        SSA=[one.specific_surface_area_m2_kg for one in layers],
+        density=[one.density_kg_m3 for one in layers],
+        thickness=[min(one.depth_m, 1e3) for one in layers],
+        shape_parameterization="constant", B0=shape.absorption_enhancement,
+        g0=0.5 * (1.0 + shape.asymmetry_parameter), refrac_index="p2016",
+        soilalbedo=0.0 if medium.is_semi_infinite else SOIL_ALBEDO,
+        dir_frac=1.0, sza=INCIDENCE_DEG,
+    )  # fmt: skip
+
+
+def solve_snowoptics() -> np.ndarray:
+    """Return the albedo of a half-space of 20 m²/kg by asymptotic theory."""
+    shape = NATURAL_GRAIN_SHAPE
+    return snowoptics.albedo_KZ04(
+        WAVELENGTHS_NM * 1e-9, np.radians(INCIDENCE_DEG), 20.0, r_difftot=0.0, ni="p2016",
+        B=shape.absorption_enhancement, g=0.5 * (1.0 + shape.asymmetry_parameter),
+    )  # fmt: skip
+
+
+def measure_ways() -> pd.DataFrame:
+    """Return one row for each snowpack and way, with its time and deviations."""
+    rows = []
+    for name, medium in SNOWPACKS.items():
+        reference = make_snowpack(medium, WAVELENGTHS_NM).solve(COSINES, REFERENCE_STREAMS)
+        expected = reference.reflectance[:, 0]
+        for way, setting, function, repeats in list_ways(medium):
+            function()
+            albedo, seconds = time_call(function, repeats)
+            difference = np.abs(albedo - expected)
+            rows.append({
+                "snowpack": name, "way": way, "setting": setting, "milliseconds": 1e3 * seconds,
+                "deviation_rms": np.sqrt((difference**2).mean()),
+                "deviation_largest": difference.max(),
+            })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def main() -> None:
+    """Print the table, and write it if a file is given."""
+    parser = argparse.ArgumentParser(description="Time and error of every way to a spectrum.")
+    parser.add_argument("table", nargs="?", help="CSV file")
+    table = measure_ways()
+    print(table.to_string(index=False, float_format="%.3g"))
+    path = parser.parse_args().table
+    if path:
+        table.to_csv(path, index=False, float_format="%.4g")
+
+
+if __name__ == "__main__":
+    main()

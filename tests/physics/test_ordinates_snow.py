@@ -1,0 +1,75 @@
+"""Spectra of natural snow by discrete ordinates against paths: dry, wet, dirty and layered."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi2 import NEEDS_JIT, judge_z
+
+import splits
+
+WAVELENGTHS = [400.0, 700.0, 1030.0, 1300.0, 1500.0, 1900.0, 2250.0]
+
+
+def make_random_snowpack(generator: np.random.Generator, is_wet: bool) -> splits.Stack:
+    """Return a snowpack of one to five layers."""
+
+    def draw(low: float, high: float) -> float:
+        return float(np.exp(generator.uniform(np.log(low), np.log(high))))
+
+    n_layers = int(generator.integers(1, 6))
+    layers = [
+        splits.Snow.natural(
+            specific_surface_area_m2_kg=draw(3.0, 80.0),
+            density_kg_m3=float(generator.uniform(50.0, 550.0)),
+            depth_m=draw(0.005, 0.5),
+            liquid_water_content=float(generator.uniform(0.0, 0.1)) * is_wet,
+            impurities_ng_g={"black_carbon": float(generator.uniform(0.0, 500.0))},
+        )
+        for _ in range(n_layers)
+    ]
+    if generator.uniform() < 0.3:
+        layers[-1] = splits.Snow.natural(
+            specific_surface_area_m2_kg=draw(3.0, 80.0),
+            liquid_water_content=float(generator.uniform(0.0, 0.1)) * is_wet,
+        )
+        return splits.Stack(layers)
+    return splits.Stack(layers, ground=float(generator.uniform(0.0, 0.8)))
+
+
+def compare_snowpacks(seeds: range, error: float) -> np.ndarray:
+    """Return differences from paths over their errors, shape (snowpacks, 2, wavelengths)."""
+    z = []
+    for seed in seeds:
+        generator = np.random.default_rng(seed)
+        snowpack = make_random_snowpack(generator, is_wet=seed % 2 == 0)
+        incidence = "diffuse" if seed % 5 == 0 else float(generator.uniform(0.0, 80.0))
+        paths, ordinates = (
+            splits.spectrophotometer(
+                snowpack, WAVELENGTHS, incidence, error, seed, solver=solver
+            )
+            for solver in ("monte_carlo", "discrete_ordinates")
+        )
+        z.append([
+            ((ordinates[name] - paths[name])
+             / np.maximum(np.hypot(ordinates[f"{name}_stderr"], paths[f"{name}_stderr"]), 1e-5)
+            ).values
+            for name in ("reflectance", "transmittance")
+        ])  # fmt: skip
+    return np.array(z)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+def test_random_snowpacks_agree_with_paths():
+    judge_z(compare_snowpacks(range(8), 0.004), independent=8, bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
+def test_two_hundred_snowpacks_agree_with_paths():
+    z = compare_snowpacks(range(1000, 1200), 0.0015)
+    judge_z(z, independent=200, bound_added=True)
+    rms = np.sqrt((z[:, 0] ** 2).mean())
+    assert 0.8 < rms < 1.2, rms

@@ -3,6 +3,14 @@
 Modules, each importing only those above it:
 
 - `streams`: directions of the streams, Legendre functions
+- `integrals`: exponential modes, and their integrals along directions
 - `slab`: reflection and transmission of homogeneous layers
 - `adding`: layers on top of each other, over a ground
+- `profile`: fluxes within the layers
+- `radiance`: reflected radiance of dry layers
+- `pores`: refraction at the boundaries and interfaces of wet layers
+- `grain_table`, `grain_tabulation`: single scattering by grains
+- `snow_layers`: layers of snow and their optics
+- `snowpack`: spectra of snowpacks, with errors
+- `applicability`: media for which all this applies
 """

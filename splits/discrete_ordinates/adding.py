@@ -120,26 +120,37 @@ def compute_budget(
         Number of the streams of all states in one hemisphere.
     """
     top, bottom = boundaries
-    reflection, emission = _reflect_at_bottom(bottom, isotropic[1], ground, n_streams)
+    reflection, emission = reflect_at_bottom(bottom, isotropic[1], ground, n_streams)
     for element in reversed(elements):
-        unit = np.eye(reflection.shape[-1])
-        inverse = np.linalg.inv(unit - element.reflection_below @ reflection)
-        falling = element.reflection_below @ emission
-        if element.emission is not None:
-            own = element.emission[..., np.newaxis]
-            falling = np.concatenate([falling, own], axis=-1)
-            emission = np.concatenate([emission, np.zeros_like(own)], axis=-1)
-        returned = reflection @ inverse
-        emission = element.transmission_up @ (emission + returned @ falling)
-        if element.emission is not None:
-            emission[..., -1] += element.emission
-        reflection = element.reflection_above + (
-            element.transmission_up @ (returned @ element.transmission_down)
-        )
-    return _leave_at_top(reflection, emission, top, isotropic[0], n_streams)
+        below, (reflection, passage) = reflection, add_above(element, reflection)
+        if element.emission is None:
+            emission = passage @ emission
+            continue
+        # The layer emits on both sides.
+        own = element.emission[..., np.newaxis]
+        emission = passage @ np.concatenate([emission, below @ own], axis=-1)
+        emission[..., -1:] += own
+    outlet = make_outlet(reflection, top, isotropic[0], n_streams)
+    entering = (top.transmission * isotropic[0])[..., np.newaxis]
+    rising = np.concatenate([reflection @ entering, emission], axis=-1)
+    values = np.moveaxis(outlet @ rising, -1, 0)
+    return Budget(values[0] + top.outer_reflectance, values[1], values[:1:-1])
 
 
-def _reflect_at_bottom(
+def add_above(element: Element, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the reflection of an element and of all below, and the passage of rising light.
+
+    The passage is the transmission upwards of light that rises from below, with all reflections
+    between both sides; light that falls from the same level rises after the reflection by what is
+    below.
+    """
+    unit = np.eye(below.shape[-1])
+    passage = element.transmission_up @ np.linalg.inv(unit - below @ element.reflection_below)
+    reflection = element.reflection_above + passage @ (below @ element.transmission_down)
+    return reflection, passage
+
+
+def reflect_at_bottom(
     bottom: Boundary, isotropic: np.ndarray, ground: np.ndarray, n_streams: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the reflection by the lower boundary and the ground, and the emission of the latter.
@@ -159,22 +170,31 @@ def _reflect_at_bottom(
     return reflection, emission[..., np.newaxis]
 
 
-def _leave_at_top(
-    reflection: np.ndarray, emission: np.ndarray, top: Boundary, isotropic: np.ndarray,
-    n_streams: int,
-) -> Budget:  # fmt: skip
-    """Return the budget of light that leaves through the upper boundary."""
-    unit = np.eye(reflection.shape[-1])
-    inverse = np.linalg.inv(unit - reflection * top.reflection[..., np.newaxis, :])
-    entering = (top.transmission * isotropic)[..., np.newaxis]
-    rising = inverse @ np.concatenate([reflection @ entering, emission], axis=-1)
-    leaving = (entering * rising)[..., :n_streams, :]
-    diffuse = 2.0 * leaving.sum(axis=-2, keepdims=True)
-    n_directions = top.outer_reflectance.shape[-1] - 1
-    shares = (top.shares / isotropic[..., n_streams:])[..., np.newaxis]
-    by_state = shares * rising[..., n_streams:, :]
-    n_states = by_state.shape[-2] // max(n_directions, 1)
-    beams = by_state.reshape(*by_state.shape[:-2], n_states, n_directions, by_state.shape[-1])
-    values = np.moveaxis(np.concatenate([beams.sum(axis=-3), diffuse], axis=-2), -1, 0)
-    return Budget(values[0] + top.outer_reflectance, values[1], values[:1:-1])
+def make_outlet(
+    reflection: np.ndarray, top: Boundary, isotropic: np.ndarray, n_streams: int
+) -> np.ndarray:
+    """Return the light that leaves through the upper boundary, for light that rises below it.
 
+    Parameters
+    ----------
+    reflection : float, shape (..., radiances, radiances)
+        Of all that is below the boundary.
+    top, isotropic, n_streams
+        As in `compute_budget`, of the top.
+
+    Returns
+    -------
+    float, shape (..., directions + 1, radiances)
+        Radiance in the directions of the beams, and flux (last).
+    """
+    n_beams, n_radiances = top.outer_reflectance.shape[-1] - 1, reflection.shape[-1]
+    leaving = np.zeros((*reflection.shape[:-2], n_beams + 1, n_radiances))
+    beams = np.arange(n_radiances - n_streams)
+    by_state = top.shares / isotropic[..., n_streams:]
+    leaving[..., beams % max(n_beams, 1), n_streams + beams] = by_state
+    leaving[..., -1, :n_streams] = 2.0 * (top.transmission * isotropic)[..., :n_streams]
+    unit = np.eye(n_radiances)
+    outlet: np.ndarray = leaving @ np.linalg.inv(
+        unit - reflection * top.reflection[..., np.newaxis, :]
+    )
+    return outlet

@@ -74,7 +74,7 @@ def compute_reflectance(cosine: np.ndarray, index: np.ndarray) -> np.ndarray:
     return reflectance
 
 
-def refract(cosines: np.ndarray, index: np.ndarray) -> np.ndarray:
+def refract_directions(cosines: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Return the cosines of directions in dry and wet pores, shape (..., 2, directions)."""
     sine2 = (1.0 - cosines**2) / np.asarray(index)[..., np.newaxis] ** 2
     refracted = np.sqrt(1.0 - sine2)
@@ -100,9 +100,7 @@ def make_wet_boundary(
     dry_streams = np.ones_like(inner)
     dry = np.ones_like(face)
     transmission = np.concatenate([dry_streams, inner, dry, 1.0 - face], axis=-1)
-    shares = np.concatenate(
-        [(1.0 - saturation) * dry, saturation * (1.0 - face)], axis=-1
-    )
+    shares = np.concatenate([(1.0 - saturation) * dry, saturation * (1.0 - face)], axis=-1)
     diffuse = 1.0 - (cells.weights * cells.compute_outer_transmittance()).sum(axis=-1)
     outer = saturation * np.concatenate([face, diffuse[..., np.newaxis]], axis=-1)
     return Boundary(1.0 - transmission, transmission, shares, outer)
@@ -134,10 +132,10 @@ def make_wet_interface(
         _connect_states(saturations, crossing, refraction)
         for crossing, refraction in ((streams, 1.0), (beams, n2))
     )
-    joined = (
+    above, below, down, up = (
         _join_diagonal(a, b) for a, b in zip(by_streams, by_beams, strict=True)
     )
-    return Element(*joined, None)
+    return Element(above, below, down, up, None)
 
 
 class _Crossing(NamedTuple):

@@ -21,11 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.discrete_ordinates.integrals import compute_impedances, integrate_modes
 from splits.discrete_ordinates.streams import Streams, compute_legendre
 
 MIN_EIGENVALUE = 1e-150
 """Smallest k², which is 0 without absorption."""
-TINY = float(np.finfo(float).tiny)
+MIN_THICKNESS = 1e-150
+"""Thickness of layers of thickness 0."""
 
 
 class LayerOptics(NamedTuple):
@@ -80,8 +82,11 @@ class LayerOptics(NamedTuple):
         scattering = self.scattering[..., :streams].copy()
         states = np.arange(scattering.shape[-2])
         peak = np.maximum(self.scattering[..., states, states, streams], 0.0)
+        extinction = self.extinction - peak
+        # A peak in the digits of both makes both differences exact, and so the absorption.
+        peak = self.extinction - extinction
         scattering[..., states, states, :] -= peak[..., np.newaxis]
-        return self._replace(extinction=self.extinction - peak, scattering=scattering)
+        return self._replace(extinction=extinction, scattering=scattering)
 
 
 class Slab(NamedTuple):
@@ -104,6 +109,10 @@ class Slab(NamedTuple):
     beam_reflection: np.ndarray
     beam_transmission: np.ndarray
     direct: np.ndarray
+
+    def select(self, layer: int) -> Slab:
+        """Return one layer of several along the first dimension."""
+        return Slab(*(array[layer] for array in self))
 
 
 class _Modes(NamedTuple):
@@ -142,65 +151,138 @@ def solve_slab(
     mode : int
     """
     modes = _solve_modes(optics, streams, directions, mode)
-    k, thickness = modes.rates, optics.thickness[..., np.newaxis]
-    even, odd, difference = _compute_impedances(k, thickness)
+    k, thickness = modes.rates, np.maximum(optics.thickness, MIN_THICKNESS)[..., np.newaxis]
+    even, odd, difference = compute_impedances(k, thickness)
     y, y_t = modes.differences, np.swapaxes(modes.differences, -1, -2)
     unit = np.eye(k.shape[-1])
     even_inverse = np.linalg.inv(unit + (y * even[..., np.newaxis, :]) @ y_t)
     odd_inverse = np.linalg.inv(unit + (y * odd[..., np.newaxis, :]) @ y_t)
-    transmission = odd_inverse @ (y * difference[..., np.newaxis, :]) @ (y_t @ even_inverse)
+    even_map = y_t @ even_inverse
+    transmission = odd_inverse @ (y * difference[..., np.newaxis, :]) @ even_map
     reflection = even_inverse + odd_inverse - unit
     shape = modes.even_kernel.shape
     rates = (optics.extinction[..., np.newaxis] / directions).reshape(shape[:-1])
-    integrals = _integrate_modes(k, thickness, rates)
-    per_cosine = (1.0 / directions).reshape(*directions.shape[:-2], -1, 1)
-    by_sum = per_cosine * (modes.even_kernel @ modes.sums)
-    by_difference = per_cosine * (modes.odd_kernel @ y)
-    even_row = by_sum * integrals.even_cosh - by_difference * integrals.even_sinh
-    odd_row = by_sum * integrals.odd_sinh - by_difference * integrals.odd_cosh
-    even_row, odd_row = even_row @ (y_t @ even_inverse), odd_row @ (y_t @ odd_inverse)
+    even_row, odd_row, gap_row = _sum_modes(modes, thickness, directions, rates)
+    # Half the difference of both rows cancels in thick layers: there, that of the integrals, and of
+    # the inverse matrices, which is the transmission.
+    thick = (k * thickness > 1.0)[..., np.newaxis, :]
+    thick_odd = np.where(thick, odd_row, 0.0)
+    thin_odd = (odd_row - thick_odd) @ y_t @ odd_inverse
+    thick_odd = thick_odd @ y_t
+    beam_transmission = np.where(thick, gap_row, even_row) @ even_map
+    beam_transmission += thick_odd @ transmission - thin_odd
+    beam_reflection = even_row @ even_map + thick_odd @ odd_inverse + thin_odd
     return Slab(
         _symmetrize(reflection), _symmetrize(transmission),
-        0.5 * (even_row + odd_row), 0.5 * (even_row - odd_row), np.exp(-thickness * rates),
+        0.5 * beam_reflection, 0.5 * beam_transmission, np.exp(-thickness * rates),
     )  # fmt: skip
+
+
+def _sum_modes(
+    modes: _Modes, thickness: np.ndarray, directions: np.ndarray, rates: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the radiance of the even and odd modes in the directions, and the difference."""
+    integrals = integrate_modes(modes.rates, thickness, rates)
+    per_cosine = (1.0 / directions).reshape(*directions.shape[:-2], -1, 1)
+    by_sum = per_cosine * (modes.even_kernel @ modes.sums)
+    by_difference = per_cosine * (modes.odd_kernel @ modes.differences)
+    return (
+        by_sum * integrals.even_cosh - by_difference * integrals.even_sinh,
+        by_sum * integrals.odd_sinh - by_difference * integrals.odd_cosh,
+        by_sum * integrals.cosh_gap - by_difference * integrals.sinh_gap,
+    )
+
+
+def compute_scattering(
+    optics: LayerOptics, streams: Streams, directions: np.ndarray, mode: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the light that is scattered by sums, and by differences, of radiances.
+
+    Half the sum of both is scattering within a hemisphere, half the difference scattering between
+    both.  Parameters are those of `solve_slab`.
+
+    Returns
+    -------
+    two pairs of float, shape (..., streams, streams) and (..., directions, streams)
+        ∑ (2l + 1) b_l P_l P_l over even and over odd l + m, with scattering coefficients b, between
+        the streams of all states, and from these into the directions; streams have a factor √(w/μ).
+    """
+    n_orders, n = optics.scattering.shape[-1], streams.cosines.size
+    states = range(optics.extinction.shape[-1])
+    cosines = np.concatenate(
+        [np.broadcast_to(streams.cosines, (*directions.shape[:-1], n)), directions], axis=-1
+    )
+    functions = np.moveaxis(compute_legendre(cosines, mode, n_orders), 0, -1)
+    functions[..., :n, :] *= np.sqrt(streams.weights / streams.cosines)[:, np.newaxis]
+    own = functions[(0,) * (functions.ndim - 2)][:n].T
+    own = own * (2.0 * np.arange(n_orders) + 1.0)[:, np.newaxis]
+    pairs = []
+    for parity in (0, 1):
+        orders = slice((mode + parity) % 2, None, 2)
+        scattering = optics.scattering[..., np.newaxis, orders]
+        blocks = [
+            [(scattering[..., a, b, :, :] * functions[..., a, :, orders]) @ own[orders]
+             for b in states] for a in states
+        ]  # fmt: skip
+        between, into = (
+            join_blocks([[block[..., rows, :] for block in row] for row in blocks])
+            for rows in (slice(n), slice(n, None))
+        )
+        pairs.append((between, into))
+    return pairs
 
 
 def _solve_modes(
     optics: LayerOptics, streams: Streams, directions: np.ndarray, mode: int
 ) -> _Modes:
-    n_orders, n_states = optics.scattering.shape[-1], optics.extinction.shape[-1]
-    functions = compute_legendre(streams.cosines, mode, n_orders)
-    functions = functions * np.sqrt(streams.weights / streams.cosines)
-    beam_functions = np.moveaxis(compute_legendre(directions, mode, n_orders), 0, -1)
-    matrices, kernels = [], []
-    for parity in (0, 1):
-        orders = slice((mode + parity) % 2, None, 2)
-        factors = 2.0 * np.arange(n_orders)[orders] + 1.0
-        weighted = factors[:, np.newaxis] * functions[orders]
-        scattering = optics.scattering[..., orders]
-        blocks = [
-            [(scattering[..., a, b, np.newaxis, :] * functions.T[:, orders]) @ weighted
-             for b in range(n_states)] for a in range(n_states)
-        ]  # fmt: skip
-        rows = [
-            [(scattering[..., a, b, np.newaxis, :] * beam_functions[..., a, :, orders]) @ weighted
-             for b in range(n_states)] for a in range(n_states)
-        ]  # fmt: skip
-        matrices.append(-join_blocks(blocks))
-        kernels.append(join_blocks(rows))
-    diagonal = np.arange(matrices[0].shape[-1])
-    extinction = (optics.extinction[..., np.newaxis] / streams.cosines).reshape(
-        *optics.extinction.shape[:-1], -1
-    )
-    for matrix in matrices:
+    pairs = compute_scattering(optics, streams, directions, mode)
+    extinction = optics.extinction[..., np.newaxis] / streams.cosines
+    extinction = extinction.reshape(*optics.extinction.shape[:-1], -1)
+    diagonal = np.arange(extinction.shape[-1])
+    b, a = (-between for between, _ in pairs)
+    for matrix in (a, b):
         matrix[..., diagonal, diagonal] += extinction
-    b, a = matrices
     lower = np.linalg.cholesky(a)
     lower_t = np.swapaxes(lower, -1, -2)
     values, vectors = np.linalg.eigh(lower_t @ b @ lower)
+    sums = lower @ vectors
+    if mode == 0:
+        values[..., 0] = _refine_eigenvalue(sums[..., 0], b, optics, streams)
     rates = np.sqrt(np.maximum(values, MIN_EIGENVALUE))
     inverse_t = np.swapaxes(np.linalg.inv(lower), -1, -2)
-    return _Modes(lower @ vectors, inverse_t @ vectors, rates, *kernels)
+    return _Modes(sums, inverse_t @ vectors, rates, pairs[0][1], pairs[1][1])
+
+
+def _refine_eigenvalue(
+    vector: np.ndarray, b: np.ndarray, optics: LayerOptics, streams: Streams
+) -> np.ndarray:
+    """Return the smallest k² of mode 0 with a small relative error, also where absorption is weak.
+
+    Isotropic radiance s = √(w μ e), with the equilibrium e of each state, has B s = √(w/μ) α, with
+    the absorption α = σ √e − ∑ b₀ √e, weighted by √e.  For a vector X = c s + Δ,
+
+        k² = Xᵀ B X = c² sᵀ B s + 2 c Δᵀ B s + Δᵀ B Δ,
+
+    where Δ is of the order of α.
+    """
+    root = np.sqrt(optics.equilibrium)
+    states = np.arange(root.shape[-1])
+    order0 = optics.scattering[..., 0].copy()
+    staying = order0[..., states, states]
+    order0[..., states, states] = 0.0
+    absorption = (optics.extinction - staying) * root - (order0 @ root[..., np.newaxis])[..., 0]
+    profile = np.sqrt(streams.weights / streams.cosines)
+    by_state = vector.reshape(*vector.shape[:-1], root.shape[-1], -1)
+    amplitude = ((by_state @ profile) * root).sum(axis=-1) / optics.equilibrium.sum(axis=-1)
+    isotropic = (amplitude[..., np.newaxis] * root)[..., np.newaxis] * streams.flux_vector
+    deviation = by_state - isotropic
+    # ∑ √(w/μ) √(w μ) = 1.
+    amplitude = amplitude[..., np.newaxis]
+    by_absorption = amplitude * (amplitude * root + 2.0 * (deviation @ profile)) * absorption
+    deviation = deviation.reshape(vector.shape)
+    remainder = deviation * (b @ deviation[..., np.newaxis])[..., 0]
+    refined: np.ndarray = by_absorption.sum(axis=-1) + remainder.sum(axis=-1)
+    return refined
 
 
 def join_blocks(blocks: list[list[np.ndarray]]) -> np.ndarray:
@@ -208,53 +290,6 @@ def join_blocks(blocks: list[list[np.ndarray]]) -> np.ndarray:
     if len(blocks) == 1:
         return blocks[0][0]
     return np.concatenate([np.concatenate(row, axis=-1) for row in blocks], axis=-2)
-
-
-def _compute_impedances(
-    k: np.ndarray, thickness: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return k tanh(kτ/2), k coth(kτ/2), and their difference, which is 2k/sinh(kτ)."""
-    depth = k * thickness
-    tanh = np.maximum(np.tanh(0.5 * depth), TINY)
-    difference = 4.0 * k * np.exp(-depth) / np.maximum(-np.expm1(-2.0 * depth), TINY)
-    return k * tanh, k / tanh, difference
-
-
-class _Integrals(NamedTuple):
-    """Integrals of the modes along a direction, weighted by e^(−rt) with a rate r, of 0 to τ.
-
-    "even" are those of cosh(k(τ/2 − t)) and k sinh(k(τ/2 − t)) over cosh(kτ/2); "odd" those of sinh
-    and k cosh over sinh(kτ/2).
-    """
-
-    even_cosh: np.ndarray
-    even_sinh: np.ndarray
-    odd_sinh: np.ndarray
-    odd_cosh: np.ndarray
-
-
-def _integrate_modes(k: np.ndarray, thickness: np.ndarray, rates: np.ndarray) -> _Integrals:
-    """Return the integrals, shape (..., directions, streams)."""
-    k, thickness, rates = k[..., np.newaxis, :], thickness[..., np.newaxis], rates[..., np.newaxis]
-    depth, slant = k * thickness, rates * thickness
-    decay, direct = np.exp(-depth), np.exp(-slant)
-    # ∫ e^(−kt) e^(−rt) dt and ∫ e^(−k(τ−t)) e^(−rt) dt, without cancellation at k = r.
-    falling = -np.expm1(-depth - slant) / (k + rates)
-    gap = np.abs(k - rates) * thickness
-    ratio = np.where(gap > 0.0, -np.expm1(-gap) / np.maximum(gap, TINY), 1.0)
-    low = np.minimum(depth, slant)
-    with np.errstate(invalid="ignore"):
-        rising = np.where(np.isinf(low), 0.0, np.exp(-low) * ratio * thickness)
-    even = 1.0 / (1.0 + decay)
-    even_cosh, even_sinh = even * (falling + rising), even * (falling - rising)
-    # Odd modes of small k/r, by partial integration: k coth(kτ/2) is finite there.
-    k_coth = k / np.maximum(np.tanh(0.5 * depth), TINY)
-    small = k < 0.5 * rates
-    denominator = np.where(small, (rates - k) * (rates + k), 1.0)
-    by_parts = (rates * (1.0 + direct) - k_coth * (1.0 - direct)) / denominator
-    odd_sinh = np.where(small, by_parts, (falling - rising) / np.maximum(-np.expm1(-depth), TINY))
-    odd_cosh = (k_coth * (1.0 - direct) - k**2 * odd_sinh) / rates
-    return _Integrals(even_cosh, k * even_sinh, odd_sinh, odd_cosh)
 
 
 def _symmetrize(matrix: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from splits.discrete_ordinates.pores import (
     RefractingCells,
     make_wet_boundary,
     make_wet_interface,
-    refract,
+    refract_directions,
 )
 from splits.discrete_ordinates.slab import solve_slab
 from splits.discrete_ordinates.snow_layers import MIN_SATURATION, SnowLayer
@@ -76,7 +76,7 @@ class Snowpack(NamedTuple):
         optics = [layer.compute_optics(table, n_streams + 1) for layer in self.layers]
         directions = cosines[np.newaxis]
         if self.is_wet:
-            directions = refract(cosines, self.layers[0].water_index)
+            directions = refract_directions(cosines, self.layers[0].water_index)
         isotropic = [make_isotropic(one, streams, cosines.size) for one in optics]
         elements = [
             Element.from_slab(solve_slab(one.truncate(n_streams), streams, directions), vector)

@@ -11,8 +11,9 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 LAYERS = (
-    "core", "kernels", "io", "materials", "illumination", "media", "simulation", "instruments",
-    "tables", "analysis", "retrieval", "plotting", "experiments", "cli",
+    "core", "kernels", "io", "materials", "illumination", "media", "simulation",
+    "discrete_ordinates", "instruments", "tables", "analysis", "retrieval", "plotting",
+    "experiments", "cli",
 )  # fmt: skip
 """Packages from the lowest to the highest layer."""
 INNER_LAYERS = {

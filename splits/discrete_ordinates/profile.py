@@ -1,0 +1,112 @@
+"""Fluxes in layers over a Lambertian ground, by adding (van de Hulst 1980).
+
+By reciprocity, the flux at a level under a beam is the radiance in the direction of the beam from
+an isotropic source at this level: the downward flux from a source that radiates upwards, the upward
+flux from one that radiates downwards, whose light rises after reflection by what lies below.  The
+direct flux is that of a source in the directions of the beams only, and the actinic flux that of a
+source on both sides with a radiance of 1/μ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.discrete_ordinates.adding import (
+    Boundary,
+    Element,
+    add_above,
+    make_outlet,
+    reflect_at_bottom,
+)
+from splits.discrete_ordinates.streams import Streams
+
+
+class Profile(NamedTuple):
+    """Fluxes at the levels, for the beams and for diffuse light (last).
+
+    All are of shape (levels, ..., directions + 1), for an irradiance of 1 on the horizontal, and
+    sums over the states.
+
+    Attributes
+    ----------
+    direct : float
+        Downward flux of the beams that is not scattered; after truncation of the phase function
+        (`LayerOptics.truncate`) with the forward peak.  0 for diffuse light.
+    downward, upward : float
+        Flux, with the direct one.
+    actinic : float
+        Radiance integrated over the sphere.
+    """
+
+    direct: np.ndarray
+    downward: np.ndarray
+    upward: np.ndarray
+    actinic: np.ndarray
+
+
+def join_cosines(streams: Streams, directions: np.ndarray) -> np.ndarray:
+    """Return the cosines of the radiances: the streams and the directions of all states.
+
+    Parameters
+    ----------
+    streams : Streams
+    directions : float, shape (..., states, directions)
+    """
+    *batch, n_states, n_directions = directions.shape
+    n = streams.cosines.size
+    own = np.broadcast_to(np.tile(streams.cosines, n_states), (*batch, n_states * n))
+    joined = directions.reshape(*batch, n_states * n_directions)
+    return np.concatenate([own, joined], axis=-1)
+
+
+def compute_profile(
+    elements: Sequence[Element], isotropic: Sequence[np.ndarray], cosines: np.ndarray,
+    boundaries: Sequence[Boundary], ground: np.ndarray, n_streams: int,
+) -> Profile:  # fmt: skip
+    """Return the fluxes above each element, and below the last one, within the boundaries.
+
+    The caller divides layers at the depths of interest: with the same optics, results do not
+    change.
+
+    Parameters
+    ----------
+    elements : sequence of Element
+        Layers and the interfaces between them, top first.
+    isotropic : sequence of arrays, shape (..., radiances)
+        Isotropic radiance at each level, of the layer in which the level is.
+    cosines : float, shape (..., radiances)
+        See `join_cosines`.
+    boundaries, ground, n_streams
+        As in `compute_budget`.
+    """
+    top, bottom = boundaries
+    reflections = [reflect_at_bottom(bottom, isotropic[-1], ground, n_streams)[0]]
+    passages = []
+    for element in reversed(elements):
+        reflection, passage = add_above(element, reflections[-1])
+        reflections.append(reflection)
+        passages.append(passage)
+    outlet = make_outlet(reflections[-1], top, isotropic[0], n_streams)
+    beams = np.arange(cosines.shape[-1]) >= n_streams
+    fluxes = []
+    for radiance in isotropic:
+        reflected = outlet @ reflections.pop()
+        fluxes.append(
+            (
+                _apply(outlet, beams * radiance),
+                _apply(outlet, radiance),
+                _apply(reflected, radiance),
+                _apply(outlet + reflected, radiance / cosines),
+            )
+        )
+        if passages:
+            outlet = outlet @ passages.pop()
+    return Profile(*(np.stack(values) for values in zip(*fluxes, strict=True)))
+
+
+def _apply(rows: np.ndarray, source: np.ndarray) -> np.ndarray:
+    product: np.ndarray = (rows @ source[..., np.newaxis])[..., 0]
+    return product

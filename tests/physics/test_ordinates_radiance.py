@@ -1,0 +1,202 @@
+"""Reflected radiances of discrete ordinates against tables, exact solutions and another program."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
+from splits.discrete_ordinates.radiance import Geometry, compute_brdf, sum_legendre
+from splits.discrete_ordinates.slab import LayerOptics, solve_slab
+from splits.discrete_ordinates.streams import Streams
+
+ORDERS = 400
+BLACK = np.array(0.0)
+AZIMUTHS = np.array([0.0, 0.7, 2.0, np.pi])
+STACKS = {
+    "one layer": ([2.0], [0.9], [0.75], 0.0),
+    "weak absorption": ([1.5], [0.999], [0.5], 0.0),
+    "two layers": ([0.4, 3.0], [0.5, 0.99], [0.3, 0.8], 0.6),
+    "three layers": ([0.5, 1.5, 1.0], [0.9, 0.99, 0.6], [0.3, 0.85, 0.6], 0.3),
+}
+
+
+def make_optics(thickness, albedo, asymmetry, orders=ORDERS):
+    """Return layers with phase functions of Henyey and Greenstein."""
+    moments = np.array(asymmetry)[..., np.newaxis] ** np.arange(orders)
+    return LayerOptics.from_albedo(np.array(thickness, float), np.array(albedo, float), moments)
+
+
+def reflect(optics, ground, cosines, n_streams=16, azimuths=AZIMUTHS, **settings):
+    """Return the BRDF between all directions."""
+    streams = Streams.from_number(n_streams)
+    geometry = Geometry(np.asarray(cosines), np.asarray(cosines), np.asarray(azimuths))
+    return compute_brdf(optics, np.asarray(ground), streams, geometry, **settings)
+
+
+def solve_reference(thickness, albedo, asymmetry, ground, beam, streams):
+    """Return cosines of PythonicDISORT and the radiances for an irradiance of 1."""
+    pydisort = pytest.importorskip("PythonicDISORT").pydisort
+    moments = np.array(asymmetry)[..., np.newaxis] ** np.arange(ORDERS)
+    cosines, *_, radiance = pydisort(
+        np.cumsum(thickness), np.array(albedo), streams, moments, beam, 1.0 / beam,
+        0.0, NLeg=streams, NFourier=streams, f_arr=moments[:, streams], NT_cor=True,
+        BDRF_Fourier_modes=[ground] if ground else [],
+    )  # fmt: skip
+    upward = slice(0, streams // 2)
+    return cosines[upward], radiance(0.0, AZIMUTHS)[upward]
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_same_streams_agree_with_other_program(name):
+    *layers, ground = STACKS[name]
+    for beam in (0.6, 0.1, 0.999):
+        cosines, expected = solve_reference(*layers, ground, beam, 32)
+        actual = reflect(make_optics(*layers), ground, [beam, *cosines], 32, tolerance=1e-12)
+        np.testing.assert_allclose(actual[0, 1:], expected, rtol=1e-8)
+
+
+def test_few_streams_converge_to_many():
+    """Correction of single scattering decreases the error at few streams by an order."""
+    *layers, ground = STACKS["three layers"]
+    cosines, exact = solve_reference(*layers, ground, 0.6, 64)
+    selected = [4, 10, 18, 26, 31]
+    optics, directions = make_optics(*layers), [0.6, *cosines[selected]]
+    geometry = Geometry(np.array([0.6]), cosines[selected], AZIMUTHS)
+    cosine = geometry.compute_scattering_cosines()
+    errors = {}
+    for n in (8, 16, 32, 48):
+        corrected = reflect(optics, ground, directions, n)[0, 1:]
+        truncated = sum_legendre(optics.truncate(n).scattering[:, 0, 0], cosine)
+        truncated /= np.array(layers[1])[:, *(np.newaxis,) * 3]
+        streams = Streams.from_number(n)
+        uncorrected = compute_brdf(optics, np.array(ground), streams, geometry, truncated)[0]
+        errors[n] = [
+            np.abs(values / exact[selected] - 1.0).max() for values in (corrected, uncorrected)
+        ]
+    print({n: [f"{e:.1e}" for e in pair] for n, pair in errors.items()})
+    assert errors[8][0] < 0.01 and errors[8][0] < 0.1 * errors[8][1]
+    assert errors[16][0] < 1e-3 and errors[16][0] < 0.1 * errors[16][1]
+    assert errors[32][0] < 2e-5 and errors[32][0] < 0.1 * errors[32][1]
+    assert errors[48][0] < 1e-6
+
+
+def test_normal_incidence_agrees_with_van_de_hulst():
+    """Van de Hulst (1980), Multiple Light Scattering, table 35: g = 0.75, ω = 0.9, τ = 2."""
+    cosines = [1.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0]
+    brdf = reflect(make_optics([2.0], [0.9], [0.75]), 0.0, cosines, 32)
+    expected = [0.13304, 0.13856, 0.11956, 0.09411, 0.07132, 0.06180]
+    np.testing.assert_allclose(np.pi * brdf[0, 1:, 0], expected, atol=1e-5)
+    # All azimuths are equal.
+    np.testing.assert_allclose(brdf[0], brdf[0, :, :1] * np.ones(4), rtol=1e-12)
+
+
+def test_isotropic_half_space_agrees_with_functions_of_chandrasekhar():
+    cosines = np.array([0.05, 0.2, 0.5, 0.8, 1.0])
+    albedo = np.array([0.5, 0.9, 0.999, 1.0])
+    optics = LayerOptics.from_albedo(
+        np.full((1, 4), np.inf), albedo[np.newaxis], np.ones((1, 4, 1))
+    )
+    brdf = reflect(optics, np.zeros(4), cosines, 32, [0.0, 2.0])
+    x, w = np.polynomial.legendre.leggauss(100)
+    nodes, weights = 0.25 * (x + 1.0) ** 2, 0.5 * w * (x + 1.0)
+
+    def apply(h, mu, omega):
+        integral = (weights * nodes * h / (mu[:, np.newaxis] + nodes)).sum(axis=-1)
+        return 1.0 / (np.sqrt(1.0 - omega) + 0.5 * omega * integral)
+
+    for values, omega in zip(brdf, albedo, strict=True):
+        h = np.ones(nodes.size)
+        for _ in range(60):
+            h = 0.5 * (h + apply(h, nodes, omega))
+        h = apply(h, cosines, omega)
+        expected = omega * np.outer(h, h) / (4.0 * np.pi * np.add.outer(cosines, cosines))
+        np.testing.assert_allclose(values[..., 0], expected, rtol=1e-6)
+        np.testing.assert_allclose(values[..., 1], expected, rtol=1e-6)
+
+
+def test_radiance_integrates_to_reflectance():
+    *layers, ground = STACKS["three layers"]
+    n = 32
+    quadrature = Streams.from_number(n)
+    cosines = np.array([0.3, 0.8, *quadrature.cosines])
+    optics = make_optics(*layers)
+    azimuths = 2.0 * np.pi * np.arange(64) / 64
+    brdf = reflect(optics, ground, cosines, n, azimuths, tolerance=1e-10)[:2, 2:].mean(axis=-1)
+    integral = 2.0 * np.pi * brdf @ (quadrature.weights * quadrature.cosines)
+    slabs = solve_slab(optics.truncate(n), quadrature, cosines[np.newaxis, :2])
+    isotropic = make_isotropic(optics, quadrature, 2)
+    elements = [Element.from_slab(slabs.select(i), isotropic[i]) for i in range(3)]
+    boundaries = [Boundary.make_transparent(n // 2, 2)] * 2
+    budget = compute_budget(elements, isotropic[[0, -1]], boundaries, np.array(ground), n // 2)
+    np.testing.assert_allclose(integral, budget.reflectance[:2], rtol=1e-5)
+
+
+def test_reflection_is_reciprocal_and_batched():
+    cosines = [1.0, 0.85, 0.5, 0.2, 0.01]
+    rng = np.random.default_rng(1)
+    shape = (3, 6)
+    optics = make_optics(
+        rng.uniform(0.1, 5.0, shape), rng.uniform(0.5, 1.0, shape), rng.uniform(0.2, 0.9, shape)
+    )
+    ground = rng.uniform(0.0, 1.0, 6)
+    brdf = reflect(optics, ground, cosines, tolerance=1e-12)
+    assert brdf.shape == (6, 5, 5, 4)
+    np.testing.assert_allclose(brdf, np.swapaxes(brdf, 1, 2), rtol=1e-12)
+    for i in range(6):
+        one = LayerOptics(*(values[:, i] for values in optics))
+        alone = reflect(one, ground[i], cosines, tolerance=1e-12)
+        np.testing.assert_allclose(brdf[i], alone, rtol=1e-11)
+
+
+def test_values_of_the_phase_function_replace_its_series():
+    *layers, ground = STACKS["two layers"]
+    optics, streams = make_optics(*layers), Streams.from_number(16)
+    geometry = Geometry(np.array([0.7]), np.array([0.3]), AZIMUTHS)
+    cosine = geometry.compute_scattering_cosines()
+    g = np.array(layers[2])[:, *(np.newaxis,) * 3]
+    values = (1.0 - g**2) / (1.0 + g**2 - 2.0 * g * cosine) ** 1.5
+    series = sum_legendre(g[:, 0, 0] ** np.arange(ORDERS), cosine)
+    np.testing.assert_allclose(series, values, rtol=1e-10)
+    few = optics._replace(scattering=optics.scattering[..., :17])
+    np.testing.assert_allclose(
+        compute_brdf(few, np.array(ground), streams, geometry, values),
+        compute_brdf(optics, np.array(ground), streams, geometry),
+        rtol=1e-10,
+    )
+
+
+@pytest.mark.parametrize("thickness", [1e-8, 1e-3, 1.0, 30.0])
+def test_divided_layers_reflect_as_one(thickness):
+    cosines = np.cos(np.radians([0.0, 40.0, 80.0, 89.9]))
+    for albedo in (0.5, 1.0):
+        whole = make_optics([thickness], [albedo], [0.7])
+        parts = make_optics([0.3 * thickness, 0.7 * thickness], [albedo] * 2, [0.7] * 2)
+        brdf = [reflect(o, 0.0, cosines, tolerance=1e-14) for o in (whole, parts)]
+        np.testing.assert_allclose(*brdf, rtol=1e-10)
+
+
+def test_thin_layers_scatter_once():
+    thickness, cosines = 1e-8, np.array([1.0, 0.5])
+    brdf = reflect(make_optics([thickness], [0.9], [0.7]), 0.0, cosines)
+    sines = np.sqrt(np.outer(1.0 - cosines**2, 1.0 - cosines**2))[..., np.newaxis]
+    cosine = sines * np.cos(AZIMUTHS) - np.outer(cosines, cosines)[..., np.newaxis]
+    phase = (1.0 - 0.7**2) / (1.0 + 0.7**2 - 1.4 * cosine) ** 1.5
+    expected = 0.9 * phase * thickness / (4.0 * np.pi * np.outer(cosines, cosines))[..., None]
+    np.testing.assert_allclose(brdf, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("thickness", [0.0, 1e-8, 1.0, 1e8, np.inf])
+@pytest.mark.parametrize("albedo", [0.0, 1.0 - 1e-12, 1.0])
+def test_extremes_are_finite(thickness, albedo):
+    cosines = np.cos(np.radians([0.0, 60.0, 89.9]))
+    for ground in (0.0, 1.0):
+        optics = make_optics([thickness] * 2, [albedo] * 2, [0.85, 0.3])
+        brdf = reflect(optics, ground, cosines)
+        assert np.isfinite(brdf).all()
+        assert (brdf > -1e-16).all()
+        np.testing.assert_allclose(brdf, np.swapaxes(brdf, 0, 1), rtol=1e-12, atol=1e-16)
+    if albedo == 0.0 or thickness == 0.0:
+        depth = 2.0 * thickness * np.add.outer(1.0 / cosines, 1.0 / cosines)
+        expected = np.exp(-depth)[..., np.newaxis] * np.ones(4) / np.pi
+        np.testing.assert_allclose(brdf, expected, rtol=1e-12)

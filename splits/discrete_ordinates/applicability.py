@@ -27,13 +27,14 @@ def find_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
     medium : Medium
     wavelength_nm : float, shape (wavelengths,)
     """
-    for number, layer in enumerate(medium.scene_layers):
-        place = f"layers[{number}] " if len(medium.scene_layers) > 1 else "it "
+    layers: Any = medium.scene_layers
+    for number, layer in enumerate(layers):
+        place = f"layers[{number}] " if len(layers) > 1 else "it "
         reason = _find_obstacle_in_layer(layer, wavelength_nm)
         if reason:
             return place + reason
-    saturated = [layer.saturation > 0.0 for layer in medium.scene_layers]
-    water = [layer.refractive_index["water"] for layer in medium.scene_layers]
+    saturated = [layer.saturation > 0.0 for layer in layers]
+    water = [layer.refractive_index["water"] for layer in layers]
     if any(saturated) and any(one != water[0] for one in water):
         return "its layers have different refractive indices of water"
     return None

@@ -154,12 +154,16 @@ class GrainTable(NamedTuple):
             "reflectance_stderr": (("contrast", "absorption"), self.stderr),
             "water_index": ("contrast", self.water),
         }
-        axes = {name: getattr(self, name).nodes for name in ("contrast", "saturation", "absorption")}
+        names = ("contrast", "saturation", "absorption")
+        axes = {name: getattr(self, name).nodes for name in names}
         return xr.Dataset(variables, axes)
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> GrainTable:
         """Return the table in a dataset."""
-        axes = [Axis(dataset[name].values) for name in ("contrast", "saturation", "absorption")]
+        contrast, saturation, absorption = (
+            Axis(dataset[name].values) for name in ("contrast", "saturation", "absorption")
+        )
         names = ("moment", "slope", "reflectance_stderr", "water_index")
-        return cls(*axes, *(dataset[name].values.astype(float) for name in names))
+        arrays = (dataset[name].values.astype(float) for name in names)
+        return cls(contrast, saturation, absorption, *arrays)

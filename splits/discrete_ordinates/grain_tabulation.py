@@ -73,7 +73,9 @@ class TableAxes(NamedTuple):
         )
 
 
-def tabulate_grains(snow: Snow, axes: TableAxes, orders: int, rays: int, run: RunOptions) -> GrainTable:
+def tabulate_grains(
+    snow: Snow, axes: TableAxes, orders: int, rays: int, run: RunOptions
+) -> GrainTable:
     """Return the table of the grains of snow, of which size and density have no effect.
 
     Parameters

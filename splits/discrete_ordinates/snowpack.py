@@ -10,7 +10,13 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.discrete_ordinates.adding import Boundary, Budget, Element, compute_budget, make_isotropic
+from splits.discrete_ordinates.adding import (
+    Boundary,
+    Budget,
+    Element,
+    compute_budget,
+    make_isotropic,
+)
 from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.pores import (
     RefractingCells,

@@ -45,9 +45,7 @@ def compare_snowpacks(seeds: range, error: float) -> np.ndarray:
         snowpack = make_random_snowpack(generator, is_wet=seed % 2 == 0)
         incidence = "diffuse" if seed % 5 == 0 else float(generator.uniform(0.0, 80.0))
         paths, ordinates = (
-            splits.spectrophotometer(
-                snowpack, WAVELENGTHS, incidence, error, seed, solver=solver
-            )
+            splits.spectrophotometer(snowpack, WAVELENGTHS, incidence, error, seed, solver=solver)
             for solver in ("monte_carlo", "discrete_ordinates")
         )
         z.append([

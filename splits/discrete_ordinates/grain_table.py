@@ -103,12 +103,14 @@ class GrainTable(NamedTuple):
     def compute_moments(
         self, contrast: np.ndarray, absorption: np.ndarray, saturation: float, orders: int
     ) -> np.ndarray:
-        """Return the moments M_l, shape (values, pores, pores, orders).
+        """Return the moments M_l, shape (..., values, pores, pores, orders).
 
         Parameters
         ----------
-        contrast, absorption : float, shape (values,)
-            n − 1 and x, within the table.
+        contrast : float, shape (values,)
+            n − 1, within the table.
+        absorption : float, shape (..., values)
+            x, within the table.
         saturation : float
             Fraction of wet pores; not used for dry grains.
         orders : int
@@ -117,20 +119,19 @@ class GrainTable(NamedTuple):
         by_contrast = self.contrast.compute_weights(contrast)
         by_saturation = self.saturation.compute_weights(np.array([saturation]))[0]
         q = absorption / (1.0 + absorption)
-        by_absorption = self.absorption.compute_weights(q)
+        by_absorption = self.absorption.compute_weights(q.ravel()).reshape(*q.shape, -1)
         n_known, n_pores = min(orders, self.moments.shape[-1]), self.moments.shape[2]
         without, slopes = (
             np.tensordot(by_saturation, values[..., :n_known], (0, 1))
             for values in (self.moments, self.slopes)
         )
-        # One product over the pairs of a contrast and an absorption.
-        pairs = (by_contrast[:, :, np.newaxis] * by_absorption[:, np.newaxis]).reshape(q.size, -1)
-        by_pair = np.moveaxis(slopes, 3, 1).reshape(pairs.shape[1], -1)
-        known = by_contrast @ without.reshape(len(without), -1) - q[:, np.newaxis] * (
-            pairs @ by_pair
-        )
-        moments = np.zeros((q.size, n_pores, n_pores, orders))
-        moments[..., :n_known] = known.reshape(q.size, n_pores, n_pores, n_known)
+        slopes = np.moveaxis(slopes, 3, 1).reshape(len(slopes), by_absorption.shape[-1], -1)
+        # The contrast is common to the leading dimensions: first a table for each contrast.
+        by_value = np.tensordot(by_contrast, slopes, 1)
+        by_value = (by_absorption[..., np.newaxis, :] @ by_value)[..., 0, :]
+        known = by_contrast @ without.reshape(len(without), -1) - q[..., np.newaxis] * by_value
+        moments = np.zeros((*q.shape, n_pores, n_pores, orders))
+        moments[..., :n_known] = known.reshape(*q.shape, n_pores, n_pores, n_known)
         return moments
 
     def interpolate_stderr(self, contrast: np.ndarray, absorption: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,6 +60,18 @@ class SnowLayer(NamedTuple):
             absorption[:, [DRY_PORE, WET_PORE]],
         )
 
+    def select(self, snowpacks: Any, wavelengths: Any) -> SnowLayer:
+        """Return the layer of some snowpacks (`...`: of all), at some of its wavelengths."""
+        return SnowLayer(
+            self.depth_m[snowpacks],
+            self.collisions_per_m[snowpacks],
+            self.saturation[snowpacks],
+            self.contrast[wavelengths],
+            self.water_index[wavelengths],
+            self.grain_absorption[snowpacks][..., wavelengths],
+            self.pore_absorption[snowpacks][..., wavelengths, :],
+        )
+
     def compute_optics(self, table: GrainTable, orders: int) -> LayerOptics:
         """Return the optics, per metre, with leading dimensions (..., wavelengths).
 
@@ -89,11 +101,10 @@ class SnowLayer(NamedTuple):
 
     def _compute_moments(self, table: GrainTable, orders: int) -> np.ndarray:
         """Return the moments of the table, shape (..., wavelengths, states, states, orders)."""
-        if not np.ndim(self.depth_m):
-            return table.compute_moments(
-                self.contrast, self.grain_absorption, float(self.saturation), orders
-            )
         n_states = table.moments.shape[2]
+        if n_states == 1 or not np.ndim(self.depth_m):
+            saturation = 0.0 if n_states == 1 else float(self.saturation)
+            return table.compute_moments(self.contrast, self.grain_absorption, saturation, orders)
         moments = np.empty((*self.grain_absorption.shape, n_states, n_states, orders))
         for position in np.ndindex(self.depth_m.shape):
             moments[position] = table.compute_moments(

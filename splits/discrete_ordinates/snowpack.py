@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import as_file, files
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -39,11 +39,13 @@ WET_ERROR = 5e-4
 class Snowpack(NamedTuple):
     """Layers of natural snow over a ground, at several wavelengths.
 
+    Dry snowpacks of the same number of layers may be along a leading dimension.
+
     Attributes
     ----------
     layers : sequence of SnowLayer
         Top first.
-    ground : float, shape (wavelengths,)
+    ground : float, shape (..., wavelengths)
         Albedo of the ground, 0 for an open lower boundary.
     """
 
@@ -55,42 +57,36 @@ class Snowpack(NamedTuple):
         """Whether any layer holds water."""
         return any(np.any(layer.saturation > 0.0) for layer in self.layers)
 
-    def select(self, wavelengths: np.ndarray) -> Snowpack:
-        """Return the snowpack at some of its wavelengths."""
-        layers = [
-            layer._replace(
-                contrast=layer.contrast[wavelengths],
-                water_index=layer.water_index[wavelengths],
-                grain_absorption=layer.grain_absorption[..., wavelengths],
-                pore_absorption=layer.pore_absorption[..., wavelengths, :],
-            )
-            for layer in self.layers
-        ]
-        return Snowpack(layers, self.ground[..., wavelengths])
+    def select(self, wavelengths: Any, snowpacks: Any = ...) -> Snowpack:
+        """Return the snowpack at some of its wavelengths, or some snowpacks of several."""
+        layers = [layer.select(snowpacks, wavelengths) for layer in self.layers]
+        return Snowpack(layers, self.ground[snowpacks][..., wavelengths])
 
     def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
         """Return the budget of light for beams, and for diffuse light (last).
 
         Parameters
         ----------
-        cosines : float, shape (beams,)
+        cosines : float, shape (beams,) or (snowpacks, 1, beams)
+            Of each snowpack if there are several.
         n_streams : int
             Even number of streams in both hemispheres.
         """
+        n_beams = cosines.shape[-1]
         streams = Streams.from_number(n_streams)
         table = load_natural_grains(wet=self.is_wet)
         optics = [layer.compute_optics(table, n_streams + 1) for layer in self.layers]
-        directions = cosines[np.newaxis]
+        directions = cosines[..., np.newaxis, :]
         if self.is_wet:
             directions = refract_directions(cosines, self.layers[0].water_index)
-        isotropic = [make_isotropic(one, streams, cosines.size) for one in optics]
+        isotropic = [make_isotropic(one, streams, n_beams) for one in optics]
         elements = [
             Element.from_slab(solve_slab(one.truncate(n_streams), streams, directions), vector)
             for one, vector in zip(optics, isotropic, strict=True)
         ]
         ends = isotropic[0], isotropic[-1]
         if not self.is_wet:
-            faces = (Boundary.make_transparent(n_streams // 2, cosines.size),) * 2
+            faces = (Boundary.make_transparent(n_streams // 2, n_beams),) * 2
             return compute_budget(elements, ends, faces, self.ground, n_streams // 2)
         elements, faces = self._add_faces(elements, streams, cosines)
         return compute_budget(elements, ends, faces, self.ground, n_streams)
@@ -149,24 +145,47 @@ def solve_spectrum(snowpack: Snowpack, cosines: np.ndarray, max_error: float) ->
     max_error : float
         The number of streams is the first whose truncation error is at most half of this.
     """
-    n_wavelengths = snowpack.ground.size
-    count = min(N_TRIAL_WAVELENGTHS, n_wavelengths)
-    trial = np.unique(np.linspace(0, n_wavelengths - 1, count).round().astype(int))
+    trial = choose_trial_wavelengths(snowpack.ground.size)
     few = snowpack.select(trial)
     for n_streams in STREAM_NUMBERS:
-        coarse, fine = (few.solve(cosines, number) for number in (n_streams, 2 * n_streams))
-        difference = np.maximum(
-            np.abs(coarse.reflectance - fine.reflectance),
-            np.abs(coarse.transmittance - fine.transmittance),
-        ).max(axis=-1)
+        difference = measure_truncation(few, cosines, n_streams)
         if difference.max() <= 0.5 * max_error:
             break
-    # Between two trial wavelengths the larger error of both applies.
-    position = np.searchsorted(trial, np.arange(n_wavelengths))
-    truncation = np.maximum(difference[position], difference[np.maximum(position - 1, 0)])
+    truncation = spread_truncation(difference, trial, snowpack.ground.size)
     return SpectrumSolution(
         snowpack.solve(cosines, n_streams), n_streams, truncation, compute_optics_error(snowpack)
     )
+
+
+def choose_trial_wavelengths(n_wavelengths: int) -> np.ndarray:
+    """Return the positions of the wavelengths at which the truncation error is measured."""
+    count = min(N_TRIAL_WAVELENGTHS, n_wavelengths)
+    return np.unique(np.linspace(0, n_wavelengths - 1, count).round().astype(int))
+
+
+def measure_truncation(snowpack: Snowpack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
+    """Return the largest change of reflectance and transmittance by twice the streams.
+
+    Returns
+    -------
+    float, shape (..., wavelengths)
+    """
+    coarse, fine = (snowpack.solve(cosines, number) for number in (n_streams, 2 * n_streams))
+    changes = [
+        np.abs(getattr(coarse, name) - getattr(fine, name)).max(axis=-1)
+        for name in ("reflectance", "transmittance")
+    ]
+    return np.maximum(*changes)
+
+
+def spread_truncation(difference: np.ndarray, trial: np.ndarray, n_wavelengths: int) -> np.ndarray:
+    """Return the truncation error at all wavelengths from that at the trial wavelengths.
+
+    Between two of these the larger error of both applies.
+    """
+    position = np.searchsorted(trial, np.arange(n_wavelengths))
+    before = difference[..., np.maximum(position - 1, 0)]
+    return np.maximum(difference[..., position], before)
 
 
 def compute_optics_error(snowpack: Snowpack) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import xarray as xr
@@ -18,6 +18,7 @@ from splits.core.uncertainty import (
 from splits.core.validation import check_range
 from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
+from splits.instruments.pack_albedo import compute_pack_albedo
 from splits.instruments.sky_mixing import (
     as_sky,
     choose_wavelengths,
@@ -28,18 +29,19 @@ from splits.instruments.sky_mixing import (
 )
 from splits.instruments.spectrophotometer import spectrophotometer
 from splits.media.medium import Medium
+from splits.media.snow_packs import SnowPacks
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
 
 
 @reject_unknown_arguments
 def albedo(
-    medium: Medium | Mapping[str, Medium],
-    sky: Sky | str | Mapping[str, Any],
+    medium: Medium | Mapping[str, Medium] | SnowPacks,
+    sky: Sky | str | Mapping[str, Any] | Callable[[float], Sky],
     wavelength_nm: Any = None,
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
-    solver: str = "monte_carlo",
+    solver: str | None = None,
     bands: Mapping[str, Any] | str | None = None,
     threads: int | None = None,
     progress: ProgressCallback = None,
@@ -48,12 +50,15 @@ def albedo(
 
     Parameters
     ----------
-    medium : Medium, or a mapping
+    medium : Medium, mapping or SnowPacks
         For example `splits.Snow`, or a mapping from names to media that share paths, as for
         `splits.spectrophotometer`.  The errors of differences between these media are much smaller
-        than those of their albedos (`splits.core.uncertainty.compute_difference`).
-    sky : Sky, str or mapping
-        See `splits.sky`.
+        than those of their albedos (`splits.core.uncertainty.compute_difference`).  Or
+        `splits.SnowPacks`, the snowpacks of a season, by discrete ordinates.
+    sky : Sky, str, mapping or function
+        See `splits.sky`.  Over `splits.SnowPacks` with ``sun_zenith_deg``, a name or a table
+        applies to the zenith angle of each snowpack, and so does a function that returns a sky for
+        a zenith angle (degrees); a `Sky` is the same for all (`splits.instruments.pack_skies`).
     wavelength_nm : array_like, optional
         Strictly increasing vacuum wavelengths (nm), at least two; by default every 10 nm from
         the first of the sky to 2495.
@@ -62,7 +67,7 @@ def albedo(
         and for diffuse light, 1e-6 to 0.5.  The albedo combines both, so its error is at most this.
     seed : int
         Non-negative; diffuse light uses the next one.
-    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+    solver : {"monte_carlo", "discrete_ordinates", "auto"}, optional
         As for `splits.spectrophotometer`.
     bands : mapping or str, optional
         Names of bands to their limits (nm): ``{"visible": (305, 700)}``; or to a spectral response,
@@ -82,17 +87,20 @@ def albedo(
         the first of which is "broadband", ``band_albedo`` with ``band_albedo_stderr``, weighted by
         irradiance times response, ``band_albedo_batches``, and ``irradiance_covered``, the fraction
         of the band's light within the wavelengths.  With several media all but the last are over
-        ``medium``, too.
+        ``medium``, too.  For `splits.SnowPacks` all are over the label, without ``…_batches``, and
+        ``quality_flag`` tells which have no result, as for `splits.spectrophotometer`.
 
     Raises
     ------
     ValueError
         For a value outside its range, or wavelengths outside the spectrum of the sky.
     """
+    run = RunOptions.from_arguments(seed, threads, progress=progress)
+    if isinstance(medium, SnowPacks):
+        return compute_pack_albedo(medium, sky, wavelength_nm, max_stderr, solver, bands, run)
     sky_spectrum = as_sky(sky)
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 2)
     max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
-    run = RunOptions.from_arguments(seed, threads, progress=progress)
     named = sky_spectrum.make_bands(bands)
     sky_spectrum.check_bands(named, wavelengths)
 

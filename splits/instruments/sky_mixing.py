@@ -21,7 +21,7 @@ MAX_DEFAULT_NM = 2495.0
 """Last wavelength by default: less than a hundredth of sunlight lies above it."""
 
 
-def as_sky(value: Sky | str | Mapping[str, Any]) -> Sky:
+def as_sky(value: Any) -> Sky:
     """Return the sky for a user's value, see `splits.sky`."""
     return value if isinstance(value, Sky) else sky(value)
 

@@ -11,6 +11,7 @@ import xarray as xr
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, invalid, to_text_keys
+from splits.instruments.pack_spectra import check_no_paths, compute_pack_spectra
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     MONTE_CARLO,
@@ -20,6 +21,7 @@ from splits.instruments.solver import (
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest, make_spectrum
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
+from splits.media.snow_packs import SnowPacks
 from splits.simulation.derivatives import (
     Perturbations,
     check_jacobian,
@@ -37,13 +39,13 @@ ESTIMATORS = ("spectral", "analog")
 
 @reject_unknown_arguments
 def spectrophotometer(
-    medium: Medium | Mapping[str, Medium],
+    medium: Medium | Mapping[str, Medium] | SnowPacks,
     wavelength_nm: Any,
-    incidence_deg: float | str = 0.0,
+    incidence_deg: Any = 0.0,
     max_stderr: float = 0.002,
     seed: int = 1,
     *,
-    solver: str = "monte_carlo",
+    solver: str | None = None,
     estimator: str = "spectral",
     jacobian: Sequence[str] = (),
     max_rays: int = 20_000_000,
@@ -62,25 +64,29 @@ def spectrophotometer(
 
     Parameters
     ----------
-    medium : Medium, or a mapping
+    medium : Medium, mapping or SnowPacks
         For example `splits.Snow` or `splits.ParticleLayer`.  A mapping from names to media of the
         same grains, particles, layers and interpretation; refractive indices of grains and pores,
-        impurities, and the albedo of a reflecting ground may differ.
+        impurities, and the albedo of a reflecting ground may differ.  Or `splits.SnowPacks`, the
+        snowpacks of a season, by discrete ordinates.
     wavelength_nm : array_like
         Strictly increasing vacuum wavelengths (nm), 200 to 100 000 and within the tables of the
         medium's refractive indices.
-    incidence_deg : float or "diffuse"
-        Incidence angle of a collimated beam, 0 to 89.9999 degrees, or isotropic radiance.
+    incidence_deg : float, "diffuse", "sun" or array_like
+        Incidence angle of a collimated beam, 0 to 89.9999 degrees, or isotropic radiance.  For
+        `splits.SnowPacks` also "sun", the zenith angle of the sun of each snowpack, or an angle
+        for each.
     max_stderr : float
         Largest standard error of any quantity at any wavelength, 1e-6 to 0.5; of several media, of
         each.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
-    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+    solver : {"monte_carlo", "discrete_ordinates", "auto"}, optional
         "discrete_ordinates" solves the equation of radiative transfer in plane layers of modelled
         natural snow (`splits.Snow.natural`), without noise and in milliseconds: see
         docs/theory/discrete-ordinates.md.  Media for which it does not hold are rejected, or
-        simulated with paths under "auto".
+        simulated with paths under "auto".  Default: "monte_carlo"; "auto" for `splits.SnowPacks`,
+        for which paths are not available.
     estimator : {"spectral", "analog"}
         "spectral" uses the same paths at all wavelengths.  "analog", for one medium, is the
         algorithm of the papers: each wavelength is traced separately, and absorption is sampled at
@@ -120,6 +126,10 @@ def spectrophotometer(
         ``…_batches`` are covariances, both between media and between wavelengths.  Inputs in which
         media differ are coordinates over ``medium``.
 
+        For `splits.SnowPacks` the variables are over the label and ``wavelength``, without
+        ``…_batches``, and ``quality_flag`` is over the label.  Snowpacks that are not good, and
+        those outside the tables of grains (flag unsupported), have NaN.
+
         For optically deep media, which are truncated (`splits.simulation.deep_medium`), the
         attribute ``truncation_depth_m`` gives the truncation depth, and ``semi_infinite_depth_m``
         the depth above which the reflectance is that of a semi-infinite medium; the errors include
@@ -150,9 +160,12 @@ def spectrophotometer(
     >>> ds.reflectance.dims
     ('medium', 'wavelength')
     """
+    run = RunOptions.from_arguments(seed, threads, kernel, progress)
+    if isinstance(medium, SnowPacks):
+        check_no_paths(estimator, jacobian)
+        return compute_pack_spectra(medium, wavelength_nm, incidence_deg, max_stderr, solver, run)
     media = _check_media(medium, estimator)
     check_choice("estimator", estimator, ESTIMATORS)
-    run = RunOptions.from_arguments(seed, threads, kernel, progress)
     request = SpectralRequest.from_arguments(
         wavelength_nm, incidence_deg, max_stderr, max_rays, run
     )
@@ -161,6 +174,7 @@ def spectrophotometer(
     dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
     parameters = _check_jacobian(medium, request, estimator, jacobian)
     obstacle = None if not analog and not parameters else "estimator or jacobian needs paths"
+    solver = MONTE_CARLO if solver is None else solver
     if choose_solver(solver, media.values(), request.wavelengths, obstacle) == DISCRETE_ORDINATES:
         estimate = solve_estimate(
             list(media.values()), request.wavelengths, request.incidence, request.max_stderr

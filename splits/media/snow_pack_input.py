@@ -15,6 +15,7 @@ from splits.core.units import convert_units
 from splits.core.validation import invalid, join_names, suggest_name, unknown_key
 from splits.materials.impurities import list_impurities
 from splits.media.measured_inputs import OPTICAL_RADIUS_KEY, SURFACE_AREA_KEY
+from splits.media.pack_ground import GROUND_KEY, WAVELENGTH_DIM, PackGround
 
 LAYER_DIM = "layer"
 DEFAULT_LABEL = "time"
@@ -27,12 +28,13 @@ DESCRIPTIONS = {
     THICKNESS_KEY: ("thickness of the layer", "m"),
     DEPTH_KEY: ("depth of the top of the layer below the surface", "m"),
     ZENITH_KEY: ("zenith angle of the sun", "degree"),
+    GROUND_KEY: ("albedo of the ground", "1"),
 }
 """Long names and units of variables that are no parameters of a medium."""
 FLAG_NAME, LAYER_FLAG_NAME = "quality_flag", "layer_flag"
 KNOWN_NAMES = (
     THICKNESS_KEY, DENSITY_KEY, SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY, *DEFAULTS, DEPTH_KEY,
-    ZENITH_KEY,
+    ZENITH_KEY, GROUND_KEY,
 )  # fmt: skip
 
 
@@ -50,6 +52,7 @@ class SnowPackInput(NamedTuple):
     layered : set of str
         Names of the variables that were given for each layer, not for a snowpack as a whole.
     sun_zenith_deg : float, shape (snowpacks,), or None
+    ground : PackGround
     """
 
     label: str
@@ -57,6 +60,7 @@ class SnowPackInput(NamedTuple):
     values: dict[str, np.ndarray]
     layered: set[str]
     sun_zenith_deg: np.ndarray | None
+    ground: PackGround
 
 
 def describe_variable(name: str) -> tuple[str, str]:
@@ -76,6 +80,7 @@ def read_input(data: Any, label: str | None) -> SnowPackInput:
     check_names(data.data_vars)
     label = _find_label(data, label)
     _check_labels(label, data.get_index(label))
+    ground, data = _read_ground(data, label)
     if LAYER_DIM in data.coords:
         number = as_float_array(LAYER_DIM, data[LAYER_DIM], "numbers, 0 at the top")
         check_increasing(LAYER_DIM, number)
@@ -87,7 +92,20 @@ def read_input(data: Any, label: str | None) -> SnowPackInput:
         _check_depths(values.pop(DEPTH_KEY), data.get_index(label))
     others = [name for name, v in data.coords.items() if not set(v.dims) <= {label}]
     coordinates = data.drop_vars([*data.data_vars, *others])
-    return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith)
+    return SnowPackInput(label, coordinates, values, layered - {DEPTH_KEY}, zenith, ground)
+
+
+def _read_ground(data: xr.Dataset, label: str) -> tuple[PackGround, xr.Dataset]:
+    """Return the ground of a dataset, and the dataset without it."""
+    if GROUND_KEY not in data:
+        return PackGround.from_attributes(data.attrs), data
+    variable = data[GROUND_KEY].drop_vars(
+        [name for name in data[GROUND_KEY].coords if name not in (label, WAVELENGTH_DIM)]
+    )
+    if not variable.ndim:
+        variable = variable.expand_dims({label: data.get_index(label)})
+    ground = PackGround.from_input(variable, label, data.get_index(label))
+    return ground, data.drop_vars([GROUND_KEY, WAVELENGTH_DIM], errors="ignore")
 
 
 def check_names(given: Iterable[Hashable]) -> None:
@@ -190,7 +208,7 @@ def _pivot_frame(frame: pd.DataFrame, label: str | None) -> xr.Dataset:
         numbers = as_float_array(str(column), frame[column], allow_gaps=True)
         table = np.full((index.size, layers.size), np.nan)
         table[rows, columns] = numbers
-        if column == ZENITH_KEY:
+        if column in (ZENITH_KEY, GROUND_KEY):
             dataset[column] = (label, _reduce_to_snowpacks(str(column), table, index))
         else:
             dataset[str(column)] = ((label, LAYER_DIM), table)

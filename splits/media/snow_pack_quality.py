@@ -19,6 +19,7 @@ from splits.media.measured_inputs import (
     SURFACE_AREA_KEY,
 )
 from splits.media.natural_snow import MIN_NATURAL_DENSITY_KG_M3
+from splits.media.pack_ground import GROUND_KEY, WAVELENGTH_DIM
 from splits.media.snow_pack_input import (
     DEFAULTS,
     DENSITY_KEY,
@@ -52,13 +53,16 @@ RANGES = {
 def make_dataset(given: SnowPackInput) -> xr.Dataset:
     """Return the checked dataset with its flags."""
     values, is_absent = complete_layers(given)
-    flags = compute_flags(values, is_absent, given.sun_zenith_deg)
+    flags = compute_flags(values, is_absent, given)
     dims = (given.label, LAYER_DIM)
     variables: dict[str, Any] = {
         name: (dims, numbers, f"{LAYER_FLAG_NAME} {FLAG_NAME}") for name, numbers in values.items()
     }
     if given.sun_zenith_deg is not None:
         variables[ZENITH_KEY] = (given.label, given.sun_zenith_deg, FLAG_NAME)
+    if given.ground.albedo is not None:
+        dimensions = (given.label, WAVELENGTH_DIM)[: given.ground.albedo.ndim]
+        variables[GROUND_KEY] = (dimensions, given.ground.albedo, FLAG_NAME)
     for name, (dimensions, numbers, ancillary) in variables.items():
         long_name, units = describe_variable(name)
         attrs = {"long_name": long_name, "units": units, ANCILLARY_ATTRIBUTE: ancillary}
@@ -85,7 +89,12 @@ def make_dataset(given: SnowPackInput) -> xr.Dataset:
         }  # fmt: skip
     label.attrs.setdefault("long_name", f"label of the snowpack: {given.label}")
     dataset = coordinates.assign_coords({LAYER_DIM: (LAYER_DIM, number, attrs)}).assign(variables)
-    dataset.attrs = {"title": "Snowpacks"}
+    if given.ground.wavelength_nm is not None:
+        attrs = {"long_name": "wavelength in vacuum", "units": "nm"}
+        dataset = dataset.assign_coords(
+            {WAVELENGTH_DIM: (WAVELENGTH_DIM, given.ground.wavelength_nm, attrs)}
+        )
+    dataset.attrs = {"title": "Snowpacks", **given.ground.make_attributes()}
     return dataset
 
 
@@ -128,7 +137,7 @@ def complete_layers(given: SnowPackInput) -> tuple[dict[str, np.ndarray], np.nda
 
 
 def compute_flags(
-    values: Mapping[str, np.ndarray], is_absent: np.ndarray, sun_zenith_deg: np.ndarray | None
+    values: Mapping[str, np.ndarray], is_absent: np.ndarray, given: SnowPackInput
 ) -> np.ndarray:
     """Return the flag of each snowpack, one of `FLAGS`.
 
@@ -137,13 +146,19 @@ def compute_flags(
     values : mapping of float, shape (snowpacks, layers)
         As returned by `complete_layers`.
     is_absent : bool, shape (snowpacks, layers)
-    sun_zenith_deg : float, shape (snowpacks,), or None
+    given : SnowPackInput
+        With the zenith angles of the sun and the ground.
     """
     is_missing = np.any(
         [(np.isnan(numbers) & ~is_absent).any(axis=1) for numbers in values.values()], axis=0
     )
     is_outside = find_values_out_of_range(values).any(axis=1)
     flags = np.full(is_missing.size, FLAGS["good"], dtype=np.int8)
+    sun_zenith_deg, albedo = given.sun_zenith_deg, given.ground.albedo
+    if albedo is not None:
+        by_snowpack = albedo.reshape(flags.size, -1)
+        is_missing |= np.isnan(by_snowpack).any(axis=1)
+        is_outside |= ((by_snowpack < 0.0) | (by_snowpack > 1.0)).any(axis=1)
     if sun_zenith_deg is not None:
         flags[sun_zenith_deg >= HORIZON_DEG] = FLAGS["night"]
         is_missing |= np.isnan(sun_zenith_deg)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,8 +12,11 @@ import xarray as xr
 from splits.core.arrays import align_to_labels
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.validation import invalid, join_names
+from splits.media.ground import OPEN
 from splits.media.measured_inputs import SURFACE_AREA_KEY
+from splits.media.pack_ground import GROUND_KEY, PackGround
 from splits.media.snow import Snow
+from splits.media.snow_pack_arrays import SnowPackArrays
 from splits.media.snow_pack_input import (
     DENSITY_KEY,
     FLAG_NAME,
@@ -31,35 +34,6 @@ from splits.media.stack import Stack
 
 MAX_LISTED_LABELS = 3
 """Number of labels of an example in messages."""
-
-
-class SnowPackArrays(NamedTuple):
-    """Good snowpacks as arrays of the same number of layers, without NaN.
-
-    Layers below the last one of a snowpack have thickness 0 and its other properties.
-
-    Attributes
-    ----------
-    positions : int, shape (good,)
-        Positions of the good snowpacks along the dimension of the dataset.
-    n_layers : int, shape (good,)
-        Number of layers present.
-    thickness_m, density_kg_m3, specific_surface_area_m2_kg, temperature_c, liquid_water_content
-        Properties of the layers, float, shape (good, layers).
-    impurities_ng_g : dict of float, shape (good, layers)
-        Mass of impurities per mass of ice (ng/g) by type.
-    sun_zenith_deg : float, shape (good,), or None
-    """
-
-    positions: np.ndarray
-    n_layers: np.ndarray
-    thickness_m: np.ndarray
-    density_kg_m3: np.ndarray
-    specific_surface_area_m2_kg: np.ndarray
-    temperature_c: np.ndarray
-    liquid_water_content: np.ndarray
-    impurities_ng_g: dict[str, np.ndarray]
-    sun_zenith_deg: np.ndarray | None
 
 
 class SnowPacks:
@@ -81,6 +55,7 @@ class SnowPacks:
           volume of snow, 0);
         - ``impurities_ng_g.black_carbon`` and others (optional), mass per mass of ice;
         - ``sun_zenith_deg`` (optional), zenith angle of the sun, over the label only;
+        - ``ground_albedo`` (optional), over the label, or over the label and ``wavelength`` (nm);
         - ``depth_top_m`` (optional), depth of the top of each layer; only its order is checked.
 
         The attribute ``units`` of a variable is checked, and its values are converted: m, cm, mm;
@@ -89,6 +64,9 @@ class SnowPacks:
     label : str, optional
         Dimension or column of the snowpacks; by default the dimension other than ``layer``, or the
         column ``time``.
+    ground : number, str, mapping, path or array_like, optional
+        Ground below all snowpacks, as for `splits.Stack`; or an albedo for each: a sequence, or an
+        array over the label, ``wavelength`` or both.  It replaces that of the data.
 
     Attributes
     ----------
@@ -96,7 +74,7 @@ class SnowPacks:
         Variables as listed, with ``specific_surface_area_m2_kg`` in place of the radius and with
         the defaults.  ``quality_flag`` over the label is one of good, no_snow, missing_value,
         out_of_range, night; the attribute ``flag_values`` lists the numbers.  ``layer_flag`` is 1
-        for absent layers.
+        for absent layers.  A ground for all is in the attributes.
 
     Raises
     ------
@@ -122,19 +100,32 @@ class SnowPacks:
     """
 
     @reject_unknown_arguments
-    def __init__(self, data: xr.Dataset | pd.DataFrame, label: str | None = None) -> None:
-        self.dataset = make_dataset(read_input(data, label))
+    def __init__(
+        self, data: xr.Dataset | pd.DataFrame, label: str | None = None, *, ground: Any = None
+    ) -> None:
+        given = read_input(data, label)
+        if ground is not None:
+            labels = given.coordinates.get_index(given.label)
+            given = given._replace(ground=PackGround.from_input(ground, given.label, labels))
+        self.dataset, self._ground = make_dataset(given), given.ground
 
     def __repr__(self) -> str:
         """Return the numbers of snowpacks, layers and flags."""
         counts = [f"{number} {name}" for name, number in self.count_flags().items() if number]
         sizes = f"{self.dataset.sizes[self.label]} over {self.label}"
         n_layers = self.dataset.sizes[LAYER_DIM]
-        return f"SnowPacks({sizes}, at most {n_layers} layers: {', '.join(counts)})"
+        ground = self._ground.describe()
+        below = "" if ground == OPEN else f", ground: {ground}"
+        return f"SnowPacks({sizes}, at most {n_layers} layers{below}: {', '.join(counts)})"
 
     def __len__(self) -> int:
         """Return the number of snowpacks, including those with flags."""
         return self.dataset.sizes[self.label]
+
+    @property
+    def kind(self) -> str:
+        """Name of the kind of medium in datasets of results."""
+        return "snow_packs"
 
     @property
     def label(self) -> str:
@@ -180,29 +171,39 @@ class SnowPacks:
         return SnowPacks(self.dataset.assign({ZENITH_KEY: (self.label, values)}))
 
     @reject_unknown_arguments
+    def with_ground(self, ground: Any) -> SnowPacks:
+        """Return the snowpacks over another ground, and with new flags.
+
+        Parameters
+        ----------
+        ground : number, str, mapping, path or array_like
+            As for `splits.SnowPacks`; "open" for none.
+        """
+        return SnowPacks(self.dataset, self.label, ground=ground)
+
+    @reject_unknown_arguments
+    def compute_ground_albedo(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """Return the albedo below the good snowpacks at wavelengths (nm), 0 for open ones.
+
+        Returns
+        -------
+        float, shape (good, wavelengths)
+        """
+        return self._ground.compute_albedo(wavelength_nm, np.flatnonzero(self.is_good))
+
+    def describe(self) -> dict[str, Any]:
+        """Return attributes for datasets of results."""
+        n_good = self.count_flags()["good"]
+        return {
+            "label": self.label, "count": len(self), "good": n_good,
+            "ground": self._ground.describe(),
+        }  # fmt: skip
+
+    @reject_unknown_arguments
     def to_arrays(self) -> SnowPackArrays:
         """Return the good snowpacks as arrays for solvers of many snowpacks at once."""
-        positions = np.flatnonzero(self.is_good)
-        rows = self.dataset.isel({self.label: positions})
-        is_present = rows[LAYER_FLAG_NAME].values == LAYER_FLAGS["present"]
-        n_layers = is_present.sum(axis=1)
-        depth = int(n_layers.max(initial=0))
-        # Below the last layer, its properties are repeated.
-        source = np.minimum(np.arange(depth), n_layers[:, np.newaxis] - 1)
-
-        def fill(name: str) -> np.ndarray:
-            return np.take_along_axis(rows[name].values, source, axis=1)
-
-        return SnowPackArrays(
-            positions,
-            n_layers,
-            np.where(is_present[:, :depth], fill(THICKNESS_KEY), 0.0),
-            fill(DENSITY_KEY),
-            fill(SURFACE_AREA_KEY),
-            fill(TEMPERATURE_KEY),
-            fill(WATER_KEY),
-            {kind: fill(f"{IMPURITIES_KEY}.{kind}") for kind in self.impurities},
-            rows[ZENITH_KEY].values if ZENITH_KEY in rows else None,
+        return SnowPackArrays.from_dataset(
+            self.dataset, np.flatnonzero(self.is_good), self.label, self.impurities
         )
 
     @reject_unknown_arguments
@@ -214,7 +215,7 @@ class SnowPacks:
         label : object
             Label of the snowpack, such as a time.
         ground : number, str, mapping or path, optional
-            Ground below it, as for `splits.Stack`.
+            Ground below it, as for `splits.Stack`; by default that of the snowpacks.
 
         Raises
         ------
@@ -243,7 +244,7 @@ class SnowPacks:
         Parameters
         ----------
         ground : number, str, mapping or path, optional
-            Ground below all of them, as for `splits.Stack`.
+            Ground below all of them, as for `splits.Stack`; by default that of the snowpacks.
         """
         index = self.dataset.get_index(self.label)
         return (
@@ -253,7 +254,8 @@ class SnowPacks:
 
     def _make_stack(self, position: int, ground: Any) -> Stack:
         """Return the snowpack at a position."""
-        values = {str(n): v.values[position] for n, v in self.dataset.data_vars.items()}
+        variables = self.dataset.drop_vars(GROUND_KEY, errors="ignore").data_vars
+        values = {str(n): v.values[position] for n, v in variables.items()}
         n_layers = int((values[LAYER_FLAG_NAME] == LAYER_FLAGS["present"]).sum())
         layers = [
             Snow.natural(
@@ -268,4 +270,5 @@ class SnowPacks:
             )
             for layer in range(n_layers)
         ]
-        return Stack(tuple(layers), ground=ground)
+        own = self._ground.get_ground(position) if ground is None else ground
+        return Stack(tuple(layers), ground=own)

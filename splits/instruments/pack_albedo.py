@@ -1,0 +1,89 @@
+"""Spectral and band albedo of the snowpacks of a season under skies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from splits.core.uncertainty import make_variable
+from splits.core.validation import check_range
+from splits.instruments.pack_run import (
+    check_pack_solver,
+    compute_beam_cosines,
+    make_pack_coordinates,
+    solve_packs,
+)
+from splits.instruments.pack_skies import PackSkies
+from splits.instruments.pack_spectra import make_error_attributes, make_pack_attributes
+from splits.media.snow_packs import SnowPacks
+from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
+
+
+def compute_pack_albedo(
+    packs: SnowPacks, sky: Any, wavelength_nm: Any, max_stderr: Any, solver: Any, bands: Any,
+    run: RunOptions,
+) -> xr.Dataset:  # fmt: skip
+    """Return the dataset of `splits.albedo` for snowpacks.
+
+    Parameters
+    ----------
+    packs : SnowPacks
+    sky, wavelength_nm, max_stderr, solver, bands : object
+        As given by the user.
+    run : RunOptions
+    """
+    check_pack_solver(solver)
+    max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
+    skies = PackSkies.from_input(sky, packs)
+    wavelengths = skies.choose_wavelengths(wavelength_nm)
+    named = skies.skies[0].make_bands(bands)
+    skies.skies[0].check_bands(named, wavelengths)
+    cosines = compute_beam_cosines(packs, skies.incidence)
+    spectra = solve_packs(packs, wavelengths, cosines, max_stderr, run)
+    good = np.flatnonzero(packs.is_good)
+    # Without direct light there is no beam, and both columns are that of diffuse light.
+    beam, diffuse = (spectra.reflectance[..., column] for column in (0, -1))
+    fraction = np.full(beam.shape, np.nan)
+    fraction[good] = skies.compute_direct_fraction(wavelengths)
+    albedo, stderr = (
+        fraction * of_beam + (1.0 - fraction) * of_diffuse
+        for of_beam, of_diffuse in (
+            (beam, diffuse), (spectra.bound_error(beam), spectra.bound_error(diffuse)),
+        )
+    )  # fmt: skip
+    dims = (packs.label, "wavelength")
+    direct_attributes = {"long_name": "fraction of direct sunlight", "units": "1"}
+    variables: dict[str, Any] = {
+        **make_variable("albedo", dims, albedo, stderr, "albedo under this sky"),
+        "direct_fraction": (dims, fraction, direct_attributes),
+    }
+    weights, covered = skies.compute_band_weights(named, wavelengths)
+    dims = (packs.label, "band")
+    # The errors of all wavelengths have the same causes, and add up linearly.
+    band_albedo, band_stderr, irradiance_covered = (
+        np.full((len(packs), len(named)), np.nan) for _ in range(3)
+    )
+    irradiance_covered[good] = covered[skies.number]
+    for number in range(len(skies.skies)):
+        rows = good[skies.number == number]
+        band_albedo[rows] = albedo[rows] @ weights[number].T
+        band_stderr[rows] = stderr[rows] @ weights[number].T
+    label = "albedo over a band, weighted by irradiance"
+    variables |= make_variable("band_albedo", dims, band_albedo, band_stderr, label)
+    covered_attributes = {
+        "long_name": "fraction of the band's light within the wavelengths", "units": "1",
+    }  # fmt: skip
+    variables["irradiance_covered"] = (dims, irradiance_covered, covered_attributes)
+    attributes = {
+        **make_pack_attributes(packs, run, "Albedo under a sky", "albedo"),
+        **skies.make_attributes(),
+        **make_error_attributes(spectra, max_stderr, float(np.nanmax(stderr, initial=0.0))),
+    }
+    attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
+    coordinates = make_pack_coordinates(packs, spectra.flags)
+    coordinates = coordinates.assign_coords(
+        wavelength=make_wavelength_coordinate(wavelengths), band=list(named)
+    )
+    return coordinates.assign(variables).assign_attrs(attributes)

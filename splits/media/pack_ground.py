@@ -1,0 +1,156 @@
+"""Ground below the snowpacks of `splits.SnowPacks`: one for all, or an albedo for each.
+
+A ground for all is in the attributes of the dataset of snowpacks, an albedo for each is its
+variable ``ground_albedo`` over the label, or over the label and ``wavelength``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from splits.core.arrays import (
+    align_to_labels,
+    as_1d_array,
+    as_float_array,
+    check_increasing,
+    find_labels,
+    match_labels,
+)
+from splits.core.validation import invalid
+from splits.materials.refractive_index import check_wavelength_range
+from splits.media.ground import OPEN, TABLE_NAME, Ground
+
+GROUND_KEY = "ground_albedo"
+WAVELENGTH_DIM = "wavelength"
+GROUND_ATTRIBUTE = "ground"
+_TABLE_ATTRIBUTES = ("ground_wavelength_nm", "ground_values")
+
+
+class PackGround(NamedTuple):
+    """Ground below snowpacks.
+
+    Attributes
+    ----------
+    common : Ground or None
+        Ground of all snowpacks, or an open lower boundary.
+    albedo : float, shape (snowpacks,) or (snowpacks, n), or None
+        Albedo for each snowpack, NaN where it is missing; instead of `common`.
+    wavelength_nm : float, shape (n,), or None
+        Wavelengths (nm) of the albedo, if it depends on them.
+    """
+
+    common: Ground | None = None
+    albedo: np.ndarray | None = None
+    wavelength_nm: np.ndarray | None = None
+
+    @classmethod
+    def from_input(cls, value: Any, label: str, labels: pd.Index) -> PackGround:
+        """Return the ground for a user's value, see `splits.SnowPacks`.
+
+        Parameters
+        ----------
+        value : object
+        label : str
+            Dimension of the snowpacks.
+        labels : pandas.Index
+            Labels of the snowpacks.
+        """
+        if isinstance(value, xr.DataArray) and value.ndim:
+            return cls._from_array(value, label, labels)
+        is_row = isinstance(value, np.ndarray | pd.Series | Sequence) and not isinstance(value, str)
+        if not is_row or not np.ndim(value):
+            return cls(Ground.from_input(value))
+        albedo = align_to_labels(GROUND_KEY, value, labels.tolist(), allow_gaps=True)
+        if albedo.shape != (labels.size,):
+            given = f"numbers of shape {albedo.shape}"
+            raise invalid(GROUND_KEY, given, f"one ground, or {labels.size} albedos")
+        return cls(albedo=albedo)
+
+    @classmethod
+    def _from_array(cls, value: xr.DataArray, label: str, labels: pd.Index) -> PackGround:
+        """Return the ground of an array over the label, over wavelength, or over both."""
+        if not set(value.dims) <= {label, WAVELENGTH_DIM}:
+            allowed = f"among {label}, {WAVELENGTH_DIM}"
+            raise invalid(f"{GROUND_KEY} dimensions", value.dims, allowed)
+        wavelength_nm = None
+        if WAVELENGTH_DIM in value.dims:
+            if WAVELENGTH_DIM not in value.coords or value.sizes[WAVELENGTH_DIM] < 2:
+                allowed = "a coordinate (nm) of at least 2 wavelengths"
+                raise invalid(f"{GROUND_KEY}.{WAVELENGTH_DIM}", "left out or short", allowed)
+            wavelength_nm = as_1d_array(WAVELENGTH_DIM, value[WAVELENGTH_DIM], "numbers (nm)")
+            check_increasing(f"{GROUND_KEY}.{WAVELENGTH_DIM}", wavelength_nm)
+        value = value.transpose(label, ..., missing_dims="ignore")
+        if label not in value.dims:
+            numbers = as_float_array(GROUND_KEY, value, allow_gaps=True)
+            return cls(None, np.tile(numbers, (labels.size, 1)), wavelength_nm)
+        value = value[match_labels(GROUND_KEY, find_labels(value), [labels.tolist()])]
+        if value.sizes[label] != labels.size:
+            raise invalid(GROUND_KEY, f"{value.sizes[label]} albedos", f"{labels.size} of them")
+        numbers = as_float_array(GROUND_KEY, value, allow_gaps=True)
+        numbers[~np.isfinite(numbers)] = np.nan
+        return cls(None, numbers, wavelength_nm)
+
+    @classmethod
+    def from_attributes(cls, attributes: Mapping[str, Any]) -> PackGround:
+        """Return the common ground in attributes, see `make_attributes`."""
+        if GROUND_ATTRIBUTE not in attributes:
+            return cls()
+        name, table = attributes[GROUND_ATTRIBUTE], [attributes.get(n) for n in _TABLE_ATTRIBUTES]
+        if table[0] is None:
+            return cls(Ground.from_input(name))
+        columns = {"wavelength_nm": table[0], "albedo": table[1]}
+        ground = Ground.from_input(columns)
+        assert ground is not None
+        digest = attributes.get("ground_sha256", "")
+        return cls(Ground(name, ground.source, ground.albedo_values, ground.wavelength_nm, digest))
+
+    def make_attributes(self) -> dict[str, Any]:
+        """Return the common ground as attributes of a dataset."""
+        if self.albedo is not None:
+            return {}
+        if self.common is None:
+            return {GROUND_ATTRIBUTE: OPEN}
+        is_table = bool(self.common.sha256) or self.common.name == TABLE_NAME
+        if not is_table:
+            return {GROUND_ATTRIBUTE: self.common.as_input()}
+        columns = (self.common.wavelength_nm, self.common.albedo_values)
+        attributes = dict(zip(_TABLE_ATTRIBUTES, columns, strict=True))
+        digest = {"ground_sha256": self.common.sha256} if self.common.sha256 else {}
+        return {GROUND_ATTRIBUTE: self.common.name, **attributes, **digest}
+
+    def describe(self) -> str:
+        """Return the ground in a few words."""
+        if self.albedo is not None:
+            return "an albedo for each snowpack"
+        return OPEN if self.common is None else self.common.name
+
+    def get_ground(self, position: int) -> Ground | None:
+        """Return the ground of one snowpack."""
+        if self.albedo is None:
+            return self.common
+        if self.wavelength_nm is None:
+            return Ground.from_input(float(self.albedo[position]))
+        columns = {"wavelength_nm": self.wavelength_nm, "albedo": self.albedo[position]}
+        return Ground.from_input(columns)
+
+    def compute_albedo(self, wavelength_nm: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Return the albedo below snowpacks at positions, shape (positions, wavelengths).
+
+        It is linear between its wavelengths, and 0 for an open lower boundary.
+        """
+        shape = (positions.size, wavelength_nm.size)
+        if self.albedo is None:
+            is_open = self.common is None or not self.common.is_reflecting
+            common = 0.0 if is_open or self.common is None else self.common.albedo(wavelength_nm)
+            return np.broadcast_to(common, shape)
+        if self.wavelength_nm is None:
+            return np.broadcast_to(self.albedo[positions, np.newaxis], shape)
+        first, last = self.wavelength_nm[[0, -1]]
+        inside = check_wavelength_range(wavelength_nm, first, last, "the ground of the snowpacks")
+        rows = [np.interp(inside, self.wavelength_nm, self.albedo[row]) for row in positions]
+        return np.reshape(rows, shape)

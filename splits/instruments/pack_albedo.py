@@ -12,7 +12,7 @@ from splits.core.validation import check_range
 from splits.instruments.pack_run import (
     check_pack_solver,
     compute_beam_cosines,
-    make_pack_coordinates,
+    make_pack_dataset,
     solve_packs,
 )
 from splits.instruments.pack_skies import PackSkies
@@ -82,8 +82,5 @@ def compute_pack_albedo(
         **make_error_attributes(spectra, max_stderr, float(np.nanmax(stderr, initial=0.0))),
     }
     attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
-    coordinates = make_pack_coordinates(packs, spectra.flags)
-    coordinates = coordinates.assign_coords(
-        wavelength=make_wavelength_coordinate(wavelengths), band=list(named)
-    )
-    return coordinates.assign(variables).assign_attrs(attributes)
+    axes = {"wavelength": make_wavelength_coordinate(wavelengths), "band": list(named)}
+    return make_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from splits.core.progress import Progress, open_progress
+from splits.core.uncertainty import Variable
 from splits.core.validation import check_choice, invalid
 from splits.discrete_ordinates.many_snowpacks import MAX_ROWS, SpectraSolution, solve_spectra
 from splits.discrete_ordinates.pack_layers import (
@@ -22,6 +23,7 @@ from splits.discrete_ordinates.pack_layers import (
     make_snowpacks,
 )
 from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, SOLVERS
+from splits.io.netcdf import ANCILLARY_ATTRIBUTE
 from splits.media.snow_pack_input import FLAG_NAME, LAYER_DIM, ZENITH_KEY
 from splits.media.snow_pack_quality import FLAGS, HORIZON_DEG
 from splits.media.snow_packs import SnowPacks
@@ -207,14 +209,20 @@ def _iterate_solutions(
                 report(PackProgress(0, np.inf, max_error, seconds, left, done, total))
 
 
-def make_pack_coordinates(packs: SnowPacks, flags: np.ndarray) -> xr.Dataset:
-    """Return a dataset with the coordinates of snowpacks, and their flags.
+def make_pack_dataset(
+    packs: SnowPacks, flags: np.ndarray, variables: dict[str, Variable], axes: dict[str, Any]
+) -> xr.Dataset:
+    """Return a dataset over snowpacks, with their flags and zenith angles of the sun.
 
     Parameters
     ----------
     packs : SnowPacks
     flags : int, shape (snowpacks,)
         One of `RESULT_FLAGS`.
+    variables : dict of Variable
+        Over the label and other dimensions.
+    axes : dict
+        Coordinates of the other dimensions.
     """
     keep = [FLAG_NAME] + [ZENITH_KEY] * (ZENITH_KEY in packs.dataset)
     dataset = packs.dataset[keep].drop_vars(LAYER_DIM, errors="ignore")
@@ -225,4 +233,8 @@ def make_pack_coordinates(packs: SnowPacks, flags: np.ndarray) -> xr.Dataset:
     }
     dataset[FLAG_NAME] = (packs.label, flags, attributes)
     dataset.attrs = {}
-    return dataset
+    for _, _, attributes in variables.values():
+        # NaN is allowed where the flag is not 0.
+        own = attributes.get(ANCILLARY_ATTRIBUTE, "")
+        attributes[ANCILLARY_ATTRIBUTE] = f"{own} {FLAG_NAME}".strip()
+    return dataset.assign_coords(axes).assign(variables)

@@ -26,8 +26,11 @@ from splits.instruments.sky_mixing import (
 from splits.media.snow_pack_input import ZENITH_KEY
 from splits.media.snow_packs import SnowPacks
 
-ZENITH_STEP_DEG = 0.1
-"""Step of the zenith angle of the sun; a broadband albedo changes by less than 1e-4 by rounding."""
+ZENITH_STEP_DEG = 0.05
+"""Step of the zenith angle of the sun.
+
+By rounding, a broadband albedo changes by less than 1e-4, and a spectral albedo by less than 5e-4.
+"""
 
 
 class PackSkies(NamedTuple):

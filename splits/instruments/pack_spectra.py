@@ -15,7 +15,7 @@ from splits.instruments.pack_run import (
     PackSpectra,
     check_pack_solver,
     compute_beam_cosines,
-    make_pack_coordinates,
+    make_pack_dataset,
     set_incidence,
     solve_packs,
 )
@@ -63,9 +63,8 @@ def compute_pack_spectra(
         "incidence_deg": "sun zenith of each snowpack" if incidence == SUN else incidence,
         **make_error_attributes(spectra, max_stderr, float(largest)),
     }
-    coordinates = make_pack_coordinates(packs, spectra.flags)
-    coordinates = coordinates.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))
-    return coordinates.assign(variables).assign_attrs(attributes)
+    axes = {"wavelength": make_wavelength_coordinate(wavelengths)}
+    return make_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)
 
 
 def check_no_paths(estimator: Any, jacobian: Any) -> None:

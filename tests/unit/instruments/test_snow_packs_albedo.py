@@ -72,13 +72,13 @@ def test_cloudy_sky_needs_no_sun():
 
 def test_rounding_of_the_zenith_angle_has_a_small_effect(monkeypatch):
     pytest.importorskip("pvlib")
-    zenith = np.array([30.049, 60.049, 75.049, 80.049, 85.049])
+    zenith = np.array([30.024, 60.024, 75.024, 85.024, 88.024])
     packs = make_packs(zenith)
     rounded = splits.albedo(packs, "clear", WAVELENGTHS)
     monkeypatch.setattr(pack_skies, "ZENITH_STEP_DEG", 0.001)
     exact = splits.albedo(packs, "clear", WAVELENGTHS)
     assert abs(rounded.band_albedo - exact.band_albedo).max() < 1e-4
-    assert abs(rounded.albedo - exact.albedo).max() < 3e-4
+    assert abs(rounded.albedo - exact.albedo).max() < 5e-4
     assert not rounded.equals(exact)
 
 
@@ -101,7 +101,7 @@ def test_sky_by_zenith_angle_needs_angles(sky):
 
 
 def test_function_must_return_a_sky():
-    with pytest.raises(ValueError, match="a function that returns a splits.Sky"):
+    with pytest.raises(ValueError, match=r"a function that returns a splits\.Sky"):
         splits.albedo(make_packs(), lambda zenith: zenith, WAVELENGTHS)
 
 

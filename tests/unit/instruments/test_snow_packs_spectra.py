@@ -89,7 +89,6 @@ def test_equals_one_by_one(case):
         np.testing.assert_allclose(
             result[f"{name}_stderr"], expected[f"{name}_stderr"], rtol=1e-5, atol=1e-9
         )
-    assert result.attrs["streams"] == expected.attrs["streams"] or case != "dry"
 
 
 @pytest.mark.parametrize("incidence", [60.0, "diffuse"])
@@ -148,10 +147,10 @@ def test_files_and_flags_of_results(tmp_path):
 
 def test_parts_and_threads_change_nothing(monkeypatch):
     packs = splits.SnowPacks(make_dataset(sun_zenith_deg=ZENITH))
-    whole = splits.spectrophotometer(packs, WAVELENGTHS, "sun", threads=1)
+    wavelengths = np.linspace(400, 2000, 20)
+    whole = splits.spectrophotometer(packs, wavelengths, "sun", threads=1)
     monkeypatch.setattr(many_snowpacks, "MAX_ROWS", 3)
-    monkeypatch.setattr(many_snowpacks, "N_TRIAL_WAVELENGTHS", 3)
-    parts = splits.spectrophotometer(packs, WAVELENGTHS, "sun", threads=2)
+    parts = splits.spectrophotometer(packs, wavelengths, "sun", threads=2)
     np.testing.assert_allclose(parts.reflectance, whole.reflectance, rtol=1e-12)
 
 

@@ -108,7 +108,7 @@ def test_table_of_layers_with_a_column():
 @pytest.mark.parametrize(
     ("ground", "message"),
     [
-        ([0.1, 0.2], r"ground_albedo = 'numbers of shape \(2,\)': must be one ground, or 3 albedos"),
+        ([0.1, 0.2], r"ground_albedo = .*shape \(2,\)': must be one ground, or 3 albedos"),
         (xr.DataArray([0.1, 0.2], dims="time"), "ground_albedo = '2 albedos': must be 3"),
         (xr.DataArray([0.1, 0.2], dims="site"), "ground_albedo dimensions"),
         (xr.DataArray([0.1, 0.2], dims="wavelength"), "ground_albedo.wavelength"),

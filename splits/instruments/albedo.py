@@ -88,7 +88,7 @@ def albedo(
         irradiance times response, ``band_albedo_batches``, and ``irradiance_covered``, the fraction
         of the band's light within the wavelengths.  With several media all but the last are over
         ``medium``, too.  For `splits.SnowPacks` all are over the label, without ``…_batches``, and
-        ``quality_flag`` tells which have no result, as for `splits.spectrophotometer`.
+        snowpacks without result have a ``quality_flag``, as for `splits.spectrophotometer`.
 
     Raises
     ------

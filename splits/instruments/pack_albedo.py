@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from splits.core.uncertainty import make_variable
+from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import check_range
+from splits.illumination.bands import SpectralBand
 from splits.instruments.pack_run import (
     check_pack_solver,
     compute_beam_cosines,
@@ -59,23 +61,7 @@ def compute_pack_albedo(
         **make_variable("albedo", dims, albedo, stderr, "albedo under this sky"),
         "direct_fraction": (dims, fraction, direct_attributes),
     }
-    weights, covered = skies.compute_band_weights(named, wavelengths)
-    dims = (packs.label, "band")
-    # The errors of all wavelengths have the same causes, and add up linearly.
-    band_albedo, band_stderr, irradiance_covered = (
-        np.full((len(packs), len(named)), np.nan) for _ in range(3)
-    )
-    irradiance_covered[good] = covered[skies.number]
-    for number in range(len(skies.skies)):
-        rows = good[skies.number == number]
-        band_albedo[rows] = albedo[rows] @ weights[number].T
-        band_stderr[rows] = stderr[rows] @ weights[number].T
-    label = "albedo over a band, weighted by irradiance"
-    variables |= make_variable("band_albedo", dims, band_albedo, band_stderr, label)
-    covered_attributes = {
-        "long_name": "fraction of the band's light within the wavelengths", "units": "1",
-    }  # fmt: skip
-    variables["irradiance_covered"] = (dims, irradiance_covered, covered_attributes)
+    variables |= _average_over_bands(packs, skies, named, wavelengths, (albedo, stderr))
     attributes = {
         **make_pack_attributes(packs, run, "Albedo under a sky", "albedo"),
         **skies.make_attributes(),
@@ -84,3 +70,36 @@ def compute_pack_albedo(
     attributes |= {f"band_{name}_sha256": one.sha256 for name, one in named.items() if one.sha256}
     axes = {"wavelength": make_wavelength_coordinate(wavelengths), "band": list(named)}
     return make_pack_dataset(packs, spectra.flags, variables, axes).assign_attrs(attributes)
+
+
+def _average_over_bands(
+    packs: SnowPacks,
+    skies: PackSkies,
+    bands: Mapping[str, SpectralBand],
+    wavelength_nm: np.ndarray,
+    spectra: tuple[np.ndarray, np.ndarray],
+) -> dict[str, Variable]:
+    """Return the albedo of every band, its error, and the fraction of its light that is covered.
+
+    Parameters
+    ----------
+    packs, skies, bands, wavelength_nm
+        See `compute_pack_albedo`.
+    spectra : two of float, shape (snowpacks, wavelengths)
+        Albedo and its error.
+    """
+    good = np.flatnonzero(packs.is_good)
+    weights, covered = skies.compute_band_weights(bands, wavelength_nm)
+    # The errors of all wavelengths have the same causes, and add up linearly.
+    albedo, stderr, irradiance_covered = np.full((3, len(packs), len(bands)), np.nan)
+    irradiance_covered[good] = covered[skies.number]
+    for number in range(len(skies.skies)):
+        rows = good[skies.number == number]
+        albedo[rows], stderr[rows] = (values[rows] @ weights[number].T for values in spectra)
+    dims = (packs.label, "band")
+    label = "albedo over a band, weighted by irradiance"
+    attributes = {"long_name": "fraction of the band's light within the wavelengths", "units": "1"}
+    return {
+        **make_variable("band_albedo", dims, albedo, stderr, label),
+        "irradiance_covered": (dims, irradiance_covered, attributes),
+    }

@@ -13,6 +13,7 @@ from splits.discrete_ordinates.snowpack import SpectrumSolution, solve_spectrum
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
+from splits.simulation.threads import limit_blas_threads
 
 MONTE_CARLO, DISCRETE_ORDINATES, AUTO = "monte_carlo", "discrete_ordinates", "auto"
 SOLVERS = (MONTE_CARLO, DISCRETE_ORDINATES, AUTO)
@@ -69,11 +70,16 @@ def solve_estimate(
     """
     is_diffuse = incidence == "diffuse"
     cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
-    column = -1 if is_diffuse else 0
-    solutions = [
-        solve_spectrum(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
-        for medium in media
-    ]
+    with limit_blas_threads():
+        solutions = [
+            solve_spectrum(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
+            for medium in media
+        ]
+    return make_estimate(solutions, -1 if is_diffuse else 0)
+
+
+def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> SpectralEstimate:
+    """Return solutions in the form of simulations, for one beam or for diffuse light (−1)."""
     sides = [
         np.concatenate([getattr(one.budget, name)[..., column] for one in solutions])
         for name in ("reflectance", "transmittance")

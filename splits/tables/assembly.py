@@ -82,6 +82,7 @@ def assemble_dataset(
         "stop_reason": "converged"
         if all(block["stop_reason"] == "converged" for block in block_attrs)
         else "max_rays",
+        "solver": request.solver,
         "seed": spectral_request.run.seed,
         "rays": int(sum(int(block["rays"]) for block in block_attrs)),
         "ensembles": len(plan.path_groups),

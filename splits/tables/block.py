@@ -10,11 +10,13 @@ import numpy as np
 import xarray as xr
 
 from splits.core.progress import ProgressCallback
+from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.io.netcdf import load, make_provenance, save
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.simulation.spectral_rows import PathSharingMedia
 from splits.simulation.truncated_medium import TruncatedMedium
+from splits.tables.ordinates import SolutionCache
 from splits.tables.plan import PathGroup
 
 DIGEST_ATTRIBUTE = "table_digest"
@@ -31,11 +33,13 @@ class TableRequest(NamedTuple):
         Some of `SIDE_QUANTITIES`.
     covariance : bool
         Whether deviations by batch of rays are stored.
+    solver : {"monte_carlo", "discrete_ordinates"}
     """
 
     spectral_request: SpectralRequest
     quantities: tuple[str, ...]
     covariance: bool
+    solver: str = MONTE_CARLO
 
 
 class TruncationCache:
@@ -60,7 +64,7 @@ class TruncationCache:
 def compute_block(
     path_group: PathGroup,
     request: TableRequest,
-    truncations: TruncationCache,
+    caches: tuple[TruncationCache, SolutionCache],
     digest: str,
     progress: ProgressCallback = None,
 ) -> xr.Dataset:
@@ -70,7 +74,8 @@ def compute_block(
     ----------
     path_group : PathGroup
     request : TableRequest
-    truncations : TruncationCache
+    caches : (TruncationCache, SolutionCache)
+        For paths and for discrete ordinates.
     digest : str
         Digest of all inputs of the block, see `splits.tables.build.compute_block_digest`.
     progress : callable, optional
@@ -78,8 +83,14 @@ def compute_block(
     start_time = time.perf_counter()
     run = request.spectral_request.run._replace(progress=progress)
     spectral_request = request.spectral_request._replace(incidence=path_group.incidence, run=run)
-    truncation = truncations.get(spectral_request, path_group.path_sharing)
-    estimate = spectral_request.simulate(path_group.path_sharing, truncation)
+    truncations, solutions = caches
+    if request.solver == DISCRETE_ORDINATES:
+        estimate = solutions.get(
+            path_group, spectral_request.wavelengths, spectral_request.max_stderr, run.threads
+        )
+    else:
+        truncation = truncations.get(spectral_request, path_group.path_sharing)
+        estimate = spectral_request.simulate(path_group.path_sharing, truncation)
     shape = (len(path_group.path_sharing.media), spectral_request.wavelengths.size)
     variables: dict[str, Any] = {}
     for side in request.quantities:

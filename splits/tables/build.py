@@ -17,6 +17,7 @@ from splits.core.paths import expand_path
 from splits.core.progress import Progress, ProgressCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import check_choice, invalid
+from splits.instruments.solver import choose_solver
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature
@@ -30,6 +31,7 @@ from splits.tables.block import (
     load_block,
     save_block,
 )
+from splits.tables.ordinates import SolutionCache
 from splits.tables.plan import PathGroup, TablePlan
 
 
@@ -42,6 +44,7 @@ def build_table(
     max_stderr: float = 0.003,
     seed: int = 1,
     *,
+    solver: str = "monte_carlo",
     quantities: Sequence[str] = ("reflectance",),
     covariance: bool = False,
     folder: str | Path | None = None,
@@ -70,6 +73,8 @@ def build_table(
     max_stderr, seed, max_rays, threads, kernel
         As for `splits.spectrophotometer`.  `max_stderr` applies to every node of the table, and
         `max_rays` to each ensemble.
+    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+        As for `splits.spectrophotometer`, for all points of the table.
     quantities : sequence of str
         Quantities of the table: "reflectance" and "transmittance".
     covariance : bool
@@ -106,9 +111,17 @@ def build_table(
     start_time = time.perf_counter()
     run = RunOptions.from_arguments(seed, threads, kernel)
     spectral_request = SpectralRequest.from_arguments(wavelength_nm, 0.0, max_stderr, max_rays, run)
-    request = TableRequest(spectral_request, _check_quantities(quantities), bool(covariance))
     plan = TablePlan.from_grid(
         make, ParameterGrid.from_mapping(grid), spectral_request.wavelengths, incidence_deg
+    )
+    chosen = choose_solver(
+        solver,
+        (medium for group in plan.path_groups for medium in group.path_sharing.media),
+        spectral_request.wavelengths,
+        "a covariance needs batches of rays" if covariance else None,
+    )
+    request = TableRequest(
+        spectral_request, _check_quantities(quantities), bool(covariance), chosen
     )
     block_folder = None if folder is None else expand_path(folder, "folder")
     arrays = allocate_arrays(plan, request)
@@ -132,7 +145,7 @@ def compute_block_digest(path_group: PathGroup, request: TableRequest) -> str:
     spectral_request = request.spectral_request
     run = spectral_request.run
     limits = [spectral_request.max_stderr, spectral_request.max_rays]
-    inputs = [path_group.incidence, *limits, run.seed, run.kernel]
+    inputs = [path_group.incidence, *limits, run.seed, run.kernel, request.solver]
     digest.update(repr(inputs).encode())
     digest.update(repr([request.quantities, request.covariance]).encode())
     signature, unit = compute_path_signature(path_group.path_sharing.media[0])
@@ -169,7 +182,8 @@ def iterate_blocks(
     """
     if folder is not None:
         check_writable(folder / "block.nc")
-    start_time, truncations, n_done = time.perf_counter(), TruncationCache(), 0
+    start_time, n_done = time.perf_counter(), 0
+    caches = TruncationCache(), SolutionCache(path_groups)
     for number, path_group in enumerate(path_groups):
         digest = compute_block_digest(path_group, request)
         block = None if folder is None else load_block(folder, path_group.number, digest)
@@ -180,7 +194,7 @@ def iterate_blocks(
                 if callable(progress)
                 else None
             )
-            block = compute_block(path_group, request, truncations, digest, block_progress)
+            block = compute_block(path_group, request, caches, digest, block_progress)
             n_done += 1
             if folder is not None:
                 save_block(block, folder)

@@ -1,0 +1,77 @@
+"""Spectra of a table by discrete ordinates: all angles of incidence of a medium in one solution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.snowpack import SpectrumSolution, solve_spectrum
+from splits.instruments.solver import make_estimate
+from splits.media.medium import Medium
+from splits.simulation.spectral_tally import SpectralEstimate
+from splits.simulation.threads import DaemonThreadPool, limit_blas_threads
+from splits.tables.plan import PathGroup
+
+
+class SolutionCache:
+    """Cache of the solutions of media for all incidences of a table; the last media are kept.
+
+    Parameters
+    ----------
+    groups : sequence of PathGroup
+        Groups of the table, of which those with the same media have several incidences.
+    """
+
+    def __init__(self, groups: Sequence[PathGroup]) -> None:
+        self._groups = groups
+        self._last: _Solutions | None = None
+
+    def get(
+        self, group: PathGroup, wavelength_nm: np.ndarray, max_stderr: float, threads: int
+    ) -> SpectralEstimate:
+        """Return the spectra of a group; its media are solved for all incidences at once.
+
+        Parameters
+        ----------
+        group : PathGroup
+        wavelength_nm : float, shape (wavelengths,)
+        max_stderr : float
+            Determines the number of streams.
+        threads : int
+        """
+        last = self._last
+        if last is None or last.group.path_sharing is not group.path_sharing:
+            angles = [
+                float(one.incidence)
+                for one in self._groups
+                if one.path_sharing is group.path_sharing and one.incidence != "diffuse"
+            ]
+            cosines = np.cos(np.radians(angles))
+            media = group.path_sharing.media
+            solutions = _solve_media(media, wavelength_nm, cosines, max_stderr, threads)
+            last = self._last = _Solutions(group, angles, solutions)
+        is_diffuse = group.incidence == "diffuse"
+        column = -1 if is_diffuse else last.angles.index(float(group.incidence))
+        return make_estimate(last.solutions, column)
+
+
+class _Solutions(NamedTuple):
+    """Solutions of the media of a group for angles of incidence (degrees)."""
+
+    group: PathGroup
+    angles: list[float]
+    solutions: list[SpectrumSolution]
+
+
+def _solve_media(
+    media: Sequence[Medium], wavelength_nm: np.ndarray, cosines: np.ndarray, max_stderr: float,
+    threads: int,
+) -> list[SpectrumSolution]:  # fmt: skip
+    def solve(medium: Medium) -> SpectrumSolution:
+        return solve_spectrum(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
+
+    with limit_blas_threads(), DaemonThreadPool(threads) as pool:
+        return list(pool.map(solve, media))

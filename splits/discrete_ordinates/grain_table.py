@@ -129,7 +129,7 @@ class GrainTable(NamedTuple):
         known = by_contrast @ without.reshape(len(without), -1) - q[:, np.newaxis] * (
             pairs @ by_pair
         )
-        moments = np.zeros((q.size, n_pores, n_pores, orders))
+        moments = np.zeros((q.size, n_pores, n_pores, orders), dtype=known.dtype)
         moments[..., :n_known] = known.reshape(q.size, n_pores, n_pores, n_known)
         return moments
 

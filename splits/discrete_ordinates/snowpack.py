@@ -149,9 +149,7 @@ def solve_spectrum(snowpack: Snowpack, cosines: np.ndarray, max_error: float) ->
     max_error : float
         The number of streams is the first whose truncation error is at most half of this.
     """
-    n_wavelengths = snowpack.ground.size
-    count = min(N_TRIAL_WAVELENGTHS, n_wavelengths)
-    trial = np.unique(np.linspace(0, n_wavelengths - 1, count).round().astype(int))
+    trial = select_trials(snowpack.ground.size)
     few = snowpack.select(trial)
     for n_streams in STREAM_NUMBERS:
         coarse, fine = (few.solve(cosines, number) for number in (n_streams, 2 * n_streams))
@@ -161,12 +159,24 @@ def solve_spectrum(snowpack: Snowpack, cosines: np.ndarray, max_error: float) ->
         ).max(axis=-1)
         if difference.max() <= 0.5 * max_error:
             break
-    # Between two trial wavelengths the larger error of both applies.
-    position = np.searchsorted(trial, np.arange(n_wavelengths))
-    truncation = np.maximum(difference[position], difference[np.maximum(position - 1, 0)])
     return SpectrumSolution(
-        snowpack.solve(cosines, n_streams), n_streams, truncation, compute_optics_error(snowpack)
-    )
+        snowpack.solve(cosines, n_streams), n_streams, spread_trials(difference, trial),
+        compute_optics_error(snowpack),
+    )  # fmt: skip
+
+
+def select_trials(n_wavelengths: int) -> np.ndarray:
+    """Return the numbers of the wavelengths at which truncation errors are measured."""
+    count = min(N_TRIAL_WAVELENGTHS, n_wavelengths)
+    return np.unique(np.linspace(0, n_wavelengths - 1, count).round().astype(int))
+
+
+def spread_trials(difference: np.ndarray, trial: np.ndarray) -> np.ndarray:
+    """Return errors at all wavelengths: between two trial wavelengths, the larger one of both."""
+    position = np.searchsorted(trial, np.arange(trial[-1] + 1))
+    before = np.maximum(position - 1, 0)
+    spread: np.ndarray = np.maximum(difference[..., position], difference[..., before])
+    return spread
 
 
 def compute_optics_error(snowpack: Snowpack) -> np.ndarray:

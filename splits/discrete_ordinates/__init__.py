@@ -13,4 +13,9 @@ Modules, each importing only those above it:
 - `snow_layers`: layers of snow and their optics
 - `snowpack`: spectra of snowpacks, with errors
 - `applicability`: media for which all this applies
+- `levels`: light at the levels between dry layers
+- `divided_differences`: of the impedances of a layer
+- `derivatives`: derivatives with respect to the optics of dry layers
+- `parameter_derivatives`: derivatives with respect to the parameters of a medium
+- `derivative_errors`: their errors, and differences for wet snow
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ MAX_WATER_DIFFERENCE = 0.005
 """Largest difference of the index of water from that of the table of wet grains."""
 MAX_SATURATION = 0.5
 """Largest saturation of the table of wet grains."""
+SHAPE_PARAMETERS = ("facetness", "sphericity")
+WATER_PARAMETERS = ("saturation", "liquid_water_content")
 
 
 def find_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
@@ -73,4 +76,24 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
     expected = table.contrast.compute_weights(optics.contrast) @ table.water
     if np.abs(optics.water_index - expected).max() > MAX_WATER_DIFFERENCE:
         return "has another refractive index of water than by default"
+    return None
+
+
+def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | None:
+    """Return why a medium without obstacle has no derivatives by discrete ordinates.
+
+    Parameters
+    ----------
+    medium : Medium
+    parameters : sequence of str
+        Parameters of the medium.
+    """
+    layers: Any = medium.scene_layers
+    for name in parameters:
+        *place, key = name.split(".")
+        if key in SHAPE_PARAMETERS:
+            return f"{name} changes the shape of natural grains"
+        layer = layers[int(place[1])] if len(place) > 1 else layers[0]
+        if key in WATER_PARAMETERS and layer.saturation == 0.0:
+            return f"{name} changes dry snow into wet snow"
     return None

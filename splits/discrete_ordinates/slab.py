@@ -115,7 +115,7 @@ class Slab(NamedTuple):
         return Slab(*(array[layer] for array in self))
 
 
-class _Modes(NamedTuple):
+class Modes(NamedTuple):
     """Solutions of the equation of transfer in a homogeneous layer, see the module.
 
     Attributes
@@ -150,7 +150,7 @@ def solve_slab(
         Cosines of the further directions in each state, as light is refracted into water.
     mode : int
     """
-    modes = _solve_modes(optics, streams, directions, mode)
+    modes = solve_modes(optics, streams, directions, mode)
     k, thickness = modes.rates, np.maximum(optics.thickness, MIN_THICKNESS)[..., np.newaxis]
     even, odd, difference = compute_impedances(k, thickness)
     y, y_t = modes.differences, np.swapaxes(modes.differences, -1, -2)
@@ -179,7 +179,7 @@ def solve_slab(
 
 
 def _sum_modes(
-    modes: _Modes, thickness: np.ndarray, directions: np.ndarray, rates: np.ndarray
+    modes: Modes, thickness: np.ndarray, directions: np.ndarray, rates: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the radiance of the even and odd modes in the directions, and the difference."""
     integrals = integrate_modes(modes.rates, thickness, rates)
@@ -232,9 +232,8 @@ def compute_scattering(
     return pairs
 
 
-def _solve_modes(
-    optics: LayerOptics, streams: Streams, directions: np.ndarray, mode: int
-) -> _Modes:
+def solve_modes(optics: LayerOptics, streams: Streams, directions: np.ndarray, mode: int) -> Modes:
+    """Return the modes of homogeneous layers; parameters are those of `solve_slab`."""
     pairs = compute_scattering(optics, streams, directions, mode)
     extinction = optics.extinction[..., np.newaxis] / streams.cosines
     extinction = extinction.reshape(*optics.extinction.shape[:-1], -1)
@@ -250,7 +249,7 @@ def _solve_modes(
         values[..., 0] = _refine_eigenvalue(sums[..., 0], b, optics, streams)
     rates = np.sqrt(np.maximum(values, MIN_EIGENVALUE))
     inverse_t = np.swapaxes(np.linalg.inv(lower), -1, -2)
-    return _Modes(sums, inverse_t @ vectors, rates, pairs[0][1], pairs[1][1])
+    return Modes(sums, inverse_t @ vectors, rates, pairs[0][1], pairs[1][1])
 
 
 def _refine_eigenvalue(

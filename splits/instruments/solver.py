@@ -3,27 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from splits.core.validation import check_choice, invalid
-from splits.discrete_ordinates.applicability import find_obstacle, make_snowpack
-from splits.discrete_ordinates.snowpack import SpectrumSolution, solve_spectrum
+from splits.discrete_ordinates.applicability import (
+    find_obstacle,
+    find_parameter_obstacle,
+    make_snowpack,
+)
+from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
+from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
+from splits.discrete_ordinates.snowpack import (
+    SpectrumSolution,
+    solve_spectrum,
+)
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 from splits.simulation.threads import limit_blas_threads
 
 MONTE_CARLO, DISCRETE_ORDINATES, AUTO = "monte_carlo", "discrete_ordinates", "auto"
+ANALYTIC, DIFFERENCE = "analytic", "central_difference"
 SOLVERS = (MONTE_CARLO, DISCRETE_ORDINATES, AUTO)
-KIND_OF_ERROR = "bound"
-"""Kind of the errors of discrete ordinates: they are common to all wavelengths."""
 
 
 def choose_solver(
-    solver: Any, media: Iterable[Medium], wavelength_nm: np.ndarray, obstacle: str | None = None
-) -> str:
+    solver: Any, media: Iterable[Medium], wavelength_nm: np.ndarray, obstacle: str | None = None,
+    parameters: Sequence[str] = (),
+) -> str:  # fmt: skip
     """Return the solver for media: with "auto", discrete ordinates where they apply.
 
     Parameters
@@ -34,6 +44,8 @@ def choose_solver(
     wavelength_nm : float, shape (wavelengths,)
     obstacle : str, optional
         Another reason why discrete ordinates do not apply.
+    parameters : sequence of str
+        Parameters of the only medium with respect to which derivatives are computed.
 
     Raises
     ------
@@ -43,8 +55,11 @@ def choose_solver(
     solver = check_choice("solver", solver, SOLVERS)
     if solver == MONTE_CARLO:
         return MONTE_CARLO
+    media = list(media)
     reasons = (find_obstacle(medium, wavelength_nm) for medium in media)
     obstacle = obstacle or next((reason for reason in reasons if reason), None)
+    if obstacle is None and parameters:
+        obstacle = find_parameter_obstacle(media[0], parameters)
     if obstacle is None:
         return DISCRETE_ORDINATES
     if solver == AUTO:
@@ -54,8 +69,9 @@ def choose_solver(
 
 
 def solve_estimate(
-    media: Sequence[Medium], wavelength_nm: np.ndarray, incidence: float | str, max_stderr: float
-) -> SpectralEstimate:
+    media: Sequence[Medium], wavelength_nm: np.ndarray, incidence: float | str, max_stderr: float,
+    parameters: Sequence[str] = (),
+) -> SpectralEstimate:  # fmt: skip
     """Return hemispherical values of media by discrete ordinates, in the form of simulations.
 
     Parameters
@@ -67,6 +83,9 @@ def solve_estimate(
         Degrees, or isotropic light.
     max_stderr : float
         Determines the number of streams.
+    parameters : sequence of str
+        Parameters of the only medium with respect to which derivatives are computed, without
+        obstacle (`splits.discrete_ordinates.applicability.find_parameter_obstacle`).
     """
     is_diffuse = incidence == "diffuse"
     cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
@@ -75,7 +94,16 @@ def solve_estimate(
             solve_spectrum(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
             for medium in media
         ]
-    return make_estimate(solutions, -1 if is_diffuse else 0)
+        estimate = make_estimate(solutions, -1 if is_diffuse else 0)
+        if not parameters:
+            return estimate
+        is_wet = get_derivative_method(media[0]) != ANALYTIC
+        of_medium = (WetDerivatives if is_wet else DryDerivatives).from_medium(
+            media[0], parameters, wavelength_nm, incidence
+        )
+        values, bound = solve_derivatives(of_medium, solutions[0])
+    derivatives = Derivatives(values, np.zeros((N_BATCHES, *values.shape)), bound)
+    return replace(estimate, derivatives=derivatives)
 
 
 def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> SpectralEstimate:
@@ -94,6 +122,12 @@ def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> Spectra
         mean, stderr, stderr, np.zeros((N_BATCHES, 2, n_rows)), _make_no_derivatives(n_rows),
         np.zeros(n_rows), _describe(solutions),
     )  # fmt: skip
+
+
+def get_derivative_method(medium: Medium) -> str:
+    """Return the method of derivatives by discrete ordinates: analytic, or differences if wet."""
+    layers: Any = medium.scene_layers
+    return DIFFERENCE if any(layer.saturation > 0.0 for layer in layers) else ANALYTIC
 
 
 def _make_no_derivatives(n_rows: int) -> Derivatives:

@@ -16,6 +16,7 @@ from splits.instruments.solver import (
     DISCRETE_ORDINATES,
     MONTE_CARLO,
     choose_solver,
+    get_derivative_method,
     solve_estimate,
 )
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest, make_spectrum
@@ -98,7 +99,9 @@ def spectrophotometer(
         these in a layer of a stack (``layers.0.depth_m``); and ``incidence_deg``.  The other
         keywords are held constant.  Parameters that leave the paths unchanged have a negligible
         cost.  Each of the others needs four to a dozen additional runs
-        (`splits.simulation.finite_differences`).  ``parameter_method`` gives the method.
+        (`splits.simulation.finite_differences`).  By discrete ordinates, derivatives of dry snow
+        are analytic (`splits.discrete_ordinates.derivatives`), and those of wet snow are
+        differences of solutions.  ``parameter_method`` gives the method.
     max_rays : int
         Number of rays after which the run stops (the first round is always completed).  The
         attribute ``stop_reason`` indicates whether the error or this limit was reached.
@@ -173,15 +176,19 @@ def spectrophotometer(
     is_mapping, analog = isinstance(medium, Mapping), estimator == "analog"
     dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
     parameters = _check_jacobian(medium, request, estimator, jacobian)
-    obstacle = None if not analog and not parameters else "estimator or jacobian needs paths"
-    solver = MONTE_CARLO if solver is None else solver
-    if choose_solver(solver, media.values(), request.wavelengths, obstacle) == DISCRETE_ORDINATES:
+    obstacle = "the estimator needs paths" if analog else None
+    wavelengths, solver = request.wavelengths, MONTE_CARLO if solver is None else solver
+    chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters)
+    if chosen == DISCRETE_ORDINATES:
         estimate = solve_estimate(
-            list(media.values()), request.wavelengths, request.incidence, request.max_stderr
+            list(media.values()), wavelengths, request.incidence, request.max_stderr, parameters
         )
         dataset = make_spectrum(request, first, estimate, truncation=None, dims=dims)
         dataset.attrs["solver"] = DISCRETE_ORDINATES
-        return _label_media(dataset, media) if is_mapping else dataset
+        if is_mapping:
+            return _label_media(dataset, media)
+        methods = [get_derivative_method(first)] * len(parameters)
+        return _assign_jacobian(dataset, estimate.derivatives, parameters, methods)
     perturbations = Perturbations.select_exact(first, parameters, request.wavelengths)
     path_sharing = PathSharingMedia(
         (*media.values(), *perturbations.media),
@@ -261,7 +268,20 @@ def _add_jacobian(
     if total_rays:
         dataset.attrs["finite_difference_rays"] = total_rays
     derivatives = Derivatives.concatenate([by_parameter[name] for name in parameters])
-    dataset = dataset.assign_coords(make_parameter_coordinates(parameters, perturbations))
+    methods = perturbations.list_methods(parameters)
+    return _assign_jacobian(dataset, derivatives, parameters, methods)
+
+
+def _assign_jacobian(
+    dataset: xr.Dataset,
+    derivatives: Derivatives,
+    parameters: Sequence[str],
+    methods: list[str],
+) -> xr.Dataset:
+    """Return a dataset with derivatives, if there are any."""
+    if not parameters:
+        return dataset
+    dataset = dataset.assign_coords(make_parameter_coordinates(parameters, methods))
     return dataset.assign(make_jacobian_variables(derivatives, SIDE_QUANTITIES))
 
 

@@ -76,6 +76,12 @@ class Perturbations(NamedTuple):
         )
         return cls(parameters, media, np.array(size_ratios), np.array(steps))
 
+    def list_methods(self, names: Sequence[str]) -> list[str]:
+        """Return the methods of the derivatives with respect to parameters."""
+        return [
+            "shared_paths" if name in self.parameters else "finite_difference" for name in names
+        ]
+
 
 NO_PERTURBATIONS = Perturbations((), (), np.zeros(0), np.zeros(0))
 
@@ -152,15 +158,9 @@ def make_jacobian_variables(derivatives: Derivatives, names: Sequence[str]) -> d
     return variables
 
 
-def make_parameter_coordinates(
-    parameters: Sequence[str], perturbations: Perturbations
-) -> dict[str, object]:
-    """Return the coordinates of the parameters."""
+def make_parameter_coordinates(parameters: Sequence[str], methods: list[str]) -> dict[str, object]:
+    """Return the coordinates of the parameters, with the methods of their derivatives."""
     units = [get_derivative_unit(parameter) for parameter in parameters]
-    methods = [
-        "shared_paths" if name in perturbations.parameters else "finite_difference"
-        for name in parameters
-    ]
     return {
         "parameter": ("parameter", list(parameters), {"long_name": "parameter of the medium"}),
         "parameter_unit": ("parameter", units, {"long_name": "unit of the parameter"}),

@@ -257,14 +257,14 @@ def _compute_stencil_weights(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the weights of the highest-order rule, and those of one of lower order."""
     points = np.array(offsets, dtype=float)
-    fine = _compute_difference_weights(points) / step
+    fine = compute_difference_weights(points) / step
     coarse = np.zeros_like(fine)
     subset = [0, 3] if points.sum() == 0.0 else np.argsort(np.abs(points), kind="stable")[:3]
-    coarse[subset] = _compute_difference_weights(points[subset]) / step
+    coarse[subset] = compute_difference_weights(points[subset]) / step
     return fine, coarse
 
 
-def _compute_difference_weights(positions: np.ndarray) -> np.ndarray:
+def compute_difference_weights(positions: np.ndarray) -> np.ndarray:
     """Return the weights whose sum is the derivative at 0 of the interpolating polynomial."""
     powers = np.vander(positions, increasing=True).T
     return np.linalg.solve(powers, np.eye(len(positions))[1])

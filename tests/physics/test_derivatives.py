@@ -15,8 +15,8 @@ from splits.media.parameters import (
     replace_parameter,
 )
 from splits.simulation.finite_differences import (
-    _compute_difference_weights,
     _compute_stencil_weights,
+    compute_difference_weights,
     compute_finite_difference,
 )
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
@@ -108,7 +108,7 @@ def test_stencils_are_exact_for_cubics(offsets):
 
 
 def test_five_point_stencil_has_the_known_weights():
-    weights = _compute_difference_weights(np.array([-2.0, -1.0, 1.0, 2.0]))
+    weights = compute_difference_weights(np.array([-2.0, -1.0, 1.0, 2.0]))
     np.testing.assert_allclose(weights, np.array([1, -8, 8, -1]) / 12.0, atol=1e-12)
 
 

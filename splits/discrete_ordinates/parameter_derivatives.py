@@ -1,0 +1,250 @@
+"""Derivatives of the spectra of snowpacks with respect to the parameters of the medium.
+
+A parameter changes the properties of layers (depth, collisions, absorption), of the ground, or the
+direction of the beam.  These changes are differences of properties, which are simple functions of
+the parameters.  The derivatives of the optics then follow from the table of the grains by complex
+steps, without cancellation (Squire & Trapp 1998, SIAM Review 40, 110), and those of the solution
+from `splits.discrete_ordinates.derivatives`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from splits.core.validation import InvalidValue, invalid
+from splits.discrete_ordinates.applicability import make_snowpack
+from splits.discrete_ordinates.derivatives import compute_gradient
+from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.slab import LayerOptics
+from splits.discrete_ordinates.snow_layers import SnowLayer
+from splits.discrete_ordinates.snowpack import Snowpack, load_natural_grains
+from splits.discrete_ordinates.streams import Streams
+from splits.media.medium import Medium
+from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
+from splits.simulation.finite_differences import compute_difference_weights
+
+PROPERTY_STENCILS = ((-1.0, 1.0), (0.0, 1.0, 2.0), (0.0, -1.0, -2.0))
+"""Points of differences in steps: around the value, or on one side where a range ends."""
+COMPLEX_STEP = 1e-30
+_VARYING_FIELDS = ("collisions_per_m", "contrast", "grain_absorption", "pore_absorption")
+
+
+class StepSizes(NamedTuple):
+    """Steps of parameters for differences.
+
+    Attributes
+    ----------
+    relative, smallest : float
+        Step relative to the parameter, and the smallest step.
+    relative_amount : float
+        Step of impurities and algae, relative to the amount.
+    smallest_amounts : dict of str to float
+        Smallest steps of these, by keyword.
+    """
+
+    relative: float
+    smallest: float
+    relative_amount: float
+    smallest_amounts: Mapping[str, float]
+
+    def choose(self, name: str, value: float) -> float:
+        """Return the step of a parameter."""
+        for key, smallest in self.smallest_amounts.items():
+            if key in name.split("."):
+                return max(self.relative_amount * abs(value), smallest)
+        return max(self.relative * abs(value), self.smallest)
+
+
+PROPERTY_STEPS = StepSizes(1e-5, 1e-7, 0.1, {"impurities_ng_g": 1.0, "algae_cells_ml": 1e3})
+"""Steps for differences of properties; absorption is linear in amounts."""
+
+
+class OpticsScale(NamedTuple):
+    """Factors of the optics of grains, to see how their errors change derivatives.
+
+    Attributes
+    ----------
+    collisions, absorption : float
+        Of the collisions per length, and of the absorption by a grain.
+    """
+
+    collisions: float
+    absorption: float
+
+    def apply(self, layer: SnowLayer) -> SnowLayer:
+        """Return a layer, or derivatives of its properties, with other optics."""
+        return layer._replace(
+            collisions_per_m=self.collisions * layer.collisions_per_m,
+            grain_absorption=self.absorption * layer.grain_absorption,
+        )
+
+    def apply_to_layers(self, snowpack: Snowpack) -> Snowpack:
+        """Return a snowpack with other optics of all grains."""
+        return snowpack._replace(layers=[self.apply(layer) for layer in snowpack.layers])
+
+
+class Tangent(NamedTuple):
+    """Derivatives of the properties of a dry snowpack with respect to a parameter.
+
+    Attributes
+    ----------
+    layers : dict of int to SnowLayer
+        Derivatives of the properties of the layers that depend on it, by number.
+    ground : float
+        Derivative of the albedo of the ground.
+    incidence : float
+        Derivative of the angle of incidence (degrees).
+    """
+
+    layers: dict[int, SnowLayer]
+    ground: float = 0.0
+    incidence: float = 0.0
+
+    @classmethod
+    def from_parameter(cls, medium: Medium, name: str, wavelength_nm: np.ndarray) -> Tangent:
+        """Return the derivatives with respect to a parameter of a medium."""
+        if name == INCIDENCE_KEY:
+            return cls({}, incidence=1.0)
+        if name == "ground":
+            return cls({}, ground=1.0)
+        step = PROPERTY_STEPS.choose(name, get_parameter(medium, name))
+        offsets, media = sample_media(medium, name, step, PROPERTY_STENCILS)
+        weights = compute_difference_weights(np.array(offsets)) / step
+        layers = {}
+        for number, same in enumerate(medium.scene_layers):
+            versions: list[Any] = [one.scene_layers[number] for one in media]
+            if all(version is same for version in versions):
+                continue
+            properties = [SnowLayer.from_snow(version, wavelength_nm) for version in versions]
+            fields = (np.array(field) for field in zip(*properties, strict=True))
+            layers[number] = SnowLayer(*(combine_differences(weights, one) for one in fields))
+        return cls(layers)
+
+    def select(self, wavelengths: np.ndarray) -> Tangent:
+        """Return the derivatives at some of the wavelengths."""
+        layers = Snowpack(list(self.layers.values()), np.zeros(wavelengths.max() + 1))
+        selected = layers.select(wavelengths).layers
+        return self._replace(layers=dict(zip(self.layers, selected, strict=True)))
+
+
+class DryDerivatives(NamedTuple):
+    """Derivatives of a dry snowpack with respect to parameters.
+
+    Attributes
+    ----------
+    snowpack : Snowpack
+    tangents : sequence of Tangent
+        With respect to each of the parameters.
+    incidence : float or "diffuse"
+        Degrees, or isotropic light.
+    """
+
+    snowpack: Snowpack
+    tangents: Sequence[Tangent]
+    incidence: float | str
+
+    @classmethod
+    def from_medium(
+        cls, medium: Medium, names: Sequence[str], wavelength_nm: np.ndarray, incidence: float | str
+    ) -> DryDerivatives:
+        """Return the derivatives of a medium with respect to parameters."""
+        tangents = [Tangent.from_parameter(medium, name, wavelength_nm) for name in names]
+        return cls(make_snowpack(medium, wavelength_nm), tangents, incidence)
+
+    def select(self, wavelengths: np.ndarray) -> DryDerivatives:
+        """Return the derivatives at some of the wavelengths."""
+        tangents = [tangent.select(wavelengths) for tangent in self.tangents]
+        return DryDerivatives(self.snowpack.select(wavelengths), tangents, self.incidence)
+
+    def scale_optics(self, scale: OpticsScale) -> DryDerivatives:
+        """Return the derivatives for other optics of the grains."""
+        tangents = [
+            tangent._replace(layers={i: scale.apply(one) for i, one in tangent.layers.items()})
+            for tangent in self.tangents
+        ]
+        return DryDerivatives(scale.apply_to_layers(self.snowpack), tangents, self.incidence)
+
+    def solve(self, n_streams: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return derivatives and their errors due to steps, which are 0.
+
+        Parameters
+        ----------
+        n_streams : int
+            Number of streams in both hemispheres.
+
+        Returns
+        -------
+        two arrays, shape (2, parameters, wavelengths)
+            Of reflectance and transmittance.
+        """
+        table, incidence = load_natural_grains(wet=False), self.incidence
+        layers = [layer.compute_optics(table, n_streams + 1) for layer in self.snowpack.layers]
+        optics = LayerOptics(*(np.stack(field) for field in zip(*layers, strict=True)))
+        angle = 0.0 if isinstance(incidence, str) else np.radians(incidence)
+        cosine = None if isinstance(incidence, str) else float(np.cos(angle))
+        streams, ground = Streams.from_number(n_streams), self.snowpack.ground
+        _, gradient = compute_gradient(optics.truncate(n_streams), streams, ground, cosine)
+        by_degree = -np.sin(angle) * np.pi / 180.0
+        derivatives = []
+        for tangent in self.tangents:
+            derivative = tangent.ground * gradient.ground
+            derivative = derivative + tangent.incidence * by_degree * gradient.cosine
+            for number, change in tangent.layers.items():
+                layer = self.snowpack.layers[number]
+                by_optics = differentiate_optics(layer, change, table, n_streams)
+                derivative = derivative + gradient.differentiate(number, by_optics)
+            derivatives.append(derivative)
+        values = np.stack(derivatives, axis=1)
+        return values, np.zeros_like(values)
+
+
+def differentiate_optics(
+    layer: SnowLayer, tangent: SnowLayer, table: GrainTable, n_streams: int
+) -> LayerOptics:
+    """Return the derivatives of the optics of a dry layer, after truncation.
+
+    The derivative of a real analytic function is Im f(x + iε)/ε, with an error of the order of ε².
+
+    Parameters
+    ----------
+    layer : SnowLayer
+    tangent : SnowLayer
+        Derivatives of its properties.
+    table : GrainTable
+    n_streams : int
+    """
+    shifted = {
+        name: getattr(layer, name) + 1j * COMPLEX_STEP * getattr(tangent, name)
+        for name in _VARYING_FIELDS
+    }
+    optics = layer._replace(**shifted).compute_optics(table, n_streams + 1).truncate(n_streams)
+    return LayerOptics(
+        np.asarray(tangent.depth_m),
+        optics.extinction.imag / COMPLEX_STEP,
+        optics.scattering.imag / COMPLEX_STEP,
+        np.zeros_like(layer.grain_absorption),
+    )
+
+
+def sample_media(
+    medium: Medium, name: str, step: float, stencils: Sequence[tuple[float, ...]]
+) -> tuple[tuple[float, ...], list[Medium]]:
+    """Return the first points, in steps, for which the medium exists, and the media there."""
+    value = get_parameter(medium, name)
+    error = invalid(name, value, "inside its range")
+    for offsets in stencils:
+        try:
+            return offsets, [replace_parameter(medium, name, value + step * x) for x in offsets]
+        except InvalidValue as one:
+            error = one
+    raise error
+
+
+def combine_differences(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return a difference of values along the first dimension; constant ones may be infinite."""
+    change = np.subtract(values, values[:1], out=np.zeros(values.shape), where=values != values[:1])
+    combined: np.ndarray = np.tensordot(weights, change, 1)
+    return combined

@@ -137,7 +137,9 @@ def test_error_covers_other_numbers_of_streams():
     exact, _ = DryDerivatives.from_medium(medium, names, WAVELENGTHS, 60.0).solve(64)
     for side, quantity in enumerate(("reflectance", "transmittance")):
         difference = np.abs(run[f"{quantity}_jacobian"].values - exact[side])
-        assert (difference <= 1.5 * run[f"{quantity}_jacobian_stderr"].values + 1e-15).all()
+        # Derivatives of a millionth of the largest ones decide nothing.
+        negligible = 1e-6 * np.abs(exact[side]).max(axis=1, keepdims=True)
+        assert (difference <= 1.5 * run[f"{quantity}_jacobian_stderr"].values + negligible).all()
 
 
 @NEEDS_JIT

@@ -12,5 +12,8 @@ Modules, each importing only those above it:
 - `grain_table`, `grain_tabulation`: single scattering by grains
 - `snow_layers`: layers of snow and their optics
 - `snowpack`: spectra of snowpacks, with errors
+- `snow_brdf`: reflected radiance of dry snowpacks, with errors
+- `snow_profile`: fluxes, absorption and path lengths within snowpacks
+- `interval_profile`: the same between depths, by material, with errors
 - `applicability`: media for which all this applies
 """

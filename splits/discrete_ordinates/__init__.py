@@ -12,6 +12,9 @@ Modules, each importing only those above it:
 - `grain_table`, `grain_tabulation`: single scattering by grains
 - `snow_layers`: layers of snow and their optics
 - `snowpack`: spectra of snowpacks, with errors
+- `snow_brdf`: reflected radiance of dry snowpacks, with errors
+- `snow_profile`: fluxes, absorption and path lengths within snowpacks
+- `interval_profile`: the same between depths, by material, with errors
 - `applicability`: media for which all this applies
 - `levels`: light at the levels between dry layers
 - `divided_differences`: of the impedances of a layer

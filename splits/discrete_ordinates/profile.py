@@ -9,7 +9,7 @@ source on both sides with a radiance of 1/μ.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +82,32 @@ def compute_profile(
     boundaries, ground, n_streams
         As in `compute_budget`.
     """
+    beams = np.arange(cosines.shape[-1]) >= n_streams
+    fluxes = []
+    levels = iterate_levels(elements, isotropic, boundaries, ground, n_streams)
+    for (outlet, reflection), radiance in zip(levels, isotropic, strict=True):
+        reflected = outlet @ reflection
+        fluxes.append(
+            (
+                apply_rows(outlet, beams * radiance),
+                apply_rows(outlet, radiance),
+                apply_rows(reflected, radiance),
+                apply_rows(outlet + reflected, radiance / cosines),
+            )
+        )
+    return Profile(*(np.stack(values) for values in zip(*fluxes, strict=True)))
+
+
+def iterate_levels(
+    elements: Sequence[Element], isotropic: Sequence[np.ndarray],
+    boundaries: Sequence[Boundary], ground: np.ndarray, n_streams: int,
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+    """Yield, at each level from the top, what leaves of rising light, and the reflection below it.
+
+    The first is the light that leaves the sample (`splits.discrete_ordinates.adding.make_outlet`)
+    for light that rises at the level, with all reflections by what is below.  Parameters are those
+    of `compute_profile`.
+    """
     top, bottom = boundaries
     reflections = [reflect_at_bottom(bottom, isotropic[-1], ground, n_streams)[0]]
     passages = []
@@ -90,23 +116,14 @@ def compute_profile(
         reflections.append(reflection)
         passages.append(passage)
     outlet = make_outlet(reflections[-1], top, isotropic[0], n_streams)
-    beams = np.arange(cosines.shape[-1]) >= n_streams
-    fluxes = []
-    for radiance in isotropic:
-        reflected = outlet @ reflections.pop()
-        fluxes.append(
-            (
-                _apply(outlet, beams * radiance),
-                _apply(outlet, radiance),
-                _apply(reflected, radiance),
-                _apply(outlet + reflected, radiance / cosines),
-            )
-        )
-        if passages:
-            outlet = outlet @ passages.pop()
-    return Profile(*(np.stack(values) for values in zip(*fluxes, strict=True)))
+    while True:
+        yield outlet, reflections.pop()
+        if not passages:
+            return
+        outlet = outlet @ passages.pop()
 
 
-def _apply(rows: np.ndarray, source: np.ndarray) -> np.ndarray:
+def apply_rows(rows: np.ndarray, source: np.ndarray) -> np.ndarray:
+    """Return the product of matrices with vectors."""
     product: np.ndarray = (rows @ source[..., np.newaxis])[..., 0]
     return product

@@ -107,10 +107,8 @@ def compute_brdf(
     else:
         scattering = moments[..., :1, np.newaxis, np.newaxis] * phase_function
     n = 2 * streams.cosines.size
-    missing = max(n + 1 - moments.shape[-1], 0)
-    padding = [(0, 0)] * (optics.scattering.ndim - 1) + [(0, missing)]
-    truncated = optics._replace(scattering=np.pad(optics.scattering, padding)).truncate(n)
-    brdf = _scatter_once(truncated, scattering, geometry)
+    truncated = truncate_known_moments(optics, n)
+    brdf = scatter_once(truncated, scattering, geometry)
     directions, beams, views = geometry.list_directions()
     successive = 0
     for mode in range(n):
@@ -125,6 +123,13 @@ def compute_brdf(
     return brdf
 
 
+def truncate_known_moments(optics: LayerOptics, streams: int) -> LayerOptics:
+    """Return truncated optics (`LayerOptics.truncate`), with moments of 0 beyond those known."""
+    missing = max(streams + 1 - optics.scattering.shape[-1], 0)
+    padding = [(0, 0)] * (optics.scattering.ndim - 1) + [(0, missing)]
+    return optics._replace(scattering=np.pad(optics.scattering, padding)).truncate(streams)
+
+
 def sum_legendre(moments: np.ndarray, cosines: np.ndarray) -> np.ndarray:
     """Return ∑ (2l + 1) χ_l P_l of moments (..., orders), shape (..., *cosines.shape)."""
     orders = np.arange(moments.shape[-1])
@@ -133,7 +138,7 @@ def sum_legendre(moments: np.ndarray, cosines: np.ndarray) -> np.ndarray:
     return values.reshape(*moments.shape[:-1], *cosines.shape)
 
 
-def _scatter_once(optics: LayerOptics, scattering: np.ndarray, geometry: Geometry) -> np.ndarray:
+def scatter_once(optics: LayerOptics, scattering: np.ndarray, geometry: Geometry) -> np.ndarray:
     """Return the BRDF of light scattered once, ∑ b p (e^(−mτ) − e^(−m(τ + Δτ))) / 4π σ (μ_e + μ_o).
 
     Parameters

@@ -24,7 +24,7 @@ from splits.discrete_ordinates.pores import (
     make_wet_interface,
     refract_directions,
 )
-from splits.discrete_ordinates.slab import solve_slab
+from splits.discrete_ordinates.slab import LayerOptics, solve_slab
 from splits.discrete_ordinates.snow_layers import MIN_SATURATION, SnowLayer
 from splits.discrete_ordinates.streams import Streams
 
@@ -34,6 +34,36 @@ N_TRIAL_WAVELENGTHS = 16
 """Number of wavelengths at which the truncation error is measured, with twice the streams."""
 WET_ERROR = 5e-4
 """Error of the balance between dry and wet pores, for any saturation above 0."""
+
+
+class PlaneStack(NamedTuple):
+    """Layers and interfaces of a snowpack, for a number of streams.
+
+    Attributes
+    ----------
+    elements : sequence of Element
+        Top first.
+    isotropic : sequence of arrays, shape (..., radiances)
+        Isotropic radiance above each element, and below the last one.
+    boundaries : (Boundary, Boundary)
+    ground : float, shape (wavelengths,)
+    n_streams : int
+        Number of the streams of all states in one hemisphere.
+    optics : sequence of LayerOptics
+        Of the layers, before truncation.
+    """
+
+    elements: Sequence[Element]
+    isotropic: Sequence[np.ndarray]
+    boundaries: tuple[Boundary, Boundary]
+    ground: np.ndarray
+    n_streams: int
+    optics: Sequence[LayerOptics]
+
+    def compute_budget(self) -> Budget:
+        """Return the budget of light for the beams, and for diffuse light (last)."""
+        ends = self.isotropic[0], self.isotropic[-1]
+        return compute_budget(self.elements, ends, self.boundaries, self.ground, self.n_streams)
 
 
 class Snowpack(NamedTuple):
@@ -62,8 +92,30 @@ class Snowpack(NamedTuple):
         layers = [layer.select(snowpacks, wavelengths) for layer in self.layers]
         return Snowpack(layers, self.ground[snowpacks][..., wavelengths])
 
-    def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
-        """Return the budget of light for beams, and for diffuse light (last).
+    def divide(self, edges_m: np.ndarray) -> tuple[Snowpack, np.ndarray]:
+        """Return the snowpack with its layers divided at depths, and the layer of each part.
+
+        Parameters
+        ----------
+        edges_m : float, shape (edges,)
+            Increasing depths (m), with all boundaries between layers except the last one.
+
+        Returns
+        -------
+        Snowpack, int (parts,)
+        """
+        bottoms = np.cumsum([float(layer.depth_m) for layer in self.layers])
+        edges = np.append(edges_m, bottoms[-1])
+        middle = edges[:-1] + 0.5 * np.minimum(np.diff(edges), 1.0)
+        owners = np.searchsorted(bottoms[:-1], middle)
+        parts = [
+            self.layers[owner]._replace(depth_m=np.asarray(thickness))
+            for owner, thickness in zip(owners, np.diff(edges), strict=True)
+        ]
+        return Snowpack(parts, self.ground), owners
+
+    def build(self, cosines: np.ndarray, n_streams: int) -> PlaneStack:
+        """Return the layers and interfaces for beams and for diffuse light.
 
         Parameters
         ----------
@@ -84,30 +136,38 @@ class Snowpack(NamedTuple):
             Element.from_slab(solve_slab(one.truncate(n_streams), streams, directions), vector)
             for one, vector in zip(optics, isotropic, strict=True)
         ]
-        ends = isotropic[0], isotropic[-1]
         if not self.is_wet:
             faces = (Boundary.make_transparent(n_streams // 2, n_beams),) * 2
-            return compute_budget(elements, ends, faces, self.ground, n_streams // 2)
-        elements, faces = self._add_faces(elements, streams, cosines)
-        return compute_budget(elements, ends, faces, self.ground, n_streams)
+            levels = [*isotropic, isotropic[-1]]
+            return PlaneStack(elements, levels, faces, self.ground, n_streams // 2, optics)
+        elements, levels, faces = self._add_faces(elements, isotropic, streams, cosines)
+        return PlaneStack(elements, levels, faces, self.ground, n_streams, optics)
+
+    def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
+        """Return the budget of light for beams, and for diffuse light (last); see `build`."""
+        return self.build(cosines, n_streams).compute_budget()
 
     def _add_faces(
-        self, layers: list[Element], streams: Streams, cosines: np.ndarray
-    ) -> tuple[list[Element], tuple[Boundary, Boundary]]:
-        """Return the layers with the interfaces between them, and both boundaries."""
+        self, layers: list[Element], isotropic: list[np.ndarray], streams: Streams,
+        cosines: np.ndarray,
+    ) -> tuple[list[Element], list[np.ndarray], tuple[Boundary, Boundary]]:  # fmt: skip
+        """Return the elements with interfaces, the isotropic radiances, and both boundaries."""
         index = self.layers[0].water_index
         cells = RefractingCells.from_index(index, streams)
         saturations = [max(float(one.saturation), MIN_SATURATION) for one in self.layers]
-        elements = layers[:1]
-        for upper, lower, layer in zip(saturations, saturations[1:], layers[1:], strict=False):
-            if upper != lower:
-                elements.append(make_wet_interface((upper, lower), index, cells, cosines))
+        elements, levels = layers[:1], isotropic[:1]
+        for number, layer in enumerate(layers[1:], start=1):
+            pair = saturations[number - 1], saturations[number]
+            if pair[0] != pair[1]:
+                elements.append(make_wet_interface(pair, index, cells, cosines))
+                levels.append(isotropic[number - 1])
             elements.append(layer)
+            levels.append(isotropic[number])
         top, bottom = (
             make_wet_boundary(saturation, index, cells, cosines)
             for saturation in (saturations[0], saturations[-1])
         )
-        return elements, (top, bottom)
+        return elements, [*levels, isotropic[-1]], (top, bottom)
 
 
 class SpectrumSolution(NamedTuple):

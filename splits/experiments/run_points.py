@@ -21,6 +21,7 @@ from splits.experiments.config.instrument_kinds import (
 )
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments import beam_spread, goniophotometer, lens, spectrophotometer, surface_map
+from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.instruments.spectral_run import SpectralRequest, simulate_spectra
 from splits.io.netcdf import to_netcdf_attributes
 from splits.media.medium import Medium
@@ -104,11 +105,15 @@ def _group_by_shared_paths(
     if not isinstance(instrument, Spectrophotometer) or instrument.estimator == "analog":
         return [([index], None) for index in range(len(points))]
     wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
-    groups: list[tuple[list[int], MediaGroup | None]] = []
+    solved = [
+        index
+        for index, (_, medium, _) in enumerate(points)
+        if instrument.choose_solver(medium) == DISCRETE_ORDINATES
+    ]
+    groups: list[tuple[list[int], MediaGroup | None]] = [([index], None) for index in solved]
+    traced = [index for index in range(len(points)) if index not in set(solved)]
     for beam_incidence in dict.fromkeys(incidence for *_, incidence in points):
-        same_beam = [
-            index for index, (*_, incidence) in enumerate(points) if incidence == beam_incidence
-        ]
+        same_beam = [index for index in traced if points[index][-1] == beam_incidence]
         for members in group_by_shared_paths(
             [points[index][1] for index in same_beam], wavelengths
         ):

@@ -30,6 +30,8 @@ QUANTITIES = {
     "absorptance": ("interval", "absorptance of the interval"),
 }
 """Dimensions and labels of the quantities of an estimate, in their order."""
+ACTINIC_LABEL = "mean path over thickness"
+MATERIAL_LABEL = "absorptance of a material"
 
 
 def make_flux_dataset(
@@ -64,18 +66,33 @@ def make_flux_dataset(
         deviations /= np.sqrt(len(deviations) * (len(deviations) - 1))
         variables |= make_deviation_variable(name, dims, deviations, label)
     variables |= _make_path_variables(result, traced_medium)
+    coordinates = make_flux_coordinates(wavelengths, edges, list(traced_medium.material_columns))
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+def make_flux_coordinates(
+    wavelengths: np.ndarray, edges: np.ndarray, materials: Sequence[str]
+) -> dict[str, Any]:
+    """Return the coordinates of the dataset.
+
+    Parameters
+    ----------
+    wavelengths : float, shape (wavelengths,)
+        nm.
+    edges : float, shape (intervals + 1,)
+        Edges of the intervals (m).
+    materials : sequence of str
+    """
     depth_attributes = {
         "long_name": "depth", "units": "m", "positive": "down", "standard_name": "depth",
     }  # fmt: skip
-    materials = np.array(list(traced_medium.material_columns))
-    coordinates = {
+    return {
         "wavelength": make_wavelength_coordinate(wavelengths),
         "depth": ("depth", edges[np.isfinite(edges)], depth_attributes),
         "interval_top": ("interval", edges[:-1], {"long_name": "top", "units": "m"}),
         "interval_bottom": ("interval", edges[1:], {"long_name": "bottom", "units": "m"}),
-        "material": ("material", materials, {"long_name": "material"}),
+        "material": ("material", np.array(materials), {"long_name": "material"}),
     }
-    return xr.Dataset(variables, coordinates, attributes)
 
 
 def _make_flux_variable(
@@ -117,10 +134,10 @@ def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dic
     material_error = _combine_errors(by_material, result, unsampled_light, material_bound)
     dims = ("wavelength", "interval")
     return _make_flux_variable(
-        "actinic_flux", dims, fluxes[0], flux_error, "mean path over thickness"
+        "actinic_flux", dims, fluxes[0], flux_error, ACTINIC_LABEL
     ) | _make_flux_variable(
         "absorptance_of_material", (*dims, "material"), by_material[0], material_error,
-        "absorptance of a material",
+        MATERIAL_LABEL,
     )  # fmt: skip
 
 

@@ -13,10 +13,17 @@ from splits.core.validation import check_choice, check_integer, check_range, inv
 from splits.instruments.angular_bins import DEFAULT_N_BINS, AngularBinTally, compute_bin_centres
 from splits.instruments.angular_dataset import make_angular_dataset
 from splits.instruments.angular_estimate import AngularEstimate, AngularTally, ErrorTarget
+from splits.instruments.angular_solver import (
+    AngularRequest,
+    AngularResult,
+    find_angular_obstacle,
+    solve_angular_result,
+)
 from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.detector_tally import DetectorTally
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
 from splits.instruments.next_event import get_detected_layers, make_detectors
+from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
 from splits.kernels.tallies.angular import make_basis
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
@@ -58,6 +65,7 @@ def goniophotometer(
     seed: int = 1,
     *,
     relative_stderr: float = 0.02,
+    solver: str = "monte_carlo",
     target: str = "brdf",
     polar_deg: Any = POLAR_DEG,
     azimuth_deg: Any = AZIMUTH_DEG,
@@ -88,6 +96,12 @@ def goniophotometer(
         Largest standard error relative to the value, 1e-4 to 0.5, for polar angles up to
         `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
         all.
+    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+        "discrete_ordinates" solves the equation of radiative transfer in plane layers of dry
+        modelled natural snow (`splits.Snow.natural`), which may be semi-infinite: see
+        docs/theory/discrete-ordinates.md.  The BTDF and the ``transmittance_factor`` are left out.
+        Wet snow, other media, ``target="btdf"``, `rays` and other estimators than "expansion" are
+        rejected, or simulated with paths under "auto".
     target : {"brdf", "btdf"}
         The function to which the error applies; wavelengths without light there are ignored.
     polar_deg : array_like
@@ -151,7 +165,7 @@ def goniophotometer(
     SPLITSnow section 4.1, Eq 7; Budak & Grimailo 2020, Eqs 4-5; Nicodemus et al. (1977) for the
     terms.
     """
-    check_medium(medium)
+    check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
     wavelengths, incidence = check_wavelengths(wavelength_nm), check_incidence(incidence_deg)
     relative_stderr = check_range("relative_stderr", relative_stderr, 1e-4, 0.5)
     has_ground = medium.reflecting_ground is not None
@@ -164,9 +178,50 @@ def goniophotometer(
     bins = check_n_bins(n_bins) if estimator == "bins" else None
     polar, azimuth = _make_directions(polar_deg, azimuth_deg, bins)
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
+    direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
+    request = AngularRequest(
+        wavelengths, incidence, polar, azimuth, relative_stderr, direction_mask
+    )
+    obstacle = find_angular_obstacle(medium, estimator, target, rays)
+    chosen = choose_solver(solver, [medium], wavelengths, obstacle)
+    if chosen == DISCRETE_ORDINATES:
+        result = solve_angular_result(medium, request)
+    else:
+        check_medium(medium)
+        is_fixed = rays is not None or bins is not None
+        n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
+        stop = StoppingRule(relative_stderr, n_rays, is_fixed)
+        result = _simulate_angular_result(medium, request, estimator, bins, side, stop, run)
+    attributes = {
+        **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
+        "incidence_deg": incidence,
+        "estimator": estimator,
+        "target": target,
+        "relative_stderr_reached": result.estimate.compute_max_error(side, direction_mask),
+        "relative_stderr": relative_stderr,
+        "max_rays": max_rays,
+        "solver": chosen,
+        **result.attributes,
+    }
+    undefined = {*result.undefined, *(TRANSMITTED_VARIABLES if has_ground else ())}
+    return make_angular_dataset(
+        result.estimate, result.stokes, wavelengths, (polar, azimuth), attributes, undefined
+    )
+
+
+def _simulate_angular_result(
+    medium: Medium,
+    request: AngularRequest,
+    estimator: str,
+    bins: tuple[int, int] | None,
+    side: int,
+    stop: StoppingRule,
+    run: RunOptions,
+) -> AngularResult:
+    """Return the result of a simulation with paths, see `goniophotometer`."""
+    wavelengths, incidence, polar, azimuth, relative_stderr, direction_mask = request
     scene = build_scene(medium, incidence, False)
     tally: AngularTally
-    direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     if estimator == "next_event":
         layers = get_detected_layers(medium)
         detectors = make_detectors(layers, scene, polar, azimuth)
@@ -180,25 +235,10 @@ def goniophotometer(
         else:
             target_error = _make_error_target(polar, azimuth, incidence, side, direction_mask)
             tally = ExpansionTally(nodes, absorption, target_error, incidence != "diffuse")
-    is_fixed = rays is not None or bins is not None
-    n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
-    evaluation = simulate(scene, tally, StoppingRule(relative_stderr, n_rays, is_fixed), run)
+    evaluation = simulate(scene, tally, stop, run)
     estimate: AngularEstimate = evaluation.estimate
-    attributes = {
-        **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
-        "incidence_deg": incidence,
-        "estimator": estimator,
-        "target": target,
-        "relative_stderr_reached": estimate.compute_max_error(side, direction_mask),
-        "relative_stderr": relative_stderr,
-        "max_rays": max_rays,
-        "degree": estimate.degree[side],
-        **tally.describe_run(evaluation.stop_reason),
-    }
-    undefined = TRANSMITTED_VARIABLES if has_ground else tally.undefined_variables
-    return make_angular_dataset(
-        estimate, tally.make_stokes(), wavelengths, (polar, azimuth), attributes, undefined
-    )
+    attributes = {"degree": estimate.degree[side], **tally.describe_run(evaluation.stop_reason)}
+    return AngularResult(estimate, tally.make_stokes(), tally.undefined_variables, attributes)
 
 
 def make_direction_mask(polar: np.ndarray, azimuth: np.ndarray) -> np.ndarray:

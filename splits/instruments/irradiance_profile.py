@@ -19,8 +19,14 @@ from splits.core.validation import (
 )
 from splits.instruments.flux_dataset import make_flux_dataset
 from splits.instruments.flux_media import TracedMedium, prepare_medium
+from splits.instruments.flux_solver import (
+    find_profile_obstacle,
+    make_solved_dataset,
+    solve_flux,
+)
 from splits.instruments.flux_tally import FluxTally
 from splits.instruments.flux_target import FluxTarget
+from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
@@ -55,6 +61,7 @@ def irradiance_profile(
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
+    solver: str = "monte_carlo",
     target: str = "irradiance",
     max_rays: int = 20_000_000,
     threads: int | None = None,
@@ -78,6 +85,8 @@ def irradiance_profile(
         Largest standard error, 1e-6 to 0.5; see `target`.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
+    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+        As for `splits.spectrophotometer`.
     target : {"irradiance", "absorptance"}
         Quantities to which `max_stderr` applies: all irradiances and absorptances, or only
         absorptances and reflectance, which need far fewer rays in thick, weakly absorbing media.
@@ -116,7 +125,9 @@ def irradiance_profile(
     For the actinic flux and the absorptance of each material, the absorption is assumed to be
     evenly distributed along the path between planes.  Where single grains or pores absorb much of
     the light that crosses them, both are approximate; their errors include this
-    (`splits.instruments.absorption_steps`).  The absorptance of an interval is not affected.
+    (`splits.instruments.absorption_steps`).  The absorptance of an interval is not affected.  With
+    discrete ordinates both follow exactly from the balance of light in each interval
+    (`splits.discrete_ordinates.snow_profile`).
 
     References
     ----------
@@ -128,7 +139,8 @@ def irradiance_profile(
         medium, wavelength_nm, depth_m, incidence_deg, max_stderr, max_rays
     )
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
-    return simulate_flux(request, FluxTarget(limit_irradiance), run)
+    chosen = choose_flux_solver(solver, medium, request.wavelengths)
+    return simulate_flux(request, FluxTarget(limit_irradiance), run, chosen)
 
 
 class FluxRequest(NamedTuple):
@@ -163,9 +175,24 @@ class FluxRequest(NamedTuple):
         )
 
 
-def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> xr.Dataset:
-    """Return the dataset of `irradiance_profile` to an error."""
+def choose_flux_solver(solver: Any, medium: Medium, wavelengths: np.ndarray) -> str:
+    """Return the solver for fluxes, see `splits.instruments.solver.choose_solver`."""
+    chosen = choose_solver(solver, [medium], wavelengths)
+    if chosen == MONTE_CARLO:
+        return chosen
+    return choose_solver(solver, [medium], wavelengths, find_profile_obstacle(medium, wavelengths))
+
+
+def simulate_flux(
+    request: FluxRequest, target: FluxTarget, run: RunOptions, solver: str = MONTE_CARLO
+) -> xr.Dataset:
+    """Return the dataset of `irradiance_profile` to an error, by a solver for which it holds."""
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
+    if solver == DISCRETE_ORDINATES:
+        solved = solve_flux(
+            medium, wavelengths, depths, incidence, max_stderr, target.limit_irradiance
+        )
+        return make_solved_dataset(solved, _describe_request(request, target, run, solver))
     traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
     scene = build_scene(traced_medium.medium, incidence, False)
     scene = add_recording_planes(scene, depths.tolist())
@@ -174,17 +201,27 @@ def simulate_flux(request: FluxRequest, target: FluxTarget, run: RunOptions) -> 
     tally = FluxTally(nodes, traced_medium, scene, target)
     evaluation = simulate(scene, tally, StoppingRule(max_stderr, max_rays), run)
     attributes = {
-        **run.make_attributes("Light inside", "irradiance_profile", medium),
-        "incidence_deg": incidence,
-        "max_stderr": max_stderr,
-        "target": ERROR_QUANTITIES[0 if target.limit_irradiance else 1],
+        **_describe_request(request, target, run, solver),
         "max_stderr_reached": evaluation.error,
-        "max_rays": max_rays,
         **tally.describe_run(evaluation.stop_reason),
     }
     if traced_medium.semi_infinite:
         attributes["truncation_depth_m"] = float(traced_medium.planes_m[-1])
     return make_flux_dataset(evaluation.estimate, traced_medium, wavelengths, attributes)
+
+
+def _describe_request(
+    request: FluxRequest, target: FluxTarget, run: RunOptions, solver: str
+) -> dict[str, Any]:
+    """Return the attributes of a request, once it is finished."""
+    return {
+        **run.make_attributes("Light inside", "irradiance_profile", request.medium),
+        "incidence_deg": request.incidence,
+        "max_stderr": request.max_stderr,
+        "target": ERROR_QUANTITIES[0 if target.limit_irradiance else 1],
+        "max_rays": request.max_rays,
+        "solver": solver,
+    }
 
 
 def _choose_nodes(traced_medium: TracedMedium, max_stderr: float, has_bands: bool) -> IndexNodes:

@@ -14,7 +14,11 @@ from splits.core.uncertainty import Variable, compute_weighted_error, make_varia
 from splits.core.validation import check_choice, check_integer, check_range
 from splits.illumination.sky import Sky
 from splits.instruments.flux_target import FluxTarget
-from splits.instruments.irradiance_profile import FluxRequest, simulate_flux
+from splits.instruments.irradiance_profile import (
+    FluxRequest,
+    choose_flux_solver,
+    simulate_flux,
+)
 from splits.instruments.sky_mixing import (
     as_sky,
     choose_wavelengths,
@@ -23,6 +27,7 @@ from splits.instruments.sky_mixing import (
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
+from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions
 
@@ -45,6 +50,7 @@ def radiation_profile(
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
+    solver: str = "monte_carlo",
     target: str = "absorbed_power",
     total_w_m2: float | None = None,
     bands: Mapping[str, Any] | str | None = None,
@@ -72,6 +78,8 @@ def radiation_profile(
         `target`.
     seed : int
         Non-negative; diffuse light uses the next one.
+    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+        As for `splits.spectrophotometer`.
     target : {"absorbed_power", "irradiance"}
         Quantities to which `max_stderr` applies: absorbed power and the light reflected at the
         top, or also irradiances at all depths.  In thick, weakly absorbing media the latter need
@@ -123,11 +131,14 @@ def radiation_profile(
     direct_fraction = sky_spectrum.compute_direct_fraction(wavelengths)
     targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
 
+    check_medium(medium, allow_semi_infinite=True)
+    chosen = choose_flux_solver(solver, medium, wavelengths)
+
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         request = FluxRequest.from_arguments(
             medium, wavelengths, depth_m, incidence, max_stderr, max_rays
         )
-        return simulate_flux(request, targets[number], run._replace(seed=run.seed + number))
+        return simulate_flux(request, targets[number], run._replace(seed=run.seed + number), chosen)
 
     dataset = mix_direct_and_diffuse(
         sky_spectrum, wavelengths, simulate_component, list(OUTPUT_VARIABLES)
@@ -141,6 +152,7 @@ def radiation_profile(
         "max_stderr": max_stderr,
         "target": target,
         "max_rays": max_rays,
+        "solver": chosen,
         **dataset.attrs,
     }
     coordinates: dict[str, Any] = {

@@ -13,6 +13,7 @@ from splits.core.validation import invalid
 from splits.illumination.bands import SpectralBand
 from splits.illumination.sky import Sky
 from splits.illumination.sky_spectra import sky
+from splits.instruments.solver import DISCRETE_ORDINATES
 from splits.simulation.arguments import check_wavelengths
 from splits.simulation.stopping_rule import STOP_REASONS
 
@@ -87,8 +88,11 @@ def mix_direct_and_diffuse(
                 scatter = (deviations[-1].astype(float) ** 2).sum("batch")
                 bounds.append(np.maximum(variance - scatter, 0.0) ** 0.5)
                 variance = np.minimum(scatter, variance)
+            elif dataset.attrs.get("solver") == DISCRETE_ORDINATES:
+                bounds.append(variance**0.5)
+                variance = 0.0 * variance
             variances.append(variance)
-        # Both runs use the same index nodes: their interpolation errors are correlated.
+        # Both runs use the same index nodes, or tables: their errors are correlated.
         stderr = (sum(variances) + sum(bounds) ** 2) ** 0.5
         variables |= {name: sum(means), f"{name}_stderr": stderr}
         if deviations:

@@ -18,6 +18,7 @@ from splits.experiments.config.instrument import (
     SpectralInstrument,
 )
 from splits.instruments.angular_bins import DEFAULT_N_BINS
+from splits.instruments.angular_solver import find_angular_obstacle
 from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
 from splits.instruments.lens import (
@@ -27,6 +28,7 @@ from splits.instruments.lens import (
     check_screen_depths,
 )
 from splits.instruments.next_event import get_detected_layers
+from splits.instruments.solver import MONTE_CARLO, choose_solver
 from splits.instruments.surface_map import DEFAULT_POINTS, MAX_REALIZATIONS
 from splits.media.medium import Medium
 from splits.plotting.panels import (
@@ -49,6 +51,13 @@ Azimuths = Annotated[
 ]
 Depths = Annotated[Angles, AfterValidator(lambda x: tuple(check_screen_depths("", x).tolist()))]
 ESTIMATOR = "how exiting rays become results"
+Solver = Annotated[
+    Literal["monte_carlo", "discrete_ordinates", "auto"],
+    Field(
+        description="paths, or the equation of radiative transfer in plane layers of modelled "
+        "natural snow; `auto` solves the equation where it applies and traces paths elsewhere"
+    ),
+]
 
 
 class Refractometer(SpectralInstrument):
@@ -68,7 +77,19 @@ class Spectrophotometer(OpticalInstrument):
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
     kind: Literal["spectrophotometer"] = "spectrophotometer"
+    solver: Solver = "monte_carlo"
     estimator: Literal["spectral", "analog"] = Field("spectral", description=ESTIMATOR)
+
+    def check_medium(self, medium: Medium) -> None:
+        """Reject a medium that the estimator or the solver does not allow."""
+        super().check_medium(medium)
+        self.choose_solver(medium)
+
+    def choose_solver(self, medium: Medium) -> str:
+        """Return the solver for a medium, see `splits.instruments.solver.choose_solver`."""
+        obstacle = "the estimator needs paths" if self.estimator == "analog" else None
+        with key_prefix("instrument"):
+            return choose_solver(self.solver, [medium], self.get_wavelengths(), obstacle)
 
 
 class Goniophotometer(OpticalInstrument):
@@ -79,6 +100,7 @@ class Goniophotometer(OpticalInstrument):
     MEASURES_BEAM: ClassVar = True
 
     kind: Literal["goniophotometer"]
+    solver: Solver = "monte_carlo"
     estimator: Literal["expansion", "bins", "next_event"] = Field(
         "expansion", description=ESTIMATOR
     )
@@ -118,17 +140,27 @@ class Goniophotometer(OpticalInstrument):
         return n_directions * self.get_wavelengths().size
 
     def check_medium(self, medium: Medium) -> None:
-        """Reject a medium that the estimator or the target does not allow."""
-        super().check_medium(medium)
+        """Reject a medium that the estimator, the target or the solver does not allow."""
+        if self.choose_solver(medium) == MONTE_CARLO:
+            super().check_medium(medium)
         if self.estimator == "next_event":
             with key_prefix("instrument"):
                 get_detected_layers(medium)
         if self.target == "btdf" and medium.reflecting_ground is not None:
             raise invalid("instrument.target", "btdf", "brdf over a ground")
 
+    def choose_solver(self, medium: Medium) -> str:
+        """Return the solver for a medium, see `splits.instruments.solver.choose_solver`."""
+        obstacle = find_angular_obstacle(medium, self.estimator, self.target, self.rays)
+        with key_prefix("instrument"):
+            return choose_solver(self.solver, [medium], self.get_wavelengths(), obstacle)
+
     def check_figure(self, figure: FigureSection, kind: str) -> None:
         """Reject a figure of quantities or directions that the instrument does not measure."""
         super().check_figure(figure, kind)
+        if self.solver != MONTE_CARLO and "btdf" in (figure.quantity or ()):
+            allowed = f"left out or brdf for instrument.solver = {self.solver!r}"
+            raise invalid("figure.quantity", figure.quantity, allowed)
         if kind == "none":
             return
         if kind == "hemisphere":

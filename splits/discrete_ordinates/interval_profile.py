@@ -40,7 +40,7 @@ _ERROR_STREAMS = 8
 _STEP = 0.01
 
 
-class LayerGeometry(NamedTuple):
+class LayerDivision(NamedTuple):
     """Geometry of the layers of a snowpack, and of the parts into which depths divide them.
 
     Attributes
@@ -101,7 +101,7 @@ class ProfileSolution(NamedTuple):
 
 
 def solve_profile(
-    parts: Snowpack, geometry: LayerGeometry, incidence: float | None, max_error: float,
+    parts: Snowpack, geometry: LayerDivision, incidence: float | None, max_error: float,
     limit_irradiance: bool = True,
 ) -> ProfileSolution:  # fmt: skip
     """Return a profile by as many streams as an error requires.
@@ -110,7 +110,7 @@ def solve_profile(
     ----------
     parts : Snowpack
         With its layers divided at the depths (`Snowpack.divide`).
-    geometry : LayerGeometry
+    geometry : LayerDivision
     incidence : float, optional
         Cosine of the beam; by default diffuse light.
     max_error : float
@@ -145,7 +145,7 @@ def solve_profile(
 
 
 def _compute_intervals(
-    parts: Snowpack, geometry: LayerGeometry, incidence: float | None, n_streams: int
+    parts: Snowpack, geometry: LayerDivision, incidence: float | None, n_streams: int
 ) -> IntervalProfile:
     """Return the profile of a divided snowpack for a number of streams."""
     solution = compute_snow_profile(parts, incidence, n_streams)
@@ -173,7 +173,7 @@ def _compute_intervals(
 
 
 def _compute_path_length(
-    parts: Snowpack, solution: SnowProfile, geometry: LayerGeometry
+    parts: Snowpack, solution: SnowProfile, geometry: LayerDivision
 ) -> np.ndarray:
     """Return path lengths in pores and grains (m), shape (parts, wavelengths)."""
     pore_fraction, attenuation = (
@@ -188,7 +188,7 @@ def _compute_path_length(
 
 
 def _compute_table_error(
-    parts: Snowpack, values: IntervalProfile, geometry: LayerGeometry, incidence: float | None,
+    parts: Snowpack, values: IntervalProfile, geometry: LayerDivision, incidence: float | None,
     n_streams: int,
 ) -> IntervalProfile:  # fmt: skip
     """Return the effects of the errors of (1 − ω) and of (1 − g), added in quadrature."""

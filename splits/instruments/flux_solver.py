@@ -12,7 +12,7 @@ from splits.core.validation import ROUNDING_TOLERANCE
 from splits.discrete_ordinates.applicability import make_snowpack
 from splits.discrete_ordinates.interval_profile import (
     IntervalProfile,
-    LayerGeometry,
+    LayerDivision,
     ProfileSolution,
     solve_profile,
 )
@@ -76,7 +76,7 @@ def solve_flux(
 
 def divide_medium(
     medium: Medium, wavelengths: np.ndarray, edges: np.ndarray
-) -> tuple[Snowpack, LayerGeometry]:
+) -> tuple[Snowpack, LayerDivision]:
     """Return a medium as a snowpack that is divided at the edges of intervals (m)."""
     layers: Any = medium.scene_layers
     boundaries = np.cumsum([layer.depth_m for layer in layers])[:-1]
@@ -91,7 +91,7 @@ def divide_medium(
         np.array([getattr(layer, name) for layer in layers])
         for name in ("pore_fraction", "attenuation_per_m")
     )
-    return parts, LayerGeometry(fractions, attenuation, owners, np.searchsorted(starts, begin))
+    return parts, LayerDivision(fractions, attenuation, owners, np.searchsorted(starts, begin))
 
 
 def describe_solution(

@@ -118,6 +118,14 @@ def test_dataset_has_the_form_of_simulations(tmp_path):
     )
 
 
+def test_figures_accept_the_dataset():
+    plotting = pytest.importorskip("splits.plotting.principal_plane", exc_type=ImportError)
+    solved = splits.goniophotometer(make_snow(), WAVELENGTHS, 53.0, **SOLVED)
+    figure = plotting.draw_principal_planes(solved, ["brdf"])
+    assert figure.axes
+    figure.clear()
+
+
 @pytest.mark.parametrize(
     ("medium", "settings", "reason"),
     [

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import check_choice, invalid, unknown_key
-from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.papers.overlap_choices import OVERLAP_CHOICES, OVERLAPS_KEY
-from splits.experiments.studies.study import (
-    FILES_DESCRIPTION,
-    Study,
-    StudyProduct,
-    StudyRun,
-)
+from splits.experiments.studies.study import Experiments, Files, Study, StudyProduct, StudyRun
 from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
 
 STANDARD_STDERR = 0.002
@@ -64,12 +57,12 @@ class InterpretationStudy(Study):
     USES_ALL_THREADS: ClassVar = True
 
     kind: Literal["interpretation"]
-    files: dict[str, str] = Field(description=FILES_DESCRIPTION)
+    files: Files
     interpretation: dict[str, tuple[str, ...]] = Field(description="choices to combine")
     stated: dict[str, str] = Field({}, description="unambiguous choices of the paper")
 
     def list_parameters(
-        self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
+        self, seed: int, max_stderr: float, experiments: Experiments
     ) -> dict[str, Any]:
         """Return seed and accuracy of its simulations."""
         return {
@@ -78,14 +71,8 @@ class InterpretationStudy(Study):
             "physics": hash_physics_sources(),
         }
 
-    def check(
-        self,
-        available: Mapping[str, ExperimentConfig],
-        tables: Mapping[str, Path],
-        studies: Mapping[str, Study],
-    ) -> None:
-        """Reject unknown names and choices, and an unsuitable table."""
-        super().check(available, tables, studies)
+    def check_keys(self, available: Experiments, studies: Mapping[str, Study]) -> None:
+        """Reject unknown choices."""
         if not self.interpretation:
             raise invalid("interpretation", self.interpretation, "choices by keyword")
         known = {f.name: INTERPRETATION_CHOICES[f.name] for f in fields(Interpretation)}
@@ -102,7 +89,6 @@ class InterpretationStudy(Study):
 
     def make(self, run: StudyRun) -> None:
         """Make the tables and the figure."""
-        from splits.analysis.measured import read_published
         from splits.experiments.papers.interpretation_ranking import rank_interpretations
         from splits.experiments.papers.interpretation_tables import (
             find_differing_keys,
@@ -112,11 +98,11 @@ class InterpretationStudy(Study):
         )
         from splits.plotting import draw_interpretation_shifts
 
-        choices, published = self.interpretation, read_published(Path(run.files["published"]))
-        seed, stderr_scale = run.parameters["seed"], run.parameters["stderr_scale"]
+        choices, seed = self.interpretation, run.parameters["seed"]
         combinations, stated = rank_interpretations(
-            published, choices, self.stated, seed, run.threads, stderr_scale, run.log
-        )
+            run.read("published"), choices, self.stated, seed, run.threads,
+            run.parameters["stderr_scale"], run.log,
+        )  # fmt: skip
         names = find_differing_keys(combinations)
         table = make_statement_table(combinations, stated, names)
         ranking = make_ranking_table(combinations, stated, choices, self.stated)

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import ClassVar, Literal
 
-from pydantic import Field
-
-from splits.experiments.studies.study import (
-    FILES_DESCRIPTION,
-    ROLES_DESCRIPTION,
-    Study,
-    StudyProduct,
-    StudyRun,
-)
+from splits.experiments.studies.study import Files, Roles, Study, StudyProduct, StudyRun
 from splits.experiments.studies.study_input import StudyInput, make_goniophotometer_input
 
 
@@ -63,12 +54,11 @@ class SurfaceAreaStudy(Study):
     MESSAGE: ClassVar = "Retrieving the surface area of measured snow"
 
     kind: Literal["surface_area"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
-    files: dict[str, str] = Field(description=FILES_DESCRIPTION)
+    inputs: Roles
+    files: Files
 
     def make(self, run: StudyRun) -> None:
         """Make the tables and figures."""
-        from splits.analysis.measured import read_spectra
         from splits.analysis.surface_area import (
             make_field_table,
             make_overlay_table,
@@ -77,7 +67,7 @@ class SurfaceAreaStudy(Study):
         from splits.plotting import describe_conditions, draw_area_law, draw_fitted_spectra
 
         modelled, field = (run.load(self.inputs[role]) for role in ("spectra", "field"))
-        spectra = read_spectra(Path(run.files["spectra"]))
+        spectra = run.read("spectra")
         areas = retrieve_surface_areas(modelled, spectra)
         run.write_table("table", areas)
         overlay = make_overlay_table(modelled, spectra, areas)
@@ -118,17 +108,16 @@ class AnisotropyStudy(Study):
     MESSAGE: ClassVar = "Comparing modelled and measured directions"
 
     kind: Literal["anisotropy"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
-    files: dict[str, str] = Field(description=FILES_DESCRIPTION)
+    inputs: Roles
+    files: Files
 
     def make(self, run: StudyRun) -> None:
         """Make the tables and the figure."""
         from splits.analysis.anisotropy import compare_with_measured, summarize_by_angle
-        from splits.analysis.measured import read_measured
         from splits.plotting.anisotropy import draw_anisotropy
 
         dataset = run.load(self.inputs["directions"])
-        table = compare_with_measured(dataset, read_measured(Path(run.files["directions"])))
+        table = compare_with_measured(dataset, run.read("directions"))
         misfits = summarize_by_angle(table)
         run.write_table("table", table)
         run.write_table("misfits", misfits)

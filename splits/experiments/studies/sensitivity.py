@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import ClassVar, Literal
 
 from pydantic import Field
 
 from splits.core.validation import invalid
-from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.sections import ConfigSection
-from splits.experiments.studies.study import FILES_DESCRIPTION, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study import Experiments, Files, Study, StudyProduct, StudyRun
 from splits.experiments.studies.study_input import StudyInput, check_input
 
 DEPTHS_M: Mapping[str, tuple[float | str, ...]] = {"depth_m": (0.12, 0.02)}
@@ -41,7 +39,7 @@ class SensitivityPair(ConfigSection):
         """Return the names of its experiments."""
         return [self.experiment, *([self.interpretation] if self.interpretation else [])]
 
-    def check(self, key: str, available: Mapping[str, ExperimentConfig]) -> None:
+    def check(self, key: str, available: Experiments) -> None:
         """Reject experiments that do not meet the requirements."""
         axes = (self.parameter, "depth_m")
         extremes: dict[str, tuple[float | str, ...]] = {self.parameter: (self.low, self.high)}
@@ -89,14 +87,14 @@ class SensitivityStudy(Study):
 
     kind: Literal["sensitivity"]
     pairs: dict[str, SensitivityPair] = Field(description="pairs of values by name; see below")
-    files: dict[str, str] = Field({}, description=FILES_DESCRIPTION)
+    files: Files = Field({})
 
     def list_experiments(self) -> list[str]:
         """Return the names of the experiments of the study, without repetition."""
         names = [name for pair in self.pairs.values() for name in pair.list_experiments()]
         return list(dict.fromkeys(names))
 
-    def check_inputs(self, available: Mapping[str, ExperimentConfig]) -> None:
+    def check_inputs(self, available: Experiments) -> None:
         """Reject experiments that do not meet the requirements."""
         if not self.pairs:
             raise invalid("pairs", self.pairs, "at least one pair")
@@ -106,7 +104,6 @@ class SensitivityStudy(Study):
     def make(self, run: StudyRun) -> None:
         """Make the tables, the dataset and the figure."""
         from splits import save
-        from splits.analysis.measured import read_published
         from splits.experiments.papers.sensitivity_table import (
             describe_ranges,
             make_sensitivity_table,
@@ -117,9 +114,8 @@ class SensitivityStudy(Study):
         pairs = {name: pair.model_dump() for name, pair in self.pairs.items()}
         datasets = {name: run.load(name) for name in self.list_experiments()}
         table = make_sensitivity_table(datasets, pairs)
-        published = run.files.get("published")
-        known = read_published(Path(published)) if published else None
-        chosen = select_chosen_sensitivities(table, known)
+        published = run.read("published") if run.files else None
+        chosen = select_chosen_sensitivities(table, published)
         run.write_table("table", table)
         run.write_table("chosen", chosen.to_dataframe().reset_index())
         save(chosen, run.outputs["data"][0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field
 
@@ -19,6 +19,7 @@ from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
 from splits.experiments.studies.study_input import StudyInput, check_input
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 
@@ -59,6 +60,10 @@ class StudyProduct(NamedTuple):
 
 ROLES_DESCRIPTION = "experiments by role"
 FILES_DESCRIPTION = "names of tables in the folders of published and measured numbers"
+Roles = Annotated[dict[str, str], Field(description=ROLES_DESCRIPTION)]
+Files = Annotated[dict[str, str], Field(description=FILES_DESCRIPTION)]
+Experiments = Mapping[str, ExperimentConfig]
+"""Experiments by name."""
 
 
 class StudyRun(NamedTuple):
@@ -91,6 +96,10 @@ class StudyRun(NamedTuple):
         from splits import load
 
         return load(self.datasets[experiment])
+
+    def read(self, key: str) -> pd.DataFrame:
+        """Return a table of numbers."""
+        return TABLE_READERS.get(key, read_spectra)(Path(self.files[key]))
 
     def write_table(self, key: str, table: Any) -> None:
         """Write a table of the study."""
@@ -159,7 +168,7 @@ class Study(ConfigSection):
         return []
 
     def list_parameters(
-        self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
+        self, seed: int, max_stderr: float, experiments: Experiments
     ) -> dict[str, Any]:
         """Return what the products depend on besides inputs, files and keys of the study."""
         return {}
@@ -183,9 +192,7 @@ class Study(ConfigSection):
         files: Mapping[str, str] = getattr(self, "files", {})
         return {key: str(tables[self.FILES[key]] / file) for key, file in files.items()}
 
-    def describe_missing(
-        self, available: Mapping[str, ExperimentConfig], studies: Mapping[str, Study]
-    ) -> list[str]:
+    def describe_missing(self, available: Experiments, studies: Mapping[str, Study]) -> list[str]:
         """Return messages about experiments that the study needs and that do not exist."""
         required = self.list_experiments()
         for name in self.list_studies():
@@ -193,10 +200,7 @@ class Study(ConfigSection):
         return describe_missing(required, available)
 
     def check(
-        self,
-        available: Mapping[str, ExperimentConfig],
-        tables: Mapping[str, Path],
-        studies: Mapping[str, Study],
+        self, available: Experiments, tables: Mapping[str, Path], studies: Mapping[str, Study]
     ) -> None:
         """Reject unknown or missing names, and unsuitable experiments and tables.
 
@@ -225,8 +229,12 @@ class Study(ConfigSection):
             if not NAME_PATTERN.fullmatch(name):
                 raise invalid(f"outputs.{key}", name, NAME_RULE)
         self.check_inputs(available)
+        self.check_keys(available, studies)
 
-    def check_inputs(self, available: Mapping[str, ExperimentConfig]) -> None:
+    def check_keys(self, available: Experiments, studies: Mapping[str, Study]) -> None:
+        """Reject values of keys of this kind of study, given all experiments and studies."""
+
+    def check_inputs(self, available: Experiments) -> None:
         """Reject missing roles, and experiments that do not meet the requirements of their role."""
         inputs: Mapping[str, str] = getattr(self, "inputs", {})
         missing = [role for role in self.INPUTS if role not in inputs]
@@ -250,9 +258,7 @@ class Study(ConfigSection):
             TABLE_READERS.get(key, read_spectra)(folder / file, f"files.{key}")
 
 
-def describe_missing(
-    required: Iterable[str], available: Mapping[str, ExperimentConfig]
-) -> list[str]:
+def describe_missing(required: Iterable[str], available: Experiments) -> list[str]:
     """Return messages about required experiments that do not exist."""
     messages = []
     for name in dict.fromkeys(required):

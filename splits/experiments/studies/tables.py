@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from splits.core.provenance import PACKAGE_FOLDER, RETRIEVAL_SOURCES, hash_files
 from splits.core.validation import check_choice, invalid, unknown_key
-from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.retrieve_checks import check_on_grid
-from splits.experiments.studies.study import ROLES_DESCRIPTION, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study import Experiments, Roles, Study, StudyProduct, StudyRun
 from splits.illumination.bands import SENSORS
 
 if TYPE_CHECKING:
@@ -23,15 +21,15 @@ if TYPE_CHECKING:
 class TableStudy(Study):
     """Study of tables with any names, which are titles."""
 
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+    inputs: Roles
 
     def list_parameters(
-        self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
+        self, seed: int, max_stderr: float, experiments: Experiments
     ) -> dict[str, Any]:
         """Return the seed, and a digest of the sources."""
         return {"seed": seed, "program": hash_files(PACKAGE_FOLDER, RETRIEVAL_SOURCES)}
 
-    def check_inputs(self, available: Mapping[str, ExperimentConfig]) -> None:
+    def check_inputs(self, available: Experiments) -> None:
         """Reject experiments that are no tables over two numeric parameters or more."""
         if not self.inputs:
             raise invalid("inputs", self.inputs, "at least one experiment by name")
@@ -128,14 +126,8 @@ class BandsStudy(TableStudy):
         {}, description="known values of axes, for the tables that have these axes"
     )
 
-    def check(
-        self,
-        available: Mapping[str, ExperimentConfig],
-        tables: Mapping[str, Path],
-        studies: Mapping[str, Study],
-    ) -> None:
+    def check_keys(self, available: Experiments, studies: Mapping[str, Study]) -> None:
         """Reject unknown sensors, fixed values outside the axes, and text axes not fixed."""
-        super().check(available, tables, studies)
         if self.bands is not None:
             check_choice("bands", self.bands, SENSORS)
         used = [available[n] for n in self.inputs.values() if n in available]

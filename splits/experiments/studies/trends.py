@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from pydantic import Field
-
-from splits.experiments.studies.study import ROLES_DESCRIPTION, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study import Roles, Study, StudyProduct, StudyRun
 from splits.experiments.studies.study_input import StudyInput, make_goniophotometer_input
 
 
@@ -43,7 +41,7 @@ class AngularTrendsStudy(Study):
     SOME_INPUTS_SUFFICE: ClassVar = True
 
     kind: Literal["angular_trends"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+    inputs: Roles
 
     def make(self, run: StudyRun) -> None:
         """Make the table."""
@@ -84,7 +82,7 @@ class LayerTrendsStudy(Study):
     SOME_INPUTS_SUFFICE: ClassVar = True
 
     kind: Literal["layer_trends"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+    inputs: Roles
 
     def make(self, run: StudyRun) -> None:
         """Make the table."""

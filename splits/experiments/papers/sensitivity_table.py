@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import astuple
 from typing import Any
@@ -66,26 +67,23 @@ def make_sensitivity_table(
     """
     rows = []
     for name, pair in pairs.items():
-        dimension = pair["parameter"]
-        ranges = datasets[pair["experiment"]]
-        values = list(ranges[dimension].values)
-        interpretation = datasets[pair["interpretation"]] if pair["interpretation"] else None
+        dimension, ranges = pair["parameter"], datasets[pair["experiment"]]
+        ends = [pair["low"], pair["high"]]
         for quantity in QUANTITY_CONDITIONS:
-            for position, low in enumerate(values):
-                for high in values[position + 1 :]:
-                    index = compute_pair_sensitivity(ranges, dimension, low, high, quantity)
-                    chosen = _is_same_label(low, pair["low"]) and _is_same_label(high, pair["high"])
-                    rows.append((name, quantity, "default", low, high, chosen, *astuple(index)))
-            if interpretation is None:
+            for labels in itertools.combinations(ranges[dimension].values, 2):
+                index = compute_pair_sensitivity(ranges, dimension, *labels, quantity)
+                chosen = all(map(_is_same_label, labels, ends))
+                rows.append((name, quantity, "default", *labels, chosen, *astuple(index)))
+            if not pair["interpretation"]:
                 continue
+            interpretations = datasets[pair["interpretation"]]
             # The experiment over ranges has the default interpretation.
-            for label in interpretation.interpretation.values[
-                interpretation.interpretation.values != "default"
-            ]:
-                part = select_points(interpretation, {"interpretation": str(label)})
-                low, high = part[dimension].values[[0, -1]]
-                index = compute_pair_sensitivity(part, dimension, low, high, quantity)
-                rows.append((name, quantity, str(label), low, high, False, *astuple(index)))
+            for label in map(str, interpretations.interpretation.values):
+                if label != "default":
+                    part = select_points(interpretations, {"interpretation": label})
+                    low, high = part[dimension].values[[0, -1]]
+                    index = compute_pair_sensitivity(part, dimension, low, high, quantity)
+                    rows.append((name, quantity, label, low, high, False, *astuple(index)))
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
@@ -101,24 +99,22 @@ def select_chosen_sensitivities(
     published : pandas.DataFrame, optional
         See `splits.analysis.measured.read_published`, with a row for each index.
     """
-    chosen = table[table.chosen]
-    parameters = list(dict.fromkeys(chosen.parameter))
-    shape = (len(QUANTITY_CONDITIONS), len(parameters))
-    names = ("msi", "msi_stderr") if published is None else ("msi", "msi_stderr", "published")
-    columns = {name: np.zeros(shape) for name in names}
-    for i, quantity in enumerate(QUANTITY_CONDITIONS):
-        for j, parameter in enumerate(parameters):
-            row = chosen[(chosen.quantity == quantity) & (chosen.parameter == parameter)].iloc[0]
-            columns["msi"][i, j] = row.msi
-            columns["msi_stderr"][i, j] = row.msi_stderr
-            if published is not None:
-                row = published.loc[f"msi_{quantity[0]}_{parameter}"]
-                columns["published"][i, j] = row.published
+    chosen = table[table.chosen].drop_duplicates(["quantity", "parameter"])
+    parameters = list(chosen.parameter.unique())
+    grid = chosen.set_index(["quantity", "parameter"])[["msi", "msi_stderr"]].unstack()
+    index, error = (
+        grid[name].loc[list(QUANTITY_CONDITIONS), parameters].to_numpy()
+        for name in ("msi", "msi_stderr")
+    )
     dims, label = ("quantity", "parameter"), "mean sensitivity index"
-    variables = quantity_of("msi", dims, columns["msi"], columns["msi_stderr"], label)
+    variables = quantity_of("msi", dims, index, error, label)
     if published is not None:
-        values, long_name = columns["published"], f"{label} published in SPLITSnow Table 2"
-        variables |= quantity_of("published", dims, values, None, long_name)
+        values = [
+            [published.published[f"msi_{quantity[0]}_{parameter}"] for parameter in parameters]
+            for quantity in QUANTITY_CONDITIONS
+        ]
+        long_name = f"{label} published in SPLITSnow Table 2"
+        variables |= quantity_of("published", dims, np.array(values), None, long_name)
     return xr.Dataset(
         variables,
         {

@@ -7,7 +7,7 @@ figures, qualitative trends) and the runs that give our values.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from splits.experiments.papers.angular_statements import (
     compute_incidence_trends,
     compute_nadir_trends,
 )
+from splits.experiments.papers.estimate import Estimate
 from splits.experiments.papers.interpretation_runs import (
     WATER_TABLES,
     InterpretationRun,
@@ -65,26 +66,23 @@ def _compute_table3(run: InterpretationRun) -> StatementValues:
     spectra = run.simulate_spectra(
         list(TABLE3_WAVELENGTHS_NM.values()), run.errors.bands, 62.3, depth_m=0.25
     )
-    arrays = [
-        np.array([spectrum[name].values for spectrum in spectra])
+    value, error = (
+        np.array([spectrum[name].values for spectrum in spectra]).T
         for name in ("reflectance", "reflectance_stderr")
-    ]
-    return {
-        name: (arrays[0][:, i], arrays[1][:, i]) for i, name in enumerate(TABLE3_WAVELENGTHS_NM)
-    }
+    )
+    return dict(zip(TABLE3_WAVELENGTHS_NM, zip(value, error, strict=True), strict=True))
 
 
 def _compute_max_transmittance(run: InterpretationRun) -> StatementValues:
     """Return the largest transmittance, at the wavelengths where snow absorbs least (Fig 7)."""
     spectra = run.simulate_spectra(np.arange(400.0, 501.0, 20.0), run.errors.transmittance)
     best = [
-        spectrum.isel(wavelength=int(spectrum.transmittance.values.argmax()))
-        for spectrum in spectra
+        Estimate.from_dataset(s, "transmittance")
+        .isel(wavelength=int(s.transmittance.argmax("wavelength")))
+        .to_floats()
+        for s in spectra
     ]
-    value, error = (
-        np.array([float(spectrum[name]) for spectrum in best])
-        for name in ("transmittance", "transmittance_stderr")
-    )
+    value, error = np.transpose(best)
     return {"transmittance_max": (value, error)}
 
 
@@ -98,21 +96,14 @@ def _make_sensitivity_stage(
         for parameter, letter in itertools.product(parameters, letters):
             quantity, depth, wavelengths = SENSITIVITY_SPECTRA[letter]
             error = getattr(run.errors, f"{quantity}s")
-            spectra = [
-                run.simulate_spectra(
-                    wavelengths,
-                    error,
-                    run_number=1 + i,
-                    **{SNOW_KEYWORDS[parameter]: extreme, "depth_m": depth},
-                )
-                for i, extreme in enumerate(PARAMETER_EXTREMES[parameter])
-            ]
-            floors = (
-                TRANSMITTANCE_FLOORS if quantity == "transmittance" else TRANSMITTANCE_FLOORS[:1]
-            )
-            values[f"msi_{letter}_{parameter}"] = _compute_sensitivity_indices(
-                spectra, quantity, floors
-            )
+            spectra = []
+            for number, extreme in enumerate(PARAMETER_EXTREMES[parameter], start=1):
+                settings = {SNOW_KEYWORDS[parameter]: extreme, "depth_m": depth}
+                run_spectra = run.simulate_spectra(wavelengths, error, 0.0, number, **settings)
+                spectra.append(run_spectra)
+            floors = TRANSMITTANCE_FLOORS[: None if quantity == "transmittance" else 1]
+            indices = _compute_sensitivity_indices(spectra, quantity, floors)
+            values[f"msi_{letter}_{parameter}"] = indices
         return values
 
     return compute
@@ -171,26 +162,17 @@ STATED_NUMBERS = {
 }  # fmt: skip
 """Published numbers by stage, under their ids in the table of published numbers."""
 
-STATED_TRENDS: Mapping[str, Mapping[str, str]] = {
-    "angles": {
-        "fig19_lambertian": "Fig 19", "fig19_peak_30": "Fig 19", "fig19_peak_60": "Fig 19",
-        "fig19_peak_grows": "Fig 19",
-    },
-    "nadir": {
-        "fig16_nadir_dark": "Fig 16", "fig16_grows": "Fig 16", "fig17_nadir_dark": "Fig 17",
-        "fig18_varies_more": "Fig 18",
-    },
-    "grains": {
-        "fig20_fine_least": "Fig 20", "fig21_fine_most": "Fig 21",
-        "fig22_rounded_varies_most": "Fig 22",
-    },
-}  # fmt: skip
-"""Trends by stage, with their place in the paper."""
+STATED_TRENDS = {
+    "angles": ("fig19_lambertian", "fig19_peak_30", "fig19_peak_60", "fig19_peak_grows"),
+    "nadir": ("fig16_nadir_dark", "fig16_grows", "fig17_nadir_dark", "fig18_varies_more"),
+    "grains": ("fig20_fine_least", "fig21_fine_most", "fig22_rounded_varies_most"),
+}
+"""Trends by stage; their names begin with the figure of the paper."""
 
 
 def get_stated_trends(stage: str) -> dict[str, PublishedStatement]:
     """Return the trends of a stage."""
     return {
-        name: PublishedStatement(name, place, 0.0, TREND_TOLERANCE, is_trend=True)
-        for name, place in STATED_TRENDS.get(stage, {}).items()
+        name: PublishedStatement(name, f"Fig {name[3:5]}", 0.0, TREND_TOLERANCE, is_trend=True)
+        for name in STATED_TRENDS.get(stage, ())
     }

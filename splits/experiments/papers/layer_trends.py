@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 
 import xarray as xr
 
 from splits.analysis.directions import select_principal_plane
+from splits.experiments.papers.brdf_trends import Trends
 from splits.experiments.papers.estimate import Estimate
 from splits.experiments.papers.snow_trends import make_significance_row
 
@@ -38,50 +38,38 @@ def make_layer_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, 
     datasets : mapping
         By name, some or all of `splits.experiments.studies.trends.LayerTrendsStudy`.
     """
-    makers: dict[str, Callable[[xr.Dataset], dict[str, object]]] = {
-        "lens": _make_lens_row,
-        "volume": _make_volume_row,
-        **{role: partial(_make_change_row, *change) for role, change in CHANGES.items()},
-        "band_limit": _make_band_limit_row,
-    }
-    return [make_row(datasets[role]) for role, make_row in makers.items() if role in datasets]
+    trends = _list_trends(datasets)
+    return [make_significance_row(text, place, *estimate) for text, place, estimate in trends]
+
+
+def _list_trends(datasets: Mapping[str, xr.Dataset]) -> Trends:
+    if "lens" in datasets:
+        lens = datasets["lens"]
+        best = lens.isel(screen_depth=lens.concentration.argmax("screen_depth"))
+        place = f"{float(best.screen_depth):g} m below a crest"
+        text = f"statistical lens: inverse mean square size of a ring's image {place}, above 1 by"
+        yield text, "Fig 2", Estimate.from_dataset(best, "concentration") - 1.0
+    if "volume" in datasets:
+        brdf = _select_plane(datasets["volume"])
+        text = "very rough glass: BRDF (1/sr) that the volume adds, where least significant"
+        added = brdf.sel(medium="surface and volume") - brdf.sel(medium="surface only")
+        yield text, "Fig 3", added
+    for role, (dimension, text) in CHANGES.items():
+        if role in datasets:
+            brdf = _select_plane(datasets[role])
+            change = brdf.isel(**{dimension: -1}) / brdf.isel(**{dimension: 0}) - 1.0
+            most = change.isel(angle=(abs(change.value) - 2.0 * change.stderr).argmax("angle"))
+            sign = "" if most.value > 0.0 else "less, "
+            text = f"{text} ({sign}at {float(most.value.angle):g}°)"
+            yield text, "section 1", Estimate(abs(most.value), most.stderr)
+    if "band_limit" in datasets:
+        spectrum = datasets["band_limit"].isel(wavelength=0)
+        reflectance = Estimate.from_dataset(spectrum, "reflectance")
+        text = "exponential correlation: reflectance falls as the band limit rises: smallest step"
+        yield text, "Eq 3", -reflectance.diff("surface")
 
 
 def _select_plane(dataset: xr.Dataset) -> Estimate:
     """Return the BRDF in the principal plane up to the largest angle."""
     plane = select_principal_plane(dataset).isel(wavelength=0)
     return Estimate.from_dataset(plane.sel(angle=slice(-MAX_ANGLE_DEG, MAX_ANGLE_DEG)), "brdf")
-
-
-def _make_lens_row(dataset: xr.Dataset) -> dict[str, object]:
-    """Return the comparison of the densest image of a ring above a crest with the ring."""
-    best = dataset.isel(screen_depth=dataset.concentration.argmax("screen_depth"))
-    place = f"{float(best.screen_depth):g} m below a crest"
-    statement = f"statistical lens: inverse mean square size of a ring's image {place}, above 1 by"
-    excess = Estimate.from_dataset(best, "concentration") - 1.0
-    return make_significance_row(statement, "Fig 2", *excess)
-
-
-def _make_volume_row(dataset: xr.Dataset) -> dict[str, object]:
-    """Return the comparison of a surface above a volume with the surface only."""
-    brdf = _select_plane(dataset)
-    statement = "very rough glass: BRDF (1/sr) that the volume adds, where least significant"
-    added = brdf.sel(medium="surface and volume") - brdf.sel(medium="surface only")
-    return make_significance_row(statement, "Fig 3", *added)
-
-
-def _make_change_row(dimension: str, statement: str, dataset: xr.Dataset) -> dict[str, object]:
-    """Return the most significant relative change between the ends of a grid's dimension."""
-    brdf = _select_plane(dataset)
-    change = brdf.isel(**{dimension: -1}) / brdf.isel(**{dimension: 0}) - 1.0
-    most = change.isel(angle=int((abs(change.value) - 2.0 * change.stderr).argmax("angle")))
-    sign = "" if most.value > 0.0 else "less, "
-    text = f"{statement} ({sign}at {float(most.value.angle):g}°)"
-    return make_significance_row(text, "section 1", abs(most.value), most.stderr)
-
-
-def _make_band_limit_row(dataset: xr.Dataset) -> dict[str, object]:
-    """Return the smallest decrease of reflectance with the band limit."""
-    steps = Estimate.from_dataset(dataset.isel(wavelength=0), "reflectance").diff("surface")
-    statement = "exponential correlation: reflectance falls as the band limit rises: smallest step"
-    return make_significance_row(statement, "Eq 3", *-steps)

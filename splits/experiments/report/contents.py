@@ -185,14 +185,13 @@ def _get_group(study: Study, experiments: Mapping[str, ExperimentConfig]) -> str
 
 
 def _make_section(key: str, items: list[ReportItem]) -> ReportSection:
-    items = sorted(items, key=lambda item: parse_place(item.place)[:3])
-    for paper_key, paper in PAPERS.items():
-        if key == paper_key:
-            return ReportSection(
-                key=key, title=paper.title, reference=paper.reference, items=tuple(items)
-            )
+    paper = next((paper for name, paper in PAPERS.items() if name == key), None)
     title = GROUP_TITLES.get(key, key.replace("_", " ").capitalize())
-    return ReportSection(key=key, title=title, items=tuple(items))
+    return ReportSection(
+        key=key, title=paper.title if paper else title,
+        reference=paper.reference if paper else "",
+        items=tuple(sorted(items, key=lambda item: parse_place(item.place)[:3])),
+    )  # fmt: skip
 
 
 def _make_experiment_item(name: str, experiment: ExperimentConfig) -> ReportItem:

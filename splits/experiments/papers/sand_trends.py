@@ -55,14 +55,10 @@ def make_sand_trend_table(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
 
 
 def _make_rise_rows(samples: xr.Dataset) -> list[dict[str, object]]:
-    means, weights = (
-        xr.concat([compute(*band) for band in RISING_BANDS_NM], "band").diff("band")
-        for compute in (
-            lambda *band: compute_band_mean(samples, "reflectance", *band),
-            lambda *band: make_band_weights(samples, *band),
-        )
-    )
-    steps = Estimate(means, compute_weighted_error(samples, "reflectance", weights))
+    means = [compute_band_mean(samples, "reflectance", *band) for band in RISING_BANDS_NM]
+    weights = [make_band_weights(samples, *band) for band in RISING_BANDS_NM]
+    step, weight = (xr.concat(parts, "band").diff("band") for parts in (means, weights))
+    steps = Estimate(step, compute_weighted_error(samples, "reflectance", weight))
     bands = ", ".join(f"{low}-{high}" for low, high in RISING_BANDS_NM)
     return [
         make_significance_row(
@@ -108,8 +104,7 @@ def make_shift_table(dataset: xr.Dataset, dimension: str, reference: str | float
     """
     low, high = dataset.wavelength.values[[0, -1]]
     spectrum, mean = (
-        Estimate(*(part.drop_sel({dimension: reference}) for part in estimate))
-        - estimate.sel(**{dimension: reference})
+        estimate - estimate.sel(**{dimension: reference})
         for estimate in (
             Estimate.from_dataset(dataset, "reflectance"),
             estimate_band(dataset, "reflectance", low, high),
@@ -117,17 +112,13 @@ def make_shift_table(dataset: xr.Dataset, dimension: str, reference: str | float
     )
     worst = spectrum.isel(wavelength=abs(spectrum.value).argmax("wavelength"))
     columns = {
-        "varied": dimension,
-        "value": worst.value[dimension],
-        "mean_shift": mean.value,
-        "mean_shift_stderr": mean.stderr,
-        "largest_shift": worst.value,
-        "largest_shift_stderr": worst.stderr,
-        "at_wavelength_nm": worst.value.wavelength,
-    }
-    order = ["medium", dimension]
-    table = xr.Dataset(columns).reset_coords(drop=True).to_dataframe(order)
-    return table[list(columns)].reset_index("medium").reset_index(drop=True)
+        "varied": dimension, "value": worst.value[dimension], "mean_shift": mean.value,
+        "mean_shift_stderr": mean.stderr, "largest_shift": worst.value,
+        "largest_shift_stderr": worst.stderr, "at_wavelength_nm": worst.value.wavelength,
+    }  # fmt: skip
+    grid = xr.Dataset(columns).reset_coords(drop=True)
+    table = grid.to_dataframe(["medium", dimension])[list(columns)].reset_index("medium")
+    return table[table.value != reference].reset_index(drop=True)
 
 
 def make_fit_table(dataset: xr.Dataset) -> pd.DataFrame:

@@ -59,11 +59,8 @@ LIMB_ANGLES_DEG = (-67.5, 67.5)
 
 
 def _compute_grain_distance(run: InterpretationRun) -> StatementValues:
-    return {
-        "grain_distance": repeat_for_waters(
-            run.make_snow(density_kg_m3=450.0).mean_grain_distance_m, 0.0
-        )
-    }
+    distance = run.make_snow(density_kg_m3=450.0).mean_grain_distance_m
+    return {"grain_distance": repeat_for_waters(distance, 0.0)}
 
 
 def _compute_table3(run: InterpretationRun) -> StatementValues:

@@ -55,10 +55,9 @@ class SensitivityPair(ConfigSection):
 
     def check(self, key: str, available: Experiments) -> None:
         """Reject experiments that do not meet the requirements."""
-        axes = (self.parameter, "depth_m")
-        extremes: dict[str, tuple[float | str, ...]] = {self.parameter: (self.low, self.high)}
+        axes, ends = (self.parameter, "depth_m"), {self.parameter: (self.low, self.high)}
         if self.experiment in available:
-            required = StudyInput(axes, {**extremes, **DEPTHS_M}, band_nm=BAND_NM)
+            required = StudyInput(axes, {**ends, **DEPTHS_M}, band_nm=BAND_NM)
             check_input(f"{key}.experiment", available[self.experiment], required)
         if self.interpretation in available:
             required = StudyInput((*axes, "interpretation"), DEPTHS_M, band_nm=BAND_NM)

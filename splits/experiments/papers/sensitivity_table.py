@@ -136,16 +136,13 @@ def describe_ranges(pairs: Mapping[str, Mapping[str, Any]]) -> str:
         For each parameter ``low``, ``high`` and ``source``, ``"paper"`` or ``"ours"``.
     """
     parts = []
-    for origin, description in (
-        ("paper", "stated by the paper"),
-        ("ours", "chosen here, not stated"),
-    ):
+    for origin, text in (("paper", "stated by the paper"), ("ours", "chosen here, not stated")):
         ranges = [
             f"{name.replace('_', ' ')} {pair['low']} to {pair['high']}"
             for name, pair in pairs.items()
             if pair["source"] == origin
         ]
-        parts += [f"{description}: {', '.join(ranges)}"] if ranges else []
+        parts += [f"{text}: {', '.join(ranges)}"] if ranges else []
     return f"Ranges {'; '.join(parts)}."
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
@@ -195,7 +196,6 @@ def _make_section(key: str, items: list[ReportItem]) -> ReportSection:
 
 
 def _make_experiment_item(name: str, experiment: ExperimentConfig) -> ReportItem:
-    paths = experiment.list_product_paths()
     note = FIT_CAPTION if experiment.fit else RETRIEVAL_CAPTION
     return ReportItem(
         anchor=f"experiment-{name}",
@@ -203,38 +203,35 @@ def _make_experiment_item(name: str, experiment: ExperimentConfig) -> ReportItem
         title=experiment.title or name,
         caption=experiment.caption,
         place=experiment.reproduces.place if experiment.reproduces else "",
-        figure=_get_figure(paths),
-        tables=tuple(ReportTable(path=path, note=note) for path in paths if path.endswith(".csv")),
-        datasets=tuple(path for path in paths if path.endswith(".nc")),
+        **_sort_files(experiment.list_product_paths(), note),
     )
 
 
 def _list_study_items(name: str, study: Study) -> list[ReportItem]:
     paths = study.list_product_paths(name)
     # A dataset of the study is linked below its figure.
-    datasets = tuple(path for made in paths.values() for path in made if path.endswith(".nc"))
+    datasets = _sort_files([path for made in paths.values() for path in made])["datasets"]
     items = []
     for key, made in paths.items():
-        product, figure = study.PRODUCTS[key], _get_figure(made)
-        if not product.title:
-            continue
-        items.append(
-            ReportItem(
+        product, files = study.PRODUCTS[key], _sort_files(made)
+        if product.title:
+            item = ReportItem(
                 anchor=f"study-{name}-{key}",
                 name=name,
                 title=product.title,
                 caption=product.caption,
                 place=product.place if study.reproduces else "",
-                figure=figure,
-                tables=tuple(ReportTable(path=path) for path in made if path.endswith(".csv")),
-                datasets=datasets if figure else tuple(p for p in made if not p.endswith(".csv")),
                 is_comparison=product.is_comparison and study.reproduces is not None,
+                **files | ({"datasets": datasets} if files["figure"] else {}),
             )
-        )
+            items.append(item)
     return items
 
 
-def _get_figure(paths: Iterable[str]) -> str:
-    """Return the path of a figure without suffix, or an empty text if the files have none."""
+def _sort_files(paths: list[str], note: str = "") -> dict[str, Any]:
+    """Return the figure (without suffix), tables and datasets among the files of an item."""
     first = FIGURE_SUFFIXES[0]
-    return next((path.removesuffix(first) for path in paths if path.endswith(first)), "")
+    figures = [path.removesuffix(first) for path in paths if path.endswith(first)]
+    tables = [ReportTable(path=path, note=note) for path in paths if path.endswith(".csv")]
+    datasets = [path for path in paths if path.endswith(".nc")]
+    return {"figure": "".join(figures[:1]), "tables": (*tables,), "datasets": (*datasets,)}

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import PurePath
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from splits.core.validation import invalid
@@ -26,6 +27,17 @@ def check_text(key: str, value: str, max_chars: int, multiline: bool = False) ->
     if not joined.isprintable():
         raise invalid(key, value, "text without control characters or line breaks")
     return value
+
+
+def match_pattern(pattern: re.Pattern[str], allowed: str) -> AfterValidator:
+    """Return the validator of a field whose text a pattern describes completely."""
+
+    def check(value: str, info: ValidationInfo) -> str:
+        if not pattern.fullmatch(value):
+            raise invalid(info.field_name or "", value, allowed)
+        return value
+
+    return AfterValidator(check)
 
 
 def check_path(key: str, value: str) -> str:

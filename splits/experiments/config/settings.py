@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import posixpath
 import re
 from collections.abc import Mapping
@@ -16,7 +15,13 @@ from splits.core.validation import check_choice, invalid, suggest_name
 from splits.core.yaml import ConfigError
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
-from splits.experiments.config.sections import ConfigSection, Label, Title, check_path
+from splits.experiments.config.sections import (
+    ConfigSection,
+    Label,
+    Title,
+    check_path,
+    match_pattern,
+)
 from splits.experiments.studies import AnyStudy
 from splits.experiments.studies.checks import check_studies
 from splits.io.ro_crate import ORCID_URL, Author
@@ -29,14 +34,19 @@ _ACCURACY_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LICENCE_PATTERN = re.compile(
     r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[\w.~:/?#@!$&'()*+,;=%-]{1,300}", re.ASCII
 )
+LICENCE_RULE = "an SPDX identifier such as MIT or CC-BY-4.0, or a URL"
 
 
 def _check_orcid(value: str) -> str:
-    digits = value.removeprefix(ORCID_URL)
-    if not value or _is_orcid(digits):
-        return digits
-    allowed = "an ORCID such as 0000-0002-1825-0097, with a valid check digit"
-    raise invalid("", value, allowed)
+    """Return an ORCID without its URL; reject a wrong check digit (ISO 7064, MOD 11-2)."""
+    orcid = value.removeprefix(ORCID_URL)
+    is_orcid = re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", orcid, re.ASCII) is not None
+    total = 0
+    for digit in orcid[:-1].replace("-", "") if is_orcid else "":
+        total = 2 * (total + int(digit))
+    if value and not (is_orcid and orcid[-1] == "0123456789X"[(12 - total) % 11]):
+        raise invalid("", value, "an ORCID such as 0000-0002-1825-0097, with a valid check digit")
+    return orcid
 
 
 class ArchiveAuthor(ConfigSection):
@@ -45,14 +55,6 @@ class ArchiveAuthor(ConfigSection):
     name: Title = Field(description="name of the author")
     orcid: Annotated[str, AfterValidator(_check_orcid)] = Field("", description="ORCID")
     affiliation: Title = Field("", description="institution of the author")
-
-
-def _is_orcid(digits: str) -> bool:
-    """Return whether a text is an ORCID with a valid check digit (ISO 7064, MOD 11-2)."""
-    if not re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", digits, re.ASCII):
-        return False
-    total = functools.reduce(lambda x, digit: 2 * (x + int(digit)), digits[:-1].replace("-", ""), 0)
-    return digits[-1] == "0123456789X"[(12 - total) % 11]
 
 
 DEFAULT_GROUPS = ("papers", OWN_GROUP)
@@ -84,12 +86,6 @@ def _check_folder(value: str) -> str:
     if path == ".":
         raise invalid("", value, "the path of a folder")
     return check_path("", path)
-
-
-def _check_licence(value: str) -> str:
-    if not _LICENCE_PATTERN.fullmatch(value):
-        raise invalid("", value, "an SPDX identifier such as MIT or CC-BY-4.0, or a URL")
-    return value
 
 
 def _check_accuracy_name(name: str) -> str:
@@ -146,7 +142,7 @@ class Settings(ConfigSection):
         description="experiments in the archive of `snakemake archive`; on the command line with "
         "commas",
     )
-    archive_license: Annotated[str, AfterValidator(_check_licence)] = Field(
+    archive_license: Annotated[str, match_pattern(_LICENCE_PATTERN, LICENCE_RULE)] = Field(
         DEFAULT_LICENCE,
         description="licence of the results in an archive: an SPDX identifier such as `CC-BY-4.0`, "
         "or a URL",

@@ -50,16 +50,12 @@ class PointCache:
 
     def load(self, indices: Sequence[int]) -> list[xr.Dataset] | None:
         """Return points that share paths, or None if the file of any is missing or damaged."""
-        datasets = []
-        for file in self._get_files(indices):
-            if not file.exists():
-                return None
-            try:
-                datasets.append(load(file))
-            except ValueError:
-                # A damaged file is simulated again and overwritten.
-                return None
-        return datasets
+        files = self._get_files(indices)
+        try:
+            # A damaged file is simulated again and overwritten.
+            return [load(file) for file in files] if all(map(Path.exists, files)) else None
+        except ValueError:
+            return None
 
     def save(self, indices: Sequence[int], points: Iterable[xr.Dataset]) -> list[xr.Dataset]:
         """Write points that share paths, and return them as `load` would.

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.progress import Progress
+from splits.core.progress import LogCallback, Progress
 from splits.experiments.checkpoints import PointCache
-from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.accuracy import MAX_RAYS, Accuracy
 from splits.experiments.config.instrument import Instrument, OpticalInstrument
 from splits.experiments.config.instrument_kinds import (
     BeamSpread,
@@ -30,9 +30,7 @@ from splits.simulation.run_options import RunOptions
 STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
 N_BEAM_RAYS = 200_000
 """Number of rays of a beam spread at a relative standard error of 0.02."""
-MAX_RAYS = 20_000_000
 
-LogCallback = Callable[[str], None]
 GridPoint = tuple[dict[str, str], Medium, float | str]
 
 
@@ -67,10 +65,10 @@ def simulate_points(
     instrument, points = experiment.instrument, list(experiment.iter_points())
     seed = instrument.get_seed(seed)
     results: dict[int, xr.Dataset] = {}
+    rays = 0
     groups = _group_by_shared_paths(instrument, points)
     if len(groups) < len(points):
         log(f"{experiment.name}: {len(groups)} sets of paths for {len(points)} points")
-    rays = 0
     for indices, members in groups:
         prefix = _format_prefix(experiment.name, points, indices)
         cached = cache.load(indices) if cache else None
@@ -105,13 +103,10 @@ def _group_by_shared_paths(
         return [([index], None) for index in range(len(points))]
     wavelengths = np.asarray(instrument.get_wavelengths(), dtype=float)
     groups: list[tuple[list[int], MediaGroup | None]] = []
-    for beam_incidence in dict.fromkeys(incidence for *_, incidence in points):
-        same_beam = [
-            index for index, (*_, incidence) in enumerate(points) if incidence == beam_incidence
-        ]
-        for members in group_by_shared_paths(
-            [points[index][1] for index in same_beam], wavelengths
-        ):
+    for beam in dict.fromkeys(incidence for *_, incidence in points):
+        same_beam = [index for index, (*_, incidence) in enumerate(points) if incidence == beam]
+        media = [points[index][1] for index in same_beam]
+        for members in group_by_shared_paths(media, wavelengths):
             indices = [same_beam[index] for index in members.positions]
             groups.append((indices, members if len(indices) > 1 else None))
     return sorted(groups, key=lambda group: min(group[0]))
@@ -127,13 +122,10 @@ def _simulate_group(
     progress: Callable[[Progress], None],
 ) -> list[xr.Dataset]:
     """Simulate points that share paths, in the order of the group's media."""
-    max_rays = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
-    error = instrument.scale_stderr(accuracy.max_stderr)
-    _, _, beam = points[0]
+    error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
+    wavelengths, (_, _, beam) = instrument.get_wavelengths(), points[0]
     run = RunOptions.from_arguments(seed, threads, progress=progress)
-    request = SpectralRequest.from_arguments(
-        instrument.get_wavelengths(), beam, error, max_rays, run
-    )
+    request = SpectralRequest.from_arguments(wavelengths, beam, error, rays, run)
     spectra = simulate_spectra(group.path_sharing, request)
     return [
         _relabel_spectrum(spectra[index], medium)
@@ -187,16 +179,15 @@ def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -
         f"{prefix}: done, {attributes['rays']} rays{''.join(reached)}, "
         f"{attributes['wall_time_s']:.1f} s"
     )
-    if attributes.get("stop_reason") == "max_rays":
-        log(
-            f"{prefix}: stopped by max_rays = {attributes['max_rays']} before the error was reached"
-        )
-    if attributes.get("stop_reason") == "max_degree":
-        log(
-            f"{prefix}: stopped before the error was reached: in some directions the BRDF changes "
-            "faster than the expansion resolves, which more rays do not improve; the stated errors "
-            "include this; `estimator: bins` resolves such peaks"
-        )
+    reasons = {
+        "max_rays": f"stopped by max_rays = {attributes.get('max_rays')} before the error was "
+        "reached",
+        "max_degree": "stopped before the error was reached: in some directions the BRDF changes "
+        "faster than the expansion resolves, which more rays do not improve; the stated errors "
+        "include this; `estimator: bins` resolves such peaks",
+    }
+    if attributes.get("stop_reason") in reasons:
+        log(f"{prefix}: {reasons[attributes['stop_reason']]}")
 
 
 def simulate_point(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ import xarray as xr
 
 from splits.analysis.measured import read_spectra
 from splits.core.parameter_names import describe_parameter
+from splits.core.progress import LogCallback
 from splits.core.validation import key_prefix
 from splits.experiments.config.retrieve import RetrieveSection
 from splits.experiments.papers.paper_tables import write_data_frame
@@ -21,7 +22,6 @@ from splits.retrieval.retrieve import retrieve
 from splits.retrieval.state_vector import SCALE
 from splits.tables.table import Table, open_table
 
-LogCallback = Callable[[str], None]
 SINGLE_MODEL, OWN_MODEL = "", "splits"
 """Names of our model: where it is the only one, and in a comparison with a law."""
 
@@ -101,16 +101,11 @@ class _RetrievalTask(NamedTuple):
         }
         retrievals = []
         for name in self.spectra:
+            is_first = name in sources
             prior = self._make_prior(prior_results, name)
-            result = (
-                prior_results[name] if name in prior_results else self._retrieve(name, prior, {})
-            )
-            reference_chi2 = (
-                np.nan if name in prior_results else self._compute_reference_chi2(name, prior)
-            )
-            retrievals.append(
-                SampleRetrieval(self.model, name, result, reference_chi2, name in prior_results)
-            )
+            result = prior_results[name] if is_first else self._retrieve(name, prior, {})
+            chi2 = np.nan if is_first else self._compute_reference_chi2(name, prior)
+            retrievals.append(SampleRetrieval(self.model, name, result, chi2, is_first))
             label = f"{name} ({self.model})" if self.model else name
             for line in repr(result).splitlines():
                 log(f"{label}: {line}")
@@ -140,27 +135,18 @@ class _RetrievalTask(NamedTuple):
             for parameter, values in self.section.reference_values.items()
             if name in values
         }
-        free_names = [
-            parameter
-            for parameter in self.section.free
-            if parameter not in references and parameter != SCALE
-        ]
-        if not references or not free_names or SCALE in references or self.section.noise is None:
+        others = {*self.section.free} - {*references, SCALE}
+        if not references or not others or SCALE in references or self.section.noise is None:
             return np.nan
         return float(self._retrieve(name, prior, references).dataset.attrs["chi2"])
 
-    def _make_prior(
-        self, prior_results: Mapping[str, RetrievalResult], name: str
-    ) -> dict[str, Any]:
+    def _make_prior(self, first: Mapping[str, RetrievalResult], name: str) -> dict[str, Any]:
         """Return the prior of a sample, including posteriors of samples retrieved first."""
         prior: dict[str, Any] = dict(self.section.prior)
         for source in self.section.prior_from:
             if name.startswith(source.applies_to):
-                result = prior_results[source.sample]
-                prior |= {
-                    parameter: (value, result.stderr[parameter])
-                    for parameter, value in result.values.items()
-                }
+                result = first[source.sample]
+                prior |= {key: (value, result.stderr[key]) for key, value in result.values.items()}
         return prior
 
 
@@ -209,15 +195,9 @@ def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Da
     """
     final = [retrieval for retrieval in retrievals if not retrieval.is_prior_sample]
     models = list(dict.fromkeys(retrieval.model for retrieval in final))
-    joined = xr.concat(
-        [
-            _combine_model([retrieval for retrieval in final if retrieval.model == model])
-            for model in models
-        ],
-        xr.IndexVariable("model", models),
-        join="outer",
-        combine_attrs="drop",
-    )
+    datasets = [_combine_model([one for one in final if one.model == model]) for model in models]
+    axis = xr.IndexVariable("model", models)
+    joined = xr.concat(datasets, axis, join="outer", combine_attrs="drop")
     # Use the order of the first model, which has all parameters.
     order = final[0].result.dataset.parameter.values
     joined = joined.sel(parameter=order, other_parameter=order)
@@ -231,15 +211,11 @@ def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Da
 
 def _combine_model(retrievals: list[SampleRetrieval]) -> xr.Dataset:
     """Return the dataset of all samples of one model."""
-    datasets, names = (
-        [retrieval.result.dataset for retrieval in retrievals],
-        [retrieval.sample for retrieval in retrievals],
-    )
-    joined = xr.concat(
-        datasets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop"
-    )
+    datasets = [retrieval.result.dataset for retrieval in retrievals]
+    axis = xr.IndexVariable("sample", [retrieval.sample for retrieval in retrievals])
+    joined = xr.concat(datasets, axis, join="inner", combine_attrs="drop")
     for key in ("chi2", "chi2_expected", "error_inflation", "degrees_of_freedom"):
-        row = np.array([retrieval.attrs[key] for retrieval in datasets])
+        row = np.array([dataset.attrs[key] for dataset in datasets])
         joined[key] = ("sample", row, {"long_name": key.replace("_", " "), "units": "1"})
     misfits = np.array([retrieval.reference_chi2 for retrieval in retrievals])
     attributes = {"long_name": "chi2 at reference values", "units": "1"}

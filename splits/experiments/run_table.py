@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import xarray as xr
 
 from splits.core.atomic import atomic_write
-from splits.core.progress import Progress
-from splits.experiments.config.accuracy import Accuracy
+from splits.core.progress import LogCallback, Progress
+from splits.experiments.config.accuracy import MAX_RAYS, Accuracy
 from splits.experiments.config.instrument_kinds import TableInstrument
 from splits.experiments.config.simulation import SimulationConfig
 from splits.instruments.spectral_run import SpectralRequest
@@ -24,20 +24,12 @@ from splits.tables.build import compute_block_digest, iterate_blocks
 from splits.tables.plan import PathGroup, TablePlan
 from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
 
-MAX_RAYS = 20_000_000
-LogCallback = Callable[[str], None]
-
 
 def count_parts(experiment: SimulationConfig) -> int:
     """Return the number of parts of a table."""
-    return _get_instrument(experiment).blocks
-
-
-def _get_instrument(experiment: SimulationConfig) -> TableInstrument:
-    """Return the instrument of a table."""
     instrument = experiment.instrument
     assert isinstance(instrument, TableInstrument)
-    return instrument
+    return instrument.blocks
 
 
 def make_plan(experiment: SimulationConfig) -> TablePlan:
@@ -51,7 +43,8 @@ def make_request(
     experiment: SimulationConfig, accuracy: Accuracy, seed: int, threads: int | None = None
 ) -> TableRequest:
     """Return the settings of a table's simulation."""
-    instrument = _get_instrument(experiment)
+    instrument = experiment.instrument
+    assert isinstance(instrument, TableInstrument)
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     run = RunOptions.from_arguments(instrument.get_seed(seed), threads)
     request = SpectralRequest.from_arguments(instrument.get_wavelengths(), 0.0, error, rays, run)
@@ -114,10 +107,9 @@ def run_table(
     for block in _simulate_blocks(experiment, request, plan.path_groups, folder, log):
         insert_block(arrays, block)
         block_attributes.append(block.attrs)
-    return _add_experiment_attributes(
-        experiment,
-        assemble_dataset(arrays, plan, request, block_attributes, time.perf_counter() - start_time),
-    )
+    seconds = time.perf_counter() - start_time
+    table = assemble_dataset(arrays, plan, request, block_attributes, seconds)
+    return _add_experiment_attributes(experiment, table)
 
 
 def write_table(
@@ -168,17 +160,14 @@ def _simulate_blocks(
     log: LogCallback,
 ) -> Iterator[xr.Dataset]:
     """Yield blocks and log the progress."""
-    prefix, n_groups = f"{experiment.name}: {len(groups)} path groups", len(groups)
+    prefix = f"{experiment.name}: {len(groups)} path groups"
 
     def show(progress: Progress) -> None:
         log(f"{prefix}, {progress}")
 
     for number, block in enumerate(iterate_blocks(request, groups, folder, show), start=1):
-        reached = float(block.attrs["max_stderr_reached"])
-        log(
-            f"{prefix}: {number} of {n_groups} done, {block.attrs['rays']} rays, "
-            f"error {reached:.4f}"
-        )
+        rays, error = block.attrs["rays"], float(block.attrs["max_stderr_reached"])
+        log(f"{prefix}: {number} of {len(groups)} done, {rays} rays, error {error:.4f}")
         yield block
 
 

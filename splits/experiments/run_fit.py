@@ -13,9 +13,10 @@ import xarray as xr
 from splits.core.progress import LogCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import check_choice, check_range, invalid, key_prefix
+from splits.core.validation import check_range, invalid, key_prefix
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.grid import make_grid_coordinates
+from splits.experiments.config.sections import list_samples
 from splits.experiments.config.simulation import SimulationConfig
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF
@@ -119,12 +120,7 @@ def check_fit(experiment: SimulationConfig, measured: pd.DataFrame) -> list[str]
     section = experiment.fit
     if section is None:
         raise invalid("fit", None, "a section that names a measured table")
-    if "wavelength_nm" not in measured:
-        raise invalid(
-            "fit.measured", list(measured.columns), "a CSV table with column wavelength_nm"
-        )
-    available = [str(c) for c in measured.columns if c != "wavelength_nm"]
-    samples = [check_choice("fit.samples", s, available) for s in section.samples] or available
+    samples = list_samples("fit", measured, section.samples)
     with key_prefix("fit.measured"):
         wavelength = check_wavelengths(measured.wavelength_nm.tolist())
     for sample in samples:
@@ -138,9 +134,8 @@ def check_fit(experiment: SimulationConfig, measured: pd.DataFrame) -> list[str]
             cube.to_sand(np.full(len(cube.names), 0.5)).compute_refractive_indices(wavelength)
         min_wavelengths = len(cube.names) + MIN_RESIDUAL_DOF
         if wavelength.size < min_wavelengths:
-            raise invalid(
-                "fit.measured", f"{wavelength.size} wavelengths", f"{min_wavelengths} at least"
-            )
+            given, allowed = f"{wavelength.size} wavelengths", f"{min_wavelengths} at least"
+            raise invalid("fit.measured", given, allowed)
     return samples
 
 

@@ -197,9 +197,10 @@ def load_experiments(
     for path in sorted(expand_path(folder, "folder").rglob("*.y*ml")):
         try:
             experiment = load_experiment(path, media_folder, measured_folder)
-            _check_table_paths(path, experiment)
-        except ConfigError as error:
-            errors.append(str(error))
+            for table in experiment.list_table_paths():
+                check_path("table", table)
+        except ValueError as error:
+            errors.append(str(error) if isinstance(error, ConfigError) else f"{path}: {error}")
             continue
         name = experiment.name
         if name in experiments:
@@ -210,15 +211,6 @@ def load_experiments(
     if not experiments:
         raise ConfigError(f"{folder}: no experiment file (*.yaml)")
     return experiments
-
-
-def _check_table_paths(path: Path, experiment: ExperimentConfig) -> None:
-    """Reject paths of users' own tables that the workflow cannot use as inputs."""
-    try:
-        for table in experiment.list_table_paths():
-            check_path("table", table)
-    except ValueError as error:
-        raise ConfigError(f"{path}: {error}") from None
 
 
 def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -> Settings:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field
-
 from splits.experiments.config.sections import ConfigSection, match_pattern
 
 
@@ -59,13 +57,12 @@ _MENTION_PATTERN = re.compile(r"\b(Fig|Table|section|Eq)s? (\d+(?:\.\d+)*)([a-z]
 class ReproducesSection(ConfigSection):
     """Published paper, and the figure, table, section or equation in it."""
 
-    paper: PaperKey = Field(description="paper with which the report lists the experiment")
-    place: Annotated[str, match_pattern(PLACE_PATTERN, PLACE_RULE)] = Field(
-        "",
-        description="figure of the paper that the experiment reproduces, such as `Fig 8` or "
-        "`Fig 24b`; `Table 3`, `section 5.2` or `Eq 3` for a run that serves a table or a "
-        "statement; without it, the report lists the experiment among the supporting runs",
-    )
+    paper: PaperKey
+    """paper with which the report lists the experiment"""
+    place: Annotated[str, match_pattern(PLACE_PATTERN, PLACE_RULE)] = ""
+    """figure of the paper that the experiment reproduces, such as `Fig 8` or `Fig 24b`; `Table 3`,
+    `section 5.2` or `Eq 3` for a run that serves a table or a statement; without it, the report
+    lists the experiment among the supporting runs"""
 
 
 class Place(NamedTuple):

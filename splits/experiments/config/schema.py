@@ -122,8 +122,14 @@ def _simplify(schema: Any, definitions: Mapping[str, Any]) -> Any:
         return [_simplify(item, definitions) for item in schema]
     if not isinstance(schema, dict):
         return schema
-    titles = [key for key, value in schema.items() if key == "title" and isinstance(value, str)]
-    simplified = {k: _simplify(v, definitions) for k, v in schema.items() if k not in titles}
+    # Descriptions are docstrings, whose lines end at the margin of the source.
+    texts = {k: " ".join(v.split()) for k, v in schema.items()
+             if k in ("title", "description") and isinstance(v, str)}  # fmt: skip
+    simplified = {
+        key: texts[key] if key in texts else _simplify(value, definitions)
+        for key, value in schema.items()
+        if key != "title" or key not in texts
+    }
     if "oneOf" in simplified:
         references = simplified.pop("oneOf")
         models = [definitions[one["$ref"].rpartition("/")[2]] for one in references]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import PurePath
 from typing import Annotated, Any
 
+import pandas as pd
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
-from splits.core.validation import invalid
+from splits.analysis.measured import WAVELENGTH_COLUMN
+from splits.core.validation import check_choice, invalid
 from splits.retrieval.sand_parameters import resolve_ranges
 
 MAX_LABEL_CHARS = 80
@@ -95,7 +98,9 @@ Interval = Annotated[tuple[float, float], AfterValidator(check_interval)]
 class ConfigSection(BaseModel):
     """A configuration section: immutable, and unknown keys are rejected."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, ser_json_inf_nan="constants", use_attribute_docstrings=True
+    )
 
     @field_validator("*", mode="before")
     @classmethod
@@ -112,23 +117,37 @@ class FiniteSection(ConfigSection):
     model_config = ConfigDict(allow_inf_nan=False)
 
 
-MEASURED_DESCRIPTION = (
-    "name of a file of `config/measured/`, with a column `wavelength_nm` and a column of "
-    "reflectances (fractions, no gaps) per sample"
-)
-
-
 class FitSection(ConfigSection):
     """Measured spectra to which sands are fitted."""
 
-    measured: MeasuredFile = Field(description=MEASURED_DESCRIPTION)
-    samples: tuple[str, ...] = Field((), description="samples to fit; by default all")
-    ranges: dict[str, tuple[float, float]] = Field(
-        {}, description="(low, high) by parameter; by default those of SPLITS Table 2"
-    )
+    measured: MeasuredFile
+    """name of a file of `config/measured/`, with a column `wavelength_nm` and a column of
+    reflectances (fractions, no gaps) per sample"""
+    samples: tuple[str, ...] = ()
+    """samples to fit; by default all"""
+    ranges: dict[str, tuple[float, float]] = Field({})
+    """(low, high) by parameter; by default those of SPLITS Table 2"""
 
     @field_validator("ranges")
     @classmethod
     def _check_ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
         resolve_ranges(value)
         return value
+
+
+def list_samples(section: str, measured: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Return the samples of a measured table that a section uses, by default all.
+
+    Raises
+    ------
+    ValueError
+        For a table without wavelengths or with a column without a name, and an unknown sample.
+    """
+    key = f"{section}.measured"
+    if WAVELENGTH_COLUMN not in measured:
+        raise invalid(key, list(measured.columns), f"a table with column {WAVELENGTH_COLUMN}")
+    available = [str(name) for name in measured.columns if name != WAVELENGTH_COLUMN]
+    if any(name.startswith("Unnamed") for name in available):
+        hint = "a column of row numbers? write the table with index=False"
+        raise invalid(key, "a column without a name", "names for all", hint)
+    return [check_choice(f"{section}.samples", name, available) for name in names] or available

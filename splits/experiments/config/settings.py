@@ -52,9 +52,12 @@ def _check_orcid(value: str) -> str:
 class ArchiveAuthor(ConfigSection):
     """An author of the results in an archive."""
 
-    name: Title = Field(description="name of the author")
-    orcid: Annotated[str, AfterValidator(_check_orcid)] = Field("", description="ORCID")
-    affiliation: Title = Field("", description="institution of the author")
+    name: Title
+    """name of the author"""
+    orcid: Annotated[str, AfterValidator(_check_orcid)] = ""
+    """ORCID"""
+    affiliation: Title = ""
+    """institution of the author"""
 
 
 DEFAULT_GROUPS = ("papers", OWN_GROUP)
@@ -104,65 +107,42 @@ class Settings(ConfigSection):
     experiments: Annotated[
         Literal["everything"] | tuple[str, ...],
         BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
-    ] = Field(
-        DEFAULT_GROUPS,
-        description="names of experiments, and of groups of experiments, which a run makes",
-    )
-    accuracy: str = Field(
-        "standard", description="accuracy level of the run, one of the names under `accuracies`"
-    )
-    accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy] = Field(
-        description="target errors by name"
-    )
-    seed: int = Field(
-        1, ge=0, lt=2**63,
-        description="seed of all random numbers; the same seed gives the same results",
-    )  # fmt: skip
-    experiments_folder: Folder = Field(
-        "config/experiments",
-        description="folder of the experiments; a path without `{ } < >`, like the other folders",
-    )
-    media_folder: Folder = Field("config/media", description="folder of the media")
-    measured_folder: Folder = Field(
-        "config/measured", description="folder of the tables of measured numbers"
-    )
-    published_folder: Folder = Field(
-        "config/published", description="folder of the tables of published numbers"
-    )
-    results: Folder = Field(
-        "results",
-        description="folder of the results; accuracies other than `standard` write to a subfolder "
-        "with their name",
-    )
+    ] = DEFAULT_GROUPS
+    """names of experiments, and of groups of experiments, which a run makes"""
+    accuracy: str = "standard"
+    """accuracy level of the run, one of the names under `accuracies`"""
+    accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy]
+    """target errors by name"""
+    seed: int = Field(1, ge=0, lt=2**63)
+    """seed of all random numbers; the same seed gives the same results"""
+    experiments_folder: Folder = "config/experiments"
+    """folder of the experiments; a path without `{ } < >`, like the other folders"""
+    media_folder: Folder = "config/media"
+    """folder of the media"""
+    measured_folder: Folder = "config/measured"
+    """folder of the tables of measured numbers"""
+    published_folder: Folder = "config/published"
+    """folder of the tables of published numbers"""
+    results: Folder = "results"
+    """folder of the results; accuracies other than `standard` write to a subfolder with their name
+    """
     archive: Annotated[
         tuple[str, ...] | Literal["all"],
         BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
-    ] = Field(
-        "all",
-        description="experiments in the archive of `snakemake archive`; on the command line with "
-        "commas",
-    )
-    archive_license: Annotated[str, match_pattern(_LICENCE_PATTERN, LICENCE_RULE)] = Field(
-        DEFAULT_LICENCE,
-        description="licence of the results in an archive: an SPDX identifier such as `CC-BY-4.0`, "
-        "or a URL",
-    )
-    archive_authors: tuple[ArchiveAuthor, ...] = Field(
-        (),
-        description="authors of the results in an archive, each with `name` and optionally `orcid` "
-        "and `affiliation`",
-    )
-    studies: dict[str, AnyStudy] = Field(
-        default_factory=dict, description="tables and figures made from several experiments"
-    )
-    explorer: dict[Label, str] = Field(
-        default_factory=dict, description="experiments of the tables in `explorer.html`, by label"
-    )
-    explorer_directions: dict[str, str] = Field(
-        default_factory=dict,
-        description="goniophotometers over `optical_radius_um` and `incidence_deg` for tables of "
-        "the explorer, by the same labels",
-    )
+    ] = "all"
+    """experiments in the archive of `snakemake archive`; on the command line with commas"""
+    archive_license: Annotated[str, match_pattern(_LICENCE_PATTERN, LICENCE_RULE)] = DEFAULT_LICENCE
+    """licence of the results in an archive: an SPDX identifier such as `CC-BY-4.0`, or a URL"""
+    archive_authors: tuple[ArchiveAuthor, ...] = ()
+    """authors of the results in an archive, each with `name` and optionally `orcid` and
+    `affiliation`"""
+    studies: dict[str, AnyStudy] = Field(default_factory=dict)
+    """tables and figures made from several experiments"""
+    explorer: dict[Label, str] = Field(default_factory=dict)
+    """experiments of the tables in `explorer.html`, by label"""
+    explorer_directions: dict[str, str] = Field(default_factory=dict)
+    """goniophotometers over `optical_radius_um` and `incidence_deg` for tables of the explorer, by
+    the same labels"""
 
     @model_validator(mode="after")
     def _check_accuracy(self) -> Settings:

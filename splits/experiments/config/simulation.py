@@ -72,23 +72,20 @@ class SimulationConfig(ConfigSection):
     keywords.  All combinations are simulated.
     """
 
-    name: Name = Field(
-        description="name of the experiment, of its files and of its target in the workflow, by "
-        "default that of the file: lower-case letters, digits and underscores, beginning with a "
-        "letter, at most 64; not the name of a rule, of a study or of a product of a study, nor of "
-        "a device such as `con`",
-    )
-    medium: dict[str, Any] = Field(
-        default_factory=lambda: {"kind": "snow"},
-        description="the sample, by default snow of SPLITSnow Table 1",
-    )
-    instrument: AnyInstrument = Field(Spectrophotometer(), description="the virtual instrument")
+    name: Name
+    """name of the experiment, of its files and of its target in the workflow, by default that of
+    the file: lower-case letters, digits and underscores, beginning with a letter, at most 64; not
+    the name of a rule, of a study or of a product of a study, nor of a device such as `con`"""
+    medium: dict[str, Any] = Field(default_factory=lambda: {"kind": "snow"})
+    """the sample, by default snow of SPLITSnow Table 1"""
+    instrument: AnyInstrument = Spectrophotometer()
+    """the virtual instrument"""
     grid: Annotated[dict[str, dict[str, Any]], BeforeValidator(label_grid)] = Field(
-        default_factory=dict, description="parameters that vary"
+        default_factory=dict
     )
-    fit: FitSection | None = Field(
-        None, description="fits a sand to measured spectra instead of simulating given media"
-    )
+    """parameters that vary"""
+    fit: FitSection | None = None
+    """fits a sand to measured spectra instead of simulating given media"""
 
     @model_validator(mode="after")
     def _check_runnable(self) -> SimulationConfig:

@@ -35,15 +35,7 @@ GridPoint = tuple[dict[str, str], Medium, float | str]
 
 
 class SimulatedPoints(NamedTuple):
-    """Results of all points of a grid.
-
-    Attributes
-    ----------
-    datasets : list of xarray.Dataset
-        Results in the order of the points.
-    rays : int
-        Number of rays traced; points may share rays.
-    """
+    """Results of all points of a grid in their order, and number of rays; points may share rays."""
 
     datasets: list[xr.Dataset]
     rays: int
@@ -69,7 +61,7 @@ def simulate_points(
     groups = _group_by_shared_paths(instrument, points)
     if len(groups) < len(points):
         log(f"{experiment.name}: {len(groups)} sets of paths for {len(points)} points")
-    for indices, members in groups:
+    for indices, group in groups:
         prefix = _format_prefix(experiment.name, points, indices)
         cached = cache.load(indices) if cache else None
         if cached:
@@ -77,17 +69,13 @@ def simulate_points(
             results |= dict(zip(indices, cached, strict=True))
             rays += int(cached[0].attrs["rays"])
             continue
-        show = _make_progress_callback(prefix, log)
-        group_points = [points[index] for index in indices]
-        if members is None:
-            _, medium, incidence = group_points[0]
-            datasets = [
-                simulate_point(instrument, medium, incidence, accuracy, seed, threads, show)
-            ]
+        progress = _make_progress_callback(prefix, log)
+        run = RunOptions.from_arguments(seed, threads, progress=progress)
+        members = [points[index] for index in indices]
+        if group is None:
+            datasets = [simulate_point(instrument, members[0], accuracy, run)]
         else:
-            datasets = _simulate_group(
-                group_points, members, instrument, accuracy, seed, threads, show
-            )
+            datasets = _simulate_group(instrument, members, group, accuracy, run)
         datasets = cache.save(indices, datasets) if cache else datasets
         results |= dict(zip(indices, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
@@ -113,18 +101,15 @@ def _group_by_shared_paths(
 
 
 def _simulate_group(
+    instrument: Instrument,
     points: Sequence[GridPoint],
     group: MediaGroup,
-    instrument: Instrument,
     accuracy: Accuracy,
-    seed: int,
-    threads: int | None,
-    progress: Callable[[Progress], None],
+    run: RunOptions,
 ) -> list[xr.Dataset]:
     """Simulate points that share paths, in the order of the group's media."""
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     wavelengths, (_, _, beam) = instrument.get_wavelengths(), points[0]
-    run = RunOptions.from_arguments(seed, threads, progress=progress)
     request = SpectralRequest.from_arguments(wavelengths, beam, error, rays, run)
     spectra = simulate_spectra(group.path_sharing, request)
     return [
@@ -191,21 +176,16 @@ def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -
 
 
 def simulate_point(
-    instrument: Instrument,
-    medium: Medium,
-    incidence_deg: float | str,
-    accuracy: Accuracy,
-    seed: int,
-    threads: int | None,
-    progress: Callable[[Progress], None],
+    instrument: Instrument, point: GridPoint, accuracy: Accuracy, run: RunOptions
 ) -> xr.Dataset:
     """Simulate one point of a grid, see `splits.experiments.run.run`."""
-    arguments = {"seed": seed, **instrument.list_arguments()}
+    _, medium, incidence = point
+    arguments = {"seed": run.seed, **instrument.list_arguments()}
     if not isinstance(instrument, OpticalInstrument):
         measure: Callable[..., xr.Dataset] = lens if isinstance(instrument, Lens) else surface_map
         return measure(medium, **arguments)
-    arguments |= {"threads": threads, "progress": progress}
-    scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence_deg)
+    arguments |= {"threads": run.threads, "progress": run.progress}
+    scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence)
     if isinstance(instrument, BeamSpread):
         effort = (0.02 / (instrument.stderr_scale * accuracy.relative_stderr)) ** 2
         arguments.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))

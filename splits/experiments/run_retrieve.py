@@ -27,24 +27,16 @@ SINGLE_MODEL, OWN_MODEL = "", "splits"
 
 
 class SampleRetrieval(NamedTuple):
-    """Retrieval of one sample with one model.
-
-    Attributes
-    ----------
-    model, sample : str
-    result : RetrievalResult
-    reference_chi2 : float
-        χ² with the known parameters fixed at their reference values, NaN without any.  Its
-        difference between models shows which describes their effect better.
-    is_prior_sample : bool
-        Whether the sample was retrieved first, with some parameters fixed.
-    """
+    """Retrieval of one sample with one model."""
 
     model: str
     sample: str
     result: RetrievalResult
     reference_chi2: float
+    """χ² with the known parameters fixed at their reference values, NaN without any.  Its
+    difference between models shows which describes their effect better."""
     is_prior_sample: bool
+    """Whether the sample was retrieved first, with some parameters fixed."""
 
 
 def run_retrieve(
@@ -54,13 +46,7 @@ def run_retrieve(
     seed: int = 1,
     log: LogCallback = lambda line: None,
 ) -> list[SampleRetrieval]:
-    """Return the retrievals of all samples with all models.
-
-    Raises
-    ------
-    ValueError
-        The message names the key of the section.
-    """
+    """Return the retrievals of all samples with all models; errors name the key of the section."""
     with key_prefix("retrieve"):
         spectra = section.select_spectra(measured, table.dataset.wavelength.values)
     n_used, n_all = len(next(iter(spectra.values()))), len(measured)
@@ -159,32 +145,31 @@ def make_retrieval_table(
         ds = retrieval.result.dataset
         for name in map(str, ds.parameter.values):
             part = ds.sel(parameter=name)
-            long_name, _ = describe_parameter(name)
             low, below, middle, above, high = part.quantiles.values
-            rows.append(
-                ({"model": retrieval.model} if retrieval.model else {})
-                | {
-                    "sample": retrieval.sample,
-                    "parameter": name,
-                    "description": long_name,
-                    "unit": str(part.parameter_unit.item()),
-                    "median": middle,
-                    "standard deviation": float(part.value_stderr),
-                    "reference value": reference.get(name, {}).get(retrieval.sample, np.nan),
-                    "16 %": below,
-                    "84 %": above,
-                    "2.5 %": low,
-                    "97.5 %": high,
-                    "constrained": "yes" if part.constrained else "no",
-                    "averaging kernel": float(part.averaging_kernel.sel(other_parameter=name)),
-                    "chi2": ds.attrs["chi2"],
-                    "chi2 at reference": retrieval.reference_chi2,
-                    "chi2 expected": ds.attrs["chi2_expected"],
-                    "error inflation": ds.attrs["error_inflation"],
-                    "warnings": ds.attrs["warnings"],
-                }
-            )
-    return pd.DataFrame(rows)
+            row = {
+                "model": retrieval.model,
+                "sample": retrieval.sample,
+                "parameter": name,
+                "description": describe_parameter(name)[0],
+                "unit": str(part.parameter_unit.item()),
+                "median": middle,
+                "standard deviation": float(part.value_stderr),
+                "reference value": reference.get(name, {}).get(retrieval.sample, np.nan),
+                "16 %": below,
+                "84 %": above,
+                "2.5 %": low,
+                "97.5 %": high,
+                "constrained": "yes" if part.constrained else "no",
+                "averaging kernel": float(part.averaging_kernel.sel(other_parameter=name)),
+                "chi2": ds.attrs["chi2"],
+                "chi2 at reference": retrieval.reference_chi2,
+                "chi2 expected": ds.attrs["chi2_expected"],
+                "error inflation": ds.attrs["error_inflation"],
+                "warnings": ds.attrs["warnings"],
+            }
+            rows.append(row)
+    table = pd.DataFrame(rows)
+    return table if table.model.any() else table.drop(columns="model")
 
 
 def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Dataset:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import xarray as xr
@@ -85,10 +86,8 @@ def run_part(
     log(f"{experiment.name}: {plan}")
     for _ in _simulate_blocks(experiment, request, groups, folder, log):
         pass
-    return [
-        make_block_path(folder, group.number, compute_block_digest(group, request))
-        for group in groups
-    ]
+    digests = [compute_block_digest(group, request) for group in groups]
+    return [make_block_path(folder, g.number, d) for g, d in zip(groups, digests, strict=True)]
 
 
 def run_table(
@@ -133,13 +132,9 @@ def write_table(
         save(run_table(experiment, accuracy, seed, folder, threads, log), path)
         return
     log(f"{experiment.name}: {plan}")
-    write_table_blockwise(
-        path,
-        plan,
-        request,
-        lambda: _simulate_blocks(experiment, request, plan.path_groups, folder, log),
-        lambda table: _add_experiment_attributes(experiment, table),
-    )
+    simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)
+    add_attributes = partial(_add_experiment_attributes, experiment)
+    write_table_blockwise(path, plan, request, simulate, add_attributes)
 
 
 def _add_experiment_attributes(experiment: SimulationConfig, table: xr.Dataset) -> xr.Dataset:
@@ -180,9 +175,8 @@ def write_part_manifest(files: Sequence[Path], path: Path) -> None:
 
 def delete_unused_blocks(manifests: Sequence[Path]) -> None:
     """Delete the blocks that no manifest of a table's parts names."""
-    names = {
-        name for manifest in manifests for name in json.loads(manifest.read_text(encoding="utf-8"))
-    }
+    texts = [manifest.read_text(encoding="utf-8") for manifest in manifests]
+    names = {name for text in texts for name in json.loads(text)}
     for file in manifests[0].parent.glob("block_*.nc"):
         if file.name not in names:
             file.unlink(missing_ok=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from splits.analysis.colour import covers_visible
 from splits.core.validation import check_choice, invalid
@@ -16,8 +16,8 @@ from splits.experiments.config.sections import (
     Label,
     MeasuredFile,
     Title,
+    accept_single,
     check_mathematics,
-    to_tuple,
 )
 from splits.experiments.config.simulation import SimulationConfig
 from splits.media.medium import Medium
@@ -72,10 +72,7 @@ Formula = AfterValidator(check_mathematics)
 class FigureSection(FiniteSection):
     """Settings of an experiment's figure."""
 
-    quantity: Annotated[
-        tuple[QuantityName, ...],
-        BeforeValidator(to_tuple, json_schema_input_type=QuantityName | tuple[QuantityName, ...]),
-    ] = ("reflectance",)
+    quantity: Annotated[tuple[QuantityName, ...], accept_single(QuantityName)] = ("reflectance",)
     """one quantity, or several; `brdf` for a goniophotometer"""
     kind: FigureKind | None = None
     """kind of the figure, see the instruments above; by default the first one of the instrument, or
@@ -142,10 +139,7 @@ def _resolve_kind(simulation: SimulationConfig, figure: FigureSection) -> str:
 def check_figure(simulation: SimulationConfig, figure: FigureSection) -> None:
     """Reject a figure that the instrument, the media or the grid do not allow.
 
-    Raises
-    ------
-    ValueError
-        The message names the key, and a remedy for a figure that would not be legible.
+    The error names the key, and a remedy for a figure that would not be legible.
     """
     for dimension, value in figure.select.items():
         if not simulation.grid:

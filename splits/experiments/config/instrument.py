@@ -55,25 +55,20 @@ Seed = Annotated[
 
 
 class Instrument(FiniteSection):
-    """A virtual instrument.
-
-    Attributes
-    ----------
-    FIGURES, QUANTITIES : tuple of str
-        Kinds of its figures, the default first, and quantities that they may show.
-    N_POSITIONS : int
-        Number of directions or positions for each wavelength.
-    MEASURES_SURFACE, MEASURES_BEAM, ALLOWS_SEMI_INFINITE : bool
-        Whether it measures a rough surface only, whether its light is a beam, and whether it
-        simulates semi-infinite media.
-    """
+    """A virtual instrument."""
 
     FIGURES: ClassVar[tuple[str, ...]]
+    """Kinds of its figures, the default first."""
     QUANTITIES: ClassVar[tuple[str, ...]] = ()
+    """Quantities that its figures may show."""
     N_POSITIONS: ClassVar[int] = 1
+    """Number of directions or positions for each wavelength."""
     MEASURES_SURFACE: ClassVar[bool] = False
+    """Whether it measures a rough surface only."""
     MEASURES_BEAM: ClassVar[bool] = False
+    """Whether its light is a beam."""
     ALLOWS_SEMI_INFINITE: ClassVar[bool] = False
+    """Whether it simulates semi-infinite media."""
 
     kind: str
 

@@ -15,11 +15,11 @@ from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid
 from splits.core.yaml import ConfigError, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.medium import SAMPLE_KEY
 from splits.experiments.config.messages import validate_content
 from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
-from splits.experiments.config.simulation import SAMPLE_KEY
 from splits.experiments.config.unused_settings import check_replaced_settings, check_unused_keywords
 from splits.experiments.run_fit import check_fit
 from splits.media.kinds import LAYERS_KEY, get_kind, iter_layers

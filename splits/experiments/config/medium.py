@@ -15,6 +15,8 @@ from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYER_CLASSES, LAYERS_KEY, get_kind, iter_layers
 from splits.media.measured_inputs import override_keywords
 
+SAMPLE_KEY = "medium"
+"""Grid dimension whose values are media: their settings replace those of the base medium."""
 MERGED_KEYWORDS = (
     "interpretation",
     "refractive_index",
@@ -46,31 +48,17 @@ def check_layers(prefix: str, layers: Any) -> None:
                 raise unknown_key(f"{layer_key}.{format_key(key)}", keywords)
 
 
-def check_grid_layers(
-    base: Mapping[str, Any], grid: Mapping[str, Mapping[str, Any]], sample: str
-) -> None:
-    """Reject invalid layers, and paths to missing ones, at any point of a grid.
-
-    Parameters
-    ----------
-    base : mapping
-        Settings of the stack.
-    grid : mapping
-        Values by label, for each parameter.
-    sample : str
-        Name of the parameter whose values are settings of whole stacks.
-    """
+def check_grid_layers(base: Mapping[str, Any], grid: Mapping[str, Mapping[str, Any]]) -> None:
+    """Reject invalid layers, and paths to missing ones, at any point of the grid of a stack."""
     stacks = [base[LAYERS_KEY]]
     for label, layers in grid.get(LAYERS_KEY, {}).items():
         check_layers(f"grid.{LAYERS_KEY}.{format_key(label)}", layers)
         stacks.append(layers)
-    stacks += [
-        settings[LAYERS_KEY] for settings in grid.get(sample, {}).values() if LAYERS_KEY in settings
-    ]
-    paths = {parameter: parse_layer_parameter(parameter) for parameter in grid}
-    for layers in stacks:
-        for parameter, path in paths.items():
-            if path is not None:
+    samples = grid.get(SAMPLE_KEY, {}).values()
+    stacks += [settings[LAYERS_KEY] for settings in samples if LAYERS_KEY in settings]
+    for parameter in grid:
+        if path := parse_layer_parameter(parameter):
+            for layers in stacks:
                 _check_path(f"grid.{parameter}", *path, layers)
 
 

@@ -9,19 +9,14 @@ from splits.experiments.config.sections import ConfigSection, match_pattern
 
 
 class Paper(NamedTuple):
-    """A published paper whose results the experiments reproduce.
-
-    Attributes
-    ----------
-    name : str
-        Short name, which may precede a place in the tables of statements: "SPLITS Fig 11".
-    title, reference : str
-        Heading of the paper in the report, and bibliographic reference.
-    """
+    """A published paper whose results the experiments reproduce."""
 
     name: str
+    """Short name, which may precede a place in the tables of statements: "SPLITS Fig 11"."""
     title: str
+    """Heading of the paper in the report."""
     reference: str
+    """Bibliographic reference."""
 
 
 PaperKey = Literal["splits_2007", "splitsnow_2021", "budak_grimailo_2020"]
@@ -66,22 +61,14 @@ class ReproducesSection(ConfigSection):
 
 
 class Place(NamedTuple):
-    """Place in a paper; places are ordered by kind and number.
-
-    Attributes
-    ----------
-    kind : int
-        Position of the kind: figure, table, section, equation, other.
-    number : tuple of int
-    letter : str
-    label : str
-        Place in words, such as "Figure 8".
-    """
+    """Place in a paper; places are ordered by kind and number."""
 
     kind: int
+    """Position of the kind: figure, table, section, equation, other."""
     number: tuple[int, ...]
     letter: str
     label: str
+    """Place in words, such as "Figure 8"."""
 
     @property
     def is_figure(self) -> bool:

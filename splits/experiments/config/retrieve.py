@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from splits.analysis.measured import WAVELENGTH_COLUMN
 from splits.core.validation import check_choice, format_key, invalid, snap_to_limits
@@ -15,8 +15,8 @@ from splits.experiments.config.sections import (
     FiniteSection,
     Interval,
     MeasuredFile,
+    accept_single,
     list_samples,
-    to_tuple,
 )
 from splits.tables.axes import INCIDENCE
 
@@ -38,6 +38,14 @@ class NoiseSection(FiniteSection):
     correlation_nm: float | None = Field(None, gt=0.0, le=1e5)
     """correlation length of the relative errors (nm); by default they are independent"""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _check_type(cls, value: Any) -> Any:
+        if not isinstance(value, dict | NoiseSection):
+            allowed = "a mapping such as {relative: 0.01, absolute: 0.003}, or left out"
+            raise invalid("", value, allowed, "without it the misfit gives the errors")
+        return value
+
     @model_validator(mode="after")
     def _check_noise(self) -> NoiseSection:
         if not self.absolute + self.relative > 0.0:
@@ -54,13 +62,6 @@ class NoiseSection(FiniteSection):
             return np.hypot(self.absolute, relative)
         correlated = {"stderr": relative, "correlation_nm": self.correlation_nm}
         return correlated | ({"independent": self.absolute} if self.absolute else {})
-
-
-def _check_noise_type(value: Any) -> Any:
-    if value is None or isinstance(value, dict | NoiseSection):
-        return value
-    allowed = "a mapping such as {relative: 0.01, absolute: 0.003}, or left out"
-    raise invalid("", value, allowed, "without it the misfit gives the errors")
 
 
 class PriorFromSample(FiniteSection):
@@ -84,10 +85,7 @@ class RetrieveSection(FiniteSection):
     free: dict[str, tuple[float, float]] | tuple[str, ...]
     """parameters to retrieve, which are axes of the grid or `scale`; a mapping also gives their
     ranges (low, high)"""
-    noise: Annotated[
-        NoiseSection | None,
-        BeforeValidator(_check_noise_type, json_schema_input_type=NoiseSection | None),
-    ] = None
+    noise: NoiseSection | None = None
     """standard errors of the measurement, by default estimated from the misfit"""
     samples: tuple[str, ...] = ()
     """samples to use; by default all"""
@@ -103,12 +101,7 @@ class RetrieveSection(FiniteSection):
     compare_with: Literal["kokhanovsky_zege_2004"] | None = None
     """a published law for snow, with which the parameters of the samples are also retrieved
     (Kokhanovsky and Zege 2004, as implemented in snowoptics)"""
-    prior_from: Annotated[
-        tuple[PriorFromSample, ...],
-        BeforeValidator(
-            to_tuple, json_schema_input_type=PriorFromSample | tuple[PriorFromSample, ...]
-        ),
-    ] = ()
+    prior_from: Annotated[tuple[PriorFromSample, ...], accept_single(PriorFromSample)] = ()
     """a sample (`sample`), or a list of them, that is retrieved first, with the parameters of
     `fixed` known; the marginal posteriors of its other parameters are priors of all other samples,
     or of those whose names begin with `applies_to`"""
@@ -120,10 +113,7 @@ class RetrieveSection(FiniteSection):
     ) -> dict[str, pd.Series]:
         """Return the spectra by sample, at the measured wavelengths that are used.
 
-        Raises
-        ------
-        ValueError
-            For an unknown sample, or a table that does not match, see `list_samples`.
+        Unknown samples, and tables that do not match the section, are rejected.
         """
         names = list_samples("retrieve", measured, self.samples)
         wavelength = measured[WAVELENGTH_COLUMN].to_numpy(dtype=float)

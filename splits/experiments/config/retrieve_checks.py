@@ -37,10 +37,16 @@ def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSectio
         raise invalid("instrument.quantities", instrument.quantities, "with reflectance")
     rows = dict(zip(*experiment.make_axes(), strict=True))
     _check_models(section, rows)
-    for key in ("free", "fixed", "prior", "reference_values"):
-        allowed = grid if key == "fixed" else [*grid, SCALE]
+    parameters = [*grid, SCALE]
+    known = {
+        "free": parameters,
+        "fixed": grid,
+        "prior": parameters,
+        "reference_values": section.free,
+    }
+    for key, names in known.items():
         for name in getattr(section, key):
-            check_choice(f"retrieve.{key}", name, allowed)
+            check_choice(f"retrieve.{key}", name, names)
     ranges = get_grid_ranges(experiment.make_axes())
     with key_prefix("retrieve"):
         StateVector.from_ranges(section.free, section.prior or None, ranges)
@@ -50,8 +56,6 @@ def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSectio
     for name in [n for n, values in grid.items() if len(values) > 1]:
         if name not in assigned:
             raise invalid(f"retrieve.fixed.{name}", None, "given", "or make it free")
-    for name in section.reference_values:
-        check_choice("retrieve.reference_values", name, list(section.free))
     if not [name for name in section.free if name != SCALE]:
         raise invalid("retrieve.free", list(section.free), "at least one parameter of the grid")
     _check_reference_values(section, rows)
@@ -61,13 +65,7 @@ def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSectio
 def check_measured_spectra(
     experiment: SimulationConfig, section: RetrieveSection, measured: pd.DataFrame
 ) -> None:
-    """Reject measured spectra that do not match the experiment's table.
-
-    Raises
-    ------
-    ValueError
-        For values in per cent, gaps, and wavelengths or angles outside the table.
-    """
+    """Reject values in per cent, gaps, and wavelengths or angles outside the experiment's table."""
     rows = dict(zip(*experiment.make_axes(), strict=True))
     fixed_of_first = {source.sample: source.fixed for source in section.prior_from}
     spectra = section.select_spectra(measured, experiment.instrument.get_wavelengths())

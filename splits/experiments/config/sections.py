@@ -8,7 +8,15 @@ from pathlib import PurePath
 from typing import Annotated, Any
 
 import pandas as pd
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from splits.analysis.measured import WAVELENGTH_COLUMN
@@ -81,9 +89,13 @@ def check_interval(limits: tuple[float, float]) -> tuple[float, float]:
     return limits
 
 
-def to_tuple(value: Any) -> Any:
-    """Return a single text or mapping as a tuple; others unchanged."""
-    return (value,) if isinstance(value, str | dict) else value
+def accept_single(kind: Any) -> BeforeValidator:
+    """Return the validator of a list, in place of which a single text or mapping may be given."""
+
+    def to_tuple(value: Any) -> Any:
+        return (value,) if isinstance(value, str | dict) else value
+
+    return BeforeValidator(to_tuple, json_schema_input_type=kind | tuple[kind, ...])
 
 
 # Validators raise errors with a key relative to their section, or without one for their own field;
@@ -136,12 +148,9 @@ class FitSection(ConfigSection):
 
 
 def list_samples(section: str, measured: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """Return the samples of a measured table that a section uses, by default all.
+    """Return the samples of a measured table that a section names, by default all.
 
-    Raises
-    ------
-    ValueError
-        For a table without wavelengths or with a column without a name, and an unknown sample.
+    Unknown samples, and tables without wavelengths or names of columns, are rejected.
     """
     key = f"{section}.measured"
     if WAVELENGTH_COLUMN not in measured:

@@ -98,16 +98,14 @@ def _check_accuracy_name(name: str) -> str:
     return name
 
 
+SPLIT_NAMES = BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...])
 Folder = Annotated[str, AfterValidator(_check_folder)]
 
 
 class Settings(ConfigSection):
     """The main configuration file."""
 
-    experiments: Annotated[
-        Literal["everything"] | tuple[str, ...],
-        BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
-    ] = DEFAULT_GROUPS
+    experiments: Annotated[Literal["everything"] | tuple[str, ...], SPLIT_NAMES] = DEFAULT_GROUPS
     """names of experiments, and of groups of experiments, which a run makes"""
     accuracy: str = "standard"
     """accuracy level of the run, one of the names under `accuracies`"""
@@ -126,10 +124,7 @@ class Settings(ConfigSection):
     results: Folder = "results"
     """folder of the results; accuracies other than `standard` write to a subfolder with their name
     """
-    archive: Annotated[
-        tuple[str, ...] | Literal["all"],
-        BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
-    ] = "all"
+    archive: Annotated[tuple[str, ...] | Literal["all"], SPLIT_NAMES] = "all"
     """experiments in the archive of `snakemake archive`; on the command line with commas"""
     archive_license: Annotated[str, match_pattern(_LICENCE_PATTERN, LICENCE_RULE)] = DEFAULT_LICENCE
     """licence of the results in an archive: an SPDX identifier such as `CC-BY-4.0`, or a URL"""

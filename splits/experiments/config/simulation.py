@@ -30,6 +30,7 @@ from splits.experiments.config.instrument_kinds import (
 )
 from splits.experiments.config.medium import (
     MERGED_KEYWORDS,
+    SAMPLE_KEY,
     apply_paths,
     check_grid_layers,
     check_layers,
@@ -47,8 +48,6 @@ from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, ch
 from splits.simulation.scene import compute_optical_constants, make_height_fields
 from splits.tables.axes import ParameterGrid
 
-SAMPLE_KEY = "medium"
-"""Grid dimension whose values are media: their settings replace those of the base medium."""
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
 NAME_RULE = (
     "lower-case letters, digits and underscores, a letter first, no device such as con or nul"
@@ -127,7 +126,7 @@ class SimulationConfig(ConfigSection):
             if kind == "stack" and (prefix == "medium" or LAYERS_KEY in settings):
                 check_layers(prefix, settings.get(LAYERS_KEY))
         if kind == "stack":
-            check_grid_layers(self.medium, self.grid, SAMPLE_KEY)
+            check_grid_layers(self.medium, self.grid)
         parameters = [*keywords, "incidence_deg", SAMPLE_KEY]
         for parameter in self.grid:
             keyword, _ = parse_impurity_parameter(parameter) or (parameter, "")
@@ -162,12 +161,9 @@ class SimulationConfig(ConfigSection):
             raise invalid("grid", f"{points} points", f"at most {MAX_GRID_POINTS} points", hint)
         count = self.instrument.count_values()
         if points * count > MAX_DATASET_VALUES:
-            given, allowed = (
-                f"{points} points of {count} values each",
-                f"{MAX_DATASET_VALUES} values",
-            )
-            hint = "split it into several experiments"
-            raise invalid("grid", given, f"at most {allowed} in all", hint)
+            given = f"{points} points of {count} values each"
+            allowed = f"at most {MAX_DATASET_VALUES} values in all"
+            raise invalid("grid", given, allowed, "split it into several experiments")
 
     def _check_grid(self) -> None:
         """Reject grids that an instrument does not allow."""

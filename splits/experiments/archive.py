@@ -143,13 +143,7 @@ def _choose_compression(content: bytes) -> int:
 
 
 def get_packing_time() -> datetime:
-    """Return the current time, or the time that `DATE_VARIABLE` sets.
-
-    Raises
-    ------
-    ValueError
-        For a value that is no time of a zip file.
-    """
+    """Return the current time, or the time that `DATE_VARIABLE` sets, valid in zip files."""
     text = os.environ.get(DATE_VARIABLE)
     if text is None:
         return datetime.now(UTC)
@@ -185,12 +179,7 @@ def list_configuration_files(settings: Settings) -> dict[str, Path]:
 
     These are the selected experiments, own media, and all measured and published tables, without
     hidden files.  The named media are part of the package.  Names in the archive start with
-    ``config/`` wherever the folders are.
-
-    Raises
-    ------
-    ValueError
-        For a file that `splits.io.unarchive` would reject.
+    ``config/`` wherever the folders are.  Files that `splits.io.unarchive` would reject are errors.
     """
     files = {}
     experiments = Path(settings.experiments_folder)
@@ -210,20 +199,11 @@ def list_configuration_files(settings: Settings) -> dict[str, Path]:
 
 
 def make_configuration_members(settings: Settings) -> dict[str, bytes]:
-    """Return the configuration files that reproduce the content of an archive.
+    """Return the contents of the files that reproduce an archive, by name of member.
 
     Users' own tables are included: under their own path if that is below ``config/``, otherwise
-    under ``config/tables/``, with the paths in the files that name them replaced.
-
-    Parameters
-    ----------
-    settings : Settings
-        Those of the archive, see `Settings.select_archived`.
-
-    Returns
-    -------
-    dict
-        Contents by name of member.
+    under ``config/tables/``, with the paths in the files that name them replaced.  The settings are
+    those of the archive, see `Settings.select_archived`.
     """
     members: dict[str, bytes] = {}
     for name, path in list_configuration_files(settings).items():

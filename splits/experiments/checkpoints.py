@@ -20,20 +20,8 @@ from splits.io.netcdf import load, save
 class PointCache:
     """Folder of simulated points, each in a file named by the digest of all inputs of its values.
 
-    Points of another accuracy, seed or medium have other names, so they never collide.
-
-    Parameters
-    ----------
-    folder : path
-        Need not exist.
-    experiment : SimulationConfig
-    accuracy : Accuracy
-    seed : int
-
-    Attributes
-    ----------
-    files : list of Path
-        Files of the points requested so far.
+    Points of another accuracy, seed or medium have other names, so they never collide.  The folder
+    need not exist; `files` are the files of the points requested so far.
     """
 
     def __init__(

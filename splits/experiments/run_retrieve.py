@@ -217,16 +217,8 @@ def write_retrieval(
 ) -> None:
     """Retrieve parameters from measured spectra, and write them as a table and as a figure.
 
-    Parameters
-    ----------
-    section : RetrieveSection
-    table, measured : path
-        Dataset of the table, with the name of the experiment, and measured spectra.
-    seed : int
-    outputs : tuple of path
-        CSV table, and figure, which is written in all formats.
-    log : callable
-        Receives one line of text per sample.
+    `table` is the dataset of the table, with the name of the experiment.  `outputs` are the CSV
+    table and the figure, which is written in all formats.  `log` receives lines for each sample.
     """
     from splits.plotting.retrieval import draw_retrievals
     from splits.plotting.style import save_figure

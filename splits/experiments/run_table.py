@@ -61,25 +61,10 @@ def run_part(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> list[Path]:
-    """Simulate the path groups of one part of a table and write their blocks.
+    """Simulate the path groups of one part of a table, and return the files of their blocks.
 
-    Existing blocks in the folder are kept.
-
-    Parameters
-    ----------
-    experiment : SimulationConfig
-        With the instrument "table".
-    accuracy, seed, threads, log
-        As for `splits.experiments.run.run`.
-    folder : path
-        Folder of the blocks.
-    part : int
-        From 0 to `count_parts` − 1.
-
-    Returns
-    -------
-    list of Path
-        Files of the blocks.
+    Existing blocks in the folder are kept.  `part` is a number from 0 to `count_parts` − 1; for the
+    other arguments, see `splits.experiments.run.run`.
     """
     plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
     groups = plan.path_groups[part :: count_parts(experiment)]
@@ -120,13 +105,7 @@ def write_table(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> None:
-    """Write the table of `run_table`; one that exceeds the memory limit is written block by block.
-
-    Parameters
-    ----------
-    path : path
-        The file is written atomically.
-    """
+    """Write the table of `run_table` atomically, block by block if it exceeds the memory limit."""
     plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
     if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
         save(run_table(experiment, accuracy, seed, folder, threads, log), path)

@@ -157,15 +157,7 @@ class Settings(ConfigSection):
     def select_archived(self, selected: Mapping[str, ExperimentConfig]) -> Settings:
         """Return the settings of a run that makes the content of an archive only.
 
-        Parameters
-        ----------
-        selected : mapping
-            The selected experiments by name.
-
-        Raises
-        ------
-        ConfigError
-            If an experiment of the archive is not selected.
+        Experiments of the archive that are not among the selected ones are rejected.
         """
         if self.archive == "all":
             groups = {one.group for one in selected.values()}
@@ -227,13 +219,7 @@ class Settings(ConfigSection):
     def select_experiments(
         self, available: Mapping[str, ExperimentConfig]
     ) -> dict[str, ExperimentConfig]:
-        """Return the selected experiments.
-
-        Raises
-        ------
-        ConfigError
-            For an unknown or repeated name, or an invalid study.
-        """
+        """Return the selected experiments; reject unknown or repeated names and invalid studies."""
         groups = dict.fromkeys([*DEFAULT_GROUPS, *(one.group for one in available.values())])
         for key, names, known in (
             ("experiments", self.experiments, [*groups, *available]),

@@ -11,7 +11,7 @@ import xarray as xr
 
 from splits.core.progress import LogCallback, Progress
 from splits.experiments.checkpoints import PointCache
-from splits.experiments.config.accuracy import MAX_RAYS, Accuracy
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.instrument import Instrument, OpticalInstrument
 from splits.experiments.config.instrument_kinds import (
     BeamSpread,
@@ -30,6 +30,7 @@ from splits.simulation.run_options import RunOptions
 STDERR_ATTRIBUTES = ("max_stderr_reached", "relative_stderr_reached")
 N_BEAM_RAYS = 200_000
 """Number of rays of a beam spread at a relative standard error of 0.02."""
+MAX_RAYS = 20_000_000
 
 GridPoint = tuple[dict[str, str], Medium, float | str]
 

@@ -13,9 +13,10 @@ import xarray as xr
 
 from splits.core.atomic import atomic_write
 from splits.core.progress import LogCallback, Progress
-from splits.experiments.config.accuracy import MAX_RAYS, Accuracy
+from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.instrument_kinds import TableInstrument
 from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run_points import MAX_RAYS
 from splits.instruments.spectral_run import SpectralRequest
 from splits.io.netcdf import save
 from splits.simulation.run_options import RunOptions

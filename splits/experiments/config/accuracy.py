@@ -6,9 +6,6 @@ from pydantic import Field
 
 from splits.experiments.config.sections import ConfigSection
 
-MAX_RAYS = 20_000_000
-"""Default of the largest number of rays per spectrum."""
-
 
 class Accuracy(ConfigSection):
     """Target standard errors and the limit of rays of simulations."""

@@ -217,11 +217,8 @@ def make_configuration_members(settings: Settings) -> dict[str, bytes]:
 def _make_members_with_tables(name: str, path: Path) -> dict[str, bytes]:
     """Return the members for an experiment or medium file and the users' tables it names."""
     content = read_yaml(path)
-    names = {
-        table: _get_table_member_name(table)
-        for table in list_table_paths(content)
-        if expand_path(table).is_file()
-    }
+    tables = [table for table in list_table_paths(content) if expand_path(table).is_file()]
+    names = {table: _get_table_member_name(table) for table in tables}
     members = {member: expand_path(table).read_bytes() for table, member in names.items()}
     if all(member == table for table, member in names.items()):
         return members | {name: path.read_bytes()}

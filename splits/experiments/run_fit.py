@@ -85,22 +85,16 @@ def run_fit(
     max_stderr = experiment.instrument.scale_stderr(accuracy.max_stderr)
     cases = list(itertools.product(experiment.iter_settings(), samples))
     workers = threads or count_cpus()
+    fit_seed, fit_threads = experiment.instrument.get_seed(seed), max(1, workers // len(cases))
+    effort = choose_effort(max_stderr)
 
     def fit_case(number: int) -> FitResult:
         (labels, settings, incidence), sample = cases[number]
         point = " ".join([*(f"{p}={label}" for p, label in labels.items()), sample])
         prefix = f"{experiment.name} {number + 1}/{len(cases)} {point}"
-        return fit(
-            settings,
-            wavelength,
-            measured[sample].to_numpy(dtype=float),
-            incidence,
-            ranges,
-            experiment.instrument.get_seed(seed),
-            max(1, workers // len(cases)),
-            lambda line: log(f"{prefix}: {line}"),
-            effort=choose_effort(max_stderr),
-        )
+        reflectance = measured[sample].to_numpy(dtype=float)
+        arguments = (settings, wavelength, reflectance, incidence, ranges, fit_seed, fit_threads)
+        return fit(*arguments, lambda line: log(f"{prefix}: {line}"), effort=effort)
 
     # Simulations of a fit are short, so parallel fits use threads better than parallel rays.
     with DaemonThreadPool(min(workers, len(cases))) as pool:

@@ -113,10 +113,8 @@ def _simulate_group(
     wavelengths, (_, _, beam) = instrument.get_wavelengths(), points[0]
     request = SpectralRequest.from_arguments(wavelengths, beam, error, rays, run)
     spectra = simulate_spectra(group.path_sharing, request)
-    return [
-        _relabel_spectrum(spectra[index], medium)
-        for index, (_, medium, _) in zip(group.media_indices, points, strict=True)
-    ]
+    pairs = zip(group.media_indices, points, strict=True)
+    return [_relabel_spectrum(spectra[index], medium) for index, (_, medium, _) in pairs]
 
 
 def _relabel_spectrum(spectrum: xr.Dataset, medium: Medium) -> xr.Dataset:
@@ -161,10 +159,8 @@ def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -
         for key in STDERR_ATTRIBUTES
         if key in attributes
     ]
-    log(
-        f"{prefix}: done, {attributes['rays']} rays{''.join(reached)}, "
-        f"{attributes['wall_time_s']:.1f} s"
-    )
+    rays, seconds = attributes["rays"], attributes["wall_time_s"]
+    log(f"{prefix}: done, {rays} rays{''.join(reached)}, {seconds:.1f} s")
     reasons = {
         "max_rays": f"stopped by max_rays = {attributes.get('max_rays')} before the error was "
         "reached",

@@ -116,11 +116,8 @@ class _RetrievalTask(NamedTuple):
 
     def _compute_reference_chi2(self, name: str, prior: Mapping[str, Any]) -> float:
         """Return χ² with the known parameters fixed at their reference values."""
-        references = {
-            parameter: values[name]
-            for parameter, values in self.section.reference_values.items()
-            if name in values
-        }
+        by_parameter = self.section.reference_values.items()
+        references = {key: values[name] for key, values in by_parameter if name in values}
         others = {*self.section.free} - {*references, SCALE}
         if not references or not others or SCALE in references or self.section.noise is None:
             return np.nan

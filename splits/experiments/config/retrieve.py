@@ -140,10 +140,8 @@ class RetrieveSection(FiniteSection):
         for parameter, values in self.reference_values.items():
             for sample in values:
                 check_choice(f"retrieve.reference_values.{parameter}", sample, names)
-        return {
-            n: pd.Series(measured[n].to_numpy(dtype=float)[inside], wavelength[inside])
-            for n in names
-        }
+        used = measured[inside]
+        return {n: pd.Series(used[n].to_numpy(dtype=float), wavelength[inside]) for n in names}
 
     def compute_noise(self, values: np.ndarray) -> Any:
         """Return the argument `noise` of `splits.retrieve` for reflectances."""

@@ -79,10 +79,9 @@ def _make_medium(kind: str, factory: Callable[..., Any]) -> dict[str, Any]:
         long_name, units = describe_parameter(name)
         options = [_describe_annotation(one) for one in str(parameter.annotation).split(" | ")]
         types = {"anyOf": options} if all(options) else {}
-        properties[name] = {
-            **(options[0] if len(options) == 1 else types),
-            "description": long_name if units == "1" else f"{long_name} ({units})",
-        }
+        description = long_name if units == "1" else f"{long_name} ({units})"
+        schema = options[0] if len(options) == 1 else types
+        properties[name] = {**schema, "description": description}
     if LAYERS_KEY in properties:
         layers = {"type": "array", "items": {"$ref": "#/$defs/medium"}, "minItems": 1}
         properties[LAYERS_KEY] |= layers

@@ -163,11 +163,7 @@ class Settings(ConfigSection):
             groups = {one.group for one in selected.values()}
             if self.experiments != "everything":
                 groups &= {*self.experiments}
-            studies = {
-                name: study
-                for name, study in self.studies.items()
-                if study.group is None or study.group in groups
-            }
+            studies = {n: s for n, s in self.studies.items() if s.group in (None, *groups)}
             # The groups of these studies select them, and their experiments.
             named = dict.fromkeys(study.group for study in studies.values() if study.group)
             names = (*selected, *named)

@@ -276,9 +276,8 @@ class SimulationConfig(ConfigSection):
 
     def make_axes(self) -> ParameterGrid:
         """Return the grid as axes of a table: increasing numbers, or texts."""
-        return ParameterGrid.from_mapping(
-            {p: list(_get_axis_nodes(values)) for p, values in self.grid.items()}
-        )
+        nodes = {p: list(_get_axis_nodes(values)) for p, values in self.grid.items()}
+        return ParameterGrid.from_mapping(nodes)
 
     def make_medium(self, **values: Any) -> Medium:
         """Return the medium at a point of the grid."""
@@ -295,9 +294,8 @@ class SimulationConfig(ConfigSection):
 
     def dump_configuration(self) -> str:
         """Return `dump_simulation` as JSON, with users' tables identified by name and content."""
-        return json.dumps(
-            replace_table_paths(self.dump_simulation(), identify_by_content), sort_keys=True
-        )
+        content = replace_table_paths(self.dump_simulation(), identify_by_content)
+        return json.dumps(content, sort_keys=True)
 
 
 def _get_axis_nodes(values: Mapping[str, Any]) -> Iterable[Any]:

@@ -45,6 +45,7 @@ def run(
     seed: int = 1,
     threads: int | None = None,
     log: LogCallback = lambda line: None,
+    cache: PointCache | None = None,
 ) -> xr.Dataset:
     """Run all points of an experiment's grid.
 
@@ -59,6 +60,8 @@ def run(
     threads : int, optional
     log : callable
         Receives lines of progress.
+    cache : PointCache, optional
+        Points of earlier runs, which are not simulated again; not for tables.
 
     Returns
     -------
@@ -70,7 +73,11 @@ def run(
         raise invalid("fit", experiment.fit.measured, "left out", hint)
     if experiment.instrument.kind == "table":
         return run_table(experiment, accuracy, seed, None, threads, log)
-    return _run_points(experiment, accuracy, seed, threads, log)
+    if experiment.instrument.kind == "refractive_index":
+        return compute_refractive_indices(experiment)
+    start_time = time.perf_counter()
+    results = simulate_points(experiment, accuracy, seed, threads, log, cache)
+    return _stack_points(experiment, results, time.perf_counter() - start_time)
 
 
 def write_run(
@@ -98,24 +105,8 @@ def write_run(
         write_table(experiment, accuracy, seed, folder, path, threads, log)
         return
     cache = PointCache(folder, experiment, accuracy, seed)
-    save(_run_points(experiment, accuracy, seed, threads, log, cache), path)
+    save(run(experiment, accuracy, seed, threads, log, cache), path)
     cache.delete()
-
-
-def _run_points(
-    experiment: SimulationConfig,
-    accuracy: Accuracy,
-    seed: int,
-    threads: int | None,
-    log: LogCallback,
-    cache: PointCache | None = None,
-) -> xr.Dataset:
-    """Return the dataset of a grid; points that the cache lacks are simulated."""
-    if experiment.instrument.kind == "refractive_index":
-        return compute_refractive_indices(experiment)
-    start_time = time.perf_counter()
-    results = simulate_points(experiment, accuracy, seed, threads, log, cache)
-    return _stack_points(experiment, results, time.perf_counter() - start_time)
 
 
 def _stack_points(

@@ -58,7 +58,7 @@ def compute_means(parameter: str, choices: Mapping[str, Any]) -> np.ndarray | No
 
 def to_coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:
     """Return numbers where all grid values are numbers, and labels otherwise."""
-    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in choices.values()):
+    if all(map(_is_number, choices.values())):
         return np.array([float(v) for v in choices.values()])
     return np.array(list(choices), dtype=object).astype(str)
 
@@ -184,11 +184,8 @@ def find_label(parameter: str, values: Mapping[str, Any], given: float | str) ->
     """
     if isinstance(given, str) and given in values:
         return given
-    matches = [
-        label
-        for label, value in values.items()
-        if (isinstance(value, str) or _is_number(value)) and value == given
-    ]
+    scalars = {k: v for k, v in values.items() if isinstance(v, str) or _is_number(v)}
+    matches = [label for label, value in scalars.items() if value == given]
     if matches:
         return matches[0]
     text = str(given) if isinstance(given, str) else f"{given:g}"

@@ -26,28 +26,18 @@ Coordinate = tuple[str, np.ndarray, dict[str, str]]
 
 
 def make_grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Coordinate]:
-    """Return the coordinates of an experiment's grid.
+    """Return the coordinates of an experiment's grid, the values of its parameters by label.
 
-    Parameters
-    ----------
-    grid : mapping
-        Values by label, for each parameter.
-
-    Returns
-    -------
-    dict
-        For each parameter its numbers, with their unit, if all values are numbers, otherwise labels
-        with the unit in their long name.  Labels of ranges and distributions have
-        additional coordinates ``…_mean``, which allow interpolation.
+    They are numbers with their unit if all values are numbers, otherwise labels with the unit in
+    their long name.  Labels of ranges and distributions have additional coordinates ``…_mean``,
+    which allow interpolation.
     """
     coordinates = {}
     for parameter, choices in grid.items():
         long_name, units = describe_parameter(parameter)
-        values = to_coordinate_values(choices)
-        if values.dtype.kind == "f":
-            attributes = {"long_name": long_name, "units": units}
-        else:
-            attributes = {"long_name": long_name + (f" ({units})" if units != "1" else "")}
+        values, attributes = to_coordinate_values(choices), {"long_name": long_name, "units": units}
+        if values.dtype.kind != "f":
+            attributes = {"long_name": long_name if units == "1" else f"{long_name} ({units})"}
         coordinates[parameter] = (parameter, values, attributes)
         means = compute_means(parameter, choices)
         if means is not None:
@@ -68,7 +58,7 @@ def compute_means(parameter: str, choices: Mapping[str, Any]) -> np.ndarray | No
 
 def to_coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:
     """Return numbers where all grid values are numbers, and labels otherwise."""
-    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in choices.values()):
+    if all(map(_is_number, choices.values())):
         return np.array([float(v) for v in choices.values()])
     return np.array(list(choices), dtype=object).astype(str)
 
@@ -189,20 +179,13 @@ def _format_label(key: str, value: Any) -> str:
 def find_label(parameter: str, values: Mapping[str, Any], given: float | str) -> str:
     """Return the label of the value at which a figure fixes a parameter.
 
-    A text is a label or a text value.  A number is a value, or the number shown in the label of
-    a range or distribution, such as its mean.
-
-    Parameters
-    ----------
-    parameter : str
-    values : mapping
-        Values of the parameter by label.
-    given : number or str
-        Value in the figure section.
+    `values` are those of the parameter by label.  A given text is a label or a text value; a number
+    is a value, or the number shown in the label of a range or distribution, such as its mean.
     """
     if isinstance(given, str) and given in values:
         return given
-    matches = [label for label, value in values.items() if _is_same_value(value, given)]
+    scalars = {k: v for k, v in values.items() if isinstance(v, str) or _is_number(v)}
+    matches = [label for label, value in scalars.items() if value == given]
     if matches:
         return matches[0]
     text = str(given) if isinstance(given, str) else f"{given:g}"
@@ -211,9 +194,3 @@ def find_label(parameter: str, values: Mapping[str, Any], given: float | str) ->
     names = ", ".join(format_key(label) for label in list(values)[:12])
     suffix = f", … ({len(values)} in all)" if len(values) > 12 else ""
     raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{suffix}")
-
-
-def _is_same_value(value: Any, given: float | str) -> bool:
-    if isinstance(given, str):
-        return isinstance(value, str) and value == given
-    return _is_number(value) and float(value) == float(given)

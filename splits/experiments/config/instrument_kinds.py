@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from splits.core.validation import invalid, key_prefix
-from splits.experiments.config.figure import FigureSection
 from splits.experiments.config.instrument import (
     Instrument,
     OpticalInstrument,
@@ -48,7 +48,6 @@ Azimuths = Annotated[
     Angles, AfterValidator(lambda x: tuple(check_direction_angles("", x, 360.0).tolist()))
 ]
 Depths = Annotated[Angles, AfterValidator(lambda x: tuple(check_screen_depths("", x).tolist()))]
-ESTIMATOR = "how exiting rays become results"
 
 
 class Refractometer(SpectralInstrument):
@@ -68,7 +67,8 @@ class Spectrophotometer(OpticalInstrument):
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
     kind: Literal["spectrophotometer"] = "spectrophotometer"
-    estimator: Literal["spectral", "analog"] = Field("spectral", description=ESTIMATOR)
+    estimator: Literal["spectral", "analog"] = "spectral"
+    """how exiting rays become results"""
 
 
 class Goniophotometer(OpticalInstrument):
@@ -79,26 +79,19 @@ class Goniophotometer(OpticalInstrument):
     MEASURES_BEAM: ClassVar = True
 
     kind: Literal["goniophotometer"]
-    estimator: Literal["expansion", "bins", "next_event"] = Field(
-        "expansion", description=ESTIMATOR
-    )
+    estimator: Literal["expansion", "bins", "next_event"] = "expansion"
+    """how exiting rays become results"""
     rays: Rays = None
-    target: Literal["brdf", "btdf"] = Field(
-        "brdf", description="quantity to which the target error applies"
-    )
-    polar_deg: PolarAngles | None = Field(
-        None, description="polar angles from the normal (°); by default 0 to 87.5 in steps of 2.5"
-    )
-    azimuth_deg: Azimuths | None = Field(
-        None,
-        description="azimuths from the direction in which the beam travels (°), 0 is forward; by "
-        "default 0 to 355 in steps of 5",
-    )
-    n_bins: Annotated[tuple[int, int], AfterValidator(check_n_bins)] | None = Field(
-        None,
-        description="numbers of angular bins from the horizon to the zenith, and in azimuth; by "
-        "default `[18, 72]`",
-    )
+    target: Literal["brdf", "btdf"] = "brdf"
+    """quantity to which the target error applies"""
+    polar_deg: PolarAngles | None = None
+    """polar angles from the normal (°); by default 0 to 87.5 in steps of 2.5"""
+    azimuth_deg: Azimuths | None = None
+    """azimuths from the direction in which the beam travels (°), 0 is forward; by default 0 to 355
+    in steps of 5"""
+    n_bins: Annotated[tuple[int, int], AfterValidator(check_n_bins)] | None = None
+    """numbers of angular bins from the horizon to the zenith, and in azimuth; by default `[18, 72]`
+    """
 
     @model_validator(mode="after")
     def _check_estimator(self) -> Goniophotometer:
@@ -126,9 +119,9 @@ class Goniophotometer(OpticalInstrument):
         if self.target == "btdf" and medium.reflecting_ground is not None:
             raise invalid("instrument.target", "btdf", "brdf over a ground")
 
-    def check_figure(self, figure: FigureSection, kind: str) -> None:
+    def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
         """Reject a figure of quantities or directions that the instrument does not measure."""
-        super().check_figure(figure, kind)
+        super().check_figure(kind, quantities)
         if kind == "none":
             return
         if kind == "hemisphere":
@@ -169,11 +162,8 @@ class BeamSpread(OpticalInstrument):
 
     kind: Literal["beam_spread"]
     rays: Rays = None
-    half_width_m: BeamHalfWidth | None = Field(
-        None,
-        description="half the side length of the map (m), by default from the spread; required "
-        "with a grid",
-    )
+    half_width_m: BeamHalfWidth | None = None
+    """half the side length of the map (m), by default from the spread; required with a grid"""
 
 
 class TableInstrument(OpticalInstrument):
@@ -184,17 +174,12 @@ class TableInstrument(OpticalInstrument):
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
     kind: Literal["table"]
-    quantities: tuple[Literal["reflectance", "transmittance"], ...] = Field(
-        ("reflectance",), description="quantities in the table"
-    )
-    covariance: Literal["keep", "leave_out"] = Field(
-        "leave_out",
-        description="whether the table contains the contributions of batches of rays to the errors",
-    )
-    blocks: int = Field(
-        8, ge=1, le=10_000,
-        description="number of parts of the table, each simulated by one job",
-    )  # fmt: skip
+    quantities: tuple[Literal["reflectance", "transmittance"], ...] = ("reflectance",)
+    """quantities in the table"""
+    covariance: Literal["keep", "leave_out"] = "leave_out"
+    """whether the table contains the contributions of batches of rays to the errors"""
+    blocks: int = Field(8, ge=1, le=10_000)
+    """number of parts of the table, each simulated by one job"""
 
 
 class SurfaceMap(Instrument):
@@ -206,10 +191,10 @@ class SurfaceMap(Instrument):
 
     kind: Literal["surface_map"]
     seed: Seed = None
-    half_width_m: MapHalfWidth = Field(description="half the side length of the map (m)")
-    realizations: int = Field(
-        100, ge=2, le=MAX_REALIZATIONS, description="number of realizations of the surface"
-    )
+    half_width_m: MapHalfWidth
+    """half the side length of the map (m)"""
+    realizations: int = Field(100, ge=2, le=MAX_REALIZATIONS)
+    """number of realizations of the surface"""
 
 
 class Lens(Instrument):
@@ -220,20 +205,19 @@ class Lens(Instrument):
 
     kind: Literal["lens"]
     seed: Seed = None
-    radius_m: Annotated[float, AfterValidator(check_ring_radius)] = Field(
-        description="radius of the ring of rays (m)"
-    )
-    screen_depth_m: Depths = Field(description="depths of the screens (m), increasing")
-    centre_on: Literal["crest", "trough", "origin"] = Field(
-        "crest", description="point of the surface above which the ring is centred"
-    )
-    half_width_m: LensHalfWidth | None = Field(
-        None,
-        description="half the side length of the square in which the crest is searched (m); "
-        "required, except over the origin",
-    )
-    rays: int = Field(DEFAULT_RAYS, ge=1, description="number of rays in the ring")
-    realizations: int = Field(1, ge=1, description="number of realizations of the surface")
+    radius_m: Annotated[float, AfterValidator(check_ring_radius)]
+    """radius of the ring of rays (m)"""
+    screen_depth_m: Depths
+    """depths of the screens (m), increasing"""
+    centre_on: Literal["crest", "trough", "origin"] = "crest"
+    """point of the surface above which the ring is centred"""
+    half_width_m: LensHalfWidth | None = None
+    """half the side length of the square in which the crest is searched (m); required, except over
+    the origin"""
+    rays: int = Field(DEFAULT_RAYS, ge=1)
+    """number of rays in the ring"""
+    realizations: int = Field(1, ge=1)
+    """number of realizations of the surface"""
 
     @model_validator(mode="after")
     def _check_extent(self) -> Lens:

@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from splits.core.atomic import atomic_write
 from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.medium import SAMPLE_KEY
 from splits.experiments.config.settings import Settings
-from splits.experiments.config.simulation import SAMPLE_KEY
 from splits.media import Stack
 from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
 from splits.tables.axes import INCIDENCE
@@ -40,8 +40,8 @@ def write_schemas(folder: Path) -> list[Path]:
 
 def make_schema(model: type[BaseModel]) -> dict[str, Any]:
     """Return the schema of `ExperimentConfig` or `Settings`."""
-    schema = model.model_json_schema()
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    schema = {"$schema": dialect, **model.model_json_schema()}
     definitions: dict[str, Any] = schema["$defs"]
     if model is ExperimentConfig:
         _add_media(schema["properties"], definitions)
@@ -59,12 +59,10 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
     # The kind of a medium with a base may be that of its base.
     choice = {"if": {"required": ["base"]}, "then": based, "else": {"$ref": "#/$defs/snow"}}
     definitions |= media
-    definitions["medium"] = _make_choice(
-        {kind: {"$ref": f"#/$defs/{kind}"} for kind in media}, choice
-    )
-    properties["medium"] = {
-        "$ref": "#/$defs/medium", "description": properties["medium"]["description"],
-    }  # fmt: skip
+    references = {kind: {"$ref": f"#/$defs/{kind}"} for kind in media}
+    definitions["medium"] = _make_choice(references, choice)
+    description = properties["medium"]["description"]
+    properties["medium"] = {"$ref": "#/$defs/medium", "description": description}
     names = [*(key for key in keywords if key not in ("kind", "base")), INCIDENCE, SAMPLE_KEY]
     paths = rf"^(({'|'.join(IMPURITY_KEYWORDS)})\.\w+|{LAYERS_KEY}\.\d+\.\w+)$"
     properties["grid"] |= {
@@ -81,10 +79,9 @@ def _make_medium(kind: str, factory: Callable[..., Any]) -> dict[str, Any]:
         long_name, units = describe_parameter(name)
         options = [_describe_annotation(one) for one in str(parameter.annotation).split(" | ")]
         types = {"anyOf": options} if all(options) else {}
-        properties[name] = {
-            **(options[0] if len(options) == 1 else types),
-            "description": long_name if units == "1" else f"{long_name} ({units})",
-        }
+        description = long_name if units == "1" else f"{long_name} ({units})"
+        schema = options[0] if len(options) == 1 else types
+        properties[name] = {**schema, "description": description}
     if LAYERS_KEY in properties:
         layers = {"type": "array", "items": {"$ref": "#/$defs/medium"}, "minItems": 1}
         properties[LAYERS_KEY] |= layers
@@ -122,14 +119,19 @@ def _simplify(schema: Any, definitions: Mapping[str, Any]) -> Any:
         return [_simplify(item, definitions) for item in schema]
     if not isinstance(schema, dict):
         return schema
-    titles = [key for key, value in schema.items() if key == "title" and isinstance(value, str)]
-    simplified = {k: _simplify(v, definitions) for k, v in schema.items() if k not in titles}
+    simplified: dict[str, Any] = {}
+    for key, value in schema.items():
+        if key == "description" and isinstance(value, str):
+            # A docstring, whose lines end at the margin of the source.
+            simplified[key] = " ".join(value.split())
+        elif key != "title" or not isinstance(value, str):
+            simplified[key] = _simplify(value, definitions)
     if "oneOf" in simplified:
         references = simplified.pop("oneOf")
         models = [definitions[one["$ref"].rpartition("/")[2]] for one in references]
         kinds = [model["properties"]["kind"]["const"] for model in models]
-        optional = [one for one, model in zip(references, models, strict=True)
-                    if "kind" not in model.get("required", ())]  # fmt: skip
+        pairs = zip(references, models, strict=True)
+        optional = [one for one, model in pairs if "kind" not in model.get("required", ())]
         by_kind = dict(zip(kinds, references, strict=True))
         simplified |= _make_choice(by_kind, optional[0] if optional else {"required": ["kind"]})
     return simplified

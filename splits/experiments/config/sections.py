@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import PurePath
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+import pandas as pd
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+)
 from pydantic_core import PydanticCustomError
 
-from splits.core.validation import invalid
+from splits.analysis.measured import WAVELENGTH_COLUMN
+from splits.core.validation import check_choice, invalid
 from splits.retrieval.sand_parameters import resolve_ranges
 
 MAX_LABEL_CHARS = 80
@@ -26,6 +38,17 @@ def check_text(key: str, value: str, max_chars: int, multiline: bool = False) ->
     if not joined.isprintable():
         raise invalid(key, value, "text without control characters or line breaks")
     return value
+
+
+def match_pattern(pattern: re.Pattern[str], allowed: str) -> AfterValidator:
+    """Return the validator of a field whose text a pattern describes completely."""
+
+    def check(value: str, info: ValidationInfo) -> str:
+        if not pattern.fullmatch(value):
+            raise invalid(info.field_name or "", value, allowed)
+        return value
+
+    return AfterValidator(check)
 
 
 def check_path(key: str, value: str) -> str:
@@ -66,9 +89,13 @@ def check_interval(limits: tuple[float, float]) -> tuple[float, float]:
     return limits
 
 
-def to_tuple(value: Any) -> Any:
-    """Return a single text or mapping as a tuple; others unchanged."""
-    return (value,) if isinstance(value, str | dict) else value
+def accept_single(kind: Any) -> BeforeValidator:
+    """Return the validator of a list, in place of which a single text or mapping may be given."""
+
+    def to_tuple(value: Any) -> Any:
+        return (value,) if isinstance(value, str | dict) else value
+
+    return BeforeValidator(to_tuple, json_schema_input_type=kind | tuple[kind, ...])
 
 
 # Validators raise errors with a key relative to their section, or without one for their own field;
@@ -83,7 +110,9 @@ Interval = Annotated[tuple[float, float], AfterValidator(check_interval)]
 class ConfigSection(BaseModel):
     """A configuration section: immutable, and unknown keys are rejected."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, ser_json_inf_nan="constants", use_attribute_docstrings=True
+    )
 
     @field_validator("*", mode="before")
     @classmethod
@@ -100,23 +129,34 @@ class FiniteSection(ConfigSection):
     model_config = ConfigDict(allow_inf_nan=False)
 
 
-MEASURED_DESCRIPTION = (
-    "name of a file of `config/measured/`, with a column `wavelength_nm` and a column of "
-    "reflectances (fractions, no gaps) per sample"
-)
-
-
 class FitSection(ConfigSection):
     """Measured spectra to which sands are fitted."""
 
-    measured: MeasuredFile = Field(description=MEASURED_DESCRIPTION)
-    samples: tuple[str, ...] = Field((), description="samples to fit; by default all")
-    ranges: dict[str, tuple[float, float]] = Field(
-        {}, description="(low, high) by parameter; by default those of SPLITS Table 2"
-    )
+    measured: MeasuredFile
+    """name of a file of `config/measured/`, with a column `wavelength_nm` and a column of
+    reflectances (fractions, no gaps) per sample"""
+    samples: tuple[str, ...] = ()
+    """samples to fit; by default all"""
+    ranges: dict[str, tuple[float, float]] = Field({})
+    """(low, high) by parameter; by default those of SPLITS Table 2"""
 
     @field_validator("ranges")
     @classmethod
     def _check_ranges(cls, value: dict[str, Any]) -> dict[str, Any]:
         resolve_ranges(value)
         return value
+
+
+def list_samples(section: str, measured: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Return the samples of a measured table that a section names, by default all.
+
+    Unknown samples, and tables without wavelengths or names of columns, are rejected.
+    """
+    key = f"{section}.measured"
+    if WAVELENGTH_COLUMN not in measured:
+        raise invalid(key, list(measured.columns), f"a table with column {WAVELENGTH_COLUMN}")
+    available = [str(name) for name in measured.columns if name != WAVELENGTH_COLUMN]
+    if any(name.startswith("Unnamed") for name in available):
+        hint = "a column of row numbers? write the table with index=False"
+        raise invalid(key, "a column without a name", "names for all", hint)
+    return [check_choice(f"{section}.samples", name, available) for name in names] or available

@@ -43,6 +43,10 @@ try:
         update_config(config, read_yaml(Path(FILE)))
     update_config(config, COMMAND_LINE.config)
     if "everything" in sys.argv[1:]:
+        if "experiments" in COMMAND_LINE.config:
+            raise ConfigError(
+                "experiments: must be left out with the target everything"
+            )
         config["experiments"] = "everything"
     SETTINGS = load_settings(config)
     EXPERIMENTS = load_experiments(

@@ -15,7 +15,7 @@ from splits.core.parameter_names import describe_parameter
 from splits.core.progress import LogCallback
 from splits.core.validation import key_prefix
 from splits.experiments.config.retrieve import RetrieveSection
-from splits.experiments.papers.paper_tables import write_data_frame
+from splits.io.data_frame import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.result import RetrievalResult
 from splits.retrieval.retrieve import retrieve

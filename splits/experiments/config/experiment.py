@@ -62,9 +62,10 @@ class ExperimentConfig(SimulationConfig):
 
     @model_validator(mode="after")
     def _check_sections(self) -> ExperimentConfig:
-        check_figure(self, self.figure)
         if self.retrieve:
             check_retrieve_section(self, self.retrieve)
+        check_figure(self, self.figure)
+        if self.retrieve:
             settings = sorted(self.figure.model_fields_set)
             if settings:
                 hint = "the figure shows the retrieved parameters"

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from splits.analysis.colour import covers_visible
-from splits.core.validation import check_choice, invalid
+from splits.core.validation import check_choice, invalid, key_prefix
 from splits.experiments.config.grid import find_label, to_coordinate_values
 from splits.experiments.config.sections import (
     FiniteSection,
@@ -17,6 +17,7 @@ from splits.experiments.config.sections import (
     MeasuredFile,
     Title,
     accept_single,
+    check_different,
     check_mathematics,
 )
 from splits.experiments.config.simulation import SimulationConfig
@@ -104,8 +105,8 @@ class FigureSection(FiniteSection):
 
     @model_validator(mode="after")
     def _check_settings(self) -> FigureSection:
-        if not self.quantity:
-            raise invalid("quantity", [], "at least one quantity")
+        with key_prefix("quantity"):
+            check_different(self.quantity)
         if self.kind == "none" and self.model_fields_set != {"kind"}:
             others = sorted(self.model_fields_set - {"kind"})
             raise invalid("kind", "none", f"left out with {', '.join(others)}")
@@ -149,7 +150,8 @@ def check_figure(simulation: SimulationConfig, figure: FigureSection) -> None:
     kind = _resolve_kind(simulation, figure)
     if kind == "fit" and not simulation.fit:
         raise invalid("figure.kind", "fit", "another one for an experiment without section fit")
-    given_quantities = figure.quantity if "quantity" in figure.model_fields_set else ()
+    is_given = "quantity" in figure.model_fields_set or kind == "summary"
+    given_quantities = figure.quantity if is_given else ()
     simulation.instrument.check_figure(kind, given_quantities)
     if kind == "none":
         return

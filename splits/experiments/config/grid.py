@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from splits.core.arrays import MAX_NUMBERS
 from splits.core.parameter_names import describe_parameter, parse_layer_parameter
-from splits.core.validation import check_number, format_key, invalid
+from splits.core.validation import check_number, format_key, invalid, suggest_name
 from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
 
 MEAN_FUNCTIONS: dict[str, Callable[[Sequence[float]], float]] = {
@@ -67,6 +68,10 @@ MAX_GRID_POINTS = 10_000
 """Largest number of points of a grid."""
 STEP_KEYS = ("start", "stop", "step")
 GEOMSPACE_KEY = "geomspace"
+SPACING_KEYS = {
+    *STEP_KEYS, GEOMSPACE_KEY, "end", "also", "num", "number", "linspace", "logspace",
+}  # fmt: skip
+"""Keys of which two, or `start` or `geomspace` alone, are no labels."""
 
 
 def make_even_spacing(key: str, start: float, stop: float, step: float) -> np.ndarray:
@@ -78,7 +83,12 @@ def make_even_spacing(key: str, start: float, stop: float, step: float) -> np.nd
     # A step may be so small that the quotient is infinite.
     if (stop - start) / MAX_NUMBERS >= step:
         raise invalid(f"{key}.step", step, f"large enough for at most {MAX_NUMBERS} values")
-    return start + step * np.arange(int((stop - start) / step + 1e-9) + 1)
+    values = start + step * np.arange(round((stop - start) / step) + 1)
+    if not np.isclose(values[-1], stop, rtol=0.0, atol=1e-6 * step):
+        last = start + step * math.floor((stop - start) / step)
+        allowed = f"a whole number of steps from start, such as {last:g} or {last + step:g}"
+        raise invalid(f"{key}.stop", stop, allowed)
+    return values
 
 
 def label_grid(grid: Any) -> dict[str, dict[str, Any]]:
@@ -105,10 +115,8 @@ def _label_values(parameter: str, values: Any) -> dict[str, Any]:
     key = f"grid.{format_key(parameter)}"
     if not isinstance(values, (list, tuple, Mapping)) or not values:
         raise invalid(key, values, "a list of at least one value")
-    if isinstance(values, Mapping) and _is_step_mapping(values):
-        values = _expand_steps(key, values)
-    elif isinstance(values, Mapping) and set(values) == {GEOMSPACE_KEY}:
-        values = _expand_geomspace(f"{key}.{GEOMSPACE_KEY}", values[GEOMSPACE_KEY])
+    if isinstance(values, Mapping) and _is_spacing(values):
+        values = _expand_spacing(key, values)
     if not isinstance(values, Mapping):
         labels = [make_label(key, value) for value in values]
         if len(set(labels)) < len(labels):
@@ -122,17 +130,29 @@ def _label_values(parameter: str, values: Any) -> dict[str, Any]:
     return {str(label): value for label, value in values.items()}
 
 
-def _is_step_mapping(values: Mapping[Any, Any]) -> bool:
-    """Return whether a mapping's keys are of ``{start, stop, step}`` and its values numbers."""
-    has_step_keys = len(set(STEP_KEYS) & set(values)) >= 2 and set(values) <= {*STEP_KEYS, "also"}
-    return has_step_keys and all(_is_number(values[key]) for key in STEP_KEYS if key in values)
+def _is_spacing(values: Mapping[Any, Any]) -> bool:
+    """Return whether a mapping is, or resembles, the form of evenly or geometrically spaced values.
+
+    Values that are all texts or mappings, such as media, have labels.
+    """
+    if all(isinstance(value, (str, Mapping)) for value in values.values()):
+        return False
+    return bool({"start", GEOMSPACE_KEY} & set(values)) or len(SPACING_KEYS & set(values)) > 1
 
 
-def _expand_steps(key: str, values: Mapping[str, Any]) -> list[float]:
-    """Return the evenly spaced values of a parameter."""
+def _expand_spacing(key: str, values: Mapping[str, Any]) -> list[float]:
+    """Return the evenly or geometrically spaced values of a parameter."""
+    if set(values) == {GEOMSPACE_KEY}:
+        return _expand_geomspace(f"{key}.{GEOMSPACE_KEY}", values[GEOMSPACE_KEY])
+    if GEOMSPACE_KEY in values:
+        raise invalid(key, dict(values), f"{GEOMSPACE_KEY} without other keys")
+    hint = "start, stop and step give evenly spaced values; label others otherwise"
+    for name in values:
+        if name not in (*STEP_KEYS, "also"):
+            nearest = suggest_name(name, STEP_KEYS) or hint
+            raise invalid(f"{key}.{format_key(name)}", values[name], "left out", nearest)
     for name in STEP_KEYS:
         if name not in values:
-            hint = "start, stop and step give evenly spaced values; label others otherwise"
             raise invalid(f"{key}.{name}", None, "given", hint)
     if "also" in values:
         raise invalid(f"{key}.also", values["also"], "left out", "list the values instead")

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from splits.core.validation import invalid, key_prefix
+from splits.core.validation import check_choice, invalid, key_prefix
 from splits.experiments.config.instrument import (
     Instrument,
     OpticalInstrument,
@@ -17,6 +17,7 @@ from splits.experiments.config.instrument import (
     Seed,
     SpectralInstrument,
 )
+from splits.experiments.config.sections import check_different
 from splits.instruments.angular_bins import DEFAULT_N_BINS
 from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG
@@ -174,12 +175,20 @@ class TableInstrument(OpticalInstrument):
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
     kind: Literal["table"]
-    quantities: tuple[Literal["reflectance", "transmittance"], ...] = ("reflectance",)
+    quantities: Annotated[
+        tuple[Literal["reflectance", "transmittance"], ...], AfterValidator(check_different)
+    ] = ("reflectance",)
     """quantities in the table"""
     covariance: Literal["keep", "leave_out"] = "leave_out"
     """whether the table contains the contributions of batches of rays to the errors"""
     blocks: int = Field(8, ge=1, le=10_000)
     """number of parts of the table, each simulated by one job"""
+
+    def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
+        """Reject a figure of quantities that are not in the table."""
+        super().check_figure(kind, quantities)
+        for quantity in quantities if kind != "none" else ():
+            check_choice("figure.quantity", quantity, self.quantities)
 
 
 class SurfaceMap(Instrument):

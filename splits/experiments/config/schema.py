@@ -13,6 +13,7 @@ from pydantic import BaseModel
 from splits.core.atomic import atomic_write
 from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.grid import GEOMSPACE_KEY, STEP_KEYS
 from splits.experiments.config.medium import SAMPLE_KEY
 from splits.experiments.config.settings import Settings
 from splits.media import Stack
@@ -65,10 +66,23 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
     properties["medium"] = {"$ref": "#/$defs/medium", "description": description}
     names = [*(key for key in keywords if key not in ("kind", "base")), INCIDENCE, SAMPLE_KEY]
     paths = rf"^(({'|'.join(IMPURITY_KEYWORDS)})\.\w+|{LAYERS_KEY}\.\d+\.\w+)$"
+    given = {"type": ["array", "object"], "minItems": 1, "minProperties": 1}
+    number, numbers = {"type": "number"}, {"type": "array", "items": {"type": "number"}}
+    forms: list[dict[str, Any]] = [
+        dict.fromkeys(STEP_KEYS, number), {GEOMSPACE_KEY: {**numbers, "minItems": 3, "maxItems": 3}}
+    ]  # fmt: skip
+    is_spacing = {"anyOf": [{"required": [STEP_KEYS[0]]}, {"required": [GEOMSPACE_KEY]}]}
+    spacing = [
+        {"properties": form, "required": list(form), "additionalProperties": False}
+        for form in forms
+    ]
     properties["grid"] |= {
         "propertyNames": {"anyOf": [{"enum": names}, {"pattern": paths}]},
-        "additionalProperties": {"type": ["array", "object"], "minItems": 1, "minProperties": 1},
-    }
+        "properties": {SAMPLE_KEY: given, LAYERS_KEY: given},
+        "additionalProperties": {
+            **given, "if": {"type": "object", **is_spacing}, "then": {"anyOf": spacing}
+        },
+    }  # fmt: skip
 
 
 def _make_medium(kind: str, factory: Callable[..., Any]) -> dict[str, Any]:

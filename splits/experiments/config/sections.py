@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePath
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import pandas as pd
 from pydantic import (
@@ -82,6 +82,13 @@ def check_measured_file(name: str) -> str:
     return check_path("", name)
 
 
+def check_different(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return names; reject none at all and repeated ones."""
+    if not names or len(set(names)) < len(names):
+        raise invalid("", list(names), "at least one, without repetition")
+    return names
+
+
 def check_interval(limits: tuple[float, float]) -> tuple[float, float]:
     """Return the limits of an interval; reject an empty one."""
     if not limits[0] < limits[1]:
@@ -107,6 +114,26 @@ MeasuredFile = Annotated[str, AfterValidator(check_measured_file)]
 Interval = Annotated[tuple[float, float], AfterValidator(check_interval)]
 
 
+def _iter_types(annotation: Any) -> Iterator[Any]:
+    """Yield the types in an annotation, without those that contain others."""
+    if get_origin(annotation) is Literal:
+        return
+    parts = get_args(annotation)
+    for part in parts:
+        yield from _iter_types(part)
+    if not parts:
+        yield annotation
+
+
+def _has_boolean(value: Any, mappings: bool) -> bool:
+    """Return whether a value is a boolean, or contains one in its lists and optionally mappings."""
+    if mappings and isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        return any(_has_boolean(part, mappings) for part in value)
+    return isinstance(value, bool)
+
+
 class ConfigSection(BaseModel):
     """A configuration section: immutable, and unknown keys are rejected."""
 
@@ -116,9 +143,11 @@ class ConfigSection(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _reject_booleans(cls, value: Any) -> Any:
-        # No setting is a boolean; pydantic would convert true to the number 1.
-        if isinstance(value, bool):
+    def _reject_booleans(cls, value: Any, info: ValidationInfo) -> Any:
+        # Pydantic would convert true to the number 1. Nested sections check their own fields.
+        types = set(_iter_types(cls.model_fields[str(info.field_name)].annotation))
+        has_section = any(isinstance(one, type) and issubclass(one, BaseModel) for one in types)
+        if not {bool, Any} & types and _has_boolean(value, mappings=not has_section):
             raise PydanticCustomError("no_switch", "true or false")
         return value
 

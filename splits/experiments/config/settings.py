@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from splits.core.paths import expand_path
-from splits.core.validation import check_choice, invalid, suggest_name
+from splits.core.validation import check_choice, invalid, join_names, suggest_name
 from splits.core.yaml import ConfigError
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
@@ -23,7 +23,8 @@ from splits.experiments.config.sections import (
     match_pattern,
 )
 from splits.experiments.studies import AnyStudy
-from splits.experiments.studies.checks import check_studies
+from splits.experiments.studies.checks import check_studies, find_incomplete_studies
+from splits.experiments.studies.study import describe_missing
 from splits.io.ro_crate import ORCID_URL, Author
 
 DEFAULT_LICENCE = "MIT"
@@ -187,6 +188,8 @@ class Settings(ConfigSection):
             key, kind = f"explorer.{label} = {name!r}", available[name].instrument.kind
             if kind != "table":
                 raise ConfigError(f"{key}: must be a table (it is a {kind})")
+            if "reflectance" not in getattr(available[name].instrument, "quantities", ()):
+                raise ConfigError(f"{key}: must be a table of reflectance")
             for axis, row in zip(*available[name].make_axes(), strict=True):
                 if len(row) < 2 or isinstance(row[0], str):
                     raise ConfigError(f"{key}: its axis {axis} must have at least two numbers")
@@ -198,6 +201,27 @@ class Settings(ConfigSection):
             if one and (one.instrument.kind, {*one.grid}) != ("goniophotometer", EXPLORER_AXES):
                 allowed = "a goniophotometer over optical_radius_um and incidence_deg"
                 raise ConfigError(f"{key}: must be {allowed}")
+
+    def list_warnings(self, available: Mapping[str, ExperimentConfig]) -> list[str]:
+        """Return a line for each study, and for the explorer, that lacks experiments.
+
+        Studies without any existing experiment, or one of a similar name, share a line.
+        """
+        messages = find_incomplete_studies(self.studies, available)
+        unused = []
+        for name in list(messages):
+            required = self.studies[name].list_experiments()
+            if not any(one in available or suggest_name(one, available) for one in required):
+                del messages[name]
+                unused.append(name)
+        names = [*self.explorer.values(), *self.explorer_directions.values()]
+        warnings = [
+            *messages.values(),
+            *(f"explorer: {m}" for m in describe_missing(names, available)),
+        ]
+        if unused:
+            warnings.append(f"none of their experiments exists: studies {join_names(unused)}")
+        return warnings
 
     def select_explorer(
         self, available: Mapping[str, ExperimentConfig]
@@ -226,7 +250,7 @@ class Settings(ConfigSection):
                     hint = suggest_name(name, known) or "known: " + ", ".join(known)
                     what = "experiment or group" if key == "experiments" else "experiment"
                     raise ConfigError(f"{key} = {name!r}: no such {what} ({hint})")
-        for group in dict.fromkeys(one.group for one in available.values()):
+        for group in groups:
             if group in available or group in self.studies:
                 raise ConfigError(f"group = {group!r}: must differ from experiments and studies")
         chosen = [*groups] if self.experiments == "everything" else self.experiments

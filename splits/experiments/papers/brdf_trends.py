@@ -74,9 +74,9 @@ def make_brdf_trend_rows(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, o
     )
     return [
         make_significance_row(text, place, *estimate)
-        for role, list_trends in trends
-        if role in datasets
-        for text, place, estimate in list_trends(select_principal_plane(datasets[role]))
+        for key, list_trends in trends
+        if key in datasets
+        for text, place, estimate in list_trends(select_principal_plane(datasets[key]))
     ]
 
 

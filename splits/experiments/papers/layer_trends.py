@@ -54,9 +54,9 @@ def _list_trends(datasets: Mapping[str, xr.Dataset]) -> Trends:
         text = "very rough glass: BRDF (1/sr) that the volume adds, where least significant"
         added = brdf.sel(medium="surface and volume") - brdf.sel(medium="surface only")
         yield text, "Fig 3", added
-    for role, (dimension, text) in CHANGES.items():
-        if role in datasets:
-            brdf = _select_plane(datasets[role])
+    for key, (dimension, text) in CHANGES.items():
+        if key in datasets:
+            brdf = _select_plane(datasets[key])
             change = brdf.isel(**{dimension: -1}) / brdf.isel(**{dimension: 0}) - 1.0
             most = change.isel(angle=(abs(change.value) - 2.0 * change.stderr).argmax("angle"))
             sign = "" if most.value > 0.0 else "less, "

@@ -12,7 +12,8 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.sensitivity import SensitivityIndex, compute_spectral_sensitivity
-from splits.core.uncertainty import make_variable as quantity_of
+from splits.core.uncertainty import make_variable
+from splits.experiments.config.grid import make_label
 from splits.io.netcdf import make_provenance, select_points, to_netcdf_attributes
 
 QUANTITY_CONDITIONS: dict[str, dict[str, Any]] = {
@@ -57,8 +58,8 @@ def make_sensitivity_table(
     datasets : mapping
         Experiments by name.
     pairs : mapping
-        For each parameter ``experiment``, ``interpretation`` (experiment or None), ``parameter``
-        (grid dimension), ``low`` and ``high``.
+        For each parameter ``experiment``, ``interpretation_experiment`` (or None),
+        ``parameter`` (grid dimension), ``low`` and ``high``.
 
     Returns
     -------
@@ -72,19 +73,27 @@ def make_sensitivity_table(
         for quantity in QUANTITY_CONDITIONS:
             for labels in itertools.combinations(ranges[dimension].values, 2):
                 index = compute_pair_sensitivity(ranges, dimension, *labels, quantity)
-                chosen = all(map(_is_same_label, labels, ends))
+                chosen = all(any(_is_same_label(label, end) for label in labels) for end in ends)
                 rows.append((name, quantity, "default", *labels, chosen, *astuple(index)))
-            if not pair["interpretation"]:
+            if not pair["interpretation_experiment"]:
                 continue
-            interpretations = datasets[pair["interpretation"]]
+            interpretations = datasets[pair["interpretation_experiment"]]
+            low, high = (
+                next(x for x in interpretations[dimension].values if _is_same_label(x, end))
+                for end in ends
+            )
             # The experiment over ranges has the default interpretation.
             for label in map(str, interpretations.interpretation.values):
                 if label != "default":
                     part = select_points(interpretations, {"interpretation": label})
-                    low, high = part[dimension].values[[0, -1]]
                     index = compute_pair_sensitivity(part, dimension, low, high, quantity)
                     rows.append((name, quantity, label, low, high, False, *astuple(index)))
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def list_published_names(pair: str) -> list[str]:
+    """Return the ids of the published indices of a pair, one for each quantity."""
+    return [f"msi_{quantity[0]}_{pair}" for quantity in QUANTITY_CONDITIONS]
 
 
 def select_chosen_sensitivities(
@@ -107,14 +116,17 @@ def select_chosen_sensitivities(
         for name in ("msi", "msi_stderr")
     )
     dims, label = ("quantity", "parameter"), "mean sensitivity index"
-    variables = quantity_of("msi", dims, index, error, label)
+    variables = make_variable("msi", dims, index, error, label)
     if published is not None:
         values = [
-            [published.published[f"msi_{quantity[0]}_{parameter}"] for parameter in parameters]
-            for quantity in QUANTITY_CONDITIONS
+            list(column)
+            for column in zip(
+                *(published.published[list_published_names(name)] for name in parameters),
+                strict=True,
+            )
         ]
         long_name = f"{label} published in SPLITSnow Table 2"
-        variables |= quantity_of("published", dims, np.array(values), None, long_name)
+        variables |= make_variable("published", dims, np.array(values), None, long_name)
     return xr.Dataset(
         variables,
         {
@@ -149,4 +161,4 @@ def describe_ranges(pairs: Mapping[str, Mapping[str, Any]]) -> str:
 def _is_same_label(value: Any, label: Any) -> bool:
     if isinstance(value, (int, float, np.number)):
         return bool(np.isclose(float(value), float(label)))
-    return str(value) == str(label)
+    return str(value) == make_label("", label)

@@ -7,18 +7,22 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from splits.analysis.measured import LETCHER_COLUMNS
 from splits.core.validation import check_choice
+from splits.experiments.papers.snow_statements import TABLE3_WAVELENGTHS_NM
 from splits.experiments.studies.study import (
     Experiments,
     Files,
-    Roles,
+    Inputs,
     Study,
     StudyProduct,
     StudyRun,
 )
+from splits.experiments.studies.study_files import MEASURED_SPECTRA, PUBLISHED_TABLE
 from splits.experiments.studies.study_input import StudyInput
 
 _VISIBLE_NM = (400.0, 700.0)
+_AVIRIS_COLUMNS = ("reflectance", "reflectance_min", "reflectance_max")
 _AVIRIS_NM = (842.25, 1073.76, 1237.93)
 
 
@@ -86,11 +90,15 @@ class AgreementStudy(Study):
         ),
         "interpretation": StudyInput(("interpretation",), at_nm=_AVIRIS_NM),
     }  # fmt: skip
-    FILES: ClassVar = {"published": "published", "aviris": "measured", "letcher": "measured"}
+    FILES: ClassVar = {
+        "published": PUBLISHED_TABLE._replace(required=tuple(TABLE3_WAVELENGTHS_NM)),
+        "aviris": MEASURED_SPECTRA._replace(required=_AVIRIS_COLUMNS),
+        "letcher": MEASURED_SPECTRA._replace(required=tuple(LETCHER_COLUMNS.values())),
+    }
     MESSAGE: ClassVar = "Comparing results with published and measured numbers"
 
     kind: Literal["agreement"]
-    inputs: Roles
+    inputs: Inputs
     files: Files
     sensitivity: str = Field(
         description="name of the study of kind `sensitivity` for the same snow"
@@ -112,7 +120,7 @@ class AgreementStudy(Study):
         from splits.experiments.papers.paper_tables import make_table1, make_table3
         from splits.plotting import describe_conditions, draw_measured_albedo
 
-        datasets = {role: run.load(name) for role, name in self.inputs.items()}
+        datasets = self.load_inputs(run)
         published, aviris, letcher = (run.read(key) for key in self.FILES)
         sensitivity = run.load(self.sensitivity)
         table = make_agreement_table(datasets, published, sensitivity, aviris, letcher)

@@ -15,7 +15,7 @@ from splits.experiments.studies.study import Experiments, Study
 def check_studies(
     studies: Mapping[str, Study],
     available: Experiments,
-    tables: Mapping[str, Path],
+    folders: Mapping[str, Path],
 ) -> None:
     """Reject invalid studies, and names that are used twice.
 
@@ -23,7 +23,7 @@ def check_studies(
     ----------
     studies, available : mapping
         Studies, and all experiments, by name.
-    tables : mapping
+    folders : mapping
         Folders of ``published`` and ``measured`` tables.
 
     Raises
@@ -35,7 +35,7 @@ def check_studies(
         try:
             if not NAME_PATTERN.fullmatch(name) or name in RESERVED_NAMES:
                 raise invalid("name", name, f"{NAME_RULE}, none of the workflow's rules")
-            study.check(available, tables, studies)
+            study.check(available, folders, studies)
         except ValueError as error:
             raise ConfigError(f"studies.{name}.{error}") from None
     _check_unique_names(studies, available)

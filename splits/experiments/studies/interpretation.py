@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
+from itertools import chain
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
@@ -11,7 +12,9 @@ from pydantic import Field
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import check_choice, invalid, unknown_key
 from splits.experiments.papers.overlap_choices import OVERLAP_CHOICES, OVERLAPS_KEY
+from splits.experiments.papers.snow_statements import STATED_NUMBERS
 from splits.experiments.studies.study import Experiments, Files, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study_files import PUBLISHED_TABLE
 from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
 
 STANDARD_STDERR = 0.002
@@ -52,13 +55,15 @@ class InterpretationStudy(Study):
             "others.",
         ),
     }
-    FILES: ClassVar = {"published": "published"}
+    FILES: ClassVar = {
+        "published": PUBLISHED_TABLE._replace(required=tuple(chain(*STATED_NUMBERS.values())))
+    }
     MESSAGE: ClassVar = "Ranking the interpretations of the paper"
     USES_ALL_THREADS: ClassVar = True
 
     kind: Literal["interpretation"]
     files: Files
-    interpretation: dict[str, tuple[str, ...]] = Field(description="choices to combine")
+    choices: dict[str, tuple[str, ...]] = Field(description="choices to combine, by keyword")
     stated: dict[str, str] = Field({}, description="unambiguous choices of the paper")
 
     def list_parameters(
@@ -73,19 +78,19 @@ class InterpretationStudy(Study):
 
     def check_keys(self, available: Experiments, studies: Mapping[str, Study]) -> None:
         """Reject unknown choices."""
-        if not self.interpretation:
-            raise invalid("interpretation", self.interpretation, "choices by keyword")
+        if not self.choices:
+            raise invalid("choices", self.choices, "choices by keyword")
         known = {f.name: INTERPRETATION_CHOICES[f.name] for f in fields(Interpretation)}
         known[OVERLAPS_KEY] = tuple(OVERLAP_CHOICES)
-        for key, choices in self.interpretation.items():
+        for key, choices in self.choices.items():
             if key not in known:
-                raise unknown_key(f"interpretation.{key}", known)
+                raise unknown_key(f"choices.{key}", known)
             for choice in choices:
-                check_choice(f"interpretation.{key}", choice, known[key])
+                check_choice(f"choices.{key}", choice, known[key])
         for key, choice in self.stated.items():
-            if key not in self.interpretation:
-                raise unknown_key(f"stated.{key}", self.interpretation)
-            check_choice(f"stated.{key}", choice, self.interpretation[key])
+            if key not in self.choices:
+                raise unknown_key(f"stated.{key}", self.choices)
+            check_choice(f"stated.{key}", choice, self.choices[key])
 
     def make(self, run: StudyRun) -> None:
         """Make the tables and the figure."""
@@ -98,7 +103,7 @@ class InterpretationStudy(Study):
         )
         from splits.plotting import draw_interpretation_shifts
 
-        choices, seed = self.interpretation, run.parameters["seed"]
+        choices, seed = self.choices, run.parameters["seed"]
         combinations, stated = rank_interpretations(
             run.read("published"), choices, self.stated, seed, run.threads,
             run.parameters["stderr_scale"], run.log,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from splits.experiments.studies.study import Files, Roles, Study, StudyProduct, StudyRun
+from splits.analysis.anisotropy import MEASURED_COLUMNS
+from splits.experiments.studies.study import Files, Inputs, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study_files import MEASURED_SPECTRA, MEASURED_VALUES
 from splits.experiments.studies.study_input import StudyInput, make_goniophotometer_input
 
 
@@ -50,11 +52,11 @@ class SurfaceAreaStudy(Study):
         ),
         "field": StudyInput(("specific_surface_area_m2_kg", "medium"), at_nm=(1310.0,)),
     }
-    FILES: ClassVar = {"spectra": "measured"}
+    FILES: ClassVar = {"spectra": MEASURED_SPECTRA}
     MESSAGE: ClassVar = "Retrieving the surface area of measured snow"
 
     kind: Literal["surface_area"]
-    inputs: Roles
+    inputs: Inputs
     files: Files
 
     def make(self, run: StudyRun) -> None:
@@ -66,7 +68,7 @@ class SurfaceAreaStudy(Study):
         )
         from splits.plotting import describe_conditions, draw_area_law, draw_fitted_spectra
 
-        modelled, field = (run.load(self.inputs[role]) for role in ("spectra", "field"))
+        modelled, field = (run.load(self.inputs[key]) for key in ("spectra", "field"))
         spectra = run.read("spectra")
         areas = retrieve_surface_areas(modelled, spectra)
         run.write_table("table", areas)
@@ -104,11 +106,11 @@ class AnisotropyStudy(Study):
         ),
     }
     INPUTS: ClassVar = {"directions": make_goniophotometer_input("interpretation", "saturation")}
-    FILES: ClassVar = {"directions": "measured"}
+    FILES: ClassVar = {"directions": MEASURED_VALUES._replace(required=tuple(MEASURED_COLUMNS))}
     MESSAGE: ClassVar = "Comparing modelled and measured directions"
 
     kind: Literal["anisotropy"]
-    inputs: Roles
+    inputs: Inputs
     files: Files
 
     def make(self, run: StudyRun) -> None:

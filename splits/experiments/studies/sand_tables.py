@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 
 from splits.core.provenance import hash_physics_sources
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.studies.study import Experiments, Roles, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study import Experiments, Inputs, Study, StudyProduct, StudyRun
 from splits.experiments.studies.study_input import StudyInput
 
 _RANGE_NM, _COLOUR_NM = (400.0, 1000.0), (400.0, 780.0)
@@ -62,7 +62,7 @@ class SandTablesStudy(Study):
     MESSAGE: ClassVar = "Comparing sand with the trends stated in SPLITS"
 
     kind: Literal["sand_tables"]
-    inputs: Roles
+    inputs: Inputs
 
     def make(self, run: StudyRun) -> None:
         """Make the tables."""
@@ -71,15 +71,15 @@ class SandTablesStudy(Study):
         from splits.analysis.colour import make_colour_table
         from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
 
-        datasets = {role: run.load(name) for role, name in self.inputs.items()}
+        datasets = self.load_inputs(run)
         weights = [
-            make_shift_table(datasets[role], dimension, labels[0])
-            for role in ("mineral_weight", "interpretation", "size_tail")
-            for dimension, labels in self.INPUTS[role].labels.items()
+            make_shift_table(datasets[key], dimension, labels[0])
+            for key in ("mineral_weight", "interpretation", "size_tail")
+            for dimension, labels in self.INPUTS[key].labels.items()
         ]
         colours = [
-            make_colour_table(datasets[role]).assign(experiment=self.inputs[role])
-            for role in ("wet_colours", "colours")
+            make_colour_table(datasets[key]).assign(experiment=self.inputs[key])
+            for key in ("wet_colours", "colours")
         ]
         run.write_table("trends", make_sand_trend_table(datasets))
         run.write_table("weights", pd.concat(weights))

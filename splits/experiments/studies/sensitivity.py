@@ -7,18 +7,21 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from splits.core.provenance import PACKAGE_FOLDER, RETRIEVAL_SOURCES, hash_files
+from splits.core.provenance import RETRIEVAL_SOURCES, hash_sources
 from splits.core.validation import check_choice, invalid, unknown_key
+from splits.experiments.config.grid import make_label
 from splits.experiments.config.retrieve_checks import check_on_grid
 from splits.experiments.config.sections import ConfigSection
+from splits.experiments.papers.sensitivity_table import list_published_names
 from splits.experiments.studies.study import (
     Experiments,
     Files,
-    Roles,
+    Inputs,
     Study,
     StudyProduct,
     StudyRun,
 )
+from splits.experiments.studies.study_files import PUBLISHED_TABLE
 from splits.experiments.studies.study_input import StudyInput, check_input
 from splits.illumination.bands import SENSORS
 
@@ -34,34 +37,36 @@ BAND_NM = (400.0, 2500.0)
 class SensitivityPair(ConfigSection):
     """Two values of a parameter between which the sensitivity of a spectrum is computed.
 
-    `experiment` varies the parameter, and the experiment `interpretation` the interpretation of the
+    `experiment` varies the parameter, and `interpretation_experiment` the interpretation of the
     papers as well.  `source` is the origin of the two values: the paper, or our choice.
     """
 
     parameter: str = Field(description="parameter that varies")
     experiment: str = Field(description="experiment over the parameter and the depth")
-    interpretation: str | None = Field(
+    interpretation_experiment: str | None = Field(
         None, description="experiment that also varies the interpretations of the papers"
     )
-    low: float | str = Field(description="value or label at one end of the range")
-    high: float | str = Field(description="value or label at the other end")
+    low: float | str = Field(
+        description="one end of the range: a number, or the label of a value that is no number"
+    )
+    high: float | str = Field(description="the other end; the order has no effect")
     source: Literal["paper", "ours"] = Field(
         "ours", description="who chose the two values; the figure indicates this"
     )
 
     def list_experiments(self) -> list[str]:
         """Return the names of its experiments."""
-        return [self.experiment, *([self.interpretation] if self.interpretation else [])]
+        return [name for name in (self.experiment, self.interpretation_experiment) if name]
 
     def check(self, key: str, available: Experiments) -> None:
         """Reject experiments that do not meet the requirements."""
-        axes, ends = (self.parameter, "depth_m"), {self.parameter: (self.low, self.high)}
-        if self.experiment in available:
-            required = StudyInput(axes, {**ends, **DEPTHS_M}, band_nm=BAND_NM)
-            check_input(f"{key}.experiment", available[self.experiment], required)
-        if self.interpretation in available:
-            required = StudyInput((*axes, "interpretation"), DEPTHS_M, band_nm=BAND_NM)
-            check_input(f"{key}.interpretation", available[str(self.interpretation)], required)
+        if make_label(key, self.low) == make_label(key, self.high):
+            raise invalid(f"{key}.high", self.high, f"different from low = {self.low}")
+        axes, labels = (self.parameter, "depth_m"), {self.parameter: (self.low, self.high)}
+        for name, more in (("experiment", ()), ("interpretation_experiment", ("interpretation",))):
+            if (used := getattr(self, name)) in available:
+                required = StudyInput((*axes, *more), {**labels, **DEPTHS_M}, band_nm=BAND_NM)
+                check_input(f"{key}.{name}", available[used], required)
 
 
 class SensitivityStudy(Study):
@@ -94,7 +99,7 @@ class SensitivityStudy(Study):
             place="Fig 23",
         ),
     }
-    FILES: ClassVar = {"published": "published"}
+    FILES: ClassVar = {"published": PUBLISHED_TABLE}
     OPTIONAL_FILES: ClassVar = True
     MESSAGE: ClassVar = "Computing mean sensitivity indices"
 
@@ -113,6 +118,10 @@ class SensitivityStudy(Study):
             raise invalid("pairs", self.pairs, "at least one pair")
         for name, pair in self.pairs.items():
             pair.check(f"pairs.{name}", available)
+
+    def list_required_values(self, key: str) -> tuple[str, ...]:
+        """Return the ids of the published indices of all pairs."""
+        return tuple(name for pair in self.pairs for name in list_published_names(pair))
 
     def make(self, run: StudyRun) -> None:
         """Make the tables, the dataset and the figure."""
@@ -138,30 +147,32 @@ class SensitivityStudy(Study):
 class TableStudy(Study):
     """Study of tables with any names, which are titles."""
 
-    inputs: Roles
+    inputs: Inputs
 
     def list_parameters(
         self, seed: int, max_stderr: float, experiments: Experiments
     ) -> dict[str, Any]:
         """Return the seed, and a digest of the sources."""
-        return {"seed": seed, "program": hash_files(PACKAGE_FOLDER, RETRIEVAL_SOURCES)}
+        return {"seed": seed, "program": hash_sources(RETRIEVAL_SOURCES)}
 
     def check_inputs(self, available: Experiments) -> None:
         """Reject experiments that are no tables over two numeric parameters or more."""
         if not self.inputs:
             raise invalid("inputs", self.inputs, "at least one experiment by name")
-        if len({role.replace("_", " ") for role in self.inputs}) < len(self.inputs):
+        if len({key.replace("_", " ") for key in self.inputs}) < len(self.inputs):
             hint = "underscores are shown as spaces"
             raise invalid("inputs", list(self.inputs), "names that differ", hint)
-        for role, name in self.inputs.items():
+        for key, name in self.inputs.items():
             if name not in available:
                 continue
             experiment = available[name]
-            is_table = experiment.instrument.kind == "table"
+            is_table = "reflectance" in getattr(experiment.instrument, "quantities", ())
             axes = experiment.make_axes().values if is_table else ()
             numeric_axes = [row for row in axes if len(row) > 1 and not isinstance(row[0], str)]
             if len(numeric_axes) < 2:
-                raise invalid(f"inputs.{role}", name, "a table over two parameters or more")
+                raise invalid(
+                    f"inputs.{key}", name, "a table of reflectance over two parameters or more"
+                )
 
 
 def concatenate_tables(results: Mapping[str, xr.Dataset]) -> pd.DataFrame:
@@ -173,7 +184,7 @@ def concatenate_tables(results: Mapping[str, xr.Dataset]) -> pd.DataFrame:
 
 
 class SobolStudy(TableStudy):
-    """Sobol indices by wavelength of the parameters of tables; roles are the titles of panels."""
+    """Sobol indices by wavelength of the parameters of tables; study inputs are titles."""
 
     PRODUCTS: ClassVar = {
         "table": StudyProduct(
@@ -203,17 +214,17 @@ class SobolStudy(TableStudy):
         from splits.tables.axes import list_numeric_axes
 
         indices = {}
-        for role, name in self.inputs.items():
+        for key, name in self.inputs.items():
             table = splits.open_table(run.datasets[name])
             free = list_numeric_axes(table.dataset, table.axes[:-1])
             seed = run.parameters["seed"]
-            indices[role.replace("_", " ")] = splits.sobol_indices(table, free, seed=seed)
+            indices[key.replace("_", " ")] = splits.sobol_indices(table, free, seed=seed)
         run.write_table("table", concatenate_tables(indices))
         run.save_figure("figure", draw_sobol_indices(indices))
 
 
 class BandsStudy(TableStudy):
-    """Most informative bands for the axes of tables, one after the other; roles are titles."""
+    """Most informative bands for the axes of tables, in order; study inputs are titles."""
 
     PRODUCTS: ClassVar = {
         "table": StudyProduct(
@@ -264,12 +275,12 @@ class BandsStudy(TableStudy):
         from splits.tables.axes import list_numeric_axes
 
         selections = {}
-        for role, name in self.inputs.items():
+        for key, name in self.inputs.items():
             table = splits.open_table(run.datasets[name])
             fixed = {n: value for n, value in self.fixed.items() if n in table.axes}
             free = [n for n in list_numeric_axes(table.dataset, table.axes[:-1]) if n not in fixed]
             bands = self.bands or table.dataset.wavelength.values
-            selections[role.replace("_", " ")] = splits.select_bands(
+            selections[key.replace("_", " ")] = splits.select_bands(
                 table, bands, free, self.noise, self.n_bands, fixed=fixed,
                 seed=run.parameters["seed"],
             )  # fmt: skip

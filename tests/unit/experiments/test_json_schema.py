@@ -46,6 +46,8 @@ def test_shipped_files_match_their_schema(path):
     "content",
     [
         {"figure": "none"},
+        {"grid": {"density_kg_m3": {"start": 300, "stop": 400, "step": 50}}},
+        {"grid": {"depth_m": {"geomspace": [0.1, 1, 3]}, "medium": {"start": "a", "stop": "b"}}},
         {"medium": {"base": "splits_base", "iron_oxide": 0.1}},
         {"medium": {"kind": "stack", "layers": [{"depth_m": 0.1}, {"kind": "sand"}]}},
         {"grid": {"layers.0.depth_m": [1], "impurities_ng_g.black_carbon": [0, 1]}},
@@ -63,6 +65,8 @@ def test_valid_contents_match_the_schema(content):
         {"medium": {"kind": "stack", "layers": [{"kind": "sand", "facetness": [0, 1, 0.5, 0.1]}]}},
         {"medium": {"density_kg_m3": "300"}},
         {"grid": {"layers.depth_m": [1]}},
+        {"grid": {"density_kg_m3": {"start": 300, "stop": 400, "stepp": 50}}},
+        {"grid": {"density_kg_m3": {"geomspace": [300, 400]}}},
         {"instrument": {"kind": "lens", "radius_m": 1}},
         {"instrument": {"rays": 10}},
         {"figure": "nothing"},

@@ -31,7 +31,7 @@ def count_parts(experiment: SimulationConfig) -> int:
     """Return the number of parts of a table."""
     instrument = experiment.instrument
     assert isinstance(instrument, TableInstrument)
-    return instrument.blocks
+    return instrument.parts
 
 
 def make_plan(experiment: SimulationConfig) -> TablePlan:

@@ -181,7 +181,7 @@ class TableInstrument(OpticalInstrument):
     """quantities in the table"""
     covariance: Literal["keep", "leave_out"] = "leave_out"
     """whether the table contains the contributions of batches of rays to the errors"""
-    blocks: int = Field(8, ge=1, le=10_000)
+    parts: int = Field(8, ge=1, le=10_000)
     """number of parts of the table, each simulated by one job"""
 
     def check_figure(self, kind: str, quantities: Iterable[str]) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,14 @@ import pandas as pd
 from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid
-from splits.core.yaml import ConfigError, locate_message, read_yaml
+from splits.core.yaml import ConfigError, find_key, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.medium import SAMPLE_KEY
 from splits.experiments.config.messages import validate_content
 from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
+from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.unused_settings import check_replaced_settings, check_unused_keywords
 from splits.experiments.run_fit import check_fit
 from splits.media.kinds import LAYERS_KEY, get_kind, iter_layers
@@ -29,6 +30,7 @@ from splits.retrieval.measurement import MAX_REFLECTANCE
 
 MAX_MESSAGE_CHARS = 450
 """Largest number of characters of a message, without the name of its file."""
+MAIN_FILE = "config/config.yaml"
 
 
 def load_experiment(
@@ -169,14 +171,40 @@ def _apply_bases(medium: Any, key: str, folder: Path) -> Any:
 
 def _read_base(base: Any, key: str, folder: Path) -> dict[str, Any]:
     """Return the settings of a named medium, or of a file of the folder of media."""
-    own_files = {path.stem: path for path in folder.glob("*.y*ml")}
+    own_files: dict[str, Path] = {}
+    for path in _list_media_files(folder):
+        if path.stem in own_files and path.stem == base:
+            raise invalid(key, base, "the name of one file", f"{own_files[base]} and {path}")
+        own_files[path.stem] = path
     check_choice(key, base, {*own_files, *NAMED_MEDIA})
     if base not in own_files:
         return read_named_medium(base)
     if base in NAMED_MEDIA:
         hint = f"the package has a medium of this name: rename {own_files[base]}"
         raise invalid(key, base, "the name of one medium only", hint)
+    _check_medium(own_files[base], folder)
     return read_yaml(own_files[base])
+
+
+def _list_media_files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.y*ml"))
+
+
+def _check_medium(path: Path, folder: Path) -> None:
+    """Reject an invalid file of an own medium; errors name this file."""
+    medium = read_yaml(path)
+    try:
+        if LAYERS_KEY in medium:
+            medium = _apply_bases(medium, "medium", folder)
+        # The wavelengths of its tables are unknown.
+        content = {"name": "own", "medium": medium, "instrument": {"wavelength_nm": [550]}}
+        validate_content(SimulationConfig, content)
+    except ConfigError:
+        raise
+    except (TypeError, ValueError) as error:
+        message = _to_single_line(str(error)).removeprefix("medium.")
+        if not message.startswith("instrument."):
+            raise ConfigError(locate_message(path, message)) from None
 
 
 def load_experiments(
@@ -194,6 +222,12 @@ def load_experiments(
     experiments: dict[str, ExperimentConfig] = {}
     files: dict[str, Path] = {}
     errors: list[str] = []
+    media = expand_path(media_folder, "media_folder")
+    for path in _list_media_files(media):
+        try:
+            _read_base(path.stem, f"{path}: base", media)
+        except ValueError as error:
+            errors.append(str(error))
     for path in sorted(expand_path(folder, "folder").rglob("*.y*ml")):
         try:
             experiment = load_experiment(path, media_folder, measured_folder)
@@ -207,23 +241,46 @@ def load_experiments(
             errors.append(locate_message(path, f"name = {name!r}: already taken by {files[name]}"))
         experiments[name], files[name] = experiment, path
     if errors:
-        raise ConfigError("\n".join(errors))
+        raise ConfigError("\n".join(dict.fromkeys(errors)))
     if not experiments:
         raise ConfigError(f"{folder}: no experiment file (*.yaml)")
     return experiments
 
 
-def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -> Settings:
+def load_settings(content: dict[str, Any], *files: str) -> Settings:
     """Return the settings of the main configuration, given as a mapping.
 
-    Errors name the line of `origin`, unless the value comes from the command line.
+    `files` are those of which it consists, by default ``config/config.yaml``.  Errors name the file
+    and the line, unless the value comes from the command line.
     """
     try:
         return validate_content(Settings, content)
     except ValueError as error:
-        message, path = _to_single_line(str(error)), Path(origin)
-        key = re.split(r"\W", message, maxsplit=1)[0]
-        given = read_yaml(path).get(key) if path.is_file() else None
-        is_in_file = repr(given) == repr(content.get(key))
-        message = locate_message(path, message) if is_in_file else f"{path}: {message}"
-        raise ConfigError(message) from None
+        raise ConfigError(_locate_setting(str(error), content, files)) from None
+
+
+def select_experiments(
+    settings: Settings, available: Mapping[str, ExperimentConfig], content: Any, *files: str
+) -> dict[str, ExperimentConfig]:
+    """Return the selected experiments; see `Settings.select_experiments` and `load_settings`."""
+    try:
+        return settings.select_experiments(available)
+    except ConfigError as error:
+        raise ConfigError(_locate_setting(str(error), content, files)) from None
+
+
+def _locate_setting(message: str, content: Any, files: Sequence[str]) -> str:
+    """Return the message on a key of the main configuration, with its file and line."""
+    message, paths = _to_single_line(message), [Path(file) for file in files or [MAIN_FILE]]
+    located = []
+    for path in reversed(paths):
+        keys, _ = find_key(path, message)
+        given, used = read_yaml(path) if keys else {}, content
+        with suppress(LookupError, TypeError):
+            for key in keys:
+                given, used = given[key], used[key]
+        if keys and repr(given) == repr(used):
+            located.append((len(keys), path))
+    if located:
+        return locate_message(max(located, key=lambda one: one[0])[1], message)
+    return f"{paths[0]}: {message}"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal, NamedTuple
 
+from pydantic import WithJsonSchema
+
 from splits.experiments.config.sections import ConfigSection, match_pattern
 
 
@@ -54,7 +56,11 @@ class ReproducesSection(ConfigSection):
 
     paper: PaperKey
     """paper with which the report lists the experiment"""
-    place: Annotated[str, match_pattern(PLACE_PATTERN, PLACE_RULE)] = ""
+    place: Annotated[
+        str,
+        match_pattern(PLACE_PATTERN, PLACE_RULE),
+        WithJsonSchema({"type": "string", "pattern": f"^{PLACE_PATTERN.pattern}$"}),
+    ] = ""
     """figure of the paper that the experiment reproduces, such as `Fig 8` or `Fig 24b`; `Table 3`,
     `section 5.2` or `Eq 3` for a run that serves a table or a statement; without it, the report
     lists the experiment among the supporting runs"""

@@ -12,10 +12,13 @@ from pydantic import BaseModel
 
 from splits.core.atomic import atomic_write
 from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
-from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
 from splits.experiments.config.grid import GEOMSPACE_KEY, STEP_KEYS
 from splits.experiments.config.medium import SAMPLE_KEY
 from splits.experiments.config.settings import Settings
+from splits.experiments.config.simulation import NAME_PATTERN
+from splits.experiments.studies import STUDY_KINDS
+from splits.experiments.studies.study import Study
 from splits.media import Stack
 from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
 from splits.tables.axes import INCIDENCE
@@ -29,11 +32,14 @@ JSON_TYPES: dict[str, dict[str, Any]] = {
 
 
 def write_schemas(folder: Path) -> list[Path]:
-    """Write the schemas of experiment files and of the main file; return their paths."""
+    """Write the schemas of files of experiments, media and settings; return their paths."""
     paths = []
-    for name, model in (("experiment", ExperimentConfig), ("config", Settings)):
+    experiment = make_schema(ExperimentConfig)
+    medium = {"$ref": "#/$defs/medium"} | {key: experiment[key] for key in ("$schema", "$defs")}
+    schemas = {"experiment": experiment, "medium": medium, "config": make_schema(Settings)}
+    for name, schema in schemas.items():
         paths.append(folder / f"{name}.schema.json")
-        text = json.dumps(make_schema(model), indent=1, ensure_ascii=False) + "\n"
+        text = json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
         with atomic_write(paths[-1]) as temporary_path:
             temporary_path.write_text(text, encoding="utf-8")
     return paths
@@ -44,11 +50,29 @@ def make_schema(model: type[BaseModel]) -> dict[str, Any]:
     dialect = "https://json-schema.org/draft/2020-12/schema"
     schema = {"$schema": dialect, **model.model_json_schema()}
     definitions: dict[str, Any] = schema["$defs"]
+    properties = schema["properties"]
+    # The name of a file is the default of that of an experiment; settings may be in several files.
+    del schema["required"]
     if model is ExperimentConfig:
-        _add_media(schema["properties"], definitions)
-        del schema["required"]  # the name of a file is the default of its only required key
+        _add_media(properties, definitions)
+        for key, allowed in (("name", ()), ("group", ("explorer",))):
+            properties[key]["not"] = {"enum": [n for n in RESERVED_NAMES if n not in allowed]}
+    else:
+        properties["studies"]["propertyNames"] = {"pattern": f"^{NAME_PATTERN.pattern}$"}
+        for study in STUDY_KINDS.values():
+            _add_study_keys(study, definitions[study.__name__]["properties"])
     simplified: dict[str, Any] = _simplify(schema, definitions)
     return simplified
+
+
+def _add_study_keys(study: type[Study], properties: dict[str, Any]) -> None:
+    """Add the names of study inputs, tables and products to the schema of a kind of study."""
+    for key, names in (
+        ("inputs", study.INPUTS), ("files", study.FILES), ("outputs", study.PRODUCTS),
+        ("titles", study.PRODUCTS), ("captions", study.PRODUCTS),
+    ):  # fmt: skip
+        if key in properties and names:
+            properties[key]["propertyNames"] = {"enum": list(names)}
 
 
 def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
@@ -87,7 +111,8 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
 
 def _make_medium(kind: str, factory: Callable[..., Any]) -> dict[str, Any]:
     """Return the schema of a kind of medium, from the signature of its function."""
-    base = {"type": "string", "description": "name of a file with the other keywords"}
+    meaning = "name of a named medium, or of a file of config/media without its ending"
+    base = {"type": "string", "description": f"{meaning}, with the other keywords"}
     properties: dict[str, Any] = {"kind": {"const": kind}, "base": base}
     for name, parameter in signature(factory).parameters.items():
         long_name, units = describe_parameter(name)

@@ -15,6 +15,7 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationInfo,
+    WithJsonSchema,
     field_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -108,7 +109,11 @@ def accept_single(kind: Any) -> BeforeValidator:
 # Validators raise errors with a key relative to their section, or without one for their own field;
 # `splits.experiments.config.messages` prefixes the rest.
 Label = Annotated[str, AfterValidator(lambda text: check_text("", text, MAX_LABEL_CHARS))]
-Title = Annotated[str, AfterValidator(lambda text: check_text("", text, MAX_TITLE_CHARS))]
+Title = Annotated[
+    str,
+    AfterValidator(lambda text: check_text("", text, MAX_TITLE_CHARS)),
+    WithJsonSchema({"type": "string", "maxLength": MAX_TITLE_CHARS}),
+]
 Caption = Annotated[str, AfterValidator(lambda text: check_text("", text, MAX_CAPTION_CHARS, True))]
 MeasuredFile = Annotated[str, AfterValidator(check_measured_file)]
 Interval = Annotated[tuple[float, float], AfterValidator(check_interval)]

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid, join_names, suggest_name
@@ -55,7 +55,13 @@ class ArchiveAuthor(ConfigSection):
 
     name: Title
     """name of the author"""
-    orcid: Annotated[str, AfterValidator(_check_orcid)] = ""
+    orcid: Annotated[
+        str,
+        AfterValidator(_check_orcid),
+        WithJsonSchema(
+            {"type": "string", "pattern": rf"^(({ORCID_URL})?(\d{{4}}-){{3}}\d{{3}}[\dX])?$"}
+        ),
+    ] = ""
     """ORCID"""
     affiliation: Title = ""
     """institution of the author"""
@@ -107,7 +113,8 @@ class Settings(ConfigSection):
     """The main configuration file."""
 
     experiments: Annotated[Literal["everything"] | tuple[str, ...], SPLIT_NAMES] = DEFAULT_GROUPS
-    """names of experiments, and of groups of experiments, which a run makes"""
+    """names of experiments, and of groups of experiments, which a run makes; `everything` selects
+    all groups"""
     accuracy: str = "standard"
     """accuracy level of the run, one of the names under `accuracies`"""
     accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy]
@@ -126,7 +133,8 @@ class Settings(ConfigSection):
     """folder of the results; accuracies other than `standard` write to a subfolder with their name
     """
     archive: Annotated[tuple[str, ...] | Literal["all"], SPLIT_NAMES] = "all"
-    """experiments in the archive of `snakemake archive`; on the command line with commas"""
+    """experiments in the archive of `snakemake archive`, by default all selected ones; on the
+    command line with commas"""
     archive_license: Annotated[str, match_pattern(_LICENCE_PATTERN, LICENCE_RULE)] = DEFAULT_LICENCE
     """licence of the results in an archive: an SPDX identifier such as `CC-BY-4.0`, or a URL"""
     archive_authors: tuple[ArchiveAuthor, ...] = ()
@@ -245,6 +253,8 @@ class Settings(ConfigSection):
             ("experiments", self.experiments, [*groups, *available]),
             ("archive", self.archive, list(available)),
         ):
+            if not isinstance(names, str) and len(set(names)) < len(names):
+                raise ConfigError(str(invalid(key, list(names), "different names")))
             for name in () if isinstance(names, str) else names:
                 if name not in known:
                     hint = suggest_name(name, known) or "known: " + ", ".join(known)

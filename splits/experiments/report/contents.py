@@ -161,7 +161,8 @@ def make_report_contents(
         items.setdefault(key, []).append(_make_experiment_item(name, experiment))
     for name in studies:
         study = settings.studies[name]
-        key = study.reproduces or study.group or _get_group(study, experiments)
+        paper = study.reproduces.paper if study.reproduces else None
+        key = paper or study.group or _get_group(study, experiments)
         items.setdefault(key, []).extend(_list_study_items(name, study))
     accuracy = settings.accuracies[settings.accuracy]
     return ReportContents(
@@ -213,15 +214,15 @@ def _list_study_items(name: str, study: Study) -> list[ReportItem]:
     datasets = _sort_files([path for made in paths.values() for path in made])["datasets"]
     items = []
     for key, made in paths.items():
-        product, files = study.PRODUCTS[key], _sort_files(made)
+        product, files = study.get_product(key), _sort_files(made)
         if product.title:
             item = ReportItem(
                 anchor=f"study-{name}-{key}",
                 name=name,
                 title=product.title,
                 caption=product.caption,
-                place=product.place if study.reproduces else "",
-                is_comparison=product.is_comparison and study.reproduces is not None,
+                place=product.place,
+                is_comparison=product.is_comparison,
                 **files | ({"datasets": datasets} if files["figure"] else {}),
             )
             items.append(item)

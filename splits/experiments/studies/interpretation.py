@@ -17,6 +17,11 @@ from splits.experiments.studies.study import Experiments, Files, Study, StudyPro
 from splits.experiments.studies.study_files import PUBLISHED_TABLE
 from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
 
+CHOICES = {
+    **{field.name: INTERPRETATION_CHOICES[field.name] for field in fields(Interpretation)},
+    OVERLAPS_KEY: tuple(OVERLAP_CHOICES),
+}
+"""Choices by keyword."""
 STANDARD_STDERR = 0.002
 """Standard error of the accuracy for which the runs of a ranking are sized."""
 
@@ -63,7 +68,13 @@ class InterpretationStudy(Study):
 
     kind: Literal["interpretation"]
     files: Files
-    choices: dict[str, tuple[str, ...]] = Field(description="choices to combine, by keyword")
+    choices: dict[str, tuple[str, ...]] = Field(
+        description="choices to combine, by keyword",
+        json_schema_extra={
+            "properties": {key: {"items": {"enum": [*names]}} for key, names in CHOICES.items()},
+            "additionalProperties": False,
+        },
+    )
     stated: dict[str, str] = Field({}, description="unambiguous choices of the paper")
 
     def list_parameters(
@@ -80,13 +91,11 @@ class InterpretationStudy(Study):
         """Reject unknown choices."""
         if not self.choices:
             raise invalid("choices", self.choices, "choices by keyword")
-        known = {f.name: INTERPRETATION_CHOICES[f.name] for f in fields(Interpretation)}
-        known[OVERLAPS_KEY] = tuple(OVERLAP_CHOICES)
         for key, choices in self.choices.items():
-            if key not in known:
-                raise unknown_key(f"choices.{key}", known)
+            if key not in CHOICES:
+                raise unknown_key(f"choices.{key}", CHOICES)
             for choice in choices:
-                check_choice(f"choices.{key}", choice, known[key])
+                check_choice(f"choices.{key}", choice, CHOICES[key])
         for key, choice in self.stated.items():
             if key not in self.choices:
                 raise unknown_key(f"stated.{key}", self.choices)

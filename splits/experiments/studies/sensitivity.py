@@ -195,7 +195,7 @@ class SobolStudy(TableStudy):
         "figure": StudyProduct.make_figure(
             "{study}",
             "Sobol indices by wavelength",
-            "Sobol indices of reflectance for the tables of the explorer. The first-order index is "
+            "Sobol indices of reflectance for tables of simulations. The first-order index is "
             "the fraction of the variance that is due to one parameter alone. The total index "
             "includes its interactions with other parameters. Parameters are independent and "
             "uniform over their ranges, in the coordinate in which reflectance is closest to "
@@ -235,10 +235,10 @@ class BandsStudy(TableStudy):
         "figure": StudyProduct.make_figure(
             "{study}",
             "Most informative bands",
-            "Most informative bands for the tables of the explorer: the band with the largest "
+            "Most informative bands for tables of simulations: the band with the largest "
             "information on all parameters, then the band that adds most to it, and so on "
-            "(information in bits, after Rodgers 1996). The noise of each band is 0.01. The spread "
-            "is the posterior standard deviation of a parameter divided by the prior one, in the "
+            "(information in bits, after Rodgers 1996), with the stated noise of each band. The "
+            "spread is the posterior standard deviation of a parameter divided by the prior one, in the "
             "coordinate in which reflectance is closest to linear.",
         ),
     }

@@ -12,8 +12,8 @@ from pydantic import Field
 from splits.core.provenance import FIGURE_SOURCES, PACKAGE_FOLDER, STUDY_SOURCES
 from splits.core.validation import check_choice, invalid, join_names, suggest_name, unknown_key
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.reproduces import PaperKey
-from splits.experiments.config.sections import ConfigSection, check_path
+from splits.experiments.config.reproduces import ReproducesSection
+from splits.experiments.config.sections import Caption, ConfigSection, Title, check_path
 from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
 from splits.experiments.studies.study_files import StudyFile, StudyProduct, StudyRun
 from splits.experiments.studies.study_input import StudyInput, check_input
@@ -56,15 +56,19 @@ class Study(ConfigSection):
     SOME_INPUTS_SUFFICE: ClassVar[bool] = False
     OPTIONAL_FILES: ClassVar[bool] = False
     USES_ALL_THREADS: ClassVar[bool] = False
+    TEXT_KEYS: ClassVar = {"reproduces", "group", "titles", "captions"}
+    """Keys on which the products do not depend."""
 
     kind: str = Field(description="kind of the study")
     group: str | None = Field(
         None, description="group of experiments with which the study is selected"
     )
-    reproduces: PaperKey | None = Field(
+    reproduces: ReproducesSection | None = Field(
         None, description="paper with which the report lists the products of the study"
     )
     outputs: dict[str, str] = Field({}, description="other names for products of the study")
+    titles: dict[str, Title] = Field({}, description="other titles of products in the report")
+    captions: dict[str, Caption] = Field({}, description="other captions of products")
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
@@ -119,6 +123,16 @@ class Study(ConfigSection):
         """Return what the products depend on besides inputs, files and keys of the study."""
         return {}
 
+    def get_product(self, key: str) -> StudyProduct:
+        """Return a product with the title and the caption of this study."""
+        product, reproduces = self.PRODUCTS[key], self.reproduces
+        return product._replace(
+            title=self.titles.get(key, product.title),
+            caption=self.captions.get(key, product.caption),
+            place=(product.place or reproduces.place) if reproduces else "",
+            is_comparison=product.is_comparison and reproduces is not None,
+        )
+
     def list_product_names(self, study: str) -> dict[str, str]:
         """Return the names of all products, without folder and suffix, by key."""
         return {
@@ -170,6 +184,7 @@ class Study(ConfigSection):
         """
         for key, allowed in (
             ("inputs", self.INPUTS), ("files", self.FILES), ("outputs", self.PRODUCTS),
+            ("titles", self.PRODUCTS), ("captions", self.PRODUCTS),
         ):  # fmt: skip
             for name in getattr(self, key, {}) if allowed else ():
                 if name not in allowed:

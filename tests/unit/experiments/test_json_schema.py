@@ -70,7 +70,36 @@ def test_valid_contents_match_the_schema(content):
         {"instrument": {"kind": "lens", "radius_m": 1}},
         {"instrument": {"rays": 10}},
         {"figure": "nothing"},
+        {"group": "all"},
+        {"name": "simulate"},
+        {"title": "x" * 201},
+        {"reproduces": {"paper": "splitsnow_2021", "place": "figure 8"}},
     ],
 )
 def test_invalid_contents_do_not_match_the_schema(content):
     assert not EXPERIMENTS.is_valid(content)
+
+
+def make_study(**keys):
+    return {"studies": {"mine": keys}}
+
+
+@pytest.mark.parametrize(
+    ("content", "is_valid"),
+    [
+        (make_study(kind="sobol", inputs={"my table": "a"}), True),
+        (make_study(kind="layer_trends", inputs={"lens": "a"}, reproduces={"paper": "splits_2007"}),
+         True),
+        (make_study(kind="layer_trends", inputs={"lense": "a"}), False),
+        (make_study(kind="sobol", inputs={"a": "b"}, outputs={"tabel": "c"}), False),
+        (make_study(kind="interpretation", files={"published": "a.csv"},
+                    choices={"entry_point": ["uniform"]}), True),
+        (make_study(kind="interpretation", files={"published": "a.csv"},
+                    choices={"entry_point": ["uniforms"]}), False),
+        ({"studies": {"Mine": {"kind": "sand_compositions"}}}, False),
+        ({"archive_authors": [{"name": "A", "orcid": "0000-0002-1825-0097"}]}, True),
+        ({"archive_authors": [{"name": "A", "orcid": "0000-0002-1825"}]}, False),
+    ],
+)  # fmt: skip
+def test_schema_of_partial_settings(content, is_valid):
+    assert SETTINGS.is_valid(content) == is_valid

@@ -198,6 +198,7 @@ def test_missing_names_are_always_reported(settings, shipped):
     ("experiments", "message"),
     [
         (["fig08_grain", "own"], r"experiments = 'fig08_grain': no such experiment or group \(did"),
+        ("papers,papers", r"experiments = \['papers', 'papers'\]: must be different names"),
         (["own"], "experiments = own: must select at least one"),
         ("wet_sands", "experiments = 'wet_sands': no such experiment or group .*wet_sand"),
     ],

@@ -238,8 +238,8 @@ class BandsStudy(TableStudy):
             "Most informative bands for tables of simulations: the band with the largest "
             "information on all parameters, then the band that adds most to it, and so on "
             "(information in bits, after Rodgers 1996), with the stated noise of each band. The "
-            "spread is the posterior standard deviation of a parameter divided by the prior one, in the "
-            "coordinate in which reflectance is closest to linear.",
+            "spread is the posterior standard deviation of a parameter divided by the prior one, "
+            "in the coordinate in which reflectance is closest to linear.",
         ),
     }
     MESSAGE: ClassVar = "Selecting the most informative bands"

@@ -175,25 +175,6 @@ def test_missing_experiments_of_a_study_are_reported(shipped):
     assert "sensitivity_density" in incomplete["agreement"], "it reads its sensitivity study"
 
 
-def test_missing_names_are_always_reported(settings, shipped):
-    assert settings.list_warnings(shipped) == []
-    studies = {
-        "a": {"kind": "sobol", "inputs": {"snow": "explorer_snoww"}},
-        "b": {"kind": "sobol", "group": "exploer", "inputs": {"snow": "explorer_snow"}},
-        "c": {"kind": "sobol", "inputs": {"snow": "zzzzzzz"}},
-    }
-    content = {**SETTINGS_CONTENT, "studies": studies, "explorer": {"snow": "nosuch"}}
-    content["explorer_directions"] = {"snow": "explorer_snow_direction"}
-    assert load_settings(content).list_warnings(shipped) == [
-        "study a is left out: no such experiment: explorer_snoww (did you mean explorer_snow?)",
-        "study b is left out: no experiment is in its group exploer",
-        "explorer: no such experiment: nosuch",
-        "explorer: no such experiment: explorer_snow_direction (did you mean "
-        "explorer_snow_directions?)",
-        "none of their experiments exists: studies c",
-    ]
-
-
 @pytest.mark.parametrize(
     ("experiments", "message"),
     [

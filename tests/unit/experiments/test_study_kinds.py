@@ -1,7 +1,8 @@
-"""Definitions of kinds of studies: what a class must have, and the order of values it reads."""
+"""Kinds of studies: what a class must have, the order of values, and missing experiments."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -9,11 +10,14 @@ import pytest
 import xarray as xr
 from pydantic import Field
 
+from splits.core.yaml import read_yaml
+from splits.experiments import load_experiments, load_settings
 from splits.experiments.config.messages import validate_content
 from splits.experiments.studies import STUDY_KINDS, collect_kinds
 from splits.experiments.studies.study import Inputs, Study, StudyProduct, sort_values
 from splits.experiments.studies.study_files import MEASURED_SPECTRA
 
+ROOT = Path(__file__).parents[3]
 PRODUCTS = {"table": StudyProduct("{study}", "Title")}
 
 
@@ -91,3 +95,24 @@ def test_values_are_sorted_by_numbers_or_means():
     assert ordered.facetness.values.tolist() == [0.1, 0.9]
     assert ordered.medium.values.tolist() == ["wet", "dry"]
     assert sort_values(dataset, axes).grain_size_um.values.tolist() == ["fine", "coarse"]
+
+
+def test_missing_names_are_always_reported():
+    config = ROOT / "config"
+    shipped, main_file = load_experiments(config / "experiments"), read_yaml(config / "config.yaml")
+    assert load_settings(main_file).list_warnings(shipped) == []
+    studies = {
+        "a": {"kind": "sobol", "inputs": {"snow": "explorer_snoww"}},
+        "b": {"kind": "sobol", "group": "exploer", "inputs": {"snow": "explorer_snow"}},
+        "c": {"kind": "sobol", "inputs": {"snow": "zzzzzzz"}},
+    }
+    content = {**main_file, "studies": studies, "explorer": {"snow": "nosuch"}}
+    content["explorer_directions"] = {"snow": "explorer_snow_direction"}
+    assert load_settings(content).list_warnings(shipped) == [
+        "study a is left out: no such experiment: explorer_snoww (did you mean explorer_snow?)",
+        "study b is left out: no experiment is in its group exploer",
+        "explorer: no such experiment: nosuch",
+        "explorer: no such experiment: explorer_snow_direction (did you mean "
+        "explorer_snow_directions?)",
+        "none of their experiments exists: studies c",
+    ]

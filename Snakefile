@@ -17,6 +17,7 @@ from snakemake.utils import update_config
 from splits.core.interrupts import forward_interrupts
 from splits.core.yaml import ConfigError, read_yaml
 from splits.experiments import load_experiments, load_settings
+from splits.experiments.config.load import select_experiments
 
 # Otherwise snakemake would wait for running jobs to complete.
 forward_interrupts()
@@ -36,19 +37,24 @@ COMMAND_LINE = workflow.config_settings
 DEFAULT_FILES = workflow.configfiles[len(COMMAND_LINE.configfiles) :]
 try:
     config.clear()
-    for FILE in [
+    FILES = [
         *([] if COMMAND_LINE.replace_workflow_config else DEFAULT_FILES),
         *COMMAND_LINE.configfiles,
-    ]:
+    ]
+    for FILE in FILES:
         update_config(config, read_yaml(Path(FILE)))
     update_config(config, COMMAND_LINE.config)
     if "everything" in sys.argv[1:]:
+        if "experiments" in COMMAND_LINE.config:
+            raise ConfigError(
+                "experiments: must be left out with the target everything"
+            )
         config["experiments"] = "everything"
-    SETTINGS = load_settings(config)
+    SETTINGS = load_settings(config, *FILES)
     EXPERIMENTS = load_experiments(
         SETTINGS.experiments_folder, SETTINGS.media_folder, SETTINGS.measured_folder
     )
-    SELECTED = SETTINGS.select_experiments(EXPERIMENTS)
+    SELECTED = select_experiments(SETTINGS, EXPERIMENTS, config, *FILES)
 except ConfigError as error:
     raise WorkflowError(str(error)) from None
 

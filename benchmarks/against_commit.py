@@ -29,7 +29,7 @@ import pandas as pd
 from kernels import CASES
 
 from splits.core.paths import expand_path
-from splits.experiments.papers.paper_tables import write_data_frame
+from splits.io.data_frame import write_data_frame
 
 ROOT = Path(__file__).resolve().parents[1]
 RAYS_PROGRAM = """

@@ -35,7 +35,7 @@ import pandas as pd
 
 import splits
 from splits.core.paths import expand_path
-from splits.experiments.papers.paper_tables import write_data_frame
+from splits.io.data_frame import write_data_frame
 from splits.kernels import vectorized
 from splits.kernels.base.scene import Optics, make_bounding_optics
 from splits.kernels.base.work import NO_MAX_ORDER

@@ -56,7 +56,6 @@ from theories import THEORIES
 import splits
 from splits.core.paths import expand_path
 from splits.experiments.papers import performance
-from splits.experiments.papers.paper_tables import write_data_frame
 from splits.experiments.papers.performance import (
     MEASURED,
     MEASURED_PARTLY,
@@ -65,6 +64,7 @@ from splits.experiments.papers.performance import (
     SCALED,
     VECTORIZED,
 )
+from splits.io.data_frame import write_data_frame
 from splits.simulation.spectral_tally import ANALOG_PILOT_RAYS
 
 MEDIA = {

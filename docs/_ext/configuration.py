@@ -40,6 +40,11 @@ def allowed(field: FieldInfo) -> str:
     return ", ".join(part for part in described if part)
 
 
+def meaning(field: FieldInfo) -> str:
+    """Return the description of a field as one line."""
+    return " ".join(str(field.description).split())
+
+
 def default(field: FieldInfo) -> str:
     """Return the default of a field."""
     if field.is_required():
@@ -59,7 +64,7 @@ class Keys(SphinxDirective):
         """Return the table."""
         module, name = self.arguments[0].rsplit(".", 1)
         rows = [
-            [f"`{key}`", str(field.description), allowed(field), default(field)]
+            [f"`{key}`", meaning(field), allowed(field), default(field)]
             for key, field in getattr(import_module(module), name).model_fields.items()
         ]
         return self.parse_text_to_nodes(table(["key", "meaning", "allowed", "default"], rows))
@@ -103,7 +108,7 @@ def list_union_keys(models: dict[str, type[BaseModel]]) -> list[list[str]]:
     kinds: dict[tuple[str, ...], list[str]] = {}
     for kind, model in models.items():
         for key, field in model.model_fields.items():
-            row = (f"`{key}`", str(field.description), allowed(field), default(field))
+            row = (f"`{key}`", meaning(field), allowed(field), default(field))
             if key != "kind":
                 kinds.setdefault(row, []).append(f"`{kind}`")
     rows = [

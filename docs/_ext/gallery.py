@@ -91,7 +91,7 @@ def _studies() -> list[Page]:
         section = dump_yaml({"studies": {name: study.model_dump(mode="json", exclude_unset=True)}})
         files = {"In `config/config.yaml`": section}
         for key, paths in study.list_product_paths(name).items():
-            product, stem = study.PRODUCTS[key], Path(paths[0]).stem
+            product, stem = study.get_product(key), Path(paths[0]).stem
             if product.folder == "figures":
                 page = Page(STUDIES, stem, product.title, product.caption, name, files)
                 study_pages.append(page)

@@ -18,6 +18,9 @@ from tqdm import tqdm
 from splits.core.compile_notice import listeners
 from splits.core.validation import invalid
 
+LogCallback = Callable[[str], None]
+"""Function that receives lines of progress."""
+
 
 @dataclass(frozen=True)
 class Progress:

@@ -1,8 +1,8 @@
 """Provenance: package version, git commit and digest of the sources of a simulation.
 
 The digest covers the files that determine the numbers of a dataset.  Every dataset holds it, and
-the workflow runs a simulation again when it changes.  Plotting, tables and the
-loading of configuration files are not part of it.
+the workflow runs a simulation again when it changes.  Figures, tables and studies have digests of
+their own sources.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from splits.core.optional import DISTRIBUTION_NAME
 
 PACKAGE_FOLDER = Path(__file__).parents[1]
 SIMULATION_SOURCES = (
-    "kernels", "materials", "media", "simulation", "instruments",
+    "kernels", "materials", "media", "simulation", "discrete_ordinates", "instruments",
     "core/uncertainty.py", "core/parameter_names.py",
-    "tables/axes.py", "tables/block.py", "tables/plan.py",
-    "experiments/config/grid.py", "experiments/run.py", "experiments/run_points.py",
+    "tables/axes.py", "tables/block.py", "tables/ordinates.py", "tables/plan.py",
+    "experiments/config/grid.py", "experiments/config/medium.py",
+    "experiments/config/simulation.py", "experiments/run.py", "experiments/run_points.py",
 )  # fmt: skip
 """Folders and files, relative to the package, that determine every simulation."""
 FIT_SOURCES = (
@@ -49,23 +50,31 @@ RETRIEVAL_SOURCES = (
     "illumination/bands.py",
 )  # fmt: skip
 """Files that determine retrievals from a table."""
+TABLE_SOURCES = ("tables/assembly.py", "tables/build.py", "experiments/run_table.py")
+"""Files that determine how a table is made from its simulated parts."""
+FIGURE_SOURCES = ("plotting/*.py", "plotting/*.mplstyle")
+"""Files that determine figures."""
+STUDY_SOURCES = (
+    "analysis", "illumination", "experiments/papers", "core/uncertainty.py",
+    "experiments/studies/study.py",
+)  # fmt: skip
+"""Folders and files that determine studies of all kinds."""
 
 
 def list_sources(*, fit: bool = False) -> list[str]:
     """Return the source files of a simulation, or of a fit, relative to the package."""
-    sources = []
-    for name in SIMULATION_SOURCES + (FIT_SOURCES if fit else ()):
-        path = PACKAGE_FOLDER / name
-        paths = [f for end in ("*.py", "*.csv") for f in path.rglob(end)]
-        files = sorted(map(_to_package_path, paths)) if path.is_dir() else [name]
-        sources += files
-    return sources
+    return _list_files(SIMULATION_SOURCES + (FIT_SOURCES if fit else ()))
 
 
 @functools.cache
 def hash_physics_sources(*, fit: bool = False) -> str:
     """Return the SHA-256 (first 16 hex digits) of the sources of a simulation, or of a fit."""
     return hash_files(PACKAGE_FOLDER, list_sources(fit=fit))
+
+
+def hash_sources(names: Iterable[str]) -> str:
+    """Return the digest of files and folders of the package; names may be patterns."""
+    return hash_files(PACKAGE_FOLDER, _list_files(names))
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> str:
@@ -81,8 +90,15 @@ def hash_files(folder: Path, names: Iterable[str]) -> str:
     return digest.hexdigest()[:16]
 
 
-def _to_package_path(path: Path) -> str:
-    return path.relative_to(PACKAGE_FOLDER).as_posix()
+def _list_files(names: Iterable[str]) -> list[str]:
+    """Return files and the sources in folders, relative to the package."""
+    files = []
+    for name in names:
+        folder = PACKAGE_FOLDER / name
+        sources = [path for end in ("*.py", "*.csv", "*.nc") for path in folder.rglob(end)]
+        found = sources if folder.is_dir() else list(PACKAGE_FOLDER.glob(name))
+        files += sorted(path.relative_to(PACKAGE_FOLDER).as_posix() for path in found)
+    return files
 
 
 @cache

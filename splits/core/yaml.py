@@ -187,21 +187,29 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return content
 
 
-def locate_message(path: Path, message: str) -> str:
-    """Return a message that begins with a key, after the file and the line of the key.
+def find_key(path: Path, message: str) -> tuple[list[Any], int]:
+    """Return the key with which a message begins, and its line in a file.
 
-    The line of a missing key is that of its section.
+    A key that the file does not have is that of its section, or empty.
     """
     text = path.read_text(encoding="utf-8") if path.is_file() else ""
-    items, rest, position = _parse(text).items, message, ""
+    items, rest, line = _parse(text).items, message, 0
+    keys: list[Any] = []
     while True:
-        names = {format_key(key): node for key, node in items.items()}
+        names = {format_key(key): key for key in items}
         known = [name for name in names if name and re.match(re.escape(name) + r"[].[ :]", rest)]
         if not known:
-            return f"{path}{position}: {message}"
+            return keys, line
         name = max(known, key=len)
-        items, rest = names[name].items, rest.removeprefix(name).lstrip("].[")
-        position = f", line {names[name].line}"
+        keys.append(names[name])
+        line, rest = items[keys[-1]].line, rest.removeprefix(name).lstrip("].[")
+        items = items[keys[-1]].items
+
+
+def locate_message(path: Path, message: str) -> str:
+    """Return a message that begins with a key, after the file and the line of the key."""
+    keys, line = find_key(path, message)
+    return f"{path}, line {line}: {message}" if keys else f"{path}: {message}"
 
 
 class _Representer(SafeRepresenter):

@@ -105,10 +105,8 @@ def pack_archive(
     target = expand_path(target, "target")
     repository_folder = expand_path(repository, "repository") if repository else None
     root = target.parent.parent
-    members = {_get_member_name(root, Path(f)): Path(f).read_bytes() for f in results} | dict(
-        configuration
-    )
-    members |= read_software_files(repository_folder)
+    members = {_get_member_name(root, Path(f)): Path(f).read_bytes() for f in results}
+    members |= {**configuration, **read_software_files(repository_folder)}
     if repository_folder and (repository_folder / LOCK_FILE).is_file():
         members[LOCK_FILE] = (repository_folder / LOCK_FILE).read_bytes()
     versions = {d.metadata["Name"]: d.version for d in distributions()}
@@ -138,21 +136,14 @@ def pack_archive(
 
 def _choose_compression(content: bytes) -> int:
     """Return the compression of a member: none where its ratio would exceed the limit."""
-    if len(content) <= MIN_RATIO_CHECK_BYTES or len(content) <= MAX_COMPRESSION_RATIO / 2 * len(
-        zlib.compress(content, 1)
-    ):
+    if len(content) <= MIN_RATIO_CHECK_BYTES:
         return zipfile.ZIP_DEFLATED
-    return zipfile.ZIP_STORED
+    is_allowed = len(content) <= MAX_COMPRESSION_RATIO / 2 * len(zlib.compress(content, 1))
+    return zipfile.ZIP_DEFLATED if is_allowed else zipfile.ZIP_STORED
 
 
 def get_packing_time() -> datetime:
-    """Return the current time, or the time that `DATE_VARIABLE` sets.
-
-    Raises
-    ------
-    ValueError
-        For a value that is no time of a zip file.
-    """
+    """Return the current time, or the time that `DATE_VARIABLE` sets, valid in zip files."""
     text = os.environ.get(DATE_VARIABLE)
     if text is None:
         return datetime.now(UTC)
@@ -175,12 +166,10 @@ def _format_readme(info: ArchiveInfo, archive: str) -> str:
 def _check_member_names(members: Iterable[str]) -> None:
     """Reject names of members that cannot be unpacked everywhere."""
     for name in members:
-        problem = find_name_problem(name)
-        if problem:
+        if problem := find_name_problem(name):
             allowed = "of members that can be unpacked everywhere"
             raise invalid("archive", name, allowed, f"this is {problem}")
-    collision = find_name_collision(members)
-    if collision:
+    if collision := find_name_collision(members):
         hint = "another one differs in case only"
         raise invalid("archive", collision, "of members that differ on all systems", hint)
 
@@ -190,12 +179,7 @@ def list_configuration_files(settings: Settings) -> dict[str, Path]:
 
     These are the selected experiments, own media, and all measured and published tables, without
     hidden files.  The named media are part of the package.  Names in the archive start with
-    ``config/`` wherever the folders are.
-
-    Raises
-    ------
-    ValueError
-        For a file that `splits.io.unarchive` would reject.
+    ``config/`` wherever the folders are.  Files that `splits.io.unarchive` would reject are errors.
     """
     files = {}
     experiments = Path(settings.experiments_folder)
@@ -215,20 +199,11 @@ def list_configuration_files(settings: Settings) -> dict[str, Path]:
 
 
 def make_configuration_members(settings: Settings) -> dict[str, bytes]:
-    """Return the configuration files that reproduce the content of an archive.
+    """Return the contents of the files that reproduce an archive, by name of member.
 
     Users' own tables are included: under their own path if that is below ``config/``, otherwise
-    under ``config/tables/``, with the paths in the files that name them replaced.
-
-    Parameters
-    ----------
-    settings : Settings
-        Those of the archive, see `Settings.select_archived`.
-
-    Returns
-    -------
-    dict
-        Contents by name of member.
+    under ``config/tables/``, with the paths in the files that name them replaced.  The settings are
+    those of the archive, see `Settings.select_archived`.
     """
     members: dict[str, bytes] = {}
     for name, path in list_configuration_files(settings).items():
@@ -242,16 +217,12 @@ def make_configuration_members(settings: Settings) -> dict[str, bytes]:
 def _make_members_with_tables(name: str, path: Path) -> dict[str, bytes]:
     """Return the members for an experiment or medium file and the users' tables it names."""
     content = read_yaml(path)
-    files = {table: expand_path(table) for table in list_table_paths(content)}
-    member_names = {
-        table: _get_table_member_name(table) for table, file in files.items() if file.is_file()
-    }
-    members = {
-        member_name: files[table].read_bytes() for table, member_name in member_names.items()
-    }
-    if all(member_name == table for table, member_name in member_names.items()):
+    tables = [table for table in list_table_paths(content) if expand_path(table).is_file()]
+    names = {table: _get_table_member_name(table) for table in tables}
+    members = {member: expand_path(table).read_bytes() for table, member in names.items()}
+    if all(member == table for table, member in names.items()):
         return members | {name: path.read_bytes()}
-    replaced = replace_table_paths(content, lambda table: member_names.get(table, table))
+    replaced = replace_table_paths(content, lambda table: names.get(table, table))
     return members | {name: dump_yaml(replaced).encode()}
 
 

@@ -20,20 +20,8 @@ from splits.io.netcdf import load, save
 class PointCache:
     """Folder of simulated points, each in a file named by the digest of all inputs of its values.
 
-    Points of another accuracy, seed or medium have other names, so they never collide.
-
-    Parameters
-    ----------
-    folder : path
-        Need not exist.
-    experiment : SimulationConfig
-    accuracy : Accuracy
-    seed : int
-
-    Attributes
-    ----------
-    files : list of Path
-        Files of the points requested so far.
+    Points of another accuracy, seed or medium have other names, so they never collide.  The folder
+    need not exist; `files` are the files of the points requested so far.
     """
 
     def __init__(
@@ -50,16 +38,12 @@ class PointCache:
 
     def load(self, indices: Sequence[int]) -> list[xr.Dataset] | None:
         """Return points that share paths, or None if the file of any is missing or damaged."""
-        datasets = []
-        for file in self._get_files(indices):
-            if not file.exists():
-                return None
-            try:
-                datasets.append(load(file))
-            except ValueError:
-                # A damaged file is simulated again and overwritten.
-                return None
-        return datasets
+        files = self._get_files(indices)
+        try:
+            # A damaged file is simulated again and overwritten.
+            return [load(file) for file in files] if all(map(Path.exists, files)) else None
+        except ValueError:
+            return None
 
     def save(self, indices: Sequence[int], points: Iterable[xr.Dataset]) -> list[xr.Dataset]:
         """Write points that share paths, and return them as `load` would.

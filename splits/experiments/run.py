@@ -10,34 +10,33 @@ import numpy as np
 import xarray as xr
 
 from splits.core.atomic import check_writable
+from splits.core.progress import LogCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import invalid
 from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.grid import make_grid_coordinates
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.run_points import (
-    STDERR_ATTRIBUTES,
-    LogCallback,
-    SimulatedPoints,
-    simulate_points,
-)
+from splits.experiments.run_points import STDERR_ATTRIBUTES, SimulatedPoints, simulate_points
 from splits.experiments.run_table import run_table, write_table
 from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.stopping_rule import STOP_REASONS
 
 POINT_VARIABLES = {
-    "rays": ("number of rays traced", "1"),
-    "max_stderr_reached": ("largest standard error reached", "1"),
-    "relative_stderr_reached": ("largest relative standard error reached", "1"),
-    "mean_grain_distance": ("mean distance between grains along a ray", "m"),
-    "specific_surface_area": ("surface area of the grains per mass", "m2 kg-1"),
-}
-_MEDIUM_ATTRIBUTES = {
-    "mean_grain_distance": "mean_grain_distance_m",
-    "specific_surface_area": "specific_surface_area_m2_kg",
-}
+    "rays": ("rays", "number of rays traced", "1"),
+    "max_stderr_reached": ("max_stderr_reached", "largest standard error reached", "1"),
+    "relative_stderr_reached": (
+        "relative_stderr_reached", "largest relative standard error reached", "1",
+    ),
+    "mean_grain_distance": (
+        "{medium}_mean_grain_distance_m", "mean distance between grains along a ray", "m",
+    ),
+    "specific_surface_area": (
+        "{medium}_specific_surface_area_m2_kg", "surface area of the grains per mass", "m2 kg-1",
+    ),
+}  # fmt: skip
+"""Variables over the grid: attribute of the points, long name and units."""
 
 
 def run(
@@ -46,6 +45,7 @@ def run(
     seed: int = 1,
     threads: int | None = None,
     log: LogCallback = lambda line: None,
+    cache: PointCache | None = None,
 ) -> xr.Dataset:
     """Run all points of an experiment's grid.
 
@@ -60,6 +60,8 @@ def run(
     threads : int, optional
     log : callable
         Receives lines of progress.
+    cache : PointCache, optional
+        Points of earlier runs, which are not simulated again; not for tables.
 
     Returns
     -------
@@ -69,11 +71,13 @@ def run(
     if experiment.fit:
         hint = "use splits.experiments.run_fit.run_fit"
         raise invalid("fit", experiment.fit.measured, "left out", hint)
-    if experiment.instrument.kind == "refractive_index":
-        return compute_refractive_indices(experiment)
     if experiment.instrument.kind == "table":
         return run_table(experiment, accuracy, seed, None, threads, log)
-    return _run_points(experiment, accuracy, seed, threads, log)
+    if experiment.instrument.kind == "refractive_index":
+        return compute_refractive_indices(experiment)
+    start_time = time.perf_counter()
+    results = simulate_points(experiment, accuracy, seed, threads, log, cache)
+    return _stack_points(experiment, results, time.perf_counter() - start_time)
 
 
 def write_run(
@@ -99,26 +103,10 @@ def write_run(
     check_writable(path)
     if experiment.instrument.kind == "table":
         write_table(experiment, accuracy, seed, folder, path, threads, log)
-    elif experiment.instrument.kind == "refractive_index":
-        save(compute_refractive_indices(experiment), path)
-    else:
-        cache = PointCache(folder, experiment, accuracy, seed)
-        save(_run_points(experiment, accuracy, seed, threads, log, cache), path)
-        cache.delete()
-
-
-def _run_points(
-    experiment: SimulationConfig,
-    accuracy: Accuracy,
-    seed: int,
-    threads: int | None,
-    log: LogCallback,
-    cache: PointCache | None = None,
-) -> xr.Dataset:
-    """Return the dataset of a grid; points that the cache lacks are simulated."""
-    start_time = time.perf_counter()
-    results = simulate_points(experiment, accuracy, seed, threads, log, cache)
-    return _stack_points(experiment, results, time.perf_counter() - start_time)
+        return
+    cache = PointCache(folder, experiment, accuracy, seed)
+    save(run(experiment, accuracy, seed, threads, log, cache), path)
+    cache.delete()
 
 
 def _stack_points(
@@ -134,16 +122,11 @@ def _stack_points(
     for name, variable in first[common].data_vars.items():
         stacked = np.stack([r[name].values for r in results]).reshape(*shape, *variable.shape)
         variables[str(name)] = ((*dims, *variable.dims), stacked, variable.attrs)
-    for name, (long_name, units) in POINT_VARIABLES.items():
-        key = (
-            f"{first.attrs['medium']}_{_MEDIUM_ATTRIBUTES[name]}"
-            if name in _MEDIUM_ATTRIBUTES
-            else name
-        )
-        if key not in first.attrs:
-            continue
-        values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
-        variables[name] = (dims, values, {"long_name": long_name, "units": units})
+    for name, (attribute, long_name, units) in POINT_VARIABLES.items():
+        key = attribute.format(medium=first.attrs["medium"])
+        if key in first.attrs:
+            values = np.array([float(r.attrs[key]) for r in results]).reshape(shape)
+            variables[name] = (dims, values, {"long_name": long_name, "units": units})
     coordinates: dict[str, Any] = {str(name): first[name] for name in first.coords}
     coordinates |= make_grid_coordinates(experiment.grid)
     varying = {f"{first.attrs['medium']}_{p}" for p in dims} | {"incidence_deg"} & set(dims)

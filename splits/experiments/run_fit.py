@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
+from splits.core.progress import LogCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.uncertainty import Variable, make_variable
-from splits.core.validation import check_choice, check_range, invalid, key_prefix
+from splits.core.validation import check_range, invalid, key_prefix
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.grid import make_grid_coordinates
+from splits.experiments.config.sections import list_samples
 from splits.experiments.config.simulation import SimulationConfig
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.residual_covariance import MIN_RESIDUAL_DOF
@@ -26,6 +27,23 @@ from splits.simulation.arguments import check_wavelengths
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.threads import DaemonThreadPool, count_cpus
 
+FIT_VARIABLES = {
+    "reflectance": (("wavelength",), "modelled", "modelled_stderr", "modelled reflectance"),
+    "measured": (("wavelength",), "measured", "", "measured reflectance"),
+    "value": (("parameter",), "value", "stderr", "fitted parameter"),
+    "constrained": (
+        ("parameter",), "constrained", "",
+        "1 where the spectrum narrows the parameter to below half of its range",
+    ),
+    "correlation": (
+        ("coordinate", "other_coordinate"), "correlation", "",
+        "correlation of the fit's coordinates",
+    ),
+    "rmse": ((), "rmse", "rmse_stderr", "root mean square misfit"),
+    "evaluations": ((), "evaluations", "", "number of sands simulated"),
+}  # fmt: skip
+"""Variables over samples: other dimensions, attributes of a fit (value, error) and long name."""
+
 
 def run_fit(
     experiment: SimulationConfig,
@@ -33,7 +51,7 @@ def run_fit(
     measured: pd.DataFrame,
     seed: int = 1,
     threads: int | None = None,
-    log: Callable[[str], None] = lambda line: None,
+    log: LogCallback = lambda line: None,
 ) -> xr.Dataset:
     """Fit a sand to every sample of a measured table, for every point of an experiment's grid.
 
@@ -67,22 +85,16 @@ def run_fit(
     max_stderr = experiment.instrument.scale_stderr(accuracy.max_stderr)
     cases = list(itertools.product(experiment.iter_settings(), samples))
     workers = threads or count_cpus()
+    fit_seed, fit_threads = experiment.instrument.get_seed(seed), max(1, workers // len(cases))
+    effort = choose_effort(max_stderr)
 
     def fit_case(number: int) -> FitResult:
         (labels, settings, incidence), sample = cases[number]
         point = " ".join([*(f"{p}={label}" for p, label in labels.items()), sample])
         prefix = f"{experiment.name} {number + 1}/{len(cases)} {point}"
-        return fit(
-            settings,
-            wavelength,
-            measured[sample].to_numpy(dtype=float),
-            incidence,
-            ranges,
-            experiment.instrument.get_seed(seed),
-            max(1, workers // len(cases)),
-            lambda line: log(f"{prefix}: {line}"),
-            effort=choose_effort(max_stderr),
-        )
+        reflectance = measured[sample].to_numpy(dtype=float)
+        arguments = (settings, wavelength, reflectance, incidence, ranges, fit_seed, fit_threads)
+        return fit(*arguments, lambda line: log(f"{prefix}: {line}"), effort=effort)
 
     # Simulations of a fit are short, so parallel fits use threads better than parallel rays.
     with DaemonThreadPool(min(workers, len(cases))) as pool:
@@ -102,12 +114,7 @@ def check_fit(experiment: SimulationConfig, measured: pd.DataFrame) -> list[str]
     section = experiment.fit
     if section is None:
         raise invalid("fit", None, "a section that names a measured table")
-    if "wavelength_nm" not in measured:
-        raise invalid(
-            "fit.measured", list(measured.columns), "a CSV table with column wavelength_nm"
-        )
-    available = [str(c) for c in measured.columns if c != "wavelength_nm"]
-    samples = [check_choice("fit.samples", s, available) for s in section.samples] or available
+    samples = list_samples("fit", measured, section.samples)
     with key_prefix("fit.measured"):
         wavelength = check_wavelengths(measured.wavelength_nm.tolist())
     for sample in samples:
@@ -121,9 +128,8 @@ def check_fit(experiment: SimulationConfig, measured: pd.DataFrame) -> list[str]
             cube.to_sand(np.full(len(cube.names), 0.5)).compute_refractive_indices(wavelength)
         min_wavelengths = len(cube.names) + MIN_RESIDUAL_DOF
         if wavelength.size < min_wavelengths:
-            raise invalid(
-                "fit.measured", f"{wavelength.size} wavelengths", f"{min_wavelengths} at least"
-            )
+            given, allowed = f"{wavelength.size} wavelengths", f"{min_wavelengths} at least"
+            raise invalid("fit.measured", given, allowed)
     return samples
 
 
@@ -136,32 +142,6 @@ def choose_effort(max_stderr: float) -> Effort:
     )
 
 
-def _make_batch_variables(
-    dims: tuple[str, ...], deviations: list[xr.DataArray], shape: tuple[int, ...]
-) -> dict[str, Variable]:
-    """Return the batch deviations of modelled reflectance, see `splits.core.uncertainty`."""
-    values = np.stack([array.values for array in deviations]).reshape(*shape, *deviations[0].shape)
-    inner_dims = (str(d) for d in deviations[0].dims)
-    return {"reflectance_batches": ((*dims, *inner_dims), values, dict(deviations[0].attrs))}
-
-
-def _make_fit_coordinates(
-    experiment: SimulationConfig, result: FitResult, samples: list[str], wavelength: np.ndarray
-) -> dict[str, Any]:
-    """Return the coordinates of a dataset of fits."""
-    names = list(result.names)
-    return {
-        "wavelength": make_wavelength_coordinate(wavelength),
-        "sample": ("sample", samples, {"long_name": "sample measured"}),
-        "parameter": ("parameter", list(result.parameters), {"long_name": "parameter of the sand"}),
-        **{
-            axis: (axis, names, {"long_name": "coordinate of the fit"})
-            for axis in ("coordinate", "other_coordinate")
-        },
-        **make_grid_coordinates(experiment.grid),
-    }
-
-
 def _make_fit_dataset(
     experiment: SimulationConfig,
     results: list[FitResult],
@@ -171,43 +151,36 @@ def _make_fit_dataset(
     start_time: float,
 ) -> xr.Dataset:
     """Return the dataset of all fits."""
+    dims, first = (*experiment.grid, "sample"), results[0]
     shape = (*(len(values) for values in experiment.grid.values()), len(samples))
-    dims = (*experiment.grid, "sample")
-    first = results[0]
-    parameters = list(first.parameters)
+    names, parameters = list(first.names), list(first.parameters)
 
-    def stack(values: list[Any], *tail: int) -> np.ndarray:
-        return np.array(values, dtype=float).reshape(*shape, *tail)
+    def stack(values: list[Any], dtype: Any = float) -> np.ndarray:
+        stacked = np.array(values, dtype=dtype)
+        return stacked.reshape(*shape, *stacked.shape[1:])
 
-    def stack_parameter(attribute: str) -> np.ndarray:
-        values = [[float(getattr(r.parameters[p], attribute)) for p in parameters] for r in results]
-        return stack(values, len(parameters))
+    def collect(attribute: str, inner_dims: tuple[str, ...]) -> np.ndarray:
+        if inner_dims != ("parameter",):
+            return stack([getattr(result, attribute) for result in results])
+        return stack([[getattr(r.parameters[p], attribute) for p in parameters] for r in results])
 
-    spectrum_dims, count = (*dims, "wavelength"), len(wavelength)
-    parameter_dims = (*dims, "parameter")
-    coordinate_dims = (*dims, "coordinate", "other_coordinate")
-    modelled = stack([r.modelled for r in results], count)
-    error = stack([r.modelled_stderr for r in results], count)
-    measured = stack([r.measured for r in results], count)
-    value, value_error, constrained = map(stack_parameter, ("value", "stderr", "constrained"))
-    correlation = stack([r.correlation for r in results], len(first.names), len(first.names))
-    rmse, rmse_error, evaluations = (
-        stack([getattr(r, name) for r in results])
-        for name in ("rmse", "rmse_stderr", "evaluations")
-    )
-    correlation_label = "correlation of the fit's coordinates"
-    constrained_label = "1 where the spectrum narrows the parameter to below half of its range"
+    batches = [result.spectrum.reflectance_batches for result in results]
+    deviations = stack([array.values for array in batches], batches[0].dtype)
     variables: dict[str, Variable] = {
-        **make_variable("reflectance", spectrum_dims, modelled, error, "modelled reflectance"),
-        **_make_batch_variables(dims, [r.spectrum.reflectance_batches for r in results], shape),
-        **make_variable("measured", spectrum_dims, measured, None, "measured reflectance"),
-        **make_variable("value", parameter_dims, value, value_error, "fitted parameter"),
-        **make_variable("constrained", parameter_dims, constrained, None, constrained_label),
-        **make_variable("correlation", coordinate_dims, correlation, None, correlation_label),
-        **make_variable("rmse", dims, rmse, rmse_error, "root mean square misfit"),
-        **make_variable("evaluations", dims, evaluations, None, "number of sands simulated"),
+        "reflectance_batches": ((*dims, *map(str, batches[0].dims)), deviations, batches[0].attrs)
     }
-    coordinates = _make_fit_coordinates(experiment, first, samples, wavelength)
+    for name, (inner_dims, attribute, error_attribute, long_name) in FIT_VARIABLES.items():
+        values = collect(attribute, inner_dims)
+        error = collect(error_attribute, inner_dims) if error_attribute else None
+        variables |= make_variable(name, (*dims, *inner_dims), values, error, long_name)
+    coordinates = {
+        "wavelength": make_wavelength_coordinate(wavelength),
+        "sample": ("sample", samples, {"long_name": "sample measured"}),
+        "parameter": ("parameter", parameters, {"long_name": "parameter of the sand"}),
+        "coordinate": ("coordinate", names, {"long_name": "coordinate of the fit"}),
+        "other_coordinate": ("other_coordinate", names, {"long_name": "coordinate of the fit"}),
+        **make_grid_coordinates(experiment.grid),
+    }
     attributes = {
         "title": f"Experiment {experiment.name}",
         "experiment": experiment.name,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from splits.core.progress import Progress
+from splits.core.progress import LogCallback, Progress
 from splits.experiments.checkpoints import PointCache
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.instrument import Instrument, OpticalInstrument
@@ -33,20 +33,11 @@ N_BEAM_RAYS = 200_000
 """Number of rays of a beam spread at a relative standard error of 0.02."""
 MAX_RAYS = 20_000_000
 
-LogCallback = Callable[[str], None]
 GridPoint = tuple[dict[str, str], Medium, float | str]
 
 
 class SimulatedPoints(NamedTuple):
-    """Results of all points of a grid.
-
-    Attributes
-    ----------
-    datasets : list of xarray.Dataset
-        Results in the order of the points.
-    rays : int
-        Number of rays traced; points may share rays.
-    """
+    """Results of all points of a grid in their order, and number of rays; points may share rays."""
 
     datasets: list[xr.Dataset]
     rays: int
@@ -68,11 +59,11 @@ def simulate_points(
     instrument, points = experiment.instrument, list(experiment.iter_points())
     seed = instrument.get_seed(seed)
     results: dict[int, xr.Dataset] = {}
+    rays = 0
     groups = _group_by_shared_paths(instrument, points)
     if len(groups) < len(points):
         log(f"{experiment.name}: {len(groups)} sets of paths for {len(points)} points")
-    rays = 0
-    for indices, members in groups:
+    for indices, group in groups:
         prefix = _format_prefix(experiment.name, points, indices)
         cached = cache.load(indices) if cache else None
         if cached:
@@ -80,17 +71,13 @@ def simulate_points(
             results |= dict(zip(indices, cached, strict=True))
             rays += int(cached[0].attrs["rays"])
             continue
-        show = _make_progress_callback(prefix, log)
-        group_points = [points[index] for index in indices]
-        if members is None:
-            _, medium, incidence = group_points[0]
-            datasets = [
-                simulate_point(instrument, medium, incidence, accuracy, seed, threads, show)
-            ]
+        progress = _make_progress_callback(prefix, log)
+        run = RunOptions.from_arguments(seed, threads, progress=progress)
+        members = [points[index] for index in indices]
+        if group is None:
+            datasets = [simulate_point(instrument, members[0], accuracy, run)]
         else:
-            datasets = _simulate_group(
-                group_points, members, instrument, accuracy, seed, threads, show
-            )
+            datasets = _simulate_group(instrument, members, group, accuracy, run)
         datasets = cache.save(indices, datasets) if cache else datasets
         results |= dict(zip(indices, datasets, strict=True))
         rays += int(datasets[0].attrs["rays"])
@@ -112,38 +99,29 @@ def _group_by_shared_paths(
     ]
     groups: list[tuple[list[int], MediaGroup | None]] = [([index], None) for index in solved]
     traced = [index for index in range(len(points)) if index not in set(solved)]
-    for beam_incidence in dict.fromkeys(incidence for *_, incidence in points):
-        same_beam = [index for index in traced if points[index][-1] == beam_incidence]
-        for members in group_by_shared_paths(
-            [points[index][1] for index in same_beam], wavelengths
-        ):
+    for beam in dict.fromkeys(incidence for *_, incidence in points):
+        same_beam = [index for index in traced if points[index][-1] == beam]
+        media = [points[index][1] for index in same_beam]
+        for members in group_by_shared_paths(media, wavelengths):
             indices = [same_beam[index] for index in members.positions]
             groups.append((indices, members if len(indices) > 1 else None))
     return sorted(groups, key=lambda group: min(group[0]))
 
 
 def _simulate_group(
+    instrument: Instrument,
     points: Sequence[GridPoint],
     group: MediaGroup,
-    instrument: Instrument,
     accuracy: Accuracy,
-    seed: int,
-    threads: int | None,
-    progress: Callable[[Progress], None],
+    run: RunOptions,
 ) -> list[xr.Dataset]:
     """Simulate points that share paths, in the order of the group's media."""
-    max_rays = MAX_RAYS if accuracy.max_rays is None else accuracy.max_rays
-    error = instrument.scale_stderr(accuracy.max_stderr)
-    _, _, beam = points[0]
-    run = RunOptions.from_arguments(seed, threads, progress=progress)
-    request = SpectralRequest.from_arguments(
-        instrument.get_wavelengths(), beam, error, max_rays, run
-    )
+    error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
+    wavelengths, (_, _, beam) = instrument.get_wavelengths(), points[0]
+    request = SpectralRequest.from_arguments(wavelengths, beam, error, rays, run)
     spectra = simulate_spectra(group.path_sharing, request)
-    return [
-        _relabel_spectrum(spectra[index], medium)
-        for index, (_, medium, _) in zip(group.media_indices, points, strict=True)
-    ]
+    pairs = zip(group.media_indices, points, strict=True)
+    return [_relabel_spectrum(spectra[index], medium) for index, (_, medium, _) in pairs]
 
 
 def _relabel_spectrum(spectrum: xr.Dataset, medium: Medium) -> xr.Dataset:
@@ -188,38 +166,30 @@ def _log_result(prefix: str, datasets: Sequence[xr.Dataset], log: LogCallback) -
         for key in STDERR_ATTRIBUTES
         if key in attributes
     ]
-    log(
-        f"{prefix}: done, {attributes['rays']} rays{''.join(reached)}, "
-        f"{attributes['wall_time_s']:.1f} s"
-    )
-    if attributes.get("stop_reason") == "max_rays":
-        log(
-            f"{prefix}: stopped by max_rays = {attributes['max_rays']} before the error was reached"
-        )
-    if attributes.get("stop_reason") == "max_degree":
-        log(
-            f"{prefix}: stopped before the error was reached: in some directions the BRDF changes "
-            "faster than the expansion resolves, which more rays do not improve; the stated errors "
-            "include this; `estimator: bins` resolves such peaks"
-        )
+    rays, seconds = attributes["rays"], attributes["wall_time_s"]
+    log(f"{prefix}: done, {rays} rays{''.join(reached)}, {seconds:.1f} s")
+    reasons = {
+        "max_rays": f"stopped by max_rays = {attributes.get('max_rays')} before the error was "
+        "reached",
+        "max_degree": "stopped before the error was reached: in some directions the BRDF changes "
+        "faster than the expansion resolves, which more rays do not improve; the stated errors "
+        "include this; `estimator: bins` resolves such peaks",
+    }
+    if attributes.get("stop_reason") in reasons:
+        log(f"{prefix}: {reasons[attributes['stop_reason']]}")
 
 
 def simulate_point(
-    instrument: Instrument,
-    medium: Medium,
-    incidence_deg: float | str,
-    accuracy: Accuracy,
-    seed: int,
-    threads: int | None,
-    progress: Callable[[Progress], None],
+    instrument: Instrument, point: GridPoint, accuracy: Accuracy, run: RunOptions
 ) -> xr.Dataset:
     """Simulate one point of a grid, see `splits.experiments.run.run`."""
-    arguments = {"seed": seed, **instrument.list_arguments()}
+    _, medium, incidence = point
+    arguments = {"seed": run.seed, **instrument.list_arguments()}
     if not isinstance(instrument, OpticalInstrument):
         measure: Callable[..., xr.Dataset] = lens if isinstance(instrument, Lens) else surface_map
         return measure(medium, **arguments)
-    arguments |= {"threads": threads, "progress": progress}
-    scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence_deg)
+    arguments |= {"threads": run.threads, "progress": run.progress}
+    scene: tuple[Any, ...] = (medium, instrument.get_wavelengths(), incidence)
     if isinstance(instrument, BeamSpread):
         effort = (0.02 / (instrument.stderr_scale * accuracy.relative_stderr)) ** 2
         arguments.setdefault("rays", int(np.ceil(N_BEAM_RAYS * effort)))

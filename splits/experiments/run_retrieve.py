@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,39 +12,31 @@ import xarray as xr
 
 from splits.analysis.measured import read_spectra
 from splits.core.parameter_names import describe_parameter
+from splits.core.progress import LogCallback
 from splits.core.validation import key_prefix
 from splits.experiments.config.retrieve import RetrieveSection
-from splits.experiments.papers.paper_tables import write_data_frame
+from splits.io.data_frame import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.retrieval.result import RetrievalResult
 from splits.retrieval.retrieve import retrieve
 from splits.retrieval.state_vector import SCALE
 from splits.tables.table import Table, open_table
 
-LogCallback = Callable[[str], None]
 SINGLE_MODEL, OWN_MODEL = "", "splits"
 """Names of our model: where it is the only one, and in a comparison with a law."""
 
 
 class SampleRetrieval(NamedTuple):
-    """Retrieval of one sample with one model.
-
-    Attributes
-    ----------
-    model, sample : str
-    result : RetrievalResult
-    reference_chi2 : float
-        χ² with the known parameters fixed at their reference values, NaN without any.  Its
-        difference between models shows which describes their effect better.
-    is_prior_sample : bool
-        Whether the sample was retrieved first, with some parameters fixed.
-    """
+    """Retrieval of one sample with one model."""
 
     model: str
     sample: str
     result: RetrievalResult
     reference_chi2: float
+    """χ² with the known parameters fixed at their reference values, NaN without any.  Its
+    difference between models shows which describes their effect better."""
     is_prior_sample: bool
+    """Whether the sample was retrieved first, with some parameters fixed."""
 
 
 def run_retrieve(
@@ -54,13 +46,7 @@ def run_retrieve(
     seed: int = 1,
     log: LogCallback = lambda line: None,
 ) -> list[SampleRetrieval]:
-    """Return the retrievals of all samples with all models.
-
-    Raises
-    ------
-    ValueError
-        The message names the key of the section.
-    """
+    """Return the retrievals of all samples with all models; errors name the key of the section."""
     with key_prefix("retrieve"):
         spectra = section.select_spectra(measured, table.dataset.wavelength.values)
     n_used, n_all = len(next(iter(spectra.values()))), len(measured)
@@ -101,16 +87,11 @@ class _RetrievalTask(NamedTuple):
         }
         retrievals = []
         for name in self.spectra:
+            is_first = name in sources
             prior = self._make_prior(prior_results, name)
-            result = (
-                prior_results[name] if name in prior_results else self._retrieve(name, prior, {})
-            )
-            reference_chi2 = (
-                np.nan if name in prior_results else self._compute_reference_chi2(name, prior)
-            )
-            retrievals.append(
-                SampleRetrieval(self.model, name, result, reference_chi2, name in prior_results)
-            )
+            result = prior_results[name] if is_first else self._retrieve(name, prior, {})
+            chi2 = np.nan if is_first else self._compute_reference_chi2(name, prior)
+            retrievals.append(SampleRetrieval(self.model, name, result, chi2, is_first))
             label = f"{name} ({self.model})" if self.model else name
             for line in repr(result).splitlines():
                 log(f"{label}: {line}")
@@ -135,32 +116,20 @@ class _RetrievalTask(NamedTuple):
 
     def _compute_reference_chi2(self, name: str, prior: Mapping[str, Any]) -> float:
         """Return χ² with the known parameters fixed at their reference values."""
-        references = {
-            parameter: values[name]
-            for parameter, values in self.section.reference_values.items()
-            if name in values
-        }
-        free_names = [
-            parameter
-            for parameter in self.section.free
-            if parameter not in references and parameter != SCALE
-        ]
-        if not references or not free_names or SCALE in references or self.section.noise is None:
+        by_parameter = self.section.reference_values.items()
+        references = {key: values[name] for key, values in by_parameter if name in values}
+        others = {*self.section.free} - {*references, SCALE}
+        if not references or not others or SCALE in references or self.section.noise is None:
             return np.nan
         return float(self._retrieve(name, prior, references).dataset.attrs["chi2"])
 
-    def _make_prior(
-        self, prior_results: Mapping[str, RetrievalResult], name: str
-    ) -> dict[str, Any]:
+    def _make_prior(self, first: Mapping[str, RetrievalResult], name: str) -> dict[str, Any]:
         """Return the prior of a sample, including posteriors of samples retrieved first."""
         prior: dict[str, Any] = dict(self.section.prior)
         for source in self.section.prior_from:
             if name.startswith(source.applies_to):
-                result = prior_results[source.sample]
-                prior |= {
-                    parameter: (value, result.stderr[parameter])
-                    for parameter, value in result.values.items()
-                }
+                result = first[source.sample]
+                prior |= {key: (value, result.stderr[key]) for key, value in result.values.items()}
         return prior
 
 
@@ -173,32 +142,31 @@ def make_retrieval_table(
         ds = retrieval.result.dataset
         for name in map(str, ds.parameter.values):
             part = ds.sel(parameter=name)
-            long_name, _ = describe_parameter(name)
             low, below, middle, above, high = part.quantiles.values
-            rows.append(
-                ({"model": retrieval.model} if retrieval.model else {})
-                | {
-                    "sample": retrieval.sample,
-                    "parameter": name,
-                    "description": long_name,
-                    "unit": str(part.parameter_unit.item()),
-                    "median": middle,
-                    "standard deviation": float(part.value_stderr),
-                    "reference value": reference.get(name, {}).get(retrieval.sample, np.nan),
-                    "16 %": below,
-                    "84 %": above,
-                    "2.5 %": low,
-                    "97.5 %": high,
-                    "constrained": "yes" if part.constrained else "no",
-                    "averaging kernel": float(part.averaging_kernel.sel(other_parameter=name)),
-                    "chi2": ds.attrs["chi2"],
-                    "chi2 at reference": retrieval.reference_chi2,
-                    "chi2 expected": ds.attrs["chi2_expected"],
-                    "error inflation": ds.attrs["error_inflation"],
-                    "warnings": ds.attrs["warnings"],
-                }
-            )
-    return pd.DataFrame(rows)
+            row = {
+                "model": retrieval.model,
+                "sample": retrieval.sample,
+                "parameter": name,
+                "description": describe_parameter(name)[0],
+                "unit": str(part.parameter_unit.item()),
+                "median": middle,
+                "standard deviation": float(part.value_stderr),
+                "reference value": reference.get(name, {}).get(retrieval.sample, np.nan),
+                "16 %": below,
+                "84 %": above,
+                "2.5 %": low,
+                "97.5 %": high,
+                "constrained": "yes" if part.constrained else "no",
+                "averaging kernel": float(part.averaging_kernel.sel(other_parameter=name)),
+                "chi2": ds.attrs["chi2"],
+                "chi2 at reference": retrieval.reference_chi2,
+                "chi2 expected": ds.attrs["chi2_expected"],
+                "error inflation": ds.attrs["error_inflation"],
+                "warnings": ds.attrs["warnings"],
+            }
+            rows.append(row)
+    table = pd.DataFrame(rows)
+    return table if table.model.any() else table.drop(columns="model")
 
 
 def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Dataset:
@@ -209,15 +177,9 @@ def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Da
     """
     final = [retrieval for retrieval in retrievals if not retrieval.is_prior_sample]
     models = list(dict.fromkeys(retrieval.model for retrieval in final))
-    joined = xr.concat(
-        [
-            _combine_model([retrieval for retrieval in final if retrieval.model == model])
-            for model in models
-        ],
-        xr.IndexVariable("model", models),
-        join="outer",
-        combine_attrs="drop",
-    )
+    datasets = [_combine_model([one for one in final if one.model == model]) for model in models]
+    axis = xr.IndexVariable("model", models)
+    joined = xr.concat(datasets, axis, join="outer", combine_attrs="drop")
     # Use the order of the first model, which has all parameters.
     order = final[0].result.dataset.parameter.values
     joined = joined.sel(parameter=order, other_parameter=order)
@@ -231,15 +193,11 @@ def combine_samples(retrievals: list[SampleRetrieval], experiment: str) -> xr.Da
 
 def _combine_model(retrievals: list[SampleRetrieval]) -> xr.Dataset:
     """Return the dataset of all samples of one model."""
-    datasets, names = (
-        [retrieval.result.dataset for retrieval in retrievals],
-        [retrieval.sample for retrieval in retrievals],
-    )
-    joined = xr.concat(
-        datasets, xr.IndexVariable("sample", names), join="inner", combine_attrs="drop"
-    )
+    datasets = [retrieval.result.dataset for retrieval in retrievals]
+    axis = xr.IndexVariable("sample", [retrieval.sample for retrieval in retrievals])
+    joined = xr.concat(datasets, axis, join="inner", combine_attrs="drop")
     for key in ("chi2", "chi2_expected", "error_inflation", "degrees_of_freedom"):
-        row = np.array([retrieval.attrs[key] for retrieval in datasets])
+        row = np.array([dataset.attrs[key] for dataset in datasets])
         joined[key] = ("sample", row, {"long_name": key.replace("_", " "), "units": "1"})
     misfits = np.array([retrieval.reference_chi2 for retrieval in retrievals])
     attributes = {"long_name": "chi2 at reference values", "units": "1"}
@@ -256,16 +214,8 @@ def write_retrieval(
 ) -> None:
     """Retrieve parameters from measured spectra, and write them as a table and as a figure.
 
-    Parameters
-    ----------
-    section : RetrieveSection
-    table, measured : path
-        Dataset of the table, with the name of the experiment, and measured spectra.
-    seed : int
-    outputs : tuple of path
-        CSV table, and figure, which is written in all formats.
-    log : callable
-        Receives one line of text per sample.
+    `table` is the dataset of the table, with the name of the experiment.  `outputs` are the CSV
+    table and the figure, which is written in all formats.  `log` receives lines for each sample.
     """
     from splits.plotting.retrieval import draw_retrievals
     from splits.plotting.style import save_figure

@@ -5,16 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import xarray as xr
 
 from splits.core.atomic import atomic_write
-from splits.core.progress import Progress
+from splits.core.progress import LogCallback, Progress
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.instrument_kinds import TableInstrument
 from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.run_points import MAX_RAYS
 from splits.instruments.spectral_run import SpectralRequest
 from splits.io.netcdf import save
 from splits.simulation.run_options import RunOptions
@@ -24,20 +26,12 @@ from splits.tables.build import compute_block_digest, iterate_blocks
 from splits.tables.plan import PathGroup, TablePlan
 from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, write_table_blockwise
 
-MAX_RAYS = 20_000_000
-LogCallback = Callable[[str], None]
-
 
 def count_parts(experiment: SimulationConfig) -> int:
     """Return the number of parts of a table."""
-    return _get_instrument(experiment).blocks
-
-
-def _get_instrument(experiment: SimulationConfig) -> TableInstrument:
-    """Return the instrument of a table."""
     instrument = experiment.instrument
     assert isinstance(instrument, TableInstrument)
-    return instrument
+    return instrument.parts
 
 
 def make_plan(experiment: SimulationConfig) -> TablePlan:
@@ -51,7 +45,8 @@ def make_request(
     experiment: SimulationConfig, accuracy: Accuracy, seed: int, threads: int | None = None
 ) -> TableRequest:
     """Return the settings of a table's simulation."""
-    instrument = _get_instrument(experiment)
+    instrument = experiment.instrument
+    assert isinstance(instrument, TableInstrument)
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     run = RunOptions.from_arguments(instrument.get_seed(seed), threads)
     request = SpectralRequest.from_arguments(instrument.get_wavelengths(), 0.0, error, rays, run)
@@ -67,35 +62,18 @@ def run_part(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> list[Path]:
-    """Simulate the path groups of one part of a table and write their blocks.
+    """Simulate the path groups of one part of a table, and return the files of their blocks.
 
-    Existing blocks in the folder are kept.
-
-    Parameters
-    ----------
-    experiment : SimulationConfig
-        With the instrument "table".
-    accuracy, seed, threads, log
-        As for `splits.experiments.run.run`.
-    folder : path
-        Folder of the blocks.
-    part : int
-        From 0 to `count_parts` − 1.
-
-    Returns
-    -------
-    list of Path
-        Files of the blocks.
+    Existing blocks in the folder are kept.  `part` is a number from 0 to `count_parts` − 1; for the
+    other arguments, see `splits.experiments.run.run`.
     """
     plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
     groups = plan.path_groups[part :: count_parts(experiment)]
     log(f"{experiment.name}: {plan}")
     for _ in _simulate_blocks(experiment, request, groups, folder, log):
         pass
-    return [
-        make_block_path(folder, group.number, compute_block_digest(group, request))
-        for group in groups
-    ]
+    digests = [compute_block_digest(group, request) for group in groups]
+    return [make_block_path(folder, g.number, d) for g, d in zip(groups, digests, strict=True)]
 
 
 def run_table(
@@ -114,10 +92,9 @@ def run_table(
     for block in _simulate_blocks(experiment, request, plan.path_groups, folder, log):
         insert_block(arrays, block)
         block_attributes.append(block.attrs)
-    return _add_experiment_attributes(
-        experiment,
-        assemble_dataset(arrays, plan, request, block_attributes, time.perf_counter() - start_time),
-    )
+    seconds = time.perf_counter() - start_time
+    table = assemble_dataset(arrays, plan, request, block_attributes, seconds)
+    return _add_experiment_attributes(experiment, table)
 
 
 def write_table(
@@ -129,25 +106,15 @@ def write_table(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> None:
-    """Write the table of `run_table`; one that exceeds the memory limit is written block by block.
-
-    Parameters
-    ----------
-    path : path
-        The file is written atomically.
-    """
+    """Write the table of `run_table` atomically, block by block if it exceeds the memory limit."""
     plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
     if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
         save(run_table(experiment, accuracy, seed, folder, threads, log), path)
         return
     log(f"{experiment.name}: {plan}")
-    write_table_blockwise(
-        path,
-        plan,
-        request,
-        lambda: _simulate_blocks(experiment, request, plan.path_groups, folder, log),
-        lambda table: _add_experiment_attributes(experiment, table),
-    )
+    simulate = partial(_simulate_blocks, experiment, request, plan.path_groups, folder, log)
+    add_attributes = partial(_add_experiment_attributes, experiment)
+    write_table_blockwise(path, plan, request, simulate, add_attributes)
 
 
 def _add_experiment_attributes(experiment: SimulationConfig, table: xr.Dataset) -> xr.Dataset:
@@ -168,17 +135,14 @@ def _simulate_blocks(
     log: LogCallback,
 ) -> Iterator[xr.Dataset]:
     """Yield blocks and log the progress."""
-    prefix, n_groups = f"{experiment.name}: {len(groups)} path groups", len(groups)
+    prefix = f"{experiment.name}: {len(groups)} path groups"
 
     def show(progress: Progress) -> None:
         log(f"{prefix}, {progress}")
 
     for number, block in enumerate(iterate_blocks(request, groups, folder, show), start=1):
-        reached = float(block.attrs["max_stderr_reached"])
-        log(
-            f"{prefix}: {number} of {n_groups} done, {block.attrs['rays']} rays, "
-            f"error {reached:.4f}"
-        )
+        rays, error = block.attrs["rays"], float(block.attrs["max_stderr_reached"])
+        log(f"{prefix}: {number} of {len(groups)} done, {rays} rays, error {error:.4f}")
         yield block
 
 
@@ -191,9 +155,8 @@ def write_part_manifest(files: Sequence[Path], path: Path) -> None:
 
 def delete_unused_blocks(manifests: Sequence[Path]) -> None:
     """Delete the blocks that no manifest of a table's parts names."""
-    names = {
-        name for manifest in manifests for name in json.loads(manifest.read_text(encoding="utf-8"))
-    }
+    texts = [manifest.read_text(encoding="utf-8") for manifest in manifests]
+    names = {name for text in texts for name in json.loads(text)}
     for file in manifests[0].parent.glob("block_*.nc"):
         if file.name not in names:
             file.unlink(missing_ok=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -59,3 +60,37 @@ def test_damaged_and_swapped_datasets_are_computed_again(project):
         )
     assert (data / "damaged.nc.damaged").read_bytes() == content
     assert not list(data.glob(".aside.*"))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "--summary", "--lint", "--list-rules", "--dag", "--rulegraph", "--unlock", "--touch -c 1",
+        "--dry-run", "-n", "--workflow-profile plan", "--report made.html",
+    ],
+)  # fmt: skip
+def test_commands_that_run_no_job_change_no_file(project, command):
+    project.put("plain", EXPERIMENT)
+    data = project.folder / "results" / "tiny" / "data"
+    data.mkdir(parents=True)
+    names = ("plain.nc", ".aside.host.2147483647.abcdefgh.plain.nc")
+    for name in names:
+        (data / name).write_text("not a dataset", "utf-8")
+    stale = data / names[1]
+    os.utime(stale, (0, 0))
+    (project.folder / "plan").mkdir()
+    (project.folder / "plan" / "config.yaml").write_text("dry-run: true\n", "utf-8")
+    run = project.snakemake("results/tiny/data/plain.nc", *command.split())
+    assert {path.name for path in data.iterdir()} == set(names), run.text
+    reports = command in ("--dry-run", "-n", "--workflow-profile plan", "--touch -c 1")
+    assert ("plain.nc: damaged" in run.text) == reports, run.text
+
+
+def test_stale_files_are_removed_before_jobs_run(project):
+    project.put("plain", EXPERIMENT)
+    data = project.folder / "results" / "tiny" / "data"
+    data.mkdir(parents=True)
+    (data / "plain.nc").write_text("not a dataset", "utf-8")
+    run = project.snakemake("results/tiny/data/plain.nc", "--cores", 1)
+    assert run.code == 0 and run.jobs() == ["Simulating plain"], run.text
+    assert (data / "plain.nc.damaged").exists()

@@ -48,7 +48,7 @@ def test_requested_study_with_missing_experiments_is_reported(project):
 
 TABLE = """\
 medium: {kind: natural_snow}
-instrument: {kind: table, wavelength_nm: {start: 400, stop: 1300, step: 100}, blocks: 1}
+instrument: {kind: table, wavelength_nm: {start: 400, stop: 1300, step: 100}, parts: 1}
 grid: {optical_radius_um: [50, 100, 200, 400], impurities_ng_g.black_carbon: [0, 100, 500]}
 retrieve:
   measured: snow_albedo_letcher2022.csv

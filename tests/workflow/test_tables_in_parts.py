@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.long]
 TABLE = """\
 title: Table
 medium: {kind: natural_snow}
-instrument: {kind: table, wavelength_nm: [500, 1030], blocks: 2, quantities: [reflectance]}
+instrument: {kind: table, wavelength_nm: [500, 1030], parts: 2, quantities: [reflectance]}
 grid:
   optical_radius_um: {geomspace: [50, 800, 5]}
   incidence_deg: [0, 40, 60]
@@ -87,7 +87,7 @@ def test_table_is_built_in_parts_and_rebuilt_from_kept_blocks(project):
         (("[0, 200]", "[0, -200]"), "must be"),
         (("geomspace: [50, 800, 5]", "geomspace: [0, 800, 5]"), "geomspace.*0 < first < last"),
         (("black_carbon", "coal"), "impurities_ng_g"),
-        (("blocks: 2", "blocks: 0"), "instrument.blocks"),
+        (("parts: 2", "parts: 0"), "instrument.parts"),
         (("kind: table,", "kind: goniophotometer,"), "left out for goniophotometer"),
     ],
 )

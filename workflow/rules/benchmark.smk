@@ -31,7 +31,7 @@ rule benchmark:
         name=match_any(BENCHMARKS),
     conda:
         "../../environment.yml"
-    threads: 64
+    threads: max(64, count_cores())
     params:
         call=lambda wildcards: BENCHMARKS[wildcards.name],
         sources=lambda wildcards: hash_files(
@@ -39,14 +39,7 @@ rule benchmark:
             [BENCHMARKS[wildcards.name][0], "method_table.py", "theories.py"],
         ),
         physics=hash_physics_sources(),
-        theories=hash_files(
-            PACKAGE_FOLDER,
-            [
-                "experiments/papers/performance.py",
-                "analysis/theory/discrete_ordinates.py",
-                "analysis/theory/asymptotic.py",
-            ],
-        ),
+        theories=hash_sources(["experiments/papers/performance.py", "analysis/theory"]),
     message:
         "Benchmark {wildcards.name}"
     script:
@@ -64,6 +57,10 @@ rule figure_benchmark:
         name="speed_against_error.*",
     conda:
         "../../environment.yml"
+    params:
+        sources=hash_sources(
+            ["experiments/papers/performance_figure.py", *provenance.FIGURE_SOURCES]
+        ),
     message:
         "Drawing error against time"
     script:

@@ -1,10 +1,6 @@
 from splits.core.escaping import escape_json
-from splits.core.provenance import (
-    PACKAGE_FOLDER,
-    RETRIEVAL_SOURCES,
-    hash_files,
-    hash_physics_sources,
-)
+from splits.core import provenance
+from splits.core.provenance import hash_files, hash_physics_sources, hash_sources
 from splits.experiments.config.sections import FIGURE_SUFFIXES
 from splits.experiments.run_table import count_parts
 from splits.experiments.studies.checks import find_incomplete_studies, select_studies
@@ -16,10 +12,8 @@ INCOMPLETE_STUDIES = find_incomplete_studies(STUDIES, EXPERIMENTS)
 for NAME, MESSAGE in INCOMPLETE_STUDIES.items():
     if NAME in sys.argv[1:]:
         raise WorkflowError(MESSAGE)
-    if workflow.is_main_process and set(STUDIES[NAME].list_experiments()) & set(
-        SELECTED
-    ):
-        logger.warning(MESSAGE)
+for MESSAGE in SETTINGS.list_warnings(EXPERIMENTS) if workflow.is_main_process else ():
+    logger.warning(MESSAGE)
 COMPLETE_STUDIES = {
     name: study for name, study in STUDIES.items() if name not in INCOMPLETE_STUDIES
 }

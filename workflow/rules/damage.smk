@@ -1,20 +1,13 @@
-import re
-
 from snakemake.logging import logger
 
 from splits.core.atomic import remove_stale_files, rename_damaged_file
 from splits.io.integrity import find_damage
 
-IS_DRY_RUN = any(
-    re.fullmatch(r"-[a-zA-Z]*n[a-zA-Z]*|--dry-?run", word) for word in sys.argv
-)
 
+def check_files(renames):
+    """Report datasets that are damaged or of other experiments, or rename them and clean up.
 
-def check_files():
-    """Rename datasets that are damaged or of other experiments, and remove stale files.
-
-    Renamed datasets are simulated again, since the job graph is made from the existing files.  A dry
-    run only reports them.
+    Renamed datasets are simulated again, since the job graph is made from the existing files.
     """
     products = list_study_products(EXPERIMENTS, GROUPS)
     studies = [path for path in products if path.endswith(".nc")]
@@ -25,13 +18,22 @@ def check_files():
         except OSError as error:
             raise WorkflowError(str(error)) from None
         if wrong:
-            done = (
-                "" if IS_DRY_RUN else f"; set aside as {rename_damaged_file(path).name}"
-            )
-            logger.warning(wrong + done)
-    for folder in Path(RESULTS).glob("*") if not IS_DRY_RUN else ():
+            new = f"; set aside as {rename_damaged_file(path).name}" if renames else ""
+            logger.warning(wrong + new)
+    for folder in Path(RESULTS).glob("*") if renames else ():
         remove_stale_files(folder)
 
 
+def execute_workflow(*args, executor_plugin, execute=workflow.execute, **settings):
+    """Check the files and execute the workflow.
+
+    Commands that run no job, such as `--summary`, do not execute it; a dry run only reports.
+    """
+    common = executor_plugin.common_settings
+    check_files(renames=not (common.dryrun_exec or common.touch_exec))
+    return execute(*args, executor_plugin=executor_plugin, **settings)
+
+
+# The executor is unknown before the execution, and jobs are determined at its beginning.
 if workflow.is_main_process:
-    check_files()
+    workflow.execute = execute_workflow

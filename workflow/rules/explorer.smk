@@ -13,10 +13,7 @@ rule explorer_page:
         labels=list(EXPLORER_TABLES),
         directions=list(EXPLORER_DIRECTIONS),
         about=[EXPERIMENTS[name].title for name in EXPLORER_TABLES.values()],
-        page=hash_files(
-            PACKAGE_FOLDER / "plotting" / "explorer",
-            ["page.py", "page.html", "page.css", "page.js"],
-        ),
+        page=hash_sources(["plotting/explorer/page.*"]),
     message:
         "Writing the explorer"
     script:

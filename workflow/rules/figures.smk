@@ -18,6 +18,7 @@ rule figure:
         figure=lambda wildcards: escape_json(
             EXPERIMENTS[wildcards.experiment].resolve_figure()
         ),
+        sources=hash_sources(provenance.FIGURE_SOURCES),
     message:
         "Drawing {wildcards.experiment}"
     script:

@@ -36,6 +36,7 @@ rule report:
         # Snakemake records the digest only, since it prints recorded parameters that change.
         contents=lambda wildcards: REPORT_CONTENTS,
         digest=REPORT_CONTENTS.compute_digest(),
+        sources=hash_sources(["experiments/report"]),
     message:
         "Writing the report"
     script:

@@ -18,7 +18,7 @@ rule retrieve:
             EXPERIMENTS[wildcards.experiment].retrieve.model_dump(mode="json")
         ),
         seed=SETTINGS.seed,
-        program=hash_files(PACKAGE_FOLDER, RETRIEVAL_SOURCES),
+        program=hash_sources(provenance.RETRIEVAL_SOURCES + provenance.FIGURE_SOURCES),
     message:
         "Retrieving parameters for {wildcards.experiment}"
     script:

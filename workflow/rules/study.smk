@@ -1,8 +1,4 @@
 MAX_STDERR = SETTINGS.accuracies[SETTINGS.accuracy].max_stderr
-PAPER_SOURCES = [
-    f"experiments/papers/{path.name}"
-    for path in sorted((PACKAGE_FOLDER / "experiments" / "papers").glob("*.py"))
-]
 for NAME, STUDY in COMPLETE_STUDIES.items():
 
     rule:
@@ -10,7 +6,7 @@ for NAME, STUDY in COMPLETE_STUDIES.items():
             NAME
         input:
             data=list(list_study_datasets(NAME).values()),
-            tables=list(STUDY.list_file_paths(SETTINGS.table_folders).values()),
+            files=list(STUDY.list_file_paths(SETTINGS.table_folders).values()),
         output:
             **list_study_outputs(NAME),
         log:
@@ -23,12 +19,12 @@ for NAME, STUDY in COMPLETE_STUDIES.items():
         threads: count_cores() if STUDY.USES_ALL_THREADS else 1
         params:
             study=escape_param(
-                STUDY.model_dump(mode="json", exclude={"reproduces", "group"})
+                STUDY.model_dump(mode="json", exclude=STUDY.TEXT_KEYS)
             ),
             parameters=escape_param(
                 STUDY.list_parameters(SETTINGS.seed, MAX_STDERR, SELECTED)
             ),
-            sources=hash_files(PACKAGE_FOLDER, [STUDY.get_source(), *PAPER_SOURCES]),
+            sources=hash_sources(STUDY.list_sources()),
             inputs=list(list_study_datasets(NAME)),
             files=list(STUDY.list_file_paths(SETTINGS.table_folders)),
         message:
@@ -46,6 +42,8 @@ rule fitted_parameters:
         f"{RESULTS}/logs/fitted_parameters/{{experiment}}.log",
     conda:
         "../../environment.yml"
+    params:
+        sources=hash_sources(["experiments/papers"]),
     message:
         "Listing the sands fitted by {wildcards.experiment}"
     script:

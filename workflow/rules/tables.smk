@@ -43,6 +43,7 @@ rule table:
         accuracy=SETTINGS.accuracies[SETTINGS.accuracy].model_dump(),
         seed=SETTINGS.seed,
         physics=hash_physics_sources(),
+        sources=hash_sources(provenance.TABLE_SOURCES),
     message:
         "Assembling {wildcards.experiment}"
     script:

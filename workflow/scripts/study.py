@@ -16,7 +16,8 @@ with open_progress_log(snakemake.log[0]) as log:
     study.make(
         StudyRun(
             datasets=dict(zip(snakemake.params.inputs, snakemake.input.data, strict=True)),
-            files=dict(zip(snakemake.params.files, snakemake.input.tables, strict=True)),
+            files=dict(zip(snakemake.params.files, snakemake.input.files, strict=True)),
+            readers={key: file.read for key, file in study.FILES.items()},
             outputs={key: list(paths) for key, paths in snakemake.output.items()},
             parameters=json.loads(snakemake.params.parameters),
             threads=snakemake.threads,

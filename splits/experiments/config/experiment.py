@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from splits.core.validation import invalid
-from splits.experiments.config.figure import FigureSection
-from splits.experiments.config.figure_checks import check_figure, resolve_figure
+from splits.experiments.config.figure import FigureSection, check_figure, resolve_figure
 from splits.experiments.config.reproduces import ReproducesSection
 from splits.experiments.config.retrieve import RetrieveSection
 from splits.experiments.config.retrieve_checks import check_retrieve_section
 from splits.experiments.config.sections import FIGURE_SUFFIXES, Caption, Title
-from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE, SimulationConfig
+from splits.experiments.config.simulation import Name, SimulationConfig
 
 RESERVED_NAMES = (
     "all", "everything", "archive", "explorer", "explorer_page", "benchmark", "benchmarks",
@@ -34,55 +33,39 @@ def _parse_no_figure(value: Any) -> Any:
 class ExperimentConfig(SimulationConfig):
     """A simulation with its title, caption, figure and retrieval."""
 
-    group: str = Field(
-        OWN_GROUP,
-        json_schema_extra={"pattern": f"^{NAME_PATTERN.pattern}$"},
-        description="group with which the experiment is selected, see `experiments` in the main "
-        "file; a name that no experiment, study or rule has",
-    )
-    reproduces: ReproducesSection | None = Field(
-        None, description="published figure or table that the experiment reproduces"
-    )
-    title: Title = Field(
-        "", description="title in the report of the workflow and in the explorer; plain text"
-    )
-    caption: Caption = Field(
-        "",
-        description="caption of the figure in the report; plain text, an empty line begins a "
-        "paragraph",
-    )
+    group: Name = OWN_GROUP
+    """group with which the experiment is selected, see `experiments` in the main file; a name that
+    no experiment, study or rule has"""
+    reproduces: ReproducesSection | None = None
+    """published figure or table that the experiment reproduces"""
+    title: Title = ""
+    """title in the report of the workflow and in the explorer; plain text"""
+    caption: Caption = ""
+    """caption of the figure in the report; plain text, an empty line begins a paragraph"""
     figure: Annotated[
         FigureSection,
         BeforeValidator(_parse_no_figure, json_schema_input_type=Literal["none"] | FigureSection),
-    ] = Field(
-        default_factory=FigureSection, description="settings of the figure, or `none` for no figure"
-    )
-    retrieve: RetrieveSection | None = Field(
-        None,
-        description="retrieves parameters from measured spectra with the table of the experiment",
-    )
+    ] = Field(default_factory=FigureSection)
+    """settings of the figure, or `none` for no figure"""
+    retrieve: RetrieveSection | None = None
+    """retrieves parameters from measured spectra with the table of the experiment"""
 
-    @field_validator("name")
+    @field_validator("name", "group")
     @classmethod
-    def _check_name_is_free(cls, value: str) -> str:
-        if value in RESERVED_NAMES:
-            raise invalid(
-                "name", value, "none of the workflow's rules " + ", ".join(RESERVED_NAMES)
-            )
-        return value
-
-    @field_validator("group")
-    @classmethod
-    def _check_group(cls, value: str) -> str:
-        if not NAME_PATTERN.fullmatch(value) or value in {*RESERVED_NAMES} - {"explorer"}:
-            raise invalid("group", value, f"{NAME_RULE}, none of the workflow's rules")
+    def _check_name_is_free(cls, value: str, info: ValidationInfo) -> str:
+        # The experiments of the explorer may be a group.
+        field = str(info.field_name)
+        if value in RESERVED_NAMES and (field, value) != ("group", "explorer"):
+            allowed = "none of the workflow's rules " + ", ".join(RESERVED_NAMES)
+            raise invalid(field, value, allowed)
         return value
 
     @model_validator(mode="after")
     def _check_sections(self) -> ExperimentConfig:
-        check_figure(self, self.figure)
         if self.retrieve:
             check_retrieve_section(self, self.retrieve)
+        check_figure(self, self.figure)
+        if self.retrieve:
             settings = sorted(self.figure.model_fields_set)
             if settings:
                 hint = "the figure shows the retrieved parameters"

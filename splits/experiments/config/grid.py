@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from splits.core.arrays import MAX_NUMBERS
 from splits.core.parameter_names import describe_parameter, parse_layer_parameter
-from splits.core.validation import check_number, format_key, invalid
+from splits.core.validation import check_number, format_key, invalid, suggest_name
 from splits.experiments.config.sections import MAX_LABEL_CHARS, check_text
 
 MEAN_FUNCTIONS: dict[str, Callable[[Sequence[float]], float]] = {
@@ -26,28 +27,18 @@ Coordinate = tuple[str, np.ndarray, dict[str, str]]
 
 
 def make_grid_coordinates(grid: Mapping[str, Mapping[str, Any]]) -> dict[str, Coordinate]:
-    """Return the coordinates of an experiment's grid.
+    """Return the coordinates of an experiment's grid, the values of its parameters by label.
 
-    Parameters
-    ----------
-    grid : mapping
-        Values by label, for each parameter.
-
-    Returns
-    -------
-    dict
-        For each parameter its numbers, with their unit, if all values are numbers, otherwise labels
-        with the unit in their long name.  Labels of ranges and distributions have
-        additional coordinates ``…_mean``, which allow interpolation.
+    They are numbers with their unit if all values are numbers, otherwise labels with the unit in
+    their long name.  Labels of ranges and distributions have additional coordinates ``…_mean``,
+    which allow interpolation.
     """
     coordinates = {}
     for parameter, choices in grid.items():
         long_name, units = describe_parameter(parameter)
-        values = to_coordinate_values(choices)
-        if values.dtype.kind == "f":
-            attributes = {"long_name": long_name, "units": units}
-        else:
-            attributes = {"long_name": long_name + (f" ({units})" if units != "1" else "")}
+        values, attributes = to_coordinate_values(choices), {"long_name": long_name, "units": units}
+        if values.dtype.kind != "f":
+            attributes = {"long_name": long_name if units == "1" else f"{long_name} ({units})"}
         coordinates[parameter] = (parameter, values, attributes)
         means = compute_means(parameter, choices)
         if means is not None:
@@ -68,7 +59,7 @@ def compute_means(parameter: str, choices: Mapping[str, Any]) -> np.ndarray | No
 
 def to_coordinate_values(choices: Mapping[str, Any]) -> np.ndarray:
     """Return numbers where all grid values are numbers, and labels otherwise."""
-    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in choices.values()):
+    if all(map(_is_number, choices.values())):
         return np.array([float(v) for v in choices.values()])
     return np.array(list(choices), dtype=object).astype(str)
 
@@ -77,6 +68,10 @@ MAX_GRID_POINTS = 10_000
 """Largest number of points of a grid."""
 STEP_KEYS = ("start", "stop", "step")
 GEOMSPACE_KEY = "geomspace"
+SPACING_KEYS = {
+    *STEP_KEYS, GEOMSPACE_KEY, "end", "also", "num", "number", "linspace", "logspace",
+}  # fmt: skip
+"""Keys of which two, or `start` or `geomspace` alone, are no labels."""
 
 
 def make_even_spacing(key: str, start: float, stop: float, step: float) -> np.ndarray:
@@ -88,7 +83,12 @@ def make_even_spacing(key: str, start: float, stop: float, step: float) -> np.nd
     # A step may be so small that the quotient is infinite.
     if (stop - start) / MAX_NUMBERS >= step:
         raise invalid(f"{key}.step", step, f"large enough for at most {MAX_NUMBERS} values")
-    return start + step * np.arange(int((stop - start) / step + 1e-9) + 1)
+    values = start + step * np.arange(round((stop - start) / step) + 1)
+    if not np.isclose(values[-1], stop, rtol=0.0, atol=1e-6 * step):
+        last = start + step * math.floor((stop - start) / step)
+        allowed = f"a whole number of steps from start, such as {last:g} or {last + step:g}"
+        raise invalid(f"{key}.stop", stop, allowed)
+    return values
 
 
 def label_grid(grid: Any) -> dict[str, dict[str, Any]]:
@@ -115,10 +115,8 @@ def _label_values(parameter: str, values: Any) -> dict[str, Any]:
     key = f"grid.{format_key(parameter)}"
     if not isinstance(values, (list, tuple, Mapping)) or not values:
         raise invalid(key, values, "a list of at least one value")
-    if isinstance(values, Mapping) and _is_step_mapping(values):
-        values = _expand_steps(key, values)
-    elif isinstance(values, Mapping) and set(values) == {GEOMSPACE_KEY}:
-        values = _expand_geomspace(f"{key}.{GEOMSPACE_KEY}", values[GEOMSPACE_KEY])
+    if isinstance(values, Mapping) and _is_spacing(values):
+        values = _expand_spacing(key, values)
     if not isinstance(values, Mapping):
         labels = [make_label(key, value) for value in values]
         if len(set(labels)) < len(labels):
@@ -132,17 +130,29 @@ def _label_values(parameter: str, values: Any) -> dict[str, Any]:
     return {str(label): value for label, value in values.items()}
 
 
-def _is_step_mapping(values: Mapping[Any, Any]) -> bool:
-    """Return whether a mapping's keys are of ``{start, stop, step}`` and its values numbers."""
-    has_step_keys = len(set(STEP_KEYS) & set(values)) >= 2 and set(values) <= {*STEP_KEYS, "also"}
-    return has_step_keys and all(_is_number(values[key]) for key in STEP_KEYS if key in values)
+def _is_spacing(values: Mapping[Any, Any]) -> bool:
+    """Return whether a mapping is, or resembles, the form of evenly or geometrically spaced values.
+
+    Values that are all texts or mappings, such as media, have labels.
+    """
+    if all(isinstance(value, (str, Mapping)) for value in values.values()):
+        return False
+    return bool({"start", GEOMSPACE_KEY} & set(values)) or len(SPACING_KEYS & set(values)) > 1
 
 
-def _expand_steps(key: str, values: Mapping[str, Any]) -> list[float]:
-    """Return the evenly spaced values of a parameter."""
+def _expand_spacing(key: str, values: Mapping[str, Any]) -> list[float]:
+    """Return the evenly or geometrically spaced values of a parameter."""
+    if set(values) == {GEOMSPACE_KEY}:
+        return _expand_geomspace(f"{key}.{GEOMSPACE_KEY}", values[GEOMSPACE_KEY])
+    if GEOMSPACE_KEY in values:
+        raise invalid(key, dict(values), f"{GEOMSPACE_KEY} without other keys")
+    hint = "start, stop and step give evenly spaced values; label others otherwise"
+    for name in values:
+        if name not in (*STEP_KEYS, "also"):
+            nearest = suggest_name(name, STEP_KEYS) or hint
+            raise invalid(f"{key}.{format_key(name)}", values[name], "left out", nearest)
     for name in STEP_KEYS:
         if name not in values:
-            hint = "start, stop and step give evenly spaced values; label others otherwise"
             raise invalid(f"{key}.{name}", None, "given", hint)
     if "also" in values:
         raise invalid(f"{key}.also", values["also"], "left out", "list the values instead")
@@ -189,20 +199,13 @@ def _format_label(key: str, value: Any) -> str:
 def find_label(parameter: str, values: Mapping[str, Any], given: float | str) -> str:
     """Return the label of the value at which a figure fixes a parameter.
 
-    A text is a label or a text value.  A number is a value, or the number shown in the label of
-    a range or distribution, such as its mean.
-
-    Parameters
-    ----------
-    parameter : str
-    values : mapping
-        Values of the parameter by label.
-    given : number or str
-        Value in the figure section.
+    `values` are those of the parameter by label.  A given text is a label or a text value; a number
+    is a value, or the number shown in the label of a range or distribution, such as its mean.
     """
     if isinstance(given, str) and given in values:
         return given
-    matches = [label for label, value in values.items() if _is_same_value(value, given)]
+    scalars = {k: v for k, v in values.items() if isinstance(v, str) or _is_number(v)}
+    matches = [label for label, value in scalars.items() if value == given]
     if matches:
         return matches[0]
     text = str(given) if isinstance(given, str) else f"{given:g}"
@@ -211,9 +214,3 @@ def find_label(parameter: str, values: Mapping[str, Any], given: float | str) ->
     names = ", ".join(format_key(label) for label in list(values)[:12])
     suffix = f", … ({len(values)} in all)" if len(values) > 12 else ""
     raise invalid(f"figure.select.{format_key(parameter)}", given, f"one of {names}{suffix}")
-
-
-def _is_same_value(value: Any, given: float | str) -> bool:
-    if isinstance(given, str):
-        return isinstance(value, str) and value == given
-    return _is_number(value) and float(value) == float(given)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from splits.core.validation import invalid
-from splits.experiments.config.figure import FigureSection
+from splits.core.validation import check_choice, invalid
 from splits.experiments.config.grid import make_even_spacing
 from splits.experiments.config.sections import FiniteSection
 from splits.media.medium import Medium
@@ -23,10 +23,14 @@ MAX_STDERR = 0.5
 class WavelengthGrid(FiniteSection):
     """Equidistant wavelengths in nm, both ends included, and additional single ones."""
 
-    start: float = Field(description="first wavelength (nm)")
-    stop: float = Field(description="last wavelength (nm)")
-    step: float = Field(gt=0, description="distance between wavelengths (nm)")
-    also: tuple[float, ...] = Field((), description="additional wavelengths (nm)")
+    start: float
+    """first wavelength (nm)"""
+    stop: float
+    """last wavelength (nm)"""
+    step: float = Field(gt=0)
+    """distance between wavelengths (nm)"""
+    also: tuple[float, ...] = ()
+    """additional wavelengths (nm)"""
 
     def to_array(self) -> np.ndarray:
         """Return the wavelengths (nm), increasing."""
@@ -51,25 +55,20 @@ Seed = Annotated[
 
 
 class Instrument(FiniteSection):
-    """A virtual instrument.
-
-    Attributes
-    ----------
-    FIGURES, QUANTITIES : tuple of str
-        Kinds of its figures, the default first, and quantities that they may show.
-    N_POSITIONS : int
-        Number of directions or positions for each wavelength.
-    MEASURES_SURFACE, MEASURES_BEAM, ALLOWS_SEMI_INFINITE : bool
-        Whether it measures a rough surface only, whether its light is a beam, and whether it
-        simulates semi-infinite media.
-    """
+    """A virtual instrument."""
 
     FIGURES: ClassVar[tuple[str, ...]]
+    """Kinds of its figures, the default first."""
     QUANTITIES: ClassVar[tuple[str, ...]] = ()
+    """Quantities that its figures may show."""
     N_POSITIONS: ClassVar[int] = 1
+    """Number of directions or positions for each wavelength."""
     MEASURES_SURFACE: ClassVar[bool] = False
+    """Whether it measures a rough surface only."""
     MEASURES_BEAM: ClassVar[bool] = False
+    """Whether its light is a beam."""
     ALLOWS_SEMI_INFINITE: ClassVar[bool] = False
+    """Whether it simulates semi-infinite media."""
 
     kind: str
 
@@ -108,23 +107,23 @@ class Instrument(FiniteSection):
             hint = "semi-infinite media require the spectrophotometer and its estimator spectral"
             raise invalid("medium.depth_m", math.inf, "finite", hint)
 
-    def check_figure(self, figure: FigureSection, kind: str) -> None:
-        """Reject a figure of quantities that the instrument does not measure."""
+    def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
+        """Reject a kind of figure, or given quantities, that the instrument does not have."""
         if kind != "none" and kind not in self.FIGURES:
             allowed = f"one of {', '.join(self.FIGURES)} for instrument.kind = {self.kind!r}"
             raise invalid("figure.kind", kind, allowed)
-        if "quantity" in figure.model_fields_set:
-            figure.check_quantities(self.QUANTITIES)
+        for quantity in quantities:
+            check_choice("figure.quantity", quantity, self.QUANTITIES)
 
 
 class SpectralInstrument(Instrument):
     """An instrument with wavelengths."""
 
-    wavelength_nm: WavelengthGrid | tuple[float, ...] = Field(
-        WavelengthGrid(start=400, stop=2500, step=10),
-        description="vacuum wavelengths (nm), increasing, by default 400 to 2500 in steps of 10; "
-        "required for particle layers",
+    wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
+        start=400, stop=2500, step=10
     )
+    """vacuum wavelengths (nm), increasing, by default 400 to 2500 in steps of 10; required for
+    particle layers"""
 
     @model_validator(mode="after")
     def _check_wavelengths(self) -> SpectralInstrument:
@@ -143,11 +142,10 @@ class OpticalInstrument(SpectralInstrument):
     incidence_deg: Annotated[
         float | str,
         BeforeValidator(_check_incidence, json_schema_input_type=BeamAngle | Literal["diffuse"]),
-    ] = Field(0.0, description="incidence angle of the beam (°), from 0 to 89.9999, or `diffuse`")
-    stderr_scale: float = Field(
-        1.0, ge=0.01, le=100.0,
-        description="factor of the target error of the accuracy; not with `rays` or bins",
-    )  # fmt: skip
+    ] = 0.0
+    """incidence angle of the beam (°), from 0 to 89.9999, or `diffuse`"""
+    stderr_scale: float = Field(1.0, ge=0.01, le=100.0)
+    """factor of the target error of the accuracy; not with `rays` or bins"""
     seed: Seed = None
 
     @model_validator(mode="after")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from splits.core.validation import invalid, key_prefix
-from splits.experiments.config.figure import FigureSection
+from splits.core.validation import check_choice, invalid, key_prefix
 from splits.experiments.config.instrument import (
     Instrument,
     OpticalInstrument,
@@ -17,6 +17,7 @@ from splits.experiments.config.instrument import (
     Seed,
     SpectralInstrument,
 )
+from splits.experiments.config.sections import check_different
 from splits.instruments.angular_bins import DEFAULT_N_BINS
 from splits.instruments.angular_solver import find_angular_obstacle
 from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
@@ -50,7 +51,6 @@ Azimuths = Annotated[
     Angles, AfterValidator(lambda x: tuple(check_direction_angles("", x, 360.0).tolist()))
 ]
 Depths = Annotated[Angles, AfterValidator(lambda x: tuple(check_screen_depths("", x).tolist()))]
-ESTIMATOR = "how exiting rays become results"
 Solver = Annotated[
     Literal["monte_carlo", "discrete_ordinates", "auto"],
     Field(
@@ -78,7 +78,8 @@ class Spectrophotometer(OpticalInstrument):
 
     kind: Literal["spectrophotometer"] = "spectrophotometer"
     solver: Solver = "monte_carlo"
-    estimator: Literal["spectral", "analog"] = Field("spectral", description=ESTIMATOR)
+    estimator: Literal["spectral", "analog"] = "spectral"
+    """how exiting rays become results"""
 
     def check_medium(self, medium: Medium) -> None:
         """Reject a medium that the estimator or the solver does not allow."""
@@ -101,26 +102,19 @@ class Goniophotometer(OpticalInstrument):
 
     kind: Literal["goniophotometer"]
     solver: Solver = "monte_carlo"
-    estimator: Literal["expansion", "bins", "next_event"] = Field(
-        "expansion", description=ESTIMATOR
-    )
+    estimator: Literal["expansion", "bins", "next_event"] = "expansion"
+    """how exiting rays become results"""
     rays: Rays = None
-    target: Literal["brdf", "btdf"] = Field(
-        "brdf", description="quantity to which the target error applies"
-    )
-    polar_deg: PolarAngles | None = Field(
-        None, description="polar angles from the normal (°); by default 0 to 87.5 in steps of 2.5"
-    )
-    azimuth_deg: Azimuths | None = Field(
-        None,
-        description="azimuths from the direction in which the beam travels (°), 0 is forward; by "
-        "default 0 to 355 in steps of 5",
-    )
-    n_bins: Annotated[tuple[int, int], AfterValidator(check_n_bins)] | None = Field(
-        None,
-        description="numbers of angular bins from the horizon to the zenith, and in azimuth; by "
-        "default `[18, 72]`",
-    )
+    target: Literal["brdf", "btdf"] = "brdf"
+    """quantity to which the target error applies"""
+    polar_deg: PolarAngles | None = None
+    """polar angles from the normal (°); by default 0 to 87.5 in steps of 2.5"""
+    azimuth_deg: Azimuths | None = None
+    """azimuths from the direction in which the beam travels (°), 0 is forward; by default 0 to 355
+    in steps of 5"""
+    n_bins: Annotated[tuple[int, int], AfterValidator(check_n_bins)] | None = None
+    """numbers of angular bins from the horizon to the zenith, and in azimuth; by default `[18, 72]`
+    """
 
     @model_validator(mode="after")
     def _check_estimator(self) -> Goniophotometer:
@@ -155,12 +149,12 @@ class Goniophotometer(OpticalInstrument):
         with key_prefix("instrument"):
             return choose_solver(self.solver, [medium], self.get_wavelengths(), obstacle)
 
-    def check_figure(self, figure: FigureSection, kind: str) -> None:
+    def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
         """Reject a figure of quantities or directions that the instrument does not measure."""
-        super().check_figure(figure, kind)
-        if self.solver != MONTE_CARLO and "btdf" in (figure.quantity or ()):
+        super().check_figure(kind, quantities)
+        if self.solver != MONTE_CARLO and "btdf" in quantities:
             allowed = f"left out or brdf for instrument.solver = {self.solver!r}"
-            raise invalid("figure.quantity", figure.quantity, allowed)
+            raise invalid("figure.quantity", list(quantities), allowed)
         if kind == "none":
             return
         if kind == "hemisphere":
@@ -201,11 +195,8 @@ class BeamSpread(OpticalInstrument):
 
     kind: Literal["beam_spread"]
     rays: Rays = None
-    half_width_m: BeamHalfWidth | None = Field(
-        None,
-        description="half the side length of the map (m), by default from the spread; required "
-        "with a grid",
-    )
+    half_width_m: BeamHalfWidth | None = None
+    """half the side length of the map (m), by default from the spread; required with a grid"""
 
 
 class TableInstrument(OpticalInstrument):
@@ -216,17 +207,20 @@ class TableInstrument(OpticalInstrument):
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
     kind: Literal["table"]
-    quantities: tuple[Literal["reflectance", "transmittance"], ...] = Field(
-        ("reflectance",), description="quantities in the table"
-    )
-    covariance: Literal["keep", "leave_out"] = Field(
-        "leave_out",
-        description="whether the table contains the contributions of batches of rays to the errors",
-    )
-    blocks: int = Field(
-        8, ge=1, le=10_000,
-        description="number of parts of the table, each simulated by one job",
-    )  # fmt: skip
+    quantities: Annotated[
+        tuple[Literal["reflectance", "transmittance"], ...], AfterValidator(check_different)
+    ] = ("reflectance",)
+    """quantities in the table"""
+    covariance: Literal["keep", "leave_out"] = "leave_out"
+    """whether the table contains the contributions of batches of rays to the errors"""
+    parts: int = Field(8, ge=1, le=10_000)
+    """number of parts of the table, each simulated by one job"""
+
+    def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
+        """Reject a figure of quantities that are not in the table."""
+        super().check_figure(kind, quantities)
+        for quantity in quantities if kind != "none" else ():
+            check_choice("figure.quantity", quantity, self.quantities)
 
 
 class SurfaceMap(Instrument):
@@ -238,10 +232,10 @@ class SurfaceMap(Instrument):
 
     kind: Literal["surface_map"]
     seed: Seed = None
-    half_width_m: MapHalfWidth = Field(description="half the side length of the map (m)")
-    realizations: int = Field(
-        100, ge=2, le=MAX_REALIZATIONS, description="number of realizations of the surface"
-    )
+    half_width_m: MapHalfWidth
+    """half the side length of the map (m)"""
+    realizations: int = Field(100, ge=2, le=MAX_REALIZATIONS)
+    """number of realizations of the surface"""
 
 
 class Lens(Instrument):
@@ -252,20 +246,19 @@ class Lens(Instrument):
 
     kind: Literal["lens"]
     seed: Seed = None
-    radius_m: Annotated[float, AfterValidator(check_ring_radius)] = Field(
-        description="radius of the ring of rays (m)"
-    )
-    screen_depth_m: Depths = Field(description="depths of the screens (m), increasing")
-    centre_on: Literal["crest", "trough", "origin"] = Field(
-        "crest", description="point of the surface above which the ring is centred"
-    )
-    half_width_m: LensHalfWidth | None = Field(
-        None,
-        description="half the side length of the square in which the crest is searched (m); "
-        "required, except over the origin",
-    )
-    rays: int = Field(DEFAULT_RAYS, ge=1, description="number of rays in the ring")
-    realizations: int = Field(1, ge=1, description="number of realizations of the surface")
+    radius_m: Annotated[float, AfterValidator(check_ring_radius)]
+    """radius of the ring of rays (m)"""
+    screen_depth_m: Depths
+    """depths of the screens (m), increasing"""
+    centre_on: Literal["crest", "trough", "origin"] = "crest"
+    """point of the surface above which the ring is centred"""
+    half_width_m: LensHalfWidth | None = None
+    """half the side length of the square in which the crest is searched (m); required, except over
+    the origin"""
+    rays: int = Field(DEFAULT_RAYS, ge=1)
+    """number of rays in the ring"""
+    realizations: int = Field(1, ge=1)
+    """number of realizations of the surface"""
 
     @model_validator(mode="after")
     def _check_extent(self) -> Lens:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,23 +13,24 @@ import pandas as pd
 from splits.analysis.measured import WAVELENGTH_COLUMN, read_spectra
 from splits.core.paths import expand_path
 from splits.core.validation import check_choice, invalid
-from splits.core.yaml import ConfigError, locate_message, read_yaml
+from splits.core.yaml import ConfigError, find_key, locate_message, read_yaml
 from splits.experiments.config.experiment import ExperimentConfig
-from splits.experiments.config.medium import apply_bases
+from splits.experiments.config.medium import SAMPLE_KEY
 from splits.experiments.config.messages import validate_content
 from splits.experiments.config.retrieve_checks import check_measured_spectra
 from splits.experiments.config.sections import check_path
 from splits.experiments.config.settings import Settings
-from splits.experiments.config.simulation import SAMPLE_KEY
+from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.unused_settings import check_replaced_settings, check_unused_keywords
 from splits.experiments.run_fit import check_fit
-from splits.media.kinds import LAYERS_KEY
+from splits.media.kinds import LAYERS_KEY, get_kind, iter_layers
 from splits.media.measured_inputs import override_keywords
 from splits.media.named_media import NAMED_MEDIA, read_named_medium
 from splits.retrieval.measurement import MAX_REFLECTANCE
 
 MAX_MESSAGE_CHARS = 450
 """Largest number of characters of a message, without the name of its file."""
+MAIN_FILE = "config/config.yaml"
 
 
 def load_experiment(
@@ -65,12 +67,8 @@ def load_experiment(
 
 def _to_single_line(text: str) -> str:
     """Return a message as one printable line of bounded length."""
-    printable = "".join(c if c.isprintable() else " " for c in text)
-    return (
-        printable
-        if len(printable) <= MAX_MESSAGE_CHARS
-        else f"{printable[: MAX_MESSAGE_CHARS - 2]} …"
-    )
+    line = "".join(c if c.isprintable() else " " for c in text)
+    return line if len(line) <= MAX_MESSAGE_CHARS else f"{line[: MAX_MESSAGE_CHARS - 2]} …"
 
 
 def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConfig:
@@ -82,31 +80,17 @@ def _parse_experiment(path: Path, media: Path, measured: Path) -> ExperimentConf
     if not isinstance(medium, dict):
         raise invalid("medium", medium, "a mapping of keys to values")
     if medium:
-        content["medium"] = _apply_all_bases(medium, "medium", media)
-    if isinstance(grid, dict) and isinstance(grid.get(SAMPLE_KEY), (list, dict)):
-        grid = content["grid"] = grid | {SAMPLE_KEY: _resolve_samples(grid[SAMPLE_KEY], media)}
-    if isinstance(grid, dict) and isinstance(grid.get(LAYERS_KEY), dict):
-        stacks = {
-            label: _apply_all_bases({LAYERS_KEY: layers}, f"grid.{LAYERS_KEY}.{label}", media)[
-                LAYERS_KEY
-            ]
-            for label, layers in grid[LAYERS_KEY].items()
-        }
-        content["grid"] = grid | {LAYERS_KEY: stacks}
+        content["medium"] = _apply_bases(medium, "medium", media)
+    if isinstance(grid, dict):
+        content["grid"] = _apply_grid_bases(grid, media)
     experiment = validate_content(ExperimentConfig, content)
     check_unused_keywords(experiment, given)
-    if experiment.figure.measured:
-        _check_figure_table(
-            experiment, _read_measured("figure.measured", measured, experiment.figure.measured)
-        )
-    if experiment.retrieve:
-        section = experiment.retrieve
-        table = _read_measured("retrieve.measured", measured, section.measured)
-        check_measured_spectra(experiment, section, table)
-    if experiment.fit:
-        if experiment.figure.kind not in ("fit", "none"):
-            raise invalid("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
-        check_fit(experiment, _read_measured("fit.measured", measured, experiment.fit.measured))
+    if experiment.fit and experiment.figure.kind not in ("fit", "none"):
+        raise invalid("figure.kind", experiment.figure.kind, "'fit' beside a section fit")
+    for section, check in TABLE_CHECKS.items():
+        name = getattr(getattr(experiment, section), "measured", None)
+        if name:
+            check(experiment, _read_measured(f"{section}.measured", measured, name))
     return experiment
 
 
@@ -122,74 +106,105 @@ def _read_measured(key: str, folder: Path, name: str) -> pd.DataFrame:
 
 def _check_figure_table(experiment: ExperimentConfig, measured: pd.DataFrame) -> None:
     """Reject a measured table without the quantity of the figure, or with values in per cent."""
-    key, quantity = "figure.measured", experiment.figure.quantity
+    key, file, quantity = "figure.measured", experiment.figure.measured, experiment.figure.quantity
     shown = [name for name in quantity if name in measured and measured[name].count()]
     if not shown:
         columns = f"{WAVELENGTH_COLUMN} and {' or '.join(quantity)}"
-        raise invalid(key, experiment.figure.measured, f"a table with columns {columns}")
+        raise invalid(key, file, f"a table with columns {columns}")
     for name in shown:
-        bounds = [f"{name}_min", f"{name}_max"]
-        if len(set(bounds) & set(measured)) == 1:
-            raise invalid(key, experiment.figure.measured, f"with both {' and '.join(bounds)}")
-        rows = measured[
-            [bound for bound in (bounds[0], name, bounds[1]) if bound in measured]
-        ].to_numpy()
-        largest = np.nanmax(np.abs(rows), initial=0.0)
+        low, high = f"{name}_min", f"{name}_max"
+        if (low in measured) != (high in measured):
+            raise invalid(key, file, f"with both {low} and {high}")
+        rows = measured[[low, name, high] if low in measured else [name]].to_numpy()
+        largest = float(np.nanmax(np.abs(rows), initial=0.0))
         if largest > MAX_REFLECTANCE:
-            hint = "fractions, not per cent"
-            raise invalid(f"{key} ({name})", float(largest), f"at most {MAX_REFLECTANCE:g}", hint)
+            allowed, hint = f"at most {MAX_REFLECTANCE:g}", "fractions, not per cent"
+            raise invalid(f"{key} ({name})", largest, allowed, hint)
         if (np.diff(rows, axis=1) < 0.0).any():
-            raise invalid(
-                key, experiment.figure.measured, f"with {bounds[0]} <= {name} <= {bounds[1]}"
-            )
+            raise invalid(key, file, f"with {low} <= {name} <= {high}")
 
 
-def _resolve_samples(samples: Any, folder: Path) -> dict[str, Any]:
-    """Return the media of a grid by label; names are replaced by the settings of these media."""
-    if isinstance(samples, list) and not all(isinstance(name, str) for name in samples):
-        allowed = "names of media, or a mapping from labels to media"
-        raise invalid(f"grid.{SAMPLE_KEY}", samples, allowed)
-    named = {name: name for name in samples} if isinstance(samples, list) else samples
-    return {
-        label: _apply_all_bases(
-            {"base": value} if isinstance(value, str) else value,
-            f"grid.{SAMPLE_KEY}.{label}",
-            folder,
-        )
-        for label, value in named.items()
-    }
+TABLE_CHECKS: dict[str, Callable[[Any, pd.DataFrame], object]] = {
+    "figure": _check_figure_table,
+    "retrieve": lambda one, table: check_measured_spectra(one, one.retrieve, table),
+    "fit": check_fit,
+}
+"""Functions that check the measured table of a section against the experiment."""
 
 
-def _apply_base(medium: Any, key: str, folder: Path) -> Any:
-    """Return the settings of a medium, with those of its ``base`` as defaults."""
-    if not isinstance(medium, dict) or "base" not in medium:
+def _apply_grid_bases(grid: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a grid whose media and layers have the settings of their bases."""
+    samples, stacks = grid.get(SAMPLE_KEY), grid.get(LAYERS_KEY)
+    if isinstance(samples, list):
+        if not all(isinstance(name, str) for name in samples):
+            allowed = "names of media, or a mapping from labels to media"
+            raise invalid(f"grid.{SAMPLE_KEY}", samples, allowed)
+        samples = dict(zip(samples, samples, strict=True))
+    replaced: dict[str, Any] = {}
+    for label, sample in samples.items() if isinstance(samples, dict) else ():
+        medium = {"base": sample} if isinstance(sample, str) else sample
+        key = f"grid.{SAMPLE_KEY}.{label}"
+        replaced.setdefault(SAMPLE_KEY, {})[label] = _apply_bases(medium, key, folder)
+    for label, layers in stacks.items() if isinstance(stacks, dict) else ():
+        stack = _apply_bases({LAYERS_KEY: layers}, f"grid.{LAYERS_KEY}.{label}", folder)
+        replaced.setdefault(LAYERS_KEY, {})[label] = stack[LAYERS_KEY]
+    return grid | replaced
+
+
+def _apply_bases(medium: Any, key: str, folder: Path) -> Any:
+    """Return the settings of a medium and of its layers, with those of ``base`` as defaults."""
+    if not isinstance(medium, dict):
         return medium
-    base = medium["base"]
-    settings = {name: value for name, value in medium.items() if name != "base"}
-    content = _read_base(base, f"{key}.base", folder)
-    kind = content.get("kind", "snow")
-    if settings.get("kind", kind) != kind:
-        hint = "or leave out base"
-        raise invalid(f"{key}.kind", settings["kind"], f"{kind}, as its base {base}", hint)
-    return override_keywords(content, settings)
+    if "base" in medium:
+        settings = {name: value for name, value in medium.items() if name != "base"}
+        content = _read_base(medium["base"], f"{key}.base", folder)
+        kind = get_kind(content)
+        if settings.get("kind", kind) != kind:
+            allowed = f"{kind}, as its base {medium['base']}"
+            raise invalid(f"{key}.kind", settings["kind"], allowed, "or leave out base")
+        medium = override_keywords(content, settings)
+    if LAYERS_KEY not in medium:
+        return medium
+    layers = iter_layers(f"{key}.{LAYERS_KEY}", medium[LAYERS_KEY])
+    return {**medium, LAYERS_KEY: [_apply_bases(one, name, folder) for name, one in layers]}
 
 
 def _read_base(base: Any, key: str, folder: Path) -> dict[str, Any]:
     """Return the settings of a named medium, or of a file of the folder of media."""
-    own_files = {path.stem: path for path in folder.glob("*.y*ml")}
+    own_files: dict[str, Path] = {}
+    for path in _list_media_files(folder):
+        if path.stem in own_files and path.stem == base:
+            raise invalid(key, base, "the name of one file", f"{own_files[base]} and {path}")
+        own_files[path.stem] = path
     check_choice(key, base, {*own_files, *NAMED_MEDIA})
     if base not in own_files:
         return read_named_medium(base)
     if base in NAMED_MEDIA:
         hint = f"the package has a medium of this name: rename {own_files[base]}"
         raise invalid(key, base, "the name of one medium only", hint)
+    _check_medium(own_files[base], folder)
     return read_yaml(own_files[base])
 
 
-def _apply_all_bases(medium: Any, key: str, folder: Path) -> Any:
-    """Return the settings of a medium, or of a stack and its layers, with their bases applied."""
-    medium = _apply_base(medium, key, folder)
-    return apply_bases(key, medium, lambda layer, layer_key: _apply_base(layer, layer_key, folder))
+def _list_media_files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.y*ml"))
+
+
+def _check_medium(path: Path, folder: Path) -> None:
+    """Reject an invalid file of an own medium; errors name this file."""
+    medium = read_yaml(path)
+    try:
+        if LAYERS_KEY in medium:
+            medium = _apply_bases(medium, "medium", folder)
+        # The wavelengths of its tables are unknown.
+        content = {"name": "own", "medium": medium, "instrument": {"wavelength_nm": [550]}}
+        validate_content(SimulationConfig, content)
+    except ConfigError:
+        raise
+    except (TypeError, ValueError) as error:
+        message = _to_single_line(str(error)).removeprefix("medium.")
+        if not message.startswith("instrument."):
+            raise ConfigError(locate_message(path, message)) from None
 
 
 def load_experiments(
@@ -207,44 +222,65 @@ def load_experiments(
     experiments: dict[str, ExperimentConfig] = {}
     files: dict[str, Path] = {}
     errors: list[str] = []
+    media = expand_path(media_folder, "media_folder")
+    for path in _list_media_files(media):
+        try:
+            _read_base(path.stem, f"{path}: base", media)
+        except ValueError as error:
+            errors.append(str(error))
     for path in sorted(expand_path(folder, "folder").rglob("*.y*ml")):
         try:
             experiment = load_experiment(path, media_folder, measured_folder)
-            _check_table_paths(path, experiment)
-        except ConfigError as error:
-            errors.append(str(error))
+            for table in experiment.list_table_paths():
+                check_path("table", table)
+        except ValueError as error:
+            errors.append(str(error) if isinstance(error, ConfigError) else f"{path}: {error}")
             continue
         name = experiment.name
         if name in experiments:
             errors.append(locate_message(path, f"name = {name!r}: already taken by {files[name]}"))
         experiments[name], files[name] = experiment, path
     if errors:
-        raise ConfigError("\n".join(errors))
+        raise ConfigError("\n".join(dict.fromkeys(errors)))
     if not experiments:
         raise ConfigError(f"{folder}: no experiment file (*.yaml)")
     return experiments
 
 
-def _check_table_paths(path: Path, experiment: ExperimentConfig) -> None:
-    """Reject paths of users' own tables that the workflow cannot use as inputs."""
-    try:
-        for table in experiment.list_table_paths():
-            check_path("table", table)
-    except ValueError as error:
-        raise ConfigError(f"{path}: {error}") from None
-
-
-def load_settings(content: dict[str, Any], origin: str = "config/config.yaml") -> Settings:
+def load_settings(content: dict[str, Any], *files: str) -> Settings:
     """Return the settings of the main configuration, given as a mapping.
 
-    Errors name the line of `origin`, unless the value comes from the command line.
+    `files` are those of which it consists, by default ``config/config.yaml``.  Errors name the file
+    and the line, unless the value comes from the command line.
     """
     try:
         return validate_content(Settings, content)
     except ValueError as error:
-        message, path = _to_single_line(str(error)), Path(origin)
-        key = re.split(r"\W", message, maxsplit=1)[0]
-        given = read_yaml(path).get(key) if path.is_file() else None
-        is_in_file = repr(given) == repr(content.get(key))
-        message = locate_message(path, message) if is_in_file else f"{path}: {message}"
-        raise ConfigError(message) from None
+        raise ConfigError(_locate_setting(str(error), content, files)) from None
+
+
+def select_experiments(
+    settings: Settings, available: Mapping[str, ExperimentConfig], content: Any, *files: str
+) -> dict[str, ExperimentConfig]:
+    """Return the selected experiments; see `Settings.select_experiments` and `load_settings`."""
+    try:
+        return settings.select_experiments(available)
+    except ConfigError as error:
+        raise ConfigError(_locate_setting(str(error), content, files)) from None
+
+
+def _locate_setting(message: str, content: Any, files: Sequence[str]) -> str:
+    """Return the message on a key of the main configuration, with its file and line."""
+    message, paths = _to_single_line(message), [Path(file) for file in files or [MAIN_FILE]]
+    located = []
+    for path in reversed(paths):
+        keys, _ = find_key(path, message)
+        given, used = read_yaml(path) if keys else {}, content
+        with suppress(LookupError, TypeError):
+            for key in keys:
+                given, used = given[key], used[key]
+        if keys and repr(given) == repr(used):
+            located.append((len(keys), path))
+    if located:
+        return locate_message(max(located, key=lambda one: one[0])[1], message)
+    return f"{paths[0]}: {message}"

@@ -15,6 +15,8 @@ from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYER_CLASSES, LAYERS_KEY, get_kind, iter_layers
 from splits.media.measured_inputs import override_keywords
 
+SAMPLE_KEY = "medium"
+"""Grid dimension whose values are media: their settings replace those of the base medium."""
 MERGED_KEYWORDS = (
     "interpretation",
     "refractive_index",
@@ -46,31 +48,17 @@ def check_layers(prefix: str, layers: Any) -> None:
                 raise unknown_key(f"{layer_key}.{format_key(key)}", keywords)
 
 
-def check_grid_layers(
-    base: Mapping[str, Any], grid: Mapping[str, Mapping[str, Any]], sample: str
-) -> None:
-    """Reject invalid layers, and paths to missing ones, at any point of a grid.
-
-    Parameters
-    ----------
-    base : mapping
-        Settings of the stack.
-    grid : mapping
-        Values by label, for each parameter.
-    sample : str
-        Name of the parameter whose values are settings of whole stacks.
-    """
+def check_grid_layers(base: Mapping[str, Any], grid: Mapping[str, Mapping[str, Any]]) -> None:
+    """Reject invalid layers, and paths to missing ones, at any point of the grid of a stack."""
     stacks = [base[LAYERS_KEY]]
     for label, layers in grid.get(LAYERS_KEY, {}).items():
         check_layers(f"grid.{LAYERS_KEY}.{format_key(label)}", layers)
         stacks.append(layers)
-    stacks += [
-        settings[LAYERS_KEY] for settings in grid.get(sample, {}).values() if LAYERS_KEY in settings
-    ]
-    paths = {parameter: parse_layer_parameter(parameter) for parameter in grid}
-    for layers in stacks:
-        for parameter, path in paths.items():
-            if path is not None:
+    samples = grid.get(SAMPLE_KEY, {}).values()
+    stacks += [settings[LAYERS_KEY] for settings in samples if LAYERS_KEY in settings]
+    for parameter in grid:
+        if path := parse_layer_parameter(parameter):
+            for layers in stacks:
                 _check_path(f"grid.{parameter}", *path, layers)
 
 
@@ -85,41 +73,27 @@ def _check_path(path: str, number: int, key: str, layers: list[Mapping[str, Any]
 
 def apply_paths(settings: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a stack with values of its layers replaced by their paths."""
-    merged = override_keywords(
-        settings, {k: value for k, value in values.items() if parse_layer_parameter(k) is None}
-    )
-    paths = {key: value for key, value in values.items() if parse_layer_parameter(key) is not None}
-    if paths:
+    paths = {name: parse_layer_parameter(name) for name in values}
+    merged = override_keywords(settings, {k: v for k, v in values.items() if paths[k] is None})
+    if any(paths.values()):
         merged[LAYERS_KEY] = copy.deepcopy(merged[LAYERS_KEY])
-    for parameter, value in paths.items():
-        number, key = parse_layer_parameter(parameter) or (0, "")
+    for parameter, path in paths.items():
+        if path is None:
+            continue
+        (number, key), value = path, values[parameter]
         layer = merged[LAYERS_KEY][number]
-        are_mappings = isinstance(value, Mapping) and isinstance(layer.get(key), Mapping)
-        new = {**layer[key], **value} if are_mappings and key in MERGED_KEYWORDS else value
-        if key == "interpretation" and key in layer:
-            new = merge_interpretations([layer[key], value])
-        merged[LAYERS_KEY][number] = override_keywords(layer, {key: new})
+        given = [layer[key], value] if key in layer else [value]
+        merged[LAYERS_KEY][number] = override_keywords(layer, {key: merge_values(key, given)})
     return merged
 
 
-def apply_bases(key: str, medium: Any, apply_base: Callable[[Any, str], Any]) -> Any:
-    """Return the settings of a stack with the bases of its layers applied.
-
-    Parameters
-    ----------
-    key : str
-        Key of the stack, for messages.
-    medium : mapping
-    apply_base : callable
-        From the settings and the key of a layer to the settings with its base applied.
-    """
-    if not isinstance(medium, Mapping) or LAYERS_KEY not in medium:
-        return medium
-    layers = [
-        apply_base(layer, layer_key)
-        for layer_key, layer in iter_layers(f"{key}.{LAYERS_KEY}", medium[LAYERS_KEY])
-    ]
-    return {**medium, LAYERS_KEY: layers}
+def merge_values(key: str, given: list[Any]) -> Any:
+    """Return the value of a keyword given in sequence: mappings are merged, others replaced."""
+    if key == "interpretation":
+        return merge_interpretations(given)
+    if key in MERGED_KEYWORDS and all(isinstance(value, Mapping) for value in given):
+        return {k: v for value in given for k, v in value.items()}
+    return given[-1]
 
 
 TABLE_KEYS = ("refractive_index", "ground", "impurities_ng_g")
@@ -135,11 +109,11 @@ def replace_table_paths(settings: Any, replace: Callable[[str], str], inside: bo
     replace : callable
         From a path to its replacement.
     inside : bool
-        Whether `settings` is the value of one of `TABLE_KEYS`.
+        Whether `settings` is the value of one of `TABLE_KEYS`, or of a path that ends in one.
     """
     if isinstance(settings, dict):
         return {
-            k: replace_table_paths(v, replace, inside or _is_table_key(k))
+            k: replace_table_paths(v, replace, inside or str(k).rpartition(".")[2] in TABLE_KEYS)
             for k, v in settings.items()
         }
     if isinstance(settings, (list, tuple)):
@@ -147,11 +121,6 @@ def replace_table_paths(settings: Any, replace: Callable[[str], str], inside: bo
     if inside and isinstance(settings, str) and settings.endswith(".csv"):
         return replace(settings)
     return settings
-
-
-def _is_table_key(key: Any) -> bool:
-    """Return whether a key, or the last part of a path, is one of `TABLE_KEYS`."""
-    return str(key).rpartition(".")[2] in TABLE_KEYS
 
 
 def identify_by_content(path: str) -> str:

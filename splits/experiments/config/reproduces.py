@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import re
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field, field_validator
+from pydantic import WithJsonSchema
 
-from splits.core.validation import invalid
-from splits.experiments.config.sections import ConfigSection
+from splits.experiments.config.sections import ConfigSection, match_pattern
 
 
 class Paper(NamedTuple):
-    """A published paper whose results the experiments reproduce.
-
-    Attributes
-    ----------
-    name : str
-        Short name, which may precede a place in the tables of statements: "SPLITS Fig 11".
-    title, reference : str
-        Heading of the paper in the report, and bibliographic reference.
-    """
+    """A published paper whose results the experiments reproduce."""
 
     name: str
+    """Short name, which may precede a place in the tables of statements: "SPLITS Fig 11"."""
     title: str
+    """Heading of the paper in the report."""
     reference: str
+    """Bibliographic reference."""
 
 
 PaperKey = Literal["splits_2007", "splitsnow_2021", "budak_grimailo_2020"]
@@ -51,7 +45,8 @@ PAPERS: dict[PaperKey, Paper] = {
 }
 """Papers by key, in the order of the report."""
 
-PLACE_PATTERN = re.compile(r"(Fig|Table|Eq) \d{1,3}[a-z]?|section \d{1,3}(\.\d{1,3}){0,3}")
+PLACE_PATTERN = re.compile(r"((Fig|Table|Eq) \d{1,3}[a-z]?|section \d{1,3}(\.\d{1,3}){0,3})?")
+PLACE_RULE = "Fig, Table, Eq or section and a number, such as Fig 8"
 _PLACE_KINDS = {"Fig": "Figure", "Table": "Table", "section": "Section", "Eq": "Equation"}
 _MENTION_PATTERN = re.compile(r"\b(Fig|Table|section|Eq)s? (\d+(?:\.\d+)*)([a-z]?)\b")
 
@@ -59,40 +54,27 @@ _MENTION_PATTERN = re.compile(r"\b(Fig|Table|section|Eq)s? (\d+(?:\.\d+)*)([a-z]
 class ReproducesSection(ConfigSection):
     """Published paper, and the figure, table, section or equation in it."""
 
-    paper: PaperKey = Field(description="paper with which the report lists the experiment")
-    place: str = Field(
-        "",
-        description="figure of the paper that the experiment reproduces, such as `Fig 8` or "
-        "`Fig 24b`; `Table 3`, `section 5.2` or `Eq 3` for a run that serves a table or a "
-        "statement; without it, the report lists the experiment among the supporting runs",
-    )
-
-    @field_validator("place")
-    @classmethod
-    def _check_place(cls, value: str) -> str:
-        if value and not PLACE_PATTERN.fullmatch(value):
-            allowed = "Fig, Table, Eq or section and a number, such as Fig 8"
-            raise invalid("reproduces.place", value, allowed)
-        return value
+    paper: PaperKey
+    """paper with which the report lists the experiment"""
+    place: Annotated[
+        str,
+        match_pattern(PLACE_PATTERN, PLACE_RULE),
+        WithJsonSchema({"type": "string", "pattern": f"^{PLACE_PATTERN.pattern}$"}),
+    ] = ""
+    """figure of the paper that the experiment reproduces, such as `Fig 8` or `Fig 24b`; `Table 3`,
+    `section 5.2` or `Eq 3` for a run that serves a table or a statement; without it, the report
+    lists the experiment among the supporting runs"""
 
 
 class Place(NamedTuple):
-    """Place in a paper; places are ordered by kind and number.
-
-    Attributes
-    ----------
-    kind : int
-        Position of the kind: figure, table, section, equation, other.
-    number : tuple of int
-    letter : str
-    label : str
-        Place in words, such as "Figure 8".
-    """
+    """Place in a paper; places are ordered by kind and number."""
 
     kind: int
+    """Position of the kind: figure, table, section, equation, other."""
     number: tuple[int, ...]
     letter: str
     label: str
+    """Place in words, such as "Figure 8"."""
 
     @property
     def is_figure(self) -> bool:
@@ -114,13 +96,8 @@ def parse_place(text: str) -> Place:
         Such as "Fig 20", "Figs 7, 10" or "section 2.1, Fig 6".
     """
     kinds = list(_PLACE_KINDS)
-    found = [
-        Place(
-            kinds.index(kind),
-            tuple(map(int, number.split("."))),
-            letter,
-            f"{_PLACE_KINDS[kind]} {number}{letter}",
-        )
-        for kind, number, letter in _MENTION_PATTERN.findall(text)
-    ]
+    found = []
+    for kind, number, letter in _MENTION_PATTERN.findall(text):
+        numbers, label = tuple(map(int, number.split("."))), f"{number}{letter}"
+        found.append(Place(kinds.index(kind), numbers, letter, f"{_PLACE_KINDS[kind]} {label}"))
     return min(found, key=lambda place: place.kind, default=Place(len(kinds), (), "", text))

@@ -7,19 +7,19 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
+from splits.analysis.measured import WAVELENGTH_COLUMN
 from splits.core.validation import check_choice, format_key, invalid, snap_to_limits
 from splits.experiments.config.sections import (
-    MEASURED_DESCRIPTION,
     FiniteSection,
     Interval,
     MeasuredFile,
-    to_tuple,
+    accept_single,
+    list_samples,
 )
 from splits.tables.axes import INCIDENCE
 
-WAVELENGTH_COLUMN = "wavelength_nm"
 MIN_STDERR = 1e-6
 """Smallest relative standard error, for reflectances near 0."""
 ANGLE_SEPARATOR = "@"
@@ -29,21 +29,22 @@ ANGLE_SEPARATOR = "@"
 class NoiseSection(FiniteSection):
     """Standard errors of measured reflectances: absolute, and relative to the value."""
 
-    absolute: float = Field(
-        0.0, ge=0.0, le=1.0,
-        description="standard error in units of reflectance, independent at each wavelength; "
-        "`independent` in Python",
-    )  # fmt: skip
-    relative: float = Field(
-        0.0, ge=0.0, le=1.0,
-        description="standard error as a fraction of the value, correlated over `correlation_nm`; "
-        "in Python `stderr`, in units of reflectance",
-    )  # fmt: skip
-    correlation_nm: float | None = Field(
-        None, gt=0.0, le=1e5,
-        description="correlation length of the relative errors (nm); by default they are "
-        "independent",
-    )  # fmt: skip
+    absolute: float = Field(0.0, ge=0.0, le=1.0)
+    """standard error in units of reflectance, independent at each wavelength; `independent` in
+    Python"""
+    relative: float = Field(0.0, ge=0.0, le=1.0)
+    """standard error as a fraction of the value, correlated over `correlation_nm`; in Python
+    `stderr`, in units of reflectance"""
+    correlation_nm: float | None = Field(None, gt=0.0, le=1e5)
+    """correlation length of the relative errors (nm); by default they are independent"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_type(cls, value: Any) -> Any:
+        if not isinstance(value, dict | NoiseSection):
+            allowed = "a mapping such as {relative: 0.01, absolute: 0.003}, or left out"
+            raise invalid("", value, allowed, "without it the misfit gives the errors")
+        return value
 
     @model_validator(mode="after")
     def _check_noise(self) -> NoiseSection:
@@ -63,109 +64,72 @@ class NoiseSection(FiniteSection):
         return correlated | ({"independent": self.absolute} if self.absolute else {})
 
 
-def _check_noise_type(value: Any) -> Any:
-    if value is None or isinstance(value, dict | NoiseSection):
-        return value
-    allowed = "a mapping such as {relative: 0.01, absolute: 0.003}, or left out"
-    raise invalid("", value, allowed, "without it the misfit gives the errors")
-
-
 class PriorFromSample(FiniteSection):
     """A sample that is retrieved first, with some parameters fixed."""
 
-    sample: str = Field(description="name of the sample")
-    fixed: dict[str, float | str] = Field(description="known parameters of the sample")
-    applies_to: str = Field(
-        "", description="beginning of the names of the samples that use its posterior as a prior"
-    )
+    sample: str
+    """name of the sample"""
+    fixed: dict[str, float | str]
+    """known parameters of the sample"""
+    applies_to: str = ""
+    """beginning of the names of the samples that use its posterior as a prior"""
 
 
 class RetrieveSection(FiniteSection):
     """Measured spectra, and the parameters to retrieve with the table of the experiment."""
 
-    measured: MeasuredFile = Field(
-        description=f"{MEASURED_DESCRIPTION}; a suffix such as `@50` of a sample's name is its "
-        "incidence angle, which must be in the table"
-    )
-    free: dict[str, tuple[float, float]] | tuple[str, ...] = Field(
-        description="parameters to retrieve, which are axes of the grid or `scale`; a mapping also "
-        "gives their ranges (low, high)"
-    )
-    noise: Annotated[
-        NoiseSection | None,
-        BeforeValidator(_check_noise_type, json_schema_input_type=NoiseSection | None),
-    ] = Field(
-        None, description="standard errors of the measurement, by default estimated from the misfit"
-    )
-    samples: tuple[str, ...] = Field((), description="samples to use; by default all")
-    fixed: dict[str, float | str] = Field({}, description="values of the other axes")
-    prior: dict[str, tuple[float, float]] = Field(
-        {}, description="prior (mean, standard deviation) by parameter"
-    )
-    exclude_nm: tuple[Interval, ...] = Field(
-        (), description="intervals (low, high) of wavelengths to exclude"
-    )
-    model_axis: str | None = Field(
-        None,
-        description="an axis of texts whose values are alternative models; each sample is "
-        "retrieved with all of them",
-    )
-    compare_with: Literal["kokhanovsky_zege_2004"] | None = Field(
-        None,
-        description="a published law for snow, with which the parameters of the samples are also "
-        "retrieved (Kokhanovsky and Zege 2004, as implemented in snowoptics)",
-    )
-    prior_from: Annotated[
-        tuple[PriorFromSample, ...],
-        BeforeValidator(
-            to_tuple, json_schema_input_type=PriorFromSample | tuple[PriorFromSample, ...]
-        ),
-    ] = Field(
-        (),
-        description="a sample (`sample`), or a list of them, that is retrieved first, with the "
-        "parameters of `fixed` known; the marginal posteriors of its other parameters are priors "
-        "of all other samples, or of those whose names begin with `applies_to`",
-    )
-    reference_values: dict[str, dict[str, float]] = Field(
-        {},
-        description="independent values by parameter and sample, shown in the figure for "
-        "comparison",
-    )
+    measured: MeasuredFile
+    """name of a file of `config/measured/`, with a column `wavelength_nm` and a column of
+    reflectances (fractions, no gaps) per sample; a suffix such as `@50` of a sample's name is its
+    incidence angle, which must be in the table"""
+    free: dict[str, tuple[float, float]] | tuple[str, ...]
+    """parameters to retrieve, which are axes of the grid or `scale`; a mapping also gives their
+    ranges (low, high)"""
+    noise: NoiseSection | None = None
+    """standard errors of the measurement, by default estimated from the misfit"""
+    samples: tuple[str, ...] = ()
+    """samples to use; by default all"""
+    fixed: dict[str, float | str] = Field({})
+    """values of the other axes"""
+    prior: dict[str, tuple[float, float]] = Field({})
+    """prior (mean, standard deviation) by parameter"""
+    exclude_nm: tuple[Interval, ...] = ()
+    """intervals (low, high) of wavelengths to exclude"""
+    model_axis: str | None = None
+    """an axis of texts whose values are alternative models; each sample is retrieved with all of
+    them"""
+    compare_with: Literal["kokhanovsky_zege_2004"] | None = None
+    """a published law for snow, with which the parameters of the samples are also retrieved
+    (Kokhanovsky and Zege 2004, as implemented in snowoptics)"""
+    prior_from: Annotated[tuple[PriorFromSample, ...], accept_single(PriorFromSample)] = ()
+    """a sample (`sample`), or a list of them, that is retrieved first, with the parameters of
+    `fixed` known; the marginal posteriors of its other parameters are priors of all other samples,
+    or of those whose names begin with `applies_to`"""
+    reference_values: dict[str, dict[str, float]] = Field({})
+    """independent values by parameter and sample, shown in the figure for comparison"""
 
     def select_spectra(
         self, measured: pd.DataFrame, wavelengths: np.ndarray
     ) -> dict[str, pd.Series]:
         """Return the spectra by sample, at the measured wavelengths that are used.
 
-        Raises
-        ------
-        ValueError
-            For a table without wavelengths, or an unknown sample.
+        Unknown samples, and tables that do not match the section, are rejected.
         """
-        if WAVELENGTH_COLUMN not in measured:
-            columns = list(measured.columns)
-            raise invalid("retrieve.measured", columns, f"a table with column {WAVELENGTH_COLUMN}")
-        available = [str(c) for c in measured.columns if c != WAVELENGTH_COLUMN]
-        if any(name.startswith("Unnamed") for name in available):
-            hint = "a column of row numbers? write the table with index=False"
-            raise invalid("retrieve.measured", "a column without a name", "names for all", hint)
+        names = list_samples("retrieve", measured, self.samples)
         wavelength = measured[WAVELENGTH_COLUMN].to_numpy(dtype=float)
         snapped = snap_to_limits(wavelength, wavelengths[0], wavelengths[-1])
         inside = (snapped >= wavelengths[0]) & (snapped <= wavelengths[-1])
         for low, high in self.exclude_nm:
             inside &= (wavelength < low) | (wavelength > high)
         if not inside.any():
+            given = f"{wavelength.min():g} to {wavelength.max():g} nm"
             allowed = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, the range of the table"
-            raise invalid(
-                "retrieve.measured", f"{wavelength.min():g} to {wavelength.max():g} nm", allowed
-            )
-        names = [check_choice("retrieve.samples", s, available) for s in self.samples] or available
-        first_samples = [
-            check_choice("retrieve.prior_from.sample", f.sample, names) for f in self.prior_from
-        ]
+            raise invalid("retrieve.measured", given, allowed)
+        key = "retrieve.prior_from.sample"
+        first_samples = [check_choice(key, first.sample, names) for first in self.prior_from]
         other_samples = [name for name in names if name not in first_samples]
         if len(set(first_samples)) < len(first_samples):
-            raise invalid("retrieve.prior_from.sample", first_samples, "different samples")
+            raise invalid(key, first_samples, "different samples")
         if not other_samples:
             hint = "all samples are retrieved first"
             raise invalid("retrieve.samples", names, "others than those of prior_from", hint)
@@ -176,10 +140,8 @@ class RetrieveSection(FiniteSection):
         for parameter, values in self.reference_values.items():
             for sample in values:
                 check_choice(f"retrieve.reference_values.{parameter}", sample, names)
-        return {
-            n: pd.Series(measured[n].to_numpy(dtype=float)[inside], wavelength[inside])
-            for n in names
-        }
+        used = measured[inside]
+        return {n: pd.Series(used[n].to_numpy(dtype=float), wavelength[inside]) for n in names}
 
     def compute_noise(self, values: np.ndarray) -> Any:
         """Return the argument `noise` of `splits.retrieve` for reflectances."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from splits.core.validation import check_choice, invalid, key_prefix, snap_to_limits
@@ -37,22 +37,25 @@ def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSectio
         raise invalid("instrument.quantities", instrument.quantities, "with reflectance")
     rows = dict(zip(*experiment.make_axes(), strict=True))
     _check_models(section, rows)
-    for key in ("free", "fixed", "prior", "reference_values"):
-        allowed = grid if key == "fixed" else [*grid, SCALE]
+    parameters = [*grid, SCALE]
+    known = {
+        "free": parameters,
+        "fixed": grid,
+        "prior": parameters,
+        "reference_values": section.free,
+    }
+    for key, names in known.items():
         for name in getattr(section, key):
-            check_choice(f"retrieve.{key}", name, allowed)
+            check_choice(f"retrieve.{key}", name, names)
+    ranges = get_grid_ranges(experiment.make_axes())
     with key_prefix("retrieve"):
-        StateVector.from_ranges(
-            section.free, section.prior or None, get_grid_ranges(experiment.make_axes())
-        )
+        StateVector.from_ranges(section.free, section.prior or None, ranges)
     for name in [n for n in section.fixed if n in section.free]:
         raise invalid(f"retrieve.fixed.{name}", section.fixed[name], "left out", "it is free")
     assigned = {*section.free, *section.fixed, section.model_axis, INCIDENCE}
     for name in [n for n, values in grid.items() if len(values) > 1]:
         if name not in assigned:
             raise invalid(f"retrieve.fixed.{name}", None, "given", "or make it free")
-    for name in section.reference_values:
-        check_choice("retrieve.reference_values", name, list(section.free))
     if not [name for name in section.free if name != SCALE]:
         raise invalid("retrieve.free", list(section.free), "at least one parameter of the grid")
     _check_reference_values(section, rows)
@@ -62,30 +65,20 @@ def check_retrieve_section(experiment: SimulationConfig, section: RetrieveSectio
 def check_measured_spectra(
     experiment: SimulationConfig, section: RetrieveSection, measured: pd.DataFrame
 ) -> None:
-    """Reject measured spectra that do not match the experiment's table.
-
-    Raises
-    ------
-    ValueError
-        For values in per cent, gaps, and wavelengths or angles outside the table.
-    """
+    """Reject values in per cent, gaps, and wavelengths or angles outside the experiment's table."""
     rows = dict(zip(*experiment.make_axes(), strict=True))
     fixed_of_first = {source.sample: source.fixed for source in section.prior_from}
-    for name, spectrum in section.select_spectra(
-        measured, experiment.instrument.get_wavelengths()
-    ).items():
+    spectra = section.select_spectra(measured, experiment.instrument.get_wavelengths())
+    for name, spectrum in spectra.items():
+        noise, known = section.compute_noise(spectrum.to_numpy()), fixed_of_first.get(name, {})
         with key_prefix(f"retrieve ({name})"):
-            measurement = Measurement.from_input(
-                spectrum, section.compute_noise(spectrum.to_numpy())
-            )
-            check_enough_values(
-                len([n for n in section.free if n not in fixed_of_first.get(name, {})]), measurement
-            )
+            measurement = Measurement.from_input(spectrum, noise)
+            check_enough_values(len([n for n in section.free if n not in known]), measurement)
         _check_sample_angle(name, experiment)
         fixed = section.get_fixed_values(name, list(rows))
         for axis, value in fixed.items():
             check_on_grid(f"retrieve ({name}): {axis}", value, rows.get(axis))
-        assigned = {*fixed, *section.free, *fixed_of_first.get(name, {})}
+        assigned = {*fixed, *section.free, *known}
         if len(rows.get(INCIDENCE, ())) > 1 and INCIDENCE not in assigned:
             hint = f"its angle in the name, {name}@50, or retrieve.fixed.{INCIDENCE}"
             raise invalid(f"retrieve ({name}): {INCIDENCE}", None, "given", hint)
@@ -108,14 +101,12 @@ def _check_models(section: RetrieveSection, axes: AxisNodes) -> None:
     if axis not in text_axes:
         allowed = f"one of {', '.join(text_axes)}" if text_axes else "left out: no axis is of texts"
         raise invalid("retrieve.model_axis", axis, allowed, "an axis of the grid")
-    assigned = [
-        ("fixed", section.fixed),
-        ("free", section.free),
-        ("reference_values", section.reference_values),
-    ]
-    assigned += [("prior_from.fixed", first.fixed) for first in section.prior_from]
-    for key, mapping in assigned:
-        if axis in mapping:
+    owners: dict[str, Iterable[str]] = {
+        key: getattr(section, key) for key in ("fixed", "free", "reference_values")
+    }
+    owners["prior_from.fixed"] = [name for first in section.prior_from for name in first.fixed]
+    for key, names in owners.items():
+        if axis in names:
             raise invalid(f"retrieve.{key}.{axis}", "given", "left out", "it is model_axis")
 
 
@@ -126,10 +117,8 @@ def _check_reference_values(section: RetrieveSection, axes: AxisNodes) -> None:
             check_choice("retrieve.prior_from.fixed", name, [*axes, SCALE])
             check_on_grid(f"retrieve.prior_from.fixed.{name}", value, axes.get(name))
         if not [n for n in section.free if n not in (*first.fixed, SCALE)]:
-            hint = "at least one parameter of the first sample must be free"
-            raise invalid(
-                "retrieve.prior_from.fixed", sorted(first.fixed), "not all of retrieve.free", hint
-            )
+            key, hint = "retrieve.prior_from.fixed", "the first sample needs a free parameter"
+            raise invalid(key, sorted(first.fixed), "not all of retrieve.free", hint)
     for name, values in section.reference_values.items():
         for sample, value in values.items():
             check_on_grid(f"retrieve.reference_values.{name}.{sample}", value, axes.get(name))
@@ -154,16 +143,14 @@ def _check_law(section: RetrieveSection, axes: AxisNodes, medium: Mapping[str, A
     if kind not in ("snow", "natural_snow"):
         raise invalid(key, law, "left out for media other than snow")
     if not {SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY} & set(axes):
-        raise invalid(
-            key, law, f"left out without {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid"
-        )
+        allowed = f"left out without {SURFACE_AREA_KEY} or {OPTICAL_RADIUS_KEY} on the grid"
+        raise invalid(key, law, allowed)
     unsupported = [name for name in LAW_UNSUPPORTED_KEYWORDS if medium.get(name)]
-    depth = medium.get("depth_m", math.inf if kind == "natural_snow" else None)
-    if unsupported or depth != math.inf:
+    if medium.get("depth_m", math.inf if kind == "natural_snow" else None) != math.inf:
+        unsupported.append("a finite depth_m")
+    if unsupported:
         hint = "it describes deep, dry snow with the parameters of the grid"
-        raise invalid(
-            key, law, f"left out with {unsupported[0] if unsupported else 'a finite depth_m'}", hint
-        )
+        raise invalid(key, law, f"left out with {unsupported[0]}", hint)
     for name, row in axes.items():
         is_described = name in (section.model_axis, INCIDENCE, SURFACE_AREA_KEY, OPTICAL_RADIUS_KEY)
         if not is_described and not name.startswith("impurities_ng_g.") and row[0] != 0.0:

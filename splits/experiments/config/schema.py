@@ -12,9 +12,13 @@ from pydantic import BaseModel
 
 from splits.core.atomic import atomic_write
 from splits.core.parameter_names import IMPURITY_KEYWORDS, describe_parameter
-from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
+from splits.experiments.config.grid import GEOMSPACE_KEY, STEP_KEYS
+from splits.experiments.config.medium import SAMPLE_KEY
 from splits.experiments.config.settings import Settings
-from splits.experiments.config.simulation import SAMPLE_KEY
+from splits.experiments.config.simulation import NAME_PATTERN
+from splits.experiments.studies import STUDY_KINDS
+from splits.experiments.studies.study import Study
 from splits.media import Stack
 from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
 from splits.tables.axes import INCIDENCE
@@ -28,11 +32,14 @@ JSON_TYPES: dict[str, dict[str, Any]] = {
 
 
 def write_schemas(folder: Path) -> list[Path]:
-    """Write the schemas of experiment files and of the main file; return their paths."""
+    """Write the schemas of files of experiments, media and settings; return their paths."""
     paths = []
-    for name, model in (("experiment", ExperimentConfig), ("config", Settings)):
+    experiment = make_schema(ExperimentConfig)
+    medium = {"$ref": "#/$defs/medium"} | {key: experiment[key] for key in ("$schema", "$defs")}
+    schemas = {"experiment": experiment, "medium": medium, "config": make_schema(Settings)}
+    for name, schema in schemas.items():
         paths.append(folder / f"{name}.schema.json")
-        text = json.dumps(make_schema(model), indent=1, ensure_ascii=False) + "\n"
+        text = json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
         with atomic_write(paths[-1]) as temporary_path:
             temporary_path.write_text(text, encoding="utf-8")
     return paths
@@ -40,14 +47,32 @@ def write_schemas(folder: Path) -> list[Path]:
 
 def make_schema(model: type[BaseModel]) -> dict[str, Any]:
     """Return the schema of `ExperimentConfig` or `Settings`."""
-    schema = model.model_json_schema()
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    schema = {"$schema": dialect, **model.model_json_schema()}
     definitions: dict[str, Any] = schema["$defs"]
+    properties = schema["properties"]
+    # The name of a file is the default of that of an experiment; settings may be in several files.
+    del schema["required"]
     if model is ExperimentConfig:
-        _add_media(schema["properties"], definitions)
-        del schema["required"]  # the name of a file is the default of its only required key
+        _add_media(properties, definitions)
+        for key, allowed in (("name", ()), ("group", ("explorer",))):
+            properties[key]["not"] = {"enum": [n for n in RESERVED_NAMES if n not in allowed]}
+    else:
+        properties["studies"]["propertyNames"] = {"pattern": f"^{NAME_PATTERN.pattern}$"}
+        for study in STUDY_KINDS.values():
+            _add_study_keys(study, definitions[study.__name__]["properties"])
     simplified: dict[str, Any] = _simplify(schema, definitions)
     return simplified
+
+
+def _add_study_keys(study: type[Study], properties: dict[str, Any]) -> None:
+    """Add the names of study inputs, tables and products to the schema of a kind of study."""
+    for key, names in (
+        ("inputs", study.INPUTS), ("files", study.FILES), ("outputs", study.PRODUCTS),
+        ("titles", study.PRODUCTS), ("captions", study.PRODUCTS),
+    ):  # fmt: skip
+        if key in properties and names:
+            properties[key]["propertyNames"] = {"enum": list(names)}
 
 
 def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
@@ -59,32 +84,43 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
     # The kind of a medium with a base may be that of its base.
     choice = {"if": {"required": ["base"]}, "then": based, "else": {"$ref": "#/$defs/snow"}}
     definitions |= media
-    definitions["medium"] = _make_choice(
-        {kind: {"$ref": f"#/$defs/{kind}"} for kind in media}, choice
-    )
-    properties["medium"] = {
-        "$ref": "#/$defs/medium", "description": properties["medium"]["description"],
-    }  # fmt: skip
+    references = {kind: {"$ref": f"#/$defs/{kind}"} for kind in media}
+    definitions["medium"] = _make_choice(references, choice)
+    description = properties["medium"]["description"]
+    properties["medium"] = {"$ref": "#/$defs/medium", "description": description}
     names = [*(key for key in keywords if key not in ("kind", "base")), INCIDENCE, SAMPLE_KEY]
     paths = rf"^(({'|'.join(IMPURITY_KEYWORDS)})\.\w+|{LAYERS_KEY}\.\d+\.\w+)$"
+    given = {"type": ["array", "object"], "minItems": 1, "minProperties": 1}
+    number, numbers = {"type": "number"}, {"type": "array", "items": {"type": "number"}}
+    forms: list[dict[str, Any]] = [
+        dict.fromkeys(STEP_KEYS, number), {GEOMSPACE_KEY: {**numbers, "minItems": 3, "maxItems": 3}}
+    ]  # fmt: skip
+    is_spacing = {"anyOf": [{"required": [STEP_KEYS[0]]}, {"required": [GEOMSPACE_KEY]}]}
+    spacing = [
+        {"properties": form, "required": list(form), "additionalProperties": False}
+        for form in forms
+    ]
     properties["grid"] |= {
         "propertyNames": {"anyOf": [{"enum": names}, {"pattern": paths}]},
-        "additionalProperties": {"type": ["array", "object"], "minItems": 1, "minProperties": 1},
-    }
+        "properties": {SAMPLE_KEY: given, LAYERS_KEY: given},
+        "additionalProperties": {
+            **given, "if": {"type": "object", **is_spacing}, "then": {"anyOf": spacing}
+        },
+    }  # fmt: skip
 
 
 def _make_medium(kind: str, factory: Callable[..., Any]) -> dict[str, Any]:
     """Return the schema of a kind of medium, from the signature of its function."""
-    base = {"type": "string", "description": "name of a file with the other keywords"}
+    meaning = "name of a named medium, or of a file of config/media without its ending"
+    base = {"type": "string", "description": f"{meaning}, with the other keywords"}
     properties: dict[str, Any] = {"kind": {"const": kind}, "base": base}
     for name, parameter in signature(factory).parameters.items():
         long_name, units = describe_parameter(name)
         options = [_describe_annotation(one) for one in str(parameter.annotation).split(" | ")]
         types = {"anyOf": options} if all(options) else {}
-        properties[name] = {
-            **(options[0] if len(options) == 1 else types),
-            "description": long_name if units == "1" else f"{long_name} ({units})",
-        }
+        description = long_name if units == "1" else f"{long_name} ({units})"
+        schema = options[0] if len(options) == 1 else types
+        properties[name] = {**schema, "description": description}
     if LAYERS_KEY in properties:
         layers = {"type": "array", "items": {"$ref": "#/$defs/medium"}, "minItems": 1}
         properties[LAYERS_KEY] |= layers
@@ -122,14 +158,19 @@ def _simplify(schema: Any, definitions: Mapping[str, Any]) -> Any:
         return [_simplify(item, definitions) for item in schema]
     if not isinstance(schema, dict):
         return schema
-    titles = [key for key, value in schema.items() if key == "title" and isinstance(value, str)]
-    simplified = {k: _simplify(v, definitions) for k, v in schema.items() if k not in titles}
+    simplified: dict[str, Any] = {}
+    for key, value in schema.items():
+        if key == "description" and isinstance(value, str):
+            # A docstring, whose lines end at the margin of the source.
+            simplified[key] = " ".join(value.split())
+        elif key != "title" or not isinstance(value, str):
+            simplified[key] = _simplify(value, definitions)
     if "oneOf" in simplified:
         references = simplified.pop("oneOf")
         models = [definitions[one["$ref"].rpartition("/")[2]] for one in references]
         kinds = [model["properties"]["kind"]["const"] for model in models]
-        optional = [one for one, model in zip(references, models, strict=True)
-                    if "kind" not in model.get("required", ())]  # fmt: skip
+        pairs = zip(references, models, strict=True)
+        optional = [one for one, model in pairs if "kind" not in model.get("required", ())]
         by_kind = dict(zip(kinds, references, strict=True))
         simplified |= _make_choice(by_kind, optional[0] if optional else {"required": ["kind"]})
     return simplified

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-import functools
 import posixpath
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
 from splits.core.paths import expand_path
-from splits.core.validation import check_choice, invalid, suggest_name
+from splits.core.validation import check_choice, invalid, join_names, suggest_name
 from splits.core.yaml import ConfigError
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.experiment import OWN_GROUP, ExperimentConfig
-from splits.experiments.config.sections import ConfigSection, Label, Title, check_path
+from splits.experiments.config.sections import (
+    ConfigSection,
+    Label,
+    Title,
+    check_path,
+    match_pattern,
+)
 from splits.experiments.studies import AnyStudy
-from splits.experiments.studies.checks import check_studies
+from splits.experiments.studies.checks import check_studies, find_incomplete_studies
+from splits.experiments.studies.study import describe_missing
 from splits.io.ro_crate import ORCID_URL, Author
 
 DEFAULT_LICENCE = "MIT"
@@ -29,30 +35,36 @@ _ACCURACY_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LICENCE_PATTERN = re.compile(
     r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}|https?://[\w.~:/?#@!$&'()*+,;=%-]{1,300}", re.ASCII
 )
+LICENCE_RULE = "an SPDX identifier such as MIT or CC-BY-4.0, or a URL"
 
 
 def _check_orcid(value: str) -> str:
-    digits = value.removeprefix(ORCID_URL)
-    if not value or _is_orcid(digits):
-        return digits
-    allowed = "an ORCID such as 0000-0002-1825-0097, with a valid check digit"
-    raise invalid("", value, allowed)
+    """Return an ORCID without its URL; reject a wrong check digit (ISO 7064, MOD 11-2)."""
+    orcid = value.removeprefix(ORCID_URL)
+    is_orcid = re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", orcid, re.ASCII) is not None
+    total = 0
+    for digit in orcid[:-1].replace("-", "") if is_orcid else "":
+        total = 2 * (total + int(digit))
+    if value and not (is_orcid and orcid[-1] == "0123456789X"[(12 - total) % 11]):
+        raise invalid("", value, "an ORCID such as 0000-0002-1825-0097, with a valid check digit")
+    return orcid
 
 
 class ArchiveAuthor(ConfigSection):
     """An author of the results in an archive."""
 
-    name: Title = Field(description="name of the author")
-    orcid: Annotated[str, AfterValidator(_check_orcid)] = Field("", description="ORCID")
-    affiliation: Title = Field("", description="institution of the author")
-
-
-def _is_orcid(digits: str) -> bool:
-    """Return whether a text is an ORCID with a valid check digit (ISO 7064, MOD 11-2)."""
-    if not re.fullmatch(r"(\d{4}-){3}\d{3}[\dX]", digits, re.ASCII):
-        return False
-    total = functools.reduce(lambda x, digit: 2 * (x + int(digit)), digits[:-1].replace("-", ""), 0)
-    return digits[-1] == "0123456789X"[(12 - total) % 11]
+    name: Title
+    """name of the author"""
+    orcid: Annotated[
+        str,
+        AfterValidator(_check_orcid),
+        WithJsonSchema(
+            {"type": "string", "pattern": rf"^(({ORCID_URL})?(\d{{4}}-){{3}}\d{{3}}[\dX])?$"}
+        ),
+    ] = ""
+    """ORCID"""
+    affiliation: Title = ""
+    """institution of the author"""
 
 
 DEFAULT_GROUPS = ("papers", OWN_GROUP)
@@ -86,12 +98,6 @@ def _check_folder(value: str) -> str:
     return check_path("", path)
 
 
-def _check_licence(value: str) -> str:
-    if not _LICENCE_PATTERN.fullmatch(value):
-        raise invalid("", value, "an SPDX identifier such as MIT or CC-BY-4.0, or a URL")
-    return value
-
-
 def _check_accuracy_name(name: str) -> str:
     if not _ACCURACY_PATTERN.fullmatch(name) or name.lower() in RESULT_FOLDERS:
         allowed = "letters, digits, _, - and ., none of " + ", ".join(RESULT_FOLDERS)
@@ -99,74 +105,48 @@ def _check_accuracy_name(name: str) -> str:
     return name
 
 
+SPLIT_NAMES = BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...])
 Folder = Annotated[str, AfterValidator(_check_folder)]
 
 
 class Settings(ConfigSection):
     """The main configuration file."""
 
-    experiments: Annotated[
-        Literal["everything"] | tuple[str, ...],
-        BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
-    ] = Field(
-        DEFAULT_GROUPS,
-        description="names of experiments, and of groups of experiments, which a run makes",
-    )
-    accuracy: str = Field(
-        "standard", description="accuracy level of the run, one of the names under `accuracies`"
-    )
-    accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy] = Field(
-        description="target errors by name"
-    )
-    seed: int = Field(
-        1, ge=0, lt=2**63,
-        description="seed of all random numbers; the same seed gives the same results",
-    )  # fmt: skip
-    experiments_folder: Folder = Field(
-        "config/experiments",
-        description="folder of the experiments; a path without `{ } < >`, like the other folders",
-    )
-    media_folder: Folder = Field("config/media", description="folder of the media")
-    measured_folder: Folder = Field(
-        "config/measured", description="folder of the tables of measured numbers"
-    )
-    published_folder: Folder = Field(
-        "config/published", description="folder of the tables of published numbers"
-    )
-    results: Folder = Field(
-        "results",
-        description="folder of the results; accuracies other than `standard` write to a subfolder "
-        "with their name",
-    )
-    archive: Annotated[
-        tuple[str, ...] | Literal["all"],
-        BeforeValidator(_split_names, json_schema_input_type=str | tuple[str, ...]),
-    ] = Field(
-        "all",
-        description="experiments in the archive of `snakemake archive`; on the command line with "
-        "commas",
-    )
-    archive_license: Annotated[str, AfterValidator(_check_licence)] = Field(
-        DEFAULT_LICENCE,
-        description="licence of the results in an archive: an SPDX identifier such as `CC-BY-4.0`, "
-        "or a URL",
-    )
-    archive_authors: tuple[ArchiveAuthor, ...] = Field(
-        (),
-        description="authors of the results in an archive, each with `name` and optionally `orcid` "
-        "and `affiliation`",
-    )
-    studies: dict[str, AnyStudy] = Field(
-        default_factory=dict, description="tables and figures made from several experiments"
-    )
-    explorer: dict[Label, str] = Field(
-        default_factory=dict, description="experiments of the tables in `explorer.html`, by label"
-    )
-    explorer_directions: dict[str, str] = Field(
-        default_factory=dict,
-        description="goniophotometers over `optical_radius_um` and `incidence_deg` for tables of "
-        "the explorer, by the same labels",
-    )
+    experiments: Annotated[Literal["everything"] | tuple[str, ...], SPLIT_NAMES] = DEFAULT_GROUPS
+    """names of experiments, and of groups of experiments, which a run makes; `everything` selects
+    all groups"""
+    accuracy: str = "standard"
+    """accuracy level of the run, one of the names under `accuracies`"""
+    accuracies: dict[Annotated[str, AfterValidator(_check_accuracy_name)], Accuracy]
+    """target errors by name"""
+    seed: int = Field(1, ge=0, lt=2**63)
+    """seed of all random numbers; the same seed gives the same results"""
+    experiments_folder: Folder = "config/experiments"
+    """folder of the experiments; a path without `{ } < >`, like the other folders"""
+    media_folder: Folder = "config/media"
+    """folder of the media"""
+    measured_folder: Folder = "config/measured"
+    """folder of the tables of measured numbers"""
+    published_folder: Folder = "config/published"
+    """folder of the tables of published numbers"""
+    results: Folder = "results"
+    """folder of the results; accuracies other than `standard` write to a subfolder with their name
+    """
+    archive: Annotated[tuple[str, ...] | Literal["all"], SPLIT_NAMES] = "all"
+    """experiments in the archive of `snakemake archive`, by default all selected ones; on the
+    command line with commas"""
+    archive_license: Annotated[str, match_pattern(_LICENCE_PATTERN, LICENCE_RULE)] = DEFAULT_LICENCE
+    """licence of the results in an archive: an SPDX identifier such as `CC-BY-4.0`, or a URL"""
+    archive_authors: tuple[ArchiveAuthor, ...] = ()
+    """authors of the results in an archive, each with `name` and optionally `orcid` and
+    `affiliation`"""
+    studies: dict[str, AnyStudy] = Field(default_factory=dict)
+    """tables and figures made from several experiments"""
+    explorer: dict[Label, str] = Field(default_factory=dict)
+    """experiments of the tables in `explorer.html`, by label"""
+    explorer_directions: dict[str, str] = Field(default_factory=dict)
+    """goniophotometers over `optical_radius_um` and `incidence_deg` for tables of the explorer, by
+    the same labels"""
 
     @model_validator(mode="after")
     def _check_accuracy(self) -> Settings:
@@ -186,25 +166,13 @@ class Settings(ConfigSection):
     def select_archived(self, selected: Mapping[str, ExperimentConfig]) -> Settings:
         """Return the settings of a run that makes the content of an archive only.
 
-        Parameters
-        ----------
-        selected : mapping
-            The selected experiments by name.
-
-        Raises
-        ------
-        ConfigError
-            If an experiment of the archive is not selected.
+        Experiments of the archive that are not among the selected ones are rejected.
         """
         if self.archive == "all":
             groups = {one.group for one in selected.values()}
             if self.experiments != "everything":
                 groups &= {*self.experiments}
-            studies = {
-                name: study
-                for name, study in self.studies.items()
-                if study.group is None or study.group in groups
-            }
+            studies = {n: s for n, s in self.studies.items() if s.group in (None, *groups)}
             # The groups of these studies select them, and their experiments.
             named = dict.fromkeys(study.group for study in studies.values() if study.group)
             names = (*selected, *named)
@@ -228,6 +196,8 @@ class Settings(ConfigSection):
             key, kind = f"explorer.{label} = {name!r}", available[name].instrument.kind
             if kind != "table":
                 raise ConfigError(f"{key}: must be a table (it is a {kind})")
+            if "reflectance" not in getattr(available[name].instrument, "quantities", ()):
+                raise ConfigError(f"{key}: must be a table of reflectance")
             for axis, row in zip(*available[name].make_axes(), strict=True):
                 if len(row) < 2 or isinstance(row[0], str):
                     raise ConfigError(f"{key}: its axis {axis} must have at least two numbers")
@@ -239,6 +209,27 @@ class Settings(ConfigSection):
             if one and (one.instrument.kind, {*one.grid}) != ("goniophotometer", EXPLORER_AXES):
                 allowed = "a goniophotometer over optical_radius_um and incidence_deg"
                 raise ConfigError(f"{key}: must be {allowed}")
+
+    def list_warnings(self, available: Mapping[str, ExperimentConfig]) -> list[str]:
+        """Return a line for each study, and for the explorer, that lacks experiments.
+
+        Studies without any existing experiment, or one of a similar name, share a line.
+        """
+        messages = find_incomplete_studies(self.studies, available)
+        unused = []
+        for name in list(messages):
+            required = self.studies[name].list_experiments()
+            if not any(one in available or suggest_name(one, available) for one in required):
+                del messages[name]
+                unused.append(name)
+        names = [*self.explorer.values(), *self.explorer_directions.values()]
+        warnings = [
+            *messages.values(),
+            *(f"explorer: {m}" for m in describe_missing(names, available)),
+        ]
+        if unused:
+            warnings.append(f"none of their experiments exists: studies {join_names(unused)}")
+        return warnings
 
     def select_explorer(
         self, available: Mapping[str, ExperimentConfig]
@@ -256,24 +247,20 @@ class Settings(ConfigSection):
     def select_experiments(
         self, available: Mapping[str, ExperimentConfig]
     ) -> dict[str, ExperimentConfig]:
-        """Return the selected experiments.
-
-        Raises
-        ------
-        ConfigError
-            For an unknown or repeated name, or an invalid study.
-        """
+        """Return the selected experiments; reject unknown or repeated names and invalid studies."""
         groups = dict.fromkeys([*DEFAULT_GROUPS, *(one.group for one in available.values())])
         for key, names, known in (
             ("experiments", self.experiments, [*groups, *available]),
             ("archive", self.archive, list(available)),
         ):
+            if not isinstance(names, str) and len(set(names)) < len(names):
+                raise ConfigError(str(invalid(key, list(names), "different names")))
             for name in () if isinstance(names, str) else names:
                 if name not in known:
                     hint = suggest_name(name, known) or "known: " + ", ".join(known)
                     what = "experiment or group" if key == "experiments" else "experiment"
                     raise ConfigError(f"{key} = {name!r}: no such {what} ({hint})")
-        for group in dict.fromkeys(one.group for one in available.values()):
+        for group in groups:
             if group in available or group in self.studies:
                 raise ConfigError(f"group = {group!r}: must differ from experiments and studies")
         chosen = [*groups] if self.experiments == "everything" else self.experiments

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from splits.core.keywords import list_keywords
 from splits.core.parameter_names import parse_impurity_parameter, parse_layer_parameter
@@ -30,25 +30,24 @@ from splits.experiments.config.instrument_kinds import (
 )
 from splits.experiments.config.medium import (
     MERGED_KEYWORDS,
+    SAMPLE_KEY,
     apply_paths,
     check_grid_layers,
     check_layers,
     identify_by_content,
     list_table_paths,
+    merge_values,
     replace_table_paths,
 )
-from splits.experiments.config.sections import ConfigSection, FitSection
+from splits.experiments.config.sections import ConfigSection, FitSection, match_pattern
 from splits.media.checks import check_thickness
-from splits.media.interpretations import merge_interpretations
-from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, make_medium
+from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
 from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
 from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
 from splits.simulation.scene import compute_optical_constants, make_height_fields
 from splits.tables.axes import ParameterGrid
 
-SAMPLE_KEY = "medium"
-"""Grid dimension whose values are media: their settings replace those of the base medium."""
 NAME_PATTERN = re.compile(r"(?!(con|prn|aux|nul|com\d|lpt\d)$)[a-z][a-z0-9_]{0,63}")
 NAME_RULE = (
     "lower-case letters, digits and underscores, a letter first, no device such as con or nul"
@@ -56,10 +55,11 @@ NAME_RULE = (
 """Rule for names of experiments, studies and their products: valid file names on all systems."""
 
 
-def _check_name(value: str) -> str:
-    if not NAME_PATTERN.fullmatch(value):
-        raise invalid("", value, NAME_RULE)
-    return value
+Name = Annotated[
+    str,
+    match_pattern(NAME_PATTERN, NAME_RULE),
+    WithJsonSchema({"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"}),
+]
 
 
 class SimulationConfig(ConfigSection):
@@ -71,49 +71,26 @@ class SimulationConfig(ConfigSection):
     keywords.  All combinations are simulated.
     """
 
-    name: Annotated[str, AfterValidator(_check_name)] = Field(
-        json_schema_extra={"pattern": f"^{NAME_PATTERN.pattern}$"},
-        description="name of the experiment, of its files and of its target in the workflow, by "
-        "default that of the file: lower-case letters, digits and underscores, beginning with a "
-        "letter, at most 64; not the name of a rule, of a study or of a product of a study, nor of "
-        "a device such as `con`",
-    )
-    medium: dict[str, Any] = Field(
-        default_factory=lambda: {"kind": "snow"},
-        description="the sample, by default snow of SPLITSnow Table 1",
-    )
-    instrument: AnyInstrument = Field(Spectrophotometer(), description="the virtual instrument")
+    name: Name
+    """name of the experiment, of its files and of its target in the workflow, by default that of
+    the file: lower-case letters, digits and underscores, beginning with a letter, at most 64; not
+    the name of a rule, of a study or of a product of a study, nor of a device such as `con`"""
+    medium: dict[str, Any] = Field(default_factory=lambda: {"kind": "snow"})
+    """the sample, by default snow of SPLITSnow Table 1"""
+    instrument: AnyInstrument = Spectrophotometer()
+    """the virtual instrument"""
     grid: Annotated[dict[str, dict[str, Any]], BeforeValidator(label_grid)] = Field(
-        default_factory=dict, description="parameters that vary"
+        default_factory=dict
     )
-    fit: FitSection | None = Field(
-        None, description="fits a sand to measured spectra instead of simulating given media"
-    )
+    """parameters that vary"""
+    fit: FitSection | None = None
+    """fits a sand to measured spectra instead of simulating given media"""
 
     @model_validator(mode="after")
     def _check_runnable(self) -> SimulationConfig:
         kind = self.medium.get("kind", "snow")
         check_choice("medium.kind", kind, MEDIUM_CLASSES)
-        keywords = list_keywords(MEDIUM_CLASSES[kind])
-        samples = self.grid.get(SAMPLE_KEY, {})
-        for prefix, settings in {"medium": self.medium, **_map_sample_keys(samples)}.items():
-            for key in settings:
-                if key not in (*keywords, "kind"):
-                    raise unknown_key(f"{prefix}.{key}", keywords)
-            check_choice(f"{prefix}.kind", settings.get("kind", kind), [kind])
-            if kind == "stack" and (prefix == "medium" or LAYERS_KEY in settings):
-                check_layers(prefix, settings.get(LAYERS_KEY))
-        if kind == "stack":
-            check_grid_layers(self.medium, self.grid, SAMPLE_KEY)
-        parameters = [*keywords, "incidence_deg", SAMPLE_KEY]
-        for parameter in self.grid:
-            if kind == "stack" and parse_layer_parameter(parameter):
-                continue
-            impurity = parse_impurity_parameter(parameter)
-            if impurity and impurity[0] in keywords:
-                continue
-            if parameter not in parameters:
-                raise unknown_key(f"grid.{parameter}", parameters)
+        self._check_keywords(kind)
         self._check_fit(kind)
         self._check_size()
         wavelengths = self.instrument.get_wavelengths()
@@ -139,21 +116,44 @@ class SimulationConfig(ConfigSection):
         self._check_grid()
         return self
 
+    def _check_keywords(self, kind: str) -> None:
+        """Reject unknown keywords of the medium, of its layers and of the grid."""
+        keywords = list_keywords(MEDIUM_CLASSES[kind])
+        sections = {"medium": self.medium}
+        for label, sample in self.grid.get(SAMPLE_KEY, {}).items():
+            sections[f"grid.{SAMPLE_KEY}.{format_key(label)}"] = sample
+        for prefix, settings in sections.items():
+            if not isinstance(settings, Mapping):
+                raise invalid(prefix, settings, "a mapping of the medium's keywords")
+            for key in settings:
+                if key not in (*keywords, "kind"):
+                    raise unknown_key(f"{prefix}.{key}", keywords)
+            check_choice(f"{prefix}.kind", settings.get("kind", kind), [kind])
+            if kind == "stack" and (prefix == "medium" or LAYERS_KEY in settings):
+                check_layers(prefix, settings.get(LAYERS_KEY))
+        if kind == "stack":
+            check_grid_layers(self.medium, self.grid)
+        parameters = [*keywords, "incidence_deg", SAMPLE_KEY]
+        for parameter in self.grid:
+            keyword, _ = parse_impurity_parameter(parameter) or (parameter, "")
+            is_path = kind == "stack" and parse_layer_parameter(parameter)
+            if not is_path and keyword not in parameters:
+                raise unknown_key(f"grid.{parameter}", parameters)
+
     def _check_fit(self, kind: str) -> None:
         """Reject settings that a fit does not allow."""
         if not self.fit:
             return
-        instrument = self.instrument
+        key, instrument = "instrument", self.instrument
         if not isinstance(instrument, Spectrophotometer):
-            allowed = "spectrophotometer with a section fit"
-            raise invalid("instrument.kind", instrument.kind, allowed)
+            raise invalid(f"{key}.kind", instrument.kind, "spectrophotometer with a section fit")
         if kind != "sand":
             raise invalid("medium.kind", kind, "sand in an experiment with a section fit")
         if "wavelength_nm" in instrument.model_fields_set:
             allowed = "left out: a fit uses the measured wavelengths"
-            raise invalid("instrument.wavelength_nm", "given", allowed)
+            raise invalid(f"{key}.wavelength_nm", "given", allowed)
         if instrument.estimator == "analog":
-            raise invalid("instrument.estimator", "analog", "left out: fits reuse paths")
+            raise invalid(f"{key}.estimator", "analog", "left out: fits reuse paths")
 
     def _check_size(self) -> None:
         """Reject a grid whose dataset would not fit into memory."""
@@ -165,30 +165,24 @@ class SimulationConfig(ConfigSection):
         if points > MAX_GRID_POINTS:
             hint = "instrument.kind: table allows more"
             raise invalid("grid", f"{points} points", f"at most {MAX_GRID_POINTS} points", hint)
-        values = points * self.instrument.count_values()
-        if values > MAX_DATASET_VALUES:
-            raise invalid(
-                "grid", f"{points} points of {self.instrument.count_values()} values each",
-                f"at most {MAX_DATASET_VALUES} values in all", "split it into several experiments",
-            )  # fmt: skip
+        count = self.instrument.count_values()
+        if points * count > MAX_DATASET_VALUES:
+            given = f"{points} points of {count} values each"
+            allowed = f"at most {MAX_DATASET_VALUES} values in all"
+            raise invalid("grid", given, allowed, "split it into several experiments")
 
     def _check_grid(self) -> None:
         """Reject grids that an instrument does not allow."""
-        instrument = self.instrument
-        has_incidence = isinstance(instrument, OpticalInstrument)
-        if not has_incidence and "incidence_deg" in self.grid:
-            raise invalid(
-                "grid.incidence_deg", list(self.grid["incidence_deg"].values()),
-                f"left out for {instrument.kind}",
-            )  # fmt: skip
-        if "incidence_deg" in self.grid and instrument.get_incidence() != 0.0:
+        instrument, incidence = self.instrument, self.grid.get("incidence_deg")
+        if incidence and not isinstance(instrument, OpticalInstrument):
+            allowed = f"left out for {instrument.kind}"
+            raise invalid("grid.incidence_deg", list(incidence.values()), allowed)
+        if incidence and instrument.get_incidence() != 0.0:
             allowed = "left out, because grid.incidence_deg sets it"
             raise invalid("instrument.incidence_deg", instrument.get_incidence(), allowed)
         if isinstance(instrument, BeamSpread) and self.grid and instrument.half_width_m is None:
-            raise invalid(
-                "instrument.half_width_m", None, "given where there is a grid",
-                "all maps of one dataset have the same axes",
-            )  # fmt: skip
+            allowed, hint = "given where there is a grid", "all maps have the same axes"
+            raise invalid("instrument.half_width_m", None, allowed, hint)
         varied = {key: list(given) for key, given in self.grid.items() if len(given) > 1}
         if instrument.kind == "refractive_index" and varied:
             raise invalid("grid", varied, "of one value for refractive_index")
@@ -216,7 +210,7 @@ class SimulationConfig(ConfigSection):
         """Yield the labels, the medium and the angle of incidence of each point of the grid."""
         for labels, settings, incidence in self.iter_settings():
             with self.locate_errors(labels):
-                medium = self._make_medium(settings)
+                medium = make_medium(get_kind(self.medium), settings)
             yield labels, medium, incidence
 
     @contextmanager
@@ -232,31 +226,32 @@ class SimulationConfig(ConfigSection):
                 prefix = "grid"
             elif key in sample:
                 prefix = f"grid.{SAMPLE_KEY}.{labels[SAMPLE_KEY]}"
+            elif key in type(self.instrument).model_fields:
+                prefix = "instrument"
             else:
                 prefix = "fit" if key in FitSection.model_fields else "medium"
-                prefix = "instrument" if key in type(self.instrument).model_fields else prefix
             has_several = prefix == "medium" and self._has_several_values(key)
             raise error.add_prefix(prefix, USE_GRID_HINT if has_several else "") from None
 
     def _has_several_values(self, key: str) -> bool:
         """Return whether a keyword of the medium has a list of values that belongs on a grid."""
         value = self.medium.get(key)
-        default = getattr(MEDIUM_CLASSES[self.medium.get("kind", "snow")], key, None)
+        default = getattr(MEDIUM_CLASSES[get_kind(self.medium)], key, None)
         if not isinstance(value, (list, tuple)) or default is None:
             return False
         return not isinstance(default, tuple) or any(isinstance(v, (list, tuple)) for v in value)
 
     def iter_settings(self) -> Iterator[tuple[dict[str, str], dict[str, Any], float | str]]:
         """Yield the labels, the keywords of the medium and the angle of incidence of each point."""
-        base = {k: v for k, v in self.medium.items() if k != "kind"}
-        if not isinstance(base.get("interpretation", {}), Mapping | str):
+        interpretation = self.medium.get("interpretation", {})
+        if not isinstance(interpretation, Mapping | str):
             allowed = "a mapping of interpretation keywords, or the name of a set"
-            raise invalid("medium.interpretation", base["interpretation"], allowed)
+            raise invalid("medium.interpretation", interpretation, allowed)
         for labels in self._iter_labels():
             point_labels = dict(zip(self.grid, labels, strict=True))
             values = {p: self.grid[p][label] for p, label in point_labels.items()}
             incidence = values.pop("incidence_deg", self.instrument.get_incidence())
-            yield point_labels, self.merge_settings(base, values), incidence
+            yield point_labels, self.merge_settings(values), incidence
 
     def _iter_labels(self) -> Iterator[tuple[str, ...]]:
         """Yield the labels of every point; for a table, each value with the first of all others.
@@ -268,13 +263,13 @@ class SimulationConfig(ConfigSection):
             return
         first = [next(iter(values)) for values in self.grid.values()]
         yield tuple(first)
-        for index, values in enumerate(self.grid.values()):
-            for label in list(values)[1:]:
+        for index, (_, *others) in enumerate(self.grid.values()):
+            for label in others:
                 yield (*first[:index], label, *first[index + 1 :])
 
-    def merge_settings(self, base: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    def merge_settings(self, values: dict[str, Any]) -> dict[str, Any]:
         """Return the keywords of the medium at a point of the grid, merged into the common ones."""
-        values = dict(values)
+        base = {k: v for k, v in self.medium.items() if k != "kind"}
         for parameter in [p for p in values if parse_impurity_parameter(p)]:
             key, kind = parse_impurity_parameter(parameter) or ("", "")
             values[key] = {**values.get(key, {}), kind: values.pop(parameter)}
@@ -282,27 +277,19 @@ class SimulationConfig(ConfigSection):
         settings = apply_paths(override_keywords(base, sample), values)
         for key in MERGED_KEYWORDS:
             parts = [part[key] for part in (base, sample, values) if key in part]
-            if key == "interpretation":
-                settings |= {key: merge_interpretations(parts)} if parts else {}
-            elif parts and all(isinstance(part, Mapping) for part in parts):
-                settings[key] = {k: v for part in parts for k, v in part.items()}
+            settings |= {key: merge_values(key, parts)} if parts else {}
         return settings
 
     def make_axes(self) -> ParameterGrid:
         """Return the grid as axes of a table: increasing numbers, or texts."""
-        return ParameterGrid.from_mapping(
-            {p: list(_get_axis_nodes(values)) for p, values in self.grid.items()}
-        )
+        nodes = {p: list(_get_axis_nodes(values)) for p, values in self.grid.items()}
+        return ParameterGrid.from_mapping(nodes)
 
     def make_medium(self, **values: Any) -> Medium:
         """Return the medium at a point of the grid."""
-        base = {k: v for k, v in self.medium.items() if k != "kind"}
         point = {p: self.grid[p][v] if _get_axis_nodes(self.grid[p]) is self.grid[p] else v
                   for p, v in values.items()}  # fmt: skip
-        return self._make_medium(self.merge_settings(base, point))
-
-    def _make_medium(self, settings: Mapping[str, Any]) -> Medium:
-        return make_medium(self.medium.get("kind", "snow"), settings)
+        return make_medium(get_kind(self.medium), self.merge_settings(point))
 
     def dump_simulation(self) -> dict[str, Any]:
         """Return all settings that affect the results, for `SimulationConfig.model_validate`."""
@@ -313,23 +300,11 @@ class SimulationConfig(ConfigSection):
 
     def dump_configuration(self) -> str:
         """Return `dump_simulation` as JSON, with users' tables identified by name and content."""
-        return json.dumps(
-            replace_table_paths(self.dump_simulation(), identify_by_content), sort_keys=True
-        )
+        content = replace_table_paths(self.dump_simulation(), identify_by_content)
+        return json.dumps(content, sort_keys=True)
 
 
 def _get_axis_nodes(values: Mapping[str, Any]) -> Iterable[Any]:
     """Return the nodes of a table's axis: the values, or their labels if any value is composite."""
     is_composite = any(isinstance(v, Mapping | list | tuple) for v in values.values())
     return values if is_composite else values.values()
-
-
-def _map_sample_keys(samples: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the media of a grid by the key for error messages."""
-    by_key = {
-        f"grid.{SAMPLE_KEY}.{format_key(label)}": settings for label, settings in samples.items()
-    }
-    for key, settings in by_key.items():
-        if not isinstance(settings, Mapping):
-            raise invalid(key, settings, "a mapping of the medium's keywords")
-    return by_key

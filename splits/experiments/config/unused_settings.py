@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from splits.core.validation import format_key, invalid
-from splits.experiments.config.medium import MERGED_KEYWORDS
-from splits.experiments.config.simulation import SAMPLE_KEY, SimulationConfig
+from splits.experiments.config.medium import MERGED_KEYWORDS, SAMPLE_KEY
+from splits.experiments.config.simulation import SimulationConfig
 from splits.media import ParticleLayer
 from splits.media.kinds import LAYERS_KEY
 from splits.media.measured_inputs import REPLACED_FIELDS
@@ -46,13 +46,7 @@ def iter_settings(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
 
 
 def check_replaced_settings(content: Mapping[str, Any]) -> None:
-    """Reject settings that the grid replaces at every point.
-
-    Raises
-    ------
-    ValueError
-        The message names the key of the setting.
-    """
+    """Reject settings that the grid replaces at every point; the error names their key."""
     settings, instrument = list(iter_settings(content)), content.get("instrument")
     replacements = {
         REPLACED_FIELDS.get(key, key): key for section, key, _ in settings if section == "grid"
@@ -70,10 +64,7 @@ def check_replaced_settings(content: Mapping[str, Any]) -> None:
 def check_unused_keywords(experiment: SimulationConfig, content: Mapping[str, Any]) -> None:
     """Reject keywords of a file's medium that have no effect at any point of the grid.
 
-    Raises
-    ------
-    ValueError
-        The message names the key of the keyword and the reason.
+    The error names the key of the keyword and the reason.
     """
     if experiment.medium.get("kind") != "particle_layer":
         return

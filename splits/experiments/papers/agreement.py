@@ -19,14 +19,12 @@ from splits.analysis.measured import (
     select_letcher_column,
 )
 from splits.core.uncertainty import compute_weighted_error
+from splits.experiments.papers.estimate import Estimate
 from splits.experiments.papers.snow_trends import (
     UNRESOLVED_VERDICT,
     make_ranking_rows,
     make_snow_trend_rows,
 )
-
-ValueAndStderr = tuple[float, float]
-"""A number and its standard error."""
 
 MIN_VERDICT_SIGMA = 2.0
 """Smallest distance to a tolerance limit, in standard errors, that permits a verdict."""
@@ -70,7 +68,7 @@ def make_agreement_table(
 
 
 def _compare_with_published(
-    name: object, row: pd.Series, value: ValueAndStderr | None
+    name: object, row: pd.Series, value: Estimate | None
 ) -> dict[str, object]:
     """Return the verdict on one published number."""
     fixed = {"id": name, "quantity": row.quantity, "place": row.place, "published": row.published}
@@ -78,7 +76,6 @@ def _compare_with_published(
         verdict = "not reproducible: the measured curve is not published as numbers"
         return {**fixed, "verdict": verdict}
     ours, stderr = value
-    difference = ours - row.published
     if isinstance(row.bar, str):
         relative = row.bar.endswith("%")
         allowed = float(row.bar.rstrip("%")) * (abs(row.published) / 100 if relative else 1.0)
@@ -88,84 +85,63 @@ def _compare_with_published(
         low = -np.inf if pd.isna(row.low) else row.low
         high = np.inf if pd.isna(row.high) else row.high
         bar = f"{low:g} to {high:g}" if np.isfinite(low) else f"at most {high:g}"
-    return {
-        **fixed,
-        "ours": ours,
-        "stderr": stderr,
-        "difference": difference,
-        "bar": bar,
-        "verdict": _judge_range(ours, stderr, low, high),
-    }
-
-
-def _judge_range(value: float, stderr: float, low: float, high: float) -> str:
-    """Return the verdict on whether a value lies in a range, if its standard error permits one."""
-    if min(abs(value - low), abs(value - high)) < MIN_VERDICT_SIGMA * stderr:
-        return UNRESOLVED_VERDICT
-    return "agrees" if low <= value <= high else "outside"
+    verdict = "agrees" if low <= ours <= high else "outside"
+    if min(abs(ours - low), abs(ours - high)) < MIN_VERDICT_SIGMA * stderr:
+        verdict = UNRESOLVED_VERDICT
+    numbers = {"ours": ours, "stderr": stderr, "difference": ours - row.published}
+    return {**fixed, **numbers, "bar": bar, "verdict": verdict}
 
 
 def _compute_values(
     datasets: Mapping[str, xr.Dataset], sensitivities: xr.Dataset, aviris: pd.DataFrame
-) -> dict[str, ValueAndStderr]:
-    values: dict[str, ValueAndStderr] = {}
-    sample = datasets["sample"].mean_grain_distance.sel(density_kg_m3=450)
-    values["grain_distance"] = float(sample), 0.0
-    scene = datasets["aviris"]
+) -> dict[str, Estimate]:
+    distance = datasets["sample"].mean_grain_distance.sel(density_kg_m3=450)
+    values = {"grain_distance": Estimate(distance, 0.0)}
+    model = compare_with_spectrum(datasets["aviris"], aviris)
+    scene = Estimate.from_dataset(datasets["aviris"], "reflectance")
     for label, wavelength in AVIRIS_BANDS_NM.items():
-        value = _select_value(scene, "reflectance", wavelength)
+        value = scene.sel(wavelength=wavelength)
         values[f"table3_{label}"] = values[f"aviris_{label}"] = value
     extremes = aviris[["reflectance_min", "reflectance_max"]].to_numpy()
-    model = compare_with_spectrum(scene, aviris)
-    ours = model.model.to_numpy()[:, np.newaxis]
+    ours, error = (model[[name]].to_numpy() for name in ("model", "stderr"))
     percent = 100 * np.abs(ours - extremes) / extremes
-    error = 100 * (model.stderr.to_numpy()[:, np.newaxis] / extremes).mean()
-    values["aviris_extremes"] = float(percent.mean()), float(error)
+    values["aviris_extremes"] = Estimate(percent.mean(), 100 * (error / extremes).mean())
     thick = datasets["thick_transmittance"]
-    values["transmittance_max"] = _find_maximum(thick, "transmittance", 400, 500)
-    values["transmittance_950"] = _find_maximum(thick, "transmittance", 960, 1000)
-    thin = datasets["density_transmittance"].isel(density_kg_m3=0)
-    values["transmittance_1420"] = _select_value(thin, "transmittance", 1420)
+    values["transmittance_max"] = _find_max_transmittance(thick, 400, 500)
+    values["transmittance_950"] = _find_max_transmittance(thick, 960, 1000)
+    thin = datasets["density_transmittance"].isel(density_kg_m3=0).sel(wavelength=1420)
+    values["transmittance_1420"] = Estimate.from_dataset(thin, "transmittance")
     values |= _compute_density_effect(datasets["density"])
-    for quantity in sensitivities.quantity.values:
-        for parameter in sensitivities.parameter.values:
-            index = sensitivities.sel(quantity=quantity, parameter=parameter)
-            values[f"msi_{quantity[0]}_{parameter}"] = float(index.msi), float(index.msi_stderr)
-    return values
+    index = Estimate.from_dataset(sensitivities, "msi")
+    for quantity, parameter in itertools.product(
+        sensitivities.quantity.values, sensitivities.parameter.values
+    ):
+        value = index.sel(quantity=quantity, parameter=parameter)
+        values[f"msi_{quantity[0]}_{parameter}"] = value
+    return {name: value.to_floats() for name, value in values.items()}
 
 
-def _select_value(dataset: xr.Dataset, quantity: str, wavelength: float) -> ValueAndStderr:
-    part = dataset.sel(wavelength=wavelength)
-    return float(part[quantity]), float(part[f"{quantity}_stderr"])
-
-
-def _find_maximum(dataset: xr.Dataset, quantity: str, low: float, high: float) -> ValueAndStderr:
+def _find_max_transmittance(dataset: xr.Dataset, low: float, high: float) -> Estimate:
+    """Return the largest transmittance in a band (nm)."""
     part = dataset.sel(wavelength=slice(low, high))
-    i = int(np.argmax(part[quantity].values))
-    return float(part[quantity][i]), float(part[f"{quantity}_stderr"][i])
+    transmittance = Estimate.from_dataset(part, "transmittance")
+    return transmittance.isel(wavelength=part.transmittance.argmax("wavelength"))
 
 
-def _compute_density_effect(dataset: xr.Dataset) -> dict[str, ValueAndStderr]:
-    loose, dense = (dataset.sel(density_kg_m3=d) for d in (300, 450))
-    difference = (dense.reflectance - loose.reflectance).values
-    error = np.hypot(loose.reflectance_stderr.values, dense.reflectance_stderr.values)
-    percent = 100 * np.abs(difference) / loose.reflectance.values
+def _compute_density_effect(dataset: xr.Dataset) -> dict[str, Estimate]:
+    spectra = [dataset.sel(density_kg_m3=density) for density in (300, 450)]
+    loose, dense = (Estimate.from_dataset(part, "reflectance") for part in spectra)
+    difference, error = (part.values for part in dense - loose)
+    percent = 100 * np.abs(difference) / loose.value.values
 
     def compute_stderr(weights: np.ndarray) -> float:
         weight = xr.DataArray(weights, dims="wavelength")
-        errors = [
-            float(compute_weighted_error(spectrum, "reflectance", weight))
-            for spectrum in (loose, dense)
-        ]
-        return math.hypot(*errors)
+        return math.hypot(*(compute_weighted_error(s, "reflectance", weight) for s in spectra))
 
+    weights = np.sign(difference) / (loose.value.values * difference.size)
     return {
-        "density_rmse": compute_rmse(difference, error, compute_stderr),
-        "density_percent": (
-            float(percent.mean()),
-            100
-            * compute_stderr(np.sign(difference) / (loose.reflectance.values * difference.size)),
-        ),
+        "density_rmse": Estimate(*compute_rmse(difference, error, compute_stderr)),
+        "density_percent": Estimate(percent.mean(), 100 * compute_stderr(weights)),
     }
 
 
@@ -180,17 +156,11 @@ def _make_measured_rows(
         rmse = compute_measured_rmse(mix_letcher_illumination(snows, snow, depth), column)
         description = f"Letcher et al. (2022), {1e3 * depth:g} mm, {snow}"
         results.append((description, "The Cryosphere 16, 4343", rmse))
-    rows: list[dict[str, object]] = []
-    for description, place, (value, error) in results:
-        rows.append(
-            {
-                "id": "measured",
-                "quantity": f"RMSE to measured reflectance: {description}",
-                "place": place,
-                "ours": value,
-                "stderr": error,
-                "bar": "at most 0.03",
-                "verdict": "agrees" if value <= 0.03 else "outside",
-            }
-        )
-    return rows
+    return [
+        {
+            "id": "measured", "quantity": f"RMSE to measured reflectance: {description}",
+            "place": place, "ours": value, "stderr": error, "bar": "at most 0.03",
+            "verdict": "agrees" if value <= 0.03 else "outside",
+        }
+        for description, place, (value, error) in results
+    ]  # fmt: skip

@@ -148,45 +148,28 @@ class RankedCombination:
         self, statements: Mapping[str, PublishedStatement], water: int, floor: int
     ) -> BestMatch:
         """Return the best match for one water and one floor."""
-        rows = {
-            name: np.array([array[water] if array.ndim == 1 else _select_floor(array[water], floor)
-                            for array in self.values[name]])
-            for name in statements
-        }  # fmt: skip
-        values: dict[str, tuple[float, float]] = {}
+        rows = {name: _select_values(self.values[name], water, floor) for name in statements}
+        numbers = {name: row for name, row in rows.items() if row.ndim == 1}
+        sensitivities = [name for name in rows if name not in numbers]
         ranges: dict[str, str] = {}
-        for parameter, names in _group_by_parameter(rows).items():
+        for parameter in dict.fromkeys(name.split("_", 2)[2] for name in sensitivities):
+            names = [name for name in sensitivities if name.endswith(f"_{parameter}")]
             distance = sum(
                 statements[name].normalize_difference(rows[name][0]) ** 2 for name in names
             )
             pair = int(np.argmin(distance))
-            label = list_extreme_pairs(parameter)[pair]
-            ranges |= dict.fromkeys(names, label)
-            values |= {name: _to_pair(rows[name][:, pair]) for name in names}
-        values |= {name: _to_pair(row) for name, row in rows.items() if row.ndim == 1}
-        ours, errors = (
-            zip(*(values[name] for name in statements), strict=True) if statements else ((), ())
-        )
+            ranges |= dict.fromkeys(names, list_extreme_pairs(parameter)[pair])
+            numbers |= {name: rows[name][:, pair] for name in names}
+        values = {name: (float(numbers[name][0]), float(numbers[name][1])) for name in statements}
+        ours, errors = ([values[name][i] for name in statements] for i in (0, 1))
         misfit = compute_misfit(statements.values(), ours, errors)
         return BestMatch(misfit, values, TRANSMITTANCE_FLOORS[floor], ranges)
 
 
-def _to_pair(row: np.ndarray) -> tuple[float, float]:
-    return float(row[0]), float(row[1])
-
-
-def _select_floor(array: np.ndarray, floor: int) -> np.ndarray:
-    """Return the sensitivities of all pairs for one floor; reflectance has a single one."""
-    return array[:, min(floor, array.shape[1] - 1)]
-
-
-def _group_by_parameter(rows: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
-    """Return the names of sensitivities by parameter."""
-    groups: dict[str, list[str]] = {}
-    for name, row in rows.items():
-        if row.ndim > 1:
-            groups.setdefault(name.split("_", 2)[2], []).append(name)
-    return groups
+def _select_values(estimate: tuple[np.ndarray, np.ndarray], water: int, floor: int) -> np.ndarray:
+    """Return a value and its error, for sensitivities of all pairs; reflectance has one floor."""
+    arrays = [array[water] for array in estimate]
+    return np.array([a if a.ndim == 0 else a[:, min(floor, a.shape[1] - 1)] for a in arrays])
 
 
 def rank_interpretations(
@@ -226,12 +209,10 @@ def rank_interpretations(
         All statements by name.
     """
     start_time, target_errors = time.perf_counter(), TargetErrors().scale(stderr_scale)
-    stages = {
-        stage: select_statements(published, STATED_NUMBERS.get(stage, ()))
-        | get_stated_trends(stage)
-        for stage in STAGES
-    }
-    stated = {name: statement for stage in stages.values() for name, statement in stage.items()}
+    stated: dict[str, PublishedStatement] = {}
+    for stage in STAGES:
+        stated |= select_statements(published, STATED_NUMBERS.get(stage, ()))
+        stated |= get_stated_trends(stage)
     interpretations = [
         Interpretation(**expand_overlaps(dict(zip(choices, item, strict=True))))
         for item in itertools.product(*choices.values())
@@ -252,7 +233,7 @@ def rank_interpretations(
 
     active = list(combinations)
     with ThreadPoolExecutor(threads) as pool:
-        for number, stage in enumerate(stages):
+        for number, stage in enumerate(STAGES):
             active.sort(key=lambda item: item.min_misfit)
             if stage in STAGE_QUOTAS:
                 n_all, n_consistent = STAGE_QUOTAS[stage]
@@ -270,7 +251,7 @@ def rank_interpretations(
                 if done % LOG_INTERVAL == 0 or done == len(active):
                     log(
                         f"interpretation: {stage}, {done} of {len(active)}; stage {number + 1} of "
-                        f"{len(stages)}; {time.perf_counter() - start_time:.0f} s"
+                        f"{len(STAGES)}; {time.perf_counter() - start_time:.0f} s"
                     )
     return sorted(combinations, key=lambda item: (-item.n_stages, item.min_misfit)), stated
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from splits.experiments.papers.estimate import Estimate
 from splits.experiments.papers.interpretation_ranking import (
     BestMatch,
     RankedCombination,
@@ -46,44 +49,26 @@ def make_ranking_table(
         matches = combination.find_best_matches(stated)
         order = _sort_waters(matches)
         for water in order if complete else order[:1]:
-            row = _make_ranking_row(combination, int(water), matches[water], stated, choices)
-            rows.append(
-                {
-                    **row,
-                    "text": combination.is_consistent_with(stated_choices),
-                    "complete": complete,
-                }
-            )
+            misfit, values, floor, _ = matches[water]
+            distances = {
+                name: float(stated[name].normalize_difference(v)) for name, (v, _) in values.items()
+            }
+            worst = max(distances, key=lambda name: abs(distances[name]))
+            choice_of = {key: find_choice(combination.run.interpretation, key) for key in choices}
+            row = {
+                **choice_of, "set": combination.find_set_name(), "water": WATER_TABLES[water],
+                "stages": combination.n_stages, "misfit": misfit.total,
+                "misfit_stderr": misfit.stderr, "floor": floor,
+                "rms": misfit.compute_rms(len(distances))[0],
+                "worst": f"{worst} ({distances[worst]:+.1f})",
+                "text": combination.is_consistent_with(stated_choices), "complete": complete,
+            }  # fmt: skip
+            rows.append(row)
     table = pd.DataFrame(rows)
     table = table.sort_values(["complete", "stages", "misfit"], ascending=[False, False, True])
     rank = np.where(table.complete, np.arange(1, len(table) + 1), 0)
     table.insert(0, "rank", rank)
     return table.drop(columns="complete").reset_index(drop=True)
-
-
-def _make_ranking_row(
-    combination: RankedCombination,
-    water: int,
-    match: BestMatch,
-    stated: Mapping[str, PublishedStatement],
-    choices: Mapping[str, Sequence[str]],
-) -> dict[str, Any]:
-    distances = {
-        name: float(stated[name].normalize_difference(v)) for name, (v, _) in match.values.items()
-    }
-    worst = max(distances, key=lambda name: abs(distances[name]))
-    rms, _ = match.misfit.compute_rms(len(distances))
-    return {
-        **{key: find_choice(combination.run.interpretation, key) for key in choices},
-        "set": combination.find_set_name(),
-        "water": WATER_TABLES[water],
-        "stages": combination.n_stages,
-        "misfit": match.misfit.total,
-        "misfit_stderr": match.misfit.stderr,
-        "floor": match.floor,
-        "rms": rms,
-        "worst": f"{worst} ({distances[worst]:+.1f})",
-    }
 
 
 def make_statement_table(
@@ -100,33 +85,25 @@ def make_statement_table(
     names : sequence of str
         Fields of the interpretation that identify combinations.
     """
-    rows = []
-    complete = [combination for combination in combinations if combination.is_complete]
-    for number, combination in enumerate(complete, start=1):
-        label = combination.describe(names)
+    rows: list[dict[str, Any]] = []
+    for number, combination in enumerate(_list_complete(combinations), start=1):
         matches = combination.find_best_matches(stated)
-        for index, (water, (name, statement)) in enumerate(
-            itertools.product(_sort_waters(matches), stated.items())
-        ):
-            value, error = matches[water].values[name]
-            rows.append(
-                {
-                    "combination": number,
-                    "interpretation": label,
-                    "set": combination.find_set_name(),
-                    "water": WATER_TABLES[water],
-                    "nearest_water": index < len(stated),
-                    "statement": name,
-                    "place": statement.place,
-                    "published": "above 0" if statement.is_trend else f"{statement.published:g}",
-                    "ours": value,
-                    "stderr": error,
-                    "bar": statement.tolerance,
-                    "distance": float(statement.normalize_difference(value)),
-                    "between": matches[water].ranges.get(name, ""),
-                    "floor": matches[water].floor if name.startswith("msi_t") else np.nan,
-                }
-            )
+        nearest, *_ = order = _sort_waters(matches)
+        for water, (name, statement) in itertools.product(order, stated.items()):
+            _, values, floor, ranges = matches[water]
+            value, error = values[name]
+            row = {
+                "combination": number, "interpretation": combination.describe(names),
+                "set": combination.find_set_name(), "water": WATER_TABLES[water],
+                "nearest_water": bool(water == nearest), "statement": name,
+                "place": statement.place,
+                "published": "above 0" if statement.is_trend else f"{statement.published:g}",
+                "ours": value, "stderr": error, "bar": statement.tolerance,
+                "distance": float(statement.normalize_difference(value)),
+                "between": ranges.get(name, ""),
+                "floor": floor if name.startswith("msi_t") else np.nan,
+            }  # fmt: skip
+            rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -140,8 +117,8 @@ def make_leave_out_table(
     Columns are without, first (its interpretation), misfit, misfit_stderr, second, and margin with
     margin_stderr, the difference of the two misfits, for complete combinations.
     """
+    columns = ["without", "first", "misfit", "misfit_stderr", "second", "margin", "margin_stderr"]
     rows = []
-    complete = [combination for combination in combinations if combination.is_complete]
     for group, prefixes in {"nothing": (), **STATEMENT_GROUPS}.items():
         statements = {
             name: statement
@@ -149,42 +126,27 @@ def make_leave_out_table(
             if not (prefixes and name.startswith(prefixes))
         }
         best = []
-        for combination in complete:
-            nearest = min(
-                (match.misfit for match in combination.find_best_matches(statements)),
-                key=lambda misfit: misfit.total,
-            )
-            best.append((nearest, combination.describe(names)))
-        best.sort(key=lambda pair: pair[0].total)
-        if len(best) < 2:
-            continue
-        (first, label), (second, other) = best[:2]
-        rows.append(
-            {
-                "without": group, "first": label, "misfit": first.total,
-                "misfit_stderr": first.stderr, "second": other,
-                "margin": second.total - first.total,
-                "margin_stderr": float(np.hypot(first.stderr, second.stderr)),
-            }
-        )  # fmt: skip
-    columns = ["without", "first", "misfit", "misfit_stderr", "second", "margin", "margin_stderr"]
+        for combination in _list_complete(combinations):
+            misfits = [match.misfit for match in combination.find_best_matches(statements)]
+            best.append((min(misfits, key=attrgetter("total")), combination.describe(names)))
+        if len(best) > 1:
+            (first, label), (second, other), *_ = sorted(best, key=lambda pair: pair[0].total)
+            margin = Estimate(*astuple(second)) - Estimate(*astuple(first))
+            rows.append((group, label, *astuple(first), other, *margin.to_floats()))
     return pd.DataFrame(rows, columns=columns)
 
 
 def find_differing_keys(combinations: Sequence[RankedCombination]) -> list[str]:
     """Return the fields in which complete combinations differ, or the first field."""
-    interpretations = [
-        combination.run.interpretation.as_dict()
-        for combination in combinations
-        if combination.is_complete
-    ]
-    return [
-        name
-        for name in interpretations[0]
-        if len({combination[name] for combination in interpretations}) > 1
-    ] or list(interpretations[0])[:1]
+    complete = _list_complete(combinations)
+    table = pd.DataFrame([combination.run.interpretation.as_dict() for combination in complete])
+    return list(table.columns[table.nunique() > 1]) or list(table.columns[:1])
 
 
-def _sort_waters(matches: Sequence[BestMatch]) -> np.ndarray:
+def _list_complete(combinations: Sequence[RankedCombination]) -> list[RankedCombination]:
+    return [combination for combination in combinations if combination.is_complete]
+
+
+def _sort_waters(matches: Sequence[BestMatch]) -> list[int]:
     """Return the indices of waters in order of increasing misfit."""
-    return np.argsort([match.misfit.total for match in matches])
+    return [int(i) for i in np.argsort([match.misfit.total for match in matches])]

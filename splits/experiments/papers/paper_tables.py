@@ -1,16 +1,12 @@
-"""Tables 1 and 3 of SPLITSnow, and atomic writing of CSV tables."""
+"""Tables 1 and 3 of SPLITSnow."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from splits.analysis.measured import compare_with_spectrum
-from splits.core.atomic import atomic_write
-from splits.core.escaping import escape_cells
 
 TABLE1_LABELS = {
     "snow_grain_size_um": "grain size min, max (µm)",
@@ -21,15 +17,6 @@ TABLE1_LABELS = {
     "snow_depth_m": "depth (m)",
     "incidence_deg": "angle of incidence (°)",
 }
-
-
-def write_data_frame(table: pd.DataFrame, path: str | Path) -> None:
-    """Write a table as CSV with six significant digits.
-
-    Texts that a spreadsheet would evaluate are prefixed with an apostrophe.
-    """
-    with atomic_write(path) as temporary_path:
-        escape_cells(table).to_csv(temporary_path, index=False, float_format="%.6g")
 
 
 def make_table1(sample: xr.Dataset) -> pd.DataFrame:

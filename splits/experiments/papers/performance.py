@@ -127,15 +127,12 @@ def combine_runs(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
     Numbers with suffix ``_largest`` are combined by the maximum, others by the root mean square.
     """
-    combined: dict[str, float] = {}
-    for run in runs:
-        for key, value in run.items():
-            previous = combined.get(key, 0.0)
-            if key.endswith("_largest"):
-                combined[key] = max(previous, value)
-            else:
-                combined[key] = float(np.sqrt(previous**2 + value**2 / len(runs)))
-    return combined
+    return {
+        key: float(
+            values.max() if key.endswith("_largest") else np.sqrt((values**2).mean(skipna=False))
+        )
+        for key, values in pd.DataFrame(runs).items()
+    }
 
 
 def format_row(row: Mapping[str, Any]) -> str:

@@ -34,15 +34,11 @@ def draw_speed_against_error(table: pd.DataFrame) -> Figure:
     colours: list[Colour] = [*pick_colours(len(METHODS) - len(THEORIES), "sample"), *THEORY_GREYS]
     styles = dict(zip(METHODS, zip(colours, METHOD_MARKERS, strict=True), strict=True))
     with use_style():
+        height = 2.3 * rows + 0.8
         figure, panels = make_subplots(
-            rows,
-            columns,
-            width=TWO_COLUMNS_INCHES,
-            height=2.3 * rows + 0.8,
-            sharex=True,
-            sharey=True,
+            rows, columns, width=TWO_COLUMNS_INCHES, height=height, sharex=True, sharey=True,
             squeeze=False,
-        )
+        )  # fmt: skip
         for medium, axes in zip(media, panels.flat, strict=False):
             _draw_medium(axes, table[table.medium == medium], styles)
             axes.set_title(medium)
@@ -76,16 +72,13 @@ def _draw_medium(axes: Axes, table: pd.DataFrame, styles: dict[str, tuple[Colour
     """Draw the methods of one medium."""
     for method, rows in table.groupby("method"):
         colour, marker = styles[str(method)]
-        rows = rows.assign(error_shown=rows.stderr_largest)
-        if method in THEORIES:
-            rows = rows.assign(error_shown=rows.deviation_largest)
+        shown = "deviation_largest" if method in THEORIES else "stderr_largest"
         # Lines pass through the measured point where a scaled one exists as well.
         line = rows.sort_values("how", key=lambda how: how == SCALED).drop_duplicates("error")
-        line = line.sort_values("error")
-        axes.plot(line.seconds, line.error_shown, color=colour, lw=1.0)
+        axes.plot("seconds", shown, data=line.sort_values("error"), color=colour, lw=1.0)
         for scaled, part in rows.groupby(rows.how == SCALED):
             axes.plot(
-                part.seconds, part.error_shown, marker, color=colour, ls="none",
+                part.seconds, part[shown], marker, color=colour, ls="none",
                 mfc="white" if scaled else colour, ms=4,
             )  # fmt: skip
     axes.set_xscale("log")

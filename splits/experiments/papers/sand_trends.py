@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from splits.core.uncertainty import compute_band_error, compute_weighted_error, make_band_weights
+from splits.core.uncertainty import compute_weighted_error, make_band_weights
+from splits.experiments.papers.estimate import Estimate
 from splits.experiments.papers.snow_trends import (
     compute_band_mean,
-    compute_differences,
+    estimate_band,
     make_monotone_row,
     make_significance_row,
 )
@@ -55,22 +55,18 @@ def make_sand_trend_table(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
 
 
 def _make_rise_rows(samples: xr.Dataset) -> list[dict[str, object]]:
-    rows = []
-    for sample in samples.medium.values:
-        part = samples.sel(medium=sample)
-        means = np.array(
-            [float(compute_band_mean(part, "reflectance", *b)) for b in RISING_BANDS_NM]
+    means = [compute_band_mean(samples, "reflectance", *band) for band in RISING_BANDS_NM]
+    weights = [make_band_weights(samples, *band) for band in RISING_BANDS_NM]
+    step, weight = (xr.concat(parts, "band").diff("band") for parts in (means, weights))
+    steps = Estimate(step, compute_weighted_error(samples, "reflectance", weight))
+    bands = ", ".join(f"{low}-{high}" for low, high in RISING_BANDS_NM)
+    return [
+        make_significance_row(
+            f"reflectance of {sample} rises over bands {bands} nm: smallest step",
+            "section 2.1, Fig 6", *steps.sel(medium=sample),
         )
-        weights = [make_band_weights(part, *b) for b in RISING_BANDS_NM]
-        errors = [
-            float(compute_weighted_error(part, "reflectance", after - before))
-            for before, after in itertools.pairwise(weights)
-        ]
-        bands = ", ".join(f"{low}-{high}" for low, high in RISING_BANDS_NM)
-        statement = f"reflectance of {sample} rises over bands {bands} nm: smallest step"
-        place = "section 2.1, Fig 6"
-        rows.append(make_significance_row(statement, place, np.diff(means), errors))
-    return rows
+        for sample in samples.medium.values
+    ]  # fmt: skip
 
 
 def _make_reddening_row(dataset: xr.Dataset) -> dict[str, object]:
@@ -82,10 +78,10 @@ def _make_reddening_row(dataset: xr.Dataset) -> dict[str, object]:
         make_band_weights(dataset, *RED_BAND_NM) / red
         - make_band_weights(dataset, *GREEN_BAND_NM) / green
     )
-    ratio = (red / green).values
-    error = ratio * compute_weighted_error(dataset, "reflectance", slope).values
+    ratio = red / green
+    error = ratio * compute_weighted_error(dataset, "reflectance", slope)
     statement = "hematite for goethite shifts to the red: ratio of 620-700 to 480-560 nm"
-    steps = compute_differences(ratio, error)
+    steps = Estimate(ratio, error).diff("hematite_ratio")
     return make_significance_row(f"{statement}, smallest step", "Fig 8", *steps)
 
 
@@ -106,32 +102,23 @@ def make_shift_table(dataset: xr.Dataset, dimension: str, reference: str | float
         Per medium and value the mean shift and the largest absolute shift with their errors, and
         the wavelength of the latter.
     """
-    rows: list[dict[str, object]] = []
-    for sample in dataset.medium.values:
-        part = dataset.sel(medium=sample)
-        base = part.sel({dimension: reference})
-        for value in part[dimension].values:
-            if value == reference:
-                continue
-            other = part.sel({dimension: value})
-            shift = (other.reflectance - base.reflectance).values
-            error = np.hypot(other.reflectance_stderr, base.reflectance_stderr).values
-            worst = int(np.abs(shift).argmax())
-            low, high = part.wavelength.values[[0, -1]]
-            means = [float(compute_band_error(p, "reflectance", low, high)) for p in (other, base)]
-            rows.append(
-                {
-                    "medium": sample,
-                    "varied": dimension,
-                    "value": value,
-                    "mean_shift": shift.mean(),
-                    "mean_shift_stderr": np.hypot(means[0], means[1]),
-                    "largest_shift": shift[worst],
-                    "largest_shift_stderr": error[worst],
-                    "at_wavelength_nm": float(part.wavelength[worst]),
-                }
-            )
-    return pd.DataFrame(rows)
+    low, high = dataset.wavelength.values[[0, -1]]
+    spectrum, mean = (
+        estimate - estimate.sel(**{dimension: reference})
+        for estimate in (
+            Estimate.from_dataset(dataset, "reflectance"),
+            estimate_band(dataset, "reflectance", low, high),
+        )
+    )
+    worst = spectrum.isel(wavelength=abs(spectrum.value).argmax("wavelength"))
+    columns = {
+        "varied": dimension, "value": worst.value[dimension], "mean_shift": mean.value,
+        "mean_shift_stderr": mean.stderr, "largest_shift": worst.value,
+        "largest_shift_stderr": worst.stderr, "at_wavelength_nm": worst.value.wavelength,
+    }  # fmt: skip
+    grid = xr.Dataset(columns).reset_coords(drop=True)
+    table = grid.to_dataframe(["medium", dimension])[list(columns)].reset_index("medium")
+    return table[table.value != reference].reset_index(drop=True)
 
 
 def make_fit_table(dataset: xr.Dataset) -> pd.DataFrame:

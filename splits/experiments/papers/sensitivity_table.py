@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import astuple
 from typing import Any
@@ -11,7 +12,8 @@ import pandas as pd
 import xarray as xr
 
 from splits.analysis.sensitivity import SensitivityIndex, compute_spectral_sensitivity
-from splits.core.uncertainty import make_variable as quantity_of
+from splits.core.uncertainty import make_variable
+from splits.experiments.config.grid import make_label
 from splits.io.netcdf import make_provenance, select_points, to_netcdf_attributes
 
 QUANTITY_CONDITIONS: dict[str, dict[str, Any]] = {
@@ -56,8 +58,8 @@ def make_sensitivity_table(
     datasets : mapping
         Experiments by name.
     pairs : mapping
-        For each parameter ``experiment``, ``interpretation`` (experiment or None), ``parameter``
-        (grid dimension), ``low`` and ``high``.
+        For each parameter ``experiment``, ``interpretation_experiment`` (or None),
+        ``parameter`` (grid dimension), ``low`` and ``high``.
 
     Returns
     -------
@@ -66,27 +68,32 @@ def make_sensitivity_table(
     """
     rows = []
     for name, pair in pairs.items():
-        dimension = pair["parameter"]
-        ranges = datasets[pair["experiment"]]
-        values = list(ranges[dimension].values)
-        interpretation = datasets[pair["interpretation"]] if pair["interpretation"] else None
+        dimension, ranges = pair["parameter"], datasets[pair["experiment"]]
+        ends = [pair["low"], pair["high"]]
         for quantity in QUANTITY_CONDITIONS:
-            for position, low in enumerate(values):
-                for high in values[position + 1 :]:
-                    index = compute_pair_sensitivity(ranges, dimension, low, high, quantity)
-                    chosen = _is_same_label(low, pair["low"]) and _is_same_label(high, pair["high"])
-                    rows.append((name, quantity, "default", low, high, chosen, *astuple(index)))
-            if interpretation is None:
+            for labels in itertools.combinations(ranges[dimension].values, 2):
+                index = compute_pair_sensitivity(ranges, dimension, *labels, quantity)
+                chosen = all(any(_is_same_label(label, end) for label in labels) for end in ends)
+                rows.append((name, quantity, "default", *labels, chosen, *astuple(index)))
+            if not pair["interpretation_experiment"]:
                 continue
+            interpretations = datasets[pair["interpretation_experiment"]]
+            low, high = (
+                next(x for x in interpretations[dimension].values if _is_same_label(x, end))
+                for end in ends
+            )
             # The experiment over ranges has the default interpretation.
-            for label in interpretation.interpretation.values[
-                interpretation.interpretation.values != "default"
-            ]:
-                part = select_points(interpretation, {"interpretation": str(label)})
-                low, high = part[dimension].values[[0, -1]]
-                index = compute_pair_sensitivity(part, dimension, low, high, quantity)
-                rows.append((name, quantity, str(label), low, high, False, *astuple(index)))
+            for label in map(str, interpretations.interpretation.values):
+                if label != "default":
+                    part = select_points(interpretations, {"interpretation": label})
+                    index = compute_pair_sensitivity(part, dimension, low, high, quantity)
+                    rows.append((name, quantity, label, low, high, False, *astuple(index)))
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def list_published_names(pair: str) -> list[str]:
+    """Return the ids of the published indices of a pair, one for each quantity."""
+    return [f"msi_{quantity[0]}_{pair}" for quantity in QUANTITY_CONDITIONS]
 
 
 def select_chosen_sensitivities(
@@ -101,24 +108,25 @@ def select_chosen_sensitivities(
     published : pandas.DataFrame, optional
         See `splits.analysis.measured.read_published`, with a row for each index.
     """
-    chosen = table[table.chosen]
-    parameters = list(dict.fromkeys(chosen.parameter))
-    shape = (len(QUANTITY_CONDITIONS), len(parameters))
-    names = ("msi", "msi_stderr") if published is None else ("msi", "msi_stderr", "published")
-    columns = {name: np.zeros(shape) for name in names}
-    for i, quantity in enumerate(QUANTITY_CONDITIONS):
-        for j, parameter in enumerate(parameters):
-            row = chosen[(chosen.quantity == quantity) & (chosen.parameter == parameter)].iloc[0]
-            columns["msi"][i, j] = row.msi
-            columns["msi_stderr"][i, j] = row.msi_stderr
-            if published is not None:
-                row = published.loc[f"msi_{quantity[0]}_{parameter}"]
-                columns["published"][i, j] = row.published
+    chosen = table[table.chosen].drop_duplicates(["quantity", "parameter"])
+    parameters = list(chosen.parameter.unique())
+    grid = chosen.set_index(["quantity", "parameter"])[["msi", "msi_stderr"]].unstack()
+    index, error = (
+        grid[name].loc[list(QUANTITY_CONDITIONS), parameters].to_numpy()
+        for name in ("msi", "msi_stderr")
+    )
     dims, label = ("quantity", "parameter"), "mean sensitivity index"
-    variables = quantity_of("msi", dims, columns["msi"], columns["msi_stderr"], label)
+    variables = make_variable("msi", dims, index, error, label)
     if published is not None:
-        values, long_name = columns["published"], f"{label} published in SPLITSnow Table 2"
-        variables |= quantity_of("published", dims, values, None, long_name)
+        values = [
+            list(column)
+            for column in zip(
+                *(published.published[list_published_names(name)] for name in parameters),
+                strict=True,
+            )
+        ]
+        long_name = f"{label} published in SPLITSnow Table 2"
+        variables |= make_variable("published", dims, np.array(values), None, long_name)
     return xr.Dataset(
         variables,
         {
@@ -140,20 +148,17 @@ def describe_ranges(pairs: Mapping[str, Mapping[str, Any]]) -> str:
         For each parameter ``low``, ``high`` and ``source``, ``"paper"`` or ``"ours"``.
     """
     parts = []
-    for origin, description in (
-        ("paper", "stated by the paper"),
-        ("ours", "chosen here, not stated"),
-    ):
+    for origin, text in (("paper", "stated by the paper"), ("ours", "chosen here, not stated")):
         ranges = [
             f"{name.replace('_', ' ')} {pair['low']} to {pair['high']}"
             for name, pair in pairs.items()
             if pair["source"] == origin
         ]
-        parts += [f"{description}: {', '.join(ranges)}"] if ranges else []
+        parts += [f"{text}: {', '.join(ranges)}"] if ranges else []
     return f"Ranges {'; '.join(parts)}."
 
 
 def _is_same_label(value: Any, label: Any) -> bool:
     if isinstance(value, (int, float, np.number)):
         return bool(np.isclose(float(value), float(label)))
-    return str(value) == str(label)
+    return str(value) == make_label("", label)

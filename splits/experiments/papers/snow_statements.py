@@ -1,24 +1,27 @@
 """Statements of the SPLITSnow paper, simulated for any interpretation.
 
 Stages are ordered from cheap to costly.  Each is a set of statements (numbers of tables and
-figures, qualitative trends) and the runs that give our values.
+figures, qualitative trends) and the runs that give our values.  Peaks and limbs of BRDFs are means
+over 60° to 75° in the principal plane, see `splits.experiments.papers.interpretation_runs`, because
+the maximum of noisy values is biased.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from splits.analysis.sensitivity import compute_spectral_sensitivity
-from splits.experiments.papers.angular_statements import (
-    compute_grain_trends,
-    compute_incidence_trends,
-    compute_nadir_trends,
+from splits.experiments.papers.brdf_trends import (
+    MAX_LAMBERTIAN_RANGE,
+    compute_relative_range,
+    get_brdf,
 )
+from splits.experiments.papers.estimate import Estimate
 from splits.experiments.papers.interpretation_runs import (
     WATER_TABLES,
     InterpretationRun,
@@ -51,40 +54,36 @@ SENSITIVITY_SPECTRA = {
 TRANSMITTANCE_FLOORS = (0.0, 0.005, 0.02)
 """Transmittances below which values may have counted as 0 in a sensitivity.  The paper states no
 threshold, and the ratio of two small values is large."""
+LIMB_ANGLES_DEG = (-67.5, 67.5)
+"""Middle of the outermost sectors of a principal plane (degrees)."""
 
 
 def _compute_grain_distance(run: InterpretationRun) -> StatementValues:
-    return {
-        "grain_distance": repeat_for_waters(
-            run.make_snow(density_kg_m3=450.0).mean_grain_distance_m, 0.0
-        )
-    }
+    distance = run.make_snow(density_kg_m3=450.0).mean_grain_distance_m
+    return {"grain_distance": repeat_for_waters(distance, 0.0)}
 
 
 def _compute_table3(run: InterpretationRun) -> StatementValues:
     spectra = run.simulate_spectra(
         list(TABLE3_WAVELENGTHS_NM.values()), run.errors.bands, 62.3, depth_m=0.25
     )
-    arrays = [
-        np.array([spectrum[name].values for spectrum in spectra])
+    value, error = (
+        np.array([spectrum[name].values for spectrum in spectra]).T
         for name in ("reflectance", "reflectance_stderr")
-    ]
-    return {
-        name: (arrays[0][:, i], arrays[1][:, i]) for i, name in enumerate(TABLE3_WAVELENGTHS_NM)
-    }
+    )
+    return dict(zip(TABLE3_WAVELENGTHS_NM, zip(value, error, strict=True), strict=True))
 
 
 def _compute_max_transmittance(run: InterpretationRun) -> StatementValues:
     """Return the largest transmittance, at the wavelengths where snow absorbs least (Fig 7)."""
     spectra = run.simulate_spectra(np.arange(400.0, 501.0, 20.0), run.errors.transmittance)
     best = [
-        spectrum.isel(wavelength=int(spectrum.transmittance.values.argmax()))
-        for spectrum in spectra
+        Estimate.from_dataset(s, "transmittance")
+        .isel(wavelength=int(s.transmittance.argmax("wavelength")))
+        .to_floats()
+        for s in spectra
     ]
-    value, error = (
-        np.array([float(spectrum[name]) for spectrum in best])
-        for name in ("transmittance", "transmittance_stderr")
-    )
+    value, error = np.transpose(best)
     return {"transmittance_max": (value, error)}
 
 
@@ -98,21 +97,14 @@ def _make_sensitivity_stage(
         for parameter, letter in itertools.product(parameters, letters):
             quantity, depth, wavelengths = SENSITIVITY_SPECTRA[letter]
             error = getattr(run.errors, f"{quantity}s")
-            spectra = [
-                run.simulate_spectra(
-                    wavelengths,
-                    error,
-                    run_number=1 + i,
-                    **{SNOW_KEYWORDS[parameter]: extreme, "depth_m": depth},
-                )
-                for i, extreme in enumerate(PARAMETER_EXTREMES[parameter])
-            ]
-            floors = (
-                TRANSMITTANCE_FLOORS if quantity == "transmittance" else TRANSMITTANCE_FLOORS[:1]
-            )
-            values[f"msi_{letter}_{parameter}"] = _compute_sensitivity_indices(
-                spectra, quantity, floors
-            )
+            spectra = []
+            for number, extreme in enumerate(PARAMETER_EXTREMES[parameter], start=1):
+                settings = {SNOW_KEYWORDS[parameter]: extreme, "depth_m": depth}
+                run_spectra = run.simulate_spectra(wavelengths, error, 0.0, number, **settings)
+                spectra.append(run_spectra)
+            floors = TRANSMITTANCE_FLOORS[: None if quantity == "transmittance" else 1]
+            indices = _compute_sensitivity_indices(spectra, quantity, floors)
+            values[f"msi_{letter}_{parameter}"] = indices
         return values
 
     return compute
@@ -144,16 +136,92 @@ def _compute_sensitivity_indices(
     return value[0], value[1]
 
 
+def _compute_incidence_trends(run: InterpretationRun) -> StatementValues:
+    """Return the trends of Fig 19: nearly Lambertian at 0°, a peak at 30°, a larger one at 60°."""
+    upright, tilted = (
+        run.simulate_plane(600.0, incidence, run_number=number)
+        for incidence, number in ((0.0, 1), (30.0, 2))
+    )
+    peaks = [_list_limb_contrasts(plane)[1] for plane in (tilted, run.oblique_plane)]
+    return _repeat_all(
+        fig19_lambertian=-(compute_relative_range(upright, 60.0) - MAX_LAMBERTIAN_RANGE),
+        fig19_peak_30=peaks[0],
+        fig19_peak_60=peaks[1],
+        fig19_peak_grows=peaks[1] - peaks[0],
+    )
+
+
+def _compute_nadir_trends(run: InterpretationRun) -> StatementValues:
+    """Return the trends of Figs 16 to 18: a nadir darker than the limbs at oblique incidence."""
+    steep = run.simulate_plane([600.0, 1800.0], 69.3, run_number=3, depth_m=0.25)
+    visible, infrared = (steep.isel(wavelength=[i]) for i in (0, 1))
+    planes = (
+        run.simulate_plane(600.0, 52.8, run_number=4, depth_m=0.25), visible,
+        run.simulate_plane(600.0, 84.8, run_number=5, depth_m=0.25),
+    )  # fmt: skip
+    limbs = [max(_list_limb_contrasts(plane)) for plane in planes]
+    return _repeat_all(
+        fig16_nadir_dark=min(limbs),
+        fig16_grows=min(after - before for before, after in itertools.pairwise(limbs)),
+        fig17_nadir_dark=min(_list_limb_contrasts(infrared)),
+        fig18_varies_more=_compute_forward_rise(infrared) - _compute_forward_rise(visible),
+    )
+
+
+def _compute_grain_trends(run: InterpretationRun) -> StatementValues:
+    """Return the trends of Figs 20 to 22: forward peaks by grain size and facetness."""
+    trends = {}
+    for wavelength, name, sign in (
+        (600.0, "fig20_fine_least", -1.0), (1450.0, "fig21_fine_most", 1.0),
+    ):  # fmt: skip
+        *others, fine = (
+            get_brdf(
+                run.simulate_plane(
+                    wavelength, 67.0, size[1] > 300, run_number=6 + i, grain_size_um=size
+                ),
+                LIMB_ANGLES_DEG[1],
+            ).to_floats()
+            for i, size in enumerate(((1500, 3000), (300, 750), (30, 300)))
+        )
+        excesses = [fine / other - 1.0 for other in others]
+        trends[name] = min(excesses if sign > 0.0 else [-excess for excess in excesses])
+    rounded, faceted = (
+        _compute_forward_rise(
+            run.simulate_plane(600.0, 60.0, True, run_number=9 + i, facetness=facetness)
+        )
+        for i, facetness in enumerate(((0, 0.2, 0.1, 0.072), (0.8, 1, 0.9, 0.072)))
+    )
+    others = [_compute_forward_rise(run.oblique_plane), faceted]
+    return _repeat_all(**trends, fig22_rounded_varies_most=min(rounded - rise for rise in others))
+
+
+def _list_limb_contrasts(plane: xr.Dataset) -> list[Estimate]:
+    """Return the excess of the BRDF at each limb over the nadir, relative to the nadir."""
+    nadir = get_brdf(plane, 0.0)
+    return [(get_brdf(plane, angle) / nadir - 1.0).to_floats() for angle in LIMB_ANGLES_DEG]
+
+
+def _compute_forward_rise(plane: xr.Dataset) -> Estimate:
+    """Return the rise of the BRDF from the nadir to the forward limb, relative to its mean."""
+    rise = get_brdf(plane, LIMB_ANGLES_DEG[1]) - get_brdf(plane, 0.0)
+    return (rise / plane.brdf.mean("angle")).to_floats()
+
+
+def _repeat_all(**trends: Estimate) -> StatementValues:
+    """Return the values of trends, which do not depend on water, for all waters."""
+    return {name: repeat_for_waters(*estimate.to_floats()) for name, estimate in trends.items()}
+
+
 STAGES: dict[str, Callable[[InterpretationRun], StatementValues]] = {
     "distance": _compute_grain_distance,
     "table 3": _compute_table3,
     "facetness": _make_sensitivity_stage(("facetness",), ("r",)),
-    "angles": compute_incidence_trends,
+    "angles": _compute_incidence_trends,
     "transmittance": _compute_max_transmittance,
     "facetness below": _make_sensitivity_stage(("facetness",), ("t",)),
     "grain size": _make_sensitivity_stage(("grain_size",), ("r", "t")),
-    "nadir": compute_nadir_trends,
-    "grains": compute_grain_trends,
+    "nadir": _compute_nadir_trends,
+    "grains": _compute_grain_trends,
     "free ranges": _make_sensitivity_stage(("saturation", "density"), ("r", "t")),
 }
 """Runs in order of decreasing information per cost; each gives our values of some statements."""
@@ -171,26 +239,17 @@ STATED_NUMBERS = {
 }  # fmt: skip
 """Published numbers by stage, under their ids in the table of published numbers."""
 
-STATED_TRENDS: Mapping[str, Mapping[str, str]] = {
-    "angles": {
-        "fig19_lambertian": "Fig 19", "fig19_peak_30": "Fig 19", "fig19_peak_60": "Fig 19",
-        "fig19_peak_grows": "Fig 19",
-    },
-    "nadir": {
-        "fig16_nadir_dark": "Fig 16", "fig16_grows": "Fig 16", "fig17_nadir_dark": "Fig 17",
-        "fig18_varies_more": "Fig 18",
-    },
-    "grains": {
-        "fig20_fine_least": "Fig 20", "fig21_fine_most": "Fig 21",
-        "fig22_rounded_varies_most": "Fig 22",
-    },
-}  # fmt: skip
-"""Trends by stage, with their place in the paper."""
+STATED_TRENDS = {
+    "angles": ("fig19_lambertian", "fig19_peak_30", "fig19_peak_60", "fig19_peak_grows"),
+    "nadir": ("fig16_nadir_dark", "fig16_grows", "fig17_nadir_dark", "fig18_varies_more"),
+    "grains": ("fig20_fine_least", "fig21_fine_most", "fig22_rounded_varies_most"),
+}
+"""Trends by stage; their names begin with the figure of the paper."""
 
 
 def get_stated_trends(stage: str) -> dict[str, PublishedStatement]:
     """Return the trends of a stage."""
     return {
-        name: PublishedStatement(name, place, 0.0, TREND_TOLERANCE, is_trend=True)
-        for name, place in STATED_TRENDS.get(stage, {}).items()
+        name: PublishedStatement(name, f"Fig {name[3:5]}", 0.0, TREND_TOLERANCE, is_trend=True)
+        for name in STATED_TRENDS.get(stage, ())
     }

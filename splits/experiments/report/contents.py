@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
@@ -160,7 +161,8 @@ def make_report_contents(
         items.setdefault(key, []).append(_make_experiment_item(name, experiment))
     for name in studies:
         study = settings.studies[name]
-        key = study.reproduces or study.group or _get_group(study, experiments)
+        paper = study.reproduces.paper if study.reproduces else None
+        key = paper or study.group or _get_group(study, experiments)
         items.setdefault(key, []).extend(_list_study_items(name, study))
     accuracy = settings.accuracies[settings.accuracy]
     return ReportContents(
@@ -185,18 +187,16 @@ def _get_group(study: Study, experiments: Mapping[str, ExperimentConfig]) -> str
 
 
 def _make_section(key: str, items: list[ReportItem]) -> ReportSection:
-    items = sorted(items, key=lambda item: parse_place(item.place)[:3])
-    for paper_key, paper in PAPERS.items():
-        if key == paper_key:
-            return ReportSection(
-                key=key, title=paper.title, reference=paper.reference, items=tuple(items)
-            )
+    paper = next((paper for name, paper in PAPERS.items() if name == key), None)
     title = GROUP_TITLES.get(key, key.replace("_", " ").capitalize())
-    return ReportSection(key=key, title=title, items=tuple(items))
+    return ReportSection(
+        key=key, title=paper.title if paper else title,
+        reference=paper.reference if paper else "",
+        items=tuple(sorted(items, key=lambda item: parse_place(item.place)[:3])),
+    )  # fmt: skip
 
 
 def _make_experiment_item(name: str, experiment: ExperimentConfig) -> ReportItem:
-    paths = experiment.list_product_paths()
     note = FIT_CAPTION if experiment.fit else RETRIEVAL_CAPTION
     return ReportItem(
         anchor=f"experiment-{name}",
@@ -204,38 +204,35 @@ def _make_experiment_item(name: str, experiment: ExperimentConfig) -> ReportItem
         title=experiment.title or name,
         caption=experiment.caption,
         place=experiment.reproduces.place if experiment.reproduces else "",
-        figure=_get_figure(paths),
-        tables=tuple(ReportTable(path=path, note=note) for path in paths if path.endswith(".csv")),
-        datasets=tuple(path for path in paths if path.endswith(".nc")),
+        **_sort_files(experiment.list_product_paths(), note),
     )
 
 
 def _list_study_items(name: str, study: Study) -> list[ReportItem]:
     paths = study.list_product_paths(name)
     # A dataset of the study is linked below its figure.
-    datasets = tuple(path for made in paths.values() for path in made if path.endswith(".nc"))
+    datasets = _sort_files([path for made in paths.values() for path in made])["datasets"]
     items = []
     for key, made in paths.items():
-        product, figure = study.PRODUCTS[key], _get_figure(made)
-        if not product.title:
-            continue
-        items.append(
-            ReportItem(
+        product, files = study.get_product(key), _sort_files(made)
+        if product.title:
+            item = ReportItem(
                 anchor=f"study-{name}-{key}",
                 name=name,
                 title=product.title,
                 caption=product.caption,
-                place=product.place if study.reproduces else "",
-                figure=figure,
-                tables=tuple(ReportTable(path=path) for path in made if path.endswith(".csv")),
-                datasets=datasets if figure else tuple(p for p in made if not p.endswith(".csv")),
-                is_comparison=product.is_comparison and study.reproduces is not None,
+                place=product.place,
+                is_comparison=product.is_comparison,
+                **files | ({"datasets": datasets} if files["figure"] else {}),
             )
-        )
+            items.append(item)
     return items
 
 
-def _get_figure(paths: Iterable[str]) -> str:
-    """Return the path of a figure without suffix, or an empty text if the files have none."""
+def _sort_files(paths: list[str], note: str = "") -> dict[str, Any]:
+    """Return the figure (without suffix), tables and datasets among the files of an item."""
     first = FIGURE_SUFFIXES[0]
-    return next((path.removesuffix(first) for path in paths if path.endswith(first)), "")
+    figures = [path.removesuffix(first) for path in paths if path.endswith(first)]
+    tables = [ReportTable(path=path, note=note) for path in paths if path.endswith(".csv")]
+    datasets = [path for path in paths if path.endswith(".nc")]
+    return {"figure": "".join(figures[:1]), "tables": (*tables,), "datasets": (*datasets,)}

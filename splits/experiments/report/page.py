@@ -23,7 +23,7 @@ from splits.core.provenance import (
 )
 from splits.experiments.config.reproduces import PAPERS, parse_place
 from splits.experiments.config.sections import FIGURE_SUFFIXES
-from splits.experiments.report.comparison import VERDICTS, PaperComparison, compare_papers
+from splits.experiments.report.comparison import VERDICTS, compare_papers
 from splits.experiments.report.contents import ReportContents, ReportItem, ReportSection
 from splits.experiments.report.speed import SPEED_CAPTION, SPEED_TABLE, make_speed_table
 from splits.experiments.report.tables import MAX_ROWS, HtmlTable, read_table
@@ -55,13 +55,6 @@ class Picture(NamedTuple):
         return self.width < MIN_WIDE_PX
 
 
-class Link(NamedTuple):
-    """A file of the results: its kind, and its path relative to the page."""
-
-    label: str
-    path: str
-
-
 class TableView(NamedTuple):
     """A table of the page, with a title if it is folded."""
 
@@ -77,34 +70,44 @@ class ItemView(NamedTuple):
     Attributes
     ----------
     item : ReportItem
-    heading, label : str
-        Title with the figure or table of the paper, and that figure for the table of contents.
-    place : str
-        Place in the paper in words, such as "Figure 8", or an empty text.
-    is_reproduction : bool
-        Whether it is a figure or table of the paper, not a run that serves one.
-    paragraphs : list of str
     picture : Picture, optional
     tables : list of TableView
-    links : list of Link
+    links : list of (str, str)
+        Kinds of files, and their paths relative to the page.
     """
 
     item: ReportItem
-    heading: str
-    label: str
-    place: str
-    is_reproduction: bool
-    paragraphs: list[str]
     picture: Picture | None
     tables: list[TableView]
-    links: list[Link]
+    links: list[tuple[str, str]]
 
+    @property
+    def place(self) -> str:
+        """Place in the paper in words, such as "Figure 8", or an empty text."""
+        return parse_place(self.item.place).label
 
-class PartView(NamedTuple):
-    """Part of a section with a heading, which may be empty."""
+    @property
+    def label(self) -> str:
+        """Figure of the paper, for the table of contents, or an empty text."""
+        return self.place if parse_place(self.item.place).is_figure else ""
 
-    title: str
-    items: list[ItemView]
+    @property
+    def is_reproduction(self) -> bool:
+        """Whether it is a figure or table of the paper, not a run that serves one."""
+        place = parse_place(self.item.place)
+        return place.is_figure or (place.is_table and bool(self.item.tables))
+
+    @property
+    def heading(self) -> str:
+        """Title with the figure or table of the paper."""
+        title = self.item.title
+        return f"{self.place}: {title}" if self.is_reproduction else title
+
+    @property
+    def paragraphs(self) -> list[str]:
+        """Paragraphs of the caption, which empty lines separate."""
+        parts = re.split(r"\n\s*\n", self.item.caption.strip())
+        return [" ".join(part.split()) for part in parts if part]
 
 
 def write_report(contents: ReportContents, path: str | Path) -> None:
@@ -136,7 +139,7 @@ def make_context(contents: ReportContents, folder: Path) -> dict[str, Any]:
         "has_all_papers": {*PAPERS} <= {section.key for section in contents.sections},
         "n_experiments": sum(item.anchor.startswith("experiment-") for item in items),
         "comparisons": comparisons,
-        "place_of": _map_places(comparisons),
+        "place_of": {(one.key, p.label): p for one in comparisons for p in one.places},
         "verdicts": VERDICTS,
         "sections": [(section, _make_parts(section, folder)) for section in contents.sections],
         "speed": _make_speed_view(contents.benchmarks, folder),
@@ -152,42 +155,28 @@ def make_context(contents: ReportContents, folder: Path) -> dict[str, Any]:
     }
 
 
-def _make_parts(section: ReportSection, folder: Path) -> list[PartView]:
+def _make_parts(section: ReportSection, folder: Path) -> dict[str, list[ItemView]]:
     """Return the items of a section by part: figures and tables of a paper, and the others."""
+    views = [_make_item_view(item, folder) for item in section.items]
     if section.key not in PAPERS:
-        return [PartView("", [_make_item_view(item, folder) for item in section.items])]
+        return {"": views}
     parts: dict[str, list[ItemView]] = {
-        "Figures": [],
-        "Tables": [],
-        "Supporting runs and tables": [],
+        "Figures": [view for view in views if view.label],
+        "Tables": [view for view in views if view.is_reproduction and not view.label],
+        "Supporting runs and tables": [view for view in views if not view.is_reproduction],
     }
-    figures, tables, others = parts.values()
-    for item in section.items:
-        view = _make_item_view(item, folder)
-        chosen = figures if parse_place(item.place).is_figure else tables
-        (chosen if view.is_reproduction else others).append(view)
-    return [PartView(title, items) for title, items in parts.items() if items]
+    return {title: items for title, items in parts.items() if items}
 
 
 def _make_item_view(item: ReportItem, folder: Path) -> ItemView:
-    place = parse_place(item.place)
-    is_reproduction = place.is_figure or (place.is_table and bool(item.tables))
-    heading = f"{place.label}: {item.title}" if is_reproduction else item.title
-    tables = [
-        _make_table_view(folder / table.path, item.title, table.note)
-        for table in (() if item.is_comparison else item.tables)
-    ]
-    return ItemView(
-        item,
-        heading=heading,
-        label=place.label if place.is_figure else "",
-        place=place.label,
-        is_reproduction=is_reproduction,
-        paragraphs=_split_paragraphs(item.caption),
-        picture=_make_picture(folder / item.figure) if item.figure else None,
-        tables=tables,
-        links=[Link(_get_file_kind(p), p) for p in _list_paths([item])],
-    )
+    tables = []
+    for table in () if item.is_comparison else item.tables:
+        content = read_table(folder / table.path)
+        is_folded = content.n_rows > MAX_OPEN_ROWS
+        tables.append(TableView(item.title, table.note, content, is_folded))
+    picture = _make_picture(folder / item.figure) if item.figure else None
+    links = [(_get_file_kind(path), path) for path in _list_paths([item])]
+    return ItemView(item, picture, tables, links)
 
 
 def _get_file_kind(path: str) -> str:
@@ -206,16 +195,6 @@ def _list_paths(items: Iterable[ReportItem]) -> list[str]:
             *item.datasets,
         )
     ]
-
-
-def _make_table_view(path: Path, title: str, note: str) -> TableView:
-    content = read_table(path)
-    return TableView(title, note, content, content.n_rows > MAX_OPEN_ROWS)
-
-
-def _split_paragraphs(text: str) -> list[str]:
-    """Return the paragraphs of a plain text, which empty lines separate."""
-    return [" ".join(part.split()) for part in re.split(r"\n\s*\n", text.strip()) if part]
 
 
 def _make_picture(stem: Path) -> Picture:
@@ -251,25 +230,14 @@ def _make_speed_view(paths: Iterable[str], folder: Path) -> ItemView | None:
     table = next((path for path in paths if PurePosixPath(path).name == SPEED_TABLE), None)
     if table is None:
         return None
-    stem = table.removesuffix(".csv")
-    title = "Error against time of all methods"
-    content = make_speed_table(folder / table)
-    return ItemView(
-        ReportItem(anchor="speed-figure", name=Path(SPEED_TABLE).stem, title=title, figure=stem),
-        heading=title,
-        label="",
-        place="",
-        is_reproduction=False,
-        paragraphs=[SPEED_CAPTION],
-        picture=_make_picture(folder / stem),
-        tables=[TableView(title, "", content, False)] if content.rows else [],
-        links=[Link(PurePosixPath(p).name, p) for p in paths],
-    )
-
-
-def _map_places(comparisons: Iterable[PaperComparison]) -> dict[tuple[str, str], Any]:
-    """Return the comparisons by paper and label of the place."""
-    return {(one.key, place.label): place for one in comparisons for place in one.places}
+    title, content = "Error against time of all methods", make_speed_table(folder / table)
+    item = ReportItem(
+        anchor="speed-figure", name=Path(SPEED_TABLE).stem, title=title, caption=SPEED_CAPTION,
+        figure=table.removesuffix(".csv"),
+    )  # fmt: skip
+    tables = [TableView(title, "", content, False)] if content.rows else []
+    links = [(PurePosixPath(path).name, path) for path in paths]
+    return _make_item_view(item, folder)._replace(tables=tables, links=links)
 
 
 def _locate_documentation(folder: Path) -> str:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, get_args
 
 from pydantic import Discriminator, Tag
 
+from splits.core.validation import invalid
 from splits.experiments.studies.study import Study
 
 for _module in pkgutil.iter_modules(__path__):
@@ -33,7 +34,18 @@ def get_study_kind(content: Any) -> Any:
     return content.get("kind") if isinstance(content, dict) else getattr(content, "kind", None)
 
 
-STUDY_KINDS = dict(_iter_kinds(Study))
+def collect_kinds(base: type[Study]) -> dict[str, type[Study]]:
+    """Return the classes of studies by kind; reject two classes of a kind."""
+    found: dict[str, type[Study]] = {}
+    for kind, study in _iter_kinds(base):
+        if kind in found:
+            hint = f"{found[kind].__name__} has it"
+            raise invalid(f"{study.__name__}.kind", kind, "unique", hint)
+        found[kind] = study
+    return found
+
+
+STUDY_KINDS = collect_kinds(Study)
 """Classes of studies by kind."""
 AnyStudy: Any = Annotated[
     reduce(or_, (Annotated[study, Tag(kind)] for kind, study in STUDY_KINDS.items())),

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from splits.analysis.measured import LETCHER_COLUMNS
 from splits.core.validation import check_choice
-from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.papers.snow_statements import TABLE3_WAVELENGTHS_NM
 from splits.experiments.studies.study import (
-    FILES_DESCRIPTION,
-    ROLES_DESCRIPTION,
+    Experiments,
+    Files,
+    Inputs,
     Study,
     StudyProduct,
     StudyRun,
 )
+from splits.experiments.studies.study_files import MEASURED_SPECTRA, PUBLISHED_TABLE
 from splits.experiments.studies.study_input import StudyInput
 
 _VISIBLE_NM = (400.0, 700.0)
+_AVIRIS_COLUMNS = ("reflectance", "reflectance_min", "reflectance_max")
 _AVIRIS_NM = (842.25, 1073.76, 1237.93)
 
 
@@ -87,12 +90,16 @@ class AgreementStudy(Study):
         ),
         "interpretation": StudyInput(("interpretation",), at_nm=_AVIRIS_NM),
     }  # fmt: skip
-    FILES: ClassVar = {"published": "published", "aviris": "measured", "letcher": "measured"}
+    FILES: ClassVar = {
+        "published": PUBLISHED_TABLE._replace(required=tuple(TABLE3_WAVELENGTHS_NM)),
+        "aviris": MEASURED_SPECTRA._replace(required=_AVIRIS_COLUMNS),
+        "letcher": MEASURED_SPECTRA._replace(required=tuple(LETCHER_COLUMNS.values())),
+    }
     MESSAGE: ClassVar = "Comparing results with published and measured numbers"
 
     kind: Literal["agreement"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
-    files: dict[str, str] = Field(description=FILES_DESCRIPTION)
+    inputs: Inputs
+    files: Files
     sensitivity: str = Field(
         description="name of the study of kind `sensitivity` for the same snow"
     )
@@ -101,27 +108,20 @@ class AgreementStudy(Study):
         """Return the study of sensitivity of the same snow."""
         return [self.sensitivity]
 
-    def check(
-        self,
-        available: Mapping[str, ExperimentConfig],
-        tables: Mapping[str, Path],
-        studies: Mapping[str, Study],
-    ) -> None:
-        """Reject unknown or missing names, and unsuitable experiments and tables."""
+    def check_keys(self, available: Experiments, studies: Mapping[str, Study]) -> None:
+        """Reject a name that is not that of a study of sensitivity."""
         names = [name for name, study in studies.items() if study.kind == "sensitivity"]
         check_choice("sensitivity", self.sensitivity, names)
-        super().check(available, tables, studies)
 
     def make(self, run: StudyRun) -> None:
         """Make the tables and the figure."""
-        from splits.analysis.measured import compare_with_letcher, read_published, read_spectra
+        from splits.analysis.measured import compare_with_letcher
         from splits.experiments.papers.agreement import make_agreement_table
         from splits.experiments.papers.paper_tables import make_table1, make_table3
         from splits.plotting import describe_conditions, draw_measured_albedo
 
-        datasets = {role: run.load(name) for role, name in self.inputs.items()}
-        aviris, letcher = (read_spectra(Path(run.files[key])) for key in ("aviris", "letcher"))
-        published = read_published(Path(run.files["published"]))
+        datasets = self.load_inputs(run)
+        published, aviris, letcher = (run.read(key) for key in self.FILES)
         sensitivity = run.load(self.sensitivity)
         table = make_agreement_table(datasets, published, sensitivity, aviris, letcher)
         run.write_table("agreement", table)

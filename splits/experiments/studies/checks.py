@@ -7,15 +7,15 @@ from pathlib import Path
 
 from splits.core.validation import invalid
 from splits.core.yaml import ConfigError
-from splits.experiments.config.experiment import RESERVED_NAMES, ExperimentConfig
+from splits.experiments.config.experiment import RESERVED_NAMES
 from splits.experiments.config.simulation import NAME_PATTERN, NAME_RULE
-from splits.experiments.studies.study import Study
+from splits.experiments.studies.study import Experiments, Study
 
 
 def check_studies(
     studies: Mapping[str, Study],
-    available: Mapping[str, ExperimentConfig],
-    tables: Mapping[str, Path],
+    available: Experiments,
+    folders: Mapping[str, Path],
 ) -> None:
     """Reject invalid studies, and names that are used twice.
 
@@ -23,7 +23,7 @@ def check_studies(
     ----------
     studies, available : mapping
         Studies, and all experiments, by name.
-    tables : mapping
+    folders : mapping
         Folders of ``published`` and ``measured`` tables.
 
     Raises
@@ -35,15 +35,13 @@ def check_studies(
         try:
             if not NAME_PATTERN.fullmatch(name) or name in RESERVED_NAMES:
                 raise invalid("name", name, f"{NAME_RULE}, none of the workflow's rules")
-            study.check(available, tables, studies)
+            study.check(available, folders, studies)
         except ValueError as error:
             raise ConfigError(f"studies.{name}.{error}") from None
     _check_unique_names(studies, available)
 
 
-def find_incomplete_studies(
-    studies: Mapping[str, Study], available: Mapping[str, ExperimentConfig]
-) -> dict[str, str]:
+def find_incomplete_studies(studies: Mapping[str, Study], available: Experiments) -> dict[str, str]:
     """Return a message for each study of which not all experiments, or no group, exist."""
     messages = {}
     groups = {one.group for one in available.values()}
@@ -58,7 +56,7 @@ def find_incomplete_studies(
 
 def select_studies(
     studies: Mapping[str, Study],
-    experiments: Mapping[str, ExperimentConfig],
+    experiments: Experiments,
     groups: Iterable[str],
 ) -> dict[str, Study]:
     """Return the studies of these groups, or of no group, over these experiments only."""
@@ -70,29 +68,21 @@ def select_studies(
     }
 
 
-def _check_unique_names(
-    studies: Mapping[str, Study], available: Mapping[str, ExperimentConfig]
-) -> None:
+def _check_unique_names(studies: Mapping[str, Study], available: Experiments) -> None:
     """Reject names of experiments and studies that other products have."""
-    owners: dict[str, str] = {}
-    for study, definition in studies.items():
-        owner = f"the study {study}"
-        for name in dict.fromkeys([study, *definition.list_product_names(study).values()]):
-            if owners.setdefault(name, owner) != owner:
-                raise ConfigError(_describe_name_conflict(f"studies.{study}", name, owners[name]))
-    study_names = set(owners)
+    uses = [
+        (f"studies.{study}", name, f"the study {study}")
+        for study, definition in studies.items()
+        for name in [study, *definition.list_product_names(study).values()]
+    ]
     for name, experiment in available.items():
         for suffix, section in (("parameters", experiment.fit), ("retrieved", experiment.retrieve)):
-            table = f"{name}_{suffix}"
-            if table in study_names:
-                key = f"experiment {name}"
-                raise ConfigError(_describe_name_conflict(key, table, owners[table]))
-            if section:
-                owners[table] = f"the table of the experiment {name}"
-    for name in available:
-        if name in owners:
-            raise ConfigError(_describe_name_conflict(f"experiment {name}", name, owners[name]))
-
-
-def _describe_name_conflict(key: str, name: str, owner: str) -> str:
-    return f"{key}: {invalid('name', name, 'unique', f'{owner} has it')}"
+            owner = f"the table of the experiment {name}" if section else ""
+            uses.append((f"experiment {name}", f"{name}_{suffix}", owner))
+    uses += [(f"experiment {name}", name, f"the experiment {name}") for name in available]
+    owners: dict[str, str] = {}
+    for key, name, owner in uses:
+        if owners.get(name, owner) != owner:
+            raise ConfigError(f"{key}: {invalid('name', name, 'unique', f'{owners[name]} has it')}")
+        if owner:
+            owners[name] = owner

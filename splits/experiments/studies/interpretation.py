@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from pathlib import Path
+from itertools import chain
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import check_choice, invalid, unknown_key
-from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.papers.overlap_choices import OVERLAP_CHOICES, OVERLAPS_KEY
-from splits.experiments.studies.study import (
-    FILES_DESCRIPTION,
-    Study,
-    StudyProduct,
-    StudyRun,
-)
+from splits.experiments.papers.snow_statements import STATED_NUMBERS
+from splits.experiments.studies.study import Experiments, Files, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study_files import PUBLISHED_TABLE
 from splits.media.interpretations import INTERPRETATION_CHOICES, Interpretation
 
+CHOICES = {
+    **{field.name: INTERPRETATION_CHOICES[field.name] for field in fields(Interpretation)},
+    OVERLAPS_KEY: tuple(OVERLAP_CHOICES),
+}
+"""Choices by keyword."""
 STANDARD_STDERR = 0.002
 """Standard error of the accuracy for which the runs of a ranking are sized."""
 
@@ -59,17 +60,25 @@ class InterpretationStudy(Study):
             "others.",
         ),
     }
-    FILES: ClassVar = {"published": "published"}
+    FILES: ClassVar = {
+        "published": PUBLISHED_TABLE._replace(required=tuple(chain(*STATED_NUMBERS.values())))
+    }
     MESSAGE: ClassVar = "Ranking the interpretations of the paper"
     USES_ALL_THREADS: ClassVar = True
 
     kind: Literal["interpretation"]
-    files: dict[str, str] = Field(description=FILES_DESCRIPTION)
-    interpretation: dict[str, tuple[str, ...]] = Field(description="choices to combine")
+    files: Files
+    choices: dict[str, tuple[str, ...]] = Field(
+        description="choices to combine, by keyword",
+        json_schema_extra={
+            "properties": {key: {"items": {"enum": [*names]}} for key, names in CHOICES.items()},
+            "additionalProperties": False,
+        },
+    )
     stated: dict[str, str] = Field({}, description="unambiguous choices of the paper")
 
     def list_parameters(
-        self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
+        self, seed: int, max_stderr: float, experiments: Experiments
     ) -> dict[str, Any]:
         """Return seed and accuracy of its simulations."""
         return {
@@ -78,31 +87,22 @@ class InterpretationStudy(Study):
             "physics": hash_physics_sources(),
         }
 
-    def check(
-        self,
-        available: Mapping[str, ExperimentConfig],
-        tables: Mapping[str, Path],
-        studies: Mapping[str, Study],
-    ) -> None:
-        """Reject unknown names and choices, and an unsuitable table."""
-        super().check(available, tables, studies)
-        if not self.interpretation:
-            raise invalid("interpretation", self.interpretation, "choices by keyword")
-        known = {f.name: INTERPRETATION_CHOICES[f.name] for f in fields(Interpretation)}
-        known[OVERLAPS_KEY] = tuple(OVERLAP_CHOICES)
-        for key, choices in self.interpretation.items():
-            if key not in known:
-                raise unknown_key(f"interpretation.{key}", known)
+    def check_keys(self, available: Experiments, studies: Mapping[str, Study]) -> None:
+        """Reject unknown choices."""
+        if not self.choices:
+            raise invalid("choices", self.choices, "choices by keyword")
+        for key, choices in self.choices.items():
+            if key not in CHOICES:
+                raise unknown_key(f"choices.{key}", CHOICES)
             for choice in choices:
-                check_choice(f"interpretation.{key}", choice, known[key])
+                check_choice(f"choices.{key}", choice, CHOICES[key])
         for key, choice in self.stated.items():
-            if key not in self.interpretation:
-                raise unknown_key(f"stated.{key}", self.interpretation)
-            check_choice(f"stated.{key}", choice, self.interpretation[key])
+            if key not in self.choices:
+                raise unknown_key(f"stated.{key}", self.choices)
+            check_choice(f"stated.{key}", choice, self.choices[key])
 
     def make(self, run: StudyRun) -> None:
         """Make the tables and the figure."""
-        from splits.analysis.measured import read_published
         from splits.experiments.papers.interpretation_ranking import rank_interpretations
         from splits.experiments.papers.interpretation_tables import (
             find_differing_keys,
@@ -112,11 +112,11 @@ class InterpretationStudy(Study):
         )
         from splits.plotting import draw_interpretation_shifts
 
-        choices, published = self.interpretation, read_published(Path(run.files["published"]))
-        seed, stderr_scale = run.parameters["seed"], run.parameters["stderr_scale"]
+        choices, seed = self.choices, run.parameters["seed"]
         combinations, stated = rank_interpretations(
-            published, choices, self.stated, seed, run.threads, stderr_scale, run.log
-        )
+            run.read("published"), choices, self.stated, seed, run.threads,
+            run.parameters["stderr_scale"], run.log,
+        )  # fmt: skip
         names = find_differing_keys(combinations)
         table = make_statement_table(combinations, stated, names)
         ranking = make_ranking_table(combinations, stated, choices, self.stated)

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import ClassVar, Literal
 
-from pydantic import Field
-
-from splits.experiments.studies.study import (
-    FILES_DESCRIPTION,
-    ROLES_DESCRIPTION,
-    Study,
-    StudyProduct,
-    StudyRun,
-)
+from splits.analysis.anisotropy import MEASURED_COLUMNS
+from splits.experiments.studies.study import Files, Inputs, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study_files import MEASURED_SPECTRA, MEASURED_VALUES
 from splits.experiments.studies.study_input import StudyInput, make_goniophotometer_input
 
 
@@ -59,16 +52,15 @@ class SurfaceAreaStudy(Study):
         ),
         "field": StudyInput(("specific_surface_area_m2_kg", "medium"), at_nm=(1310.0,)),
     }
-    FILES: ClassVar = {"spectra": "measured"}
+    FILES: ClassVar = {"spectra": MEASURED_SPECTRA}
     MESSAGE: ClassVar = "Retrieving the surface area of measured snow"
 
     kind: Literal["surface_area"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
-    files: dict[str, str] = Field(description=FILES_DESCRIPTION)
+    inputs: Inputs
+    files: Files
 
     def make(self, run: StudyRun) -> None:
         """Make the tables and figures."""
-        from splits.analysis.measured import read_spectra
         from splits.analysis.surface_area import (
             make_field_table,
             make_overlay_table,
@@ -76,8 +68,8 @@ class SurfaceAreaStudy(Study):
         )
         from splits.plotting import describe_conditions, draw_area_law, draw_fitted_spectra
 
-        modelled, field = (run.load(self.inputs[role]) for role in ("spectra", "field"))
-        spectra = read_spectra(Path(run.files["spectra"]))
+        modelled, field = (run.load(self.inputs[key]) for key in ("spectra", "field"))
+        spectra = run.read("spectra")
         areas = retrieve_surface_areas(modelled, spectra)
         run.write_table("table", areas)
         overlay = make_overlay_table(modelled, spectra, areas)
@@ -114,21 +106,20 @@ class AnisotropyStudy(Study):
         ),
     }
     INPUTS: ClassVar = {"directions": make_goniophotometer_input("interpretation", "saturation")}
-    FILES: ClassVar = {"directions": "measured"}
+    FILES: ClassVar = {"directions": MEASURED_VALUES._replace(required=tuple(MEASURED_COLUMNS))}
     MESSAGE: ClassVar = "Comparing modelled and measured directions"
 
     kind: Literal["anisotropy"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
-    files: dict[str, str] = Field(description=FILES_DESCRIPTION)
+    inputs: Inputs
+    files: Files
 
     def make(self, run: StudyRun) -> None:
         """Make the tables and the figure."""
         from splits.analysis.anisotropy import compare_with_measured, summarize_by_angle
-        from splits.analysis.measured import read_measured
         from splits.plotting.anisotropy import draw_anisotropy
 
         dataset = run.load(self.inputs["directions"])
-        table = compare_with_measured(dataset, read_measured(Path(run.files["directions"])))
+        table = compare_with_measured(dataset, run.read("directions"))
         misfits = summarize_by_angle(table)
         run.write_table("table", table)
         run.write_table("misfits", misfits)

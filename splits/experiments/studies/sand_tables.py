@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
-from pydantic import Field
-
 from splits.core.provenance import hash_physics_sources
-from splits.experiments.config.experiment import ExperimentConfig
 from splits.experiments.config.simulation import SimulationConfig
-from splits.experiments.studies.study import ROLES_DESCRIPTION, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study import Experiments, Inputs, Study, StudyProduct, StudyRun
 from splits.experiments.studies.study_input import StudyInput
 
 _RANGE_NM, _COLOUR_NM = (400.0, 1000.0), (400.0, 780.0)
@@ -65,7 +62,7 @@ class SandTablesStudy(Study):
     MESSAGE: ClassVar = "Comparing sand with the trends stated in SPLITS"
 
     kind: Literal["sand_tables"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+    inputs: Inputs
 
     def make(self, run: StudyRun) -> None:
         """Make the tables."""
@@ -74,15 +71,15 @@ class SandTablesStudy(Study):
         from splits.analysis.colour import make_colour_table
         from splits.experiments.papers.sand_trends import make_sand_trend_table, make_shift_table
 
-        datasets = {role: run.load(name) for role, name in self.inputs.items()}
+        datasets = self.load_inputs(run)
         weights = [
-            make_shift_table(datasets["mineral_weight"], "refractive_index", "as modelled"),
-            make_shift_table(datasets["interpretation"], "interpretation", "default"),
-            make_shift_table(datasets["size_tail"], "size_tail", 1e-4),
+            make_shift_table(datasets[key], dimension, labels[0])
+            for key in ("mineral_weight", "interpretation", "size_tail")
+            for dimension, labels in self.INPUTS[key].labels.items()
         ]
         colours = [
-            make_colour_table(datasets[role]).assign(experiment=self.inputs[role])
-            for role in ("wet_colours", "colours")
+            make_colour_table(datasets[key]).assign(experiment=self.inputs[key])
+            for key in ("wet_colours", "colours")
         ]
         run.write_table("trends", make_sand_trend_table(datasets))
         run.write_table("weights", pd.concat(weights))
@@ -108,7 +105,7 @@ class SandCompositionsStudy(Study):
     kind: Literal["sand_compositions"]
 
     def list_parameters(
-        self, seed: int, max_stderr: float, experiments: Mapping[str, ExperimentConfig]
+        self, seed: int, max_stderr: float, experiments: Experiments
     ) -> dict[str, Any]:
         """Return the experiments with sand."""
         sands = {
@@ -118,9 +115,7 @@ class SandCompositionsStudy(Study):
         }
         return {"experiments": sands, "physics": hash_physics_sources()}
 
-    def describe_missing(
-        self, available: Mapping[str, ExperimentConfig], studies: Mapping[str, Study]
-    ) -> list[str]:
+    def describe_missing(self, available: Experiments, studies: Mapping[str, Study]) -> list[str]:
         """Return a message if there is no experiment with sand."""
         has_sand = any(one.medium.get("kind") == "sand" for one in available.values())
         return [] if has_sand else ["no experiment has sand"]

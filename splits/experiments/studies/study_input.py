@@ -10,6 +10,7 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.experiments.config.experiment import ExperimentConfig
+from splits.experiments.config.grid import make_label, to_coordinate_values
 from splits.experiments.config.instrument_kinds import Goniophotometer
 
 
@@ -72,8 +73,8 @@ def check_input(name: str, experiment: ExperimentConfig, required: StudyInput) -
 
 
 def _has_value(values: Mapping[str, Any], target: float | str) -> bool:
-    """Return whether the values of a grid include one, by its label or as a number."""
-    if isinstance(target, str):
-        return target in values
-    numbers = [value for value in values.values() if isinstance(value, (int, float))]
-    return f"{target:g}" in values or bool(np.isclose(numbers, target).any())
+    """Return whether the coordinate of a grid has a value: a number, or else a label."""
+    coordinate = to_coordinate_values(values)
+    if coordinate.dtype.kind == "f":
+        return not isinstance(target, str) and bool(np.isclose(coordinate, target).any())
+    return make_label("", target) in values

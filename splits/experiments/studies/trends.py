@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from pydantic import Field
-
-from splits.experiments.studies.study import ROLES_DESCRIPTION, Study, StudyProduct, StudyRun
+from splits.experiments.studies.study import Inputs, Study, StudyProduct, StudyRun
 from splits.experiments.studies.study_input import StudyInput, make_goniophotometer_input
 
 
 class AngularTrendsStudy(Study):
-    """Statements of the papers on BRDFs; a subset of the roles is sufficient.
-
-    Values are in the order of the papers: grain sizes from coarse to fine, facetness from low to
-    high.
-    """
+    """Statements of the papers on BRDFs; a subset of the study inputs is sufficient."""
 
     PRODUCTS: ClassVar = {
         "table": StudyProduct(
@@ -30,20 +24,24 @@ class AngularTrendsStudy(Study):
         ),
     }
     INPUTS: ClassVar = {
-        "incidence": make_goniophotometer_input("incidence_deg", labels={"incidence_deg": (0,)}),
-        "grazing": make_goniophotometer_input("incidence_deg"),
+        "incidence": make_goniophotometer_input(
+            "incidence_deg", labels={"incidence_deg": (0,)}, at_nm=(600.0,)
+        ),
+        "grazing": make_goniophotometer_input("incidence_deg", at_nm=(600.0,)),
         "wavelength": make_goniophotometer_input(at_nm=(600.0, 1800.0)),
-        "grain_size": make_goniophotometer_input("grain_size_um"),
-        "grain_size_uniform": make_goniophotometer_input("grain_size_um"),
-        "grain_size_infrared": make_goniophotometer_input("grain_size_um"),
-        "facetness": make_goniophotometer_input("facetness"),
-        "sand": make_goniophotometer_input("incidence_deg", labels={"incidence_deg": (60,)}),
+        "grain_size": make_goniophotometer_input("grain_size_um", at_nm=(600.0,)),
+        "grain_size_uniform": make_goniophotometer_input("grain_size_um", at_nm=(600.0,)),
+        "grain_size_infrared": make_goniophotometer_input("grain_size_um", at_nm=(1450.0,)),
+        "facetness": make_goniophotometer_input("facetness", at_nm=(600.0,)),
+        "sand": make_goniophotometer_input(
+            "incidence_deg", labels={"incidence_deg": (60,)}, at_nm=(600.0,)
+        ),
     }
     MESSAGE: ClassVar = "Comparing BRDFs with the trends stated in the papers"
     SOME_INPUTS_SUFFICE: ClassVar = True
 
     kind: Literal["angular_trends"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+    inputs: Inputs
 
     def make(self, run: StudyRun) -> None:
         """Make the table."""
@@ -51,12 +49,15 @@ class AngularTrendsStudy(Study):
 
         from splits.experiments.papers.brdf_trends import make_brdf_trend_rows
 
-        datasets = {role: run.load(name) for role, name in self.inputs.items()}
+        datasets = {
+            key: dataset.sel(wavelength=list(self.INPUTS[key].at_nm), method="nearest")
+            for key, dataset in self.load_inputs(run, descending="grain_size_um").items()
+        }
         run.write_table("table", pd.DataFrame(make_brdf_trend_rows(datasets)))
 
 
 class LayerTrendsStudy(Study):
-    """Statements of the paper on rough layers; a subset of the roles is sufficient."""
+    """Statements of the paper on rough layers; a subset of the study inputs is sufficient."""
 
     PRODUCTS: ClassVar = {
         "table": StudyProduct(
@@ -84,7 +85,7 @@ class LayerTrendsStudy(Study):
     SOME_INPUTS_SUFFICE: ClassVar = True
 
     kind: Literal["layer_trends"]
-    inputs: dict[str, str] = Field(description=ROLES_DESCRIPTION)
+    inputs: Inputs
 
     def make(self, run: StudyRun) -> None:
         """Make the table."""
@@ -92,5 +93,5 @@ class LayerTrendsStudy(Study):
 
         from splits.experiments.papers.layer_trends import make_layer_trend_rows
 
-        datasets = {role: run.load(name) for role, name in self.inputs.items()}
+        datasets = {key: run.load(name) for key, name in self.inputs.items()}
         run.write_table("table", pd.DataFrame(make_layer_trend_rows(datasets)))

@@ -16,7 +16,7 @@ import xarray as xr
 import splits
 from splits.core import atomic
 from splits.core.atomic import atomic_write, remove_stale_files
-from splits.experiments.papers.paper_tables import write_data_frame
+from splits.io.data_frame import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 
 KILLED_PROGRAM = """

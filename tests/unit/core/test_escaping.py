@@ -21,7 +21,7 @@ from splits.core.escaping import (
 )
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiments, load_settings
-from splits.experiments.papers.paper_tables import write_data_frame
+from splits.io.data_frame import write_data_frame
 from splits.plotting import draw_sensitivity_bars, draw_spectra
 from splits.plotting.interpretation_shifts import draw_shifts
 from splits.plotting.sensitivity import draw_band_selection, draw_sobol_indices

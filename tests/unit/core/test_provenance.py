@@ -7,7 +7,13 @@ import shutil
 import pytest
 
 from splits.core import provenance
-from splits.core.provenance import FIT_SOURCES, PACKAGE_FOLDER, hash_physics_sources
+from splits.core.provenance import (
+    FIT_SOURCES,
+    PACKAGE_FOLDER,
+    hash_physics_sources,
+    hash_sources,
+)
+from splits.experiments.studies import STUDY_KINDS
 
 digest = hash_physics_sources.__wrapped__
 
@@ -43,6 +49,8 @@ def test_digest_is_independent_of_line_endings(package):
         "simulation/engine.py",
         "experiments/run.py",
         "experiments/run_points.py",
+        "experiments/config/simulation.py",
+        "experiments/config/medium.py",
     ],
 )
 def test_physics_sources_change_both_digests(package, name):
@@ -72,3 +80,36 @@ def test_plotting_and_analysis_do_not_change_the_digest(package):
         with open(package / name, "a", encoding="utf-8") as file:
             file.write("# changed\n")
     assert digest(fit=True) == before
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("surface_area", "analysis/surface_area.py"),
+        ("surface_area", "plotting/surface_area.py"),
+        ("surface_area", "plotting/paper.mplstyle"),
+        ("anisotropy", "experiments/studies/measured.py"),
+        ("sand_tables", "illumination/bands.py"),
+        ("sand_tables", "experiments/papers/sand_trends.py"),
+    ],
+)
+def test_sources_of_a_study_change_its_digest(package, kind, name):
+    sources = STUDY_KINDS[kind].list_sources()
+    before = hash_sources(sources)
+    with open(package / name, "a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    assert hash_sources(sources) != before
+
+
+def test_figures_do_not_change_the_digest_of_tables(package):
+    before = hash_sources(STUDY_KINDS["sand_tables"].list_sources())
+    with open(package / "plotting" / "lines.py", "a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    assert hash_sources(STUDY_KINDS["sand_tables"].list_sources()) == before
+
+
+@pytest.mark.parametrize("names", [value for key, value in vars(provenance).items()
+                                   if key.endswith("_SOURCES")])  # fmt: skip
+def test_all_listed_sources_exist(names):
+    for name in names:
+        assert list(PACKAGE_FOLDER.glob(name)), name

@@ -20,7 +20,7 @@ from splits.analysis.measured import (
     read_published,
 )
 from splits.experiments.papers.agreement import _compare_with_published
-from splits.experiments.papers.paper_tables import write_data_frame
+from splits.io.data_frame import write_data_frame
 
 CONFIG = Path(__file__).parents[3] / "config"
 PUBLISHED = """\

@@ -139,7 +139,6 @@ def test_invalid_simulations_are_rejected(content, message):
 
 def test_wavelength_grids_include_both_ends():
     assert WavelengthGrid(start=400, stop=500, step=50).to_array().tolist() == [400, 450, 500]
-    assert WavelengthGrid(start=400, stop=499, step=50).to_array().tolist() == [400, 450]
     assert WavelengthGrid(start=0.1, stop=0.3, step=0.1).to_array() == pytest.approx(
         [0.1, 0.2, 0.3]
     )

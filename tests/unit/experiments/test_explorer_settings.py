@@ -26,6 +26,12 @@ medium: {kind: natural_snow}
 instrument: {kind: table}
 grid: {optical_radius_um: [100, 200], incidence_deg: [0, 60]}
 """,
+    "thin": """
+medium: {kind: natural_snow, depth_m: 0.1}
+instrument: {kind: table, quantities: [transmittance]}
+grid: {optical_radius_um: [100, 200], incidence_deg: [0, 60]}
+figure: {quantity: transmittance}
+""",
     "spectra": """
 title: Spectra
 medium: {kind: natural_snow, optical_radius_um: 100}
@@ -67,6 +73,7 @@ def test_tables_and_directions_are_accepted(available):
     ("settings", "message"),
     [
         ({"explorer": {"snow": "spectra"}}, r"explorer.snow = 'spectra': must be a table"),
+        ({"explorer": {"snow": "thin"}}, r"explorer.snow = 'thin': must be a table of reflectance"),
         ({"explorer": {"snow": "one"}}, ".*its axis incidence_deg must have at least two numbers"),
         ({"explorer": {"snow": "texts"}}, ".*its axis ground must have at least two numbers"),
         (

@@ -59,7 +59,7 @@ FILES = {
     f"title: {1000 * 't'}": "title = 'tttt",
     "figure: {ylim: [1, 1]}": "figure.ylim = [1.0, 1.0]: must be low < high",
     "figure: {ylim: [0, .nan]}": "figure.ylim[1] = nan: must be a finite number",
-    "figure: {quantity: []}": "figure.quantity = []: must be at least one quantity",
+    "figure: {quantity: []}": "figure.quantity = []: must be at least one, without repetition",
     "instrument: {seed: 9223372036854775808}": "instrument.seed = 9223372036854775808: must be "
         "below 9223372036854775808",
     "instrument: {kind: beam_spread, rays: 9223372036854775808}": "instrument.rays = 92233",

@@ -46,6 +46,8 @@ def test_shipped_files_match_their_schema(path):
     "content",
     [
         {"figure": "none"},
+        {"grid": {"density_kg_m3": {"start": 300, "stop": 400, "step": 50}}},
+        {"grid": {"depth_m": {"geomspace": [0.1, 1, 3]}, "medium": {"start": "a", "stop": "b"}}},
         {"medium": {"base": "splits_base", "iron_oxide": 0.1}},
         {"medium": {"kind": "stack", "layers": [{"depth_m": 0.1}, {"kind": "sand"}]}},
         {"grid": {"layers.0.depth_m": [1], "impurities_ng_g.black_carbon": [0, 1]}},
@@ -63,10 +65,41 @@ def test_valid_contents_match_the_schema(content):
         {"medium": {"kind": "stack", "layers": [{"kind": "sand", "facetness": [0, 1, 0.5, 0.1]}]}},
         {"medium": {"density_kg_m3": "300"}},
         {"grid": {"layers.depth_m": [1]}},
+        {"grid": {"density_kg_m3": {"start": 300, "stop": 400, "stepp": 50}}},
+        {"grid": {"density_kg_m3": {"geomspace": [300, 400]}}},
         {"instrument": {"kind": "lens", "radius_m": 1}},
         {"instrument": {"rays": 10}},
         {"figure": "nothing"},
+        {"group": "all"},
+        {"name": "simulate"},
+        {"title": "x" * 201},
+        {"reproduces": {"paper": "splitsnow_2021", "place": "figure 8"}},
     ],
 )
 def test_invalid_contents_do_not_match_the_schema(content):
     assert not EXPERIMENTS.is_valid(content)
+
+
+def make_study(**keys):
+    return {"studies": {"mine": keys}}
+
+
+@pytest.mark.parametrize(
+    ("content", "is_valid"),
+    [
+        (make_study(kind="sobol", inputs={"my table": "a"}), True),
+        (make_study(kind="layer_trends", inputs={"lens": "a"}, reproduces={"paper": "splits_2007"}),
+         True),
+        (make_study(kind="layer_trends", inputs={"lense": "a"}), False),
+        (make_study(kind="sobol", inputs={"a": "b"}, outputs={"tabel": "c"}), False),
+        (make_study(kind="interpretation", files={"published": "a.csv"},
+                    choices={"entry_point": ["uniform"]}), True),
+        (make_study(kind="interpretation", files={"published": "a.csv"},
+                    choices={"entry_point": ["uniforms"]}), False),
+        ({"studies": {"Mine": {"kind": "sand_compositions"}}}, False),
+        ({"archive_authors": [{"name": "A", "orcid": "0000-0002-1825-0097"}]}, True),
+        ({"archive_authors": [{"name": "A", "orcid": "0000-0002-1825"}]}, False),
+    ],
+)  # fmt: skip
+def test_schema_of_partial_settings(content, is_valid):
+    assert SETTINGS.is_valid(content) == is_valid

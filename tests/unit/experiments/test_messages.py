@@ -46,12 +46,48 @@ WRONG_TYPES = {
     "instrument: {wavelength_nm: {start: 400, stop: 500, stepp: 1}}":
         "instrument.wavelength_nm.stepp: unknown key, must be one of start, stop, step, also "
         "(did you mean step?)",
+    "instrument: {wavelength_nm: {start: 400, stop: 705, step: 50}}":
+        "instrument.wavelength_nm.stop = 705.0: must be a whole number of steps from start, such "
+        "as 700 or 750",
+    "grid: {density_kg_m3: {start: 300, stop: 400, stepp: 50}}":
+        "grid.density_kg_m3.stepp = 50: must be left out (did you mean step?)",
+    "grid: {density_kg_m3: {strat: 300, stop: 400, step: 50}}":
+        "grid.density_kg_m3.strat = 300: must be left out (did you mean start?)",
+    "grid: {density_kg_m3: {start: 300, end: 400}}":
+        "grid.density_kg_m3.end = 400: must be left out (start, stop and step give evenly spaced "
+        "values; label others otherwise)",
+    "grid: {density_kg_m3: {stop: 400, step: 50}}":
+        "grid.density_kg_m3.start = None: must be given (start, stop and step give evenly spaced "
+        "values; label others otherwise)",
+    "grid: {density_kg_m3: {geomspace: [300, 400, 3], also: 500}}":
+        "grid.density_kg_m3 = {'geomspace': [300, 400, 3], 'also': 500}: must be geomspace without "
+        "other keys",
+    "grid: {density_kg_m3: {start: 300, stop: 410, step: 50}}":
+        "grid.density_kg_m3.stop = 410.0: must be a whole number of steps from start, such as "
+        "400 or 450",
     "instrument: {kind: lens, screen_depth_m: 1}":
         "instrument.screen_depth_m = 1: must be a list of numbers (write [1])",
     "instrument: {kind: beam_spread, rays: 1.5}": "instrument.rays = 1.5: must be a whole number",
     "instrument: {kind: beam_spread, rays: many}":
         "instrument.rays = 'many': must be a whole number",
     "instrument: {kind: beam_spread, rays: true}": "instrument.rays = True: must be a whole number",
+    "instrument: {kind: goniophotometer, polar_deg: [true, 10]}":
+        "instrument.polar_deg = [True, 10]: must be a list of numbers",
+    "instrument: {wavelength_nm: [true, 500]}":
+        f"instrument.wavelength_nm = [True, 500]: {WAVELENGTHS}",
+    "fit: {measured: a.csv, ranges: {clay: [false, true]}}":
+        "fit.ranges = {'clay': [False, True]}: must be a mapping of keys to values",
+    "figure: {quantity: [brdf, brdf]}":
+        "figure.quantity = ['brdf', 'brdf']: must be at least one, without repetition",
+    "instrument: {kind: table, quantities: []}":
+        "instrument.quantities = []: must be at least one, without repetition",
+    "instrument: {kind: table, quantities: [reflectance, reflectance]}":
+        "instrument.quantities = ['reflectance', 'reflectance']: must be at least one, without "
+        "repetition",
+    "instrument: {kind: table, quantities: [transmittance]}\n"
+    "medium: {kind: natural_snow, depth_m: 1}\ngrid: {optical_radius_um: [100, 200]}\n"
+    "figure: {quantity: reflectance}":
+        "figure.quantity = 'reflectance': must be one of transmittance",
     "instrument: {kind: beam_spread, rays: 0}": "instrument.rays = 0: must be at least 1",
     "instrument: {kind: goniophotometre}":
         "instrument.kind = 'goniophotometre': must be one of spectrophotometer, goniophotometer, "

@@ -97,75 +97,77 @@ def test_experiment_names_of_studies_are_rejected(shipped, name):
 @pytest.mark.parametrize(
     ("study", "message"),
     [
-        ({"kind": "trends"}, r"studies\.own\.kind = 'trends': must be one of .*angular_trends"),
+        ({"kind": "trends"}, r"studies\.mine\.kind = 'trends': must be one of .*angular_trends"),
         ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "bands": "sentinel"},
-         r"own\.bands = 'sentinel': must be one of"),
+         r"mine\.bands = 'sentinel': must be one of"),
         ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "noise": 0},
-         r"own\.noise = 0"),
+         r"mine\.noise = 0"),
         ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "n_bands": 0},
-         r"own\.n_bands = 0"),
+         r"mine\.n_bands = 0"),
         ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "fixed": {"incidence": 40}},
-         r"own\.fixed\.incidence: unknown key.*did you mean incidence_deg"),
+         r"mine\.fixed\.incidence: unknown key.*did you mean incidence_deg"),
         ({"kind": "bands", "inputs": {"a": "explorer_snow"}, "fixed": {"incidence_deg": 85}},
-         r"own\.fixed\.incidence_deg = 85.*0 to 82"),
+         r"mine\.fixed\.incidence_deg = 85.*0 to 82"),
         ({"kind": "sobol", "inputs": {"a b": "explorer_snow", "a_b": "explorer_sand"}},
-         r"own\.inputs = \['a b', 'a_b'\]: must be names that differ"),
+         r"mine\.inputs = \['a b', 'a_b'\]: must be names that differ"),
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "outputs": {"table": "nul"}},
-         r"own\.outputs\.table = 'nul': must be lower-case letters"),
+         r"mine\.outputs\.table = 'nul': must be lower-case letters"),
         ({"kind": "sobol", "inputs": {"a": "explorer_snow"}, "n_bands": 2},
-         r"own\.n_bands = 2: must be left out for sobol \(it belongs to bands\)"),
+         r"mine\.n_bands = 2: must be left out for sobol \(it belongs to bands\)"),
         ({"kind": "anisotropy", "inputs": {"directions": "sand_fig11_brdf"},
           "files": {"directions": "wet_sand_directions.csv"}},
          r"'sand_fig11_brdf': must be .*over interpretation and saturation"),
         ({"kind": "anisotropy", "inputs": {"directions": "wet_sand_directions"}},
-         r"own\.files: missing, must be a mapping"),
+         r"mine\.files: missing, must be a mapping"),
         ({"kind": "anisotropy", "inputs": {"directions": "wet_sand_directions"}, "files": {}},
-         r"own\.files = {}: must be with directions"),
-        ({"kind": "layer_trends"}, r"own\.inputs: missing, must be a mapping"),
+         r"mine\.files = {}: must be with directions"),
+        ({"kind": "layer_trends"}, r"mine\.inputs: missing, must be a mapping"),
         ({"kind": "layer_trends", "inputs": {}},
-         r"own\.inputs = {}: must be with one of lens, volume"),
+         r"mine\.inputs = {}: must be with one of lens, volume"),
         ({"kind": "angular_trends", "inputs": {"facets": "a"}},
-         r"own\.inputs\.facets: unknown key.*did you mean facetness"),
+         r"mine\.inputs\.facets: unknown key.*did you mean facetness"),
         ({"kind": "angular_trends", "inputs": {"facetness": "fig21_grain_size"}},
-         r"own\.inputs\.facetness = 'fig21_grain_size': must be .*over facetness"),
+         r"mine\.inputs\.facetness = 'fig21_grain_size': must be .*over facetness"),
         ({"kind": "angular_trends", "inputs": {"incidence": "fig16_incidence"}},
          r"incidence = 'fig16_incidence': must be .*incidence_deg = 0"),
+        ({"kind": "angular_trends", "inputs": {"grain_size_infrared": "fig20_grain_size"}},
+         r"'fig20_grain_size': must be an experiment with wavelength 1450 nm"),
         ({"kind": "angular_trends", "inputs": {"wavelength": "fig08_grain_size"}},
          r"'fig08_grain_size': must be an experiment with a goniophotometer"),
         ({"kind": "sand_compositions", "inputs": {"lens": "a"}},
-         r"own\.inputs = .*: must be left out for sand_compositions \(it belongs to agreement"),
-        ({"kind": "sensitivity"}, r"own\.pairs: missing, must be a mapping"),
-        ({"kind": "sensitivity", "pairs": {}}, r"own\.pairs = {}: must be at least one pair"),
-        ({"inputs": {}}, r"own\.kind: missing, must be one of agreement, interpretation"),
+         r"mine\.inputs = .*: must be left out for sand_compositions \(it belongs to agreement"),
+        ({"kind": "sensitivity"}, r"mine\.pairs: missing, must be a mapping"),
+        ({"kind": "sensitivity", "pairs": {}}, r"mine\.pairs = {}: must be at least one pair"),
+        ({"inputs": {}}, r"mine\.kind: missing, must be one of agreement, interpretation"),
         ({**SETTINGS_CONTENT["studies"]["agreement"], "outputs": {}, "sensitivity": "agreement"},
-         r"own\.sensitivity = 'agreement': must be .*sensitivity"),
+         r"mine\.sensitivity = 'agreement': must be .*sensitivity"),
         ({"kind": "layer_trends", "sensitivity": "sensitivity", "inputs": {"lens": "a"}},
-         r"own\.sensitivity = .*: must be left out for layer_trends \(it belongs to agreement"),
+         r"mine\.sensitivity = .*: must be left out for layer_trends \(it belongs to agreement"),
         ({"kind": "sensitivity", "files": {"published": "splitsnow.csv"},
           "pairs": {"a": {"parameter": "saturation", "experiment": "b", "low": 0, "high": 1}}},
          r"files\.published = 'splitsnow\.csv': must be one of.*did you mean splitsnow2021\.csv"),
         ({"kind": "sensitivity", "pairs": {"a": {"parameter": "b"}}},
-         r"studies\.own\.pairs\.a\.experiment: missing"),
+         r"studies\.mine\.pairs\.a\.experiment: missing"),
         ({"kind": "sensitivity", "pairs": {"a": {
             "parameter": "saturation", "experiment": "fig13_saturation", "low": 0, "high": 0.3}}},
          r"pairs\.a\.experiment = 'fig13_saturation': must be .*saturation and depth_m"),
         ({"kind": "sand_compositions", "outputs": {"table": "table2"}},
-         r"studies\.own: name = 'table2': must be unique \(the study sens"),
+         r"studies\.mine: name = 'table2': must be unique \(the study sens"),
         ({"kind": "sand_compositions", "outputs": {"table": "fig08_grain_size"}},
          "experiment fig08_grain_size: name = 'fig08_grain_size': must be unique"),
     ],
 )  # fmt: skip
 def test_invalid_studies_are_rejected_in_one_line(shipped, study, message):
     with pytest.raises(ConfigError, match=message) as error:
-        make_settings({"own": study}).select_experiments(shipped)
+        make_settings({"mine": study}).select_experiments(shipped)
     assert "\n" not in str(error.value)
 
 
 def test_missing_experiments_of_a_study_are_reported(shipped):
     study = {"kind": "angular_trends", "inputs": {"facetness": "fig22_facetnes"}}
-    studies = make_settings({"own": study}).studies
+    studies = make_settings({"mine": study}).studies
     assert find_incomplete_studies(studies, shipped) == {
-        "own": "study own is left out: no such experiment: fig22_facetnes "
+        "mine": "study mine is left out: no such experiment: fig22_facetnes "
         "(did you mean fig22_facetness?)"
     }
     incomplete = find_incomplete_studies(studies, {})
@@ -177,6 +179,7 @@ def test_missing_experiments_of_a_study_are_reported(shipped):
     ("experiments", "message"),
     [
         (["fig08_grain", "own"], r"experiments = 'fig08_grain': no such experiment or group \(did"),
+        ("papers,papers", r"experiments = \['papers', 'papers'\]: must be different names"),
         (["own"], "experiments = own: must select at least one"),
         ("wet_sands", "experiments = 'wet_sands': no such experiment or group .*wet_sand"),
     ],
@@ -199,10 +202,14 @@ def test_invalid_groups_are_rejected(group):
         ExperimentConfig.model_validate({"name": "a", "group": group})
 
 
-def test_groups_differ_from_experiments(shipped):
-    experiment = ExperimentConfig.model_validate({"name": "a", "group": "fig08_grain_size"})
-    with pytest.raises(ConfigError, match="group = 'fig08_grain_size': must differ"):
-        load_settings(SETTINGS_CONTENT).select_experiments({**shipped, "a": experiment})
+@pytest.mark.parametrize(
+    ("name", "group"),
+    [("a", "fig08_grain_size"), ("own", "examples"), ("papers", "own"), ("wet_sand", "own")],
+)
+def test_groups_differ_from_experiments(shipped, name, group):
+    experiment = ExperimentConfig.model_validate({"name": name, "group": group})
+    with pytest.raises(ConfigError, match=f"group = '({name}|{group})': must differ"):
+        load_settings(SETTINGS_CONTENT).select_experiments({**shipped, name: experiment})
 
 
 def test_a_study_of_some_inputs_has_their_rows():

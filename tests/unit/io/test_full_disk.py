@@ -17,7 +17,7 @@ import splits
 from splits import cli
 from splits.core.atomic import check_writable
 from splits.experiments.archive import pack_archive
-from splits.experiments.papers.paper_tables import write_data_frame
+from splits.io.data_frame import write_data_frame
 from splits.io.netcdf import make_provenance, to_netcdf_attributes
 from splits.plotting.style import save_figure
 from splits.tables.storage import write_table_blockwise

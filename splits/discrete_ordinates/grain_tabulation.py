@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +22,11 @@ from splits.media.snow import Snow
 from splits.simulation.engine import simulate
 from splits.simulation.run_options import RunOptions
 from splits.simulation.scene import build_scene
-from splits.simulation.single_scattering_tally import WEIGHTED_MEANS, SingleScatteringTally
+from splits.simulation.single_scattering_tally import (
+    GRAIN_RAYS_PER_CHUNK,
+    WEIGHTED_MEANS,
+    SingleScatteringTally,
+)
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.stopping_rule import StoppingRule
 
@@ -33,6 +38,8 @@ WATER_WAVELENGTHS_NM = (200.0, 2701.0, 5.0)
 """First wavelength, end and step (nm) for the index of water that belongs to a contrast of ice."""
 SATURATION_LIMITS, N_SATURATIONS = (0.02, 0.5), 4
 N_ABSORPTIONS, N_ORDERS = 16, 33
+N_RAYS = 16_000 * GRAIN_RAYS_PER_CHUNK
+"""Rays per refractive index of dry grains, for an error of a reflectance below 0.0001."""
 WET_RAYS_DIVISOR = 8
 """Rays of dry grains relative to those of wet ones, whose table has eight times as many rows."""
 ERROR_STREAMS, ERROR_COSINES = 16, (1.0, 0.5, 0.1)
@@ -184,3 +191,8 @@ def save_natural_grains(folder: Path, rays: int, run: RunOptions) -> None:
         compact = {"dtype": "f4", "zlib": True, "complevel": 9}
         encoding = {variable: compact for variable in table.data_vars}
         table.to_netcdf(folder / f"natural_grains_{name}.nc", encoding=encoding)
+
+
+if __name__ == "__main__":
+    # Called by the workflow with a folder and a number of threads.
+    save_natural_grains(Path(sys.argv[1]), N_RAYS, RunOptions.from_arguments(1, int(sys.argv[2])))

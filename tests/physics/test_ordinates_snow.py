@@ -7,6 +7,11 @@ import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
+from splits.discrete_ordinates.grain_table import Axis
+from splits.discrete_ordinates.grain_tabulation import TableAxes, tabulate_grains
+from splits.discrete_ordinates.snowpack import load_natural_grains
+from splits.simulation.run_options import RunOptions
+from splits.simulation.single_scattering_tally import GRAIN_RAYS_PER_CHUNK
 
 WAVELENGTHS = [400.0, 700.0, 1030.0, 1300.0, 1500.0, 1900.0, 2250.0]
 
@@ -75,3 +80,27 @@ def test_two_hundred_snowpacks_agree_with_paths():
     judge_z(z, independent=200, bound_added=True)
     rms = np.sqrt((z[:, 0] ** 2).mean())
     assert 0.8 < rms < 1.2, rms
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+def test_tables_of_grains_agree_with_new_paths():
+    """Moments between the nodes of the tables agree with other paths within their noise."""
+    rays, orders = 20 * GRAIN_RAYS_PER_CHUNK, 9
+    snow, run = splits.Snow.natural(optical_radius_um=100.0), RunOptions.from_arguments(5)
+    contrast, q = np.array([0.21, 0.3]), np.array([0.0, 1e-3, 0.3, 0.9])
+    for is_wet in (False, True):
+        kept = load_natural_grains(wet=is_wet)
+        saturation = np.array([0.07, 0.3] if is_wet else [0.0])
+        water = kept.contrast.compute_weights(contrast) @ kept.water
+        axes = TableAxes(Axis(contrast), Axis(saturation), Axis(q), water)
+        new = tabulate_grains(snow, axes, orders, rays, run)
+        for row, wet_fraction in enumerate(saturation):
+            absorption = np.repeat(q / (1.0 - q), contrast.size).reshape(q.size, -1)
+            expected, found = (
+                table.compute_moments(contrast, absorption, float(wet_fraction), orders)
+                for table in (kept, new)
+            )
+            # Per ray, |P_l| is at most 1; light into wet pores is divided by their fraction.
+            bound = 4.5 / np.sqrt(rays * (wet_fraction or 1.0))
+            assert np.abs(found - expected).max() < bound, (is_wet, row)

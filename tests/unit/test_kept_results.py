@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dask.array
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from chi2 import NEEDS_JIT
@@ -46,6 +47,12 @@ def make_point(**more):
     return {SIZE: 120.0, SOOT: 30.0, "incidence_deg": 20.0, **more}
 
 
+def make_snowpacks():
+    columns = {"thickness_m": [0.2, 0.3], "density_kg_m3": [200, None], SIZE: [100, 200]}
+    table = pd.DataFrame({"time": ["a", "b"], "layer": 0, **columns, "sun_zenith_deg": 50.0})
+    return splits.SnowPacks(table, ground=0.2)
+
+
 def build_small_table(**keywords):
     def make_medium(black_carbon, ground):
         return make_snow(impurities_ng_g={"black_carbon": black_carbon}, ground=ground)
@@ -64,7 +71,26 @@ def make_image():
     return xr.DataArray(values, axes, ("y", "x", "band"))
 
 
+ORDINATES = {"solver": "discrete_ordinates"}
+
 RESULTS = {
+    "SnowPacks": lambda: make_snowpacks().dataset,
+    "spectrophotometer of snowpacks": lambda: splits.spectrophotometer(
+        make_snowpacks(), PAIR, "sun"
+    ),
+    "albedo of snowpacks": lambda: splits.albedo(make_snowpacks(), SKY, [500, 800]),
+    "spectrophotometer, ordinates": lambda: splits.spectrophotometer(
+        make_snow(), PAIR, jacobian=[SIZE, SOOT], **ORDINATES
+    ),
+    "goniophotometer, ordinates": lambda: splits.goniophotometer(
+        make_snow(), PAIR, 30.0, **ORDINATES
+    ),
+    "irradiance_profile, ordinates": lambda: splits.irradiance_profile(
+        make_snow(), PAIR, [0.01], **ORDINATES
+    ),
+    "build_table, ordinates": lambda: splits.build_table(
+        splits.Snow.natural, {SIZE: [100.0, 200.0]}, PAIR, **ORDINATES
+    ),
     "spectrophotometer": lambda: splits.spectrophotometer(make_layer(), PAIR, max_stderr=0.1),
     "spectrophotometer, derivatives": lambda: splits.spectrophotometer(
         make_layer(), PAIR, max_stderr=0.1, jacobian=["single_scattering_albedo"]
@@ -122,7 +148,7 @@ RESULTS = {
 NO_DATASET = {
     "Interpretation", "ParticleLayer", "Progress", "ProgressBar", "RoughSurface", "Sand",
     "SandInterpretation", "Sky", "Snow", "Stack", "__version__", "list_media", "load",
-    "load_medium", "open_table", "save", "save_brdf", "sensor_bands", "sky",
+    "load_medium", "open_table", "read_caaml", "read_crocus", "save", "save_brdf", "sensor_bands", "sky",
 }  # fmt: skip
 """Public names of inputs, of reading and writing, and of progress reports."""
 

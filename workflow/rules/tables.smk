@@ -48,3 +48,16 @@ rule table:
         "Assembling {wildcards.experiment}"
     script:
         "../scripts/table.py"
+
+
+# The package holds a copy of these tables in splits/discrete_ordinates.
+rule natural_grains:
+    output:
+        multiext(f"{RESULTS}/grains/natural_grains", "_dry.nc", "_wet.nc"),
+    log:
+        f"{RESULTS}/logs/natural_grains.log",
+    conda:
+        "../../environment.yml"
+    threads: 64
+    shell:
+        f"python -m splits.discrete_ordinates.grain_tabulation {RESULTS}/grains {{threads}} > {{log}}"

@@ -86,7 +86,7 @@ def test_two_hundred_snowpacks_agree_with_paths():
 @pytest.mark.slow
 def test_tables_of_grains_agree_with_new_paths():
     """Moments between the nodes of the tables agree with other paths within their noise."""
-    rays, orders = 20 * GRAIN_RAYS_PER_CHUNK, 9
+    rays, orders = 20 * GRAIN_RAYS_PER_CHUNK, 17
     snow, run = splits.Snow.natural(optical_radius_um=100.0), RunOptions.from_arguments(5)
     contrast, q = np.array([0.21, 0.3]), np.array([0.0, 1e-3, 0.3, 0.9])
     for is_wet in (False, True):

@@ -48,7 +48,8 @@ test-all: $(VENV)/dev
 	$(PYTEST) $(TESTS)
 
 campaign: $(VENV)/dev
-	CALIBRATION=all KILLS=200 DAMAGES=30 CAMPAIGN=10000,300 $(BIN)/python -m pytest -s tests/campaigns
+	CALIBRATION=all KILLS=200 DAMAGES=30 CAMPAIGN=10000,300 SNOWPACKS=200 \
+		$(BIN)/python -m pytest -s tests/campaigns
 
 calibration: $(VENV)/dev
 	$(BIN)/python tests/campaigns/calibration.py docs

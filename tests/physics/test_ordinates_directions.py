@@ -39,7 +39,10 @@ def compare(instrument, medium, *arguments, **settings):
 
 @NEEDS_JIT
 @pytest.mark.slow
-@pytest.mark.parametrize("incidence", [0.0, 53.0, 70.0, "diffuse"])
+@pytest.mark.parametrize(
+    "incidence",
+    [70.0, *(pytest.param(one, marks=pytest.mark.long) for one in (0.0, 53.0, "diffuse"))],
+)
 def test_directions_agree_with_paths(incidence):
     z = compare(splits.goniophotometer, make_snow(), WAVELENGTHS, incidence, relative_stderr=0.015)
     judge_z(np.concatenate(z), f"{incidence}", independent=len(WAVELENGTHS), bound_added=True)
@@ -48,15 +51,14 @@ def test_directions_agree_with_paths(incidence):
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.parametrize("incidence", [0.0, 53.0, 70.0, "diffuse"])
-@pytest.mark.parametrize("make", [make_snow, make_stack])
-def test_directions_agree_with_many_paths(make, incidence):
-    z = compare(splits.goniophotometer, make(), WAVELENGTHS, incidence, relative_stderr=0.007)
-    judge_z(np.concatenate(z), f"{incidence}", independent=len(WAVELENGTHS), bound_added=True)
+def test_directions_of_a_stack_agree_with_paths():
+    z = compare(splits.goniophotometer, make_stack(), WAVELENGTHS, 53.0, relative_stderr=0.015)
+    judge_z(np.concatenate(z), independent=len(WAVELENGTHS), bound_added=True)
 
 
 @NEEDS_JIT
 @pytest.mark.slow
+@pytest.mark.long
 def test_mixed_sky_agrees_with_paths():
     sky = splits.sky("midlatitude_winter")
     z = compare(splits.hdrf, make_snow(), sky, WAVELENGTHS, relative_stderr=0.04)

@@ -89,7 +89,7 @@ def test_every_parameter_of_dry_snow(seed, incidence):
         np.testing.assert_allclose(found[:, number], expected, rtol=0.0, atol=tolerance)
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.long)])
 def test_wet_snow_has_differences(seed):
     medium = make_random_snowpack(seed, is_wet=True)
     names = [*list_smooth_parameters(medium), "incidence_deg"]

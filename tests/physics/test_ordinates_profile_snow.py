@@ -39,6 +39,7 @@ def compare_profiles(seeds, error):
 
 @NEEDS_JIT
 @pytest.mark.slow
+@pytest.mark.long
 def test_random_profiles_agree_with_paths():
     for name, values in compare_profiles((1, 2, 3, 7, 9), 0.006).items():
         judge_z(values, name, independent=5, bound_added=True)
@@ -47,13 +48,6 @@ def test_random_profiles_agree_with_paths():
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.long
-def test_many_random_profiles_agree_with_paths():
-    for name, values in compare_profiles(range(2000, 2040), 0.003).items():
-        judge_z(values, name, independent=40, bound_added=True)
-
-
-@NEEDS_JIT
-@pytest.mark.slow
 def test_actinic_flux_agrees_with_paths():
     """Where light is not absorbed before it crosses a plane, paths have an accurate flux."""
     snow = splits.Snow.natural(

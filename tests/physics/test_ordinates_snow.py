@@ -74,16 +74,6 @@ def test_random_snowpacks_agree_with_paths():
 
 @NEEDS_JIT
 @pytest.mark.slow
-@pytest.mark.long
-def test_two_hundred_snowpacks_agree_with_paths():
-    z = compare_snowpacks(range(1000, 1200), 0.0015)
-    judge_z(z, independent=200, bound_added=True)
-    rms = np.sqrt((z[:, 0] ** 2).mean())
-    assert 0.8 < rms < 1.2, rms
-
-
-@NEEDS_JIT
-@pytest.mark.slow
 def test_tables_of_grains_agree_with_new_paths():
     """Moments between the nodes of the tables agree with other paths within their noise."""
     rays, orders = 20 * GRAIN_RAYS_PER_CHUNK, 17

@@ -18,7 +18,13 @@ from splits.experiments.papers.sensitivity_table import (
 )
 
 WAVELENGTHS = np.array([400.0, 1000.0, 1500.0, 2500.0])
-PAIR = {"parameter": "saturation", "experiment": "e", "interpretation_experiment": "r", "low": 0, "high": 1}
+PAIR = {
+    "parameter": "saturation",
+    "experiment": "e",
+    "interpretation_experiment": "r",
+    "low": 0,
+    "high": 1,
+}
 
 
 def make_spectra(scale, dimension, labels):

@@ -172,6 +172,7 @@ def make_spectrum(
             variables |= make_deviation_variable(name, dims, deviations, long_name)
     attributes = {
         **request.run.make_attributes("Virtual spectrophotometer", "spectrophotometer", medium),
+        "solver": "monte_carlo",
         "estimator": "spectral",
         "incidence_deg": request.incidence,
         "max_stderr": request.max_stderr,

@@ -198,7 +198,7 @@ def spectrophotometer(
     truncation = None if analog else request.truncate(path_sharing)
     estimate = request.simulate(path_sharing, truncation, perturbations, analog=analog)
     dataset = make_spectrum(request, first, estimate, truncation=truncation, dims=dims)
-    dataset.attrs |= {"solver": MONTE_CARLO, "estimator": estimator}
+    dataset.attrs["estimator"] = estimator
     if is_mapping:
         return _label_media(dataset, media)
     if not parameters:

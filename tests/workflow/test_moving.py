@@ -76,14 +76,13 @@ def test_only_changed_physics_sources_rerun_simulations(moved):
     package = moved.folder / "splits"
     for touched in (package / "media" / "snow.py", package / "instruments" / "lens.py"):
         os.utime(touched)
-    for name in (
-        "experiments/papers/paper_tables.py",
-        "plotting/style.py",
-        "retrieval/sand_fit.py",
+    for name, jobs in (
+        ("retrieval/sand_fit.py", []),
+        ("plotting/style.py", ["Drawing indices", "Writing the report"]),
     ):
         with open(package / name, "a", encoding="utf-8") as file:
             file.write("# changed\n")
-    assert has_nothing_to_do(moved)
+        assert moved.snakemake("--dry-run").jobs() == jobs
     with open(package / "media" / "snow.py", "a", encoding="utf-8") as file:
         file.write("# changed\n")
     run = moved.snakemake("--dry-run")

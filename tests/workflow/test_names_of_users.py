@@ -90,7 +90,7 @@ def test_main_configuration_is_yaml_1_2(project):
     assert line.endswith(": accuracies.on.max_stderr = 10: must be at most 0.5") and "line" in line
     change_settings(project, lambda text: text.replace("010", "0.1"))
     run = project.snakemake("--cores", 1, "--dry-run", "--configfile", "more.yaml")
-    assert "config/config.yaml: seed = '1:15': must be a whole number" in run.text
+    assert "more.yaml, line 2: seed = '1:15': must be a whole number" in run.text, run.text
     (project.folder / "more.yaml").write_text("results: 1:15\n", encoding="utf-8")
     run = project.snakemake("--cores", 1, "--dry-run", "--configfile", "more.yaml")
     assert "1:15/tiny/data/one.nc" in run.text

@@ -17,7 +17,7 @@ from splits.experiments.config.simulation import Name, SimulationConfig
 RESERVED_NAMES = (
     "all", "everything", "archive", "explorer", "explorer_page", "benchmark", "benchmarks",
     "update_docs", "figure", "figure_benchmark", "fitted_parameters", "report", "retrieve",
-    "simulate", "table", "table_part",
+    "natural_grains", "simulate", "table", "table_part",
 )  # fmt: skip
 """Names of rules of the workflow, which experiments may not have."""
 

@@ -18,9 +18,7 @@ for NAME, STUDY in COMPLETE_STUDIES.items():
             "../../environment.yml"
         threads: count_cores() if STUDY.USES_ALL_THREADS else 1
         params:
-            study=escape_param(
-                STUDY.model_dump(mode="json", exclude=STUDY.TEXT_KEYS)
-            ),
+            study=escape_param(STUDY.model_dump(mode="json", exclude=STUDY.TEXT_KEYS)),
             parameters=escape_param(
                 STUDY.list_parameters(SETTINGS.seed, MAX_STDERR, SELECTED)
             ),

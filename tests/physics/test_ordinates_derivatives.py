@@ -125,7 +125,9 @@ def check_gradient(optics: LayerOptics, cosine: float | None, kinds=KINDS) -> No
 
 
 @pytest.mark.parametrize("light", COSINES)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(n, marks=pytest.mark.long) for n in range(1, 4))]
+)
 def test_gradient_of_random_layers(light, seed):
     check_gradient(make_random_layers(seed, (-7.0, -0.3)), COSINES[light])
 

@@ -39,10 +39,8 @@ def compare(instrument, medium, *arguments, **settings):
 
 @NEEDS_JIT
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "incidence",
-    [70.0, *(pytest.param(one, marks=pytest.mark.long) for one in (0.0, 53.0, "diffuse"))],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("incidence", [0.0, 53.0, 70.0, "diffuse"])
 def test_directions_agree_with_paths(incidence):
     z = compare(splits.goniophotometer, make_snow(), WAVELENGTHS, incidence, relative_stderr=0.015)
     judge_z(np.concatenate(z), f"{incidence}", independent=len(WAVELENGTHS), bound_added=True)

@@ -75,7 +75,9 @@ def extrapolate_parameter(
     )
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(n, marks=pytest.mark.long) for n in range(1, 8))]
+)
 @pytest.mark.parametrize("incidence", [0.0, 53.0, 89.0, "diffuse"])
 def test_every_parameter_of_dry_snow(seed, incidence):
     medium = make_random_snowpack(seed)
@@ -89,7 +91,7 @@ def test_every_parameter_of_dry_snow(seed, incidence):
         np.testing.assert_allclose(found[:, number], expected, rtol=0.0, atol=tolerance)
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [pytest.param(n, marks=pytest.mark.long) for n in (1, 3)])
 def test_wet_snow_has_differences(seed):
     medium = make_random_snowpack(seed, is_wet=True)
     names = [*list_smooth_parameters(medium), "incidence_deg"]

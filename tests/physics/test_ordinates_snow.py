@@ -70,6 +70,7 @@ def compare_snowpacks(seeds: range, error: float) -> np.ndarray:
 
 @NEEDS_JIT
 @pytest.mark.slow
+@pytest.mark.long
 def test_random_snowpacks_agree_with_paths():
     judge_z(compare_snowpacks(range(8), 0.004), independent=8, bound_added=True)
 

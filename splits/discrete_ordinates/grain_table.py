@@ -96,10 +96,6 @@ class GrainTable(NamedTuple):
     stderr: np.ndarray
     water: np.ndarray
 
-    def covers(self, contrast: np.ndarray, absorption: np.ndarray) -> np.ndarray:
-        """Return where the table has values, for contrasts and absorptions x."""
-        return self.contrast.contains(contrast) & (absorption <= MAX_ABSORPTION)
-
     def compute_moments(
         self, contrast: np.ndarray, absorption: np.ndarray, saturation: float, orders: int
     ) -> np.ndarray:

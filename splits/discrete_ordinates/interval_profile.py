@@ -134,7 +134,7 @@ def solve_profile(
     profile = _compute_intervals(parts, geometry, incidence, n_streams)
     optics_error = _compute_table_error(few, coarse, geometry, incidence, n_streams)
     truncation, perturbed = (
-        IntervalProfile(*(_extend(values, trial, n_wavelengths) for values in errors))
+        IntervalProfile(*(spread_truncation(values, trial, n_wavelengths) for values in errors))
         for errors in (difference, optics_error)
     )
     by_reflectance = _scale_reflectance_error(profile, compute_optics_error(parts))
@@ -272,8 +272,3 @@ def _add_pore_balance(error: IntervalProfile, profile: IntervalProfile) -> Inter
 def _subtract(one: IntervalProfile, other: IntervalProfile) -> IntervalProfile:
     """Return absolute differences."""
     return IntervalProfile(*(np.abs(a - b) for a, b in zip(one, other, strict=True)))
-
-
-def _extend(errors: np.ndarray, trial: np.ndarray, n_wavelengths: int) -> np.ndarray:
-    """Return errors at all wavelengths, which are along the last dimension."""
-    return spread_truncation(errors, trial, n_wavelengths)

@@ -41,7 +41,7 @@ def albedo(
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
-    solver: str | None = None,
+    solver: str = "auto",
     bands: Mapping[str, Any] | str | None = None,
     threads: int | None = None,
     progress: ProgressCallback = None,
@@ -67,7 +67,7 @@ def albedo(
         and for diffuse light, 1e-6 to 0.5.  The albedo combines both, so its error is at most this.
     seed : int
         Non-negative; diffuse light uses the next one.
-    solver : {"monte_carlo", "discrete_ordinates", "auto"}, optional
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.spectrophotometer`.
     bands : mapping or str, optional
         Names of bands to their limits (nm): ``{"visible": (305, 700)}``; or to a spectral response,

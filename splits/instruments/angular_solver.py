@@ -64,6 +64,11 @@ class AngularResult(NamedTuple):
     undefined: tuple[str, ...]
     attributes: dict[str, Any]
 
+    @property
+    def is_converged(self) -> bool:
+        """Whether the requested error is reached."""
+        return bool(self.attributes["stop_reason"] == "converged")
+
 
 def find_angular_obstacle(
     medium: Medium, estimator: str = "expansion", target: str = "brdf", rays: int | None = None

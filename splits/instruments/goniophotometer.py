@@ -23,7 +23,7 @@ from splits.instruments.angular_truncation import make_direction_grid
 from splits.instruments.detector_tally import DetectorTally
 from splits.instruments.expansion_tally import MAX_DEGREE, ExpansionTally
 from splits.instruments.next_event import get_detected_layers, make_detectors
-from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
+from splits.instruments.solver import AUTO, DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
 from splits.kernels.tallies.angular import make_basis
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
@@ -65,7 +65,7 @@ def goniophotometer(
     seed: int = 1,
     *,
     relative_stderr: float = 0.02,
-    solver: str = "monte_carlo",
+    solver: str = "auto",
     target: str = "brdf",
     polar_deg: Any = POLAR_DEG,
     azimuth_deg: Any = AZIMUTH_DEG,
@@ -96,7 +96,7 @@ def goniophotometer(
         Largest standard error relative to the value, 1e-4 to 0.5, for polar angles up to
         `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
         all.
-    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
         "discrete_ordinates" solves the equation of radiative transfer in plane layers of dry
         modelled natural snow (`splits.Snow.natural`), which may be semi-infinite: see
         docs/theory/discrete-ordinates.md.  The BTDF and the ``transmittance_factor`` are left out.
@@ -186,7 +186,10 @@ def goniophotometer(
     chosen = choose_solver(solver, [medium], wavelengths, obstacle)
     if chosen == DISCRETE_ORDINATES:
         result = solve_angular_result(medium, request)
-    else:
+        # Paths need a finite medium.
+        if solver == AUTO and not (medium.is_semi_infinite or result.is_converged):
+            chosen = MONTE_CARLO
+    if chosen == MONTE_CARLO:
         check_medium(medium)
         is_fixed = rays is not None or bins is not None
         n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays

@@ -11,7 +11,6 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import make_variable
 from splits.illumination.sky import Sky
-from splits.instruments.angular_solver import find_angular_obstacle
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, goniophotometer
 from splits.instruments.sky_mixing import (
     as_sky,
@@ -19,7 +18,7 @@ from splits.instruments.sky_mixing import (
     make_sky_attributes,
     mix_direct_and_diffuse,
 )
-from splits.instruments.solver import MONTE_CARLO, choose_solver
+from splits.instruments.solver import MONTE_CARLO
 from splits.media.checks import check_medium
 from splits.media.medium import Medium
 from splits.simulation.run_options import RunOptions, make_wavelength_coordinate
@@ -33,7 +32,7 @@ def hdrf(
     relative_stderr: float = 0.02,
     seed: int = 1,
     *,
-    solver: str = "monte_carlo",
+    solver: str = "auto",
     polar_deg: Any = POLAR_DEG,
     azimuth_deg: Any = AZIMUTH_DEG,
     threads: int | None = None,
@@ -53,7 +52,7 @@ def hdrf(
         light, see `splits.goniophotometer`.
     seed : int
         Non-negative; diffuse light uses the next one.
-    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.goniophotometer`.
     polar_deg, azimuth_deg : array_like
         Directions of view, see `splits.goniophotometer`; azimuth 0 is forward, away from the sun.
@@ -82,11 +81,10 @@ def hdrf(
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 1)
     run = RunOptions.from_arguments(seed, threads, progress=progress)
     check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
-    chosen = choose_solver(solver, [medium], wavelengths, find_angular_obstacle(medium))
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         return goniophotometer(
-            medium, wavelengths, incidence, seed=run.seed + number, solver=chosen,
+            medium, wavelengths, incidence, seed=run.seed + number, solver=solver,
             relative_stderr=relative_stderr, polar_deg=polar_deg, azimuth_deg=azimuth_deg,
             threads=threads, progress=progress,
         )  # fmt: skip
@@ -98,6 +96,6 @@ def hdrf(
     mean, stderr = (mixed[key].transpose(*dims).values for key in (name, f"{name}_stderr"))
     mixed = mixed.assign(make_variable(name, dims, mean, stderr, term))
     attributes = run.make_attributes("Reflectance factor under a sky", "hdrf", medium)
-    requested = {"relative_stderr": relative_stderr, "solver": chosen, **mixed.attrs}
+    requested = {"relative_stderr": relative_stderr, **mixed.attrs}
     mixed = mixed.assign_coords(wavelength=make_wavelength_coordinate(wavelengths))
     return mixed.assign_attrs(attributes | make_sky_attributes(sky_spectrum) | requested)

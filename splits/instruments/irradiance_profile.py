@@ -61,7 +61,7 @@ def irradiance_profile(
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
-    solver: str = "monte_carlo",
+    solver: str = "auto",
     target: str = "irradiance",
     max_rays: int = 20_000_000,
     threads: int | None = None,
@@ -85,7 +85,7 @@ def irradiance_profile(
         Largest standard error, 1e-6 to 0.5; see `target`.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
-    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.spectrophotometer`.
     target : {"irradiance", "absorptance"}
         Quantities to which `max_stderr` applies: all irradiances and absorptances, or only
@@ -139,7 +139,7 @@ def irradiance_profile(
         medium, wavelength_nm, depth_m, incidence_deg, max_stderr, max_rays
     )
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
-    chosen = choose_flux_solver(solver, medium, request.wavelengths)
+    chosen = choose_flux_solver(solver, medium, request.wavelengths, request.max_stderr)
     return simulate_flux(request, FluxTarget(limit_irradiance), run, chosen)
 
 
@@ -175,9 +175,11 @@ class FluxRequest(NamedTuple):
         )
 
 
-def choose_flux_solver(solver: Any, medium: Medium, wavelengths: np.ndarray) -> str:
+def choose_flux_solver(
+    solver: Any, medium: Medium, wavelengths: np.ndarray, max_stderr: float
+) -> str:
     """Return the solver for fluxes, see `splits.instruments.solver.choose_solver`."""
-    chosen = choose_solver(solver, [medium], wavelengths)
+    chosen = choose_solver(solver, [medium], wavelengths, max_stderr=max_stderr)
     if chosen == MONTE_CARLO:
         return chosen
     return choose_solver(solver, [medium], wavelengths, find_profile_obstacle(medium, wavelengths))

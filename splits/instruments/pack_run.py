@@ -83,8 +83,8 @@ class PackSpectra(NamedTuple):
 
 
 def check_pack_solver(solver: Any) -> None:
-    """Check the solver for snowpacks: discrete ordinates, which are the default."""
-    if solver is None or check_choice("solver", solver, SOLVERS) != MONTE_CARLO:
+    """Check the solver for snowpacks, which are discrete ordinates."""
+    if check_choice("solver", solver, SOLVERS) != MONTE_CARLO:
         return
     hint = "paths are for one snowpack: packs.make_stack(label)"
     raise invalid("solver", solver, f"'{DISCRETE_ORDINATES}' or 'auto' for SnowPacks", hint)

@@ -50,7 +50,7 @@ def radiation_profile(
     max_stderr: float = 0.005,
     seed: int = 1,
     *,
-    solver: str = "monte_carlo",
+    solver: str = "auto",
     target: str = "absorbed_power",
     total_w_m2: float | None = None,
     bands: Mapping[str, Any] | str | None = None,
@@ -78,7 +78,7 @@ def radiation_profile(
         `target`.
     seed : int
         Non-negative; diffuse light uses the next one.
-    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.spectrophotometer`.
     target : {"absorbed_power", "irradiance"}
         Quantities to which `max_stderr` applies: absorbed power and the light reflected at the
@@ -132,7 +132,7 @@ def radiation_profile(
     targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
 
     check_medium(medium, allow_semi_infinite=True)
-    chosen = choose_flux_solver(solver, medium, wavelengths)
+    chosen = choose_flux_solver(solver, medium, wavelengths, max_stderr)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         request = FluxRequest.from_arguments(
@@ -152,7 +152,6 @@ def radiation_profile(
         "max_stderr": max_stderr,
         "target": target,
         "max_rays": max_rays,
-        "solver": chosen,
         **dataset.attrs,
     }
     coordinates: dict[str, Any] = {

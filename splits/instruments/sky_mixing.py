@@ -100,7 +100,9 @@ def mix_direct_and_diffuse(
     attributes = [dataset.attrs for _, dataset in runs]
     stop_reason = max((one["stop_reason"] for one in attributes), key=STOP_REASONS.index)
     rays = sum(one["rays"] for one in attributes)
-    return xr.Dataset(variables, attrs={"stop_reason": stop_reason, "rays": rays})
+    # With "auto", both runs may differ in their solver.
+    solver = " and ".join(dict.fromkeys(str(one["solver"]) for one in attributes))
+    return xr.Dataset(variables, attrs={"solver": solver, "stop_reason": stop_reason, "rays": rays})
 
 
 def compute_band_weights(

@@ -18,6 +18,7 @@ from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_de
 from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
 from splits.discrete_ordinates.snowpack import (
     SpectrumSolution,
+    compute_optics_error,
     solve_spectrum,
 )
 from splits.kernels.tallies.exits import N_BATCHES
@@ -32,9 +33,9 @@ SOLVERS = (MONTE_CARLO, DISCRETE_ORDINATES, AUTO)
 
 def choose_solver(
     solver: Any, media: Iterable[Medium], wavelength_nm: np.ndarray, obstacle: str | None = None,
-    parameters: Sequence[str] = (),
+    parameters: Sequence[str] = (), max_stderr: float = np.inf,
 ) -> str:  # fmt: skip
-    """Return the solver for media: with "auto", discrete ordinates where they apply.
+    """Return the solver for media: with "auto", discrete ordinates where they are accurate enough.
 
     Parameters
     ----------
@@ -46,6 +47,9 @@ def choose_solver(
         Another reason why discrete ordinates do not apply.
     parameters : sequence of str
         Parameters of the only medium with respect to which derivatives are computed.
+    max_stderr : float
+        Requested error of hemispherical values; "auto" uses paths if the tables of the grains have
+        a larger one.
 
     Raises
     ------
@@ -60,10 +64,14 @@ def choose_solver(
     obstacle = obstacle or next((reason for reason in reasons if reason), None)
     if obstacle is None and parameters:
         obstacle = find_parameter_obstacle(media[0], parameters)
+    if solver == AUTO:
+        is_accurate = obstacle is None and all(
+            compute_optics_error(make_snowpack(medium, wavelength_nm)).max() <= max_stderr
+            for medium in media
+        )
+        return DISCRETE_ORDINATES if is_accurate else MONTE_CARLO
     if obstacle is None:
         return DISCRETE_ORDINATES
-    if solver == AUTO:
-        return MONTE_CARLO
     allowed = "'monte_carlo' or 'auto' for this medium"
     raise invalid("solver", solver, allowed, f"for discrete ordinates, {obstacle}")
 

@@ -14,7 +14,6 @@ from splits.core.validation import check_choice, invalid, to_text_keys
 from splits.instruments.pack_spectra import check_no_paths, compute_pack_spectra
 from splits.instruments.solver import (
     DISCRETE_ORDINATES,
-    MONTE_CARLO,
     choose_solver,
     get_derivative_method,
     solve_estimate,
@@ -46,7 +45,7 @@ def spectrophotometer(
     max_stderr: float = 0.002,
     seed: int = 1,
     *,
-    solver: str | None = None,
+    solver: str = "auto",
     estimator: str = "spectral",
     jacobian: Sequence[str] = (),
     max_rays: int = 20_000_000,
@@ -82,12 +81,12 @@ def spectrophotometer(
         each.
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
-    solver : {"monte_carlo", "discrete_ordinates", "auto"}, optional
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
         "discrete_ordinates" solves the equation of radiative transfer in plane layers of modelled
         natural snow (`splits.Snow.natural`), without noise and in milliseconds: see
-        docs/theory/discrete-ordinates.md.  Media for which it does not hold are rejected, or
-        simulated with paths under "auto".  Default: "monte_carlo"; "auto" for `splits.SnowPacks`,
-        for which paths are not available.
+        docs/theory/discrete-ordinates.md.  It rejects media for which it does not hold.  "auto"
+        uses "monte_carlo" for these, and if `max_stderr` is below the error of discrete ordinates.
+        Paths are not available for `splits.SnowPacks`.
     estimator : {"spectral", "analog"}
         "spectral" uses the same paths at all wavelengths.  "analog", for one medium, is the
         algorithm of the papers: each wavelength is traced separately, and absorption is sampled at
@@ -177,11 +176,11 @@ def spectrophotometer(
     dims = ("medium", "wavelength") if is_mapping else ("wavelength",)
     parameters = _check_jacobian(medium, request, estimator, jacobian)
     obstacle = "the estimator needs paths" if analog else None
-    wavelengths, solver = request.wavelengths, MONTE_CARLO if solver is None else solver
-    chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters)
+    wavelengths, error = request.wavelengths, request.max_stderr
+    chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters, error)
     if chosen == DISCRETE_ORDINATES:
         estimate = solve_estimate(
-            list(media.values()), wavelengths, request.incidence, request.max_stderr, parameters
+            list(media.values()), wavelengths, request.incidence, error, parameters
         )
         dataset = make_spectrum(request, first, estimate, truncation=None, dims=dims)
         dataset.attrs["solver"] = DISCRETE_ORDINATES

@@ -109,8 +109,13 @@ class SpectralEstimate:
     rays: dict[str, Any]
 
     def get_stop_reason(self, max_stderr: float) -> str:
-        """Return why tracing stopped: the rows reached an error, which others may not have."""
-        return "converged" if self.stderr.max() <= max_stderr else "max_rays"
+        """Return why tracing stopped: the rows reached an error, which others may not have.
+
+        Without rays, the error is that of tables.
+        """
+        if self.stderr.max() <= max_stderr:
+            return "converged"
+        return "max_rays" if self.rays["rays"] else "interpolation_bound"
 
     def select(self, rows: slice) -> SpectralEstimate:
         """Return the estimate of some rows; derivatives are those of all rows."""

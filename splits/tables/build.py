@@ -44,7 +44,7 @@ def build_table(
     max_stderr: float = 0.003,
     seed: int = 1,
     *,
-    solver: str = "monte_carlo",
+    solver: str = "auto",
     quantities: Sequence[str] = ("reflectance",),
     covariance: bool = False,
     folder: str | Path | None = None,
@@ -73,7 +73,7 @@ def build_table(
     max_stderr, seed, max_rays, threads, kernel
         As for `splits.spectrophotometer`.  `max_stderr` applies to every node of the table, and
         `max_rays` to each ensemble.
-    solver : {"monte_carlo", "discrete_ordinates", "auto"}
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
         As for `splits.spectrophotometer`, for all points of the table.
     quantities : sequence of str
         Quantities of the table: "reflectance" and "transmittance".
@@ -119,6 +119,7 @@ def build_table(
         (medium for group in plan.path_groups for medium in group.path_sharing.media),
         spectral_request.wavelengths,
         "a covariance needs batches of rays" if covariance else None,
+        max_stderr=spectral_request.max_stderr,
     )
     request = TableRequest(
         spectral_request, _check_quantities(quantities), bool(covariance), chosen

@@ -42,7 +42,9 @@ def test_errors_of_radiation_profile_agree_with_scatter(seeds):
     """Stated errors agree with the scatter of seeds; quantities of a run count as one."""
     snow, sky = splits.Snow(depth_m=0.02), splits.sky(CUSTOM_SKY, 50.0)
     runs = [
-        splits.radiation_profile(snow, sky, [0.005], [500.0, 750.0, 1000.0], 0.03, seed=2 * seed)
+        splits.radiation_profile(
+            snow, sky, [0.005], [500.0, 750.0, 1000.0], 0.03, seed=2 * seed, solver="monte_carlo"
+        )
         for seed in range(seeds)
     ]
     for name in ("downward_irradiance", "upward_irradiance", "absorbed_power"):
@@ -70,7 +72,7 @@ COARSE = np.arange(310.0, 2491.0, 90.0)
 def compute_stack_profile(error, **settings):
     sky = splits.sky("midlatitude_winter")
     return splits.radiation_profile(
-        STACK, sky, [0.02, 0.06], COARSE, error, total_w_m2=1.0, **settings
+        STACK, sky, [0.02, 0.06], COARSE, error, total_w_m2=1.0, **settings, solver="monte_carlo"
     )
 
 
@@ -123,11 +125,13 @@ def test_diffuse_reflectance_factor_is_the_reciprocal_albedo(error):
     for number, medium in enumerate(media):
         factors = splits.goniophotometer(
             medium, [1300.0], "diffuse", seed=number, relative_stderr=10.0 * error, polar_deg=polar,
-            azimuth_deg=[0.0, 90.0],
+            azimuth_deg=[0.0, 90.0], solver="monte_carlo",
         ).isel(wavelength=0)  # fmt: skip
         assert (factors.reflectance_factor[:, 0] == factors.reflectance_factor[:, 1]).all()
         for angle in polar:
-            beam = splits.spectrophotometer(medium, [1300.0], angle, error, seed=9)
+            beam = splits.spectrophotometer(
+                medium, [1300.0], angle, error, seed=9, solver="monte_carlo"
+            )
             factor = factors.sel(polar=angle).isel(azimuth=0)
             difference = float(factor.reflectance_factor - beam.reflectance[0])
             z.append(
@@ -140,9 +144,13 @@ def test_diffuse_reflectance_factor_is_the_reciprocal_albedo(error):
 def test_hdrf_is_the_mean_of_beam_and_diffuse():
     snow, sky = splits.Snow(depth_m=0.03), splits.sky(CUSTOM_SKY, 50.0)
     settings = {"relative_stderr": 0.05, "polar_deg": [0.0, 60.0], "azimuth_deg": [0.0, 180.0]}
-    total = splits.hdrf(snow, sky, W, seed=5, **settings)
-    direct = splits.goniophotometer(snow, W, 50.0, seed=5, **settings).reflectance_factor
-    diffuse = splits.goniophotometer(snow, W, "diffuse", seed=6, **settings).reflectance_factor
+    total = splits.hdrf(snow, sky, W, seed=5, **settings, solver="monte_carlo")
+    direct = splits.goniophotometer(
+        snow, W, 50.0, seed=5, **settings, solver="monte_carlo"
+    ).reflectance_factor
+    diffuse = splits.goniophotometer(
+        snow, W, "diffuse", seed=6, **settings, solver="monte_carlo"
+    ).reflectance_factor
     direct_fraction = xr.DataArray(
         sky.compute_direct_fraction(W), {"wavelength": W}, ("wavelength",)
     )
@@ -173,7 +181,9 @@ def test_error_of_albedo_change_agrees_with_scatter():
     )
     changes, stderrs = [], []
     for seed in range(20):
-        ds = splits.albedo(media, sky, W, 0.02, 2 * seed, bands={"visible": (400, 700)})
+        ds = splits.albedo(
+            media, sky, W, 0.02, 2 * seed, bands={"visible": (400, 700)}, solver="monte_carlo"
+        )
         change, error = compute_difference(ds, "band_albedo", "dirty", "clean")
         changes.append(change.values)
         stderrs.append(error.values)
@@ -188,13 +198,20 @@ def test_error_of_albedo_change_agrees_with_scatter():
 def test_albedos_of_several_media_agree_with_single_runs():
     sky = splits.sky(CUSTOM_SKY, 50.0)
     both = splits.albedo(
-        {"a": make_polluted_snow(0.0), "b": make_polluted_snow(200.0)}, sky, W, 0.01, 3
+        {"a": make_polluted_snow(0.0), "b": make_polluted_snow(200.0)},
+        sky,
+        W,
+        0.01,
+        3,
+        solver="monte_carlo",
     )
     assert both.attrs["medium"] == "snow"
     assert both.snow_black_carbon_ng_g.values.tolist() == [0.0, 200.0]
     z = []
     for number, (name, soot) in enumerate((("a", 0.0), ("b", 200.0))):
-        single = splits.albedo(make_polluted_snow(soot), sky, W, 0.01, 50 + 2 * number)
+        single = splits.albedo(
+            make_polluted_snow(soot), sky, W, 0.01, 50 + 2 * number, solver="monte_carlo"
+        )
         shared = both.sel(medium=name)
         error = np.hypot(single.albedo_stderr, shared.albedo_stderr)
         z.append(((shared.albedo - single.albedo) / error).values)

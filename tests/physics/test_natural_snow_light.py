@@ -73,7 +73,7 @@ def test_deep_snow_follows_the_weak_absorption_limit(area):
     diffracted = 0.5 * (1.0 + NATURAL_GRAIN_SHAPE.asymmetry_parameter)
     absorbed = 2.0 * NATURAL_GRAIN_SHAPE.absorption_enhancement * gamma / (ice_density(-1.0) * area)
     expected = np.exp(-4.0 * np.sqrt(absorbed / (3.0 * (1.0 - diffracted))))
-    spectrum = splits.spectrophotometer(deep, wavelengths, "diffuse", 0.0015)
+    spectrum = splits.spectrophotometer(deep, wavelengths, "diffuse", 0.0015, solver="monte_carlo")
     difference = spectrum.reflectance.values - expected
     assert (np.abs(difference) < 3.0 * spectrum.reflectance_stderr.values + 0.004).all(), difference
 
@@ -84,7 +84,7 @@ def test_deep_snow_follows_the_weak_absorption_limit(area):
 def test_brdf_is_larger_in_forward_directions(wavelength):
     brdf = splits.goniophotometer(
         make_snow(depth_m=0.05), [wavelength], 60.0, relative_stderr=0.015,
-        azimuth_deg=[0.0, 180.0], polar_deg=[0.0, 45.0, 60.0, 75.0],
+        azimuth_deg=[0.0, 180.0], polar_deg=[0.0, 45.0, 60.0, 75.0], solver="monte_carlo",
     )  # fmt: skip
     plane = select_principal_plane(brdf).isel(wavelength=0)
     for angle in (45.0, 60.0, 75.0):
@@ -101,7 +101,9 @@ def test_brdf_is_larger_in_forward_directions(wavelength):
 def test_semi_infinite_albedo_is_independent_of_density(incidence):
     """All lengths scale with the distance between grains, and no boundary below sets a scale."""
     spectra = [
-        splits.spectrophotometer(make_snow(density_kg_m3=density), [1300.0], incidence, 0.002)
+        splits.spectrophotometer(
+            make_snow(density_kg_m3=density), [1300.0], incidence, 0.002, solver="monte_carlo"
+        )
         for density in DENSITIES
     ]
     assert np.ptp([one.reflectance.item() for one in spectra]) < 2e-4
@@ -123,7 +125,9 @@ def test_dense_snow_agrees_with_discrete_ordinates():
         )
         for incidence in (75.0, "diffuse"):
             expected = solve_discrete_ordinates(optics, incidence, ground=ground)
-            spectrum = splits.spectrophotometer(layer, wavelengths, incidence, 0.001, number)
+            spectrum = splits.spectrophotometer(
+                layer, wavelengths, incidence, 0.001, number, solver="monte_carlo"
+            )
             for name in ("reflectance", "transmittance"):
                 error = np.hypot(expected[f"{name}_stderr"], spectrum[f"{name}_stderr"])
                 z.append(((spectrum[name] - expected[name]) / np.maximum(error, 1e-5)).values)
@@ -143,7 +147,9 @@ def test_mean_path_in_ice_of_dense_snow(density):
             "air": make_weak_absorber(1.0, air * scale * alpha),
         }
         layer = make_snow(density_kg_m3=density, depth_m=depth, refractive_index=tables)
-        run = splits.spectrophotometer(layer, [1000.0], light, 1e-6, max_rays=rays)
+        run = splits.spectrophotometer(
+            layer, [1000.0], light, 1e-6, max_rays=rays, solver="monte_carlo"
+        )
         return run.absorptance.item() / alpha, run.absorptance_stderr.item() / alpha
 
     fraction = make_snow(density_kg_m3=density).ice_fraction
@@ -180,7 +186,7 @@ def test_packed_natural_snow_is_reciprocal(density):
         angle: splits.goniophotometer(
             make_snow(depth_m=0.05, density_kg_m3=density), [1000.0], angle, seed=angle,
             relative_stderr=0.015, polar_deg=angles,
-            azimuth_deg=sorted({float(pair[2]) for pair in pairs}),
+            azimuth_deg=sorted({float(pair[2]) for pair in pairs}), solver="monte_carlo",
         ).isel(wavelength=0)
         for angle in angles
     }  # fmt: skip
@@ -200,7 +206,9 @@ def test_actinic_flux_of_white_snow_equals_mean_path(density):
     """The mean actinic flux of a white slab under diffuse light is its mean path over its depth."""
     white = {"ice": 1.31, "water": 1.33}
     layer = make_snow(density_kg_m3=density, depth_m=0.02, refractive_index=white)
-    halves = splits.irradiance_profile(layer, [1000.0], [0.01], "diffuse", 0.01).isel(wavelength=0)
+    halves = splits.irradiance_profile(
+        layer, [1000.0], [0.01], "diffuse", 0.01, solver="monte_carlo"
+    ).isel(wavelength=0)
     flux, stderr = halves.actinic_flux.mean().item(), halves.actinic_flux_stderr.mean().item()
     optics = splits.single_scattering(
         make_snow(

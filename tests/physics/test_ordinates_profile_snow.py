@@ -9,7 +9,7 @@ from test_ordinates_snow import WAVELENGTHS, make_random_snowpack
 
 import splits
 
-SOLVED = {"solver": "discrete_ordinates"}
+TRACED, SOLVED = {"solver": "monte_carlo"}, {"solver": "discrete_ordinates"}
 QUANTITIES = ("downward_irradiance", "upward_irradiance", "absorptance", "absorptance_of_material")
 MIN_LIGHT = 0.01
 """Values below which few paths of a test contribute, so that their errors are not known."""
@@ -28,7 +28,7 @@ def compare_profiles(seeds, error):
         depths = np.unique([*boundaries, *generator.uniform(0.02, 0.98, 2) * total])
         paths, solved = (
             splits.irradiance_profile(pack, WAVELENGTHS, depths, incidence, error, seed, **solver)
-            for solver in ({}, SOLVED)
+            for solver in (TRACED, SOLVED)
         )
         for name in QUANTITIES:
             stderr = np.hypot(solved[f"{name}_stderr"], paths[f"{name}_stderr"])
@@ -54,7 +54,7 @@ def test_actinic_flux_agrees_with_paths():
         specific_surface_area_m2_kg=20.0, depth_m=0.03, impurities_ng_g={"black_carbon": 300.0}
     )
     arguments = (snow, [400.0, 700.0, 1030.0], [0.005, 0.015], 30.0, 0.004)
-    paths, solved = (splits.irradiance_profile(*arguments, **solver) for solver in ({}, SOLVED))
+    paths, solved = (splits.irradiance_profile(*arguments, **solver) for solver in (TRACED, SOLVED))
     stderr = np.hypot(paths.actinic_flux_stderr, solved.actinic_flux_stderr)
     judge_z((solved.actinic_flux - paths.actinic_flux) / stderr, independent=3, bound_added=True)
 

@@ -65,7 +65,9 @@ def test_points_agree_with_single_runs(shared_run):
                     density_kg_m3=300,
                     impurities_ng_g={"black_carbon": soot} if soot else {},
                 )
-                single = splits.spectrophotometer(snow, WAVELENGTHS, incidence, ERROR / 3, seed=77)
+                single = splits.spectrophotometer(
+                    snow, WAVELENGTHS, incidence, ERROR / 3, seed=77, solver="monte_carlo"
+                )
                 shared = dataset.sel(
                     {"specific_surface_area_m2_kg": area, "impurities_ng_g.black_carbon": soot}
                 ).isel(incidence_deg=int(incidence > 0))
@@ -84,7 +86,9 @@ def test_single_point_equals_the_instrument(shared_run):
     config = make_config(medium=snow, grid={"depth_m": [0.02, 0.05]})
     points = simulate_points(config, ACCURACY, 5, 2, lambda line: None)
     medium = splits.Snow.natural(specific_surface_area_m2_kg=20, density_kg_m3=300, depth_m=0.05)
-    reference = splits.spectrophotometer(medium, WAVELENGTHS, 0.0, ERROR, seed=5)
+    reference = splits.spectrophotometer(
+        medium, WAVELENGTHS, 0.0, ERROR, seed=5, solver="monte_carlo"
+    )
     np.testing.assert_array_equal(points.datasets[1].reflectance, reference.reflectance)
     assert points.rays == sum(ds.attrs["rays"] for ds in points.datasets)
 
@@ -93,7 +97,7 @@ def test_datasets_have_equal_structure_with_and_without_sharing(shared_run):
     shared = simulate_points(make_config(), ACCURACY, 5, 2, lambda line: None).datasets[0]
     single = splits.spectrophotometer(
         splits.Snow.natural(specific_surface_area_m2_kg=5, density_kg_m3=300), WAVELENGTHS,
-        max_stderr=ERROR,
+        max_stderr=ERROR, solver="monte_carlo",
     )  # fmt: skip
     assert set(shared.data_vars) == set(single.data_vars)
     attributes = [

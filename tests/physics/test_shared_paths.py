@@ -38,11 +38,17 @@ def test_results_are_independent_of_other_media_in_a_run(setting, kernel):
     """Twenty concentrations in one run equal pairs of clean snow and one concentration."""
     run_settings = {"max_stderr": 0.5, "kernel": kernel, "seed": 3}
     together = splits.spectrophotometer(
-        make_polluted_snow(CONCENTRATIONS, **SETTINGS[setting]), WAVELENGTHS, **run_settings
+        make_polluted_snow(CONCENTRATIONS, **SETTINGS[setting]),
+        WAVELENGTHS,
+        **run_settings,
+        solver="monte_carlo",
     )
     for name, soot in zip(together.medium.values, CONCENTRATIONS, strict=True):
         pair = splits.spectrophotometer(
-            make_polluted_snow((0.0, soot), **SETTINGS[setting]), WAVELENGTHS, **run_settings
+            make_polluted_snow((0.0, soot), **SETTINGS[setting]),
+            WAVELENGTHS,
+            **run_settings,
+            solver="monte_carlo",
         )
         assert pair.rays == together.rays
         for quantity in ("reflectance", "transmittance", "absorptance"):
@@ -61,12 +67,15 @@ def test_shared_paths_agree_with_single_runs(setting, error):
     """
     settings = SETTINGS[setting]
     together = splits.spectrophotometer(
-        make_polluted_snow(CONCENTRATIONS, **settings), WAVELENGTHS, max_stderr=error
+        make_polluted_snow(CONCENTRATIONS, **settings),
+        WAVELENGTHS,
+        max_stderr=error,
+        solver="monte_carlo",
     )
     z = []
     for number, (name, medium) in enumerate(make_polluted_snow(CONCENTRATIONS, **settings).items()):
         single = splits.spectrophotometer(
-            medium, WAVELENGTHS, max_stderr=2.0 * error, seed=100 + number
+            medium, WAVELENGTHS, max_stderr=2.0 * error, seed=100 + number, solver="monte_carlo"
         )
         shared = together.sel(medium=name)
         error_of_difference = np.hypot(shared.reflectance_stderr, single.reflectance_stderr)
@@ -109,9 +118,11 @@ def test_derivatives_agree_with_differences_of_shared_paths(setting, error):
     for seed in range(SEEDS):
         run = splits.spectrophotometer(
             make_snow(200.0, **settings), bands, max_stderr=error, seed=100 + seed,
-            jacobian=[SOOT, "algae_cells_ml.snow_algae"],
+            jacobian=[SOOT, "algae_cells_ml.snow_algae"], solver="monte_carlo",
         )  # fmt: skip
-        pair = splits.spectrophotometer(media, bands, max_stderr=error, seed=200 + seed)
+        pair = splits.spectrophotometer(
+            media, bands, max_stderr=error, seed=200 + seed, solver="monte_carlo"
+        )
         comparisons = [
             compute_jacobian_difference(run, pair, quantity, number, *ends)
             for quantity in ("reflectance", "transmittance")
@@ -144,9 +155,11 @@ def test_derivatives_in_nonabsorbing_host_media(settings, amount):
         for ng in (0.0, amount)
     )
     run_settings = {"max_stderr": 0.01, "seed": 5}
-    run = splits.spectrophotometer(clean, [400.0, 500.0], jacobian=[SOOT], **run_settings)
+    run = splits.spectrophotometer(
+        clean, [400.0, 500.0], jacobian=[SOOT], **run_settings, solver="monte_carlo"
+    )
     both = splits.spectrophotometer(
-        {"clean": clean, "dirty": dirty}, [400.0, 500.0], **run_settings
+        {"clean": clean, "dirty": dirty}, [400.0, 500.0], **run_settings, solver="monte_carlo"
     )
     for quantity in ("reflectance", "transmittance"):
         slope = run[f"{quantity}_jacobian"][0].values
@@ -164,6 +177,7 @@ def test_errors_of_derivatives_agree_with_scatter():
             max_stderr=0.02,
             seed=seed,
             jacobian=[SOOT],
+            solver="monte_carlo",
         )
         for seed in range(40)
     ]
@@ -179,7 +193,9 @@ def test_derivatives_of_single_layers_of_a_stack():
     """Derivatives to the soot of two layers add up to the derivative to that of both."""
     stack = splits.Stack([make_snow(50.0, depth_m=0.02), make_snow(50.0, depth_m=0.1)], ground=0.2)
     names = [f"layers.{number}.{SOOT}" for number in (0, 1)]
-    run = splits.spectrophotometer(stack, [450.0, 600.0], max_stderr=0.005, jacobian=names)
+    run = splits.spectrophotometer(
+        stack, [450.0, 600.0], max_stderr=0.005, jacobian=names, solver="monte_carlo"
+    )
     assert list(run.parameter.values) == names
     top, bottom = run.reflectance_jacobian.values
     error = run.reflectance_jacobian_stderr.values
@@ -190,7 +206,7 @@ def test_derivatives_of_single_layers_of_a_stack():
         for s in (40.0, 60.0)
     ]
     pair = splits.spectrophotometer(
-        dict(zip("ab", stacks, strict=True)), [450.0, 600.0], max_stderr=0.005
+        dict(zip("ab", stacks, strict=True)), [450.0, 600.0], max_stderr=0.005, solver="monte_carlo"
     )
     difference = (pair.reflectance[1] - pair.reflectance[0]).values / 20.0
     batch_differences = (
@@ -203,7 +219,7 @@ def test_derivatives_of_single_layers_of_a_stack():
 def test_grounds_of_several_albedos_share_paths():
     """The albedo of a ground acts on weights at a reflection, as soot does along a segment."""
     media = {f"{a}": make_snow(0.0, depth_m=0.01, ground=a) for a in (0.2, 0.8)}
-    run = splits.spectrophotometer(media, [500.0, 900.0], max_stderr=0.05)
+    run = splits.spectrophotometer(media, [500.0, 900.0], max_stderr=0.05, solver="monte_carlo")
     assert (run.reflectance[1] > run.reflectance[0]).all()
     assert run.snow_black_carbon_ng_g == 0.0
 
@@ -242,7 +258,7 @@ WRONG = {
 def test_media_that_do_not_share_paths_are_invalid(name):
     media, message = WRONG[name]
     with pytest.raises(InvalidValue, match=message):
-        splits.spectrophotometer(media, [500.0], max_stderr=0.1)
+        splits.spectrophotometer(media, [500.0], max_stderr=0.1, solver="monte_carlo")
 
 
 STACK = splits.Stack([BASE, BASE])
@@ -269,7 +285,9 @@ def test_unknown_derivatives_are_rejected(name):
     medium, jacobian, message = UNKNOWN[name]
     with pytest.raises(InvalidValue, match=message):
         light = "diffuse" if "incidence_deg" in jacobian else 0.0
-        splits.spectrophotometer(medium, [500.0], light, max_stderr=0.1, jacobian=jacobian)
+        splits.spectrophotometer(
+            medium, [500.0], light, max_stderr=0.1, jacobian=jacobian, solver="monte_carlo"
+        )
 
 
 def test_derivatives_require_the_spectral_estimator():
@@ -284,4 +302,6 @@ def test_deep_conservative_media_have_no_derivative():
         specific_surface_area_m2_kg=20, refractive_index={"ice": 1.31, "water": 1.33}
     )
     with pytest.raises(InvalidValue, match="where nothing absorbs"):
-        splits.spectrophotometer(transparent, [500.0], max_stderr=0.01, jacobian=[SOOT])
+        splits.spectrophotometer(
+            transparent, [500.0], max_stderr=0.01, jacobian=[SOOT], solver="monte_carlo"
+        )

@@ -160,7 +160,9 @@ def test_paths_scale_with_grain_size(scale, max_rms, saturation):
     z = []
     for seed in range(1 if max_rms == 0.0 else 20):
         small, large = (
-            splits.spectrophotometer(snow(x), [600.0], 30.0, 0.02, seed, kernel="vectorized")
+            splits.spectrophotometer(
+                snow(x), [600.0], 30.0, 0.02, seed, kernel="vectorized", solver="monte_carlo"
+            )
             for x in (1.0, scale)
         )
         difference = (large.reflectance - small.reflectance).item()
@@ -196,7 +198,7 @@ def test_grid_nodes_agree_with_single_runs():
 
     Nodes of one ensemble use the same rays, so each of the four ensembles counts as one.
     """
-    table = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.01)
+    table = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.01, solver="monte_carlo")
     assert table.attrs["max_stderr_reached"] <= 0.01
     random = np.random.default_rng(3)
     points = list(ParameterGrid.from_mapping(GRID).iterate_points())
@@ -206,7 +208,12 @@ def test_grid_nodes_agree_with_single_runs():
         node = table.sel(point)
         incidence = point.pop("incidence_deg")
         single = splits.spectrophotometer(
-            make_snow(**point), WAVELENGTHS, incidence, max_stderr=0.01, seed=100 + int(number)
+            make_snow(**point),
+            WAVELENGTHS,
+            incidence,
+            max_stderr=0.01,
+            seed=100 + int(number),
+            solver="monte_carlo",
         )
         error = np.hypot(node.reflectance_stderr, single.reflectance_stderr)
         z.append(((node.reflectance - single.reflectance) / error).values)
@@ -216,9 +223,16 @@ def test_grid_nodes_agree_with_single_runs():
 @NEEDS_JIT
 def test_interrupted_build_is_resumed(tmp_path, monkeypatch):
     reference = splits.build_table(
-        make_snow, GRID, WAVELENGTHS, max_stderr=0.03, folder=tmp_path / "whole"
+        make_snow,
+        GRID,
+        WAVELENGTHS,
+        max_stderr=0.03,
+        folder=tmp_path / "whole",
+        solver="monte_carlo",
     )
-    unsaved = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.03)
+    unsaved = splits.build_table(
+        make_snow, GRID, WAVELENGTHS, max_stderr=0.03, solver="monte_carlo"
+    )
     xr.testing.assert_equal(reference, unsaved)
     blocks = sorted((tmp_path / "whole").glob("block_*.nc"))
     assert len(blocks) == reference.attrs["ensembles"] == 4
@@ -232,14 +246,25 @@ def test_interrupted_build_is_resumed(tmp_path, monkeypatch):
         build, "compute_block", lambda e, *a: computed.append(e.number) or original(e, *a)
     )
     resumed = splits.build_table(
-        make_snow, GRID, WAVELENGTHS, max_stderr=0.03, folder=tmp_path / "whole"
+        make_snow,
+        GRID,
+        WAVELENGTHS,
+        max_stderr=0.03,
+        folder=tmp_path / "whole",
+        solver="monte_carlo",
     )
     assert computed == [1, 2]
     xr.testing.assert_equal(resumed, reference)
     # With another seed, no stored block can be reused.
     computed.clear()
     splits.build_table(
-        make_snow, GRID, WAVELENGTHS, max_stderr=0.03, seed=2, folder=tmp_path / "whole"
+        make_snow,
+        GRID,
+        WAVELENGTHS,
+        max_stderr=0.03,
+        seed=2,
+        folder=tmp_path / "whole",
+        solver="monte_carlo",
     )
     assert computed == [0, 1, 2, 3]
 
@@ -285,11 +310,17 @@ def test_block_digests_depend_on_the_table(other):
 
 @NEEDS_JIT
 def test_results_are_independent_of_threads_and_other_nodes():
-    one = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.03, threads=1)
-    two = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.03, threads=2)
+    one = splits.build_table(
+        make_snow, GRID, WAVELENGTHS, max_stderr=0.03, threads=1, solver="monte_carlo"
+    )
+    two = splits.build_table(
+        make_snow, GRID, WAVELENGTHS, max_stderr=0.03, threads=2, solver="monte_carlo"
+    )
     xr.testing.assert_equal(one, two)
     narrow = {**GRID, "incidence_deg": [60.0], "water": [0.03]}
-    subset = splits.build_table(make_snow, narrow, WAVELENGTHS, max_stderr=0.03)
+    subset = splits.build_table(
+        make_snow, narrow, WAVELENGTHS, max_stderr=0.03, solver="monte_carlo"
+    )
     xr.testing.assert_equal(subset, one.sel(incidence_deg=[60.0], water=[0.03]))
 
 

@@ -29,7 +29,7 @@ from splits.instruments.lens import (
     check_screen_depths,
 )
 from splits.instruments.next_event import get_detected_layers
-from splits.instruments.solver import MONTE_CARLO, choose_solver
+from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
 from splits.instruments.surface_map import DEFAULT_POINTS, MAX_REALIZATIONS
 from splits.media.medium import Medium
 from splits.plotting.panels import (
@@ -77,7 +77,7 @@ class Spectrophotometer(OpticalInstrument):
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
     kind: Literal["spectrophotometer"] = "spectrophotometer"
-    solver: Solver = "monte_carlo"
+    solver: Solver = "auto"
     estimator: Literal["spectral", "analog"] = "spectral"
     """how exiting rays become results"""
 
@@ -101,7 +101,7 @@ class Goniophotometer(OpticalInstrument):
     MEASURES_BEAM: ClassVar = True
 
     kind: Literal["goniophotometer"]
-    solver: Solver = "monte_carlo"
+    solver: Solver = "auto"
     estimator: Literal["expansion", "bins", "next_event"] = "expansion"
     """how exiting rays become results"""
     rays: Rays = None
@@ -152,7 +152,7 @@ class Goniophotometer(OpticalInstrument):
     def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
         """Reject a figure of quantities or directions that the instrument does not measure."""
         super().check_figure(kind, quantities)
-        if self.solver != MONTE_CARLO and "btdf" in quantities:
+        if self.solver == DISCRETE_ORDINATES and "btdf" in quantities:
             allowed = f"left out or brdf for instrument.solver = {self.solver!r}"
             raise invalid("figure.quantity", list(quantities), allowed)
         if kind == "none":

@@ -27,10 +27,10 @@ def load_text(folder, text, solver="discrete_ordinates"):
     return load_experiment(path, folder)
 
 
-def test_paths_are_the_default(tmp_path):
+def test_default_is_auto(tmp_path):
     for text in (SPECTRUM, DIRECTIONS):
         experiment = load_text(tmp_path, SNOW + text.replace("solver: SOLVER, ", ""))
-        assert experiment.instrument.solver == "monte_carlo"
+        assert experiment.instrument.solver == "auto"
 
 
 @pytest.mark.parametrize("medium", [SNOW, DEEP])

@@ -10,7 +10,7 @@ papers_adaptive     the same, but every wavelength stops when it reaches the err
 one_by_one          weights instead of analog absorption, with separate paths for every wavelength
 scalar              the same paths for all wavelengths, scalar kernel
 vectorized          the same paths for all wavelengths, vectorized kernel
-discrete_ordinates  PythonicDISORT with the single-scattering properties of the grains
+discrete_ordinates  with the single-scattering properties of the grains
 kz04                Kokhanovsky & Zege with the single-scattering properties of the grains
 
 The deviation of the two theories is a difference between models.  The first three methods are

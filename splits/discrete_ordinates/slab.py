@@ -26,6 +26,8 @@ from splits.discrete_ordinates.streams import Streams, compute_legendre
 
 MIN_EIGENVALUE = 1e-150
 """Smallest k², which is 0 without absorption."""
+MIN_TRUNCATED_EXTINCTION = 1e-13
+"""Extinction that remains where all light is scattered exactly forward, relative to that before."""
 MIN_THICKNESS = 1e-150
 """Thickness of layers of thickness 0."""
 
@@ -86,6 +88,7 @@ class LayerOptics(NamedTuple):
         # A peak in the digits of both makes both differences exact, and so the absorption.
         peak = self.extinction - extinction
         scattering[..., states, states, :] -= peak[..., np.newaxis]
+        extinction = np.maximum(extinction, MIN_TRUNCATED_EXTINCTION * self.extinction)
         return self._replace(extinction=extinction, scattering=scattering)
 
 

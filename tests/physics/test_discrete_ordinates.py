@@ -15,7 +15,6 @@ from splits.analysis.theory.asymptotic import correct_dense_packing
 from splits.analysis.theory.discrete_ordinates import solve_discrete_ordinates
 from splits.instruments.single_scattering import single_scattering
 
-pytest.importorskip("PythonicDISORT")
 pytestmark = NEEDS_JIT
 
 KEEP = {"overlap_with_previous_segment": "keep", "overlap_with_boundary": "keep"}

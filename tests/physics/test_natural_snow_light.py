@@ -113,7 +113,6 @@ def test_semi_infinite_albedo_is_independent_of_density(incidence):
 @pytest.mark.slow
 def test_dense_snow_agrees_with_discrete_ordinates():
     """Semi-infinite and finite layers of two densities agree, with the optics of their grains."""
-    pytest.importorskip("PythonicDISORT")
     z = []
     wavelengths = [600.0, 1030.0, 1300.0]
     for number, (density, depth, ground) in enumerate(

@@ -24,7 +24,7 @@ def make_config(**changes):
         {
             "name": "deep",
             "medium": {"kind": "natural_snow", "density_kg_m3": 300},
-            "instrument": {"wavelength_nm": WAVELENGTHS},
+            "instrument": {"wavelength_nm": WAVELENGTHS, "solver": "monte_carlo"},
             "grid": {
                 "specific_surface_area_m2_kg": SIZES,
                 "incidence_deg": [0, 60],

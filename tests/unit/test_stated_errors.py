@@ -80,7 +80,6 @@ def test_all_instruments_are_covered():
 
 @NEEDS_JIT
 def test_theories_declare_their_errors():
-    pytest.importorskip("PythonicDISORT")
     optics = correct_dense_packing(splits.single_scattering(splits.Snow(), [600.0], 4, 2))
     assert list_variables_with_errors(optics) == GRAINS | {"extinction", "optical_thickness"}
     assert list_variables_with_errors(solve_discrete_ordinates(optics, streams=4)) == BUDGET

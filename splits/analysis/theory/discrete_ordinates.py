@@ -1,9 +1,8 @@
-"""Radiative transfer in layers above a ground by discrete ordinates."""
+"""Radiative transfer by discrete ordinates in layers of given optics above a ground."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -12,14 +11,12 @@ import xarray as xr
 
 from splits.analysis.theory.asymptotic import compute_incidence_cosine
 from splits.analysis.theory.error_propagation import propagate_errors
-from splits.core.optional import import_optional
 from splits.core.uncertainty import Variable, make_variable
 from splits.core.validation import invalid
+from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
+from splits.discrete_ordinates.slab import LayerOptics, solve_slab
+from splits.discrete_ordinates.streams import Streams
 from splits.media.ground import Ground, describe_ground
-
-MAX_ALBEDO = 1.0 - 1e-9
-"""PythonicDISORT rejects an albedo of 1 and loses digits close to it.  At 1 − 10⁻⁹ fluxes are
-accurate to 10⁻⁶, and an optical thickness of 1000 absorbs at most 10⁻⁵ too much."""
 
 OPTICS_INPUTS = ("optical_thickness", "single_scattering_albedo", "legendre_moment")
 """Variables of the optics that discrete ordinates use."""
@@ -61,20 +58,17 @@ def solve_discrete_ordinates(
         ``absorptance`` over ``wavelength``; ``…_truncation`` of each, the difference from the
         result with half the streams and an upper estimate of the truncation error; and standard
         errors ``…_stderr``, which combine it with the propagated errors of the optics
-        (`propagate_errors`), independent between layers.  Albedos are limited to `MAX_ALBEDO`.
+        (`propagate_errors`), independent between layers.
 
     Raises
     ------
-    ImportError
-        If PythonicDISORT is not installed (extra ``theory``).
     ValueError
         For a value outside its range or too few moments.
 
     References
     ----------
-    Stamnes, Tsay, Wiscombe & Jayaweera (1988), Applied Optics 27, 2502; Ho (2024), PythonicDISORT,
-    Journal of Open Source Software 9(103), 6442, doi:10.21105/joss.06442; Wiscombe (1977),
-    Journal of the Atmospheric Sciences 34, 1408.
+    Stamnes, Tsay, Wiscombe & Jayaweera (1988), Applied Optics 27, 2502; Wiscombe (1977), Journal
+    of the Atmospheric Sciences 34, 1408; `splits.discrete_ordinates.slab` for the solution.
     """
     cosine = compute_incidence_cosine(incidence_deg)
     layers = [optics] if isinstance(optics, xr.Dataset) else list(optics)
@@ -146,59 +140,26 @@ def _select_inputs(optics: xr.Dataset) -> xr.Dataset:
     return optics[[name for name in optics.data_vars if str(name).startswith(OPTICS_INPUTS)]]
 
 
-def _import_solver() -> Callable[..., Any]:
-    module = import_optional("PythonicDISORT", "theory", "discrete ordinates need")
-    solver: Callable[..., Any] = module.pydisort
-    return solver
-
-
 def _solve_stack(
-    layers: Sequence[xr.Dataset], cosine: float | None, streams: int, ground: np.ndarray
+    layers: Sequence[xr.Dataset], cosine: float | None, n_streams: int, ground: np.ndarray
 ) -> np.ndarray:
     """Return reflectance, transmittance and absorptance, shape (3, wavelengths)."""
-    thickness, albedo = (
-        np.stack([layer[name].values for layer in layers], axis=-1)
-        for name in ("optical_thickness", "single_scattering_albedo")
-    )
-    moments = np.stack(
-        [
-            layer.legendre_moment.transpose("wavelength", "order").values[:, : streams + 1]
-            for layer in layers
-        ],
-        axis=1,
-    )
-    rows = zip(thickness, albedo, moments, ground, strict=True)
-    fluxes = np.array([_solve_wavelength(*row, cosine, streams) for row in rows])
-    return np.concatenate([fluxes.T, 1.0 - fluxes.T.sum(axis=0, keepdims=True)])
-
-
-def _solve_wavelength(
-    thickness: np.ndarray,
-    albedo: np.ndarray,
-    moments: np.ndarray,
-    ground: float,
-    cosine: float | None,
-    streams: int,
-) -> tuple[float, float]:
-    """Return hemispherical reflectance, and transmittance or absorption of the ground.
-
-    Parameters
-    ----------
-    thickness, albedo : float, shape (layers,)
-    moments : float, shape (layers, streams + 1)
-    """
-    # The library requires moments below 1 and a nonnegative peak, despite noise.
-    chi = np.clip(moments, -MAX_ALBEDO, MAX_ALBEDO)
-    chi[:, 0] = 1.0
-    beam = {"mu0": cosine, "I0": 1.0 / cosine} if cosine else {"mu0": 1.0, "I0": 0.0}
-    depth = np.cumsum(thickness)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Some delta-scaled", UserWarning)
-        _, up, down, *_ = _import_solver()(
-            depth, np.minimum(albedo, MAX_ALBEDO), streams, chi,
-            phi0=0.0, only_flux=True, f_arr=np.maximum(chi[:, streams], 0.0),
-            b_neg=0.0 if cosine else 1.0 / np.pi, **beam,
-            BDRF_Fourier_modes=[ground] if ground > 0.0 else [],
-        )  # fmt: skip
-    diffuse, direct = down(float(depth[-1]))
-    return float(up(0.0)), float((1.0 - ground) * (diffuse + direct))
+    streams = Streams.from_number(n_streams)
+    cosines = np.array([] if cosine is None else [cosine])
+    elements, isotropic = [], []
+    for layer in layers:
+        moments = layer.legendre_moment.transpose("wavelength", "order").values
+        optics = LayerOptics.from_albedo(
+            layer.optical_thickness.values,
+            layer.single_scattering_albedo.values,
+            moments[:, : n_streams + 1],
+        )
+        vector = make_isotropic(optics, streams, cosines.size)
+        slab = solve_slab(optics.truncate(n_streams), streams, cosines[np.newaxis])
+        elements.append(Element.from_slab(slab, vector))
+        isotropic.append(vector)
+    faces = (Boundary.make_transparent(n_streams // 2, cosines.size),) * 2
+    budget = compute_budget(elements, (isotropic[0], isotropic[-1]), faces, ground, n_streams // 2)
+    # The beam is first, and diffuse light alone where there is none.
+    reflectance, transmittance = budget.reflectance[:, 0], budget.transmittance[:, 0]
+    return np.stack([reflectance, transmittance, 1.0 - reflectance - transmittance])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -49,7 +48,6 @@ def compute_plane_albedo(albedo, cosine):
 
 @pytest.mark.parametrize("incidence", [0.0, 60.0])
 def test_isotropic_half_space_matches_chandrasekhar(incidence):
-    pytest.importorskip("PythonicDISORT")
     albedo = [0.5, 0.9, 0.99]
     ds = solve_discrete_ordinates(make_layer_optics(albedo, 1000.0), incidence)
     expected = [compute_plane_albedo(a, math.cos(math.radians(incidence))) for a in albedo]
@@ -59,21 +57,18 @@ def test_isotropic_half_space_matches_chandrasekhar(incidence):
 
 @pytest.mark.parametrize("incidence", [0.0, 75.0, "diffuse"])
 def test_energy_is_conserved_without_absorption(incidence):
-    pytest.importorskip("PythonicDISORT")
     for thickness in (0.1, 10.0, 300.0):
         ds = solve_discrete_ordinates(make_layer_optics([1.0], thickness, 0.8), incidence)
         assert float((ds.reflectance + ds.transmittance)[0]) == pytest.approx(1.0, abs=2e-5)
 
 
 def test_pure_forward_scattering_is_transmitted():
-    pytest.importorskip("PythonicDISORT")
     ds = solve_discrete_ordinates(make_layer_optics([1.0, 0.5], 2.0, 1.0))
     assert ds.reflectance.values == pytest.approx(0.0, abs=1e-6)
     assert ds.transmittance.values == pytest.approx([1.0, math.exp(-1.0)], abs=1e-6)
 
 
 def test_truncation_error_bounds_the_effect_of_streams():
-    pytest.importorskip("PythonicDISORT")
     optics = make_layer_optics([0.999], 5.0, 0.85)
     coarse, fine = (solve_discrete_ordinates(optics, 30.0, streams) for streams in (16, 64))
     for name in ("reflectance", "transmittance"):
@@ -82,7 +77,6 @@ def test_truncation_error_bounds_the_effect_of_streams():
 
 @pytest.mark.parametrize("incidence", [30.0, "diffuse"])
 def test_a_divided_layer_gives_the_same_result(incidence):
-    pytest.importorskip("PythonicDISORT")
     undivided = solve_discrete_ordinates(
         make_layer_optics([0.99, 0.9], 3.0, 0.7), incidence, ground=0.4
     )
@@ -93,7 +87,6 @@ def test_a_divided_layer_gives_the_same_result(incidence):
 
 
 def test_multiple_reflections_between_layers_and_ground():
-    pytest.importorskip("PythonicDISORT")
     layers = [make_layer_optics([0.99], 1.0, 0.8), make_layer_optics([0.8], 0.5, 0.3)]
     beam, below = (
         solve_discrete_ordinates(layers, 40.0),
@@ -112,12 +105,6 @@ def test_layers_must_have_the_same_wavelengths():
     other = make_layer_optics([0.9], 1.0).assign_coords(wavelength=[700.0])
     with pytest.raises(ValueError, match=r"optics\[1\].wavelength"):
         solve_discrete_ordinates([make_layer_optics([0.9], 1.0), other])
-
-
-def test_missing_library_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "PythonicDISORT", None)
-    with pytest.raises(ImportError, match=r"splits-optics\[theory\]"):
-        solve_discrete_ordinates(make_layer_optics([0.9], 1.0))
 
 
 @pytest.mark.parametrize(
@@ -160,7 +147,6 @@ def test_finite_layer_without_absorption(incidence):
 
 @pytest.mark.parametrize("incidence", [0.0, 60.0, "diffuse"])
 def test_theories_agree_for_weak_absorption(incidence):
-    pytest.importorskip("PythonicDISORT")
     ssa, density, depth, g = 20.0, 300.0, 0.05, 0.7
     k = np.array([3e-9, 1e-7])
     optics = make_layer_optics([1.0, 1.0], 0.25 * ssa * density * depth, g)

@@ -52,6 +52,8 @@ def compute_interpolation_bound(theory: TheoryFunction, optics: xr.Dataset) -> n
     The absolute effects of the errors of all optical quantities are added, which is a bound if the
     results depend linearly on them.
     """
+    if not _list_names_with_suffix(optics, BOUND_SUFFIX):
+        return np.zeros(optics.sizes["wavelength"])
     result = theory(optics)
     bound = np.zeros_like(result)
     for name in _list_names_with_suffix(optics, BOUND_SUFFIX):

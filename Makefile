@@ -74,6 +74,7 @@ docs: $(VENV)/dev
 
 benchmarks: $(VENV)/dev
 	$(BIN)/snakemake --cores $(CORES) benchmarks
+	$(BIN)/python benchmarks/solvers.py results/benchmarks/solvers.csv docs/images/solvers.png
 	$(BIN)/python benchmarks/interpolation.py
 	$(BIN)/python benchmarks/deep_transmittance.py
 	$(BIN)/python benchmarks/truncation_depth.py

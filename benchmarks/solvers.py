@@ -2,8 +2,9 @@
 
 Spectra of 211 wavelengths, 400-2500 nm, of two snowpacks under a beam of 53°:
 
-ordinates      `splits.spectrophotometer(..., solver="discrete_ordinates")`, with 8 to 16 streams
+ordinates      `splits.spectrophotometer(..., solver="discrete_ordinates")`, to three errors
 paths          the same with solver="monte_carlo", to three errors
+table          `splits.Table.interp` in a table of the half-space over grain size, by ordinates
 PythonicDISORT discrete ordinates of another package, with the same grains
 TARTES         two streams, with the shape of the grains of `splits.Snow.natural`
 snowoptics     asymptotic theory (Kokhanovsky & Zege 2004), for a half-space
@@ -11,7 +12,7 @@ snowoptics     asymptotic theory (Kokhanovsky & Zege 2004), for a half-space
 Deviations are from discrete ordinates with 64 streams.  Those of TARTES and snowoptics are
 differences of models.
 
-    python benchmarks/solvers.py [TABLE.csv]
+    python benchmarks/solvers.py [TABLE.csv [FIGURE.png]]
 """
 
 # ruff: noqa: E402
@@ -27,17 +28,21 @@ import argparse
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import PythonicDISORT
 import snowoptics
 import tartes
+import xarray as xr
+from matplotlib.figure import Figure
 
 import splits
 from splits.discrete_ordinates.applicability import make_snowpack
 from splits.discrete_ordinates.snowpack import load_natural_grains
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
+from splits.plotting.style import TWO_COLUMNS_INCHES, make_subplots, pick_colours, use_style
 
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
 INCIDENCE_DEG = 53.0
@@ -58,9 +63,15 @@ SNOWPACKS = {
 PATH_ERRORS = (0.004, 0.002, 0.001)
 N_REPEATS = 5
 REFERENCE_STREAMS = 64
+TABLE_RADII_UM = np.geomspace(30.0, 1000.0, 12)
+MARKERS = {
+    "ordinates": "o", "paths": "s", "table": "^", "PythonicDISORT": "D", "TARTES": "v",
+    "snowoptics": "P",
+}  # fmt: skip
+OTHER_MODELS = ("TARTES", "snowoptics")
 
 
-def time_call(function: Callable[[], np.ndarray], repeats: int) -> tuple[np.ndarray, float]:
+def time_call(function: Callable[[], Any], repeats: int) -> tuple[Any, float]:
     """Return the result of a function, and the shortest time of some calls (s)."""
     times = []
     for _ in range(repeats):
@@ -70,27 +81,44 @@ def time_call(function: Callable[[], np.ndarray], repeats: int) -> tuple[np.ndar
     return result, min(times)
 
 
-def list_ways(medium: splits.Stack) -> Iterator[tuple[str, str, Callable[[], np.ndarray], int]]:
+def list_ways(medium: splits.Stack) -> Iterator[tuple[str, str, Callable[[], Any], int]]:
     """Yield the name, the setting, the function and the repeats of every way."""
 
-    def simulate(**settings: object) -> np.ndarray:
+    def simulate(**settings: object) -> xr.Dataset:
         return splits.spectrophotometer(
             medium, WAVELENGTHS_NM, INCIDENCE_DEG, threads=1, **settings
-        ).reflectance.values
+        )
 
     for error in (0.002, 1e-4, 1e-5):
         yield "ordinates", f"error {error:g}", lambda error=error: simulate(
             max_stderr=error, solver="discrete_ordinates"
         ), N_REPEATS  # fmt: skip
     for error in PATH_ERRORS:
-        yield "paths", f"error {error:g}", lambda error=error: simulate(max_stderr=error), 1
+        yield "paths", f"error {error:g}", lambda error=error: simulate(
+            max_stderr=error, solver="monte_carlo"
+        ), 1  # fmt: skip
     for streams in (8, 16):
         yield "PythonicDISORT", f"{streams} streams", lambda streams=streams: solve_pydisort(
             medium, streams
         ), 1  # fmt: skip
+    if medium.is_semi_infinite:
+        yield "table", "12 sizes", make_table_look_up(), N_REPEATS
     yield "TARTES", "two streams", lambda: solve_tartes(medium), N_REPEATS
     if medium.is_semi_infinite:
         yield "snowoptics", "asymptotic", solve_snowoptics, N_REPEATS
+
+
+def make_table_look_up() -> Callable[[], xr.Dataset]:
+    """Return a function that interpolates the spectrum of the half-space in a table."""
+    grid = {"optical_radius_um": TABLE_RADII_UM}
+    table = splits.Table(
+        splits.build_table(
+            splits.Snow.natural, grid, WAVELENGTHS_NM, INCIDENCE_DEG, threads=1,
+            solver="discrete_ordinates",
+        )
+    )  # fmt: skip
+    (snow,) = SNOWPACKS["half-space"].layers
+    return lambda: table.interp(optical_radius_um=snow.optical_radius_um)
 
 
 def solve_pydisort(medium: splits.Stack, streams: int) -> np.ndarray:
@@ -148,25 +176,57 @@ def measure_ways() -> pd.DataFrame:
         expected = reference.reflectance[:, 0]
         for way, setting, function, repeats in list_ways(medium):
             function()
-            albedo, seconds = time_call(function, repeats)
+            result, seconds = time_call(function, repeats)
+            stated, albedo = np.nan, result
+            if isinstance(result, xr.Dataset):
+                albedo, stated = result.reflectance.values, float(result.reflectance_stderr.max())
             difference = np.abs(albedo - expected)
             rows.append({
                 "snowpack": name, "way": way, "setting": setting, "milliseconds": 1e3 * seconds,
+                "stderr_largest": stated,
                 "deviation_rms": np.sqrt((difference**2).mean()),
                 "deviation_largest": difference.max(),
             })  # fmt: skip
     return pd.DataFrame(rows)
 
 
+def draw_ways(table: pd.DataFrame) -> Figure:
+    """Draw the largest deviation against time; open markers are other models of snow."""
+    with use_style():
+        names = list(dict.fromkeys(table.snowpack))
+        figure, panels = make_subplots(
+            1, len(names), width=TWO_COLUMNS_INCHES, height=2.9, sharex=True, sharey=True
+        )
+        colours = dict(zip(MARKERS, pick_colours(len(MARKERS), "sample"), strict=True))
+        for name, axes in zip(names, panels, strict=True):
+            for way, marker in MARKERS.items():
+                rows = table[(table.snowpack == name) & (table.way == way)]
+                axes.plot(
+                    rows.milliseconds, rows.deviation_largest, marker, color=colours[way], ls="-",
+                    lw=1.0, ms=5, mfc="white" if way in OTHER_MODELS else colours[way], label=way,
+                )  # fmt: skip
+            axes.set(title=name, xscale="log", yscale="log", xlabel="time on one core (ms)")
+            axes.grid(which="major", alpha=0.3)
+            axes.spines[["top", "right"]].set_visible(False)
+        panels[0].set_ylabel("largest deviation of the reflectance")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, frameon=False, ncols=6, loc="outside upper center")
+        return figure
+
+
 def main() -> None:
-    """Print the table, and write it if a file is given."""
+    """Print the table, and write it and its figure if files are given."""
     parser = argparse.ArgumentParser(description="Time and error of every way to a spectrum.")
     parser.add_argument("table", nargs="?", help="CSV file")
+    parser.add_argument("figure", nargs="?", help="PNG file")
+    arguments = parser.parse_args()
     table = measure_ways()
     print(table.to_string(index=False, float_format="%.3g"))
-    path = parser.parse_args().table
-    if path:
-        table.to_csv(path, index=False, float_format="%.4g")
+    if arguments.table:
+        table.to_csv(arguments.table, index=False, float_format="%.4g")
+    if arguments.figure:
+        figure = draw_ways(table)
+        figure.savefig(arguments.figure, dpi=200, metadata={"Software": None})
 
 
 if __name__ == "__main__":

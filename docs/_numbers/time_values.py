@@ -17,6 +17,7 @@ from splits.experiments.papers.performance import (
 )
 
 SPEED_FILE, KERNELS_FILE = "benchmarks/speed_against_error.csv", "benchmarks/kernels.csv"
+SOLVERS_FILE = "benchmarks/solvers.csv"
 
 
 def _list_speed_numbers() -> dict[str, QuotedNumber]:
@@ -140,5 +141,27 @@ def _select_time_per_event(column: str, where: RowFilter) -> Callable[[pd.DataFr
     return select
 
 
-TIMING_NUMBERS = {**_list_speed_numbers(), **_list_kernel_numbers()}
+def _list_solver_numbers() -> dict[str, QuotedNumber]:
+    """Return the numbers of time against error for all ways to a spectrum of natural snow."""
+    ways = {
+        "ordinates": ("error 0.002", "error 0.0001", "error 1e-05"),
+        "paths": ("error 0.004", "error 0.002", "error 0.001"),
+        "PythonicDISORT": ("8 streams", "16 streams"),
+        "table": ("12 sizes",), "TARTES": ("two streams",), "snowoptics": ("asymptotic",),
+    }  # fmt: skip
+    columns = {"ms": ("milliseconds", "#.2g"), "deviation": ("deviation_largest", "#.2g")}
+    numbers: dict[str, QuotedNumber] = {}
+    for snowpack in ("half-space", "three layers on soil"):
+        for way, settings in ways.items():
+            if snowpack != "half-space" and way in ("table", "snowoptics"):
+                continue
+            for number, setting in enumerate(settings):
+                for name, (column, spec) in columns.items():
+                    key = f"solvers.{snowpack.split('-')[0].split()[0]}.{way.lower()}.{number}"
+                    select = select_cell(column, snowpack=snowpack, way=way, setting=setting)
+                    numbers[f"{key}.{name}"] = QuotedNumber(SOLVERS_FILE, select, spec)
+    return numbers
+
+
+TIMING_NUMBERS = {**_list_speed_numbers(), **_list_kernel_numbers(), **_list_solver_numbers()}
 """Numbers of `_numbers.values`."""

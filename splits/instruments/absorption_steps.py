@@ -121,6 +121,37 @@ def bound_actinic_flux_error(
     return np.minimum(step_bound, 2.0 * np.abs(path - actinic_flux) + 0.1 * actinic_flux)
 
 
+def estimate_rare_path_error(
+    steps: AbsorptionSteps,
+    actinic_flux: np.ndarray,
+    absorption: np.ndarray,
+    absorption_error: np.ndarray,
+) -> np.ndarray:
+    """Return the error of the actinic flux where few paths make most of it.
+
+    A segment counts with the weight at its end, which Russian roulette raised if the ray survived
+    much absorption.  Few such segments may make most of the actinic flux, and a run may contain
+    none.  The path that follows from the absorptance of an interval does not depend on them.  The
+    error is the difference of both, and the error of the latter.
+
+    Parameters
+    ----------
+    steps : AbsorptionSteps
+    actinic_flux : float, shape (intervals, wavelengths)
+    absorption, absorption_error : float, shape (intervals, wavelengths)
+        Light absorbed in an interval over its thickness (1/m), and its standard error.
+
+    Returns
+    -------
+    float, shape (intervals, wavelengths)
+        0 where nothing absorbs.
+    """
+    rate, path, path_error = steps.absorption_rate, actinic_flux.copy(), np.zeros_like(actinic_flux)
+    np.divide(np.maximum(absorption, 0.0), rate, out=path, where=rate > 0.0)
+    np.divide(absorption_error, rate, out=path_error, where=rate > 0.0)
+    return np.asarray(np.hypot(path - actinic_flux, path_error))
+
+
 def bound_material_absorptance_error(
     steps: AbsorptionSteps,
     absorptance: np.ndarray,

@@ -10,6 +10,8 @@ from splits.simulation.rare_light import allow_for_unseen_rays
 
 MIN_NONZERO_BATCHES = 8
 """Number of batches with light below which an error includes that of one more ray."""
+MIN_PATH_BATCHES = 24
+"""Effective number of batches below which their scatter does not give the error of path lengths."""
 MAX_BRIGHTENING = 4.0
 """Largest ratio of the light at a plane, or along paths below it, to that at the plane above."""
 
@@ -27,7 +29,8 @@ def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarr
         Largest contribution of unsampled rays, see `bound_unsampled_light`.
     """
     largest = np.abs(batch_means).max(axis=0) / len(batch_means)
-    largest_error = np.where(is_dominated(batch_means), largest, 0.0)
+    is_dominated = count_effective_batches(batch_means) < MIN_NONZERO_BATCHES
+    largest_error = np.where(is_dominated, largest, 0.0)
     return np.hypot(np.where(is_sparse(batch_means), unsampled_light, 0.0), largest_error)
 
 
@@ -36,10 +39,10 @@ def is_sparse(batch_means: np.ndarray) -> np.ndarray:
     return (batch_means != 0.0).sum(axis=0) < MIN_NONZERO_BATCHES
 
 
-def is_dominated(batch_means: np.ndarray) -> np.ndarray:
-    """Return where few batches contribute most of a quantity."""
+def count_effective_batches(batch_means: np.ndarray) -> np.ndarray:
+    """Return (Σ x)²/Σ x², the number of equal batches with the same relative scatter."""
     total, square = np.abs(batch_means).sum(axis=0), (batch_means**2).sum(axis=0)
-    return np.asarray(total**2 < MIN_NONZERO_BATCHES * square)
+    return np.divide(total**2, square, out=np.zeros_like(total), where=square > 0.0)
 
 
 def estimate_unseen_reflection(

@@ -20,12 +20,7 @@ from splits.instruments.absorption_steps import (
     compute_absorption_steps,
     estimate_rare_path_error,
 )
-from splits.instruments.flux_errors import (
-    MIN_PATH_BATCHES,
-    bound_flux_interpolation_error,
-    count_effective_batches,
-    estimate_rare_event_error,
-)
+from splits.instruments.flux_errors import bound_flux_interpolation_error, estimate_rare_event_error
 from splits.instruments.flux_media import TracedMedium
 from splits.instruments.flux_tally import FluxEstimate, FluxResult
 from splits.simulation.run_options import make_wavelength_coordinate
@@ -124,12 +119,8 @@ def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dic
     flux_bound = bound_actinic_flux_error(
         steps, fluxes[0].mean(axis=0), absorptance / thickness, incident
     )
-    absorptance_error = compute_batch_stderr(estimate.split_quantities(estimate.quantities)[2])
-    rare_error = estimate_rare_path_error(
-        steps, fluxes[0].mean(axis=0), absorptance / thickness, absorptance_error / thickness
-    )
-    is_rare = count_effective_batches(fluxes[0]) < MIN_PATH_BATCHES
-    flux_bound = np.where(is_rare, np.maximum(flux_bound, rare_error), flux_bound)
+    rare_error = estimate_rare_path_error(steps, fluxes[0].mean(axis=0), absorptance / thickness)
+    flux_bound = np.maximum(flux_bound, rare_error)
     flux_error = _combine_errors(fluxes, result, result.unsampled_light, flux_bound)
     if traced_medium.semi_infinite:
         flux_error[-1] *= ~traced_medium.is_absorbing()

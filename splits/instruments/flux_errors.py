@@ -8,10 +8,8 @@ from splits.core.uncertainty import compute_batch_stderr
 from splits.simulation.interpolation_bounds import MAX_LOG_SLOPE
 from splits.simulation.rare_light import allow_for_unseen_rays
 
-MIN_NONZERO_BATCHES = 8
-"""Number of batches with light below which an error includes that of one more ray."""
-MIN_PATH_BATCHES = 24
-"""Effective number of batches below which their scatter does not give the error of path lengths."""
+MIN_EFFECTIVE_BATCHES = 8
+"""Effective number of batches with light below which an error includes that of one more ray."""
 MAX_BRIGHTENING = 4.0
 """Largest ratio of the light at a plane, or along paths below it, to that at the plane above."""
 
@@ -19,8 +17,7 @@ MAX_BRIGHTENING = 4.0
 def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarray) -> np.ndarray:
     """Return the errors of means that few batches dominate.
 
-    A quantity with fewer than `MIN_NONZERO_BATCHES` nonzero batches may be wrong by one ray.  Where
-    as few batches contribute most of it, an allowance is made for one more like the largest.
+    They may be wrong by one more ray, or by one more contribution like the largest.
 
     Parameters
     ----------
@@ -29,20 +26,16 @@ def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarr
         Largest contribution of unsampled rays, see `bound_unsampled_light`.
     """
     largest = np.abs(batch_means).max(axis=0) / len(batch_means)
-    is_dominated = count_effective_batches(batch_means) < MIN_NONZERO_BATCHES
-    largest_error = np.where(is_dominated, largest, 0.0)
-    return np.hypot(np.where(is_sparse(batch_means), unsampled_light, 0.0), largest_error)
+    return np.where(is_sparse(batch_means), np.hypot(unsampled_light, largest), 0.0)
 
 
 def is_sparse(batch_means: np.ndarray) -> np.ndarray:
-    """Return where only few batches are nonzero."""
-    return (batch_means != 0.0).sum(axis=0) < MIN_NONZERO_BATCHES
+    """Return where few batches contribute most of a quantity.
 
-
-def count_effective_batches(batch_means: np.ndarray) -> np.ndarray:
-    """Return (Σ x)²/Σ x², the number of equal batches with the same relative scatter."""
+    (Σ x)²/Σ x² is the number of equal batches with the same relative scatter.
+    """
     total, square = np.abs(batch_means).sum(axis=0), (batch_means**2).sum(axis=0)
-    return np.divide(total**2, square, out=np.zeros_like(total), where=square > 0.0)
+    return np.asarray((square == 0.0) | (total**2 < MIN_EFFECTIVE_BATCHES * square))
 
 
 def estimate_unseen_reflection(

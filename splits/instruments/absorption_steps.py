@@ -9,7 +9,6 @@ import numpy as np
 from splits.kernels.base.scene import MATRIX
 from splits.media.medium import Layer, Medium
 
-
 MAX_RATE_ERROR = 0.1
 """Relative error of the absorption per path, which is computed from mean chords."""
 
@@ -153,7 +152,10 @@ def estimate_rare_path_error(
         0 where nothing absorbs.
     """
     shortest, longest = actinic_flux.copy(), actinic_flux.copy()
-    absorbed, rates = np.maximum(absorption, 0.0), (steps.max_absorption_rate, steps.absorption_rate)
+    absorbed, rates = (
+        np.maximum(absorption, 0.0),
+        (steps.max_absorption_rate, steps.absorption_rate),
+    )
     for path, rate in zip((shortest, longest), rates, strict=True):
         np.divide(absorbed, rate, out=path, where=rate > 0.0)
     shortest, longest = (1.0 - MAX_RATE_ERROR) * shortest, (1.0 + MAX_RATE_ERROR) * longest

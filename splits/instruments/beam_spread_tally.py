@@ -19,8 +19,8 @@ from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
 from splits.kernels.tallies.radial import RadialSums, tally_radial
 from splits.simulation.exit_tally import ExitTally
 from splits.simulation.interpolation_bounds import bound_fraction_error
-from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.rare_light import allow_for_unseen_rays
+from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.stratum import Stratum
 from splits.simulation.tally import RAYS_PER_CHUNK

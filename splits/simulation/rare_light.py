@@ -1,15 +1,15 @@
 """Allowance for light that few rays carry, in variances that are estimated from the same rays.
 
 Where most of the light is in few rays of large weight, a run may contain none of them.  Its scatter
-is then that of many rays of small weight, and says nothing about the light that is missing: strongly
-absorbed light that grains reflect without entering, for example, has the weight 1, and the rest
-hardly any.
+is then that of many rays of small weight, and says nothing about the light that is missing.  For
+example, strongly absorbed light that grains reflect without letting it enter has the weight 1, and
+all other light hardly any.
 
-Of rays with the weight W that occur with the probability q, n rays contain none with the
-probability exp(−nq), which is 6 % for nq = 2√2.  An error of √2·W/n is then half of the missing
-light qW.  This is the error of two rays of the largest possible weight (Agresti and Coull 1998 add
-two successes to a binomial sample for the same coverage).  The allowance decreases linearly with
-the scatter, to 0 where it is that of eight such rays.
+Of rays that have the weight W with the probability q, none is among n rays with the probability
+exp(−nq), which is 6 % for nq = 2√2.  Twice an error of √2·W/n covers the missing light qW in the
+other cases.  This error is that of two rays of the largest possible weight (Agresti and Coull 1998
+add two successes to a binomial sample for the same coverage).  The allowance decreases linearly
+with the variance, to 0 where it is that of eight such rays.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ UNSEEN_RAYS, SUFFICIENT_RAYS = 2.0, 8.0
 _SCATTER_FRACTION = 1.0 - UNSEEN_RAYS / SUFFICIENT_RAYS
 
 
-def allow_for_unseen_rays(variance: np.ndarray, single_ray_variance: np.ndarray) -> np.ndarray:
-    """Return variances that include rays of large weight which a run does not contain.
+def allow_for_unseen_rays(
+    variance: np.ndarray, single_ray_variance: np.ndarray | float
+) -> np.ndarray:
+    """Return variances that include rays of large weight that a run does not contain.
 
     Parameters
     ----------

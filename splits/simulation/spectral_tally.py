@@ -218,7 +218,7 @@ class SpectralTally(ExitTally):
         n = self.count_rays() + 2.0
         mean = (total + largest + smallest) / n
         variance = np.maximum((square + largest**2 + smallest**2) / n - mean**2, 0.0)
-        return variance, (1.0 - mean) ** 2
+        return variance, np.maximum(1.0 - mean, mean - smallest) ** 2
 
     def compute_variances(self) -> np.ndarray:
         """Return the variances of the means of reflected, transmitted and absorbed weight."""

@@ -27,13 +27,7 @@ SPECTRA = {
         0.004,
     ),
     "thin": (splits.Snow.natural(**FINE, depth_m=0.002), [2000.0, 2250.0], 53.0, 0.004),
-    "on soil": (
-        splits.Snow.natural(**FINE, depth_m=0.005, ground=0.5),
-        [1500.0, 2250.0],
-        0.0,
-        0.01,
-    ),
-    "bright": (splits.Snow.natural(**FINE, depth_m=0.1), [600.0], 53.0, 0.02),
+    "on soil": (splits.Snow.natural(**FINE, depth_m=0.005, ground=0.5), [1500.0], 0.0, 0.01),
 }
 PROFILES = {
     "coarse dry": (splits.Snow.natural(**COARSE, depth_m=0.05), 2000.0, [0.002, 0.005, 0.01], 0.0),

@@ -9,6 +9,9 @@ import numpy as np
 from splits.kernels.base.scene import MATRIX
 from splits.media.medium import Layer, Medium
 
+MAX_RATE_ERROR = 0.1
+"""Relative error of the absorption per path, which is computed from mean chords."""
+
 
 class AbsorptionSteps(NamedTuple):
     """Steps in which weights decrease inside a medium, each of shape (intervals, wavelengths).
@@ -20,13 +23,15 @@ class AbsorptionSteps(NamedTuple):
         the next.
     unscored_path_m : float
         Mean segment before a ray's first step (m), times the fraction of its light absorbed there.
-    absorption_rate : float
-        Fraction of the light absorbed in steps, per metre of path.
+    absorption_rate, max_absorption_rate : float
+        Smallest and largest fraction of the light absorbed in steps, per metre of path, in the
+        layers of an interval.
     """
 
     optical_depth: np.ndarray
     unscored_path_m: np.ndarray
     absorption_rate: np.ndarray
+    max_absorption_rate: np.ndarray
 
 
 def compute_absorption_steps(
@@ -49,11 +54,12 @@ def compute_absorption_steps(
     bottoms = np.cumsum([float(layer.depth_m) for layer in layers])
     begin, end = planes_m[:-1, np.newaxis], planes_m[1:, np.newaxis]
     in_interval = (begin < bottoms) & (end > np.append(0.0, bottoms[:-1]))
-    optical_depth, unscored_path, absorption_rate = (
-        np.array([reduce(table[inside], axis=0) for inside in in_interval])
-        for table, reduce in zip(steps, (np.max, np.max, np.min), strict=True)
+    return AbsorptionSteps(
+        *(
+            np.array([reduce(table[inside], axis=0) for inside in in_interval])
+            for table, reduce in zip(steps, (np.max, np.max, np.min, np.max), strict=True)
+        )
     )
-    return AbsorptionSteps(optical_depth, unscored_path, absorption_rate)
 
 
 def _compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSteps:
@@ -65,7 +71,7 @@ def _compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSte
     """
     if not medium.has_grains:
         zeros = np.zeros(len(absorption))
-        return AbsorptionSteps(zeros, zeros, absorption[:, MATRIX])
+        return AbsorptionSteps(zeros, zeros, absorption[:, MATRIX], absorption[:, MATRIX])
     grains = medium.make_grain_population()
     segment, types = 1.0 / grains.collision_coefficient, grains.types
     pore_path = segment * medium.pore_fraction
@@ -84,8 +90,9 @@ def _compute_layer_steps(medium: Layer, absorption: np.ndarray) -> AbsorptionSte
             depths.append(segment * absorption[:, pore])
             fractions.append(fraction)
     absorbed = np.array(fractions) @ -np.expm1(-np.array(depths))
+    rate = absorbed / pore_path
     return AbsorptionSteps(
-        np.max(depths, axis=0), pore_path * np.minimum(absorbed, 1.0), absorbed / pore_path
+        np.max(depths, axis=0), pore_path * np.minimum(absorbed, 1.0), rate, rate
     )
 
 
@@ -119,6 +126,40 @@ def bound_actinic_flux_error(
     path, rate = np.full_like(actinic_flux, np.inf), steps.absorption_rate
     np.divide(np.maximum(absorption, 0.0), rate, out=path, where=rate > 0.0)
     return np.minimum(step_bound, 2.0 * np.abs(path - actinic_flux) + 0.1 * actinic_flux)
+
+
+def estimate_rare_path_error(
+    steps: AbsorptionSteps, actinic_flux: np.ndarray, absorption: np.ndarray
+) -> np.ndarray:
+    """Return the error of the actinic flux by paths that a run does not contain.
+
+    A segment counts with the weight at its end, which Russian roulette raised if the ray survived
+    much absorption.  Few such segments make much of the actinic flux of an interval that absorbs
+    most of the light, and a run may contain none.  The absorptance of an interval does not depend
+    on them.  The error is the deviation from the range of paths that follows from it, within
+    `MAX_RATE_ERROR`.
+
+    Parameters
+    ----------
+    steps : AbsorptionSteps
+    actinic_flux : float, shape (intervals, wavelengths)
+    absorption : float, shape (intervals, wavelengths)
+        Light absorbed in an interval over its thickness (1/m).
+
+    Returns
+    -------
+    float, shape (intervals, wavelengths)
+        0 where nothing absorbs.
+    """
+    shortest, longest = actinic_flux.copy(), actinic_flux.copy()
+    absorbed, rates = (
+        np.maximum(absorption, 0.0),
+        (steps.max_absorption_rate, steps.absorption_rate),
+    )
+    for path, rate in zip((shortest, longest), rates, strict=True):
+        np.divide(absorbed, rate, out=path, where=rate > 0.0)
+    shortest, longest = (1.0 - MAX_RATE_ERROR) * shortest, (1.0 + MAX_RATE_ERROR) * longest
+    return np.asarray(np.maximum(shortest - actinic_flux, actinic_flux - longest).clip(0.0))
 
 
 def bound_material_absorptance_error(

@@ -112,8 +112,6 @@ class AngularBinTally(AngularTally, ExitTally):
         mean, stderr = (
             np.moveaxis(one, -1, 1)[:, :, ::-1] for one in self.combine_moments(*moments)
         )
-        # The error of an empty bin is the contribution of one ray.
-        stderr = np.where(stderr > 0.0, stderr, 1.0 / self.stratum_rays.min())
         polar, azimuth = self.n_bins
         edges = np.arange(polar + 1) / polar
         projected_solid_angle = (np.pi / azimuth * np.diff(edges**2))[::-1, np.newaxis]

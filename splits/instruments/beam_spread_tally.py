@@ -19,6 +19,7 @@ from splits.instruments.angular_estimate import N_ANGULAR_BATCHES
 from splits.kernels.tallies.radial import RadialSums, tally_radial
 from splits.simulation.exit_tally import ExitTally
 from splits.simulation.interpolation_bounds import bound_fraction_error
+from splits.simulation.rare_light import allow_for_unseen_rays
 from splits.simulation.run_options import make_wavelength_coordinate
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.stratum import Stratum
@@ -108,15 +109,19 @@ class BeamSpreadTally(ExitTally):
         edges = MIN_RADIUS_M * 10.0 ** (
             np.arange(binned.shape[-1] + 1) * _FINE_BINS_PER_BIN / BINS_PER_DECADE
         )
-        profile = binned / (np.pi * np.diff(edges**2))
+        annulus_area = np.pi * np.diff(edges**2)
         fraction = radial.sum(axis=-1)
         mean_fraction = fraction.mean(axis=0)
-        # Without any light recorded, the error is that of one more ray.
-        statistical_error = np.where(
-            mean_fraction > 0.0, compute_batch_stderr(fraction), 1.0 / self.stratum_rays.min()
+        single_ray_error = 1.0 / self.stratum_rays.min()
+        fraction_variance, binned_variance = (
+            allow_for_unseen_rays(
+                compute_batch_stderr(one) ** 2, (single_ray_error * (1.0 - one.mean(axis=0))) ** 2
+            )
+            for one in (fraction, binned)
         )
         fraction_error = np.hypot(
-            statistical_error, bound_fraction_error(self.nodes.interpolation_bound, mean_fraction)
+            np.sqrt(fraction_variance),
+            bound_fraction_error(self.nodes.interpolation_bound, mean_fraction),
         )
         jackknife_radius = _divide_or_zero(*map(compute_leave_one_out_means, (moment, fraction)))
         jackknife_quantile = compute_quantile_radii(
@@ -141,7 +146,7 @@ class BeamSpreadTally(ExitTally):
             ),
             "profile": (
                 "light leaving per area", "m-2", ("radius",),
-                profile.mean(axis=0), compute_batch_stderr(profile),
+                binned.mean(axis=0) / annulus_area, np.sqrt(binned_variance) / annulus_area,
             ),
             "profile_map": ("light leaving per area", "m-2", ("x", "y"), map_mean, map_error),
         }  # fmt: skip

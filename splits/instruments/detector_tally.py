@@ -14,6 +14,7 @@ from splits.kernels.base.scene import Scene
 from splits.kernels.transport.history import trace_to_detectors
 from splits.kernels.transport.next_event import Detectors
 from splits.media.medium import ParticleMedium
+from splits.simulation.rare_light import allow_for_unseen_rays
 from splits.simulation.spectral_nodes import make_separate_nodes
 from splits.simulation.stopping_rule import Evaluation, StoppingRule
 from splits.simulation.stratum import Stratum
@@ -196,7 +197,9 @@ class DetectorTally(AngularTally):
             unscored[1] &= self.has_lower_side
             stderr[unscored] = stopping_error[unscored] = 1.0 / (np.pi * self.n_rays)
         if not self.lossless:
-            hemispherical_stderr = np.maximum(hemispherical_stderr, 1.0 / self.n_rays)
+            hemispherical_stderr = np.sqrt(
+                allow_for_unseen_rays(hemispherical_stderr**2, 1.0 / self.n_rays**2)
+            )
         hemispherical = np.stack([hemispherical_mean.T, hemispherical_stderr.T], axis=1)
         return mean, stderr, stopping_error, hemispherical
 

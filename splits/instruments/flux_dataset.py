@@ -18,6 +18,7 @@ from splits.instruments.absorption_steps import (
     bound_actinic_flux_error,
     bound_material_absorptance_error,
     compute_absorption_steps,
+    estimate_rare_path_error,
 )
 from splits.instruments.flux_errors import bound_flux_interpolation_error, estimate_rare_event_error
 from splits.instruments.flux_media import TracedMedium
@@ -118,6 +119,8 @@ def _make_path_variables(result: FluxResult, traced_medium: TracedMedium) -> dic
     flux_bound = bound_actinic_flux_error(
         steps, fluxes[0].mean(axis=0), absorptance / thickness, incident
     )
+    rare_error = estimate_rare_path_error(steps, fluxes[0].mean(axis=0), absorptance / thickness)
+    flux_bound = np.maximum(flux_bound, rare_error)
     flux_error = _combine_errors(fluxes, result, result.unsampled_light, flux_bound)
     if traced_medium.semi_infinite:
         flux_error[-1] *= ~traced_medium.is_absorbing()

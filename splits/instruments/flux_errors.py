@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from splits.core.uncertainty import compute_batch_stderr
 from splits.simulation.interpolation_bounds import MAX_LOG_SLOPE
+from splits.simulation.rare_light import allow_for_unseen_rays
 
-MIN_NONZERO_BATCHES = 8
-"""Number of batches with light below which an error includes that of one more ray."""
+MIN_EFFECTIVE_BATCHES = 8
+"""Effective number of batches with light below which an error includes that of one more ray."""
 MAX_BRIGHTENING = 4.0
 """Largest ratio of the light at a plane, or along paths below it, to that at the plane above."""
 
@@ -15,8 +17,7 @@ MAX_BRIGHTENING = 4.0
 def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarray) -> np.ndarray:
     """Return the errors of means that few batches dominate.
 
-    A quantity with fewer than `MIN_NONZERO_BATCHES` nonzero batches may be wrong by one ray.  Where
-    as few batches contribute most of it, an allowance is made for one more like the largest.
+    They may be wrong by one more ray, or by one more contribution like the largest.
 
     Parameters
     ----------
@@ -24,15 +25,38 @@ def estimate_rare_event_error(batch_means: np.ndarray, unsampled_light: np.ndarr
     unsampled_light : float, shape (..., wavelengths)
         Largest contribution of unsampled rays, see `bound_unsampled_light`.
     """
-    total, square = np.abs(batch_means).sum(axis=0), (batch_means**2).sum(axis=0)
     largest = np.abs(batch_means).max(axis=0) / len(batch_means)
-    largest_error = np.where(total**2 < MIN_NONZERO_BATCHES * square, largest, 0.0)
-    return np.hypot(np.where(is_sparse(batch_means), unsampled_light, 0.0), largest_error)
+    return np.where(is_sparse(batch_means), np.hypot(unsampled_light, largest), 0.0)
 
 
 def is_sparse(batch_means: np.ndarray) -> np.ndarray:
-    """Return where only few batches are nonzero."""
-    return (batch_means != 0.0).sum(axis=0) < MIN_NONZERO_BATCHES
+    """Return where few batches contribute most of a quantity.
+
+    (Σ x)²/Σ x² is the number of equal batches with the same relative scatter.
+    """
+    total, square = np.abs(batch_means).sum(axis=0), (batch_means**2).sum(axis=0)
+    return np.asarray((square == 0.0) | (total**2 < MIN_EFFECTIVE_BATCHES * square))
+
+
+def estimate_unseen_reflection(
+    downward_irradiance: np.ndarray, upward_irradiance: np.ndarray, unsampled_light: np.ndarray
+) -> np.ndarray:
+    """Return the errors of upward irradiances by rays that grains reflect without entering.
+
+    Below strongly absorbed light they are few, and all other light has a small weight
+    (`splits.simulation.rare_light`).
+
+    Parameters
+    ----------
+    downward_irradiance, upward_irradiance : float, shape (N_BATCHES, depths, wavelengths)
+    unsampled_light : float, shape (depths, wavelengths)
+        See `bound_unsampled_light`.
+    """
+    downward, upward = downward_irradiance.mean(axis=0), upward_irradiance.mean(axis=0)
+    reflectance = np.divide(upward, downward, out=np.zeros_like(upward), where=downward > 0.0)
+    single_ray_error = unsampled_light * (1.0 - np.minimum(reflectance, 1.0))
+    variance = compute_batch_stderr(upward_irradiance) ** 2
+    return np.sqrt(allow_for_unseen_rays(variance, single_ray_error**2) - variance)
 
 
 def bound_unsampled_light(

@@ -11,6 +11,7 @@ from splits.instruments.flux_errors import (
     bound_flux_interpolation_error,
     bound_unsampled_light,
     estimate_rare_event_error,
+    estimate_unseen_reflection,
 )
 from splits.instruments.flux_media import TracedMedium
 from splits.instruments.flux_target import FluxTarget, allocate_flux_rays
@@ -220,7 +221,7 @@ class FluxTally(ExitTally):
         estimate = whole.select_wavelengths(slice(n_wavelengths))
         single_ray_error = np.zeros(len(self.absorption))
         np.maximum.at(single_ray_error, self.rows, self.weights / self.count_rays())
-        downward, _, absorptance = estimate.split_quantities(estimate.quantities)
+        downward, upward, absorptance = estimate.split_quantities(estimate.quantities)
         unsampled = bound_unsampled_light(downward, single_ray_error[:n_wavelengths])
         unsampled_below = unsampled[1 : absorptance.shape[1] + 1]
         bound = self.nodes.interpolation_bound[:n_wavelengths]
@@ -232,6 +233,9 @@ class FluxTally(ExitTally):
             irreducible = np.hypot(irreducible, difference)
         unsampled_light = np.concatenate([unsampled[:-1], unsampled[:-1], unsampled_below])
         rare_event_error = estimate_rare_event_error(estimate.quantities, unsampled_light)
+        rows = slice(estimate.n_depths, 2 * estimate.n_depths)
+        unseen_reflection = estimate_unseen_reflection(downward, upward, unsampled[:-1])
+        rare_event_error[rows] = np.maximum(rare_event_error[rows], unseen_reflection)
         systematic_error = np.hypot(irreducible, rare_event_error)
         return FluxResult(
             estimate, perturbed, systematic_error, irreducible, bound, unsampled_below

@@ -19,6 +19,7 @@ from splits.kernels.tallies.derivatives import tally_derivatives
 from splits.kernels.tallies.exits import BLOCK_SIZE, N_BATCHES, WeightSums, tally_weights
 from splits.simulation.exit_tally import ExitTally
 from splits.simulation.interpolation_bounds import bound_derivative_error, bound_fraction_error
+from splits.simulation.rare_light import allow_for_unseen_rays, find_required_rays
 from splits.simulation.ray_allocation import LARGE_PROBLEM_ROWS, VarianceTerms, allocate_rays
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.spectral_rows import SpectralRows
@@ -205,14 +206,14 @@ class SpectralTally(ExitTally):
         if derivatives is not None:
             self.derivative_sums[first : first + len(derivatives), :, :, rows] += derivatives
 
-    def compute_variances(self) -> np.ndarray:
-        """Return the variance per ray of reflected, transmitted and absorbed weight.
+    def compute_scatter(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return variances per ray, and the square of the largest deviation of a weight.
 
-        Two rays are added, of the largest and of the smallest weight that the data allow (after
-        Agresti & Coull 1998), so that few or no arrivals do not give a zero variance.
+        Both are of reflected, transmitted and absorbed weight, shape (3, node rows).  To the rays,
+        two are added, of the largest and of the smallest weight that were recorded or are possible
+        (after Agresti & Coull 1998), so that equal arrivals do not give a zero variance.
         """
         total, square, largest = self.moments[:, 0], self.moments[:, 1], self.moments[:, 2]
-        largest = np.where(largest == 0.0, 1.0, largest)
         smallest = np.zeros_like(largest)
         is_absorbing = self.absorption[self.rows].max(axis=1) > 0.0
         particles = self.scene.particles
@@ -221,7 +222,14 @@ class SpectralTally(ExitTally):
         smallest[2] = np.where(may_vanish, 0.0, self.min_weight)
         n = self.count_rays() + 2.0
         mean = (total + largest + smallest) / n
-        return np.maximum((square + largest**2 + smallest**2) / n - mean**2, 0.0)
+        variance = np.maximum((square + largest**2 + smallest**2) / n - mean**2, 0.0)
+        return variance, np.maximum(1.0 - mean, mean - smallest) ** 2
+
+    def compute_variances(self) -> np.ndarray:
+        """Return the variances of the means of reflected, transmitted and absorbed weight."""
+        n_rays = self.count_rays()
+        variance, largest_square = self.compute_scatter()
+        return allow_for_unseen_rays(variance / n_rays, largest_square / n_rays**2)
 
     def compute_means(self) -> np.ndarray:
         """Return the reflected, transmitted and absorbed fractions, shape (3, rows)."""
@@ -240,13 +248,15 @@ class SpectralTally(ExitTally):
     def allocate_rays(self, stop: StoppingRule, evaluation: Evaluation) -> np.ndarray:
         """Return the rays with which the largest standard error is the requested one."""
         target = stop.max_error**2 - evaluation.estimate.interpolation_error**2
-        variances = self.weights**2 * self.compute_variances() / target[:, self.rows]
-        terms = VarianceTerms(variances, self.rows, self.find_contributions())
+        target = target[:, self.rows]
+        # The allowance for rare light decreases faster with the number of rays than scatter.
+        rays = find_required_rays(*self.compute_scatter(), target)
+        terms = VarianceTerms(self.weights**2 * rays, self.rows, self.find_contributions())
         return allocate_rays(terms, self.strata)
 
     def make_estimate(self) -> SpectralEstimate:
         """Return means, errors, batch deviations and derivatives."""
-        variance = self.combine_nodes(self.compute_variances() / self.count_rays(), power=2)
+        variance = self.combine_nodes(self.compute_variances(), power=2)
         bias = self.bound_interpolation_error()
         means, derivative_means = self.moments[:2, 0], self.derivative_sums.sum(axis=0)
         deviations = self.combine_nodes(self._compute_deviations(self.batch_sums, means))

@@ -11,6 +11,7 @@ import numpy as np
 from splits.core.validation import invalid
 from splits.kernels.base.scene import Scene, make_bounding_optics
 from splits.kernels.base.work import NO_MAX_ORDER
+from splits.simulation.rare_light import allow_for_unseen_rays
 from splits.simulation.spectral_nodes import IndexNodes
 from splits.simulation.stopping_rule import Evaluation, StoppingRule
 from splits.simulation.stratum import (
@@ -272,9 +273,10 @@ class Tally(ABC):
         Parameters
         ----------
         total, square : float, shape (…, node rows)
-            Sums over rays of weights and of their squares.
+            Sums over rays of weights of at most 1, and of their squares.
         """
         n_rays = self.count_rays()
         mean = total / n_rays
-        variance = self.combine_nodes((square / n_rays - mean**2) / n_rays, power=2)
-        return self.combine_nodes(mean), np.sqrt(np.maximum(variance, 0.0))
+        variance = np.maximum(square / n_rays - mean**2, 0.0) / n_rays
+        variance = allow_for_unseen_rays(variance, ((1.0 - np.abs(mean)) / n_rays) ** 2)
+        return self.combine_nodes(mean), np.sqrt(self.combine_nodes(variance, power=2))

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 import splits
-from splits.instruments.absorption_steps import compute_absorption_steps
+from splits.instruments.absorption_steps import (
+    MAX_RATE_ERROR,
+    AbsorptionSteps,
+    compute_absorption_steps,
+    estimate_rare_path_error,
+)
 from splits.simulation.scene import compute_optical_constants
 
 WAVELENGTHS = np.array([900.0, 1500.0])
@@ -32,3 +37,11 @@ def test_steps_are_those_of_one_segment_and_one_grain(name):
     np.testing.assert_allclose(steps.unscored_path_m, [path * absorbed] * 2, rtol=1e-12)
     np.testing.assert_allclose(steps.absorption_rate, [absorbed / path] * 2, rtol=1e-12)
     assert (steps.unscored_path_m < segment).all()
+
+
+def test_actinic_flux_is_compared_with_the_absorptance():
+    rate, flux = np.array([[10.0, 10.0, 10.0, 0.0]]), np.array([[1.0, 0.0, 3.0, 2.0]])
+    steps = AbsorptionSteps(0.1 * rate, 0.0 * rate, rate, 2.0 * rate)
+    error = estimate_rare_path_error(steps, flux, np.array([[15.0, 15.0, 15.0, 0.0]]))
+    shortest, longest = 0.75 * (1.0 - MAX_RATE_ERROR), 1.5 * (1.0 + MAX_RATE_ERROR)
+    np.testing.assert_allclose(error, [[0.0, shortest, 3.0 - longest, 0.0]])

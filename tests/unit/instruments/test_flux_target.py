@@ -6,13 +6,15 @@ import numpy as np
 
 from splits.core.uncertainty import compute_batch_stderr
 from splits.instruments.flux_errors import (
-    MIN_NONZERO_BATCHES,
+    MIN_EFFECTIVE_BATCHES,
     bound_unsampled_light,
     estimate_rare_event_error,
+    estimate_unseen_reflection,
 )
 from splits.instruments.flux_target import FluxTarget, allocate_flux_rays, make_variance_terms
 from splits.instruments.radiation_profile import make_sky_targets
 from splits.kernels.tallies.exits import N_BATCHES
+from splits.simulation.rare_light import UNSEEN_RAYS
 from splits.simulation.stratum import Stratum
 
 RANDOM = np.random.default_rng(1)
@@ -108,9 +110,19 @@ def test_rare_event_error_accounts_for_few_batches():
     none, one, every = np.zeros((N_BATCHES, 1)), np.zeros((N_BATCHES, 1)), np.ones((N_BATCHES, 1))
     one[0] = 1.0
     skewed = np.full((N_BATCHES, 1), 1e-6)
-    skewed[: MIN_NONZERO_BATCHES - 2] = 1.0
+    skewed[: MIN_EFFECTIVE_BATCHES - 2] = 1.0
     bound = np.array([0.01])
     assert estimate_rare_event_error(none, bound) == 0.01
     assert estimate_rare_event_error(one, bound) == np.hypot(0.01, 1.0 / N_BATCHES)
-    assert estimate_rare_event_error(skewed, bound) == 1.0 / N_BATCHES
+    assert estimate_rare_event_error(skewed, bound) == np.hypot(0.01, 1.0 / N_BATCHES)
     assert estimate_rare_event_error(every, bound) == 0.0
+
+
+def test_upward_light_without_scatter_has_the_error_of_unseen_reflections():
+    """Where all light is reflected, no ray can add to it."""
+    downward = np.ones((N_BATCHES, 3, 1))
+    upward = np.full((N_BATCHES, 3, 1), 1e-9)
+    upward[:, 1], upward[:, 2] = 1.0, 0.5
+    upward[: N_BATCHES // 2, 2] = 0.4
+    error = estimate_unseen_reflection(downward, upward, np.full((3, 1), 1e-3))
+    np.testing.assert_allclose(error[:, 0], [np.sqrt(UNSEEN_RAYS) * 1e-3, 0.0, 0.0], atol=1e-9)

@@ -34,23 +34,26 @@ def count_parts(experiment: SimulationConfig) -> int:
     return instrument.parts
 
 
-def make_plan(experiment: SimulationConfig) -> TablePlan:
-    """Return the plan of a table; reject points that cannot be simulated."""
-    instrument, axes = experiment.instrument, experiment.make_axes()
-    wavelengths, incidence = instrument.get_wavelengths(), instrument.get_incidence()
-    return TablePlan.from_grid(experiment.make_medium, axes, wavelengths, incidence)
-
-
-def make_request(
+def prepare_table(
     experiment: SimulationConfig, accuracy: Accuracy, seed: int, threads: int | None = None
-) -> TableRequest:
-    """Return the settings of a table's simulation."""
-    instrument = experiment.instrument
+) -> tuple[TablePlan, TableRequest]:
+    """Return the plan of a table and the settings of its simulation.
+
+    Raises
+    ------
+    ValueError
+        For points that cannot be simulated, or to which a required solver does not apply.
+    """
+    instrument, axes = experiment.instrument, experiment.make_axes()
     assert isinstance(instrument, TableInstrument)
+    wavelengths, incidence = instrument.get_wavelengths(), instrument.get_incidence()
+    plan = TablePlan.from_grid(experiment.make_medium, axes, wavelengths, incidence)
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     run = RunOptions.from_arguments(instrument.get_seed(seed), threads)
-    request = SpectralRequest.from_arguments(instrument.get_wavelengths(), 0.0, error, rays, run)
-    return TableRequest(request, instrument.quantities, instrument.covariance == "keep")
+    request = SpectralRequest.from_arguments(wavelengths, 0.0, error, rays, run)
+    solver = instrument.choose_solver(plan.list_media())
+    has_covariance = instrument.covariance == "keep"
+    return plan, TableRequest(request, instrument.quantities, has_covariance, solver)
 
 
 def run_part(
@@ -67,8 +70,8 @@ def run_part(
     Existing blocks in the folder are kept.  `part` is a number from 0 to `count_parts` − 1; for the
     other arguments, see `splits.experiments.run.run`.
     """
-    plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
-    groups = plan.path_groups[part :: count_parts(experiment)]
+    plan, request = prepare_table(experiment, accuracy, seed, threads)
+    groups = plan.select_part(part, count_parts(experiment), request.solver)
     log(f"{experiment.name}: {plan}")
     for _ in _simulate_blocks(experiment, request, groups, folder, log):
         pass
@@ -86,7 +89,7 @@ def run_table(
 ) -> xr.Dataset:
     """Return a table from the blocks in a folder; missing blocks are simulated."""
     start_time = time.perf_counter()
-    plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
+    plan, request = prepare_table(experiment, accuracy, seed, threads)
     log(f"{experiment.name}: {plan}")
     arrays, block_attributes = allocate_arrays(plan, request), []
     for block in _simulate_blocks(experiment, request, plan.path_groups, folder, log):
@@ -107,7 +110,7 @@ def write_table(
     log: LogCallback = lambda line: None,
 ) -> None:
     """Write the table of `run_table` atomically, block by block if it exceeds the memory limit."""
-    plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
+    plan, request = prepare_table(experiment, accuracy, seed, threads)
     if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
         save(run_table(experiment, accuracy, seed, folder, threads, log), path)
         return

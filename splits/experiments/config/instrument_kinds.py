@@ -39,6 +39,7 @@ from splits.plotting.panels import (
     can_map_hemisphere,
 )
 from splits.simulation.arguments import check_direction_angles, check_half_width, check_n_bins
+from splits.tables.plan import choose_table_solver
 
 Angles = tuple[float, ...]
 MapHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("surface_map", x))]
@@ -213,8 +214,21 @@ class TableInstrument(OpticalInstrument):
     """quantities in the table"""
     covariance: Literal["keep", "leave_out"] = "leave_out"
     """whether the table contains the contributions of batches of rays to the errors"""
+    solver: Solver = "monte_carlo"
     parts: int = Field(8, ge=1, le=10_000)
     """number of parts of the table, each simulated by one job"""
+
+    def check_medium(self, medium: Medium) -> None:
+        """Reject a medium that the solver does not allow."""
+        super().check_medium(medium)
+        self.choose_solver([medium])
+
+    def choose_solver(self, media: Iterable[Medium]) -> str:
+        """Return the solver for all media, see `splits.tables.plan.choose_table_solver`."""
+        with key_prefix("instrument"):
+            return choose_table_solver(
+                self.solver, media, self.get_wavelengths(), self.covariance == "keep"
+            )
 
     def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
         """Reject a figure of quantities that are not in the table."""

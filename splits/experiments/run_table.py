@@ -16,6 +16,8 @@ from splits.core.progress import LogCallback, Progress
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.instrument_kinds import TableInstrument
 from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.config.snow_packs import count_pack_parts
+from splits.experiments.run_packs import run_pack_part, run_packs
 from splits.experiments.run_points import MAX_RAYS
 from splits.instruments.spectral_run import SpectralRequest
 from splits.io.netcdf import save
@@ -28,7 +30,9 @@ from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, writ
 
 
 def count_parts(experiment: SimulationConfig) -> int:
-    """Return the number of parts of a table."""
+    """Return the number of parts of a table, or of the snowpacks of a file."""
+    if experiment.has_packs:
+        return count_pack_parts(experiment.load_packs())
     instrument = experiment.instrument
     assert isinstance(instrument, TableInstrument)
     return instrument.parts
@@ -67,9 +71,11 @@ def run_part(
 ) -> list[Path]:
     """Simulate the path groups of one part of a table, and return the files of their blocks.
 
-    Existing blocks in the folder are kept.  `part` is a number from 0 to `count_parts` − 1; for the
-    other arguments, see `splits.experiments.run.run`.
+    Likewise for the snowpacks of a file.  Existing blocks in the folder are kept.  `part` is a
+    number from 0 to `count_parts` − 1; for the other arguments, see `splits.experiments.run.run`.
     """
+    if experiment.has_packs:
+        return run_pack_part(experiment, accuracy, folder, part, threads, log)
     plan, request = prepare_table(experiment, accuracy, seed, threads)
     groups = plan.select_part(part, count_parts(experiment), request.solver)
     log(f"{experiment.name}: {plan}")
@@ -87,7 +93,12 @@ def run_table(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> xr.Dataset:
-    """Return a table from the blocks in a folder; missing blocks are simulated."""
+    """Return a table, or all snowpacks of a file, from the blocks in a folder.
+
+    Missing blocks are simulated.
+    """
+    if experiment.has_packs:
+        return run_packs(experiment, accuracy, folder, threads, log)
     start_time = time.perf_counter()
     plan, request = prepare_table(experiment, accuracy, seed, threads)
     log(f"{experiment.name}: {plan}")
@@ -109,7 +120,10 @@ def write_table(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> None:
-    """Write the table of `run_table` atomically, block by block if it exceeds the memory limit."""
+    """Write the result of `run_table` atomically, block by block if it exceeds the memory limit."""
+    if experiment.has_packs:
+        save(run_packs(experiment, accuracy, folder, threads, log), path)
+        return
     plan, request = prepare_table(experiment, accuracy, seed, threads)
     if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
         save(run_table(experiment, accuracy, seed, folder, threads, log), path)

@@ -57,7 +57,10 @@ def test_experiments_run_by_discrete_ordinates(tmp_path, medium, instrument, sol
         (SNOW + SPECTRUM.replace("wave", "estimator: analog, wave"), "the estimator needs paths"),
         ("medium: {kind: sand}\n" + TABLE + WATER, "is no natural snow"),
         (SNOW + TABLE + "grid: {saturation: [0, 0.6]}\n", "has a saturation of 0.6"),
-        (SNOW + TABLE.replace("parts", "covariance: keep, parts") + WATER, "a covariance needs batches"),
+        (
+            SNOW + TABLE.replace("parts", "covariance: keep, parts") + WATER,
+            "a covariance needs batches",
+        ),
         (SNOW + DIRECTIONS + WATER, "the BRDF of wet snow needs paths"),
         (SNOW + DIRECTIONS.replace("polar", "target: btdf, polar"), "the BTDF needs paths"),
         (SNOW + DIRECTIONS.replace("polar", "rays: 1000, polar"), "a number of rays needs paths"),

@@ -46,11 +46,13 @@ def test_season_is_resumed_and_only_changed_blocks_are_simulated(project):
     rows = make_rows()
     rows.to_csv(project.folder / "season.csv", index=False)
     project.put("season", SEASON)
+    project.put("spectra", SEASON.split("instrument")[0] + SPECTRA)
     results = project.folder / "results/tiny"
-    run = project.snakemake("season", "--cores", 2)
+    run = project.snakemake("season", "spectra", "--cores", 2)
     assert run.code == 0, run.text
     assert run.jobs() == [
-        "Assembling season", "Drawing season", "Simulating part 0 of season",
+        "Assembling season", "Assembling spectra", "Drawing season", "Drawing spectra",
+        "Simulating part 0 of season", "Simulating part 0 of spectra",
     ]  # fmt: skip
     first = splits.load(results / "data/season.nc")
     packs = splits.SnowPacks(rows, ground=0.3)
@@ -59,6 +61,9 @@ def test_season_is_resumed_and_only_changed_blocks_are_simulated(project):
     for name in ("albedo", "albedo_stderr", "band_albedo"):
         np.testing.assert_allclose(first[name], expected[name], rtol=1e-12)
     assert first.quality_flag.equals(expected.quality_flag)
+    spectra = splits.spectrophotometer(packs, [500, 1030], "sun", 0.05)
+    found = splits.load(results / "data/spectra.nc")
+    np.testing.assert_allclose(found.reflectance, spectra.reflectance, rtol=1e-12)
     assert np.isnan(first.albedo[[NIGHT, GAP]]).all() and first.attrs["snow_packs_good"] == 118
 
     # An interrupted run lacks a block, the list of the blocks, and the result.

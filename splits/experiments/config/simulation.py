@@ -322,6 +322,9 @@ class SimulationConfig(ConfigSection):
         content = self.model_dump(mode="json", include=set(SimulationConfig.model_fields))
         if self.fit:
             del content["instrument"]["wavelength_nm"]
+        if self.has_packs:
+            # Snowpacks of a file have one solver only.
+            content["instrument"].pop("solver", None)
         return content
 
     def dump_configuration(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from functools import lru_cache
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -23,15 +24,14 @@ from splits.simulation.arguments import MAX_DATASET_VALUES
 
 PACKS_KIND = "snow_packs"
 """Kind of the medium of a file of snowpacks."""
-PACK_KEYWORDS = ("file", "ground", "point")
 PACKS_PER_BLOCK, BLOCKS_PER_PART = 50, 10
 
 
 def load_packs(settings: Mapping[str, Any]) -> SnowPacks:
     """Return the snowpacks of the keywords of a medium; the last files are kept in memory."""
     for key in settings:
-        if key not in PACK_KEYWORDS:
-            raise unknown_key(f"medium.{key}", PACK_KEYWORDS)
+        if key not in (names := [*signature(read_snow_packs).parameters]):
+            raise unknown_key(f"medium.{key}", names)
     if "file" not in settings:
         raise invalid("medium.file", None, "given", "the file of the snowpacks")
     files = [expand_path(path) for path in list_table_paths(settings)]

@@ -55,7 +55,7 @@ MISTAKES = [
      IN_SCHEMA),
     ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of spectra, "
      "points, refractive_index, swatches, fit, principal_plane, hemisphere, lobes, bins, spread, "
-     "surface, lens, polarization, summary, none (did you mean principal_plane?)", IN_SCHEMA),
+     "surface, lens, polarization, summary, season, none (did you mean principal_plane?)", IN_SCHEMA),
     ("$x^$", "$x^2$", "line 23: figure.legend = '$x^$': must be text that matplotlib can typeset "
      "(write \\$ for a dollar sign)", NO_FORMULAS),
     ("[1, 0]", "[0, 1]", "line 24: figure.ylim = [1.0, 0.0]: must be low < high", NO_ORDER),

@@ -75,7 +75,6 @@ docs: $(VENV)/dev
 benchmarks: $(VENV)/dev
 	$(BIN)/snakemake --cores $(CORES) benchmarks
 	$(BIN)/python benchmarks/interpolation.py
-	$(BIN)/python benchmarks/deep_transmittance.py
 	$(BIN)/python benchmarks/truncation_depth.py
 	$(BIN)/python benchmarks/stopping.py
 	$(BIN)/python benchmarks/goniophotometer.py

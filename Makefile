@@ -76,7 +76,6 @@ benchmarks: $(VENV)/dev
 	$(BIN)/snakemake --cores $(CORES) benchmarks
 	$(BIN)/python benchmarks/solvers.py results/benchmarks/solvers.csv docs/images/solvers.png
 	$(BIN)/python benchmarks/interpolation.py
-	$(BIN)/python benchmarks/deep_transmittance.py
 	$(BIN)/python benchmarks/truncation_depth.py
 	$(BIN)/python benchmarks/stopping.py
 	$(BIN)/python benchmarks/goniophotometer.py

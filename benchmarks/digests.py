@@ -36,9 +36,6 @@ RUNS: dict[str, Callable[[], xr.Dataset]] = {
     "snow, single scattering": lambda: splits.single_scattering(
         splits.Snow(), BANDS_NM, moments=8, rays=20_000
     ),
-    "snow, deep transmittance": lambda: splits.deep_transmittance(
-        splits.Snow(depth_m=0.2), [900.0], relative_stderr=0.1
-    ),
     "snow, lateral spread": lambda: splits.beam_spread(splits.Snow(), [900.0], 0.0),
     "sand": lambda: splits.spectrophotometer(splits.Sand(), BANDS_NM[:3], 0.0, 0.005),
     "layer": lambda: splits.spectrophotometer(CLOUD, [600.0], 30.0, 0.003),

@@ -59,8 +59,6 @@ def make_cases() -> list[CostCase]:
                      snow, [450, 600, 850, 1000, 1300], DEPTHS_M, **e)),
         CostCase("radiation_profile", "max_stderr", "snow under a winter sky, five depths",
                  lambda **e: splits.radiation_profile(deep, SKY, DEPTHS_M, total_w_m2=500.0, **e)),
-        CostCase("deep_transmittance", "relative_stderr", "snow of 0.5 m, one wavelength",
-                 lambda **e: splits.deep_transmittance(snow, [600], **e)),
         CostCase("beam_spread", "rays", "snow, one wavelength",
                  lambda **e: splits.beam_spread(snow, [800], **e)),
         CostCase("single_scattering", "rays", "grains of snow, one wavelength",

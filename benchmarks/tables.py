@@ -1,15 +1,16 @@
 """Cost and accuracy of a table of 19 200 spectra of deep snow.
 
 20 optical radii (30 to 2000 µm), 8 angles, 6 liquid water contents, 10 amounts of soot, 2 grounds,
-each a spectrum of 211 wavelengths to a standard error of 0.003.  The time per spectrum on one core
-is compared with single runs, TARTES and snowoptics, for similar snow.
+each a spectrum of 211 wavelengths to a standard error of 0.003, by discrete ordinates or by paths.
+The time per spectrum on one core is compared with single runs, TARTES and snowoptics, for similar
+snow.
 
-plan     Estimated cost of 10⁶ and 10⁸ spectra, and accuracy of an estimate from a tenth.
+plan     Estimated cost of 10⁶ and 10⁸ spectra.
 axes     Number of nodes of each axis from which the others are interpolated within 0.005.
-nodes    60 nodes compared with independent runs to 0.001: rms z and pooled mean difference.
-between  200 random points between nodes compared with independent runs to 0.002.
+nodes    60 nodes compared with independent paths to 0.001: rms z and pooled mean difference.
+between  200 random points between nodes compared with runs to 0.002 by the solver.
 
-    python benchmarks/tables.py FOLDER [--nodes 60] [--between 200] [--quick]
+    python benchmarks/tables.py FOLDER [--solver auto] [--nodes 60] [--between 200] [--quick]
 
 The table is kept in the folder, from which a second call continues.  With --quick, a table of
 2 × 2 × 2 tests that the program runs; its times are not meaningful.
@@ -20,7 +21,6 @@ from __future__ import annotations
 import argparse
 import resource
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,11 @@ GRID: dict[str, Any] = {
 SMALL_GRID = {name: list(row)[:2] for name, row in GRID.items()}
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
 MAX_STDERR = 0.003
+NODE_STDERR = 0.001
+"""Requested error of the paths with which nodes are compared."""
+MIN_VALUE = 5.0
+"""Smallest compared reflectance, in units of this error: paths stop on their own variance, and miss
+rare light where nearly all of it is absorbed."""
 
 
 def make_snow(soot_ng_g: float, **point: Any) -> splits.Snow:
@@ -57,16 +62,14 @@ def time_call(call: Any) -> tuple[Any, float, float]:
 
 def report_z_scores(label: str, differences: list[np.ndarray], errors: list[np.ndarray]) -> None:
     """Print statistics of differences in units of their standard errors."""
-    difference, error = np.array(differences), np.array(errors)
+    difference, error = np.concatenate(differences), np.concatenate(errors)
     z = difference / error
     weights = 1.0 / error**2
     pooled = float((weights * difference).sum() / weights.sum())
     # Wavelengths of a spectrum use the same rays, so each spectrum counts once.
-    pooled_error = float(
-        np.sqrt((weights**2 * error**2).sum() * difference.shape[1]) / weights.sum()
-    )
+    pooled_error = float(np.sqrt(weights.sum() * z.size / len(errors)) / weights.sum())
     print(
-        f"{label}: {len(z)}, rms z {np.sqrt((z**2).mean()):.3f}, pooled mean {pooled:+.5f} "
+        f"{label}: {len(errors)}, rms z {np.sqrt((z**2).mean()):.3f}, pooled mean {pooled:+.5f} "
         f"± {pooled_error:.5f}; within one error {np.mean(np.abs(z) <= 1):.2f}, within two "
         f"{np.mean(np.abs(z) <= 2):.3f}; largest {np.abs(difference).max():.4f}",
         flush=True,
@@ -83,15 +86,17 @@ def compare_nodes(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
         node = table.sel(point)
         incidence = point.pop("incidence_deg")
         run = splits.spectrophotometer(
-            make_snow(**point), WAVELENGTHS_NM, incidence, 0.001, 1000 + int(number)
+            make_snow(**point), WAVELENGTHS_NM, incidence, NODE_STDERR, 1000 + int(number)
         )
-        differences.append((node.reflectance - run.reflectance).values)
-        errors.append(np.hypot(node.reflectance_stderr, run.reflectance_stderr).values)
-    report_z_scores("nodes, against independent runs to 0.001", differences, errors)
+        is_compared = node.reflectance.values >= MIN_VALUE * NODE_STDERR
+        differences.append((node.reflectance - run.reflectance).values[is_compared])
+        error = np.hypot(node.reflectance_stderr, run.reflectance_stderr)
+        errors.append(error.values[is_compared])
+    report_z_scores(f"nodes, against independent paths to {NODE_STDERR}", differences, errors)
 
 
-def compare_between_nodes(table: xr.Dataset, grid: dict[str, Any], count: int) -> None:
-    """Compare the table between its nodes with independent runs."""
+def compare_between_nodes(table: xr.Dataset, grid: dict[str, Any], count: int, solver: str) -> None:
+    """Compare the table between its nodes with runs by a solver."""
     random, interpolator = np.random.default_rng(12), splits.Table(table)
     wavelengths = WAVELENGTHS_NM[::21]
     differences, errors, stated = [], [], []
@@ -107,7 +112,7 @@ def compare_between_nodes(table: xr.Dataset, grid: dict[str, Any], count: int) -
         interpolated = interpolator.interp(**point, wavelength=wavelengths)
         incidence = point.pop("incidence_deg")
         run = splits.spectrophotometer(
-            make_snow(**point), wavelengths, incidence, 0.002, 5000 + number
+            make_snow(**point), wavelengths, incidence, 0.002, 5000 + number, solver=solver
         )
         differences.append((interpolated.reflectance - run.reflectance).values)
         errors.append(np.hypot(interpolated.reflectance_stderr, run.reflectance_stderr).values)
@@ -140,42 +145,29 @@ def report_nodes_needed(table: xr.Dataset) -> None:
                 break
 
 
-def report_plan_estimates(folder: Path, spectra: int, cpu_s: float) -> None:
-    """Print the estimated cost of larger tables, and the accuracy of an estimate from a tenth.
-
-    The number of ensembles is proportional to the number of points along axes without shared paths;
-    the size is that of values and errors.
-    """
-    times = np.array(
-        [float(splits.load(path).attrs["wall_time_s"]) for path in folder.glob("block_*.nc")]
-    )
-    random, count = np.random.default_rng(13), max(1, round(0.1 * times.size))
-    tenths = [random.choice(times, count, replace=False).mean() * times.size for _ in range(1000)]
-    relative_error = np.std(tenths) / times.sum()
-    print(
-        f"an ensemble takes {times.mean():.1f} s of two cores, {times.min():.1f} to "
-        f"{times.max():.1f}; {count} of {times.size}, taken at random, predict the total to "
-        f"{100.0 * relative_error:.0f} %"
-    )
+def report_plan_estimates(spectra: int, cpu_s: float) -> None:
+    """Print the estimated cost of larger tables; the size is that of values and errors."""
     for n_spectra in (1e6, 1e8):
         hours = cpu_s / spectra * n_spectra / 3600.0
         size = 8.0 * WAVELENGTHS_NM.size * n_spectra
-        blocks = times.size / spectra * n_spectra
         print(
-            f"{n_spectra:.0e} spectra: {hours:.3g} core-hours, {blocks:.3g} files of blocks, "
-            f"{size / 1e9:.3g} GB of values and errors"
+            f"{n_spectra:.0e} spectra: {hours:.3g} core-hours, {size / 1e9:.3g} GB of values and "
+            "errors"
         )
 
 
 def time_alternatives() -> None:
     """Print the time of a spectrum by other methods."""
     snow = make_snow(soot_ng_g=50.0, optical_radius_um=200.0)
-    for error in (MAX_STDERR, 0.001):
-        splits.spectrophotometer(snow, WAVELENGTHS_NM, 50.0, error, 1, threads=1)
-        _, _, cpu_s = time_call(
-            lambda e=error: splits.spectrophotometer(snow, WAVELENGTHS_NM, 50.0, e, 2, threads=1)
-        )
-        print(f"single run to {error}: {cpu_s:.2f} s of one core", flush=True)
+    for solver in ("discrete_ordinates", "monte_carlo"):
+        for error in (MAX_STDERR, 0.001):
+            splits.spectrophotometer(snow, WAVELENGTHS_NM, 50.0, error, 1, threads=1, solver=solver)
+            _, _, cpu_s = time_call(
+                lambda e=error, s=solver: splits.spectrophotometer(
+                    snow, WAVELENGTHS_NM, 50.0, e, 2, threads=1, solver=s
+                )
+            )
+            print(f"single run by {solver} to {error}: {cpu_s:.3f} s of one core", flush=True)
     try:
         import tartes
 
@@ -212,6 +204,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=expand_path, help="where the table is kept")
+    solvers = ("auto", "discrete_ordinates", "monte_carlo")
+    parser.add_argument("--solver", choices=solvers, default="auto")
     parser.add_argument("--nodes", type=int, default=60)
     parser.add_argument("--between", type=int, default=200)
     parser.add_argument("--quick", action="store_true")
@@ -226,7 +220,7 @@ def main() -> None:
     table, wall_s, cpu_s = time_call(
         lambda: splits.build_table(
             make_snow, grid, WAVELENGTHS_NM, max_stderr=MAX_STDERR, folder=arguments.folder,
-            progress=True,
+            progress=True, solver=arguments.solver,
         )
     )  # fmt: skip
     count = ParameterGrid.from_mapping(grid).size
@@ -242,10 +236,10 @@ def main() -> None:
     )
     splits.save(table, arguments.folder / "table.nc")
     time_alternatives()
-    report_plan_estimates(arguments.folder, count, cpu_s)
+    report_plan_estimates(count, cpu_s)
     report_nodes_needed(table)
     compare_nodes(table, grid, arguments.nodes)
-    compare_between_nodes(table, grid, arguments.between)
+    compare_between_nodes(table, grid, arguments.between, arguments.solver)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from .illumination import sensor_bands as sensor_bands
 from .illumination import sky as sky
 from .instruments import albedo as albedo
 from .instruments import beam_spread as beam_spread
-from .instruments import deep_transmittance as deep_transmittance
 from .instruments import goniophotometer as goniophotometer
 from .instruments import hdrf as hdrf
 from .instruments import irradiance_profile as irradiance_profile

@@ -19,11 +19,13 @@ from splits.core.optional import DISTRIBUTION_NAME
 
 PACKAGE_FOLDER = Path(__file__).parents[1]
 SIMULATION_SOURCES = (
-    "kernels", "materials", "media", "simulation", "discrete_ordinates", "instruments",
+    "kernels", "materials", "illumination", "media", "simulation", "discrete_ordinates",
+    "instruments",
     "core/uncertainty.py", "core/parameter_names.py",
     "tables/axes.py", "tables/block.py", "tables/ordinates.py", "tables/plan.py",
     "experiments/config/grid.py", "experiments/config/medium.py",
-    "experiments/config/simulation.py", "experiments/run.py", "experiments/run_points.py",
+    "experiments/config/simulation.py", "experiments/run.py", "experiments/run_packs.py",
+    "experiments/run_points.py",
 )  # fmt: skip
 """Folders and files, relative to the package, that determine every simulation."""
 FIT_SOURCES = (

@@ -15,6 +15,7 @@ Modules, each importing only those above it:
 - `snow_brdf`: reflected radiance of dry snowpacks, with errors
 - `snow_profile`: fluxes, absorption and path lengths within snowpacks
 - `interval_profile`: the same between depths, by material, with errors
+- `transmittance_error`: relative errors of small transmittances
 - `applicability`: media for which all this applies
 - `levels`: light at the levels between dry layers
 - `divided_differences`: of the impedances of a layer

@@ -192,7 +192,7 @@ def _compute_table_error(
     n_streams: int,
 ) -> IntervalProfile:  # fmt: skip
     """Return the effects of the errors of (1 − ω) and of (1 − g), added in quadrature."""
-    error = _find_similarity_error(parts.layers[0].contrast, parts.is_wet)
+    error = find_similarity_error(parts.layers[0].contrast, parts.is_wet)
     total = IntervalProfile(*(np.zeros_like(one) for one in values))
     absorbing = [
         layer._replace(grain_absorption=layer.grain_absorption * (1.0 + error))
@@ -212,7 +212,7 @@ def _compute_table_error(
     return total
 
 
-def _find_similarity_error(contrast: np.ndarray, is_wet: bool) -> np.ndarray:
+def find_similarity_error(contrast: np.ndarray, is_wet: bool) -> np.ndarray:
     """Return the relative error of (1 − ω)/(1 − g) in a table, at the next contrasts."""
     table = load_natural_grains(wet=is_wet)
     row = np.searchsorted(table.contrast.nodes, contrast).clip(0, table.contrast.nodes.size - 1)

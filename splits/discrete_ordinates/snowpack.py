@@ -181,12 +181,16 @@ class SpectrumSolution(NamedTuple):
         Error due to the number of streams.
     optics_error : float, shape (wavelengths,)
         Error due to the tables of single scattering, and to the balance of wet and dry pores.
+    exponent_error : float, shape (wavelengths,)
+        Error of the logarithm of a transmittance T relative to 1 + |ln T|; infinite if the other
+        errors are sufficient (`splits.discrete_ordinates.transmittance_error`).
     """
 
     budget: Budget
     n_streams: int
     truncation: np.ndarray
     optics_error: np.ndarray
+    exponent_error: np.ndarray | float = np.inf
 
     @property
     def error(self) -> np.ndarray:

@@ -71,7 +71,7 @@ def run(
     if experiment.fit:
         hint = "use splits.experiments.run_fit.run_fit"
         raise invalid("fit", experiment.fit.measured, "left out", hint)
-    if experiment.instrument.kind == "table":
+    if experiment.is_in_parts:
         return run_table(experiment, accuracy, seed, None, threads, log)
     if experiment.instrument.kind == "refractive_index":
         return compute_refractive_indices(experiment)
@@ -101,7 +101,7 @@ def write_run(
         The file is written atomically.
     """
     check_writable(path)
-    if experiment.instrument.kind == "table":
+    if experiment.is_in_parts:
         write_table(experiment, accuracy, seed, folder, path, threads, log)
         return
     cache = PointCache(folder, experiment, accuracy, seed)

@@ -16,6 +16,8 @@ from splits.core.progress import LogCallback, Progress
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.config.instrument_kinds import TableInstrument
 from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.config.snow_packs import count_pack_parts
+from splits.experiments.run_packs import run_pack_part, run_packs
 from splits.experiments.run_points import MAX_RAYS
 from splits.instruments.spectral_run import SpectralRequest
 from splits.io.netcdf import save
@@ -28,29 +30,34 @@ from splits.tables.storage import MAX_BYTES_IN_MEMORY, compute_table_bytes, writ
 
 
 def count_parts(experiment: SimulationConfig) -> int:
-    """Return the number of parts of a table."""
+    """Return the number of parts of a table, or of the snowpacks of a file."""
+    if experiment.has_packs:
+        return count_pack_parts(experiment.load_packs())
     instrument = experiment.instrument
     assert isinstance(instrument, TableInstrument)
     return instrument.parts
 
 
-def make_plan(experiment: SimulationConfig) -> TablePlan:
-    """Return the plan of a table; reject points that cannot be simulated."""
-    instrument, axes = experiment.instrument, experiment.make_axes()
-    wavelengths, incidence = instrument.get_wavelengths(), instrument.get_incidence()
-    return TablePlan.from_grid(experiment.make_medium, axes, wavelengths, incidence)
-
-
-def make_request(
+def prepare_table(
     experiment: SimulationConfig, accuracy: Accuracy, seed: int, threads: int | None = None
-) -> TableRequest:
-    """Return the settings of a table's simulation."""
-    instrument = experiment.instrument
+) -> tuple[TablePlan, TableRequest]:
+    """Return the plan of a table and the settings of its simulation.
+
+    Raises
+    ------
+    ValueError
+        For points that cannot be simulated, or to which a required solver does not apply.
+    """
+    instrument, axes = experiment.instrument, experiment.make_axes()
     assert isinstance(instrument, TableInstrument)
+    wavelengths, incidence = instrument.get_wavelengths(), instrument.get_incidence()
+    plan = TablePlan.from_grid(experiment.make_medium, axes, wavelengths, incidence)
     error, rays = instrument.scale_stderr(accuracy.max_stderr), accuracy.max_rays or MAX_RAYS
     run = RunOptions.from_arguments(instrument.get_seed(seed), threads)
-    request = SpectralRequest.from_arguments(instrument.get_wavelengths(), 0.0, error, rays, run)
-    return TableRequest(request, instrument.quantities, instrument.covariance == "keep")
+    request = SpectralRequest.from_arguments(wavelengths, 0.0, error, rays, run)
+    solver = instrument.choose_solver(plan.list_media(), error)
+    has_covariance = instrument.covariance == "keep"
+    return plan, TableRequest(request, instrument.quantities, has_covariance, solver)
 
 
 def run_part(
@@ -64,11 +71,13 @@ def run_part(
 ) -> list[Path]:
     """Simulate the path groups of one part of a table, and return the files of their blocks.
 
-    Existing blocks in the folder are kept.  `part` is a number from 0 to `count_parts` − 1; for the
-    other arguments, see `splits.experiments.run.run`.
+    Likewise for the snowpacks of a file.  Existing blocks in the folder are kept.  `part` is a
+    number from 0 to `count_parts` − 1; for the other arguments, see `splits.experiments.run.run`.
     """
-    plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
-    groups = plan.path_groups[part :: count_parts(experiment)]
+    if experiment.has_packs:
+        return run_pack_part(experiment, accuracy, folder, part, threads, log)
+    plan, request = prepare_table(experiment, accuracy, seed, threads)
+    groups = plan.select_part(part, count_parts(experiment), request.solver)
     log(f"{experiment.name}: {plan}")
     for _ in _simulate_blocks(experiment, request, groups, folder, log):
         pass
@@ -84,9 +93,14 @@ def run_table(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> xr.Dataset:
-    """Return a table from the blocks in a folder; missing blocks are simulated."""
+    """Return a table, or all snowpacks of a file, from the blocks in a folder.
+
+    Missing blocks are simulated.
+    """
+    if experiment.has_packs:
+        return run_packs(experiment, accuracy, folder, threads, log)
     start_time = time.perf_counter()
-    plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
+    plan, request = prepare_table(experiment, accuracy, seed, threads)
     log(f"{experiment.name}: {plan}")
     arrays, block_attributes = allocate_arrays(plan, request), []
     for block in _simulate_blocks(experiment, request, plan.path_groups, folder, log):
@@ -106,8 +120,11 @@ def write_table(
     threads: int | None = None,
     log: LogCallback = lambda line: None,
 ) -> None:
-    """Write the table of `run_table` atomically, block by block if it exceeds the memory limit."""
-    plan, request = make_plan(experiment), make_request(experiment, accuracy, seed, threads)
+    """Write the result of `run_table` atomically, block by block if it exceeds the memory limit."""
+    if experiment.has_packs:
+        save(run_packs(experiment, accuracy, folder, threads, log), path)
+        return
+    plan, request = prepare_table(experiment, accuracy, seed, threads)
     if compute_table_bytes(plan, request) <= MAX_BYTES_IN_MEMORY:
         save(run_table(experiment, accuracy, seed, folder, threads, log), path)
         return

@@ -2,7 +2,6 @@
 
 from splits.instruments.albedo import albedo
 from splits.instruments.beam_spread import beam_spread
-from splits.instruments.deep_transmittance import deep_transmittance
 from splits.instruments.goniophotometer import goniophotometer
 from splits.instruments.hdrf import hdrf
 from splits.instruments.irradiance_profile import irradiance_profile
@@ -15,7 +14,6 @@ from splits.instruments.surface_map import surface_map
 __all__ = [
     "albedo",
     "beam_spread",
-    "deep_transmittance",
     "goniophotometer",
     "hdrf",
     "irradiance_profile",

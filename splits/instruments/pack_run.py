@@ -118,6 +118,15 @@ def compute_beam_cosines(packs: SnowPacks, incidence: float | str) -> np.ndarray
     return np.cos(np.radians(np.broadcast_to(angle, (n_good,))))[:, np.newaxis]
 
 
+def check_pack_wavelengths(wavelength_nm: np.ndarray, is_wet: np.ndarray) -> None:
+    """Check that discrete ordinates apply at wavelengths (nm) to dry or to wet snow, or to both."""
+    for wet in np.unique(is_wet).tolist():
+        obstacle = find_spectral_obstacle(wavelength_nm, wet=wet)
+        if obstacle:
+            hint = f"for discrete ordinates, snow {obstacle.removeprefix('it ')}"
+            raise invalid("wavelength_nm", wavelength_nm.tolist(), "within the tables", hint)
+
+
 def solve_packs(
     packs: SnowPacks, wavelength_nm: np.ndarray, cosines: np.ndarray, max_error: float,
     run: RunOptions,
@@ -140,11 +149,7 @@ def solve_packs(
     """
     arrays = packs.to_arrays()
     is_wet = np.any(arrays.liquid_water_content > 0.0, axis=1)
-    for wet in np.unique(is_wet).tolist():
-        obstacle = find_spectral_obstacle(wavelength_nm, wet=wet)
-        if obstacle:
-            hint = f"for discrete ordinates, snow {obstacle.removeprefix('it ')}"
-            raise invalid("wavelength_nm", wavelength_nm.tolist(), "within the tables", hint)
+    check_pack_wavelengths(wavelength_nm, is_wet)
     materials = PackMaterials.from_wavelengths(wavelength_nm, packs.impurities)
     ground = packs.compute_ground_albedo(wavelength_nm)
     unsupported = find_unsupported(arrays, materials)

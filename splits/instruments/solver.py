@@ -16,11 +16,8 @@ from splits.discrete_ordinates.applicability import (
 )
 from splits.discrete_ordinates.derivative_errors import WetDerivatives, solve_derivatives
 from splits.discrete_ordinates.parameter_derivatives import DryDerivatives
-from splits.discrete_ordinates.snowpack import (
-    SpectrumSolution,
-    compute_optics_error,
-    solve_spectrum,
-)
+from splits.discrete_ordinates.snowpack import SpectrumSolution, compute_optics_error
+from splits.discrete_ordinates.transmittance_error import solve_with_exponent_error
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
@@ -99,7 +96,7 @@ def solve_estimate(
     cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
     with limit_blas_threads():
         solutions = [
-            solve_spectrum(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
+            solve_with_exponent_error(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
             for medium in media
         ]
         estimate = make_estimate(solutions, -1 if is_diffuse else 0)
@@ -126,6 +123,14 @@ def make_estimate(solutions: Sequence[SpectrumSolution], column: int) -> Spectra
     n_rows = error.size
     # A bounded quantity cannot be wrong by more than itself.
     stderr = np.minimum(error, np.maximum(mean, np.finfo(float).eps))
+    exponent = np.concatenate([
+        np.broadcast_to(one.exponent_error, one.error.shape) for one in solutions
+    ])  # fmt: skip
+    has_light = transmittance > 0.0
+    # Errors of thick layers act on the logarithm of the transmittance.
+    passing = transmittance[has_light]
+    relative = exponent[has_light] * (1.0 + np.abs(np.log(passing)))
+    stderr[1, has_light] = np.minimum(stderr[1, has_light], passing * relative)
     return SpectralEstimate(
         mean, stderr, stderr, np.zeros((N_BATCHES, 2, n_rows)), _make_no_derivatives(n_rows),
         np.zeros(n_rows), _describe(solutions),

@@ -21,6 +21,7 @@ from splits.plotting.polarization import draw_polarization
 from splits.plotting.principal_plane import draw_bin_sizes, draw_principal_planes
 from splits.plotting.rough_surface import draw_lens, draw_surface
 from splits.plotting.sand_fit import draw_fits
+from splits.plotting.season import draw_season
 from splits.plotting.spectra import draw_refractive_indices, draw_spectra
 from splits.plotting.style import use_style
 
@@ -72,6 +73,8 @@ def _draw_kind(
         return draw_summary(dataset, section["quantity"], section["select"], section["legend"])
     if section["kind"] == "fit":
         return draw_fits(dataset, section["select"], section["legend"])
+    if section["kind"] == "season":
+        return draw_season(dataset, section["quantity"])
     if section["kind"] == "swatches":
         return draw_swatches(dataset, section["select"])
     quantity = [name for name in section["quantity"] if name in QUANTITY_LABELS] or ["brdf"]

@@ -37,8 +37,6 @@ class Stratum:
         Expected segments per ray before any was traced.
     max_order : int
         Largest order of scattering of a ray.
-    splitting_rate : float
-        Rate (1/m) at which rays are split with depth.
     features : Features or None
         Features of the vectorized kernel, None for the scalar kernel.
     n_rays, n_segments : int
@@ -51,7 +49,6 @@ class Stratum:
     absorption: np.ndarray
     expected_segments: float = INITIAL_SEGMENTS
     max_order: int = NO_MAX_ORDER
-    splitting_rate: float = 0.0
     features: Features | None = None
     n_rays: int = 0
     n_segments: int = 0

@@ -96,7 +96,7 @@ def assemble_dataset(
 
 def _find_common_attributes(plan: TablePlan) -> dict[str, Any]:
     """Return the attributes common to all media of a table."""
-    media = [medium for path_group in plan.path_groups for medium in path_group.path_sharing.media]
+    media = plan.list_media()
     first_medium = media[0]
     attrs = {f"{first_medium.kind}_{key}": value for key, value in first_medium.describe().items()}
     for medium in media[1:]:

@@ -17,7 +17,6 @@ from splits.core.paths import expand_path
 from splits.core.progress import Progress, ProgressCallback
 from splits.core.provenance import hash_physics_sources
 from splits.core.validation import check_choice, invalid
-from splits.instruments.solver import choose_solver
 from splits.instruments.spectral_run import SIDE_QUANTITIES, SpectralRequest
 from splits.media.medium import Medium
 from splits.simulation.path_reuse import compute_absorption_signature, compute_path_signature
@@ -32,7 +31,7 @@ from splits.tables.block import (
     save_block,
 )
 from splits.tables.ordinates import SolutionCache
-from splits.tables.plan import PathGroup, TablePlan
+from splits.tables.plan import PathGroup, TablePlan, choose_table_solver
 
 
 @reject_unknown_arguments
@@ -114,12 +113,12 @@ def build_table(
     plan = TablePlan.from_grid(
         make, ParameterGrid.from_mapping(grid), spectral_request.wavelengths, incidence_deg
     )
-    chosen = choose_solver(
+    chosen = choose_table_solver(
         solver,
-        (medium for group in plan.path_groups for medium in group.path_sharing.media),
+        plan.list_media(),
         spectral_request.wavelengths,
-        "a covariance needs batches of rays" if covariance else None,
-        max_stderr=spectral_request.max_stderr,
+        bool(covariance),
+        spectral_request.max_stderr,
     )
     request = TableRequest(
         spectral_request, _check_quantities(quantities), bool(covariance), chosen

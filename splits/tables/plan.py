@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from splits.core.validation import invalid
+from splits.instruments.solver import DISCRETE_ORDINATES, choose_solver
 from splits.media.checks import check_medium
+from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence
 from splits.simulation.path_reuse import MediaGroup, group_by_shared_paths
 from splits.simulation.spectral_rows import PathSharingMedia
@@ -103,6 +105,20 @@ class TablePlan(NamedTuple):
         )
         return cls(grid, wavelengths, numbered, _find_path_sharing_axes(media_axes, media_groups))
 
+    def list_media(self) -> list[Medium]:
+        """Return the distinct media of all points."""
+        groups = {id(group.path_sharing): group.path_sharing for group in self.path_groups}
+        return [medium for path_sharing in groups.values() for medium in path_sharing.media]
+
+    def select_part(self, part: int, n_parts: int, solver: str) -> tuple[PathGroup, ...]:
+        """Return the ensembles of one of several parts.
+
+        Discrete ordinates solve all angles of incidence of a medium together, which are therefore
+        in one part.
+        """
+        n_beams = len(self.grid.get_values(INCIDENCE, 0.0)) if solver == DISCRETE_ORDINATES else 1
+        return tuple(one for one in self.path_groups if one.number // n_beams % n_parts == part)
+
     def __str__(self) -> str:
         """Return a one-line summary of the plan."""
         names, n_spectra = self.grid.names, self.grid.size
@@ -114,6 +130,15 @@ class TablePlan(NamedTuple):
             f"{len(self.path_sharing_axes)} of {len(names)} axes share paths{axes}: {ensembles} "
             f"for {n_spectra} spectra of {self.wavelengths.size} wavelengths"
         )
+
+
+def choose_table_solver(
+    solver: Any, media: Iterable[Medium], wavelengths: np.ndarray, covariance: bool,
+    max_stderr: float = np.inf,
+) -> str:  # fmt: skip
+    """Return the solver for all media of a table, see `splits.instruments.solver.choose_solver`."""
+    obstacle = "a covariance needs batches of rays" if covariance else None
+    return choose_solver(solver, media, wavelengths, obstacle, max_stderr=max_stderr)
 
 
 def _make_medium(make_medium: Callable[..., Any], point: dict[str, Any]) -> Any:

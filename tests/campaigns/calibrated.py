@@ -34,7 +34,6 @@ SCATTERING_LAYER = splits.ParticleLayer(
     optical_thickness=2.0, asymmetry=0.5, single_scattering_albedo=0.9, bottom_albedo=None,
     refractive_index=1.3,
 )  # fmt: skip
-DEEP_SNOW = splits.Snow(depth_m=0.02)
 POLARIZED_LAYER = splits.ParticleLayer(
     optical_thickness=1.0, single_scattering_albedo=0.95, phase_function="rayleigh",
     refractive_index=1.3, bottom_albedo=None, polarized=True,
@@ -193,12 +192,6 @@ def make_spread_run(medium, wavelength, half_width):
     )
 
 
-def make_deep_run(medium, wavelength, error):
-    return lambda seed: splits.deep_transmittance(
-        medium, [wavelength], relative_stderr=error, seed=seed, **ONE_THREAD
-    )
-
-
 def make_profile_run(medium, wavelengths, incidence=0.0, error=0.02):
     return lambda seed: splits.irradiance_profile(
         medium, wavelengths, [0.002, 0.005], incidence, error, seed, **ONE_THREAD
@@ -322,19 +315,6 @@ CASES = [
     CalibrationCase("beam_spread", "snow", make_spread_run(SNOW, 1300.0, 0.003), SPREAD_READERS),
     CalibrationCase(
         "beam_spread", "layer", make_spread_run(SCATTERING_LAYER, 600.0, 1.0), SPREAD_READERS
-    ),
-    CalibrationCase(
-        "deep_transmittance",
-        "snow, 10 %",
-        make_deep_run(DEEP_SNOW, 1030.0, 0.1),
-        make_readers("transmittance"),
-    ),
-    CalibrationCase(
-        "deep_transmittance",
-        "snow, 5 %",
-        make_deep_run(DEEP_SNOW, 1300.0, 0.05),
-        make_readers("transmittance"),
-        100,
     ),
     CalibrationCase(
         "irradiance_profile",

@@ -8,11 +8,10 @@ previous segment is sampled again.  The slab is bounded by two horizontal planes
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from oracle.absorption import OPTICAL_DEPTH, WEIGHT, attenuate_segment, start_roulette
+from oracle.absorption import WEIGHT, attenuate_segment, start_roulette
 from oracle.fresnel import compute_interface, refract
 from oracle.grain import sample_pore, trace_through_grain
 from oracle.jit import entry, kernel
@@ -58,44 +57,6 @@ def cross_interface(state, dx, dy, dz, n1, n2, k2):
         return False, dx, dy, -dz
     dx, dy, dz = refract(dx, dy, dz, 0.0, 0.0, up, cos_i, ratio, cos_t)
     return True, dx, dy, dz
-
-
-class WeightWindow(NamedTuple):
-    """Bounds on the importance of a ray, weight · exp(κ·depth).
-
-    See `splits.kernels.transport.splitting`.
-
-    Attributes
-    ----------
-    weight : float
-        Of the ray, without absorption.
-    kappa : float
-        1/m.
-    lower, upper : float
-    depth : float
-        Of the slab (m).
-    profile : float64[2, slices]
-        Number and total weight of the segments that start in each of equal slices of the depth,
-        advanced in place.
-    """
-
-    weight: float
-    kappa: float
-    lower: float
-    upper: float
-    depth: float
-    profile: np.ndarray
-
-
-@kernel
-def leaves_weight_window(window, z, roulette_state):
-    """Return whether the importance is outside the window, and tally the ray in its slice."""
-    slices = window.profile.shape[1]
-    i_slice = min(int(-z / window.depth * slices), slices - 1)
-    window.profile[0, i_slice] += 1.0
-    window.profile[1, i_slice] += window.weight * math.exp(-roulette_state[OPTICAL_DEPTH])
-    importance = window.weight * math.exp(-roulette_state[OPTICAL_DEPTH] - window.kappa * z)
-    return importance < window.lower or importance > window.upper
 
 
 @kernel
@@ -202,9 +163,9 @@ def sample_source(state, slab, rules, optics):
 @kernel
 def trace_history(
     state, x, y, z, dx, dy, dz, previous_segment, pore,
-    grains, slab, rules, optics, path_lengths, roulette_state, window, max_order,
+    grains, slab, rules, optics, path_lengths, roulette_state, max_order,
 ):  # fmt: skip
-    """Trace a ray until it leaves the slab, is absorbed, or leaves its weight window.
+    """Trace a ray until it leaves the slab or is absorbed.
 
     Parameters
     ----------
@@ -218,15 +179,13 @@ def trace_history(
         Material of the next segment.
     path_lengths, roulette_state : float64[materials], float64[3]
         Advanced in place.
-    window : WeightWindow or None
-        None disables the weight window at compile time.
     max_order : int
         Order of scattering after which a ray counts as absorbed.
 
     Returns
     -------
     status : int
-        `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `LOST`, or `IN_FLIGHT` outside the weight window.
+        `ABSORBED`, `REFLECTED`, `TRANSMITTED` or `LOST`.
     x, y, z, dx, dy, dz, previous_segment, pore
         State of the ray at the end.
     n_segments, order : int
@@ -287,9 +246,6 @@ def trace_history(
         z = min(max(z + g3, -slab.depth), 0.0)
         x += g1
         y += g2
-        if window is not None and leaves_weight_window(window, z, roulette_state):
-            previous_segment = (g1, g2, g3, lx, ly, lz, last_length)
-            return IN_FLIGHT, x, y, z, dx, dy, dz, previous_segment, pore, n_segments, order
 
 
 @kernel
@@ -327,7 +283,7 @@ def trace_ray(state, grains, slab, rules, optics, path_lengths, roulette_state, 
         return status, 0.0, 0.0, 0.0, dx, dy, dz, 0, 0
     status, x, y, z, dx, dy, dz, _, _, n_segments, order = trace_history(
         state, 0.0, 0.0, 0.0, dx, dy, dz, NO_SEGMENT, pore,
-        grains, slab, rules, optics, path_lengths, roulette_state, None, max_order,
+        grains, slab, rules, optics, path_lengths, roulette_state, max_order,
     )  # fmt: skip
     return status, x, y, z, dx, dy, dz, n_segments, order
 

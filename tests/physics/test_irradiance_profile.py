@@ -185,29 +185,6 @@ def test_errors_cover_large_steps_of_weights(name, kernel):
         assert (difference <= 2.0 * error + 0.01).all(), (quantity, difference.values, error.values)
 
 
-@pytest.mark.long
-def test_decay_agrees_with_deep_transmittance():
-    """Far from both boundaries the angular distribution is constant, and decay exponential."""
-    snow = {"grain_size_um": (100, 200), "saturation": 0.0}
-    depths = [0.01, 0.02]
-    ds = splits.irradiance_profile(
-        splits.Snow(**snow, depth_m=0.05), 1000.0, depths, max_stderr=0.002
-    )
-    irradiance = ds.downward_irradiance.sel(depth=depths)[0]
-    relative = (ds.downward_irradiance_stderr.sel(depth=depths)[0] / irradiance).values
-    rate = -np.log(irradiance.values[1] / irradiance.values[0]) / np.diff(depths)[0]
-    thin, thick = (
-        splits.deep_transmittance(splits.Snow(**snow, depth_m=d), 1000.0, relative_stderr=0.03)
-        for d in (0.03, 0.04)
-    )
-    slope = -np.log(thick.transmittance[0] / thin.transmittance[0]) / 0.01
-    relative_errors = [
-        float(one.transmittance_stderr[0] / one.transmittance[0]) for one in (thin, thick)
-    ]
-    error = np.hypot(np.hypot(*relative) / np.diff(depths)[0], np.hypot(*relative_errors) / 0.01)
-    judge_z(np.array([(rate - float(slope)) / error]), bound_added=True)
-
-
 @pytest.mark.parametrize(
     ("depths", "message"),
     [

@@ -181,7 +181,6 @@ def test_beam_spread_equals_that_of_the_layer():
     "instrument",
     [
         lambda stack: splits.irradiance_profile(stack, [550.0], [0.1]),
-        lambda stack: splits.deep_transmittance(stack, [550.0]),
         lambda stack: splits.single_scattering(stack, [550.0]),
         lambda stack: splits.surface_map(stack, half_width_m=0.1),
         lambda stack: splits.goniophotometer(stack, [550.0], estimator="next_event"),

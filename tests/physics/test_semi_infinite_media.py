@@ -275,7 +275,6 @@ def test_diffusive_substrate_has_the_known_limits():
     [
         lambda snow: splits.goniophotometer(snow, [500.0]),
         lambda snow: splits.beam_spread(snow, [500.0]),
-        lambda snow: splits.deep_transmittance(snow, [500.0]),
         lambda snow: splits.spectrophotometer(snow, [500.0], estimator="analog"),
     ],
 )

@@ -193,12 +193,13 @@ def test_media_that_share_paths_agree_with_single_runs(water):
 
 
 @NEEDS_JIT
-def test_grid_nodes_agree_with_single_runs():
-    """Ten grid nodes against other seeds; benchmarks/tables.py compares 60 at 0.001.
+@pytest.mark.parametrize("solver", ["monte_carlo", "discrete_ordinates"])
+def test_grid_nodes_agree_with_single_runs(solver):
+    """Ten grid nodes against paths of other seeds; benchmarks/tables.py compares 60 at 0.001.
 
     Nodes of one ensemble use the same rays, so each of the four ensembles counts as one.
     """
-    table = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.01, solver="monte_carlo")
+    table = splits.build_table(make_snow, GRID, WAVELENGTHS, max_stderr=0.01, solver=solver)
     assert table.attrs["max_stderr_reached"] <= 0.01
     random = np.random.default_rng(3)
     points = list(ParameterGrid.from_mapping(GRID).iterate_points())

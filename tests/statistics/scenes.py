@@ -156,7 +156,7 @@ def _trace(state, scene, optics, length, max_order):
     length[:] = 0.0
     ray = history.sample_source(state, scene, optics, None, max_order)
     if ray.status == history.ALIVE:
-        ray = history.trace_history(state, ray, scene, optics, length, None, None, None)
+        ray = history.trace_history(state, ray, scene, optics, length, None, None)
     return ray
 
 

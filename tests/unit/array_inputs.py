@@ -194,9 +194,6 @@ CASES = {
         lambda a: splits.beam_spread(GREY_LAYER, a, rays=100, half_width_m=1.0, threads=1), NM,
         one=True,
         runs=True),
-    "deep_transmittance": ArrayCase(
-        lambda a: splits.deep_transmittance(SNOW, a, relative_stderr=0.5, threads=1), [800.0],
-        one=True, runs=True),
     "irradiance_profile": ArrayCase(
         lambda a: splits.irradiance_profile(SNOW, [800.0], a, **FEW_WAVELENGTHS),
         [0.0009765625, 0.001953125], one=True,

@@ -105,7 +105,6 @@ RESULTS = {
     "irradiance_profile": lambda: splits.irradiance_profile(
         make_snow(), PAIR, [0.01], max_stderr=0.1
     ),
-    "deep_transmittance": lambda: splits.deep_transmittance(make_snow(), PAIR, relative_stderr=0.5),
     "lens": lambda: splits.lens(make_rough_layer(), [1.0], 0.1, centre_on="origin", rays=1000),
     "surface_map": lambda: splits.surface_map(make_rough_layer(), 1.0, points=5, realizations=2),
     "single_scattering": compute_grain_optics,

@@ -83,7 +83,6 @@ INVALID_CALLS = {
     "albedo": lambda: splits.albedo(splits.Snow(ground="camborthid"), "midlatitude_winter"),
     "select_bands": lambda: splits.select_bands(3, [(400, 500)], {}, 0.1),
     "beam_spread": lambda: splits.beam_spread(SNOW, "x"),
-    "deep_transmittance": lambda: splits.deep_transmittance(SNOW, "x"),
     "goniophotometer": lambda: splits.goniophotometer(SNOW, [500], 95),
     "hdrf": lambda: splits.hdrf(SNOW, "midlatitude", [500]),
     "lens": lambda: splits.lens(LAYER, [1], -1),

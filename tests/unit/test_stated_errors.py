@@ -48,9 +48,6 @@ CASES = {
         splits.Snow(), ([900.0], 0.0, 1), {},
         {"profile", "profile_map", "mean_radius", "quantile_radius", "fraction"},
     ),
-    "deep_transmittance": (
-        splits.Snow(depth_m=0.01), ([600.0],), {"relative_stderr": 0.5}, {"transmittance"},
-    ),
     "irradiance_profile": (
         splits.Snow(depth_m=0.01), ([600.0], [0.005]), {"max_stderr": 0.1},
         {"downward_irradiance", "upward_irradiance", "absorptance", "actinic_flux",

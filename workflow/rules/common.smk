@@ -27,7 +27,7 @@ SELECTED_GROUPS = (
     GROUPS if SETTINGS.experiments == "everything" else SETTINGS.experiments
 )
 
-TABLES = [name for name, e in EXPERIMENTS.items() if e.instrument.kind == "table"]
+TABLES = [name for name, e in EXPERIMENTS.items() if e.is_in_parts]
 EXPLORER_TABLES, EXPLORER_DIRECTIONS = SETTINGS.select_explorer(EXPERIMENTS)
 if "explorer" in sys.argv[1:] and not EXPLORER_TABLES:
     MISSING = describe_missing(SETTINGS.explorer.values(), EXPERIMENTS)

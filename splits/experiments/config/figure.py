@@ -65,7 +65,7 @@ QuantityName = Literal[
 FigureKind = Literal[
     "spectra", "points", "refractive_index", "swatches", "fit",
     "principal_plane", "hemisphere", "lobes", "bins", "spread", "surface", "lens",
-    "polarization", "summary", "none",
+    "polarization", "summary", "season", "none",
 ]  # fmt: skip
 Formula = AfterValidator(check_mathematics)
 
@@ -131,7 +131,7 @@ def resolve_figure(simulation: SimulationConfig, figure: FigureSection) -> dict[
 
 def _resolve_kind(simulation: SimulationConfig, figure: FigureSection) -> str:
     """Return the kind of a figure, by default the first one of the instrument."""
-    default = simulation.instrument.FIGURES[0]
+    default = "season" if simulation.has_packs else simulation.instrument.FIGURES[0]
     if default == "spectra" and simulation.grid and simulation.instrument.count_values() == 1:
         default = "points"
     return figure.kind or default
@@ -155,7 +155,12 @@ def check_figure(simulation: SimulationConfig, figure: FigureSection) -> None:
     simulation.instrument.check_figure(kind, given_quantities)
     if kind == "none":
         return
+    if simulation.has_packs != (kind == "season"):
+        allowed = "season or none" if simulation.has_packs else "another one"
+        raise invalid("figure.kind", kind, f"{allowed} for this medium")
     _check_settings(simulation, figure, kind)
+    if simulation.has_packs:
+        return
     _check_grid(simulation, figure, kind)
     for _, medium, _ in simulation.iter_points():
         _check_quantity(simulation, figure, medium)

@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from splits.core.validation import check_choice, invalid
 from splits.experiments.config.grid import make_even_spacing
 from splits.experiments.config.sections import FiniteSection
+from splits.instruments.pack_run import SUN
 from splits.media.medium import Medium
 from splits.simulation.arguments import check_incidence, check_wavelengths
 
@@ -41,7 +42,7 @@ class WavelengthGrid(FiniteSection):
 def _check_incidence(value: Any) -> float | str:
     if isinstance(value, list | tuple):
         raise invalid("", value, "one angle or diffuse", USE_GRID_HINT)
-    return check_incidence(value)
+    return value if value == SUN else check_incidence(value)
 
 
 BeamAngle = Annotated[float, Field(ge=0.0, le=89.9999)]
@@ -141,9 +142,12 @@ class OpticalInstrument(SpectralInstrument):
 
     incidence_deg: Annotated[
         float | str,
-        BeforeValidator(_check_incidence, json_schema_input_type=BeamAngle | Literal["diffuse"]),
+        BeforeValidator(
+            _check_incidence, json_schema_input_type=BeamAngle | Literal["diffuse", "sun"]
+        ),
     ] = 0.0
-    """incidence angle of the beam (°), from 0 to 89.9999, or `diffuse`"""
+    """incidence angle of the beam (°), from 0 to 89.9999, or `diffuse`; for snowpacks of a file
+    also `sun`, the zenith angle of each"""
     stderr_scale: float = Field(1.0, ge=0.01, le=100.0)
     """factor of the target error of the accuracy; not with `rays` or bins"""
     seed: Seed = None

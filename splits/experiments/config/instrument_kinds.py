@@ -16,8 +16,11 @@ from splits.experiments.config.instrument import (
     Rays,
     Seed,
     SpectralInstrument,
+    WavelengthGrid,
 )
 from splits.experiments.config.sections import check_different
+from splits.illumination.bands import as_bands
+from splits.illumination.sky_spectra import CLEAR_SKY, list_sky_names
 from splits.instruments.angular_bins import DEFAULT_N_BINS
 from splits.instruments.angular_solver import find_angular_obstacle
 from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
@@ -39,8 +42,10 @@ from splits.plotting.panels import (
     can_map_hemisphere,
 )
 from splits.simulation.arguments import check_direction_angles, check_half_width, check_n_bins
+from splits.tables.plan import choose_table_solver
 
 Angles = tuple[float, ...]
+SKIES = (CLEAR_SKY, *list_sky_names())
 MapHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("surface_map", x))]
 BeamHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("beam_spread", x))]
 LensHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("lens", x))]
@@ -60,6 +65,11 @@ Solver = Annotated[
 ]
 
 
+def _check_bands(bands: Any) -> Any:
+    as_bands(bands)
+    return bands
+
+
 class Refractometer(SpectralInstrument):
     """Refractive indices of the materials of a medium."""
 
@@ -72,7 +82,7 @@ class Refractometer(SpectralInstrument):
 class Spectrophotometer(OpticalInstrument):
     """Hemispherical reflectance and transmittance."""
 
-    FIGURES: ClassVar = ("spectra", "points", "swatches", "fit")
+    FIGURES: ClassVar = ("spectra", "points", "swatches", "fit", "season")
     QUANTITIES: ClassVar = ("reflectance", "transmittance", "absorptance", "mean_grain_distance")
     ALLOWS_SEMI_INFINITE: ClassVar = True
 
@@ -91,6 +101,30 @@ class Spectrophotometer(OpticalInstrument):
         obstacle = "the estimator needs paths" if self.estimator == "analog" else None
         with key_prefix("instrument"):
             return choose_solver(self.solver, [medium], self.get_wavelengths(), obstacle)
+
+
+class Albedo(SpectralInstrument):
+    """Albedo of the snowpacks of a file under skies, for their zenith angles of the sun."""
+
+    FIGURES: ClassVar = ("season",)
+
+    kind: Literal["albedo"]
+    wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
+        start=300, stop=2490, step=10
+    )
+    """vacuum wavelengths (nm), increasing, by default 300 to 2490 in steps of 10"""
+    sky: Annotated[str, AfterValidator(lambda x: check_choice("", x, SKIES))] = CLEAR_SKY
+    """sky, see `splits.sky`: `clear`, or one of the skies of SNICAR"""
+    bands: Annotated[dict[str, tuple[float, float]] | str | None, AfterValidator(_check_bands)] = (
+        None
+    )
+    """limits of bands (nm) by name, or the name of a sensor; the broadband albedo is always
+    computed"""
+
+    def check_medium(self, medium: Medium) -> None:
+        """Reject a medium other than a file of snowpacks."""
+        hint = "splits.albedo accepts other media in Python"
+        raise invalid("medium.kind", medium.kind, "snow_packs for instrument.kind = 'albedo'", hint)
 
 
 class Goniophotometer(OpticalInstrument):
@@ -213,8 +247,22 @@ class TableInstrument(OpticalInstrument):
     """quantities in the table"""
     covariance: Literal["keep", "leave_out"] = "leave_out"
     """whether the table contains the contributions of batches of rays to the errors"""
+    solver: Solver = "auto"
     parts: int = Field(8, ge=1, le=10_000)
     """number of parts of the table, each simulated by one job"""
+
+    def check_medium(self, medium: Medium) -> None:
+        """Reject a medium that the solver does not allow."""
+        super().check_medium(medium)
+        self.choose_solver([medium])
+
+    def choose_solver(self, media: Iterable[Medium], max_stderr: float = math.inf) -> str:
+        """Return the solver for all media, see `splits.tables.plan.choose_table_solver`."""
+        has_covariance = self.covariance == "keep"
+        with key_prefix("instrument"):
+            return choose_table_solver(
+                self.solver, media, self.get_wavelengths(), has_covariance, max_stderr
+            )
 
     def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
         """Reject a figure of quantities that are not in the table."""
@@ -285,6 +333,7 @@ def get_instrument_kind(content: Any) -> Any:
 
 AnyInstrument = Annotated[
     Annotated[Spectrophotometer, Tag("spectrophotometer")]
+    | Annotated[Albedo, Tag("albedo")]
     | Annotated[Goniophotometer, Tag("goniophotometer")]
     | Annotated[BeamSpread, Tag("beam_spread")]
     | Annotated[Refractometer, Tag("refractive_index")]

@@ -14,6 +14,7 @@ from splits.core.validation import check_choice, format_key, invalid, unknown_ke
 from splits.media.interpretations import merge_interpretations
 from splits.media.kinds import LAYER_CLASSES, LAYERS_KEY, get_kind, iter_layers
 from splits.media.measured_inputs import override_keywords
+from splits.media.snow_pack_files import PACK_SUFFIXES
 
 SAMPLE_KEY = "medium"
 """Grid dimension whose values are media: their settings replace those of the base medium."""
@@ -96,7 +97,7 @@ def merge_values(key: str, given: list[Any]) -> Any:
     return given[-1]
 
 
-TABLE_KEYS = ("refractive_index", "ground", "impurities_ng_g")
+TABLE_KEYS = ("refractive_index", "ground", "impurities_ng_g", "file")
 
 
 def replace_table_paths(settings: Any, replace: Callable[[str], str], inside: bool = False) -> Any:
@@ -118,7 +119,7 @@ def replace_table_paths(settings: Any, replace: Callable[[str], str], inside: bo
         }
     if isinstance(settings, (list, tuple)):
         return [replace_table_paths(value, replace, inside) for value in settings]
-    if inside and isinstance(settings, str) and settings.endswith(".csv"):
+    if inside and isinstance(settings, str) and settings.endswith(PACK_SUFFIXES):
         return replace(settings)
     return settings
 

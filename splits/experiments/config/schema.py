@@ -17,10 +17,12 @@ from splits.experiments.config.grid import GEOMSPACE_KEY, STEP_KEYS
 from splits.experiments.config.medium import SAMPLE_KEY
 from splits.experiments.config.settings import Settings
 from splits.experiments.config.simulation import NAME_PATTERN
+from splits.experiments.config.snow_packs import PACKS_KIND
 from splits.experiments.studies import STUDY_KINDS
 from splits.experiments.studies.study import Study
 from splits.media import Stack
 from splits.media.kinds import LAYERS_KEY, MEDIUM_FACTORIES
+from splits.media.snow_pack_files import read_snow_packs
 from splits.tables.axes import INCIDENCE
 
 JSON_TYPES: dict[str, dict[str, Any]] = {
@@ -80,6 +82,7 @@ def _add_media(properties: dict[str, Any], definitions: dict[str, Any]) -> None:
     factories: dict[str, Callable[..., Any]] = {**MEDIUM_FACTORIES, "stack": Stack}
     media = {kind: _make_medium(kind, factory) for kind, factory in factories.items()}
     keywords = {key: True for medium in media.values() for key in medium["properties"]}
+    media[PACKS_KIND] = _make_medium(PACKS_KIND, read_snow_packs)
     based = {"type": "object", "properties": keywords, "additionalProperties": False}
     # The kind of a medium with a base may be that of its base.
     choice = {"if": {"required": ["base"]}, "then": based, "else": {"$ref": "#/$defs/snow"}}

@@ -40,10 +40,12 @@ from splits.experiments.config.medium import (
     replace_table_paths,
 )
 from splits.experiments.config.sections import ConfigSection, FitSection, match_pattern
+from splits.experiments.config.snow_packs import PACKS_KIND, check_pack_experiment, load_packs
 from splits.media.checks import check_thickness
 from splits.media.kinds import LAYERS_KEY, MEDIUM_CLASSES, get_kind, make_medium
 from splits.media.measured_inputs import override_keywords
 from splits.media.medium import Medium
+from splits.media.snow_packs import SnowPacks
 from splits.simulation.arguments import MAX_DATASET_VALUES, check_beam_angle, check_incidence
 from splits.simulation.scene import compute_optical_constants, make_height_fields
 from splits.tables.axes import ParameterGrid
@@ -89,7 +91,13 @@ class SimulationConfig(ConfigSection):
     @model_validator(mode="after")
     def _check_runnable(self) -> SimulationConfig:
         kind = self.medium.get("kind", "snow")
-        check_choice("medium.kind", kind, MEDIUM_CLASSES)
+        check_choice("medium.kind", kind, (*MEDIUM_CLASSES, PACKS_KIND))
+        if self.has_packs:
+            for key in ("grid", "fit"):
+                if getattr(self, key):
+                    raise invalid(key, "given", "left out for medium.kind = 'snow_packs'")
+            check_pack_experiment(self.load_packs(), self.instrument)
+            return self
         self._check_keywords(kind)
         self._check_fit(kind)
         self._check_size()
@@ -115,6 +123,24 @@ class SimulationConfig(ConfigSection):
             raise invalid("grid", "open and reflecting grounds", "of one kind", hint)
         self._check_grid()
         return self
+
+    @property
+    def has_packs(self) -> bool:
+        """Whether the medium is a file of snowpacks."""
+        return self.medium.get("kind") == PACKS_KIND
+
+    @property
+    def is_in_parts(self) -> bool:
+        """Whether the experiment is simulated in parts, by several jobs."""
+        return self.has_packs or isinstance(self.instrument, TableInstrument)
+
+    def _get_keywords(self) -> dict[str, Any]:
+        """Return the keywords of the medium."""
+        return {key: value for key, value in self.medium.items() if key != "kind"}
+
+    def load_packs(self) -> SnowPacks:
+        """Return the snowpacks of a file."""
+        return load_packs(self._get_keywords())
 
     def _check_keywords(self, kind: str) -> None:
         """Reject unknown keywords of the medium, of its layers and of the grid."""
@@ -269,7 +295,7 @@ class SimulationConfig(ConfigSection):
 
     def merge_settings(self, values: dict[str, Any]) -> dict[str, Any]:
         """Return the keywords of the medium at a point of the grid, merged into the common ones."""
-        base = {k: v for k, v in self.medium.items() if k != "kind"}
+        base = self._get_keywords()
         for parameter in [p for p in values if parse_impurity_parameter(p)]:
             key, kind = parse_impurity_parameter(parameter) or ("", "")
             values[key] = {**values.get(key, {}), kind: values.pop(parameter)}
@@ -296,6 +322,9 @@ class SimulationConfig(ConfigSection):
         content = self.model_dump(mode="json", include=set(SimulationConfig.model_fields))
         if self.fit:
             del content["instrument"]["wavelength_nm"]
+        if self.has_packs:
+            # Snowpacks of a file have one solver only.
+            content["instrument"].pop("solver", None)
         return content
 
     def dump_configuration(self) -> str:

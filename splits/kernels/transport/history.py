@@ -43,7 +43,6 @@ from splits.kernels.transport.events import (
 )
 from splits.kernels.transport.flight import (
     BOUNDARY,
-    COLLISION,
     ROUGH_TOP,
     attenuate_segment,
     end_segment,
@@ -55,15 +54,14 @@ from splits.kernels.transport.rough_top import (
     intersect_rough_top,
     trace_above_surface,
 )
-from splits.kernels.transport.weight_window import leaves_weight_window
 
 TOTAL, UNSCATTERED = range(2)
 """Columns of totals: all light, and light that only smooth interfaces reflected or refracted."""
 
 
 @inline_only
-def trace_history(state, ray, scene, optics, path_lengths, crossings, window, rough_top):
-    """Trace the history of a ray until it ends or leaves its weight window.
+def trace_history(state, ray, scene, optics, path_lengths, crossings, rough_top):
+    """Trace the history of a ray until it ends.
 
     The loop plays roulette, samples the next event (a collision, a layer boundary or a facet of the
     rough top), attenuates the ray on the way there, and lets it interact.
@@ -79,8 +77,6 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
         Path lengths (m), accumulated in place.
     crossings : CrossingBuffer or None
         Records of boundary crossings; None compiles them away.
-    window : WeightWindow or None
-        None compiles splitting away.
     rough_top : SurfaceRealization or None
         The rough surface on top; None for a smooth one.
 
@@ -88,7 +84,7 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
     -------
     Ray
         With the status `ABSORBED`, `REFLECTED`, `TRANSMITTED`, `TO_GROUND` or `LOST`; `ALIVE` if
-        the ray left its weight window, or `crossings` may lack capacity for the next segment.
+        `crossings` may lack capacity for the next segment.
     """
     layers = scene.layers
     while ray.status == ALIVE:
@@ -104,13 +100,6 @@ def trace_history(state, ray, scene, optics, path_lengths, crossings, window, ro
         ray = attenuate_segment(state, ray, event.layer, scene, optics, path_lengths, crossings)
         if ray.status == ALIVE:
             ray = interact(state, ray, event, scene, optics, path_lengths, crossings, rough_top)
-        if (
-            window is not None
-            and ray.status == ALIVE
-            and event.kind == COLLISION
-            and leaves_weight_window(window, ray, layers)
-        ):
-            break
     return ray
 
 
@@ -157,7 +146,7 @@ def trace_ray(state, scene, optics, path_lengths, crossings, rough_top, max_orde
         if crossings is not None and not has_capacity(crossings, 2 * n_boundaries):
             break
         if ray.status == ALIVE:
-            ray = trace_history(state, ray, scene, optics, path_lengths, crossings, None, rough_top)
+            ray = trace_history(state, ray, scene, optics, path_lengths, crossings, rough_top)
             continue
         if crossings is not None and scene.bottom_albedo is None and not scene.rules.analog:
             code = encode_crossing(n_boundaries - 2, False)

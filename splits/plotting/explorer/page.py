@@ -107,8 +107,8 @@ def _serialize_table(label: str, entry: ExplorerTable) -> dict[str, Any]:
         "label": label,
         "file": entry.file_name,
         "about": entry.description,
-        "note": "The band is two standard errors wide on either side; it includes the noise of the "
-        "simulation and the error of interpolation between the nodes of the table.",
+        "note": "The band is two standard errors wide on either side; it includes the error of the "
+        "values and that of interpolation between the nodes of the table.",
         "axes": axes,
         "wavelength": wavelength.tolist(),
         "value": _encode_float32(dataset.reflectance.values),

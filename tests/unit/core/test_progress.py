@@ -12,7 +12,7 @@ import splits
 from splits.core.keywords import reject_unknown_arguments
 
 WITH_PROGRESS = (
-    "spectrophotometer", "goniophotometer", "beam_spread", "deep_transmittance",
+    "spectrophotometer", "goniophotometer", "beam_spread",
     "irradiance_profile", "albedo", "hdrf", "radiation_profile", "retrieve",
 )  # fmt: skip
 HALF = splits.Progress(rays=1000, stderr=0.004, target=0.002, seconds=3.0, seconds_left=1.0)

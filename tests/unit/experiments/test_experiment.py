@@ -17,6 +17,7 @@ from splits.experiments.config.grid import make_label
 from splits.experiments.config.instrument import WavelengthGrid
 from splits.experiments.config.load import read_yaml
 from splits.experiments.config.messages import validate_content
+from splits.experiments.config.simulation import SimulationConfig
 
 ROOT = Path(__file__).parents[3]
 SHIPPED = load_experiments(ROOT / "config" / "experiments", ROOT / "config" / "media")
@@ -165,7 +166,7 @@ def test_captions_and_figures_do_not_affect_simulations():
 @pytest.mark.parametrize("name", SHIPPED)
 def test_dumped_simulations_are_the_same_experiment(name):
     experiment = SHIPPED[name]
-    reloaded = ExperimentConfig.model_validate(experiment.dump_simulation())
+    reloaded = SimulationConfig.model_validate(experiment.dump_simulation())
     assert reloaded.dump_simulation() == experiment.dump_simulation()
     assert experiment.title and experiment.caption
 

@@ -90,8 +90,9 @@ WRONG_TYPES = {
         "figure.quantity = 'reflectance': must be one of transmittance",
     "instrument: {kind: beam_spread, rays: 0}": "instrument.rays = 0: must be at least 1",
     "instrument: {kind: goniophotometre}":
-        "instrument.kind = 'goniophotometre': must be one of spectrophotometer, goniophotometer, "
-        "beam_spread, refractive_index, surface_map, lens, table (did you mean goniophotometer?)",
+        "instrument.kind = 'goniophotometre': must be one of spectrophotometer, albedo, "
+        "goniophotometer, beam_spread, refractive_index, surface_map, lens, table (did you mean "
+        "goniophotometer?)",
     "instrument: {kind: goniophotometer, n_bins: [5]}":
         "instrument.n_bins = [5]: must be a list of 2 whole numbers",
     "instrument: {kind: table, radius_m: 3}":

@@ -10,6 +10,7 @@ from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment
 from splits.experiments.config.accuracy import Accuracy
 from splits.experiments.run import run
+from splits.experiments.run_table import prepare_table
 
 SNOW = "medium: {kind: natural_snow, specific_surface_area_m2_kg: 20, depth_m: 0.1}\n"
 DEEP = "medium: {kind: natural_snow, specific_surface_area_m2_kg: 20}\n"
@@ -18,6 +19,7 @@ DIRECTIONS = (
     "instrument: {kind: goniophotometer, solver: SOLVER, wavelength_nm: [600], "
     "polar_deg: [0, 50], azimuth_deg: [0, 180]}\n"
 )
+TABLE = "instrument: {kind: table, solver: SOLVER, parts: 2, wavelength_nm: [600, 1030]}\n"
 WATER = "grid: {saturation: [0, 0.1]}\n"
 
 
@@ -28,13 +30,13 @@ def load_text(folder, text, solver="discrete_ordinates"):
 
 
 def test_default_is_auto(tmp_path):
-    for text in (SPECTRUM, DIRECTIONS):
+    for text in (SPECTRUM, DIRECTIONS, TABLE + WATER):
         experiment = load_text(tmp_path, SNOW + text.replace("solver: SOLVER, ", ""))
         assert experiment.instrument.solver == "auto"
 
 
 @pytest.mark.parametrize("medium", [SNOW, DEEP])
-@pytest.mark.parametrize("instrument", [SPECTRUM, DIRECTIONS])
+@pytest.mark.parametrize("instrument", [SPECTRUM, DIRECTIONS, TABLE])
 @pytest.mark.parametrize("solver", ["discrete_ordinates", "auto"])
 def test_experiments_run_by_discrete_ordinates(tmp_path, medium, instrument, solver):
     grid = "grid: {density_kg_m3: [100, 300]}\n"
@@ -53,6 +55,12 @@ def test_experiments_run_by_discrete_ordinates(tmp_path, medium, instrument, sol
         (SNOW + SPECTRUM + "grid: {saturation: [0, 0.6]}\n", "has a saturation of 0.6"),
         (SNOW + SPECTRUM.replace("1030]", "3000]"), "at 3000 nm"),
         (SNOW + SPECTRUM.replace("wave", "estimator: analog, wave"), "the estimator needs paths"),
+        ("medium: {kind: sand}\n" + TABLE + WATER, "is no natural snow"),
+        (SNOW + TABLE + "grid: {saturation: [0, 0.6]}\n", "has a saturation of 0.6"),
+        (
+            SNOW + TABLE.replace("parts", "covariance: keep, parts") + WATER,
+            "a covariance needs batches",
+        ),
         (SNOW + DIRECTIONS + WATER, "the BRDF of wet snow needs paths"),
         (SNOW + DIRECTIONS.replace("polar", "target: btdf, polar"), "the BTDF needs paths"),
         (SNOW + DIRECTIONS.replace("polar", "rays: 1000, polar"), "a number of rays needs paths"),
@@ -76,3 +84,14 @@ def test_directions_of_one_grid_have_one_solver(tmp_path):
 def test_semi_infinite_snow_has_no_brdf_by_paths(tmp_path):
     with pytest.raises(ConfigError, match=r"medium\.depth_m"):
         load_text(tmp_path, DEEP + DIRECTIONS, "monte_carlo")
+
+
+def test_parts_of_a_table_hold_all_angles_of_a_medium(tmp_path):
+    grid = "grid: {incidence_deg: [0, 30, 60], density_kg_m3: [100, 200, 300]}\n"
+    accuracy = Accuracy(max_stderr=0.01, relative_stderr=0.05, max_rays=None)
+    for solver, n_media in (("discrete_ordinates", [2, 1]), ("monte_carlo", [3, 3])):
+        experiment = load_text(tmp_path, SNOW + TABLE + grid, solver)
+        plan, request = prepare_table(experiment, accuracy, 1)
+        parts = [plan.select_part(part, 2, request.solver) for part in range(2)]
+        assert [len({id(one.path_sharing) for one in groups}) for groups in parts] == n_media
+        assert sorted(one.number for groups in parts for one in groups) == list(range(9))

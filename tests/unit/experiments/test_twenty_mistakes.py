@@ -55,15 +55,16 @@ MISTAKES = [
      IN_SCHEMA),
     ("plan\n", "plane\n", "line 21: figure.kind = 'principal_plan': must be one of spectra, "
      "points, refractive_index, swatches, fit, principal_plane, hemisphere, lobes, bins, spread, "
-     "surface, lens, polarization, summary, none (did you mean principal_plane?)", IN_SCHEMA),
+     "surface, lens, polarization, summary, season, none (did you mean principal_plane?)",
+     IN_SCHEMA),
     ("$x^$", "$x^2$", "line 23: figure.legend = '$x^$': must be text that matplotlib can typeset "
      "(write \\$ for a dollar sign)", NO_FORMULAS),
     ("[1, 0]", "[0, 1]", "line 24: figure.ylim = [1.0, 0.0]: must be low < high", NO_ORDER),
     ("Mine", "mine", "line 1: name = 'Mine': must be lower-case letters, digits and underscores, a "
      "letter first, no device such as con or nul", IN_SCHEMA),
     ("metre", "meter", "line 10: instrument.kind = 'goniophotometre': must be one of "
-     "spectrophotometer, goniophotometer, beam_spread, refractive_index, surface_map, lens, table "
-     "(did you mean goniophotometer?)", IN_SCHEMA),
+     "spectrophotometer, albedo, goniophotometer, beam_spread, refractive_index, surface_map, "
+     "lens, table (did you mean goniophotometer?)", IN_SCHEMA),
     ("  radius_m: 3\n", "", "line 13: instrument.radius_m = 3: must be left out for "
      "goniophotometer (it belongs to lens)", IN_SCHEMA),
     ("550", "[550]", "line 11: instrument.wavelength_nm = 550: must be a mapping with start, stop, "

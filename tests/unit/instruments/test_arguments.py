@@ -17,11 +17,9 @@ INSTRUMENT_CALLS = {
     "beam_spread": lambda medium: splits.beam_spread(medium, [600]),
     "fixed_spectrum": lambda medium: estimate_fixed_budget(medium, [600], 0.0, [0], 1, 1),
     "single_scattering": lambda medium: splits.single_scattering(medium, [600]),
-    "deep_transmittance": lambda medium: splits.deep_transmittance(medium, [600]),
     "lens": lambda medium: splits.lens(medium, [1.0], 0.1, half_width_m=1.0),
     "surface_map": lambda medium: splits.surface_map(medium, 1.0),
 }
-GRAIN_CALLS = ("single_scattering", "deep_transmittance")
 SURFACE_CALLS = ("lens", "surface_map")
 
 
@@ -39,7 +37,7 @@ def test_objects_other_than_media_are_rejected(instrument, medium):
 @pytest.mark.parametrize(
     ("instrument", "medium"),
     [
-        *((name, ROUGH) for name in GRAIN_CALLS),
+        ("single_scattering", ROUGH),
         *((name, medium) for name in SURFACE_CALLS for medium in (splits.Snow(), splits.Sand())),
     ],
 )

@@ -16,7 +16,6 @@ EXAMPLES = {
     "irradiance_profile": lambda: splits.irradiance_profile(
         STACK, [500, 900], [0.002, 0.012], max_stderr=0.2
     ),
-    "deep": lambda: splits.deep_transmittance(SNOW, [500], relative_stderr=0.5),
     "single": lambda: splits.single_scattering(SNOW, [500, 900], 8, 2000),
     "several media": lambda: splits.spectrophotometer(
         {"clean": SNOW, "grey": GREY_GROUND}, [500, 900], max_stderr=0.2

@@ -9,6 +9,7 @@ import xarray as xr
 
 import splits
 from splits.core.validation import InvalidValue
+from splits.media.snow_pack_files import read_snow_packs
 
 NAN = np.nan
 NAMESPACE = "http://caaml.org/Schemas/SnowProfileIACS/v6.0.5"
@@ -284,3 +285,32 @@ def test_invalid_output_raises_one_line(call, message):
 def test_a_missing_file_is_named():
     with pytest.raises(FileNotFoundError, match=r"none\.nc: no such file"):
         splits.read_crocus("none.nc")
+
+
+# --- files of any format --------------------------------------------------------------------------
+
+
+def test_files_of_all_formats_are_read(tmp_path):
+    pits = [
+        write_pit(tmp_path / f"{day}.caaml", STRATIGRAPHY, DENSITY, AREA, time=f"2024-02-0{day}")
+        for day in (1, 2)
+    ]
+    names = [str(one) for one in pits]
+    packs = splits.read_caaml(pits).with_ground(0.3)
+    assert read_snow_packs(names, ground=0.3).dataset.equals(packs.dataset)
+    assert read_snow_packs(names[0], 0.3).dataset.equals(packs.dataset.isel(time=[0]))
+    splits.save(packs.dataset, tmp_path / "own.nc")
+    assert read_snow_packs(str(tmp_path / "own.nc")).dataset.equals(packs.dataset)
+    make_output().to_netcdf(tmp_path / "crocus.nc")
+    crocus = read_snow_packs(str(tmp_path / "crocus.nc"), point=1)
+    assert crocus.dataset.equals(splits.read_crocus(make_output(), point=1).dataset)
+    table = packs.dataset.drop_vars(["quality_flag", "layer_flag"]).to_dataframe().reset_index()
+    table.dropna().to_csv(tmp_path / "own.csv", index=False)
+    dates = read_snow_packs(str(tmp_path / "own.csv")).dataset.time
+    assert dates.equals(packs.dataset.time)
+
+
+@pytest.mark.parametrize("file", ["none.csv", "season.txt", [], ["a.csv", "b.csv"]])
+def test_invalid_files_are_named(file):
+    with pytest.raises(InvalidValue, match=r"^file = "):
+        read_snow_packs(file)

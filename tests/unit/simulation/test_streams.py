@@ -14,7 +14,6 @@ from splits.instruments.angular_bins import AngularBinTally
 from splits.instruments.beam_spread_tally import BeamSpreadTally
 from splits.instruments.expansion_tally import ORDER_CLASSES, ExpansionTally
 from splits.instruments.flux_tally import FluxTally
-from splits.instruments.transmittance_tally import N_PILOTS, TransmittanceTally
 from splits.kernels.tallies.angular import make_basis
 from splits.simulation.scene import OpticalConstants, build_scene
 from splits.simulation.single_scattering_tally import SingleScatteringTally
@@ -40,8 +39,8 @@ def test_first_streams_leave_room_for_all_strata():
     for module in pkgutil.walk_packages(splits.__path__, "splits."):
         importlib.import_module(module.name)
     offsets = sorted([ANALOG_STREAM, *(one.first_stream for one in list_tally_classes())])
-    max_streams = MAX_SEPARATE_NODES * max(len(STRATUM_BOUNDS), len(ORDER_CLASSES), N_PILOTS + 1)
-    assert len(set(offsets)) == len(offsets) == 9
+    max_streams = MAX_SEPARATE_NODES * max(len(STRATUM_BOUNDS), len(ORDER_CLASSES))
+    assert len(set(offsets)) == len(offsets) == 8
     assert min(np.diff(offsets)) > max_streams
 
 
@@ -66,10 +65,6 @@ def test_strata_have_different_streams():
         BeamSpreadTally(nodes, absorption, 1.0): 3,
         BeamSpreadTally(nodes, absorption, 1.0, first_node=3): 3,
         SingleScatteringTally(nodes, absorption, np.zeros(3), 2, 2048): 3,
-        **{
-            TransmittanceTally(traced_medium.constants, np.ones(3), stage): 3
-            for stage in range(N_PILOTS + 1)
-        },
     }
     for tally, n_strata in tallies.items():
         assert len(tally.strata) == n_strata

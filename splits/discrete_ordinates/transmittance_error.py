@@ -1,0 +1,65 @@
+"""Relative errors of small transmittances.
+
+The transmittance T of thick layers is an exponential of their thickness.  The errors of streams and
+of optics therefore change its logarithm, in proportion to 1 + |ln T|, and combine
+
+- truncation, the difference from twice as many streams at some wavelengths;
+- the statistical error of the tables.  Light is attenuated at the rate √(3 (1 − ω) (1 − g)) per
+  mean free path (Ishimaru 1978, Wave Propagation and Scattering in Random Media, section 9.1).  The
+  errors of (1 − ω) and (1 − g) are independent, and the relative error of their ratio is known;
+  this rate has half of it;
+- for wet snow, the error of the balance between dry and wet pores.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from splits.discrete_ordinates.integrals import TINY
+from splits.discrete_ordinates.interval_profile import find_similarity_error
+from splits.discrete_ordinates.snowpack import (
+    Snowpack,
+    SpectrumSolution,
+    choose_trial_wavelengths,
+    solve_spectrum,
+    spread_truncation,
+)
+
+OPTICS_SHARE = 0.5
+"""Error of ln T, relative to 1 + |ln T|, over that of (1 − ω)/(1 − g)."""
+BALANCE_ERROR = 1e-3
+"""Error of ln T of wet snow, relative to 1 + |ln T|: the largest if light changes 3.5 % more often
+between dry and wet pores, half of the difference of both estimates."""
+SUFFICIENT_ERROR = 0.01
+"""Ratio of the error of a reflectance to a transmittance, below which it is that of both."""
+
+
+def solve_with_exponent_error(
+    snowpack: Snowpack, cosines: np.ndarray, max_error: float
+) -> SpectrumSolution:
+    """Return the budget of light with the errors of small transmittances; see `solve_spectrum`."""
+    solution = solve_spectrum(snowpack, cosines, max_error)
+    transmittance = solution.budget.transmittance
+    is_small = transmittance * SUFFICIENT_ERROR < solution.error[:, np.newaxis]
+    if not (is_small & (transmittance > 0.0)).any():
+        return solution
+    error = _compute_exponent_error(snowpack, cosines, solution.n_streams)
+    return solution._replace(exponent_error=error)
+
+
+def _compute_exponent_error(snowpack: Snowpack, cosines: np.ndarray, n_streams: int) -> np.ndarray:
+    """Return the error of ln T relative to 1 + |ln T|, shape (wavelengths,)."""
+    n_wavelengths = snowpack.ground.size
+    trial = choose_trial_wavelengths(n_wavelengths)
+    few = snowpack.select(trial)
+    coarse, fine = (
+        np.log(np.maximum(few.solve(cosines, number).transmittance, TINY))
+        for number in (n_streams, 2 * n_streams)
+    )
+    truncation = (np.abs(coarse - fine) / (1.0 + np.abs(fine))).max(axis=-1)
+    optics = OPTICS_SHARE * find_similarity_error(snowpack.layers[0].contrast, snowpack.is_wet)
+    balance = BALANCE_ERROR if snowpack.is_wet else 0.0
+    error: np.ndarray = np.sqrt(
+        spread_truncation(truncation, trial, n_wavelengths) ** 2 + optics**2 + balance**2
+    )
+    return error

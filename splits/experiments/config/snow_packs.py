@@ -1,0 +1,79 @@
+"""Experiments on the snowpacks of a file, which are divided into blocks and parts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from inspect import signature
+from typing import Any
+
+import numpy as np
+
+from splits.core.paths import expand_path
+from splits.core.validation import invalid, key_prefix, unknown_key
+from splits.experiments.config.instrument import Instrument
+from splits.experiments.config.instrument_kinds import Albedo, Spectrophotometer
+from splits.experiments.config.medium import list_table_paths
+from splits.instruments.pack_run import SUN, check_pack_wavelengths
+from splits.instruments.solver import MONTE_CARLO
+from splits.media.snow_pack_files import read_snow_packs
+from splits.media.snow_pack_input import ZENITH_KEY
+from splits.media.snow_packs import SnowPacks
+from splits.simulation.arguments import MAX_DATASET_VALUES
+
+PACKS_KIND = "snow_packs"
+"""Kind of the medium of a file of snowpacks."""
+PACKS_PER_BLOCK, BLOCKS_PER_PART = 50, 10
+
+
+def load_packs(settings: Mapping[str, Any]) -> SnowPacks:
+    """Return the snowpacks of the keywords of a medium; the last files are kept in memory."""
+    for key in settings:
+        if key not in (names := [*signature(read_snow_packs).parameters]):
+            raise unknown_key(f"medium.{key}", names)
+    if "file" not in settings:
+        raise invalid("medium.file", None, "given", "the file of the snowpacks")
+    files = [expand_path(path) for path in list_table_paths(settings)]
+    states = [(one.stat().st_mtime_ns, one.stat().st_size) for one in files if one.is_file()]
+    with key_prefix("medium"):
+        return _load_packs(json.dumps(settings), tuple(states))
+
+
+@lru_cache(maxsize=2)
+def _load_packs(settings: str, states: tuple[tuple[int, int], ...]) -> SnowPacks:
+    """Return the snowpacks of settings as JSON, for a state of their files."""
+    return read_snow_packs(**json.loads(settings))
+
+
+def count_pack_parts(packs: SnowPacks) -> int:
+    """Return the number of parts of an experiment on snowpacks, each simulated by one job."""
+    return -(-len(packs) // (PACKS_PER_BLOCK * BLOCKS_PER_PART))
+
+
+def check_pack_experiment(packs: SnowPacks, instrument: Instrument) -> None:
+    """Reject an instrument that does not measure snowpacks, or not these.
+
+    The error names the key.
+    """
+    if not isinstance(instrument, Spectrophotometer | Albedo):
+        allowed = "spectrophotometer or albedo for medium.kind = 'snow_packs'"
+        raise invalid("instrument.kind", instrument.kind, allowed)
+    count = len(packs) * instrument.count_values()
+    if count > MAX_DATASET_VALUES:
+        given = f"{len(packs)} snowpacks of {instrument.count_values()} values each"
+        allowed = f"at most {MAX_DATASET_VALUES} values in all"
+        raise invalid("medium.file", given, allowed, "split it into several files")
+    if isinstance(instrument, Spectrophotometer):
+        has_solver = "solver" in instrument.model_fields_set
+        if has_solver and instrument.solver == MONTE_CARLO:
+            allowed = "left out, discrete_ordinates or auto for snow_packs"
+            raise invalid("instrument.solver", instrument.solver, allowed)
+        if instrument.estimator == "analog":
+            raise invalid("instrument.estimator", "analog", "left out for snow_packs")
+    needs_sun = isinstance(instrument, Albedo) or instrument.get_incidence() == SUN
+    if needs_sun and ZENITH_KEY not in packs.dataset:
+        raise invalid("medium.file", f"without {ZENITH_KEY}", "with the zenith angles of the sun")
+    is_wet = np.any(packs.to_arrays().liquid_water_content > 0.0, axis=1)
+    with key_prefix("instrument"):
+        check_pack_wavelengths(instrument.get_wavelengths(), is_wet)

@@ -1,0 +1,133 @@
+"""Execution of experiments on the snowpacks of a file: blocks of snowpacks, and all of them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import xarray as xr
+
+from splits.core.progress import LogCallback
+from splits.core.provenance import hash_physics_sources
+from splits.experiments.config.accuracy import Accuracy
+from splits.experiments.config.instrument_kinds import Albedo, Spectrophotometer
+from splits.experiments.config.simulation import SimulationConfig
+from splits.experiments.config.snow_packs import PACKS_PER_BLOCK, count_pack_parts
+from splits.instruments import albedo, spectrophotometer
+from splits.io.netcdf import make_provenance, save, to_netcdf_attributes
+from splits.media.snow_packs import SnowPacks
+from splits.tables.block import DIGEST_ATTRIBUTE, load_block, make_block_path
+
+LARGEST_ATTRIBUTES = ("max_stderr_reached", "streams", "truncation_error", "optics_error")
+"""Attributes that are the largest of all blocks."""
+
+
+def run_pack_part(
+    experiment: SimulationConfig,
+    accuracy: Accuracy,
+    folder: Path,
+    part: int,
+    threads: int | None,
+    log: LogCallback,
+) -> list[Path]:
+    """Simulate the blocks of one part that the folder lacks, and return the files of all of them.
+
+    For the arguments, see `splits.experiments.run_table.run_part`.
+    """
+    packs = experiment.load_packs()
+    blocks = _divide(packs)[part :: count_pack_parts(packs)]
+    return [
+        make_block_path(folder, number, str(block.attrs[DIGEST_ATTRIBUTE]))
+        for number, block in _iterate_blocks(experiment, accuracy, blocks, folder, threads, log)
+    ]
+
+
+def run_packs(
+    experiment: SimulationConfig,
+    accuracy: Accuracy,
+    folder: Path | None,
+    threads: int | None,
+    log: LogCallback,
+) -> xr.Dataset:
+    """Return the spectra or albedos of all snowpacks, as `splits.spectrophotometer` does.
+
+    Blocks in the folder are kept; missing ones are simulated.
+    """
+    start_time = time.perf_counter()
+    packs = experiment.load_packs()
+    found = _iterate_blocks(experiment, accuracy, _divide(packs), folder, threads, log)
+    blocks = [block for _, block in found]
+    dataset = xr.concat(
+        blocks, packs.label, data_vars="minimal", coords="minimal", compat="override",
+        combine_attrs="override",
+    )  # fmt: skip
+    del dataset.attrs[DIGEST_ATTRIBUTE]
+    attributes = {
+        **{key: max(block.attrs[key] for block in blocks) for key in LARGEST_ATTRIBUTES},
+        **{f"{packs.kind}_{key}": value for key, value in packs.describe().items()},
+        "title": f"Experiment {experiment.name}",
+        "experiment": experiment.name,
+        "configuration": experiment.dump_configuration(),
+        "wall_time_s": round(time.perf_counter() - start_time, 3),
+        **make_provenance(f"experiment {experiment.name}"),
+    }
+    return dataset.assign_attrs(to_netcdf_attributes(attributes))
+
+
+def _divide(packs: SnowPacks) -> list[tuple[int, SnowPacks]]:
+    """Return the blocks of snowpacks with their numbers."""
+    starts = range(0, len(packs), PACKS_PER_BLOCK)
+    slices = [{packs.label: slice(start, start + PACKS_PER_BLOCK)} for start in starts]
+    return [
+        (number, SnowPacks(packs.dataset.isel(rows), packs.label))
+        for number, rows in enumerate(slices)
+    ]
+
+
+def _iterate_blocks(
+    experiment: SimulationConfig,
+    accuracy: Accuracy,
+    blocks: Sequence[tuple[int, SnowPacks]],
+    folder: Path | None,
+    threads: int | None,
+    log: LogCallback,
+) -> Iterator[tuple[int, xr.Dataset]]:
+    """Yield the results of blocks with their numbers, loaded from a folder or stored there."""
+    for done, (number, packs) in enumerate(blocks, start=1):
+        digest = _compute_digest(experiment, accuracy, packs)
+        result = None if folder is None else load_block(folder, number, digest)
+        if result is None:
+            result = _measure(experiment, accuracy, packs, threads)
+            result = result.assign_attrs({DIGEST_ATTRIBUTE: digest})
+            if folder is not None:
+                save(result, make_block_path(folder, number, digest))
+        log(f"{experiment.name}: {done} of {len(blocks)} blocks done, from {number}")
+        yield number, result
+
+
+def _measure(
+    experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks, threads: int | None
+) -> xr.Dataset:
+    """Return the spectra or albedos of snowpacks."""
+    instrument = experiment.instrument
+    error, wavelengths = instrument.scale_stderr(accuracy.max_stderr), instrument.get_wavelengths()
+    if isinstance(instrument, Albedo):
+        return albedo(
+            packs, instrument.sky, wavelengths, error, bands=instrument.bands, threads=threads
+        )
+    assert isinstance(instrument, Spectrophotometer)
+    return spectrophotometer(packs, wavelengths, instrument.get_incidence(), error, threads=threads)
+
+
+def _compute_digest(experiment: SimulationConfig, accuracy: Accuracy, packs: SnowPacks) -> str:
+    """Return the SHA-256 of all inputs that determine the values of a block."""
+    instrument = experiment.instrument
+    error = instrument.scale_stderr(accuracy.max_stderr)
+    inputs = [hash_physics_sources(), instrument.model_dump(mode="json"), error]
+    digest = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode())
+    table = packs.dataset.to_dict()
+    digest.update(json.dumps(table, sort_keys=True, default=str).encode())
+    return digest.hexdigest()

@@ -31,7 +31,7 @@ from splits.retrieval.residual_covariance import (
     estimate_fit_covariance,
 )
 from splits.retrieval.result import Solution, compute_prior_tension
-from splits.retrieval.simulation_model import SimulationForwardModel
+from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.state_vector import StateVector
 
 
@@ -120,10 +120,10 @@ def retrieve_from_table(
     )
 
 
-def retrieve_by_simulation(
-    model: SimulationForwardModel, measurement: Measurement, seed: int
+def retrieve_from_medium(
+    model: MediumForwardModel, measurement: Measurement, seed: int
 ) -> tuple[Solution, Measurement]:
-    """Return the solution by simulation for unknown noise, and the measurement with its noise."""
+    """Return the solution from a medium for unknown noise, and the measurement with its noise."""
     check_enough_values(len(model.state_vector.names), measurement)
     state_vector = model.state_vector
     model.state_vector = state_vector.drop_priors()

@@ -17,7 +17,7 @@ from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import (
     check_measurement_incidence,
     make_medium_state_vector,
-    make_simulation_model,
+    make_medium_model,
 )
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
@@ -35,7 +35,7 @@ from splits.retrieval.result import (
     compute_variance_inflation,
     make_result,
 )
-from splits.retrieval.simulation_model import SimulationForwardModel
+from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
 
@@ -51,6 +51,7 @@ def retrieve(
     prior: Mapping[str, Any] | None = None,
     bands: Any = None,
     quantity: str = "reflectance",
+    solver: str = "auto",
     seed: int = 1,
     max_stderr: float | None = None,
     progress: ProgressCallback = None,
@@ -154,26 +155,24 @@ def retrieve(
     measurement = Measurement.from_input(measured, noise, bands)
     incidence = check_measurement_incidence(fixed, free)
     state_vector = make_medium_state_vector(model, free, prior, incidence)
-    simulation_model = make_simulation_model(
-        model, measurement, state_vector, incidence, max_stderr, seed, progress
+    medium_model = make_medium_model(
+        model, measurement, state_vector, incidence, solver, max_stderr, seed, progress
     )
     if not measurement.noise_known:
-        solution, measurement = least_squares.retrieve_by_simulation(
-            simulation_model, measurement, seed
-        )
+        solution, measurement = least_squares.retrieve_from_medium(medium_model, measurement, seed)
     else:
-        solution = _solve_by_simulation(simulation_model, measurement, seed)
+        solution = _solve_from_medium(medium_model, measurement, seed)
     return make_result(state_vector, measurement, solution)
 
 
-def _solve_by_simulation(
-    model: SimulationForwardModel, measurement: Measurement, seed: int
+def _solve_from_medium(
+    model: MediumForwardModel, measurement: Measurement, seed: int
 ) -> Solution:
-    """Return the solution by simulation for known noise."""
+    """Return the solution from a medium for known noise."""
     converged = model.find_minima()
     linear_model = LinearizedModel(model.state_vector, converged.linearize(measurement.covariance))
     solution = _solve(linear_model, measurement, seed)
-    noise = solution.variance_inflation * (measurement.covariance + converged.noise_covariance)
+    noise = solution.variance_inflation * (measurement.covariance + converged.model_covariance)
     nonlinearity = estimate_nonlinearity(
         model.evaluate_last_stage,
         linear_model,

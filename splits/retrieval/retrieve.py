@@ -12,6 +12,7 @@ from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
 from splits.retrieval import least_squares
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.interpolated_model import MAX_DEVIATION, InterpolatedModel, refine_posterior
 from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import (
@@ -26,6 +27,7 @@ from splits.retrieval.optimal_estimation import (
     find_map_estimate,
     summarize_posterior,
 )
+from splits.retrieval.ordinates_model import OrdinatesForwardModel
 from splits.retrieval.posterior import draw_posterior
 from splits.retrieval.result import (
     MAX_PRIOR_TENSION,
@@ -38,6 +40,8 @@ from splits.retrieval.result import (
 from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
+
+RetrievalModel = TableForwardModel | LinearizedModel | InterpolatedModel
 
 
 @reject_unknown_arguments
@@ -180,13 +184,19 @@ def _solve_from_medium(
         solution.posterior.covariance,
         noise,
     )
-    return solution._replace(
-        nonlinearity=nonlinearity, alternatives=converged.find_alternatives(ALTERNATIVE_CHI2)
-    )
+    solution = solution._replace(nonlinearity=nonlinearity)
+    if nonlinearity > MAX_DEVIATION and isinstance(model, OrdinatesForwardModel):
+        solution = refine_posterior(
+            model.evaluate_last_stage,
+            linear_model,
+            solution,
+            lambda interpolated: _solve(interpolated, measurement, seed),
+        )
+    return solution._replace(alternatives=converged.find_alternatives(ALTERNATIVE_CHI2))
 
 
 def _solve(
-    model: TableForwardModel | LinearizedModel, measurement: Measurement, seed: int
+    model: RetrievalModel, measurement: Measurement, seed: int
 ) -> Solution:
     """Return the solution: estimates, posterior and draws."""
     state_vector, first_guesses = model.state_vector, model.evaluate_first_guesses()
@@ -222,7 +232,7 @@ def _solve(
 
 
 def _solve_without_priors(
-    model: TableForwardModel | LinearizedModel, measurement: Measurement, estimate: MAPEstimate
+    model: RetrievalModel, measurement: Measurement, estimate: MAPEstimate
 ) -> MAPEstimate:
     """Return the estimate without priors near that with priors."""
     state_vector = model.state_vector

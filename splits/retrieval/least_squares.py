@@ -16,6 +16,7 @@ from splits.core.validation import invalid
 from splits.retrieval.forward_model import TableForwardModel
 from splits.retrieval.linearization import Linearization, LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAPEstimate,
@@ -31,7 +32,6 @@ from splits.retrieval.residual_covariance import (
     estimate_fit_covariance,
 )
 from splits.retrieval.result import Solution, compute_prior_tension
-from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.state_vector import StateVector
 
 

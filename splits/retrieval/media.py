@@ -10,6 +10,7 @@ import numpy as np
 from splits.core.arrays import check_named_numbers
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_range, invalid, key_prefix, unknown_key
+from splits.discrete_ordinates.applicability import find_obstacle, find_parameter_obstacle
 from splits.instruments.solver import MONTE_CARLO, SOLVERS, choose_solver
 from splits.media.checks import check_medium
 from splits.media.measured_inputs import check_no_equivalents
@@ -95,8 +96,10 @@ def make_medium_model(
     arguments = medium, measurement, state_vector, incidence, seed
     if check_choice("solver", solver, SOLVERS) != MONTE_CARLO:
         model = OrdinatesForwardModel(*arguments)
-        media = model.list_extreme_media()
-        if choose_solver(solver, media, model.wavelengths, None, model.names) != MONTE_CARLO:
+        media, obstacle = model.list_extreme_media(), None
+        if find_obstacle(medium, model.wavelengths) is None:
+            obstacle = find_parameter_obstacle(media[0], model.names)
+        if choose_solver(solver, media, model.wavelengths, obstacle) != MONTE_CARLO:
             model.choose_streams(max_stderr or MAX_ERROR)
             return model
     return SimulationForwardModel(*arguments, max_stderr, progress)

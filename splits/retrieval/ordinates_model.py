@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -31,8 +32,10 @@ class OrdinatesForwardModel(MediumForwardModel):
     which need one solution per parameter and hold for dry and for wet snow.
     """
 
-    n_streams = 0
-    _truncation = np.zeros(0)
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.n_streams, self._truncation = 0, np.zeros(self.wavelengths.size)
+        self._solutions: dict[tuple[bytes, int], np.ndarray] = {}
 
     def list_extreme_media(self) -> list[Medium]:
         """Return the media in the middle (first) and at all corners of the ranges that exist."""
@@ -63,8 +66,14 @@ class OrdinatesForwardModel(MediumForwardModel):
             return np.arange(n_values)
         return choose_trial_wavelengths(n_values)
 
-    def _solve(self, state: np.ndarray, stage: int) -> np.ndarray:
+    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return the modelled measurement, shape (n,)."""
+        key = (state.tobytes(), stage)
+        if key not in self._solutions:
+            self._solutions[key] = self._solve(state, stage)
+        return self._solutions[key]
+
+    def _solve(self, state: np.ndarray, stage: int) -> np.ndarray:
         medium, incidence, scale = self.make_inputs(state)
         operator = self.operator[self.select_values(stage)]
         used = np.flatnonzero(operator.any(axis=0))
@@ -74,10 +83,6 @@ class OrdinatesForwardModel(MediumForwardModel):
         # The beam is first, and diffuse light alone where there is none.
         values: np.ndarray = scale * (operator[:, used] @ budget.reflectance[:, 0])
         return values
-
-    def evaluate(self, state: np.ndarray, stage: int) -> np.ndarray:
-        """Return the modelled measurement, shape (n,)."""
-        return self._solve(state, stage)
 
     def evaluate_with_covariance(
         self, state: np.ndarray, stage: int
@@ -92,11 +97,11 @@ class OrdinatesForwardModel(MediumForwardModel):
         distance = np.abs(self.wavelengths[:, np.newaxis] - self.wavelengths)
         covariance = np.exp(-distance / ERROR_CORRELATION_NM) * np.outer(stderr, stderr)
         operator = self.operator[self.select_values(stage)]
-        return self._solve(state, stage), operator @ covariance @ operator.T
+        return self.evaluate(state, stage), operator @ covariance @ operator.T
 
     def compute_jacobian(self, state: np.ndarray, stage: int) -> np.ndarray:
         """Return the Jacobian with respect to the coordinates, shape (n, parameters)."""
-        values, columns = self._solve(state, stage), []
+        values, columns = self.evaluate(state, stage), []
         for row in range(len(state)):
             step = -DIFFERENCE_STEP if state[row] > 0.5 else DIFFERENCE_STEP
             shifted = state.copy()

@@ -17,9 +17,10 @@ from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearit
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import (
     check_measurement_incidence,
-    make_medium_state_vector,
     make_medium_model,
+    make_medium_state_vector,
 )
+from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAPEstimate,
@@ -37,7 +38,6 @@ from splits.retrieval.result import (
     compute_variance_inflation,
     make_result,
 )
-from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
 
@@ -169,9 +169,7 @@ def retrieve(
     return make_result(state_vector, measurement, solution)
 
 
-def _solve_from_medium(
-    model: MediumForwardModel, measurement: Measurement, seed: int
-) -> Solution:
+def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed: int) -> Solution:
     """Return the solution from a medium for known noise."""
     converged = model.find_minima()
     linear_model = LinearizedModel(model.state_vector, converged.linearize(measurement.covariance))
@@ -195,9 +193,7 @@ def _solve_from_medium(
     return solution._replace(alternatives=converged.find_alternatives(ALTERNATIVE_CHI2))
 
 
-def _solve(
-    model: RetrievalModel, measurement: Measurement, seed: int
-) -> Solution:
+def _solve(model: RetrievalModel, measurement: Measurement, seed: int) -> Solution:
     """Return the solution: estimates, posterior and draws."""
     state_vector, first_guesses = model.state_vector, model.evaluate_first_guesses()
     estimates = find_distinct_map_estimates(model, measurement, *first_guesses)

@@ -118,7 +118,7 @@ class MediumForwardModel(ABC):
         """Return the modelled measurement, shape (n,)."""
         return self.evaluate_with_covariance(state, stage)[0]
 
-    def evaluate_last_stage(self, state: np.ndarray) -> np.ndarray:
+    def evaluate_state(self, state: np.ndarray) -> np.ndarray:
         """Return the modelled measurement of the last stage, shape (n,)."""
         return self.evaluate(state, LAST_STAGE)
 

@@ -10,9 +10,9 @@ import numpy as np
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
-from splits.retrieval import least_squares
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.interpolated_model import MAX_DEVIATION, InterpolatedModel, refine_posterior
+from splits.retrieval.least_squares import retrieve_without_noise
 from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import (
@@ -73,7 +73,8 @@ def retrieve(
         with `bands`.
     model : Table or medium
         A table, see `splits.build_table` and `splits.open_table`; or a snow, sand, layer or stack,
-        which is simulated as often as necessary (some minutes).
+        which is solved by discrete ordinates (a fraction of a second) or simulated as often as
+        necessary (some minutes).
     free : sequence of str or mapping
         Free axes of the table, or their (low, high) by name.  For a medium, (low, high) of
         parameters named as for derivatives (``layers.0.depth_m``).  ``scale`` is a factor of the
@@ -95,13 +96,17 @@ def retrieve(
         Bands of the sensor, as for `splits.albedo`.
     quantity : str
         Quantity of the table.
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
+        Solver for a medium, as for `splits.spectrophotometer`.  "auto" uses discrete ordinates if
+        they apply within all ranges.
     seed : int
         Seed of the draws and of simulations.
     max_stderr : float, optional
         Standard error of the final simulations of a medium; by default half of the smallest noise,
-        within 0.001 to 0.01, and 0.002 for unknown noise.
+        within 0.001 to 0.01, and 0.002 for unknown noise.  For discrete ordinates, it determines
+        the number of streams, and is 0.001 by default.
     progress : callable or bool, optional
-        See `splits.Progress`; True for a bar.  Retrievals from a table do not report.
+        See `splits.Progress`; True for a bar.  Only retrievals by simulation report.
 
     Returns
     -------
@@ -115,7 +120,8 @@ def retrieve(
     Raises
     ------
     ValueError
-        For gaps, values in per cent, noise of 0, wavelengths outside the table, or invalid ranges.
+        For gaps, values in per cent, noise of 0, wavelengths outside the table, invalid ranges, or
+        discrete ordinates for a medium to which they do not apply.
 
     References
     ----------
@@ -145,9 +151,7 @@ def retrieve(
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
         forward_model = TableForwardModel(model, measurement, state_vector, fixed, quantity)
         if not measurement.noise_known:
-            solution, measurement = least_squares.retrieve_from_table(
-                forward_model, measurement, seed
-            )
+            solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
         else:
             solution = _solve(forward_model, measurement, seed)
         return make_result(state_vector, measurement, solution)
@@ -163,7 +167,7 @@ def retrieve(
         model, measurement, state_vector, incidence, solver, max_stderr, seed, progress
     )
     if not measurement.noise_known:
-        solution, measurement = least_squares.retrieve_from_medium(medium_model, measurement, seed)
+        solution, measurement = retrieve_without_noise(medium_model, measurement, seed)
     else:
         solution = _solve_from_medium(medium_model, measurement, seed)
     return make_result(state_vector, measurement, solution)
@@ -176,7 +180,7 @@ def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed
     solution = _solve(linear_model, measurement, seed)
     noise = solution.variance_inflation * (measurement.covariance + converged.model_covariance)
     nonlinearity = estimate_nonlinearity(
-        model.evaluate_last_stage,
+        model.evaluate_state,
         linear_model,
         solution.estimates[0].state,
         solution.posterior.covariance,
@@ -185,7 +189,7 @@ def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed
     solution = solution._replace(nonlinearity=nonlinearity)
     if nonlinearity > MAX_DEVIATION and isinstance(model, OrdinatesForwardModel):
         solution = refine_posterior(
-            model.evaluate_last_stage,
+            model.evaluate_state,
             linear_model,
             solution,
             lambda interpolated: _solve(interpolated, measurement, seed),

@@ -10,6 +10,7 @@ import numpy as np
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
+from splits.instruments.solver import AUTO
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
 from splits.retrieval.interpolated_model import MAX_DEVIATION, InterpolatedModel, refine_posterior
 from splits.retrieval.least_squares import retrieve_without_noise
@@ -55,7 +56,7 @@ def retrieve(
     prior: Mapping[str, Any] | None = None,
     bands: Any = None,
     quantity: str = "reflectance",
-    solver: str = "auto",
+    solver: str = AUTO,
     seed: int = 1,
     max_stderr: float | None = None,
     progress: ProgressCallback = None,
@@ -146,6 +147,8 @@ def retrieve(
     if isinstance(model, Table):
         if max_stderr is not None:
             raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
+        if solver != AUTO:
+            raise invalid("solver", solver, "left out", "a table has its own spectra")
         check_choice("quantity", quantity, model.quantities)
         measurement = Measurement.from_input(measured, noise, bands)
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))

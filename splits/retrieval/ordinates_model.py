@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from contextlib import suppress
 from itertools import product
 from typing import Any
 
@@ -15,6 +17,7 @@ from splits.discrete_ordinates.snowpack import (
     solve_spectrum,
 )
 from splits.media.medium import Medium
+from splits.media.parameters import INCIDENCE_KEY
 from splits.retrieval.forward_model import ERROR_CORRELATION_NM
 from splits.retrieval.medium_model import LAST_STAGE, MediumForwardModel
 from splits.simulation.threads import limit_blas_threads
@@ -38,16 +41,21 @@ class OrdinatesForwardModel(MediumForwardModel):
         self._solutions: dict[tuple[bytes, int], np.ndarray] = {}
 
     def list_extreme_media(self) -> list[Medium]:
-        """Return the media in the middle (first) and at all corners of the ranges that exist."""
-        n_parameters = len(self.state_vector.names)
-        limits = (self.bound_margin, 1.0 - self.bound_margin)
-        media = [self.make_inputs(np.full(n_parameters, 0.5))[0]]
-        for corner in product(limits, repeat=n_parameters):
-            try:
-                media.append(self.make_inputs(np.array(corner))[0])
-            except InvalidValue:
-                # Contradictory values, such as more water than fits into dense snow.
-                continue
+        """Return the media in the middle (first) and at the corners of the ranges of each layer.
+
+        Corners without a medium are left out, such as more water than fits into dense snow.
+        """
+        middle = np.full(len(self.state_vector.names), 0.5)
+        media, by_layer = [self.make_inputs(middle)[0]], defaultdict(list)
+        for row, name in zip(self.rows, self.names, strict=True):
+            if name != INCIDENCE_KEY:
+                by_layer[name.split(".")[1] if name.startswith("layers.") else ""].append(row)
+        for rows in by_layer.values():
+            for corner in product((self.bound_margin, 1.0 - self.bound_margin), repeat=len(rows)):
+                state = middle.copy()
+                state[rows] = corner
+                with suppress(InvalidValue):
+                    media.append(self.make_inputs(state)[0])
         return media
 
     def choose_streams(self, max_error: float) -> None:

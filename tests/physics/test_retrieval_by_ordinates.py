@@ -105,6 +105,15 @@ def test_first_stages_use_few_wavelengths():
     )
 
 
+def test_corners_of_each_layer_are_examined():
+    medium, _, _ = CASES["stack"]
+    wet, dense = "layers.1.saturation", "layers.1.density_kg_m3"
+    ranges = {"layers.0.depth_m": (0.01, 0.1), wet: (0, 0.4), dense: (100, 400), "scale": (1, 2)}
+    media = make_model(medium, ranges).list_extreme_media()
+    assert len(media) == 1 + 2 + 4
+    assert len({medium.layers[1].saturation for medium in media}) == 3
+
+
 def test_bands_are_measured():
     bands = {"a": (500.0, 560.0), "b": (840.0, 900.0), "c": (1200.0, 1290.0)}
     values = [

@@ -27,7 +27,7 @@ GRADIENT_STEP = 1e-4
 """Step of coordinates for derivatives."""
 
 
-class InterpolatedModel:
+class InterpolatedModel(LinearizedModel):
     """Forward model that interpolates between states; see `splits.retrieval.forward_model`.
 
     Parameters
@@ -42,7 +42,7 @@ class InterpolatedModel:
         self, linear_model: LinearizedModel, states: np.ndarray, values: np.ndarray
     ) -> None:
         scipy_interpolate = import_optional("scipy.interpolate", "retrieval", "retrievals need")
-        self.state_vector, self.linear_model = linear_model.state_vector, linear_model
+        super().__init__(linear_model.state_vector, linear_model.linearization)
         self.states, self.values, self._whiten = states, values, _compute_whitening(states)
         deviation = values - linear_model.evaluate(states)
         self._deviation = scipy_interpolate.RBFInterpolator(
@@ -52,7 +52,7 @@ class InterpolatedModel:
     def evaluate(self, states: np.ndarray) -> np.ndarray:
         """Return modelled measurements, shape (states, n)."""
         deviation: np.ndarray = self._deviation(states @ self._whiten)
-        return self.linear_model.evaluate(states) + deviation
+        return super().evaluate(states) + deviation
 
     def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
@@ -60,10 +60,6 @@ class InterpolatedModel:
         values = self.evaluate(state + np.concatenate([0.0 * steps[:1], steps, -steps]))
         high, low = np.split(values[1:], 2)
         return values[0], (high - low).T / (2.0 * GRADIENT_STEP)
-
-    def compute_error_covariance(self, state: np.ndarray) -> np.ndarray:
-        """Return the covariance of the forward-model error, shape (n, n)."""
-        return self.linear_model.compute_error_covariance(state)
 
     def evaluate_first_guesses(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the states, and their modelled measurements."""
@@ -92,7 +88,7 @@ def refine_posterior(
     n_parameters = len(start.state)
     n_new = max(MIN_NEW_STATES, (n_parameters + 1) * (n_parameters + 2) // 2)
     states, values = start.state[np.newaxis], start.modelled[np.newaxis]
-    model: LinearizedModel | InterpolatedModel = linear_model
+    model = linear_model
     for _ in range(MAX_TURNS):
         draws = np.clip(solution.draws.states, BOUND_MARGIN, 1.0 - BOUND_MARGIN)
         new = _choose_far_states(draws, states, n_new)

@@ -12,7 +12,7 @@ from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
 from splits.instruments.solver import AUTO
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
-from splits.retrieval.interpolated_model import MAX_DEVIATION, InterpolatedModel, refine_posterior
+from splits.retrieval.interpolated_model import MAX_DEVIATION, refine_posterior
 from splits.retrieval.least_squares import retrieve_without_noise
 from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
@@ -41,8 +41,6 @@ from splits.retrieval.result import (
 )
 from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
-
-RetrievalModel = TableForwardModel | LinearizedModel | InterpolatedModel
 
 
 @reject_unknown_arguments
@@ -200,7 +198,9 @@ def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed
     return solution._replace(alternatives=converged.find_alternatives(ALTERNATIVE_CHI2))
 
 
-def _solve(model: RetrievalModel, measurement: Measurement, seed: int) -> Solution:
+def _solve(
+    model: TableForwardModel | LinearizedModel, measurement: Measurement, seed: int
+) -> Solution:
     """Return the solution: estimates, posterior and draws."""
     state_vector, first_guesses = model.state_vector, model.evaluate_first_guesses()
     estimates = find_distinct_map_estimates(model, measurement, *first_guesses)
@@ -235,7 +235,7 @@ def _solve(model: RetrievalModel, measurement: Measurement, seed: int) -> Soluti
 
 
 def _solve_without_priors(
-    model: RetrievalModel, measurement: Measurement, estimate: MAPEstimate
+    model: TableForwardModel | LinearizedModel, measurement: Measurement, estimate: MAPEstimate
 ) -> MAPEstimate:
     """Return the estimate without priors near that with priors."""
     state_vector = model.state_vector

@@ -48,7 +48,7 @@ test-all: $(VENV)/dev
 	$(PYTEST) $(TESTS)
 
 campaign: $(VENV)/dev
-	CALIBRATION=all KILLS=200 DAMAGES=30 CAMPAIGN=10000,300 SNOWPACKS=200 \
+	CALIBRATION=all KILLS=200 DAMAGES=30 CAMPAIGN=10000,300 SNOWPACKS=200 RETRIEVALS=1008 \
 		$(BIN)/python -m pytest -s tests/campaigns
 
 calibration: $(VENV)/dev

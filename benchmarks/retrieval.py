@@ -47,8 +47,8 @@ SAND_GRID: dict[str, Any] = {
 }  # fmt: skip
 SAND_TRUTH = {"iron_oxide": (0.001, 0.04), "hematite_ratio": (0.0, 1.0), "saturation": (0.0, 1.0)}
 AXIS_SCALES = {
-    SIZE: "logarithm", SOOT: "root", WATER: "root", "iron_oxide": "logarithm",
-    "hematite_ratio": "root", "saturation": "root",
+    SIZE: "logarithm", SOOT: "square_root", WATER: "square_root", "iron_oxide": "logarithm",
+    "hematite_ratio": "square_root", "saturation": "square_root",
 }  # fmt: skip
 RELATIVE_NOISE, NOISE_FLOOR = 0.01, 0.003
 INTERVAL_PROBABILITY = 0.99 ** (1.0 / 12.0)
@@ -98,7 +98,7 @@ def sample_truths(
             np.exp(coordinates)
             if kind == "logarithm"
             else coordinates**2
-            if kind == "root"
+            if kind == "square_root"
             else coordinates
         )
     return values

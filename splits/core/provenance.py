@@ -48,7 +48,7 @@ RETRIEVAL_SOURCES = (
     "retrieval/optimal_estimation.py", "retrieval/forward_model.py", "retrieval/sobol.py",
     "retrieval/least_squares.py", "retrieval/linearization.py", "retrieval/measurement.py",
     "retrieval/residual_covariance.py", "retrieval/posterior.py", "retrieval/result.py",
-    "retrieval/retrieve.py",
+    "retrieval/retrieve.py", "retrieval/medium_model.py",
     "illumination/bands.py",
 )  # fmt: skip
 """Files that determine retrievals from a table."""

@@ -172,8 +172,14 @@ def _make_tabulated_impurity(
             keyword = "algae_cells_ml" if name in ALGAE_NAMES else "impurities_ng_g"
             hint = f"its amount belongs to {keyword}"
         raise invalid(key, name, "one of " + ", ".join(known_names), hint)
+    return Impurity(name, amount_per_kg_ice, *_load_absorption(name))
+
+
+@cache
+def _load_absorption(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the wavelengths (nm) and the absorption of a tabulated impurity."""
     column = _load_known_impurities()[name]
     w = column.index.to_numpy()
     # The outermost bands extend half a band width past their centres.
     w = np.concatenate([[w[0] - HALF_BAND_WIDTH_NM], w, [w[-1] + HALF_BAND_WIDTH_NM]])
-    return Impurity(name, amount_per_kg_ice, w, np.pad(column.to_numpy(), 1, mode="edge"))
+    return w, np.pad(column.to_numpy(), 1, mode="edge")

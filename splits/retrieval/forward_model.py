@@ -144,6 +144,11 @@ class TableForwardModel:
         interpolate_states(self.node_values, self._axis_nodes, self._n_nodes, axis_states, modelled)
         return modelled * self._compute_scale(states)[:, np.newaxis]
 
+    def evaluate_state(self, state: np.ndarray) -> np.ndarray:
+        """Return the modelled measurement of one state, shape (n,)."""
+        values: np.ndarray = self.evaluate(state[np.newaxis])[0]
+        return values
+
     def evaluate_with_jacobian(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the modelled measurement, shape (n,), and its Jacobian, shape (n, parameters)."""
         n_values = self.node_values.shape[1]

@@ -23,7 +23,7 @@ MIN_RELATIVE_GAIN = 0.003
 MIN_GAIN_PER_VALUE = 0.1
 """Limit of the predicted gain relative to the mean square, a third of a standard error."""
 MIN_START_SEPARATION = 0.2
-"""Smallest distance between the coordinates of two starts."""
+"""Smallest distance between the coordinates of two starts of the first stage."""
 
 
 class StagedForwardModel(Protocol):
@@ -59,11 +59,14 @@ class DescentStage(NamedTuple):
         Approximate limit of simulations per descent; a Jacobian counts as one per coordinate.
     max_cost_increase : float
         Largest excess of the cost of a start over that of the best one.
+    min_separation : float
+        Smallest distance between the coordinates of two starts after the first stage.
     """
 
     n_starts: int
     max_evaluations: int
     max_cost_increase: float = np.inf
+    min_separation: float = 0.0
 
 
 class Objective(NamedTuple):
@@ -139,7 +142,8 @@ def search_minima(
     ]
     stage_minima: list[list[LocalMinimum]] = []
     for number, stage in enumerate(stages, 1):
-        minima = _select_distinct(minima, stage, MIN_START_SEPARATION if number == 1 else 0.0)
+        separation = MIN_START_SEPARATION if number == 1 else stage.min_separation
+        minima = _select_distinct(minima, stage._replace(min_separation=separation))
         log(number, minima[0].cost)
         # Later stages start near the minimum, so their trust region is smaller.
         radius = INITIAL_RADIUS / 2 ** (number - 1)
@@ -155,9 +159,7 @@ def search_minima(
     return stage_minima
 
 
-def _select_distinct(
-    minima: Sequence[LocalMinimum], stage: DescentStage, min_separation: float
-) -> list[LocalMinimum]:
+def _select_distinct(minima: Sequence[LocalMinimum], stage: DescentStage) -> list[LocalMinimum]:
     """Return the best minima that are separated from each other."""
     selected: list[LocalMinimum] = []
     for minimum in sorted(minima, key=lambda minimum: minimum.cost):
@@ -165,7 +167,8 @@ def _select_distinct(
             selected and minimum.cost > selected[0].cost + stage.max_cost_increase
         ):
             break
-        if all(np.abs(minimum.state - other.state).max() > min_separation for other in selected):
+        distances = [np.abs(minimum.state - other.state).max() for other in selected]
+        if all(distance > stage.min_separation for distance in distances):
             selected.append(minimum)
     return selected
 

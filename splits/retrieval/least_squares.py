@@ -14,8 +14,10 @@ import numpy as np
 
 from splits.core.validation import invalid
 from splits.retrieval.forward_model import TableForwardModel
+from splits.retrieval.gauss_newton import LocalMinimum
 from splits.retrieval.linearization import Linearization, LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.medium_model import ConvergedMinima, MediumForwardModel
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAPEstimate,
@@ -31,7 +33,6 @@ from splits.retrieval.residual_covariance import (
     estimate_fit_covariance,
 )
 from splits.retrieval.result import Solution, compute_prior_tension
-from splits.retrieval.simulation_model import SimulationForwardModel
 from splits.retrieval.state_vector import StateVector
 
 
@@ -84,50 +85,18 @@ def apply_priors(
     )
 
 
-def retrieve_from_table(
-    model: TableForwardModel, measurement: Measurement, seed: int
+def retrieve_without_noise(
+    model: TableForwardModel | MediumForwardModel, measurement: Measurement, seed: int
 ) -> tuple[Solution, Measurement]:
-    """Return the solution from a table for unknown noise, and the measurement with its noise."""
+    """Return the solution for unknown noise, and the measurement with the noise found."""
     check_enough_values(len(model.state_vector.names), measurement)
     state_vector = model.state_vector
     model.state_vector = state_vector.drop_priors()
-    best, *other_minima = sorted(
-        find_distinct_map_estimates(model, measurement, *model.evaluate_first_guesses()),
-        key=lambda minimum: minimum.cost,
+    converged = (
+        model.find_minima()
+        if isinstance(model, MediumForwardModel)
+        else _find_table_minima(model, measurement)
     )
-    model_covariance = model.compute_error_covariance(best.state)
-    model.state_vector = state_vector
-    fit_covariance = estimate_fit_covariance(
-        [best.jacobian] * 2,
-        best.modelled - measurement.values,
-        model_covariance,
-        best.active_bounds,
-    )
-    linear_model = LinearizedModel(
-        state_vector, Linearization(best.state, best.modelled, best.jacobian, model_covariance)
-    )
-    max_increase = ALTERNATIVE_CHI2 * float(fit_covariance.residual[0, 0])
-    alternatives = tuple(
-        minimum.state for minimum in other_minima if minimum.cost < best.cost + max_increase
-    )
-    return _make_solution(
-        lambda state: model.evaluate_with_jacobian(state)[0],
-        linear_model,
-        measurement,
-        fit_covariance,
-        alternatives,
-        seed,
-    )
-
-
-def retrieve_by_simulation(
-    model: SimulationForwardModel, measurement: Measurement, seed: int
-) -> tuple[Solution, Measurement]:
-    """Return the solution by simulation for unknown noise, and the measurement with its noise."""
-    check_enough_values(len(model.state_vector.names), measurement)
-    state_vector = model.state_vector
-    model.state_vector = state_vector.drop_priors()
-    converged = model.find_minima()
     model.state_vector = state_vector
     best = converged.linearize(measurement.covariance)
     residual = best.modelled - measurement.values
@@ -138,14 +107,19 @@ def retrieve_by_simulation(
     alternatives = converged.find_alternatives(
         ALTERNATIVE_CHI2 * float(fit_covariance.residual[0, 0])
     )
+    linear_model = LinearizedModel(state_vector, best)
     return _make_solution(
-        model.evaluate_last_stage,
-        LinearizedModel(state_vector, best),
-        measurement,
-        fit_covariance,
-        alternatives,
-        seed,
+        model.evaluate_state, linear_model, measurement, fit_covariance, alternatives, seed
     )
+
+
+def _find_table_minima(model: TableForwardModel, measurement: Measurement) -> ConvergedMinima:
+    """Return the minima in a table."""
+    estimates = find_distinct_map_estimates(model, measurement, *model.evaluate_first_guesses())
+    best, *others = sorted(estimates, key=lambda estimate: estimate.cost)
+    minima = [LocalMinimum(estimate.cost, estimate.state) for estimate in (best, *others)]
+    covariance = model.compute_error_covariance(best.state)
+    return ConvergedMinima(minima, best.modelled, covariance, [best.jacobian] * 2)
 
 
 def check_enough_values(n_parameters: int, measurement: Measurement) -> None:

@@ -1,4 +1,4 @@
-"""Validation of the free parameters of a medium that is retrieved by simulation."""
+"""Retrieval from a medium: validation of its free parameters, and choice of the model."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import numpy as np
 
 from splits.core.arrays import check_named_numbers
 from splits.core.progress import ProgressCallback
-from splits.core.validation import check_range, invalid, key_prefix, unknown_key
+from splits.core.validation import check_choice, check_range, invalid, key_prefix, unknown_key
+from splits.discrete_ordinates.applicability import find_obstacle, find_parameter_obstacle
+from splits.instruments.solver import MONTE_CARLO, SOLVERS, choose_solver
 from splits.media.checks import check_medium
 from splits.media.measured_inputs import check_no_equivalents
 from splits.media.medium import Medium
 from splits.media.parameters import INCIDENCE_KEY, get_parameter, replace_parameter
 from splits.retrieval.forward_model import SCALE_RANGE
 from splits.retrieval.measurement import Measurement
+from splits.retrieval.medium_model import MediumForwardModel
+from splits.retrieval.ordinates_model import MAX_ERROR, OrdinatesForwardModel
 from splits.retrieval.simulation_model import SimulationForwardModel
 from splits.retrieval.state_vector import SCALE, ParameterRange, StateVector
 from splits.simulation.arguments import check_incidence
@@ -81,18 +85,21 @@ def check_measurement_incidence(fixed: Mapping[str, Any] | None, ranges: Any) ->
     )
 
 
-def make_simulation_model(
-    medium: Medium,
-    measurement: Measurement,
-    state_vector: StateVector,
-    incidence: float | str,
-    max_stderr: float | None,
-    seed: int,
-    progress: ProgressCallback = None,
-) -> SimulationForwardModel:
-    """Return the forward model by simulation; reject an invalid error."""
+def make_medium_model(
+    medium: Medium, measurement: Measurement, state_vector: StateVector,
+    incidence: float | str, solver: str, max_stderr: float | None, seed: int,
+    progress: ProgressCallback,
+) -> MediumForwardModel:  # fmt: skip
+    """Return the forward model by discrete ordinates or by simulation; see `choose_solver`."""
     if max_stderr is not None:
         max_stderr = check_range("max_stderr", max_stderr, 1e-6, 0.5)
-    return SimulationForwardModel(
-        medium, measurement, state_vector, incidence, max_stderr, seed, progress
-    )
+    arguments = medium, measurement, state_vector, incidence, seed
+    if check_choice("solver", solver, SOLVERS) != MONTE_CARLO:
+        model = OrdinatesForwardModel(*arguments)
+        media, obstacle = model.list_extreme_media(), None
+        if find_obstacle(medium, model.wavelengths) is None:
+            obstacle = find_parameter_obstacle(media[0], model.names)
+        if choose_solver(solver, media, model.wavelengths, obstacle) != MONTE_CARLO:
+            model.choose_streams(max_stderr or MAX_ERROR)
+            return model
+    return SimulationForwardModel(*arguments, max_stderr, progress)

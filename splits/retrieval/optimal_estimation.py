@@ -18,6 +18,8 @@ N_STARTS = 4
 """Number of descents, from the first guesses with the smallest misfit."""
 MAX_COVARIANCE_UPDATES = 3
 """Largest number of descents with an updated covariance of the forward-model error."""
+TOLERANCE = 1e-6
+"""Relative change of coordinates, or of the sum of squares, at which a descent ends."""
 MIN_SEPARATION = 0.05
 """Smallest distance between the coordinates of distinct estimates."""
 ALTERNATIVE_CHI2 = 9.0
@@ -108,24 +110,22 @@ def find_map_estimate(
         covariance = variance_inflation * (
             measurement.covariance + model.compute_error_covariance(state)
         )
-        cholesky = np.linalg.cholesky(covariance)
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
-        def residuals(coordinates: np.ndarray, cholesky: np.ndarray = cholesky) -> np.ndarray:
+        def residuals(coordinates: np.ndarray, whiten: np.ndarray = whiten) -> np.ndarray:
             values, _ = model.evaluate_with_jacobian(coordinates)
-            residual = np.linalg.solve(cholesky, values - measurement.values)
+            residual = whiten @ (values - measurement.values)
             prior = (coordinates - state_vector.prior_mean)[has_prior] / state_vector.prior_sd[
                 has_prior
             ]
             return np.concatenate([residual, prior])
 
-        def compute_jacobian(
-            coordinates: np.ndarray, cholesky: np.ndarray = cholesky
-        ) -> np.ndarray:
+        def compute_jacobian(coordinates: np.ndarray, whiten: np.ndarray = whiten) -> np.ndarray:
             _, jacobian = model.evaluate_with_jacobian(coordinates)
-            return np.vstack([np.linalg.solve(cholesky, jacobian), prior_jacobian])
+            return np.vstack([whiten @ jacobian, prior_jacobian])
 
         optimum = least_squares(
-            residuals, state, compute_jacobian, bounds=(0.0, 1.0), xtol=1e-9, ftol=1e-9
+            residuals, state, compute_jacobian, bounds=(0.0, 1.0), xtol=TOLERANCE, ftol=TOLERANCE
         )
         step = float(np.abs(optimum.x - state).max())
         state = np.clip(optimum.x, 1e-9, 1.0 - 1e-9)

@@ -151,7 +151,7 @@ def _compute_log_posterior(
     for number, estimate in enumerate(estimates):
         rows = nearest == number
         cholesky = np.linalg.cholesky(estimate.error_covariance)
-        squares = (np.linalg.solve(cholesky, residual[rows].T) ** 2).sum(axis=0)
+        squares = ((residual[rows] @ np.linalg.inv(cholesky).T) ** 2).sum(axis=1)
         misfit[rows] = squares + 2.0 * np.log(np.diag(cholesky)).sum()
     prior = ((states - model.state_vector.prior_mean) / model.state_vector.prior_sd) ** 2
     log_posterior: np.ndarray = -0.5 * (misfit + prior.sum(axis=1))

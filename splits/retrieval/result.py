@@ -31,7 +31,7 @@ MIN_MISFIT_PROBABILITY = 0.01
 BOUND_DISTANCE = 0.01
 """Distance of a coordinate from a bound below which a value lies at it."""
 MAX_NONLINEARITY = 1.0
-"""Deviation from linearity, in units of noise, above which linear errors are approximate."""
+"""Deviation of linear or interpolated reflectances, in units of noise, which is reported."""
 MAX_PRIOR_TENSION = 3.0
 """Standard deviations between prior and result above which they disagree."""
 
@@ -124,7 +124,7 @@ class Solution(NamedTuple):
     alternatives : tuple of float, shape (parameters,)
         Coordinates of alternative solutions.
     nonlinearity : float
-        Deviation from linearity one standard deviation away, in units of noise.
+        Deviation of linear or interpolated reflectances from the model, in units of noise.
     """
 
     estimates: Sequence[MAPEstimate]
@@ -281,8 +281,8 @@ def _list_warnings(
         warnings.append(f"an alternative solution fits nearly as well: {', '.join(values)}")
     if solution.nonlinearity > MAX_NONLINEARITY:
         warnings.append(
-            "errors assume that reflectance is linear in the coordinates, but a standard deviation "
-            f"away it deviates by {solution.nonlinearity:.1f} times the noise: they are approximate"
+            "errors are approximate: they use linear or interpolated reflectances, which deviate "
+            f"from those of the model by up to {solution.nonlinearity:.1f} times the noise"
         )
     if draws.n_effective < MIN_EFFECTIVE_DRAWS:
         warnings.append(f"quantiles are imprecise: {draws.n_effective:.0f} effective draws")

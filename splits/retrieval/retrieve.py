@@ -10,15 +10,18 @@ import numpy as np
 from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.validation import check_choice, check_integer, invalid
-from splits.retrieval import least_squares
+from splits.instruments.solver import AUTO
 from splits.retrieval.forward_model import TableForwardModel, get_table_ranges
+from splits.retrieval.interpolated_model import MAX_DEVIATION, refine_posterior
+from splits.retrieval.least_squares import retrieve_without_noise
 from splits.retrieval.linearization import LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import (
     check_measurement_incidence,
+    make_medium_model,
     make_medium_state_vector,
-    make_simulation_model,
 )
+from splits.retrieval.medium_model import MediumForwardModel
 from splits.retrieval.optimal_estimation import (
     ALTERNATIVE_CHI2,
     MAPEstimate,
@@ -26,6 +29,7 @@ from splits.retrieval.optimal_estimation import (
     find_map_estimate,
     summarize_posterior,
 )
+from splits.retrieval.ordinates_model import OrdinatesForwardModel
 from splits.retrieval.posterior import draw_posterior
 from splits.retrieval.result import (
     MAX_PRIOR_TENSION,
@@ -35,7 +39,6 @@ from splits.retrieval.result import (
     compute_variance_inflation,
     make_result,
 )
-from splits.retrieval.simulation_model import SimulationForwardModel
 from splits.retrieval.state_vector import StateVector
 from splits.tables.table import Table
 
@@ -51,6 +54,7 @@ def retrieve(
     prior: Mapping[str, Any] | None = None,
     bands: Any = None,
     quantity: str = "reflectance",
+    solver: str = AUTO,
     seed: int = 1,
     max_stderr: float | None = None,
     progress: ProgressCallback = None,
@@ -68,7 +72,8 @@ def retrieve(
         with `bands`.
     model : Table or medium
         A table, see `splits.build_table` and `splits.open_table`; or a snow, sand, layer or stack,
-        which is simulated as often as necessary (some minutes).
+        which is solved by discrete ordinates (a fraction of a second) or simulated as often as
+        necessary (some minutes).
     free : sequence of str or mapping
         Free axes of the table, or their (low, high) by name.  For a medium, (low, high) of
         parameters named as for derivatives (``layers.0.depth_m``).  ``scale`` is a factor of the
@@ -90,13 +95,17 @@ def retrieve(
         Bands of the sensor, as for `splits.albedo`.
     quantity : str
         Quantity of the table.
+    solver : {"auto", "discrete_ordinates", "monte_carlo"}
+        Solver for a medium, as for `splits.spectrophotometer`.  "auto" uses discrete ordinates if
+        they apply within all ranges.
     seed : int
         Seed of the draws and of simulations.
     max_stderr : float, optional
         Standard error of the final simulations of a medium; by default half of the smallest noise,
-        within 0.001 to 0.01, and 0.002 for unknown noise.
+        within 0.001 to 0.01, and 0.002 for unknown noise.  For discrete ordinates, it determines
+        the number of streams, and is 0.001 by default.
     progress : callable or bool, optional
-        See `splits.Progress`; True for a bar.  Retrievals from a table do not report.
+        See `splits.Progress`; True for a bar.  Only retrievals by simulation report.
 
     Returns
     -------
@@ -110,7 +119,8 @@ def retrieve(
     Raises
     ------
     ValueError
-        For gaps, values in per cent, noise of 0, wavelengths outside the table, or invalid ranges.
+        For gaps, values in per cent, noise of 0, wavelengths outside the table, invalid ranges, or
+        discrete ordinates for a medium to which they do not apply.
 
     References
     ----------
@@ -135,14 +145,14 @@ def retrieve(
     if isinstance(model, Table):
         if max_stderr is not None:
             raise invalid("max_stderr", max_stderr, "left out", "a table has its own errors")
+        if solver != AUTO:
+            raise invalid("solver", solver, "left out", "a table has its own spectra")
         check_choice("quantity", quantity, model.quantities)
         measurement = Measurement.from_input(measured, noise, bands)
         state_vector = StateVector.from_ranges(free, prior, get_table_ranges(model))
         forward_model = TableForwardModel(model, measurement, state_vector, fixed, quantity)
         if not measurement.noise_known:
-            solution, measurement = least_squares.retrieve_from_table(
-                forward_model, measurement, seed
-            )
+            solution, measurement = retrieve_without_noise(forward_model, measurement, seed)
         else:
             solution = _solve(forward_model, measurement, seed)
         return make_result(state_vector, measurement, solution)
@@ -154,36 +164,38 @@ def retrieve(
     measurement = Measurement.from_input(measured, noise, bands)
     incidence = check_measurement_incidence(fixed, free)
     state_vector = make_medium_state_vector(model, free, prior, incidence)
-    simulation_model = make_simulation_model(
-        model, measurement, state_vector, incidence, max_stderr, seed, progress
+    medium_model = make_medium_model(
+        model, measurement, state_vector, incidence, solver, max_stderr, seed, progress
     )
     if not measurement.noise_known:
-        solution, measurement = least_squares.retrieve_by_simulation(
-            simulation_model, measurement, seed
-        )
+        solution, measurement = retrieve_without_noise(medium_model, measurement, seed)
     else:
-        solution = _solve_by_simulation(simulation_model, measurement, seed)
+        solution = _solve_from_medium(medium_model, measurement, seed)
     return make_result(state_vector, measurement, solution)
 
 
-def _solve_by_simulation(
-    model: SimulationForwardModel, measurement: Measurement, seed: int
-) -> Solution:
-    """Return the solution by simulation for known noise."""
+def _solve_from_medium(model: MediumForwardModel, measurement: Measurement, seed: int) -> Solution:
+    """Return the solution from a medium for known noise."""
     converged = model.find_minima()
     linear_model = LinearizedModel(model.state_vector, converged.linearize(measurement.covariance))
     solution = _solve(linear_model, measurement, seed)
-    noise = solution.variance_inflation * (measurement.covariance + converged.noise_covariance)
+    noise = solution.variance_inflation * (measurement.covariance + converged.model_covariance)
     nonlinearity = estimate_nonlinearity(
-        model.evaluate_last_stage,
+        model.evaluate_state,
         linear_model,
         solution.estimates[0].state,
         solution.posterior.covariance,
         noise,
     )
-    return solution._replace(
-        nonlinearity=nonlinearity, alternatives=converged.find_alternatives(ALTERNATIVE_CHI2)
-    )
+    solution = solution._replace(nonlinearity=nonlinearity)
+    if nonlinearity > MAX_DEVIATION and isinstance(model, OrdinatesForwardModel):
+        solution = refine_posterior(
+            model.evaluate_state,
+            linear_model,
+            solution,
+            lambda interpolated: _solve(interpolated, measurement, seed),
+        )
+    return solution._replace(alternatives=converged.find_alternatives(ALTERNATIVE_CHI2))
 
 
 def _solve(

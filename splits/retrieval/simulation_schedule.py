@@ -7,14 +7,8 @@ import time
 import numpy as np
 
 from splits.core.progress import Progress, ProgressCallback
-from splits.retrieval.gauss_newton import DescentStage
-from splits.retrieval.optimal_estimation import ALTERNATIVE_CHI2
+from splits.retrieval.medium_model import DESCENT_STAGES, N_SURVEY
 
-N_SURVEY = 16
-"""Number of states of the survey."""
-DESCENT_STAGES = (DescentStage(2, 60), DescentStage(2, 60, ALTERNATIVE_CHI2))
-"""Stages of descents: from the best states of the survey, and with the final error."""
-LAST_STAGE = len(DESCENT_STAGES)
 SURVEY_STDERR = 0.01
 """Standard error of simulations of the survey and of the first descents."""
 MIN_JACOBIAN_STDERR = 0.004

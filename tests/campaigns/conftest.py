@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-SIZES = ("CALIBRATION", "CAMPAIGN", "DAMAGES", "KILLS", "SNOWPACKS")
+SIZES = ("CALIBRATION", "CAMPAIGN", "DAMAGES", "KILLS", "RETRIEVALS", "SNOWPACKS")
 """Environment variables that set the size of campaigns."""
 
 _path = Path(__file__).parents[1] / "workflow" / "conftest.py"

@@ -1,4 +1,4 @@
-"""Retrieval by direct simulation of a medium, without a table."""
+"""Retrieval by simulations of a medium, without a table."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from splits.core.validation import InvalidValue
 from splits.retrieval.linearization import Linearization, LinearizedModel, estimate_nonlinearity
 from splits.retrieval.measurement import Measurement
 from splits.retrieval.media import make_medium_state_vector
-from splits.retrieval.simulation_model import select_simulation_wavelengths
+from splits.retrieval.medium_model import select_simulation_wavelengths
 from splits.retrieval.simulation_schedule import ProgressTracker
 
 pytestmark = pytest.mark.long
 
 W = np.arange(500.0, 1400.0, 100.0)
+PATHS = "monte_carlo"
 SIZE, SOOT = "optical_radius_um", "impurities_ng_g.black_carbon"
 
 
@@ -39,7 +40,9 @@ def test_retrieved_snow_agrees_within_errors():
     for seed, (radius, soot) in enumerate([(120.0, 40.0), (600.0, 300.0)]):
         spectrum, noise = simulate_measurement(make_snow(radius, soot), seed)
         free = {SIZE: (50.0, 1500.0), SOOT: (0.0, 1000.0)}
-        result = splits.retrieve(spectrum, make_snow(200.0), free, noise, max_stderr=0.006)
+        result = splits.retrieve(
+            spectrum, make_snow(200.0), free, noise, solver=PATHS, max_stderr=0.006
+        )
         draws = result.dataset.draws.values
         for i, (name, truth) in enumerate(((SIZE, radius), (SOOT, soot))):
             samples = np.log(draws[:, i]) if name == SIZE else np.sqrt(draws[:, i])
@@ -58,7 +61,7 @@ def test_simulation_and_table_give_the_same_retrieval():
     from_table = splits.retrieve(spectrum, splits.Table(table), {"radius": (50.0, 1000.0)}, noise)
     # By default simulations add half the noise of the measurement; here they add a fifth.
     from_runs = splits.retrieve(
-        spectrum, make_snow(100.0), {SIZE: (50.0, 1000.0)}, noise, max_stderr=0.004
+        spectrum, make_snow(100.0), {SIZE: (50.0, 1000.0)}, noise, solver=PATHS, max_stderr=0.004
     )
     tolerance = np.hypot(0.006 * 200.0, 0.3 * from_table.stderr["radius"])
     assert abs(from_runs.values[SIZE] - from_table.values["radius"]) < 4.0 * tolerance
@@ -70,9 +73,9 @@ def test_unknown_noise_is_estimated():
     spectrum, noise = simulate_measurement(make_snow(200.0), 5)
     reports = []
     estimated = splits.retrieve(
-        spectrum, make_snow(100.0), {SIZE: (50.0, 1000.0)}, progress=reports.append
+        spectrum, make_snow(100.0), {SIZE: (50.0, 1000.0)}, solver=PATHS, progress=reports.append
     )
-    known = splits.retrieve(spectrum, make_snow(100.0), {SIZE: (50.0, 1000.0)}, noise)
+    known = splits.retrieve(spectrum, make_snow(100.0), {SIZE: (50.0, 1000.0)}, noise, solver=PATHS)
     assert abs(estimated.values[SIZE] - 200.0) < 4.0 * estimated.stderr[SIZE]
     # Nine values determine their noise to 25 %, its correlation less accurately.
     assert 0.4 < estimated.stderr[SIZE] / known.stderr[SIZE] < 3.0
@@ -109,7 +112,9 @@ def test_parameters_of_layers_can_be_free():
         make_stack(0.01), 7, np.array([900.0, 1050.0, 1250.0]), 0.01
     )
     free = {"layers.0.depth_m": (0.002, 0.05)}
-    result = splits.retrieve(spectrum, make_stack(0.004), free, noise, max_stderr=0.006)
+    result = splits.retrieve(
+        spectrum, make_stack(0.004), free, noise, solver=PATHS, max_stderr=0.006
+    )
     samples = np.log(result.dataset.draws.values[:, 0])
     assert abs(samples.mean() - np.log(0.01)) < 4.0 * samples.std()
     assert result.dataset.parameter_unit.values.tolist() == ["m"]

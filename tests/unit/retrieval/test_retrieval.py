@@ -262,6 +262,7 @@ def test_all_spectrum_types_give_the_same_result(table):
 
 VALID_CALLS = (W, evaluate_spectrum(200.0, 50.0))
 INVALID_CALLS = {
+    "solver": ({"solver": "monte_carlo"}, "left out.*a table has its own spectra"),
     "gap": ({"measured": (W, np.where(W == 700.0, np.nan, 0.5))}, "1 gaps, the first at 700 nm"),
     "per cent": ({"measured": (W, 100.0 * VALID_CALLS[1])}, "not per cent"),
     "outside": ({"measured": ([400.0, 700.0], [0.5, 0.5])}, "500 to 1500"),

@@ -1,9 +1,10 @@
-"""Bidirectional reflectance of dry snowpacks: number of streams, and errors.
+"""BRDF and BTDF of snowpacks: number of streams, and errors.
 
 Errors are
 
 - truncation: the difference from twice as many streams, by direction;
-- the table of the grains, for light scattered several times: the error of the reflectance;
+- the table of the grains, for light scattered several times: the error of the reflectance or of the
+  transmittance;
 - the phase function of light scattered once.  The scattered power of the highest orders of the
   table, which is noise of its paths or what remains of the series, holds for every order l, of
   which the moments of a limited number of paths have errors s/√(2l + 1).
@@ -11,17 +12,17 @@ Errors are
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.legendre import legmul, legval
 
-from splits.discrete_ordinates.radiance import (
-    Geometry,
-    compute_brdf,
-    scatter_once,
-    truncate_known_moments,
-)
+from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, trace_direct_light
+from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
+from splits.discrete_ordinates.radiance import compute_bidirectional
 from splits.discrete_ordinates.slab import LayerOptics
+from splits.discrete_ordinates.snow_layers import MIN_SATURATION
 from splits.discrete_ordinates.snowpack import (
     STREAM_NUMBERS,
     Snowpack,
@@ -31,49 +32,54 @@ from splits.discrete_ordinates.snowpack import (
     solve_spectrum,
     spread_truncation,
 )
-from splits.discrete_ordinates.streams import Streams, compute_legendre
+from splits.discrete_ordinates.streams import Streams
 
 MAX_BRDF_STREAMS = 32
 """Largest number of streams of a BRDF: the number of moments of the table minus 1."""
 MODE_TOLERANCE = 1e-9
-"""Fraction of the BRDF below which azimuthal modes are left out."""
+"""Fraction of the BRDF and of the BTDF below which azimuthal modes are left out."""
 N_TAIL_ORDERS = 8
 """Number of the highest orders, which give the error of the phase function."""
 MIN_REFERENCE_FRACTION = 0.05
-"""Fraction of a Lambertian BRDF below which the truncation error is relative to that fraction."""
+"""Fraction of a Lambertian distribution below which truncation is relative to that fraction."""
 MAX_CHUNK_VALUES = 4_000_000
 """Largest number of layers, wavelengths and directions at once."""
+SIDE_NAMES = ("reflectance", "transmittance")
 
 
-class BrdfSolution(NamedTuple):
-    """BRDF with its errors.
+class BidirectionalSolution(NamedTuple):
+    """BRDF and BTDF of scattered light, with their errors.
 
     Attributes
     ----------
-    brdf, truncation, optics_error : float, shape (wavelengths, views, azimuths)
-        1/sr; errors due to the number of streams, and due to the table of the grains.
+    values, truncation, optics_error : float, shape (2, wavelengths, views, azimuths)
+        1/sr, reflected and transmitted; errors due to the number of streams, and due to the table
+        of the grains.
     n_streams : int
     spectrum : SpectrumSolution
         Hemispherical values.
+    direct : DirectLight
+        Light of the beam that is not scattered.
     """
 
-    brdf: np.ndarray
+    values: np.ndarray
     truncation: np.ndarray
     optics_error: np.ndarray
     n_streams: int
     spectrum: SpectrumSolution
+    direct: DirectLight
 
     @property
     def error(self) -> np.ndarray:
-        """Error of the BRDF, shape (wavelengths, views, azimuths)."""
+        """Errors, shape (2, wavelengths, views, azimuths)."""
         error: np.ndarray = np.hypot(self.truncation, self.optics_error)
         return error
 
 
-def solve_brdf(
-    snowpack: Snowpack, geometry: Geometry, relative_error: float, limited: np.ndarray
-) -> BrdfSolution:
-    """Return the BRDF of a dry snowpack by as many streams as a relative error requires.
+def solve_bidirectional(
+    snowpack: Snowpack, geometry: Geometry, relative_error: float, limited: np.ndarray, side: int
+) -> BidirectionalSolution:
+    """Return the BRDF and the BTDF of a snowpack by as many streams as a relative error requires.
 
     Parameters
     ----------
@@ -84,84 +90,110 @@ def solve_brdf(
         The number of streams is the first whose truncation error is at most half of this.
     limited : bool, shape (views,)
         Views to which the error applies.
+    side : int
+        Side to which the error applies, 0 reflected or 1 transmitted.
     """
-    spectrum = solve_relative_spectrum(snowpack, geometry.beams, relative_error)
+    spectrum = solve_relative_spectrum(snowpack, geometry.beams, relative_error, side)
+    direct = trace_direct_light(_stack_layers(snowpack, 1), geometry.beams)[0]
+    totals = np.stack([getattr(spectrum.budget, name)[..., 0] for name in SIDE_NAMES])
+    unscattered = np.stack([direct.reflected[..., 0], direct.transmitted[..., 0]])
+    scattered = np.maximum(totals - unscattered, 0.0)
     n_wavelengths = snowpack.ground.size
     trial = choose_trial_wavelengths(n_wavelengths)
     few = snowpack.select(trial)
-    lambertian = spectrum.budget.reflectance[trial, 0, np.newaxis, np.newaxis] / np.pi
-    numbers = [number for number in STREAM_NUMBERS if number <= MAX_BRDF_STREAMS]
-    for n_streams in numbers:
+    lambertian = scattered[:, trial, np.newaxis, np.newaxis] / np.pi
+    for n_streams in (number for number in STREAM_NUMBERS if number <= MAX_BRDF_STREAMS):
         coarse, fine = (_solve(few, geometry, number) for number in (n_streams, 2 * n_streams))
         reference = np.maximum(fine, MIN_REFERENCE_FRACTION * lambertian)
         relative = np.abs(coarse - fine) / np.where(reference > 0.0, reference, 1.0)
-        if relative[:, limited].max(initial=0.0) <= 0.5 * relative_error:
+        if relative[side][:, limited].max(initial=0.0) <= 0.5 * relative_error:
             break
-    brdf = _solve(snowpack, geometry, n_streams)
-    by_direction = spread_truncation(np.moveaxis(relative, 0, -1), trial, n_wavelengths)
-    truncation = brdf * np.moveaxis(by_direction, -1, 0)
-    reflectance = spectrum.budget.reflectance.max(axis=-1)
-    by_table = spectrum.optics_error / np.where(reflectance > 0.0, reflectance, np.inf)
-    multiple = brdf * np.minimum(by_table, 1.0)[:, np.newaxis, np.newaxis]
+    values = _solve(snowpack, geometry, n_streams)
+    by_direction = spread_truncation(np.moveaxis(relative, 1, -1), trial, n_wavelengths)
+    truncation = values * np.moveaxis(by_direction, -1, 1)
+    largest = np.stack([getattr(spectrum.budget, name).max(axis=-1) for name in SIDE_NAMES])
+    by_table = spectrum.optics_error / np.where(largest > 0.0, largest, np.inf)
+    multiple = values * np.minimum(by_table, 1.0)[..., np.newaxis, np.newaxis]
     once = _compute_single_scattering_error(snowpack, geometry, n_streams)
-    return BrdfSolution(brdf, truncation, np.hypot(multiple, once), n_streams, spectrum)
+    errors = truncation, np.hypot(multiple, once)
+    return BidirectionalSolution(values, *errors, n_streams, spectrum, direct)
 
 
 def solve_relative_spectrum(
-    snowpack: Snowpack, cosines: np.ndarray, relative_error: float
+    snowpack: Snowpack, cosines: np.ndarray, relative_error: float, side: int
 ) -> SpectrumSolution:
-    """Return the budget of light to a relative error of the reflectances, see `solve_spectrum`."""
+    """Return the budget of light to a relative error of one side, see `solve_spectrum`."""
     trial = choose_trial_wavelengths(snowpack.ground.size)
-    reflectance = snowpack.select(trial).solve(cosines, STREAM_NUMBERS[0]).reflectance
-    return solve_spectrum(snowpack, cosines, relative_error * float(reflectance.min()))
-
-
-def compute_direct_transmittance(snowpack: Snowpack, cosines: np.ndarray) -> np.ndarray:
-    """Return the transmittance of light that is not scattered, shape (wavelengths, beams)."""
-    optics = _stack_optics(snowpack, 1)
-    depth = (optics.thickness * optics.extinction[..., 0]).sum(axis=0)
-    transmittance: np.ndarray = np.exp(-depth[:, np.newaxis] / cosines)
-    return transmittance
+    budget = snowpack.select(trial).solve(cosines, STREAM_NUMBERS[0])
+    smallest = float(getattr(budget, SIDE_NAMES[side]).min())
+    return solve_spectrum(snowpack, cosines, relative_error * smallest)
 
 
 def _solve(snowpack: Snowpack, geometry: Geometry, n_streams: int) -> np.ndarray:
-    """Return the BRDF of one beam, shape (wavelengths, views, azimuths)."""
+    """Return the BRDF and the BTDF of one beam, shape (2, wavelengths, views, azimuths)."""
+    streams = Streams.from_number(n_streams)
+    values = [
+        compute_bidirectional(
+            _stack_layers(part, _count_orders(part)), streams, geometry, tolerance=MODE_TOLERANCE
+        )[..., 0, :, :]
+        for part in _divide_wavelengths(snowpack, geometry)
+    ]
+    return np.concatenate(values, axis=1)
+
+
+def _divide_wavelengths(snowpack: Snowpack, geometry: Geometry) -> list[Snowpack]:
+    """Return the snowpack at parts of its wavelengths, which fit into memory."""
     n_values = len(snowpack.layers) * geometry.views.size * geometry.azimuths.size
     size = max(1, MAX_CHUNK_VALUES // n_values)
     wavelengths = np.arange(snowpack.ground.size)
-    streams, orders = Streams.from_number(n_streams), _count_orders()
-    chunks = [wavelengths[first : first + size] for first in range(0, wavelengths.size, size)]
-    brdf = [
-        compute_brdf(
-            _stack_optics(part, orders), part.ground, streams, geometry, tolerance=MODE_TOLERANCE
-        )[:, 0]
-        for part in map(snowpack.select, chunks)
+    return [
+        snowpack.select(wavelengths[first : first + size])
+        for first in range(0, wavelengths.size, size)
     ]
-    return np.concatenate(brdf)
 
 
 def _compute_single_scattering_error(
     snowpack: Snowpack, geometry: Geometry, n_streams: int
 ) -> np.ndarray:
-    """Return the error of light scattered once, shape (wavelengths, views, azimuths)."""
-    optics = _stack_optics(snowpack, _count_orders())
-    orders = np.arange(_count_orders())
+    """Return the error of light scattered once, shape (2, wavelengths, views, azimuths)."""
+    n_orders = _count_orders(snowpack)
     tail = slice(-N_TAIL_ORDERS, None)
-    power = (2.0 * orders[tail] + 1.0) * optics.scattering[..., 0, 0, tail] ** 2
-    scale = np.sqrt(power.mean(axis=-1))
-    cosines = geometry.compute_scattering_cosines()
-    functions = compute_legendre(cosines.ravel(), 0, orders.size).reshape(-1, *cosines.shape)
-    spread = np.sqrt(np.tensordot(2.0 * orders + 1.0, functions**2, 1))
-    error = scale[..., np.newaxis, np.newaxis, np.newaxis] * spread
-    return scatter_once(truncate_known_moments(optics, n_streams), error, geometry)[:, 0]
+    weights = 2.0 * np.arange(n_orders)[tail] + 1.0
+    errors = []
+    for part in _divide_wavelengths(snowpack, geometry):
+        layers = _stack_layers(part, n_orders)
+        scale = np.sqrt((weights * layers.optics.scattering[..., tail] ** 2).mean(axis=-1))
+
+        def evaluate(a: int, b: int, cosines: np.ndarray, scale: np.ndarray = scale) -> np.ndarray:
+            spread = np.sqrt(legval(cosines, _square_legendre(n_orders)))
+            error: np.ndarray = scale[..., a, b, np.newaxis, np.newaxis, np.newaxis] * spread
+            return error
+
+        errors.append(scatter_once(layers.truncate(n_streams), geometry, evaluate)[..., 0, :, :])
+    return np.concatenate(errors, axis=1)
 
 
-def _count_orders() -> int:
-    return load_natural_grains(wet=False).moments.shape[-1]
+@cache
+def _square_legendre(n_orders: int) -> np.ndarray:
+    """Return the Legendre series of ∑ (2l + 1) P_l²."""
+    series = np.zeros(2 * n_orders - 1)
+    for order in range(n_orders):
+        one = np.eye(n_orders)[order]
+        square = legmul(one, one)
+        series[: square.size] += (2.0 * order + 1.0) * square
+    return series
 
 
-def _stack_optics(snowpack: Snowpack, orders: int) -> LayerOptics:
-    """Return the optics of dry layers along the first dimension."""
-    table = load_natural_grains(wet=False)
+def _count_orders(snowpack: Snowpack) -> int:
+    return load_natural_grains(wet=snowpack.is_wet).moments.shape[-1]
+
+
+def _stack_layers(snowpack: Snowpack, orders: int) -> PlaneLayers:
+    """Return the layers with a number of moments."""
+    table = load_natural_grains(wet=snowpack.is_wet)
     layers = [layer.compute_optics(table, orders) for layer in snowpack.layers]
-    return LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))
+    optics = LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))
+    if not snowpack.is_wet:
+        return PlaneLayers(optics, snowpack.ground)
+    saturations = [max(float(layer.saturation), MIN_SATURATION) for layer in snowpack.layers]
+    return PlaneLayers(optics, snowpack.ground, saturations, snowpack.layers[0].water_index)

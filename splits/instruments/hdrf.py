@@ -11,7 +11,6 @@ from splits.core.keywords import reject_unknown_arguments
 from splits.core.progress import ProgressCallback
 from splits.core.uncertainty import make_variable
 from splits.illumination.sky import Sky
-from splits.instruments.angular_solver import find_angular_obstacle
 from splits.instruments.goniophotometer import AZIMUTH_DEG, POLAR_DEG, goniophotometer
 from splits.instruments.sky_mixing import (
     as_sky,
@@ -82,7 +81,7 @@ def hdrf(
     wavelengths = choose_wavelengths(wavelength_nm, sky_spectrum, 1)
     run = RunOptions.from_arguments(seed, threads, progress=progress)
     check_medium(medium, allow_semi_infinite=solver != MONTE_CARLO)
-    chosen = choose_solver(solver, [medium], wavelengths, find_angular_obstacle(medium))
+    chosen = choose_solver(solver, [medium], wavelengths)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         return goniophotometer(

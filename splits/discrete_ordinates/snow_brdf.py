@@ -5,18 +5,16 @@ Errors are
 - truncation: the difference from twice as many streams, by direction;
 - the table of the grains, for light scattered several times: the error of the reflectance or of the
   transmittance;
-- the phase function of light scattered once.  The scattered power of the highest orders of the
-  table, which is noise of its paths or what remains of the series, holds for every order l, of
-  which the moments of a limited number of paths have errors s/√(2l + 1).
+- the phase function of light scattered once: the noise of the highest orders of the table, which
+  is s/√(2l + 1) for every order l as the number of paths is limited; and the change if the last of
+  these orders are left out.
 """
 
 from __future__ import annotations
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import legmul, legval
 
 from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, trace_direct_light
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
@@ -35,14 +33,14 @@ from splits.discrete_ordinates.snowpack import (
 from splits.discrete_ordinates.streams import Streams
 
 MAX_BRDF_STREAMS = 32
-"""Largest number of streams of a BRDF: the number of moments of the table minus 1."""
+"""Largest number of streams of a BRDF: the number of moments of the table without the last."""
 MODE_TOLERANCE = 1e-9
 """Fraction of the BRDF and of the BTDF below which azimuthal modes are left out."""
 N_TAIL_ORDERS = 8
 """Number of the highest orders, which give the error of the phase function."""
 MIN_REFERENCE_FRACTION = 0.05
 """Fraction of a Lambertian distribution below which truncation is relative to that fraction."""
-MAX_CHUNK_VALUES = 4_000_000
+MAX_CHUNK_VALUES = 1_000_000
 """Largest number of layers, wavelengths and directions at once."""
 SIDE_NAMES = ("reflectance", "transmittance")
 
@@ -156,32 +154,48 @@ def _compute_single_scattering_error(
     snowpack: Snowpack, geometry: Geometry, n_streams: int
 ) -> np.ndarray:
     """Return the error of light scattered once, shape (2, wavelengths, views, azimuths)."""
-    n_orders = _count_orders(snowpack)
-    tail = slice(-N_TAIL_ORDERS, None)
-    weights = 2.0 * np.arange(n_orders)[tail] + 1.0
     errors = []
     for part in _divide_wavelengths(snowpack, geometry):
-        layers = _stack_layers(part, n_orders)
-        scale = np.sqrt((weights * layers.optics.scattering[..., tail] ** 2).mean(axis=-1))
+        layers = _stack_layers(part, _count_orders(part))
+        scattering = layers.optics.scattering
 
-        def evaluate(a: int, b: int, cosines: np.ndarray, scale: np.ndarray = scale) -> np.ndarray:
-            spread = np.sqrt(legval(cosines, _square_legendre(n_orders)))
-            error: np.ndarray = scale[..., a, b, np.newaxis, np.newaxis, np.newaxis] * spread
-            return error
+        def evaluate(
+            a: int, b: int, cosines: np.ndarray, scattering: np.ndarray = scattering
+        ) -> np.ndarray:
+            return compute_phase_error(scattering[..., a, b, :], cosines, has_peak=a == b)
 
         errors.append(scatter_once(layers.truncate(n_streams), geometry, evaluate)[..., 0, :, :])
     return np.concatenate(errors, axis=1)
 
 
-@cache
-def _square_legendre(n_orders: int) -> np.ndarray:
-    """Return the Legendre series of ∑ (2l + 1) P_l²."""
-    series = np.zeros(2 * n_orders - 1)
-    for order in range(n_orders):
-        one = np.eye(n_orders)[order]
-        square = legmul(one, one)
-        series[: square.size] += (2.0 * order + 1.0) * square
-    return series
+def compute_phase_error(moments: np.ndarray, cosines: np.ndarray, has_peak: bool) -> np.ndarray:
+    """Return the error of ∑ (2l + 1) χ_l P_l of moments from limited paths and of limited order.
+
+    Parameters
+    ----------
+    moments : float, shape (layers, ..., orders)
+    cosines : float, shape (..., beams, views, azimuths)
+    has_peak : bool
+        Whether the moment after the last one is a forward peak, which is left out.
+    """
+    n_orders, tail = moments.shape[-1], slice(-N_TAIL_ORDERS, None)
+    factors = 2.0 * np.arange(n_orders) + 1.0
+    # Second differences leave the noise of a smooth series; its variance is 6 times as large.
+    curvature = np.diff(moments[..., tail], 2)
+    noise = (factors[tail][1:-1] * curvature**2).mean(axis=-1) / 6.0
+    coefficients = np.moveaxis(moments, -1, 0)[..., np.newaxis, np.newaxis, np.newaxis]
+    before, here = np.zeros_like(cosines), np.ones_like(cosines)
+    series, peak, power = (np.zeros_like(cosines) for _ in range(3))
+    shorter = []
+    for order, factor in enumerate(factors):
+        if order >= n_orders - N_TAIL_ORDERS:
+            shorter.append(series - has_peak * coefficients[order] * peak)
+        series = series + factor * coefficients[order] * here
+        peak, power = peak + factor * here, power + factor * here**2
+        before, here = here, (factor * cosines * here - order * before) / (order + 1.0)
+    remainder = np.mean([(series - one) ** 2 for one in shorter], axis=0)
+    error: np.ndarray = np.sqrt(noise[..., np.newaxis, np.newaxis, np.newaxis] * power + remainder)
+    return error
 
 
 def _count_orders(snowpack: Snowpack) -> int:
@@ -189,10 +203,15 @@ def _count_orders(snowpack: Snowpack) -> int:
 
 
 def _stack_layers(snowpack: Snowpack, orders: int) -> PlaneLayers:
-    """Return the layers with a number of moments."""
+    """Return the layers with a number of moments.
+
+    Beyond the table the series of light that stays in wet pores, which the grains hardly refract,
+    continues as a forward peak, which counts as unscattered.
+    """
     table = load_natural_grains(wet=snowpack.is_wet)
     layers = [layer.compute_optics(table, orders) for layer in snowpack.layers]
     optics = LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))
+    optics = optics.truncate(orders - 1) if orders > 1 else optics
     if not snowpack.is_wet:
         return PlaneLayers(optics, snowpack.ground)
     saturations = [max(float(layer.saturation), MIN_SATURATION) for layer in snowpack.layers]

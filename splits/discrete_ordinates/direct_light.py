@@ -50,9 +50,7 @@ class _End(NamedTuple):
     outer_reflectance: np.ndarray
 
 
-def trace_direct_light(
-    layers: PlaneLayers, cosines: np.ndarray
-) -> tuple[DirectLight, DirectLight]:
+def trace_direct_light(layers: PlaneLayers, cosines: np.ndarray) -> tuple[DirectLight, DirectLight]:
     """Return the direct light of beams that enter at the top, and that enter at the bottom.
 
     Parameters
@@ -82,15 +80,19 @@ def trace_direct_light(
     )
     (falling, rising), outside = _trace(elements, top, bottom)
     from_top = DirectLight(falling[:-1][is_layer], rising[1:][is_layer], *outside)
-    flipped = [Element(e[1], e[0], e[3], e[2], None) for e in reversed(elements)]
+    flipped = [
+        Element(
+            one.reflection_below, one.reflection_above, one.transmission_up, one.transmission_down,
+            None,
+        )
+        for one in reversed(elements)
+    ]  # fmt: skip
     (rising, falling), outside = _trace(flipped, bottom, top)
     from_bottom = DirectLight(falling[:0:-1][is_layer], rising[-2::-1][is_layer], *outside)
     return from_top, from_bottom
 
 
-def scatter_once(
-    layers: PlaneLayers, geometry: Geometry, evaluate: PhaseFunction
-) -> np.ndarray:
+def scatter_once(layers: PlaneLayers, geometry: Geometry, evaluate: PhaseFunction) -> np.ndarray:
     """Return the BRDF and the BTDF of light scattered once, shape (2, ..., beams, views, azimuths).
 
     Parameters
@@ -108,7 +110,8 @@ def scatter_once(
     beam = both[0].select(slice(n_beams))
     views = [one.select(slice(n_beams, None)) for one in both]
     thickness = optics.thickness[..., np.newaxis, np.newaxis]
-    total: np.ndarray = np.zeros((2, *optics.thickness.shape[1:], n_beams, 1, 1))
+    shape = (n_beams, geometry.views.size, geometry.azimuths.size)
+    total = np.zeros((2, *optics.thickness.shape[1:], *shape))
     for a, b in np.ndindex(optics.scattering.shape[-3:-1]):
         mu, nu = directions[..., a, :n_beams], directions[..., b, n_beams:]
         product = mu[..., :, np.newaxis] * nu[..., np.newaxis, :]
@@ -117,21 +120,21 @@ def scatter_once(
             optics.extinction[..., b, np.newaxis, np.newaxis] / nu[..., np.newaxis, :],
         )
         air_mass = rates[0] + rates[1]
-        paths = -np.expm1(-air_mass * thickness) / air_mass, convolve_exponentials(*rates, thickness)
+        paths = (
+            -np.expm1(-air_mass * thickness) / air_mass,
+            convolve_exponentials(*rates, thickness),
+        )
         for turn in (REFLECTED, TRANSMITTED):
-            amplitudes = np.stack([_pair(beam, view, (a, b), turn) for view in views])
             cosines = geometry.compute_scattering_cosines(turn, mu, nu)
             source = evaluate(a, b, cosines) / (4.0 * np.pi * product[..., np.newaxis])
-            for side in np.flatnonzero(amplitudes.any(axis=tuple(range(1, amplitudes.ndim)))):
-                weight = amplitudes[side] * paths[turn]
-                scattered = (weight[..., np.newaxis] * source).sum(axis=0)
-                total = total + scattered * (np.arange(2) == side).reshape(2, *(1,) * scattered.ndim)
+            for side, view in enumerate(views):
+                weight = _pair(beam, view, (a, b), turn) * paths[turn]
+                if weight.any():
+                    total[side] += (weight[..., np.newaxis] * source).sum(axis=0)
     return total
 
 
-def _pair(
-    beam: DirectLight, view: DirectLight, states: tuple[int, int], turn: int
-) -> np.ndarray:
+def _pair(beam: DirectLight, view: DirectLight, states: tuple[int, int], turn: int) -> np.ndarray:
     """Return products of amplitudes, shape (layers, ..., beams, views).
 
     Scattering that turns light back joins amplitudes of the same direction.

@@ -37,7 +37,10 @@ class Geometry(NamedTuple):
         return np.concatenate([self.beams, self.views])
 
     def compute_scattering_cosines(
-        self, side: int = REFLECTED, beams: np.ndarray | None = None, views: np.ndarray | None = None
+        self,
+        side: int = REFLECTED,
+        beams: np.ndarray | None = None,
+        views: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the cosines of the scattering angle, shape (..., beams, views, azimuths).
 
@@ -68,27 +71,27 @@ class PlaneLayers(NamedTuple):
         Albedo of the ground; 0 for an open lower boundary.
     saturations : sequence of float
         Of each layer, above 0; none for layers of one state.
-    index : float, shape (...), or None
+    water_index : float, shape (...), or None
         Refractive index of water, where there are two states.
     """
 
     optics: LayerOptics
     ground: np.ndarray
     saturations: Sequence[float] = ()
-    index: np.ndarray | None = None
+    water_index: np.ndarray | None = None
 
     def make_faces(self, streams: Streams, cosines: np.ndarray) -> Faces:
         """Return the interfaces and boundaries, for further directions in air."""
-        if self.index is None:
+        if self.water_index is None:
             n_layers = self.optics.thickness.shape[0]
             return Faces.make_transparent(n_layers, streams.cosines.size, cosines.size)
-        return make_wet_faces(self.saturations, self.index, streams, cosines)
+        return make_wet_faces(self.saturations, self.water_index, streams, cosines)
 
     def refract(self, cosines: np.ndarray) -> np.ndarray:
         """Return the cosines within the layers, shape (..., states, directions)."""
-        if self.index is None:
+        if self.water_index is None:
             return cosines[np.newaxis]
-        return refract_directions(cosines, self.index)
+        return refract_directions(cosines, self.water_index)
 
     def truncate(self, streams: int) -> PlaneLayers:
         """Return truncated layers (`LayerOptics.truncate`), with moments of 0 if unknown."""

@@ -18,7 +18,7 @@ function of this rate, as the scattering into the direction o stays the same.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -94,9 +94,7 @@ def solve_layer_radiance(
     def select(chosen: slice) -> _Directions:
         return _Directions(*(_select(values, rates.shape[-2:], chosen) for values in combined))
 
-    shifted, own, seen = map(
-        select, (slice(n_shifted), slice(n_beams), slice(n_shifted, None))
-    )
+    shifted, own, seen = map(select, (slice(n_shifted), slice(n_beams), slice(n_shifted, None)))
     across = 0.5 * (even - odd)
     reflected = _reflect(own, seen, across)
     transmitted = _transmit(shifted, seen, across, n_beams)

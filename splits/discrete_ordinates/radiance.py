@@ -2,8 +2,8 @@
 
 By reciprocity, the light that reaches the direction of a beam from the direction of a view has the
 BRDF, or the BTDF, of a beam that is seen from there.  Beams along the views enter at the top and at
-the bottom; what a layer scatters out of them rises and falls on both of its sides, and leaves at the
-top along the beams.  Light scattered once is left out of the modes and computed at the scattering
+the bottom; what a layer scatters out of them rises and falls on both of its sides, and leaves along
+the beams at the top.  Light scattered once is left out of the modes and computed at the scattering
 angle, with the phase function before truncation (TMS, Nakajima & Tanaka 1988, Journal of
 Quantitative Spectroscopy and Radiative Transfer 40, 51).
 """
@@ -88,16 +88,15 @@ def _solve_mode(
     The shape is (2, ..., beams, views).
     """
     n_beams, n_views = geometry.beams.size, geometry.views.size
-    solved = solve_layer_radiance(
-        layers.optics, streams, *map(layers.refract, (geometry.beams, geometry.views)), mode
-    )
+    beam, view = layers.refract(geometry.beams), layers.refract(geometry.views)
+    solved = solve_layer_radiance(layers.optics, streams, beam, view, mode)
     n_streams = solved.isotropic.shape[-1] - n_beams * layers.optics.extinction.shape[-1]
     top, bottom = faces.boundaries
     # A Lambertian ground reflects into mode 0 only.
     ground = layers.ground if mode == 0 else np.zeros_like(layers.ground)
     reflection, _ = reflect_at_bottom(bottom, solved.isotropic[-1], ground, n_streams)
     upward, downward = _scatter_views(solved, views)
-    rising = np.zeros((*upward.shape[1:],))
+    rising = np.zeros(upward.shape[1:])
     rising[..., :n_views] = _reflect_views(faces, solved.isotropic[-1], ground, views[0])
     for layer in reversed(range(len(solved.elements))):
         interface = faces.interfaces[layer] if layer < len(solved.elements) - 1 else None

@@ -6,8 +6,8 @@ Errors are
 - the table of the grains, for light scattered several times: the error of the reflectance or of the
   transmittance;
 - the phase function of light scattered once: the noise of the highest orders of the table, which
-  is s/√(2l + 1) for every order l as the number of paths is limited; and the change if the last of
-  these orders are left out.
+  is s/√(2l + 1) for every order l as the number of paths is limited; the change if the last of
+  these orders are left out; and half of the forward peak beyond the table, for light in wet pores.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ import numpy as np
 
 from splits.discrete_ordinates.direct_light import DirectLight, scatter_once, trace_direct_light
 from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
-from splits.discrete_ordinates.radiance import compute_bidirectional
+from splits.discrete_ordinates.integrals import TINY
+from splits.discrete_ordinates.pores import WET
+from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
 from splits.discrete_ordinates.slab import LayerOptics
 from splits.discrete_ordinates.snow_layers import MIN_SATURATION
 from splits.discrete_ordinates.snowpack import (
@@ -33,11 +35,15 @@ from splits.discrete_ordinates.snowpack import (
 from splits.discrete_ordinates.streams import Streams
 
 MAX_BRDF_STREAMS = 32
-"""Largest number of streams of a BRDF: the number of moments of the table without the last."""
+"""Largest number of streams of a BRDF: the number of moments of the table minus 1."""
 MODE_TOLERANCE = 1e-9
 """Fraction of the BRDF and of the BTDF below which azimuthal modes are left out."""
 N_TAIL_ORDERS = 8
 """Number of the highest orders, which give the error of the phase function."""
+N_PEAK_ORDERS, MAX_PEAK_RATIO = 160, 0.97
+"""Number of the orders of the forward peak, and largest ratio of two successive moments."""
+PEAK_ERROR = 0.5
+"""Error of the extrapolated forward peak, relative to it."""
 MIN_REFERENCE_FRACTION = 0.05
 """Fraction of a Lambertian distribution below which truncation is relative to that fraction."""
 MAX_CHUNK_VALUES = 1_000_000
@@ -129,13 +135,20 @@ def solve_relative_spectrum(
 
 def _solve(snowpack: Snowpack, geometry: Geometry, n_streams: int) -> np.ndarray:
     """Return the BRDF and the BTDF of one beam, shape (2, wavelengths, views, azimuths)."""
-    streams = Streams.from_number(n_streams)
-    values = [
-        compute_bidirectional(
-            _stack_layers(part, _count_orders(part)), streams, geometry, tolerance=MODE_TOLERANCE
-        )[..., 0, :, :]
-        for part in _divide_wavelengths(snowpack, geometry)
-    ]
+    streams, n_known = Streams.from_number(n_streams), _count_orders(snowpack)
+    values = []
+    for part in _divide_wavelengths(snowpack, geometry):
+        layers = _stack_layers(part, n_known)
+        scattering = layers.optics.scattering
+
+        def evaluate(
+            a: int, b: int, cosines: np.ndarray, scattering: np.ndarray = scattering
+        ) -> np.ndarray:
+            n_orders = None if a == b == WET else n_known
+            return sum_legendre(scattering[..., a, b, :n_orders], cosines)
+
+        both = compute_bidirectional(layers, streams, geometry, evaluate, MODE_TOLERANCE)
+        values.append(both[..., 0, :, :])
     return np.concatenate(values, axis=1)
 
 
@@ -154,29 +167,38 @@ def _compute_single_scattering_error(
     snowpack: Snowpack, geometry: Geometry, n_streams: int
 ) -> np.ndarray:
     """Return the error of light scattered once, shape (2, wavelengths, views, azimuths)."""
+    n_known = _count_orders(snowpack)
     errors = []
     for part in _divide_wavelengths(snowpack, geometry):
-        layers = _stack_layers(part, _count_orders(part))
+        layers = _stack_layers(part, n_known)
         scattering = layers.optics.scattering
 
         def evaluate(
             a: int, b: int, cosines: np.ndarray, scattering: np.ndarray = scattering
         ) -> np.ndarray:
-            return compute_phase_error(scattering[..., a, b, :], cosines, has_peak=a == b)
+            moments = scattering[..., a, b, :]
+            known, error = estimate_phase_error(moments[..., :n_known], cosines, has_peak=a == b)
+            if not a == b == WET:
+                return error
+            peak = sum_legendre(moments, cosines) - known
+            return np.hypot(error, PEAK_ERROR * peak)
 
         errors.append(scatter_once(layers.truncate(n_streams), geometry, evaluate)[..., 0, :, :])
     return np.concatenate(errors, axis=1)
 
 
-def compute_phase_error(moments: np.ndarray, cosines: np.ndarray, has_peak: bool) -> np.ndarray:
-    """Return the error of ∑ (2l + 1) χ_l P_l of moments from limited paths and of limited order.
+def estimate_phase_error(
+    moments: np.ndarray, cosines: np.ndarray, has_peak: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ∑ (2l + 1) χ_l P_l without a forward peak, and its error.
 
     Parameters
     ----------
     moments : float, shape (layers, ..., orders)
+        From a limited number of paths.
     cosines : float, shape (..., beams, views, azimuths)
     has_peak : bool
-        Whether the moment after the last one is a forward peak, which is left out.
+        Whether the last moment is that of a forward peak, which is left out.
     """
     n_orders, tail = moments.shape[-1], slice(-N_TAIL_ORDERS, None)
     factors = 2.0 * np.arange(n_orders) + 1.0
@@ -186,16 +208,34 @@ def compute_phase_error(moments: np.ndarray, cosines: np.ndarray, has_peak: bool
     coefficients = np.moveaxis(moments, -1, 0)[..., np.newaxis, np.newaxis, np.newaxis]
     before, here = np.zeros_like(cosines), np.ones_like(cosines)
     series, peak, power = (np.zeros_like(cosines) for _ in range(3))
-    shorter = []
+    truncated = []
     for order, factor in enumerate(factors):
         if order >= n_orders - N_TAIL_ORDERS:
-            shorter.append(series - has_peak * coefficients[order] * peak)
+            truncated.append(series - has_peak * coefficients[order] * peak)
         series = series + factor * coefficients[order] * here
         peak, power = peak + factor * here, power + factor * here**2
         before, here = here, (factor * cosines * here - order * before) / (order + 1.0)
-    remainder = np.mean([(series - one) ** 2 for one in shorter], axis=0)
-    error: np.ndarray = np.sqrt(noise[..., np.newaxis, np.newaxis, np.newaxis] * power + remainder)
-    return error
+    complete = truncated[-1]
+    remainder = np.mean([(complete - one) ** 2 for one in truncated[:-1]], axis=0)
+    error = np.sqrt(noise[..., np.newaxis, np.newaxis, np.newaxis] * power + remainder)
+    return complete, error
+
+
+def extend_forward_peak(scattering: np.ndarray) -> np.ndarray:
+    """Return scattering (..., 2, 2, orders) with further orders of light that stays in wet pores.
+
+    Grains hardly refract this light, so that its moments decrease slowly.  They continue as a
+    geometric series with the mean decrease of the last known orders.
+    """
+    n_known = scattering.shape[-1]
+    own = scattering[..., WET, WET, :]
+    last, earlier = (np.maximum(own[..., order], TINY) for order in (-1, -1 - N_TAIL_ORDERS))
+    ratio = np.minimum((last / earlier) ** (1.0 / N_TAIL_ORDERS), MAX_PEAK_RATIO)
+    extended = np.zeros((*scattering.shape[:-1], N_PEAK_ORDERS))
+    extended[..., :n_known] = scattering
+    steps = np.arange(1, N_PEAK_ORDERS - n_known + 1)
+    extended[..., WET, WET, n_known:] = (last[..., np.newaxis]) * ratio[..., np.newaxis] ** steps
+    return extended
 
 
 def _count_orders(snowpack: Snowpack) -> int:
@@ -203,16 +243,13 @@ def _count_orders(snowpack: Snowpack) -> int:
 
 
 def _stack_layers(snowpack: Snowpack, orders: int) -> PlaneLayers:
-    """Return the layers with a number of moments.
-
-    Beyond the table the series of light that stays in wet pores, which the grains hardly refract,
-    continues as a forward peak, which counts as unscattered.
-    """
+    """Return the layers with a number of moments, and with the forward peak of wet layers."""
     table = load_natural_grains(wet=snowpack.is_wet)
     layers = [layer.compute_optics(table, orders) for layer in snowpack.layers]
     optics = LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))
-    optics = optics.truncate(orders - 1) if orders > 1 else optics
     if not snowpack.is_wet:
         return PlaneLayers(optics, snowpack.ground)
+    if orders > 1:
+        optics = optics._replace(scattering=extend_forward_peak(optics.scattering))
     saturations = [max(float(layer.saturation), MIN_SATURATION) for layer in snowpack.layers]
     return PlaneLayers(optics, snowpack.ground, saturations, snowpack.layers[0].water_index)

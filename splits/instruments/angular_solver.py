@@ -10,9 +10,10 @@ import numpy as np
 from splits.discrete_ordinates.applicability import make_snowpack
 from splits.discrete_ordinates.geometry import Geometry
 from splits.discrete_ordinates.snow_brdf import solve_bidirectional, solve_relative_spectrum
-from splits.discrete_ordinates.snowpack import Snowpack, SpectrumSolution, solve_spectrum
+from splits.discrete_ordinates.snowpack import Snowpack, SpectrumSolution
 from splits.instruments.angular_estimate import AngularEstimate
 from splits.media.medium import Medium
+
 
 class AngularRequest(NamedTuple):
     """Directions, and the error of their values.
@@ -101,8 +102,7 @@ def _solve_diffuse(
     cosines = np.cos(np.radians(request.polar))
     spectrum = solve_relative_spectrum(snowpack, cosines, request.relative_stderr, request.side)
     inverted = snowpack._replace(layers=snowpack.layers[::-1])
-    max_error = 2.0 * max(float(spectrum.truncation.max()), np.finfo(float).eps)
-    below = solve_spectrum(inverted, cosines, max_error)
+    below = solve_relative_spectrum(inverted, cosines, request.relative_stderr, request.side)
     mean = np.stack([spectrum.budget.reflectance, below.budget.transmittance])[..., :-1] / np.pi
     errors = np.stack([spectrum.error, below.error])[..., np.newaxis]
     mean, stderr = (

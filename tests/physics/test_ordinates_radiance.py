@@ -69,8 +69,7 @@ def test_same_streams_agree_with_other_program(name):
         np.testing.assert_allclose(actual[0, 1:], expected, rtol=1e-8)
 
 
-@pytest.mark.parametrize("thickness", [1e-3, 1.0, 30.0])
-@pytest.mark.parametrize("ground", [0.0, 0.4])
+@pytest.mark.parametrize(("thickness", "ground"), [(1e-3, 0.0), (1.0, 0.4), (30.0, 0.0)])
 def test_transmission_agrees_with_other_program(thickness, ground):
     """Phase functions of few moments need no correction, which differs for transmitted light."""
     layers = [thickness * np.array([0.2, 0.5, 0.3]), [0.5, 0.9, 0.7], [0.3, -0.25, 0.2]]

@@ -117,7 +117,7 @@ def test_distributions_integrate_to_totals_of_spectrophotometer(depth_m, water):
     snow = make_snow(depth_m=depth_m, ground=None, liquid_water_content=water)
     arguments = (snow, WAVELENGTHS, 53.0)
     solved = splits.goniophotometer(
-        *arguments, polar_deg=polar, azimuth_deg=np.arange(0.0, 360.0, 5.0), relative_stderr=0.002,
+        *arguments, polar_deg=polar, azimuth_deg=np.arange(0.0, 360.0, 5.0), relative_stderr=0.01,
         **SOLVED,
     )  # fmt: skip
     reflected, transmitted = (

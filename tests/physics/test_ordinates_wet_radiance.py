@@ -1,4 +1,4 @@
-"""Radiances of wet layers: totals, reciprocity, divisions, and the limit of index 1."""
+"""Radiances of wet layers: totals, reciprocity, divisions, limits, and errors."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
 from splits.discrete_ordinates.pores import compute_reflectance
 from splits.discrete_ordinates.radiance import compute_bidirectional
 from splits.discrete_ordinates.slab import LayerOptics
+from splits.discrete_ordinates.snow_brdf import (
+    N_PEAK_ORDERS,
+    estimate_phase_error,
+    extend_forward_peak,
+)
 from splits.discrete_ordinates.streams import Streams
 
 COSINES = np.cos(np.radians([0.0, 60.0, 85.0]))
@@ -91,3 +96,25 @@ def test_absorbing_layers_transmit_directly():
     reflected = saturation * face * (1.0 + decay * passing)
     np.testing.assert_allclose(direct.reflected, reflected, rtol=1e-12)
     assert not scatter(plane).any()
+
+
+@pytest.mark.parametrize("asymmetry", [0.7, 0.85, 0.95])
+@pytest.mark.parametrize("has_peak", [False, True])
+def test_error_of_a_phase_function_covers_the_rest_of_its_series(asymmetry, has_peak):
+    cosines = np.cos(np.radians(np.arange(10.0, 181.0, 2.0)))
+    moments = asymmetry ** np.arange(33)
+    exact = (1.0 - asymmetry**2) / (1.0 + asymmetry**2 - 2.0 * asymmetry * cosines) ** 1.5
+    values, error = estimate_phase_error(moments[np.newaxis], cosines[np.newaxis], has_peak)
+    ratio = (values - exact) / error
+    assert np.sqrt((ratio**2).mean()) < 1.0 and np.abs(ratio).max() < 3.0
+    if has_peak:
+        without, _ = estimate_phase_error(moments[np.newaxis], cosines[np.newaxis], False)
+        assert np.median(np.abs(values - exact)) < 0.5 * np.median(np.abs(without - exact))
+
+
+def test_forward_peak_of_wet_pores_continues_its_series():
+    moments = 0.2 * 0.95 ** np.arange(N_PEAK_ORDERS)
+    scattering = np.tile(moments[:33], (3, 2, 2, 1))
+    extended = extend_forward_peak(scattering)
+    np.testing.assert_allclose(extended[:, 1, 1], np.tile(moments, (3, 1)), rtol=1e-9)
+    assert not extended[:, 0, :, 33:].any() and not extended[:, 1, 0, 33:].any()

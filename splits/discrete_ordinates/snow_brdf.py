@@ -225,7 +225,7 @@ def extend_forward_peak(scattering: np.ndarray) -> np.ndarray:
     """Return scattering (..., 2, 2, orders) with further orders of light that stays in wet pores.
 
     Grains hardly refract this light, so that its moments decrease slowly.  They continue as a
-    geometric series with the mean decrease of the last known orders.
+    geometric series with the mean decrease of the last known orders, and end at 0.
     """
     n_known = scattering.shape[-1]
     own = scattering[..., WET, WET, :]
@@ -234,7 +234,10 @@ def extend_forward_peak(scattering: np.ndarray) -> np.ndarray:
     extended = np.zeros((*scattering.shape[:-1], N_PEAK_ORDERS))
     extended[..., :n_known] = scattering
     steps = np.arange(1, N_PEAK_ORDERS - n_known + 1)
-    extended[..., WET, WET, n_known:] = (last[..., np.newaxis]) * ratio[..., np.newaxis] ** steps
+    # A series that ends with a step oscillates in all directions.
+    taper = np.cos(0.5 * np.pi * steps / steps[-1]) ** 2
+    tail = last[..., np.newaxis] * ratio[..., np.newaxis] ** steps
+    extended[..., WET, WET, n_known:] = tail * taper
     return extended
 
 

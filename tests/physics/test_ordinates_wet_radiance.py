@@ -116,5 +116,8 @@ def test_forward_peak_of_wet_pores_continues_its_series():
     moments = 0.2 * 0.95 ** np.arange(N_PEAK_ORDERS)
     scattering = np.tile(moments[:33], (3, 2, 2, 1))
     extended = extend_forward_peak(scattering)
-    np.testing.assert_allclose(extended[:, 1, 1], np.tile(moments, (3, 1)), rtol=1e-9)
+    np.testing.assert_array_equal(extended[..., :33], scattering)
+    np.testing.assert_allclose(extended[:, 1, 1, :40], np.tile(moments[:40], (3, 1)), rtol=0.01)
+    # The series ends at 0 without a step.
+    assert (np.diff(extended[:, 1, 1]) < 0.0).all() and (extended[:, 1, 1, -1] < 1e-30).all()
     assert not extended[:, 0, :, 33:].any() and not extended[:, 1, 0, 33:].any()

@@ -78,6 +78,25 @@ def test_directions_agree_with_paths(name, incidence, error):
 @NEEDS_JIT
 @pytest.mark.slow
 @pytest.mark.long
+@pytest.mark.parametrize("name", ["thin", "wet"])
+def test_directions_agree_with_bins(name):
+    """Bins have no error of polynomials, also in the forward peak of wet pores."""
+    bins = {"estimator": "bins", "n_bins": (30, 72)}
+    paths = splits.goniophotometer(MEDIA[name], [600.0], 53.0, 2_000_000, seed=3, **bins)
+    paths = paths.sortby("polar")
+    directions = {"polar_deg": paths.polar.values, "azimuth_deg": paths.azimuth.values}
+    solved = splits.goniophotometer(MEDIA[name], [600.0], 53.0, **directions, **SOLVED)
+    z = [
+        ((solved[side] - paths[side]) / np.hypot(solved[f"{side}_stderr"], paths[f"{side}_stderr"]))
+        .values.ravel()
+        for side in ("brdf", "btdf")
+    ]  # fmt: skip
+    judge_z(np.concatenate(z), name, bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
 def test_light_without_scattering_agrees_with_paths():
     """A number of rays leaves no light to rarely sampled strata."""
     z = compare(

@@ -7,12 +7,15 @@ Modules, each importing only those above it:
 - `slab`: reflection and transmission of homogeneous layers
 - `adding`: layers on top of each other, over a ground
 - `profile`: fluxes within the layers
-- `radiance`: reflected radiance of dry layers
 - `pores`: refraction at the boundaries and interfaces of wet layers
+- `geometry`: directions in air and within layers
+- `direct_light`: light that is not scattered, or only once
+- `layer_radiance`: reflection and transmission of a layer between directions
+- `radiance`: reflected and transmitted radiance of layers
 - `grain_table`, `grain_tabulation`: single scattering by grains
 - `snow_layers`: layers of snow and their optics
 - `snowpack`: spectra of snowpacks, with errors
-- `snow_brdf`: reflected radiance of dry snowpacks, with errors
+- `snow_brdf`: reflected and transmitted radiance of snowpacks, with errors
 - `snow_profile`: fluxes, absorption and path lengths within snowpacks
 - `interval_profile`: the same between depths, by material, with errors
 - `transmittance_error`: relative errors of small transmittances

@@ -76,6 +76,27 @@ class Boundary(NamedTuple):
         return cls(0.0 * ones, ones, ones[n_streams:], np.zeros(n_directions + 1))
 
 
+class Faces(NamedTuple):
+    """Interfaces between layers, and boundaries of the sample.
+
+    Attributes
+    ----------
+    interfaces : sequence of Element or None
+        Below each layer except the last one; None where light passes unchanged.
+    boundaries : (Boundary, Boundary)
+        At the top and at the bottom.
+    """
+
+    interfaces: Sequence[Element | None]
+    boundaries: tuple[Boundary, Boundary]
+
+    @classmethod
+    def make_transparent(cls, n_layers: int, n_streams: int, n_directions: int) -> Faces:
+        """Return the faces of layers without water."""
+        boundary = Boundary.make_transparent(n_streams, n_directions)
+        return cls([None] * (n_layers - 1), (boundary, boundary))
+
+
 class Budget(NamedTuple):
     """Fate of the incident light, for the beams and for diffuse light (last).
 

@@ -38,13 +38,9 @@ def integrate_modes(k: np.ndarray, thickness: np.ndarray, rates: np.ndarray) -> 
     k, thickness, rates = k[..., np.newaxis, :], thickness[..., np.newaxis], rates[..., np.newaxis]
     depth, slant = k * thickness, rates * thickness
     decay, direct, intercepted = np.exp(-depth), np.exp(-slant), -np.expm1(-slant)
-    # ∫ e^(−kt) e^(−rt) dt and ∫ e^(−k(τ−t)) e^(−rt) dt, without cancellation at k = r.
+    # ∫ e^(−kt) e^(−rt) dt and ∫ e^(−k(τ−t)) e^(−rt) dt.
     falling = -np.expm1(-depth - slant) / (k + rates)
-    low = np.minimum(depth, slant)
-    with np.errstate(invalid="ignore"):
-        excess = np.abs(k - rates) * thickness
-        ratio = np.where(excess > 0.0, -np.expm1(-excess) / np.maximum(excess, TINY), 1.0)
-        rising = np.where(np.isinf(low), 0.0, np.exp(-low) * ratio * thickness)
+    rising = convolve_exponentials(k, rates, thickness)
     even = 1.0 / (1.0 + decay)
     even_cosh, even_sinh = even * (falling + rising), even * (falling - rising)
     # Odd modes of small k/r, by partial integration: k coth(kτ/2) is finite there.
@@ -58,6 +54,16 @@ def integrate_modes(k: np.ndarray, thickness: np.ndarray, rates: np.ndarray) -> 
     gap, decayed = 2.0 * even * odd, decay * falling
     cosh_gap, sinh_gap = gap * (rising - decayed), -k * gap * (rising + decayed)
     return ModeIntegrals(even_cosh, k * even_sinh, odd_sinh, odd_cosh, cosh_gap, sinh_gap)
+
+
+def convolve_exponentials(a: np.ndarray, b: np.ndarray, thickness: np.ndarray) -> np.ndarray:
+    """Return ∫ e^(−at) e^(−b(τ−t)) dt from 0 to τ, without cancellation at a = b."""
+    low = np.minimum(a * thickness, b * thickness)
+    with np.errstate(invalid="ignore"):
+        excess = np.abs(a - b) * thickness
+        ratio = np.where(excess > 0.0, -np.expm1(-excess) / np.maximum(excess, TINY), 1.0)
+        integral: np.ndarray = np.where(np.isinf(low), 0.0, np.exp(-low) * ratio * thickness)
+    return integral
 
 
 def compute_impedances(

@@ -9,11 +9,13 @@ cells, so that fluxes are conserved and total reflection does not depend on the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from splits.discrete_ordinates.adding import Boundary, Element
+from splits.discrete_ordinates.adding import Boundary, Element, Faces
 from splits.discrete_ordinates.slab import join_blocks
 from splits.discrete_ordinates.streams import Streams
 
@@ -79,6 +81,33 @@ def refract_directions(cosines: np.ndarray, index: np.ndarray) -> np.ndarray:
     sine2 = (1.0 - cosines**2) / np.asarray(index)[..., np.newaxis] ** 2
     refracted = np.sqrt(1.0 - sine2)
     return np.stack(np.broadcast_arrays(cosines, refracted), axis=-2)
+
+
+def make_wet_faces(
+    saturations: Sequence[float], index: np.ndarray, streams: Streams, cosines: np.ndarray
+) -> Faces:
+    """Return the interfaces and boundaries of layers of saturations, top first.
+
+    Parameters
+    ----------
+    saturations : sequence of float
+        Above 0.
+    index : float, shape (...)
+        Refractive index of water.
+    streams : Streams
+    cosines : float, shape (directions,)
+        Directions in air.
+    """
+    cells = RefractingCells.from_index(index, streams)
+    interfaces = [
+        None if pair[0] == pair[1] else make_wet_interface(pair, index, cells, cosines)
+        for pair in pairwise(saturations)
+    ]
+    top, bottom = (
+        make_wet_boundary(saturation, index, cells, cosines)
+        for saturation in (saturations[0], saturations[-1])
+    )
+    return Faces(interfaces, (top, bottom))
 
 
 def make_wet_boundary(

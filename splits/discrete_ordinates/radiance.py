@@ -1,245 +1,143 @@
-"""Reflected radiance of dry layers over a Lambertian ground, by azimuthal modes.
+"""Radiance that plane layers reflect and transmit between two directions, by azimuthal modes.
 
-The radiance in a direction e under a beam from a direction o follows from invariance (Ambartsumian;
-Chandrasekhar 1950, Radiative Transfer): a thin layer on top of a homogeneous slab has the same
-effect as a thin layer below it.  With the reflection r and the transmission t between directions
-and streams, the direct transmission δ, the extinction σ, and the scattering s within a hemisphere
-and p between both,
-
-    σ (μ_e + μ_o) G_eo = ½ p_eo (1 − δ_e δ_o) + X_eo + X_oe,
-    X_eo = μ_e r_e (s_o + ½ μ_o p r_o)ᵀ − μ_e t_e (δ_o p_o + ½ μ_o p t_o)ᵀ,
-
-which is reciprocal by its form.  The first term is light scattered once.  It is left out of the
-modes and computed at the scattering angle, with the phase function before truncation (TMS, Nakajima
-& Tanaka 1988, Journal of Quantitative Spectroscopy and Radiative Transfer 40, 51).
+By reciprocity, the light that reaches the direction of a beam from the direction of a view has the
+BRDF, or the BTDF, of a beam that is seen from there.  Beams along the views enter at the top and at
+the bottom; what a layer scatters out of them rises and falls on both of its sides, and leaves along
+the beams at the top.  Light scattered once is left out of the modes and computed at the scattering
+angle, with the phase function before truncation (TMS, Nakajima & Tanaka 1988, Journal of
+Quantitative Spectroscopy and Radiative Transfer 40, 51).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from numpy.polynomial.legendre import legval
 
-from splits.discrete_ordinates.slab import LayerOptics, Slab, compute_scattering, solve_slab
-from splits.discrete_ordinates.streams import Streams, compute_legendre
-
-
-class Geometry(NamedTuple):
-    """Directions of light and of observation.
-
-    Attributes
-    ----------
-    beams, views : float, shape (beams,) and (views,)
-        Cosines with the normal.
-    azimuths : float, shape (azimuths,)
-        Between the horizontal directions in which the light travels before and after reflection, in
-        radians: 0 is forward, π backward.
-    """
-
-    beams: np.ndarray
-    views: np.ndarray
-    azimuths: np.ndarray
-
-    def compute_scattering_cosines(self) -> np.ndarray:
-        """Return the cosines of the scattering angle, shape (beams, views, azimuths)."""
-        beam, view = self.beams[:, np.newaxis], self.views
-        sines = np.sqrt((1.0 - beam**2) * (1.0 - view**2))
-        cosines = sines[..., np.newaxis] * np.cos(self.azimuths) - (beam * view)[..., np.newaxis]
-        clipped: np.ndarray = np.clip(cosines, -1.0, 1.0)
-        return clipped
-
-    def list_directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the cosines of all directions, and the indices of the beams and of the views."""
-        both = np.concatenate([self.beams, self.views])
-        cosines, indices = np.unique(both, return_inverse=True)
-        return cosines, indices[: self.beams.size], indices[self.beams.size :]
+from splits.discrete_ordinates.adding import Faces, add_above, make_outlet, reflect_at_bottom
+from splits.discrete_ordinates.direct_light import (
+    DirectLight,
+    PhaseFunction,
+    scatter_once,
+    trace_direct_light,
+)
+from splits.discrete_ordinates.geometry import Geometry, PlaneLayers
+from splits.discrete_ordinates.layer_radiance import LayerRadiance, solve_layer_radiance
+from splits.discrete_ordinates.streams import Streams
 
 
-class _Reflection(NamedTuple):
-    """Reflection of what lies below a level, for one azimuthal mode.
-
-    Attributes
-    ----------
-    streams : float, shape (..., streams, streams)
-    beams : float, shape (..., directions, streams)
-        As `Slab.beam_reflection`.
-    between : float, shape (..., directions, directions)
-        G, 2π times the contribution of the mode to the BRDF, without light scattered only once.
-    """
-
-    streams: np.ndarray
-    beams: np.ndarray
-    between: np.ndarray
-
-
-def compute_brdf(
-    optics: LayerOptics,
-    ground: np.ndarray,
+def compute_bidirectional(
+    layers: PlaneLayers,
     streams: Streams,
     geometry: Geometry,
-    phase_function: np.ndarray | None = None,
+    evaluate: PhaseFunction | None = None,
     tolerance: float = 1e-6,
 ) -> np.ndarray:
-    """Return the bidirectional reflectance distribution function, in 1/sr.
+    """Return the BRDF and the BTDF of scattered light, in 1/sr.
 
     Parameters
     ----------
-    optics : LayerOptics
-        Layers of one state, top first, along the first dimension, with all moments that are known:
-        they are truncated here.
-    ground : float, shape (...)
-        Albedo of the Lambertian ground.
+    layers : PlaneLayers
+        With all moments that are known: they are truncated here.
     streams : Streams
     geometry : Geometry
-    phase_function : float, shape (layers, ..., beams, views, azimuths), optional
-        At the scattering angles (`Geometry.compute_scattering_cosines`), with a mean of 1 over the
-        sphere.  By default the Legendre series of all moments.
+    evaluate : callable, optional
+        Phase function; by default the Legendre series of all moments.
     tolerance : float
-        Modes are added until two in succession are below this fraction of the BRDF everywhere.
+        Modes are added until two in succession are below this fraction of both everywhere.
 
     Returns
     -------
-    float, shape (..., beams, views, azimuths)
+    float, shape (2, ..., beams, views, azimuths)
+        The BTDF over a ground is that of the light that falls on the ground.
     """
-    moments = optics.scattering[..., 0, 0, :]
-    if phase_function is None:
-        scattering = sum_legendre(moments, geometry.compute_scattering_cosines())
-    else:
-        scattering = moments[..., :1, np.newaxis, np.newaxis] * phase_function
     n = 2 * streams.cosines.size
-    truncated = truncate_known_moments(optics, n)
-    brdf = scatter_once(truncated, scattering, geometry)
-    directions, beams, views = geometry.list_directions()
+    truncated = layers.truncate(n)
+    scattering = layers.optics.scattering
+    evaluate = evaluate or (lambda a, b, cosines: sum_legendre(scattering[..., a, b, :], cosines))
+    values = scatter_once(truncated, geometry, evaluate)
+    faces = layers.make_faces(streams, geometry.beams)
+    views = trace_direct_light(truncated, geometry.views)
     successive = 0
     for mode in range(n):
-        multiple = _reflect_mode(truncated, ground, streams, directions, mode).between
-        selected = multiple[..., beams[:, np.newaxis], views] / (2.0 * np.pi)
+        multiple = _solve_mode(truncated, faces, streams, geometry, views, mode) / (2.0 * np.pi)
         factor = np.cos(mode * geometry.azimuths) * (1.0 if mode == 0 else 2.0)
-        brdf = brdf + selected[..., np.newaxis] * factor
-        small = (2.0 * np.abs(selected) <= tolerance * np.abs(brdf).min(axis=-1)).all()
+        values = values + multiple[..., np.newaxis] * factor
+        small = (2.0 * np.abs(multiple) <= tolerance * np.abs(values).min(axis=-1)).all()
         successive = successive + 1 if small else 0
         if mode > 0 and successive >= 2:
             break
-    return brdf
-
-
-def truncate_known_moments(optics: LayerOptics, streams: int) -> LayerOptics:
-    """Return truncated optics (`LayerOptics.truncate`), with moments of 0 beyond those known."""
-    missing = max(streams + 1 - optics.scattering.shape[-1], 0)
-    padding = [(0, 0)] * (optics.scattering.ndim - 1) + [(0, missing)]
-    return optics._replace(scattering=np.pad(optics.scattering, padding)).truncate(streams)
+    return values
 
 
 def sum_legendre(moments: np.ndarray, cosines: np.ndarray) -> np.ndarray:
-    """Return ∑ (2l + 1) χ_l P_l of moments (..., orders), shape (..., *cosines.shape)."""
-    orders = np.arange(moments.shape[-1])
-    functions = compute_legendre(cosines.ravel(), 0, orders.size)
-    values = ((2.0 * orders + 1.0) * moments) @ functions
-    return values.reshape(*moments.shape[:-1], *cosines.shape)
+    """Return ∑ (2l + 1) χ_l P_l of moments (layers, ..., orders).
 
-
-def scatter_once(optics: LayerOptics, scattering: np.ndarray, geometry: Geometry) -> np.ndarray:
-    """Return the BRDF of light scattered once, ∑ b p (e^(−mτ) − e^(−m(τ + Δτ))) / 4π σ (μ_e + μ_o).
-
-    Parameters
-    ----------
-    optics : LayerOptics
-        Truncated, with the extinction σ.
-    scattering : float, shape (layers, ..., beams, views, azimuths)
-        Scattering coefficients times the phase function before truncation, b p.
-    geometry : Geometry
+    Cosines have the shape (..., beams, views, azimuths), and so has the sum of each layer.
     """
-    beam, view = geometry.beams[:, np.newaxis], geometry.views
-    air_mass = 1.0 / beam + 1.0 / view
-    extinction = optics.extinction[..., np.newaxis]
-    thickness = optics.thickness[..., np.newaxis, np.newaxis] * extinction
-    depth = np.zeros_like(thickness[0])
-    brdf = np.zeros(scattering.shape[1:])
-    for own, sigma, source in zip(thickness, extinction, scattering, strict=True):
-        factor = np.exp(-depth * air_mass) * -np.expm1(-own * air_mass)
-        factor = factor / (4.0 * np.pi * sigma * (beam + view))
-        brdf = brdf + factor[..., np.newaxis] * source
-        depth = depth + own
-    return brdf
+    factors = (2.0 * np.arange(moments.shape[-1]) + 1.0) * moments
+    coefficients = np.moveaxis(factors, -1, 0)[..., np.newaxis, np.newaxis, np.newaxis]
+    return legval(cosines, coefficients, tensor=False)
 
 
-def _reflect_mode(
-    optics: LayerOptics, ground: np.ndarray, streams: Streams, cosines: np.ndarray, mode: int
-) -> _Reflection:
-    """Return the reflection of a stack of layers of truncated optics for one azimuthal mode."""
-    directions = cosines[np.newaxis]
-    slabs = solve_slab(optics, streams, directions, mode)
-    scattering = compute_scattering(optics, streams, directions, mode)
-    between = _scatter_repeatedly(slabs, scattering, optics.extinction[..., np.newaxis], cosines)
-    n_layers = optics.thickness.shape[0]
-    bottom = slabs.select(n_layers - 1)
-    # A Lambertian ground reflects into mode 0 only.
-    if mode == 0:
-        albedo = np.broadcast_to(ground, optics.thickness.shape[1:])
-        reflection = _add_layer(bottom, between[-1], _reflect_ground(albedo, streams, cosines.size))
-    else:
-        reflection = _Reflection(bottom.reflection, bottom.beam_reflection, between[-1])
-    for layer in reversed(range(n_layers - 1)):
-        reflection = _add_layer(slabs.select(layer), between[layer], reflection)
-    return reflection
-
-
-def _scatter_repeatedly(
-    slab: Slab, scattering: list[tuple[np.ndarray, np.ndarray]], extinction: np.ndarray,
-    cosines: np.ndarray,
+def _solve_mode(
+    layers: PlaneLayers, faces: Faces, streams: Streams, geometry: Geometry,
+    views: tuple[DirectLight, DirectLight], mode: int,
 ) -> np.ndarray:  # fmt: skip
-    """Return G between directions without the light scattered once, see the module.
+    """Return 2π times the contribution of a mode, without light scattered only once.
 
-    Parameters
-    ----------
-    slab : Slab
-    scattering : pairs of float
-        See `compute_scattering`.
-    extinction : float, shape (..., 1, 1)
-    cosines : float, shape (directions,)
+    The shape is (2, ..., beams, views).
     """
-    even, odd = scattering
-    across_streams, across = (0.5 * (a - b) for a, b in zip(even, odd, strict=True))
-    within = 0.5 * (even[1] + odd[1])
-    reflected = cosines[:, np.newaxis] * slab.beam_reflection
-    transmitted = cosines[:, np.newaxis] * slab.beam_transmission
-    at_top = within + 0.5 * reflected @ across_streams
-    at_bottom = slab.direct[..., np.newaxis] * across + 0.5 * transmitted @ across_streams
-    half = reflected @ _transpose(at_top) - transmitted @ _transpose(at_bottom)
-    between: np.ndarray = half + _transpose(half)
-    return between / (extinction * (cosines[:, np.newaxis] + cosines))
+    n_beams, n_views = geometry.beams.size, geometry.views.size
+    beam, view = layers.refract(geometry.beams), layers.refract(geometry.views)
+    solved = solve_layer_radiance(layers.optics, streams, beam, view, mode)
+    n_streams = solved.isotropic.shape[-1] - n_beams * layers.optics.extinction.shape[-1]
+    top, bottom = faces.boundaries
+    # A Lambertian ground reflects into mode 0 only.
+    ground = layers.ground if mode == 0 else np.zeros_like(layers.ground)
+    reflection, _ = reflect_at_bottom(bottom, solved.isotropic[-1], ground, n_streams)
+    upward, downward = _scatter_views(solved, views)
+    rising = np.zeros(upward.shape[1:])
+    rising[..., :n_views] = _reflect_views(faces, solved.isotropic[-1], ground, views[0])
+    for layer in reversed(range(len(solved.elements))):
+        interface = faces.interfaces[layer] if layer < len(solved.elements) - 1 else None
+        if interface is not None:
+            reflection, passage = add_above(interface, reflection)
+            rising = passage @ rising
+        below, (reflection, passage) = reflection, add_above(solved.elements[layer], reflection)
+        rising = upward[layer] + passage @ (rising + below @ downward[layer])
+    outlet = make_outlet(reflection, top, solved.isotropic[0], n_streams)[..., :-1, :]
+    leaving = outlet @ rising
+    return np.stack([leaving[..., :n_views], leaving[..., n_views:]])
 
 
-def _reflect_ground(albedo: np.ndarray, streams: Streams, n_directions: int) -> _Reflection:
-    doubled = 2.0 * albedo[..., np.newaxis, np.newaxis]
-    lambertian, directions = streams.flux_vector, np.ones(n_directions)
-    return _Reflection(
-        doubled * np.outer(lambertian, lambertian),
-        doubled * np.outer(directions, lambertian),
-        doubled * np.outer(directions, directions),
-    )
+def _scatter_views(
+    solved: LayerRadiance, views: tuple[DirectLight, DirectLight]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the light that layers scatter upwards and downwards out of the beams of the views.
 
-
-def _add_layer(slab: Slab, between: np.ndarray, below: _Reflection) -> _Reflection:
-    """Return the reflection of a layer with a direction-to-direction reflection, and of all below.
-
-    With the reflections R, B and G of what lies below, and those of the layer in lower case, the
-    radiance that rises between both is (1 − R r)⁻¹ (R tᵀ + Bᵀ δ).
+    The shape is (layers, ..., radiances, 2 × views): beams from the top, then those from the
+    bottom.
     """
-    direct = slab.direct[..., np.newaxis]
-    inverse = np.linalg.inv(np.eye(slab.reflection.shape[-1]) - slab.reflection @ below.streams)
-    from_direct = direct * below.beams
-    rising = (slab.beam_transmission @ below.streams + from_direct) @ inverse
-    leaving = slab.beam_transmission + from_direct @ slab.reflection
-    return _Reflection(
-        slab.reflection + slab.transmission @ below.streams @ inverse @ slab.transmission,
-        slab.beam_reflection + rising @ slab.transmission,
-        between
-        + rising @ _transpose(leaving)
-        + slab.beam_transmission @ _transpose(from_direct)
-        + direct * below.between * _transpose(direct),
+    both = []
+    for one in views:
+        falling, rising = (np.swapaxes(values, -1, -2) for values in (one.falling, one.rising))
+        both.append([
+            np.einsum("...rsv,...sv->...rv", solved.reflection, a)
+            + np.einsum("...rsv,...sv->...rv", solved.transmission, b)
+            for a, b in ((falling, rising), (rising, falling))
+        ])  # fmt: skip
+    upward, downward = (np.concatenate(parts, axis=-1) for parts in zip(*both, strict=True))
+    return upward, downward
+
+
+def _reflect_views(
+    faces: Faces, isotropic: np.ndarray, ground: np.ndarray, views: DirectLight
+) -> np.ndarray:
+    """Return the light of the beams of the views that a ground reflects."""
+    bottom = faces.boundaries[1]
+    gain = ground / (1.0 - ground * bottom.outer_reflectance[..., -1])
+    passing = (bottom.transmission * isotropic)[..., :, np.newaxis]
+    reflected: np.ndarray = (
+        2.0 * gain[..., np.newaxis, np.newaxis] * passing * views.transmitted[..., np.newaxis, :]
     )
-
-
-def _transpose(matrix: np.ndarray) -> np.ndarray:
-    return np.swapaxes(matrix, -1, -2)
+    return reflected

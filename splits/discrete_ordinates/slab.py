@@ -139,8 +139,9 @@ class Modes(NamedTuple):
 
 
 def solve_slab(
-    optics: LayerOptics, streams: Streams, directions: np.ndarray, mode: int = 0
-) -> Slab:
+    optics: LayerOptics, streams: Streams, directions: np.ndarray, mode: int = 0,
+    rate_factors: np.ndarray | float = 1.0,
+) -> Slab:  # fmt: skip
     """Return the reflection and transmission of homogeneous layers for one azimuthal mode.
 
     Parameters
@@ -152,6 +153,8 @@ def solve_slab(
     directions : float, shape (..., states, directions)
         Cosines of the further directions in each state, as light is refracted into water.
     mode : int
+    rate_factors : float, shape (directions,)
+        Factors of the extinction along the further directions.
     """
     modes = solve_modes(optics, streams, directions, mode)
     k, thickness = modes.rates, np.maximum(optics.thickness, MIN_THICKNESS)[..., np.newaxis]
@@ -164,7 +167,7 @@ def solve_slab(
     transmission = odd_inverse @ (y * difference[..., np.newaxis, :]) @ even_map
     reflection = even_inverse + odd_inverse - unit
     shape = modes.even_kernel.shape
-    rates = (optics.extinction[..., np.newaxis] / directions).reshape(shape[:-1])
+    rates = (optics.extinction[..., np.newaxis] / directions * rate_factors).reshape(shape[:-1])
     even_row, odd_row, gap_row = _sum_modes(modes, thickness, directions, rates)
     # Half the difference of both rows cancels in thick layers: there, that of the integrals, and of
     # the inverse matrices, which is the transmission.

@@ -14,16 +14,12 @@ from splits.discrete_ordinates.adding import (
     Boundary,
     Budget,
     Element,
+    Faces,
     compute_budget,
     make_isotropic,
 )
 from splits.discrete_ordinates.grain_table import GrainTable
-from splits.discrete_ordinates.pores import (
-    RefractingCells,
-    make_wet_boundary,
-    make_wet_interface,
-    refract_directions,
-)
+from splits.discrete_ordinates.pores import make_wet_faces, refract_directions
 from splits.discrete_ordinates.slab import LayerOptics, solve_slab
 from splits.discrete_ordinates.snow_layers import MIN_SATURATION, SnowLayer
 from splits.discrete_ordinates.streams import Streams
@@ -136,38 +132,29 @@ class Snowpack(NamedTuple):
             Element.from_slab(solve_slab(one.truncate(n_streams), streams, directions), vector)
             for one, vector in zip(optics, isotropic, strict=True)
         ]
-        if not self.is_wet:
-            faces = (Boundary.make_transparent(n_streams // 2, n_beams),) * 2
-            levels = [*isotropic, isotropic[-1]]
-            return PlaneStack(elements, levels, faces, self.ground, n_streams // 2, optics)
-        elements, levels, faces = self._add_faces(elements, isotropic, streams, cosines)
-        return PlaneStack(elements, levels, faces, self.ground, n_streams, optics)
+        faces = self.make_faces(streams, cosines)
+        combined, levels = elements[:1], isotropic[:1]
+        for number, interface in enumerate(faces.interfaces, start=1):
+            if interface is not None:
+                combined.append(interface)
+                levels.append(isotropic[number - 1])
+            combined.append(elements[number])
+            levels.append(isotropic[number])
+        levels.append(isotropic[-1])
+        n_both = streams.cosines.size * (1 + self.is_wet)
+        return PlaneStack(combined, levels, faces.boundaries, self.ground, n_both, optics)
 
     def solve(self, cosines: np.ndarray, n_streams: int) -> Budget:
         """Return the budget of light for beams, and for diffuse light (last); see `build`."""
         return self.build(cosines, n_streams).compute_budget()
 
-    def _add_faces(
-        self, layers: list[Element], isotropic: list[np.ndarray], streams: Streams,
-        cosines: np.ndarray,
-    ) -> tuple[list[Element], list[np.ndarray], tuple[Boundary, Boundary]]:  # fmt: skip
-        """Return the elements with interfaces, the isotropic radiances, and both boundaries."""
-        index = self.layers[0].water_index
-        cells = RefractingCells.from_index(index, streams)
+    def make_faces(self, streams: Streams, cosines: np.ndarray) -> Faces:
+        """Return the interfaces and boundaries, for directions in air as in `build`."""
+        if not self.is_wet:
+            n_layers, n_streams = len(self.layers), streams.cosines.size
+            return Faces.make_transparent(n_layers, n_streams, cosines.shape[-1])
         saturations = [max(float(one.saturation), MIN_SATURATION) for one in self.layers]
-        elements, levels = layers[:1], isotropic[:1]
-        for number, layer in enumerate(layers[1:], start=1):
-            pair = saturations[number - 1], saturations[number]
-            if pair[0] != pair[1]:
-                elements.append(make_wet_interface(pair, index, cells, cosines))
-                levels.append(isotropic[number - 1])
-            elements.append(layer)
-            levels.append(isotropic[number])
-        top, bottom = (
-            make_wet_boundary(saturation, index, cells, cosines)
-            for saturation in (saturations[0], saturations[-1])
-        )
-        return elements, [*levels, isotropic[-1]], (top, bottom)
+        return make_wet_faces(saturations, self.layers[0].water_index, streams, cosines)
 
 
 class SpectrumSolution(NamedTuple):

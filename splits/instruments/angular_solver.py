@@ -1,4 +1,4 @@
-"""BRDFs and reflectance factors of dry natural snow by discrete ordinates, as simulations."""
+"""BRDFs, BTDFs and factors of natural snow by discrete ordinates, in the form of simulations."""
 
 from __future__ import annotations
 
@@ -8,18 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.discrete_ordinates.applicability import make_snowpack
-from splits.discrete_ordinates.radiance import Geometry
-from splits.discrete_ordinates.snow_brdf import (
-    compute_direct_transmittance,
-    solve_brdf,
-    solve_relative_spectrum,
-)
+from splits.discrete_ordinates.geometry import Geometry
+from splits.discrete_ordinates.snow_brdf import solve_bidirectional, solve_relative_spectrum
 from splits.discrete_ordinates.snowpack import Snowpack, SpectrumSolution
 from splits.instruments.angular_estimate import AngularEstimate
 from splits.media.medium import Medium
-
-UNAVAILABLE_VARIABLES = ("btdf", "transmittance_factor")
-"""Variables that discrete ordinates do not compute."""
 
 
 class AngularRequest(NamedTuple):
@@ -36,6 +29,8 @@ class AngularRequest(NamedTuple):
     relative_stderr : float
     direction_mask : bool, shape (directions,)
         Directions to which the error applies; azimuth runs fastest.
+    side : int
+        Side to which the error applies, 0 reflected or 1 transmitted.
     """
 
     wavelengths: np.ndarray
@@ -44,6 +39,7 @@ class AngularRequest(NamedTuple):
     azimuth: np.ndarray
     relative_stderr: float
     direction_mask: np.ndarray
+    side: int
 
 
 class AngularResult(NamedTuple):
@@ -70,25 +66,18 @@ class AngularResult(NamedTuple):
         return bool(self.attributes["stop_reason"] == "converged")
 
 
-def find_angular_obstacle(
-    medium: Medium, estimator: str = "expansion", target: str = "brdf", rays: int | None = None
-) -> str | None:
+def find_angular_obstacle(estimator: str, rays: int | None) -> str | None:
     """Return why discrete ordinates cannot replace a goniophotometer, None if they can.
 
     Parameters
     ----------
-    medium : Medium
-    estimator, target, rays
+    estimator, rays
         As for `splits.goniophotometer`.
     """
-    if target != "brdf":
-        return f"the {target.upper()} needs paths"
     if estimator != "expansion":
         return f"the estimator {estimator} needs paths"
     if rays is not None:
         return "a number of rays needs paths"
-    if any(getattr(layer, "saturation", 0.0) > 0.0 for layer in medium.scene_layers):
-        return "the BRDF of wet snow needs paths"
     return None
 
 
@@ -104,41 +93,51 @@ def solve_angular_result(medium: Medium, request: AngularRequest) -> AngularResu
     snowpack = make_snowpack(medium, request.wavelengths)
     solve = _solve_diffuse if request.incidence == "diffuse" else _solve_beam
     estimate, attributes = solve(snowpack, request)
-    return AngularResult(estimate, {}, UNAVAILABLE_VARIABLES, attributes)
+    return AngularResult(estimate, {}, (), attributes)
 
 
 def _solve_diffuse(
     snowpack: Snowpack, request: AngularRequest
 ) -> tuple[AngularEstimate, dict[str, Any]]:
-    """Return reflectance factors under diffuse light: the reflectances of beams, by reciprocity."""
+    """Return factors under diffuse light, by reciprocity.
+
+    The reflectance factor in a direction is the reflectance of a beam from there, and the
+    transmittance factor is the transmittance of a beam from there through the inverted snowpack.
+    """
     cosines = np.cos(np.radians(request.polar))
-    spectrum = solve_relative_spectrum(snowpack, cosines, request.relative_stderr)
-    mean = spectrum.budget.reflectance[:, :-1] / np.pi
-    stderr = np.minimum(spectrum.error[:, np.newaxis] / np.pi, mean)
-    repeats = request.azimuth.size
-    estimate = _make_estimate(
-        np.repeat(mean, repeats, axis=1), np.repeat(stderr, repeats, axis=1), spectrum, -1, 0.0
+    spectrum = solve_relative_spectrum(snowpack, cosines, request.relative_stderr, request.side)
+    inverted = snowpack._replace(layers=snowpack.layers[::-1])
+    below = solve_relative_spectrum(inverted, cosines, request.relative_stderr, request.side)
+    mean = np.stack([spectrum.budget.reflectance, below.budget.transmittance])[..., :-1] / np.pi
+    errors = np.stack([spectrum.error, below.error])[..., np.newaxis]
+    mean, stderr = (
+        np.repeat(values, request.azimuth.size, axis=-1)
+        for values in (mean, np.minimum(errors / np.pi, mean))
     )
-    return estimate, _describe(estimate, request, spectrum, spectrum.n_streams)
+    estimate = _make_estimate(mean, stderr, spectrum, -1, 0.0)
+    n_streams = max(spectrum.n_streams, below.n_streams)
+    return estimate, _describe(estimate, request, spectrum, n_streams)
 
 
 def _solve_beam(
     snowpack: Snowpack, request: AngularRequest
 ) -> tuple[AngularEstimate, dict[str, Any]]:
-    """Return the BRDF under a beam."""
+    """Return the BRDF and the BTDF under a beam."""
     cosine = np.cos(np.radians(np.array([float(request.incidence)])))
-    # The BRDF is symmetric in the azimuth.
+    # Both are symmetric in the azimuth.
     azimuths, columns = np.unique(
         np.minimum(request.azimuth, 360.0 - request.azimuth), return_inverse=True
     )
     geometry = Geometry(cosine, np.cos(np.radians(request.polar)), np.radians(azimuths))
     limited: np.ndarray = request.direction_mask.reshape(request.polar.size, -1)[:, 0]
-    solution = solve_brdf(snowpack, geometry, request.relative_stderr, limited)
-    shape = (request.wavelengths.size, -1)
-    mean, stderr = (
-        values[..., columns.ravel()].reshape(shape) for values in (solution.brdf, solution.error)
+    solution = solve_bidirectional(
+        snowpack, geometry, request.relative_stderr, limited, request.side
     )
-    direct = compute_direct_transmittance(snowpack, cosine)[:, 0]
+    shape = (2, request.wavelengths.size, -1)
+    mean, stderr = (
+        values[..., columns.ravel()].reshape(shape) for values in (solution.values, solution.error)
+    )
+    direct = np.stack([solution.direct.reflected[..., 0], solution.direct.transmitted[..., 0]])
     estimate = _make_estimate(np.maximum(mean, 0.0), stderr, solution.spectrum, 0, direct)
     n_streams = max(solution.n_streams, solution.spectrum.n_streams)
     return estimate, _describe(estimate, request, solution.spectrum, n_streams)
@@ -147,19 +146,18 @@ def _solve_beam(
 def _make_estimate(
     mean: np.ndarray, stderr: np.ndarray, spectrum: SpectrumSolution, column: int, direct: Any
 ) -> AngularEstimate:
-    """Return an estimate without transmitted distribution.
+    """Return an estimate.
 
     Parameters
     ----------
-    mean, stderr : float, shape (wavelengths, directions)
-        1/sr.
+    mean, stderr : float, shape (2, wavelengths, directions)
+        1/sr, reflected and transmitted.
     spectrum : SpectrumSolution
     column : int
         0 for the beam, -1 for diffuse light.
-    direct : float, shape (wavelengths,)
-        Transmittance without scattering.
+    direct : float, shape (2, wavelengths)
+        Reflectance and transmittance without scattering.
     """
-    none = np.zeros_like(mean)
     totals = np.stack([
         np.clip(side[..., column], 0.0, 1.0)
         for side in (spectrum.budget.reflectance, spectrum.budget.transmittance)
@@ -168,10 +166,9 @@ def _make_estimate(
     hemispherical[0] = totals
     # A bounded quantity cannot be wrong by more than itself.
     hemispherical[1] = np.minimum(spectrum.error, totals)
-    hemispherical[2, 1] = direct
-    both = np.stack([mean, none]), np.stack([stderr, none])
+    hemispherical[2] = direct
     return AngularEstimate(
-        *both, both[1], hemispherical, np.zeros(totals.shape, dtype=int), np.zeros_like(both[0])
+        mean, stderr, stderr, hemispherical, np.zeros(totals.shape, dtype=int), np.zeros_like(mean)
     )
 
 
@@ -179,7 +176,7 @@ def _describe(
     estimate: AngularEstimate, request: AngularRequest, spectrum: SpectrumSolution, n_streams: int
 ) -> dict[str, Any]:
     """Return the attributes of a solution."""
-    reached = estimate.compute_max_error(0, request.direction_mask)
+    reached = estimate.compute_max_error(request.side, request.direction_mask)
     return {
         "stop_reason": "converged" if reached <= request.relative_stderr else "interpolation_bound",
         "rays": 0,

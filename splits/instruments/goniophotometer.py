@@ -97,11 +97,10 @@ def goniophotometer(
         `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
         all.
     solver : {"auto", "discrete_ordinates", "monte_carlo"}
-        "discrete_ordinates" solves the equation of radiative transfer in plane layers of dry
-        modelled natural snow (`splits.Snow.natural`), which may be semi-infinite: see
-        docs/theory/discrete-ordinates.md.  The BTDF and the ``transmittance_factor`` are left out.
-        Wet snow, other media, ``target="btdf"``, `rays` and other estimators than "expansion" are
-        rejected, or simulated with paths under "auto".
+        "discrete_ordinates" solves the equation of radiative transfer in plane layers of modelled
+        natural snow (`splits.Snow.natural`), which may be semi-infinite: see
+        docs/theory/discrete-ordinates.md.  Other media, `rays` and other estimators than
+        "expansion" are rejected, or simulated with paths under "auto".
     target : {"brdf", "btdf"}
         The function to which the error applies; wavelengths without light there are ignored.
     polar_deg : array_like
@@ -180,9 +179,9 @@ def goniophotometer(
     check_dataset_size(len(wavelengths), len(polar) * len(azimuth))
     direction_mask = make_direction_mask(polar, azimuth) | (estimator == "next_event")
     request = AngularRequest(
-        wavelengths, incidence, polar, azimuth, relative_stderr, direction_mask
+        wavelengths, incidence, polar, azimuth, relative_stderr, direction_mask, side
     )
-    obstacle = find_angular_obstacle(medium, estimator, target, rays)
+    obstacle = find_angular_obstacle(estimator, rays)
     chosen = choose_solver(solver, [medium], wavelengths, obstacle)
     if chosen == DISCRETE_ORDINATES:
         result = solve_angular_result(medium, request)
@@ -194,7 +193,7 @@ def goniophotometer(
         is_fixed = rays is not None or bins is not None
         n_rays = (rays or DEFAULT_BIN_RAYS) if is_fixed else max_rays
         stop = StoppingRule(relative_stderr, n_rays, is_fixed)
-        result = _simulate_angular_result(medium, request, estimator, bins, side, stop, run)
+        result = _simulate_angular_result(medium, request, estimator, bins, stop, run)
     attributes = {
         **run.make_attributes("Virtual goniophotometer", "goniophotometer", medium),
         "incidence_deg": incidence,
@@ -217,12 +216,11 @@ def _simulate_angular_result(
     request: AngularRequest,
     estimator: str,
     bins: tuple[int, int] | None,
-    side: int,
     stop: StoppingRule,
     run: RunOptions,
 ) -> AngularResult:
     """Return the result of a simulation with paths, see `goniophotometer`."""
-    wavelengths, incidence, polar, azimuth, relative_stderr, direction_mask = request
+    wavelengths, incidence, polar, azimuth, relative_stderr, direction_mask, side = request
     scene = build_scene(medium, incidence, False)
     tally: AngularTally
     if estimator == "next_event":

@@ -1,4 +1,4 @@
-"""Reflected radiances of discrete ordinates against tables, exact solutions and another program."""
+"""Radiances of discrete ordinates against tables, exact solutions and another program."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from splits.discrete_ordinates.adding import Boundary, Element, compute_budget, make_isotropic
-from splits.discrete_ordinates.radiance import Geometry, compute_brdf, sum_legendre
+from splits.discrete_ordinates.direct_light import trace_direct_light
+from splits.discrete_ordinates.geometry import TRANSMITTED, Geometry, PlaneLayers
+from splits.discrete_ordinates.radiance import compute_bidirectional, sum_legendre
 from splits.discrete_ordinates.slab import LayerOptics, solve_slab
 from splits.discrete_ordinates.streams import Streams
 
@@ -27,15 +29,24 @@ def make_optics(thickness, albedo, asymmetry, orders=ORDERS):
     return LayerOptics.from_albedo(np.array(thickness, float), np.array(albedo, float), moments)
 
 
-def reflect(optics, ground, cosines, n_streams=16, azimuths=AZIMUTHS, **settings):
-    """Return the BRDF between all directions."""
+def scatter(optics, ground, cosines, n_streams=16, azimuths=AZIMUTHS, **settings):
+    """Return the BRDF and the BTDF between all directions."""
     streams = Streams.from_number(n_streams)
     geometry = Geometry(np.asarray(cosines), np.asarray(cosines), np.asarray(azimuths))
-    return compute_brdf(optics, np.asarray(ground), streams, geometry, **settings)
+    layers = PlaneLayers(optics, np.asarray(ground))
+    return compute_bidirectional(layers, streams, geometry, **settings)
+
+
+def reflect(*arguments, **settings):
+    """Return the BRDF between all directions."""
+    return scatter(*arguments, **settings)[0]
 
 
 def solve_reference(thickness, albedo, asymmetry, ground, beam, streams):
-    """Return cosines of PythonicDISORT and the radiances for an irradiance of 1."""
+    """Return cosines of PythonicDISORT and the radiances upwards and downwards.
+
+    The irradiance is 1.
+    """
     pydisort = pytest.importorskip("PythonicDISORT").pydisort
     moments = np.array(asymmetry)[..., np.newaxis] ** np.arange(ORDERS)
     cosines, *_, radiance = pydisort(
@@ -44,22 +55,37 @@ def solve_reference(thickness, albedo, asymmetry, ground, beam, streams):
         BDRF_Fourier_modes=[ground] if ground else [],
     )  # fmt: skip
     upward = slice(0, streams // 2)
-    return cosines[upward], radiance(0.0, AZIMUTHS)[upward]
+    downward = slice(streams // 2, None)
+    bottom = radiance(np.sum(thickness), AZIMUTHS)[downward]
+    return cosines[upward], radiance(0.0, AZIMUTHS)[upward], bottom
 
 
 @pytest.mark.parametrize("name", STACKS)
 def test_same_streams_agree_with_other_program(name):
     *layers, ground = STACKS[name]
     for beam in (0.6, 0.1, 0.999):
-        cosines, expected = solve_reference(*layers, ground, beam, 32)
+        cosines, expected, _ = solve_reference(*layers, ground, beam, 32)
         actual = reflect(make_optics(*layers), ground, [beam, *cosines], 32, tolerance=1e-12)
         np.testing.assert_allclose(actual[0, 1:], expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("thickness", "ground"), [(1e-3, 0.0), (1.0, 0.4), (30.0, 0.0)])
+def test_transmission_agrees_with_other_program(thickness, ground):
+    """Phase functions of few moments need no correction, which differs for transmitted light."""
+    layers = [thickness * np.array([0.2, 0.5, 0.3]), [0.5, 0.9, 0.7], [0.3, -0.25, 0.2]]
+    for beam in (0.6, 0.1, 0.999):
+        cosines, reflected, transmitted = solve_reference(*layers, ground, beam, 32)
+        # The other program loses digits for grazing beams.
+        tolerance = 1e-7 if beam < 0.5 or thickness < 0.01 else 2e-10
+        actual = scatter(make_optics(*layers), ground, [beam, *cosines], 32, tolerance=1e-13)
+        np.testing.assert_allclose(actual[0, 0, 1:], reflected, rtol=tolerance)
+        np.testing.assert_allclose(actual[1, 0, 1:], transmitted, rtol=tolerance)
 
 
 def test_few_streams_converge_to_many():
     """Correction of single scattering decreases the error at few streams by an order."""
     *layers, ground = STACKS["three layers"]
-    cosines, exact = solve_reference(*layers, ground, 0.6, 64)
+    cosines, exact, _ = solve_reference(*layers, ground, 0.6, 64)
     selected = [4, 10, 18, 26, 31]
     optics, directions = make_optics(*layers), [0.6, *cosines[selected]]
     geometry = Geometry(np.array([0.6]), cosines[selected], AZIMUTHS)
@@ -68,9 +94,10 @@ def test_few_streams_converge_to_many():
     for n in (8, 16, 32, 48):
         corrected = reflect(optics, ground, directions, n)[0, 1:]
         truncated = sum_legendre(optics.truncate(n).scattering[:, 0, 0], cosine)
-        truncated /= np.array(layers[1])[:, *(np.newaxis,) * 3]
-        streams = Streams.from_number(n)
-        uncorrected = compute_brdf(optics, np.array(ground), streams, geometry, truncated)[0]
+        uncorrected = compute_bidirectional(
+            PlaneLayers(optics, np.array(ground)), Streams.from_number(n), geometry,
+            lambda a, b, cosines, truncated=truncated: truncated,
+        )[0, 0]  # fmt: skip
         errors[n] = [
             np.abs(values / exact[selected] - 1.0).max() for values in (corrected, uncorrected)
         ]
@@ -115,21 +142,27 @@ def test_isotropic_half_space_agrees_with_functions_of_chandrasekhar():
         np.testing.assert_allclose(values[..., 1], expected, rtol=1e-6)
 
 
-def test_radiance_integrates_to_reflectance():
-    *layers, ground = STACKS["three layers"]
+@pytest.mark.parametrize(("ground", "asymmetry"), [(0.3, [0.3, 0.85, 0.6]), (0.0, [0.3, 0.6, 0.5])])
+def test_radiance_integrates_to_reflectance_and_transmittance(ground, asymmetry):
+    thickness, albedo, *_ = STACKS["three layers"]
     n = 32
     quadrature = Streams.from_number(n)
     cosines = np.array([0.3, 0.8, *quadrature.cosines])
-    optics = make_optics(*layers)
+    optics = make_optics(thickness, albedo, asymmetry)
     azimuths = 2.0 * np.pi * np.arange(64) / 64
-    brdf = reflect(optics, ground, cosines, n, azimuths, tolerance=1e-10)[:2, 2:].mean(axis=-1)
-    integral = 2.0 * np.pi * brdf @ (quadrature.weights * quadrature.cosines)
+    values = scatter(optics, ground, cosines, n, azimuths, tolerance=1e-10)[:, :2, 2:]
+    weights = 2.0 * np.pi * quadrature.weights * quadrature.cosines
+    reflectance, transmittance = values.mean(axis=-1) @ weights
     slabs = solve_slab(optics.truncate(n), quadrature, cosines[np.newaxis, :2])
     isotropic = make_isotropic(optics, quadrature, 2)
     elements = [Element.from_slab(slabs.select(i), isotropic[i]) for i in range(3)]
     boundaries = [Boundary.make_transparent(n // 2, 2)] * 2
     budget = compute_budget(elements, isotropic[[0, -1]], boundaries, np.array(ground), n // 2)
-    np.testing.assert_allclose(integral, budget.reflectance[:2], rtol=1e-5)
+    np.testing.assert_allclose(reflectance, budget.reflectance[:2], rtol=1e-5)
+    if not ground:
+        direct = trace_direct_light(PlaneLayers(optics, np.array(ground)), cosines[:2])[0]
+        total = transmittance + direct.transmitted
+        np.testing.assert_allclose(total, budget.transmittance[:2], rtol=1e-5)
 
 
 def test_reflection_is_reciprocal_and_batched():
@@ -153,37 +186,44 @@ def test_values_of_the_phase_function_replace_its_series():
     *layers, ground = STACKS["two layers"]
     optics, streams = make_optics(*layers), Streams.from_number(16)
     geometry = Geometry(np.array([0.7]), np.array([0.3]), AZIMUTHS)
-    cosine = geometry.compute_scattering_cosines()
-    g = np.array(layers[2])[:, *(np.newaxis,) * 3]
-    values = (1.0 - g**2) / (1.0 + g**2 - 2.0 * g * cosine) ** 1.5
-    series = sum_legendre(g[:, 0, 0] ** np.arange(ORDERS), cosine)
-    np.testing.assert_allclose(series, values, rtol=1e-10)
+    albedo, g = (np.array(values)[:, *(np.newaxis,) * 3] for values in layers[1:])
+
+    def evaluate(a, b, cosines):
+        return albedo * (1.0 - g**2) / (1.0 + g**2 - 2.0 * g * cosines) ** 1.5
+
+    cosine = geometry.compute_scattering_cosines(TRANSMITTED)
+    series = sum_legendre(optics.scattering[..., 0, 0, :], cosine)
+    np.testing.assert_allclose(series, evaluate(0, 0, cosine), rtol=1e-10)
     few = optics._replace(scattering=optics.scattering[..., :17])
     np.testing.assert_allclose(
-        compute_brdf(few, np.array(ground), streams, geometry, values),
-        compute_brdf(optics, np.array(ground), streams, geometry),
+        compute_bidirectional(PlaneLayers(few, np.array(ground)), streams, geometry, evaluate),
+        compute_bidirectional(PlaneLayers(optics, np.array(ground)), streams, geometry),
         rtol=1e-10,
     )
 
 
 @pytest.mark.parametrize("thickness", [1e-8, 1e-3, 1.0, 30.0])
 def test_divided_layers_reflect_as_one(thickness):
-    cosines = np.cos(np.radians([0.0, 40.0, 80.0, 89.9]))
+    """Directions include nearly equal ones, between which transmission is interpolated."""
+    cosines = np.cos(np.radians([0.0, 40.0, 40.01, 40.04, 40.2, 80.0, 89.9]))
     for albedo in (0.5, 1.0):
         whole = make_optics([thickness], [albedo], [0.7])
         parts = make_optics([0.3 * thickness, 0.7 * thickness], [albedo] * 2, [0.7] * 2)
-        brdf = [reflect(o, 0.0, cosines, tolerance=1e-14) for o in (whole, parts)]
-        np.testing.assert_allclose(*brdf, rtol=1e-10)
+        (brdf, btdf), expected = (scatter(o, 0.0, cosines, tolerance=1e-14) for o in (parts, whole))
+        np.testing.assert_allclose(brdf, expected[0], rtol=1e-10)
+        np.testing.assert_allclose(btdf, expected[1], rtol=1e-10 if thickness < 10.0 else 2e-9)
+        np.testing.assert_allclose(btdf, np.swapaxes(btdf, 0, 1), rtol=1e-10)
 
 
 def test_thin_layers_scatter_once():
     thickness, cosines = 1e-8, np.array([1.0, 0.5])
-    brdf = reflect(make_optics([thickness], [0.9], [0.7]), 0.0, cosines)
+    both = scatter(make_optics([thickness], [0.9], [0.7]), 0.0, cosines)
     sines = np.sqrt(np.outer(1.0 - cosines**2, 1.0 - cosines**2))[..., np.newaxis]
-    cosine = sines * np.cos(AZIMUTHS) - np.outer(cosines, cosines)[..., np.newaxis]
-    phase = (1.0 - 0.7**2) / (1.0 + 0.7**2 - 1.4 * cosine) ** 1.5
-    expected = 0.9 * phase * thickness / (4.0 * np.pi * np.outer(cosines, cosines))[..., None]
-    np.testing.assert_allclose(brdf, expected, rtol=1e-6)
+    for sign, values in zip((-1.0, 1.0), both, strict=True):
+        cosine = sines * np.cos(AZIMUTHS) + sign * np.outer(cosines, cosines)[..., np.newaxis]
+        phase = (1.0 - 0.7**2) / (1.0 + 0.7**2 - 1.4 * cosine) ** 1.5
+        expected = 0.9 * phase * thickness / (4.0 * np.pi * np.outer(cosines, cosines))[..., None]
+        np.testing.assert_allclose(values, expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("thickness", [0.0, 1e-8, 1.0, 1e8, np.inf])
@@ -192,9 +232,10 @@ def test_extremes_are_finite(thickness, albedo):
     cosines = np.cos(np.radians([0.0, 60.0, 89.9]))
     for ground in (0.0, 1.0):
         optics = make_optics([thickness] * 2, [albedo] * 2, [0.85, 0.3])
-        brdf = reflect(optics, ground, cosines)
-        assert np.isfinite(brdf).all()
-        assert (brdf > -1e-16).all()
+        brdf, btdf = scatter(optics, ground, cosines)
+        for values in (brdf, btdf):
+            assert np.isfinite(values).all()
+            assert (values > -1e-16).all()
         np.testing.assert_allclose(brdf, np.swapaxes(brdf, 0, 1), rtol=1e-12, atol=1e-16)
     if albedo == 0.0 or thickness == 0.0:
         depth = 2.0 * thickness * np.add.outer(1.0 / cosines, 1.0 / cosines)

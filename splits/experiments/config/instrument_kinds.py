@@ -32,7 +32,7 @@ from splits.instruments.lens import (
     check_screen_depths,
 )
 from splits.instruments.next_event import get_detected_layers
-from splits.instruments.solver import DISCRETE_ORDINATES, MONTE_CARLO, choose_solver
+from splits.instruments.solver import MONTE_CARLO, choose_solver
 from splits.instruments.surface_map import DEFAULT_POINTS, MAX_REALIZATIONS
 from splits.media.medium import Medium
 from splits.plotting.panels import (
@@ -179,16 +179,13 @@ class Goniophotometer(OpticalInstrument):
 
     def choose_solver(self, medium: Medium) -> str:
         """Return the solver for a medium, see `splits.instruments.solver.choose_solver`."""
-        obstacle = find_angular_obstacle(medium, self.estimator, self.target, self.rays)
+        obstacle = find_angular_obstacle(self.estimator, self.rays)
         with key_prefix("instrument"):
             return choose_solver(self.solver, [medium], self.get_wavelengths(), obstacle)
 
     def check_figure(self, kind: str, quantities: Iterable[str]) -> None:
         """Reject a figure of quantities or directions that the instrument does not measure."""
         super().check_figure(kind, quantities)
-        if self.solver == DISCRETE_ORDINATES and "btdf" in quantities:
-            allowed = f"left out or brdf for instrument.solver = {self.solver!r}"
-            raise invalid("figure.quantity", list(quantities), allowed)
         if kind == "none":
             return
         if kind == "hemisphere":

@@ -103,7 +103,6 @@ class SimulationConfig(ConfigSection):
         self._check_size()
         wavelengths = self.instrument.get_wavelengths()
         has_ground: set[bool] = set()
-        solvers: set[str] = set()
         for labels, medium, incidence in self.iter_points():
             with self.locate_errors(labels):
                 if not self.fit:
@@ -113,11 +112,6 @@ class SimulationConfig(ConfigSection):
                 check_thickness(medium)
             self._check_medium(kind, medium)
             has_ground.add(medium.reflecting_ground is not None)
-            if isinstance(self.instrument, Goniophotometer):
-                solvers.add(self.instrument.choose_solver(medium))
-        if len(solvers) > 1:
-            hint = "only paths give a BTDF, and discrete ordinates do not apply to all points"
-            raise invalid("instrument.solver", "auto", "'monte_carlo' for this grid", hint)
         if len(has_ground) > 1 and isinstance(self.instrument, Goniophotometer):
             hint = "a BTDF exists only where light leaves the lower boundary"
             raise invalid("grid", "open and reflecting grounds", "of one kind", hint)

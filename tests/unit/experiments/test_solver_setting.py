@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from chi2 import NEEDS_JIT
 
 from splits.core.yaml import ConfigError
 from splits.experiments import load_experiment
@@ -44,7 +45,8 @@ def test_experiments_run_by_discrete_ordinates(tmp_path, medium, instrument, sol
     dataset = run(experiment, Accuracy(max_stderr=0.01, relative_stderr=0.05, max_rays=None))
     name = "brdf" if instrument is DIRECTIONS else "reflectance"
     assert dataset[name].sizes["density_kg_m3"] == 2
-    assert (dataset[name] > 0.0).all() and "btdf" not in dataset
+    assert (dataset[name] > 0.0).all()
+    assert ("btdf" in dataset) == (instrument is DIRECTIONS)
     assert dataset.attrs["rays"] == 0
 
 
@@ -61,8 +63,7 @@ def test_experiments_run_by_discrete_ordinates(tmp_path, medium, instrument, sol
             SNOW + TABLE.replace("parts", "covariance: keep, parts") + WATER,
             "a covariance needs batches",
         ),
-        (SNOW + DIRECTIONS + WATER, "the BRDF of wet snow needs paths"),
-        (SNOW + DIRECTIONS.replace("polar", "target: btdf, polar"), "the BTDF needs paths"),
+        (SNOW + DIRECTIONS + "grid: {saturation: [0, 0.6]}\n", "has a saturation of 0.6"),
         (SNOW + DIRECTIONS.replace("polar", "rays: 1000, polar"), "a number of rays needs paths"),
     ],
 )
@@ -73,12 +74,22 @@ def test_refusals_name_the_line_and_the_key(tmp_path, text, reason):
     assert re.fullmatch(pattern + re.escape(reason) + ".*", str(error.value)), str(error.value)
 
 
-def test_directions_of_one_grid_have_one_solver(tmp_path):
-    with pytest.raises(ConfigError, match=r"instrument\.solver = 'auto'.*only paths give a BTDF"):
-        load_text(tmp_path, SNOW + DIRECTIONS + WATER, "auto")
-    figure = "figure: {quantity: btdf}\n"
-    with pytest.raises(ConfigError, match=r"figure\.quantity"):
-        load_text(tmp_path, SNOW + DIRECTIONS + figure)
+def test_transmitted_directions_of_dry_and_wet_snow_run(tmp_path):
+    text = SNOW + DIRECTIONS.replace("polar", "target: btdf, polar") + WATER
+    experiment = load_text(tmp_path, text + "figure: {select: {saturation: 0}, quantity: btdf}\n")
+    dataset = run(experiment, Accuracy(max_stderr=0.01, relative_stderr=0.05, max_rays=None))
+    assert dataset.attrs["rays"] == 0
+    assert (dataset.btdf > 0.0).all() and dataset.btdf.sizes["saturation"] == 2
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+def test_directions_of_one_grid_have_the_solver_of_each_point(tmp_path):
+    text = SNOW.replace("0.1", "0.002") + DIRECTIONS + "grid: {saturation: [0, 0.6]}\n"
+    experiment = load_text(tmp_path, text, "auto")
+    dataset = run(experiment, Accuracy(max_stderr=0.01, relative_stderr=0.2, max_rays=None))
+    assert dataset.attrs["rays"] > 0
+    assert (dataset.btdf > 0.0).all()
 
 
 def test_semi_infinite_snow_has_no_brdf_by_paths(tmp_path):

@@ -13,7 +13,8 @@ import xarray as xr
 from splits.core.progress import LogCallback
 from splits.core.provenance import hash_physics_sources
 from splits.experiments.config.accuracy import Accuracy
-from splits.experiments.config.instrument_kinds import Albedo, Spectrophotometer
+from splits.experiments.config.albedo_instrument import Albedo
+from splits.experiments.config.instrument_kinds import Spectrophotometer
 from splits.experiments.config.simulation import SimulationConfig
 from splits.experiments.config.snow_packs import PACKS_PER_BLOCK, count_pack_parts
 from splits.instruments import albedo, spectrophotometer

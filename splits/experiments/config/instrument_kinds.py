@@ -10,17 +10,15 @@ import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from splits.core.validation import check_choice, invalid, key_prefix
+from splits.experiments.config.albedo_instrument import Albedo
 from splits.experiments.config.instrument import (
     Instrument,
     OpticalInstrument,
     Rays,
     Seed,
     SpectralInstrument,
-    WavelengthGrid,
 )
 from splits.experiments.config.sections import check_different
-from splits.illumination.bands import as_bands
-from splits.illumination.sky_spectra import CLEAR_SKY, list_sky_names
 from splits.instruments.angular_bins import DEFAULT_N_BINS
 from splits.instruments.angular_solver import find_angular_obstacle
 from splits.instruments.beam_spread_tally import N_MAP_PIXELS, SIDES
@@ -45,7 +43,6 @@ from splits.simulation.arguments import check_direction_angles, check_half_width
 from splits.tables.plan import choose_table_solver
 
 Angles = tuple[float, ...]
-SKIES = (CLEAR_SKY, *list_sky_names())
 MapHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("surface_map", x))]
 BeamHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("beam_spread", x))]
 LensHalfWidth = Annotated[float, AfterValidator(lambda x: check_half_width("lens", x))]
@@ -63,11 +60,6 @@ Solver = Annotated[
         "natural snow; `auto` solves the equation where it applies and traces paths elsewhere"
     ),
 ]
-
-
-def _check_bands(bands: Any) -> Any:
-    as_bands(bands)
-    return bands
 
 
 class Refractometer(SpectralInstrument):
@@ -101,30 +93,6 @@ class Spectrophotometer(OpticalInstrument):
         obstacle = "the estimator needs paths" if self.estimator == "analog" else None
         with key_prefix("instrument"):
             return choose_solver(self.solver, [medium], self.get_wavelengths(), obstacle)
-
-
-class Albedo(SpectralInstrument):
-    """Albedo of the snowpacks of a file under skies, for their zenith angles of the sun."""
-
-    FIGURES: ClassVar = ("season",)
-
-    kind: Literal["albedo"]
-    wavelength_nm: WavelengthGrid | tuple[float, ...] = WavelengthGrid(
-        start=300, stop=2490, step=10
-    )
-    """vacuum wavelengths (nm), increasing, by default 300 to 2490 in steps of 10"""
-    sky: Annotated[str, AfterValidator(lambda x: check_choice("", x, SKIES))] = CLEAR_SKY
-    """sky, see `splits.sky`: `clear`, or one of the skies of SNICAR"""
-    bands: Annotated[dict[str, tuple[float, float]] | str | None, AfterValidator(_check_bands)] = (
-        None
-    )
-    """limits of bands (nm) by name, or the name of a sensor; the broadband albedo is always
-    computed"""
-
-    def check_medium(self, medium: Medium) -> None:
-        """Reject a medium other than a file of snowpacks."""
-        hint = "splits.albedo accepts other media in Python"
-        raise invalid("medium.kind", medium.kind, "snow_packs for instrument.kind = 'albedo'", hint)
 
 
 class Goniophotometer(OpticalInstrument):

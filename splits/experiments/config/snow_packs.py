@@ -12,8 +12,9 @@ import numpy as np
 
 from splits.core.paths import expand_path
 from splits.core.validation import invalid, key_prefix, unknown_key
+from splits.experiments.config.albedo_instrument import Albedo
 from splits.experiments.config.instrument import Instrument
-from splits.experiments.config.instrument_kinds import Albedo, Spectrophotometer
+from splits.experiments.config.instrument_kinds import Spectrophotometer
 from splits.experiments.config.medium import list_table_paths
 from splits.instruments.pack_run import SUN, check_pack_wavelengths
 from splits.instruments.solver import MONTE_CARLO

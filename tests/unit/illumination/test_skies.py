@@ -185,7 +185,11 @@ def test_interpolation_bounds_of_direct_and_diffuse_add_linearly():
                 "x_batches": (("batch", "wavelength"), batches),
             },
             {"wavelength": [500.0]},
-            {"stop_reason": ("max_rays", "converged")[index], "rays": 100 + index},
+            {
+                "solver": "monte_carlo",
+                "stop_reason": ("max_rays", "converged")[index],
+                "rays": 100 + index,
+            },
         )
 
     sky = splits.sky(OWN_SKY, 50.0)
@@ -194,7 +198,7 @@ def test_interpolation_bounds_of_direct_and_diffuse_add_linearly():
     scatter = np.hypot(0.003 * fraction, 0.004 * (1.0 - fraction))
     assert 0.0 < fraction < 1.0
     assert float(mixed.x_stderr[0]) == pytest.approx(np.hypot(scatter, 0.01), rel=1e-12)
-    assert mixed.attrs == {"stop_reason": "max_rays", "rays": 201}
+    assert mixed.attrs == {"solver": "monte_carlo", "stop_reason": "max_rays", "rays": 201}
 
 
 @pytest.mark.slow

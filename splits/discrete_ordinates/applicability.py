@@ -7,17 +7,27 @@ from typing import Any
 
 import numpy as np
 
-from splits.discrete_ordinates.grain_table import MAX_ABSORPTION
+from splits.discrete_ordinates.grain_cache import load_grains
+from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, GrainTable
 from splits.discrete_ordinates.snow_layers import SnowLayer
 from splits.discrete_ordinates.snowpack import Snowpack, load_natural_grains
-from splits.media.medium import Medium
+from splits.discrete_ordinates.traced_grains import TracedGrains, choose_rays
+from splits.media.medium import GranularMedium, Medium
 from splits.media.natural_snow import is_natural
 from splits.media.snow import Snow
 
 MAX_WATER_DIFFERENCE = 0.005
 """Largest difference of the index of water from that of the table of wet grains."""
 MAX_SATURATION = 0.5
-"""Largest saturation of the table of wet grains."""
+"""Largest fraction of wet pores, that of the table of wet grains."""
+DEFAULT_ERROR = 0.002
+MAX_PACKING_ERROR = 0.002
+"""Bound on the error of fluxes due to the extent of grains."""
+RECIPROCAL_RULES = {
+    "entry_point": "projected", "facet_sampling": "projected", "wrong_side_ray": "mirror",
+    "boundary_fresnel": "yes",
+}  # fmt: skip
+"""Rules of wet layers: with others, light between dry and wet pores has no equilibrium ∝ n²."""
 SHAPE_PARAMETERS = ("facetness", "sphericity")
 WATER_PARAMETERS = ("saturation", "liquid_water_content")
 
@@ -36,29 +46,79 @@ def find_obstacle(medium: Medium, wavelength_nm: np.ndarray) -> str | None:
         reason = _find_obstacle_in_layer(layer, wavelength_nm)
         if reason:
             return place + reason
-    saturated = [layer.saturation > 0.0 for layer in layers]
+    saturated = [layer.wet_fraction > 0.0 for layer in layers]
     water = [layer.refractive_index["water"] for layer in layers]
     if any(saturated) and any(one != water[0] for one in water):
         return "its layers have different refractive indices of water"
     return None
 
 
-def make_snowpack(medium: Medium, wavelength_nm: np.ndarray) -> Snowpack:
-    """Return a medium without obstacle as a snowpack at wavelengths (nm)."""
+def make_snowpack(
+    medium: Medium, wavelength_nm: np.ndarray, max_error: float = DEFAULT_ERROR, threads: int = 1
+) -> Snowpack:
+    """Return a medium without obstacle as a snowpack at wavelengths (nm).
+
+    Parameters
+    ----------
+    medium : Medium
+    wavelength_nm : float, shape (wavelengths,)
+    max_error : float
+        Error of a reflectance, of which about half is due to grains that are not natural snow.
+    threads : int
+        For paths through these grains.
+    """
     layers: Any = medium.scene_layers
     ground = medium.reflecting_ground
     albedo = np.zeros(wavelength_nm.size) if ground is None else ground.albedo(wavelength_nm)
-    return Snowpack([SnowLayer.from_snow(layer, wavelength_nm) for layer in layers], albedo)
+    is_wet = any(layer.wet_fraction > 0.0 for layer in layers)
+    grain_layers = []
+    for layer in layers:
+        grains: GrainTable | TracedGrains
+        if isinstance(layer, Snow) and is_natural(layer):
+            grains = load_natural_grains(wet=is_wet)
+        else:
+            grains = load_grains(layer, wavelength_nm, choose_rays(max_error), threads)
+            if is_wet and layer.wet_fraction == 0.0:
+                grains = grains.add_wet_pores()
+        error = compute_packing_error(layer)
+        grain_layers.append(SnowLayer.from_medium(layer, wavelength_nm, grains, error))
+    return Snowpack(grain_layers, albedo)
+
+
+def compute_packing_error(layer: GranularMedium) -> float:
+    """Return the bound on the error of fluxes due to the extent of grains, 0 for point grains."""
+    return 0.0 if layer.interpretation.grain_extent == "point" else MAX_PACKING_ERROR
 
 
 def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None:
-    if not isinstance(layer, Snow) or not is_natural(layer):
-        return "is no natural snow, made by splits.Snow.natural"
+    if not isinstance(layer, GranularMedium):
+        return "has no grains"
     if layer.pores:
         return "has other fluids than air and water in its pores"
-    optics = SnowLayer.from_snow(layer, wavelength_nm)
+    if layer.wet_fraction > MAX_SATURATION:
+        return f"has a fraction of wet pores of {layer.wet_fraction:g}, above {MAX_SATURATION:g}"
+    if isinstance(layer, Snow) and is_natural(layer):
+        return _find_table_obstacle(layer, wavelength_nm)
+    rules = layer.interpretation.as_dict()
+    for name in ("overlap_with_boundary", "overlap_with_previous_segment"):
+        if rules[name] != "keep":
+            return (
+                f"has grains under the rule {name} {rules[name]!r} of its interpretation, for "
+                "which there is no equation of radiative transfer; with 'keep', or with the set "
+                "radiative_transfer, there is one"
+            )
+    if layer.wet_fraction > 0.0:
+        for name, choice in RECIPROCAL_RULES.items():
+            if rules[name] != choice:
+                return f"is wet, and its interpretation has {name} {rules[name]!r}, not {choice!r}"
+    return None
+
+
+def _find_table_obstacle(layer: Snow, wavelength_nm: np.ndarray) -> str | None:
+    """Return why the tables of natural snow do not hold."""
     is_wet = layer.saturation > 0.0
     table = load_natural_grains(wet=is_wet)
+    optics = SnowLayer.from_medium(layer, wavelength_nm, table)
     outside = ~table.contrast.contains(optics.contrast)
     if outside.any():
         limits = 1.0 + table.contrast.nodes[[0, -1]]
@@ -71,8 +131,6 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
         return f"absorbs too strongly at {wavelength_nm[strong][0]:g} nm"
     if not is_wet:
         return None
-    if layer.saturation > MAX_SATURATION:
-        return f"has a saturation of {layer.saturation:g}, above {MAX_SATURATION:g}"
     expected = table.contrast.compute_weights(optics.contrast) @ table.water
     if np.abs(optics.water_index - expected).max() > MAX_WATER_DIFFERENCE:
         return "has another refractive index of water than by default"
@@ -89,6 +147,10 @@ def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | 
         Parameters of the medium.
     """
     layers: Any = medium.scene_layers
+    for number, layer in enumerate(layers):
+        if not (isinstance(layer, Snow) and is_natural(layer)):
+            place = f"layers[{number}] is" if len(layers) > 1 else "it is"
+            return f"derivatives need natural snow, and {place} another medium"
     for name in parameters:
         *place, key = name.split(".")
         if key in SHAPE_PARAMETERS:

@@ -96,6 +96,15 @@ class GrainTable(NamedTuple):
     stderr: np.ndarray
     water: np.ndarray
 
+    @property
+    def n_orders(self) -> int:
+        """Number of known moments."""
+        return self.moments.shape[-1]
+
+    def select(self, wavelengths: object) -> GrainTable:
+        """Return the table, which holds for all wavelengths."""
+        return self
+
     def compute_moments(
         self, contrast: np.ndarray, absorption: np.ndarray, saturation: float, orders: int
     ) -> np.ndarray:

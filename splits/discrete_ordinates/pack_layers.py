@@ -9,7 +9,7 @@ import numpy as np
 from splits.discrete_ordinates.applicability import MAX_SATURATION, find_obstacle
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION
 from splits.discrete_ordinates.snow_layers import SnowLayer
-from splits.discrete_ordinates.snowpack import Snowpack
+from splits.discrete_ordinates.snowpack import Snowpack, load_natural_grains
 from splits.materials.density import interpolate_ice_density
 from splits.materials.impurities import make_impurities
 from splits.materials.lookup import absorption_coefficient
@@ -121,6 +121,7 @@ def make_snowpacks(
                 _compute_grain_absorption(arrays, materials, rows, number),
                 # A path between point grains includes them, see `GranularMedium.pore_fraction`.
                 porosity[:, number, np.newaxis, np.newaxis] * materials.pore_absorption,
+                load_natural_grains(wet=bool(saturation.any())),
             )
         )
     return Snowpack(layers, ground)

@@ -17,9 +17,8 @@ import numpy as np
 from splits.core.validation import InvalidValue, invalid
 from splits.discrete_ordinates.applicability import make_snowpack
 from splits.discrete_ordinates.derivatives import compute_gradient
-from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.slab import LayerOptics
-from splits.discrete_ordinates.snow_layers import SnowLayer
+from splits.discrete_ordinates.snow_layers import LAYER_ARRAYS, SnowLayer
 from splits.discrete_ordinates.snowpack import Snowpack, load_natural_grains
 from splits.discrete_ordinates.streams import Streams
 from splits.media.medium import Medium
@@ -118,9 +117,17 @@ class Tangent(NamedTuple):
             versions: list[Any] = [one.scene_layers[number] for one in media]
             if all(version is same for version in versions):
                 continue
-            properties = [SnowLayer.from_snow(version, wavelength_nm) for version in versions]
-            fields = (np.array(field) for field in zip(*properties, strict=True))
-            layers[number] = SnowLayer(*(combine_differences(weights, one) for one in fields))
+            grains = load_natural_grains(wet=False)
+            properties = [
+                SnowLayer.from_medium(version, wavelength_nm, grains) for version in versions
+            ]
+            changes = {
+                name: combine_differences(
+                    weights, np.array([getattr(one, name) for one in properties])
+                )
+                for name in LAYER_ARRAYS
+            }
+            layers[number] = properties[0]._replace(**changes)
         return cls(layers)
 
     def select(self, wavelengths: np.ndarray) -> Tangent:
@@ -180,8 +187,8 @@ class DryDerivatives(NamedTuple):
         two arrays, shape (2, parameters, wavelengths)
             Of reflectance and transmittance.
         """
-        table, incidence = load_natural_grains(wet=False), self.incidence
-        layers = [layer.compute_optics(table, n_streams + 1) for layer in self.snowpack.layers]
+        incidence = self.incidence
+        layers = [layer.compute_optics(n_streams + 1) for layer in self.snowpack.layers]
         optics = LayerOptics(*(np.stack(field) for field in zip(*layers, strict=True)))
         angle = 0.0 if isinstance(incidence, str) else np.radians(incidence)
         cosine = None if isinstance(incidence, str) else float(np.cos(angle))
@@ -194,7 +201,7 @@ class DryDerivatives(NamedTuple):
             derivative = derivative + tangent.incidence * by_degree * gradient.cosine
             for number, change in tangent.layers.items():
                 layer = self.snowpack.layers[number]
-                by_optics = differentiate_optics(layer, change, table, n_streams)
+                by_optics = differentiate_optics(layer, change, n_streams)
                 derivative = derivative + gradient.differentiate(number, by_optics)
             derivatives.append(derivative)
         values = np.stack(derivatives, axis=1)
@@ -202,7 +209,7 @@ class DryDerivatives(NamedTuple):
 
 
 def differentiate_optics(
-    layer: SnowLayer, tangent: SnowLayer, table: GrainTable, n_streams: int
+    layer: SnowLayer, tangent: SnowLayer, n_streams: int
 ) -> LayerOptics:
     """Return the derivatives of the optics of a dry layer, after truncation.
 
@@ -213,14 +220,13 @@ def differentiate_optics(
     layer : SnowLayer
     tangent : SnowLayer
         Derivatives of its properties.
-    table : GrainTable
     n_streams : int
     """
     shifted = {
         name: getattr(layer, name) + 1j * COMPLEX_STEP * getattr(tangent, name)
         for name in _VARYING_FIELDS
     }
-    optics = layer._replace(**shifted).compute_optics(table, n_streams + 1).truncate(n_streams)
+    optics = layer._replace(**shifted).compute_optics(n_streams + 1).truncate(n_streams)
     return LayerOptics(
         np.asarray(tangent.depth_m),
         optics.extinction.imag / COMPLEX_STEP,

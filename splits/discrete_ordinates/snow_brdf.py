@@ -27,7 +27,6 @@ from splits.discrete_ordinates.snowpack import (
     Snowpack,
     SpectrumSolution,
     choose_trial_wavelengths,
-    load_natural_grains,
     solve_spectrum,
     spread_truncation,
 )
@@ -129,7 +128,7 @@ def _solve(snowpack: Snowpack, geometry: Geometry, n_streams: int) -> np.ndarray
     n_values = len(snowpack.layers) * geometry.views.size * geometry.azimuths.size
     size = max(1, MAX_CHUNK_VALUES // n_values)
     wavelengths = np.arange(snowpack.ground.size)
-    streams, orders = Streams.from_number(n_streams), _count_orders()
+    streams, orders = Streams.from_number(n_streams), _count_orders(snowpack)
     chunks = [wavelengths[first : first + size] for first in range(0, wavelengths.size, size)]
     brdf = [
         compute_brdf(
@@ -144,8 +143,8 @@ def _compute_single_scattering_error(
     snowpack: Snowpack, geometry: Geometry, n_streams: int
 ) -> np.ndarray:
     """Return the error of light scattered once, shape (wavelengths, views, azimuths)."""
-    optics = _stack_optics(snowpack, _count_orders())
-    orders = np.arange(_count_orders())
+    optics = _stack_optics(snowpack, _count_orders(snowpack))
+    orders = np.arange(_count_orders(snowpack))
     tail = slice(-N_TAIL_ORDERS, None)
     power = (2.0 * orders[tail] + 1.0) * optics.scattering[..., 0, 0, tail] ** 2
     scale = np.sqrt(power.mean(axis=-1))
@@ -156,12 +155,11 @@ def _compute_single_scattering_error(
     return scatter_once(truncate_known_moments(optics, n_streams), error, geometry)[:, 0]
 
 
-def _count_orders() -> int:
-    return load_natural_grains(wet=False).moments.shape[-1]
+def _count_orders(snowpack: Snowpack) -> int:
+    return max(layer.grains.n_orders for layer in snowpack.layers)
 
 
 def _stack_optics(snowpack: Snowpack, orders: int) -> LayerOptics:
     """Return the optics of dry layers along the first dimension."""
-    table = load_natural_grains(wet=False)
-    layers = [layer.compute_optics(table, orders) for layer in snowpack.layers]
+    layers = [layer.compute_optics(orders) for layer in snowpack.layers]
     return LayerOptics(*(np.stack(values) for values in zip(*layers, strict=True)))

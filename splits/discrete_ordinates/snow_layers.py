@@ -1,4 +1,4 @@
-"""Layers of natural snow as arrays, for one snowpack or for many, and their optics."""
+"""Layers of grains as arrays, for one snowpack or for many, and their optics."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.pores import DRY, WET
 from splits.discrete_ordinates.slab import LayerOptics
+from splits.discrete_ordinates.traced_grains import TracedGrains
 from splits.kernels.base.scene import DRY_PORE, WET_PORE
-from splits.media.snow import Snow
 from splits.simulation.scene import compute_material_constants
 
 MIN_SATURATION = 1e-9
@@ -27,14 +27,19 @@ class SnowLayer(NamedTuple):
     collisions_per_m : float, shape (...)
         Collisions with grains per metre of path.
     saturation : float, shape (...)
+        Fraction of wet pores.
     contrast : float, shape (wavelengths,)
         Refractive index of ice minus 1.
     water_index : float, shape (wavelengths,)
         Refractive index of water.
     grain_absorption : float, shape (..., wavelengths)
-        Absorption coefficient of the grains times their mean chord.
+        Absorption coefficient of the grains times their mean chord, if they have one material.
     pore_absorption : float, shape (..., wavelengths, 2)
         Absorption coefficient (1/m) of dry and of wet pores, per metre of path between grains.
+    grains : GrainTable or TracedGrains
+        Single scattering; with two states if any layer of the snowpack is wet.
+    packing_error : float
+        Bound on the error of fluxes due to the extent of the grains, 0 for point grains.
     """
 
     depth_m: np.ndarray
@@ -44,20 +49,26 @@ class SnowLayer(NamedTuple):
     water_index: np.ndarray
     grain_absorption: np.ndarray
     pore_absorption: np.ndarray
+    grains: GrainTable | TracedGrains
+    packing_error: float = 0.0
 
     @classmethod
-    def from_snow(cls, snow: Snow, wavelength_nm: np.ndarray) -> SnowLayer:
-        """Return a layer of snow at wavelengths (nm)."""
-        index, absorption = compute_material_constants(snow, wavelength_nm)
-        water = snow.refractive_index["water"](wavelength_nm)
+    def from_medium(
+        cls, medium: Any, wavelength_nm: np.ndarray, grains: GrainTable | TracedGrains,
+        packing_error: float = 0.0,
+    ) -> SnowLayer:  # fmt: skip
+        """Return a layer of grains, with their single scattering, at wavelengths (nm)."""
+        index, absorption = compute_material_constants(medium, wavelength_nm)
         return cls(
-            np.asarray(snow.depth_m),
-            np.asarray(snow.extinction_per_m),
-            np.asarray(snow.saturation),
+            np.asarray(medium.depth_m),
+            np.asarray(medium.extinction_per_m),
+            np.asarray(medium.wet_fraction),
             index[:, -1].real - 1.0,
-            water.real,
-            absorption[:, -1] / snow.attenuation_per_m,
+            medium.refractive_index["water"](wavelength_nm).real,
+            absorption[:, -1] / medium.attenuation_per_m,
             absorption[:, [DRY_PORE, WET_PORE]],
+            grains,
+            packing_error,
         )
 
     def select(self, snowpacks: Any, wavelengths: Any) -> SnowLayer:
@@ -70,15 +81,15 @@ class SnowLayer(NamedTuple):
             self.water_index[wavelengths],
             self.grain_absorption[snowpacks][..., wavelengths],
             self.pore_absorption[snowpacks][..., wavelengths, :],
+            self.grains.select(wavelengths),
+            self.packing_error,
         )
 
-    def compute_optics(self, table: GrainTable, orders: int) -> LayerOptics:
+    def compute_optics(self, orders: int) -> LayerOptics:
         """Return the optics, per metre, with leading dimensions (..., wavelengths).
 
         Parameters
         ----------
-        table : GrainTable
-            Of dry grains, or of wet ones, which gives two states.
         orders : int
             Number of Legendre moments.
         """
@@ -87,10 +98,11 @@ class SnowLayer(NamedTuple):
             np.broadcast_to(values[..., np.newaxis], shape)
             for values in (self.collisions_per_m, self.depth_m)
         )
-        moments = self._compute_moments(table, orders)
+        moments = self._compute_moments(orders)
         n_states = moments.shape[-2]
         extinction = collisions[..., np.newaxis] + self.pore_absorption[..., :n_states]
         rate = collisions[..., np.newaxis, np.newaxis, np.newaxis]
+        depth = depth * self._compute_packing_ratio()
         if n_states == 1:
             return LayerOptics(depth, extinction, rate * moments, np.ones((*shape, 1)))
         saturation = np.maximum(self.saturation, MIN_SATURATION)[..., np.newaxis]
@@ -99,8 +111,33 @@ class SnowLayer(NamedTuple):
         scattering = _balance_states(moments, saturation, self.water_index)
         return LayerOptics(depth, extinction, rate * scattering, np.stack([dry, wet], axis=-1))
 
-    def _compute_moments(self, table: GrainTable, orders: int) -> np.ndarray:
-        """Return the moments of the table, shape (..., wavelengths, states, states, orders)."""
+    def use_replicate(self, digest: str, number: int) -> SnowLayer:
+        """Return the layer with a replicate of its grains, if they are those of a digest."""
+        grains = self.grains
+        if not isinstance(grains, TracedGrains) or grains.digest != digest:
+            return self
+        return self._replace(grains=grains._replace(replicate=number))
+
+    def compute_optics_error(self) -> np.ndarray:
+        """Return the error of a reflectance, see `splits.discrete_ordinates.snowpack`."""
+        if isinstance(self.grains, GrainTable):
+            return self.grains.interpolate_stderr(self.contrast, self.grain_absorption)
+        return np.hypot(self.grains.interpolation_bound, self.packing_error)
+
+    def _compute_packing_ratio(self) -> np.ndarray:
+        """Return the optical thickness relative to that of point grains."""
+        if isinstance(self.grains, GrainTable):
+            return np.ones(1)
+        shares = np.stack([1.0 - self.saturation, self.saturation])
+        return self.grains.compute_packing_ratio(
+            self.collisions_per_m + self.pore_absorption @ shares
+        )
+
+    def _compute_moments(self, orders: int) -> np.ndarray:
+        """Return the moments of the grains, shape (..., wavelengths, states, states, orders)."""
+        table = self.grains
+        if isinstance(table, TracedGrains):
+            return table.get_moments(orders)
         n_states = table.moments.shape[2]
         if n_states == 1 or not np.ndim(self.depth_m):
             saturation = 0.0 if n_states == 1 else float(self.saturation)
@@ -112,6 +149,10 @@ class SnowLayer(NamedTuple):
                 orders,
             )  # fmt: skip
         return moments
+
+
+LAYER_ARRAYS = SnowLayer._fields[:7]
+"""Fields that are arrays."""
 
 
 def _balance_states(moments: np.ndarray, saturation: np.ndarray, index: np.ndarray) -> np.ndarray:

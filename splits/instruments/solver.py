@@ -22,6 +22,7 @@ from splits.discrete_ordinates.snowpack import (
 )
 from splits.kernels.tallies.exits import N_BATCHES
 from splits.media.medium import Medium
+from splits.simulation.run_options import RunOptions
 from splits.simulation.spectral_tally import Derivatives, SpectralEstimate
 from splits.simulation.threads import limit_blas_threads
 
@@ -70,7 +71,7 @@ def choose_solver(
 
 def solve_estimate(
     media: Sequence[Medium], wavelength_nm: np.ndarray, incidence: float | str, max_stderr: float,
-    parameters: Sequence[str] = (),
+    run: RunOptions, parameters: Sequence[str] = (),
 ) -> SpectralEstimate:  # fmt: skip
     """Return hemispherical values of media by discrete ordinates, in the form of simulations.
 
@@ -82,7 +83,9 @@ def solve_estimate(
     incidence : float or "diffuse"
         Degrees, or isotropic light.
     max_stderr : float
-        Determines the number of streams.
+        Determines the number of streams, and of paths through grains.
+    run : RunOptions
+        Of which only the threads matter.
     parameters : sequence of str
         Parameters of the only medium with respect to which derivatives are computed, without
         obstacle (`splits.discrete_ordinates.applicability.find_parameter_obstacle`).
@@ -91,7 +94,9 @@ def solve_estimate(
     cosines = np.array([] if is_diffuse else [np.cos(np.radians(float(incidence)))])
     with limit_blas_threads():
         solutions = [
-            solve_spectrum(make_snowpack(medium, wavelength_nm), cosines, max_stderr)
+            solve_spectrum(
+                make_snowpack(medium, wavelength_nm, max_stderr, run.threads), cosines, max_stderr
+            )
             for medium in media
         ]
         estimate = make_estimate(solutions, -1 if is_diffuse else 0)

@@ -181,7 +181,8 @@ def spectrophotometer(
     chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters)
     if chosen == DISCRETE_ORDINATES:
         estimate = solve_estimate(
-            list(media.values()), wavelengths, request.incidence, request.max_stderr, parameters
+            list(media.values()), wavelengths, request.incidence, request.max_stderr, run,
+            parameters,
         )
         dataset = make_spectrum(request, first, estimate, truncation=None, dims=dims)
         dataset.attrs["solver"] = DISCRETE_ORDINATES

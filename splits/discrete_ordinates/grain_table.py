@@ -101,6 +101,11 @@ class GrainTable(NamedTuple):
         """Number of known moments."""
         return self.moments.shape[-1]
 
+    @property
+    def n_states(self) -> int:
+        """Number of kinds of pores: 2 with wet ones."""
+        return self.moments.shape[2]
+
     def select(self, wavelengths: object) -> GrainTable:
         """Return the table, which holds for all wavelengths."""
         return self

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splits.discrete_ordinates.grain_table import GrainTable
+from splits.discrete_ordinates.integrals import TINY
 from splits.discrete_ordinates.pores import DRY, WET
 from splits.discrete_ordinates.slab import LayerOptics
 from splits.discrete_ordinates.traced_grains import TracedGrains
@@ -106,10 +107,23 @@ class SnowLayer(NamedTuple):
         if n_states == 1:
             return LayerOptics(depth, extinction, rate * moments, np.ones((*shape, 1)))
         saturation = np.maximum(self.saturation, MIN_SATURATION)[..., np.newaxis]
+        scattering, equilibrium = _balance_states(moments, saturation)
+        return LayerOptics(depth, extinction, rate * scattering, equilibrium)
+
+    def compute_air_equilibrium(self) -> np.ndarray:
+        """Return the radiance of each state in equilibrium with a radiance of 1 in air.
+
+        Returns
+        -------
+        float, shape (..., wavelengths, states)
+            n² times the fraction of the pores.
+        """
+        shape = self.grain_absorption.shape
+        if self.grains.n_states == 1:
+            return np.ones((*shape, 1))
+        saturation = np.maximum(self.saturation, MIN_SATURATION)[..., np.newaxis]
         wet = np.broadcast_to(saturation * self.water_index**2, shape)
-        dry = np.broadcast_to(1.0 - saturation, shape)
-        scattering = _balance_states(moments, saturation, self.water_index)
-        return LayerOptics(depth, extinction, rate * scattering, np.stack([dry, wet], axis=-1))
+        return np.stack([np.broadcast_to(1.0 - saturation, shape), wet], axis=-1)
 
     def use_replicate(self, digest: str, number: int) -> SnowLayer:
         """Return the layer with a replicate of its grains, if they are those of a digest."""
@@ -155,29 +169,38 @@ LAYER_ARRAYS = SnowLayer._fields[:7]
 """Fields that are arrays."""
 
 
-def _balance_states(moments: np.ndarray, saturation: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the symmetric scattering between dry and wet pores.
+def _balance_states(
+    moments: np.ndarray, saturation: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the symmetric scattering between dry and wet pores, and their equilibrium.
 
-    Light that leaves into the other pore is n² times as likely from a wet pore as from a dry one,
-    per fraction of the pores; the mean of both estimates is used.  The rest of the light stays in
-    its pore, so that nothing is lost.
+    In equilibrium, as much light changes from dry to wet pores as back.  The equilibrium of the
+    traced grains is that of the moments of order 0.  Moments of higher orders are the mean of both
+    directions, which differ as far as the rules within a grain are not reciprocal.
 
     Parameters
     ----------
     moments : float, shape (..., wavelengths, 2, 2, orders)
         See `GrainTable`.
     saturation : float, shape (..., 1)
-    index : float, shape (wavelengths,)
-        Refractive index of water.
+
+    Returns
+    -------
+    float (..., wavelengths, 2, 2, orders), float (..., wavelengths, 2)
+        Divided by the square roots of the radiances of both states in equilibrium; these radiances,
+        of which that of dry pores is their fraction.
     """
-    fraction, n = saturation[..., np.newaxis], index[:, np.newaxis]
-    from_dry, into_wet = moments[..., DRY, 0, :], moments[..., DRY, 1, :]
-    from_wet, kept_wet = moments[..., WET, 0, :], moments[..., WET, 1, :]
-    into_dry = (from_wet - fraction * kept_wet) / (1.0 - fraction)
-    exchange = 0.5 * (into_wet / n + into_dry * n)
+    fraction = saturation[..., np.newaxis]
+    into_wet = fraction * moments[..., DRY, 1, :]
+    kept_wet = fraction * moments[..., WET, 1, :]
+    into_dry = moments[..., WET, 0, :] - kept_wet
     scattering = np.empty_like(moments)
-    changed = np.sqrt(fraction * (1.0 - fraction)) * exchange
-    scattering[..., DRY, WET, :] = scattering[..., WET, DRY, :] = changed
-    scattering[..., DRY, DRY, :] = from_dry - fraction * n * exchange
-    scattering[..., WET, WET, :] = from_wet - (1.0 - fraction) / n * exchange
-    return scattering
+    scattering[..., DRY, DRY, :] = moments[..., DRY, 0, :] - into_wet
+    scattering[..., WET, WET, :] = kept_wet
+    # Grains that absorb all light exchange none.
+    ratio = np.maximum(into_wet[..., :1], TINY) / np.maximum(into_dry[..., :1], TINY)
+    root = np.sqrt(ratio)
+    exchange = 0.5 * (into_wet / root + into_dry * root)
+    scattering[..., DRY, WET, :] = scattering[..., WET, DRY, :] = exchange
+    dry = np.broadcast_to(1.0 - saturation, ratio.shape[:-1])
+    return scattering, np.stack([dry, dry * ratio[..., 0]], axis=-1)

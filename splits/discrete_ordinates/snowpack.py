@@ -145,11 +145,20 @@ class Snowpack(NamedTuple):
         directions = cosines[..., np.newaxis, :]
         if self.is_wet:
             directions = refract_directions(cosines, self.layers[0].water_index)
-        isotropic = [make_isotropic(one, streams, n_beams) for one in optics]
-        elements = [
-            Element.from_slab(solve_slab(one.truncate(n_streams), streams, directions), vector)
-            for one, vector in zip(optics, isotropic, strict=True)
+        own = [make_isotropic(one, streams, n_beams) for one in optics]
+        isotropic = [
+            make_isotropic(
+                one._replace(equilibrium=layer.compute_air_equilibrium()), streams, n_beams
+            )
+            for one, layer in zip(optics, self.layers, strict=True)
         ]
+        elements = [
+            Element.from_slab(
+                solve_slab(one.truncate(n_streams), streams, directions), outside,
+                inside if self.is_wet else None,
+            )
+            for one, outside, inside in zip(optics, isotropic, own, strict=True)
+        ]  # fmt: skip
         if not self.is_wet:
             faces = (Boundary.make_transparent(n_streams // 2, n_beams),) * 2
             levels = [*isotropic, isotropic[-1]]

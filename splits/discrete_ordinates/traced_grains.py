@@ -18,6 +18,7 @@ import numpy as np
 
 from splits.core.uncertainty import compute_leave_one_out_means
 from splits.discrete_ordinates.integrals import TINY
+from splits.discrete_ordinates.pores import WET
 from splits.kernels.base.scene import Scene
 from splits.kernels.grains.single_grain import N_SCATTERING_BATCHES
 from splits.media.medium import GranularMedium
@@ -38,9 +39,9 @@ from splits.simulation.stopping_rule import StoppingRule
 
 N_TRACED_ORDERS = 33
 N_DISPLACEMENTS = len(WEIGHTED_MEANS) - 1
-ERROR_PER_RAY = 0.6
+ERROR_PER_RAY = 0.3
 """About the error of a reflectance, times the square root of the rays of each type of grain."""
-INTERPOLATION_ERROR_PER_RAY = 0.3
+INTERPOLATION_ERROR_PER_RAY = 0.15
 """Bound on the error of interpolation between refractive indices, in the same unit."""
 MIN_RAYS, MAX_RAYS = 2**15, 2**23
 """Limits of the rays of each type of grain, refractive index and pore."""
@@ -89,6 +90,11 @@ class TracedGrains(NamedTuple):
         """Number of known moments."""
         return self.moments.shape[-1]
 
+    @property
+    def n_states(self) -> int:
+        """Number of kinds of pores: 2 with wet ones."""
+        return self.moments.shape[2]
+
     def select(self, wavelengths: np.ndarray) -> TracedGrains:
         """Return the grains at some of the wavelengths."""
         return self._replace(
@@ -104,8 +110,8 @@ class TracedGrains(NamedTuple):
 
     def add_wet_pores(self) -> TracedGrains:
         """Return dry grains as those of a layer with a negligible fraction of wet pores."""
-        moments = np.zeros((*self.moments.shape[:2], 2, 2, self.n_orders))
-        moments[..., 0, :] = self.moments[..., 0, :]
+        moments = np.repeat(np.repeat(self.moments, 2, axis=2), 2, axis=3)
+        moments[..., WET, 1, :] = 0.0
         return self._replace(moments=moments)
 
     def compute_packing_ratio(self, extinction_per_m: np.ndarray) -> np.ndarray:

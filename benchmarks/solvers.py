@@ -36,7 +36,6 @@ import tartes
 
 import splits
 from splits.discrete_ordinates.applicability import make_snowpack
-from splits.discrete_ordinates.snowpack import load_natural_grains
 from splits.media.natural_snow import NATURAL_GRAIN_SHAPE
 
 WAVELENGTHS_NM = np.arange(400.0, 2501.0, 10.0)
@@ -96,7 +95,7 @@ def list_ways(medium: splits.Stack) -> Iterator[tuple[str, str, Callable[[], np.
 def solve_pydisort(medium: splits.Stack, streams: int) -> np.ndarray:
     """Return the albedo by PythonicDISORT, with the same single scattering."""
     snowpack = make_snowpack(medium, WAVELENGTHS_NM)
-    optics = [one.compute_optics(load_natural_grains(wet=False), streams + 1)
+    optics = [one.compute_optics(streams + 1)
               for one in snowpack.layers]  # fmt: skip
     albedo = []
     for row, ground in enumerate(snowpack.ground):

@@ -38,9 +38,7 @@ class Element(NamedTuple):
     emission: np.ndarray | None
 
     @classmethod
-    def from_slab(
-        cls, slab: Slab, isotropic: np.ndarray, own: np.ndarray | None = None
-    ) -> Element:
+    def from_slab(cls, slab: Slab, isotropic: np.ndarray, own: np.ndarray | None = None) -> Element:
         """Return a layer, which is the same from both sides, with its isotropic radiance.
 
         Parameters

@@ -103,9 +103,8 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
     for name in ("overlap_with_boundary", "overlap_with_previous_segment"):
         if rules[name] != "keep":
             return (
-                f"has grains under the rule {name} {rules[name]!r} of its interpretation, for "
-                "which there is no equation of radiative transfer; with 'keep', or with the set "
-                "radiative_transfer, there is one"
+                f"has {name} {rules[name]!r} in its interpretation, under which no equation of "
+                "radiative transfer holds; one holds under the set radiative_transfer"
             )
     if layer.wet_fraction > 0.0:
         for name, choice in RECIPROCAL_RULES.items():
@@ -149,8 +148,8 @@ def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | 
     layers: Any = medium.scene_layers
     for number, layer in enumerate(layers):
         if not (isinstance(layer, Snow) and is_natural(layer)):
-            place = f"layers[{number}] is" if len(layers) > 1 else "it is"
-            return f"derivatives need natural snow, and {place} another medium"
+            which = f"layers[{number}]" if len(layers) > 1 else "it"
+            return f"derivatives need natural snow, and {which} is another medium"
     for name in parameters:
         *place, key = name.split(".")
         if key in SHAPE_PARAMETERS:

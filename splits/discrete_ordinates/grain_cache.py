@@ -83,10 +83,11 @@ def _read_grains(path: Path, tracing: GrainTracing, digest: str) -> TracedGrains
         os.utime(path)
     values, shapes = np.frombuffer(numbers), tracing.compute_shapes()
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
-    parts = (
-        part.reshape(shape) for part, shape in zip(np.split(values, ends), shapes, strict=True)
+    parts = np.split(values, ends)
+    moments, displacements, bound = (
+        part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)
     )
-    return TracedGrains(*parts, digest)
+    return TracedGrains(moments, displacements, bound, digest)
 
 
 def _write_grains(path: Path, grains: TracedGrains) -> None:

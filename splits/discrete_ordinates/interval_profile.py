@@ -3,9 +3,10 @@
 The errors combine
 
 - truncation, the difference from twice as many streams at some wavelengths;
-- the statistical error of the tables.  The relative errors of (1 − ω) and of (1 − g) of the grains
-  are those with which the reflectance of weakly absorbing snow has its error in the table.  Their
-  effects are those of more absorbing and of more grains;
+- the statistical error of the tables of natural snow.  The relative errors of (1 − ω) and of
+  (1 − g) of the grains are those with which the reflectance of weakly absorbing snow has its error
+  in the table.  Their effects are those of more absorbing and of more grains.  Traced grains have
+  replicates instead (jackknife);
 - for wet snow, the error of the balance between dry and wet pores.
 """
 
@@ -16,6 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from splits.core.uncertainty import compute_jackknife_stderr
+from splits.discrete_ordinates.grain_table import GrainTable
 from splits.discrete_ordinates.pores import WET
 from splits.discrete_ordinates.snow_layers import SnowLayer
 from splits.discrete_ordinates.snow_profile import SnowProfile, compute_snow_profile
@@ -132,7 +135,7 @@ def solve_profile(
         if max(one.max() for one in limited) <= 0.5 * max_error:
             break
     profile = _compute_intervals(parts, geometry, incidence, n_streams)
-    optics_error = _compute_table_error(few, coarse, geometry, incidence, n_streams)
+    optics_error = _compute_grain_error(few, coarse, geometry, incidence, n_streams)
     truncation, perturbed = (
         IntervalProfile(*(spread_truncation(values, trial, n_wavelengths) for values in errors))
         for errors in (difference, optics_error)
@@ -187,29 +190,45 @@ def _compute_path_length(
     return path
 
 
-def _compute_table_error(
+def _compute_grain_error(
     parts: Snowpack, values: IntervalProfile, geometry: LayerDivision, incidence: float | None,
     n_streams: int,
 ) -> IntervalProfile:  # fmt: skip
-    """Return the effects of the errors of (1 − ω) and of (1 − g), added in quadrature."""
-    error = _find_similarity_error(parts.layers[0].contrast, parts.is_wet)
+    """Return the effects of the errors of single scattering, added in quadrature."""
+
+    def compute(snowpack: Snowpack) -> IntervalProfile:
+        return _compute_intervals(snowpack, geometry, incidence, n_streams)
+
     total = IntervalProfile(*(np.zeros_like(one) for one in values))
-    absorbing = [
-        layer._replace(grain_absorption=layer.grain_absorption * (1.0 + error))
-        for layer in parts.layers
-    ]
-    # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
-    denser = [
-        layer._replace(collisions_per_m=layer.collisions_per_m * (1.0 + error.max()),
-                       grain_absorption=layer.grain_absorption / (1.0 + error.max()))
-        for layer in parts.layers
-    ]  # fmt: skip
-    for layers in (absorbing, denser):
-        perturbed = _compute_intervals(
-            Snowpack(layers, parts.ground), geometry, incidence, n_streams
+    for layers in _perturb_tables(parts):
+        change = _subtract(compute(parts._replace(layers=layers)), values)
+        total = IntervalProfile(*map(np.hypot, total, change))
+    for digest in parts.list_traced():
+        replicates = [compute(one) for one in parts.iterate_replicates(digest)]
+        stderr = (
+            compute_jackknife_stderr(np.array(field)) for field in zip(*replicates, strict=True)
         )
-        total = IntervalProfile(*map(np.hypot, total, _subtract(perturbed, values)))
+        total = IntervalProfile(*map(np.hypot, total, stderr))
     return total
+
+
+def _perturb_tables(parts: Snowpack) -> list[list[SnowLayer]]:
+    """Return the layers with more absorbing, and with more grains of natural snow, if any."""
+    numbers = [i for i, one in enumerate(parts.layers) if isinstance(one.grains, GrainTable)]
+    if not numbers:
+        return []
+    error = _find_similarity_error(parts.layers[0].contrast, parts.is_wet)
+    # One number for all wavelengths: the largest error of (1 − g) is nearly the same for all.
+    largest = error.max()
+    absorbing, denser = list(parts.layers), list(parts.layers)
+    for number in numbers:
+        layer = parts.layers[number]
+        absorbing[number] = layer._replace(grain_absorption=layer.grain_absorption * (1.0 + error))
+        denser[number] = layer._replace(
+            collisions_per_m=layer.collisions_per_m * (1.0 + largest),
+            grain_absorption=layer.grain_absorption / (1.0 + largest),
+        )
+    return [absorbing, denser]
 
 
 def _find_similarity_error(contrast: np.ndarray, is_wet: bool) -> np.ndarray:
@@ -229,7 +248,7 @@ def _tabulate_similarity_errors(is_wet: bool) -> np.ndarray:
     def reflect(absorption: float) -> np.ndarray:
         layer = SnowLayer(
             np.asarray(np.inf), np.asarray(1000.0), np.asarray(_ERROR_SATURATION * is_wet),
-            table.contrast.nodes, table.water, np.full(n, absorption), np.zeros((n, 2)),
+            table.contrast.nodes, table.water, np.full(n, absorption), np.zeros((n, 2)), table,
         )  # fmt: skip
         return Snowpack([layer], np.zeros(n)).solve(np.array([1.0]), _ERROR_STREAMS).reflectance
 

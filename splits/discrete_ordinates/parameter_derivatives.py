@@ -121,7 +121,7 @@ class Tangent(NamedTuple):
             properties = [
                 SnowLayer.from_medium(version, wavelength_nm, grains) for version in versions
             ]
-            changes = {
+            changes: dict[str, Any] = {
                 name: combine_differences(
                     weights, np.array([getattr(one, name) for one in properties])
                 )
@@ -208,9 +208,7 @@ class DryDerivatives(NamedTuple):
         return values, np.zeros_like(values)
 
 
-def differentiate_optics(
-    layer: SnowLayer, tangent: SnowLayer, n_streams: int
-) -> LayerOptics:
+def differentiate_optics(layer: SnowLayer, tangent: SnowLayer, n_streams: int) -> LayerOptics:
     """Return the derivatives of the optics of a dry layer, after truncation.
 
     The derivative of a real analytic function is Im f(x + iε)/ε, with an error of the order of ε².

@@ -169,9 +169,7 @@ LAYER_ARRAYS = SnowLayer._fields[:7]
 """Fields that are arrays."""
 
 
-def _balance_states(
-    moments: np.ndarray, saturation: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _balance_states(moments: np.ndarray, saturation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the symmetric scattering between dry and wet pores, and their equilibrium.
 
     In equilibrium, as much light changes from dry to wet pores as back.  The equilibrium of the

@@ -5,9 +5,9 @@ moments
 
     M_l = ⟨w P_l(cosΘ)⟩,    w = exp(−∑ α_m L_m),
 
-of the path lengths L_m in the materials m.  Every type of grain has the same number of rays, so that
-rare types have small errors, too.  The moments without one batch of the rays each are kept, and the
-error of any result follows from results with each of these (jackknife).
+of the path lengths L_m in the materials m.  Every type of grain has the same number of rays, so
+that rare types have small errors, too.  The moments without one batch of the rays each are kept,
+and the error of any result follows from results with each of these (jackknife).
 """
 
 from __future__ import annotations
@@ -151,7 +151,9 @@ class GrainTracing(NamedTuple):
     rays: int
 
     @classmethod
-    def from_layer(cls, layer: GranularMedium, wavelength_nm: np.ndarray, rays: int) -> GrainTracing:
+    def from_layer(
+        cls, layer: GranularMedium, wavelength_nm: np.ndarray, rays: int
+    ) -> GrainTracing:
         """Return the tracing of the grains of a layer at wavelengths (nm)."""
         index, absorption = compute_material_constants(layer, wavelength_nm)
         # Paths in grains do not depend on the absorption by pores, which may contain impurities.
@@ -224,6 +226,7 @@ class GrainTracing(NamedTuple):
         )  # fmt: skip
         stop = StoppingRule(0.0, self.rays * n_nodes, fixed=True)
         simulate(single_type, tally, stop, run)
-        batches = tally.combine_nodes(tally.batch_sums * (N_SCATTERING_BATCHES / tally.count_rays()))
-        means = np.concatenate([batches.mean(axis=0)[np.newaxis], compute_leave_one_out_means(batches)])
-        return np.moveaxis(means, 1, -1)
+        scale = N_SCATTERING_BATCHES / tally.count_rays()
+        batches = tally.combine_nodes(tally.batch_sums * scale)
+        every = batches.mean(axis=0, keepdims=True)
+        return np.moveaxis(np.concatenate([every, compute_leave_one_out_means(batches)]), 1, -1)

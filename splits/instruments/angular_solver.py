@@ -20,6 +20,9 @@ from splits.media.medium import Medium
 
 UNAVAILABLE_VARIABLES = ("btdf", "transmittance_factor")
 """Variables that discrete ordinates do not compute."""
+PHASE_FUNCTION_SHARE = 0.06
+"""Error of a reflectance for which the paths through grains give a phase function with an error
+of 1 in proportion."""
 
 
 class AngularRequest(NamedTuple):
@@ -82,12 +85,16 @@ def find_angular_obstacle(
         return f"the estimator {estimator} needs paths"
     if rays is not None:
         return "a number of rays needs paths"
-    if any(getattr(layer, "saturation", 0.0) > 0.0 for layer in medium.scene_layers):
+    layers: Any = medium.scene_layers
+    granular = [layer for layer in layers if layer.has_grains]
+    if any(layer.wet_fraction > 0.0 for layer in granular):
         return "the BRDF of wet snow needs paths"
+    if any(layer.interpretation.grain_extent != "point" for layer in granular):
+        return "the BRDF of grains that are no points needs paths"
     return None
 
 
-def solve_angular_result(medium: Medium, request: AngularRequest) -> AngularResult:
+def solve_angular_result(medium: Medium, request: AngularRequest, threads: int) -> AngularResult:
     """Return angular distributions by discrete ordinates.
 
     Parameters
@@ -95,8 +102,12 @@ def solve_angular_result(medium: Medium, request: AngularRequest) -> AngularResu
     medium : Medium
         Without obstacle.
     request : AngularRequest
+    threads : int
+        For paths through grains.
     """
-    snowpack = make_snowpack(medium, request.wavelengths)
+    snowpack = make_snowpack(
+        medium, request.wavelengths, PHASE_FUNCTION_SHARE * request.relative_stderr, threads
+    )
     solve = _solve_diffuse if request.incidence == "diffuse" else _solve_beam
     estimate, attributes = solve(snowpack, request)
     return AngularResult(estimate, {}, UNAVAILABLE_VARIABLES, attributes)

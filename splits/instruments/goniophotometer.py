@@ -185,7 +185,7 @@ def goniophotometer(
     obstacle = find_angular_obstacle(medium, estimator, target, rays)
     chosen = choose_solver(solver, [medium], wavelengths, obstacle)
     if chosen == DISCRETE_ORDINATES:
-        result = solve_angular_result(medium, request)
+        result = solve_angular_result(medium, request, run.threads)
     else:
         check_medium(medium)
         is_fixed = rays is not None or bins is not None

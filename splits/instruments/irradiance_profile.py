@@ -190,7 +190,13 @@ def simulate_flux(
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
     if solver == DISCRETE_ORDINATES:
         solved = solve_flux(
-            medium, wavelengths, depths, incidence, max_stderr, target.limit_irradiance
+            medium,
+            wavelengths,
+            depths,
+            incidence,
+            max_stderr,
+            target.limit_irradiance,
+            run.threads,
         )
         return make_solved_dataset(solved, _describe_request(request, target, run, solver))
     traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)

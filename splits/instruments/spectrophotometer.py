@@ -181,7 +181,11 @@ def spectrophotometer(
     chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters)
     if chosen == DISCRETE_ORDINATES:
         estimate = solve_estimate(
-            list(media.values()), wavelengths, request.incidence, request.max_stderr, run,
+            list(media.values()),
+            wavelengths,
+            request.incidence,
+            request.max_stderr,
+            run,
             parameters,
         )
         dataset = make_spectrum(request, first, estimate, truncation=None, dims=dims)

@@ -71,9 +71,7 @@ def _solve_media(
     threads: int,
 ) -> list[SpectrumSolution]:  # fmt: skip
     def solve(medium: Medium) -> SpectrumSolution:
-        return solve_spectrum(
-            make_snowpack(medium, wavelength_nm, max_stderr), cosines, max_stderr
-        )
+        return solve_spectrum(make_snowpack(medium, wavelength_nm, max_stderr), cosines, max_stderr)
 
     with limit_blas_threads(), DaemonThreadPool(threads) as pool:
         return list(pool.map(solve, media))

@@ -96,7 +96,10 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
     if layer.pores:
         return "has other fluids than air and water in its pores"
     if layer.wet_fraction > MAX_SATURATION:
-        return f"has a fraction of wet pores of {layer.wet_fraction:g}, above {MAX_SATURATION:g}"
+        return (
+            f"has a saturation of {layer.saturation:g}, by which more than {MAX_SATURATION:g} of its "
+            "pores are wet"
+        )
     if isinstance(layer, Snow) and is_natural(layer):
         return _find_table_obstacle(layer, wavelength_nm)
     rules = layer.interpretation.as_dict()

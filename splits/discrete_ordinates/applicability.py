@@ -11,7 +11,12 @@ from splits.discrete_ordinates.grain_cache import load_grains
 from splits.discrete_ordinates.grain_table import MAX_ABSORPTION, GrainTable
 from splits.discrete_ordinates.snow_layers import SnowLayer
 from splits.discrete_ordinates.snowpack import Snowpack, load_natural_grains
-from splits.discrete_ordinates.traced_grains import TracedGrains, choose_rays
+from splits.discrete_ordinates.traced_grains import (
+    ERROR_PER_THINNESS,
+    LEAST_TRACED_ERROR,
+    TracedGrains,
+    choose_rays,
+)
 from splits.media.medium import GranularMedium, Medium
 from splits.media.natural_snow import is_natural
 from splits.media.snow import Snow
@@ -21,13 +26,17 @@ MAX_WATER_DIFFERENCE = 0.005
 MAX_SATURATION = 0.5
 """Largest fraction of wet pores, that of the table of wet grains."""
 DEFAULT_ERROR = 0.002
-MAX_PACKING_ERROR = 0.002
-"""Bound on the error of fluxes due to the extent of grains."""
+PACKING_ERROR_PER_WIDTH, PACKING_ERROR_LIMITS = 3e-4, (0.003, 0.008)
+"""Bound on the error of fluxes due to the extent of grains, times their mean chord over the largest
+diameter; and its limits."""
+DISPLACEMENT_PER_DIAMETER = 0.4
+"""About the rms displacement of light in a grain over the largest diameter, or more."""
 RECIPROCAL_RULES = {
-    "entry_point": "projected", "facet_sampling": "projected", "wrong_side_ray": "mirror",
-    "boundary_fresnel": "yes",
-}  # fmt: skip
-"""Rules of wet layers: with others, light between dry and wet pores has no equilibrium ∝ n²."""
+    "entry_point": "projected",
+    "facet_sampling": "projected",
+    "wrong_side_ray": "mirror",
+}
+"""Rules within grains under which wet layers and finite grains have been compared with paths."""
 SHAPE_PARAMETERS = ("facetness", "sphericity")
 WATER_PARAMETERS = ("saturation", "liquid_water_content")
 
@@ -74,7 +83,7 @@ def make_snowpack(
     grain_layers = []
     for layer in layers:
         grains: GrainTable | TracedGrains
-        if isinstance(layer, Snow) and is_natural(layer):
+        if _is_tabulated(layer):
             grains = load_natural_grains(wet=is_wet)
         else:
             grains = load_grains(layer, wavelength_nm, choose_rays(max_error), threads)
@@ -86,8 +95,39 @@ def make_snowpack(
 
 
 def compute_packing_error(layer: GranularMedium) -> float:
-    """Return the bound on the error of fluxes due to the extent of grains, 0 for point grains."""
-    return 0.0 if layer.interpretation.grain_extent == "point" else MAX_PACKING_ERROR
+    """Return the bound on the error of fluxes of a thick layer due to the extent of its grains.
+
+    Fluxes follow from single scattering and from the mean distance between grains
+    (`splits.discrete_ordinates.traced_grains.TracedGrains.compute_packing_ratio`).  Near the
+    surface, they depend on more than the mean, all the more for a wide distribution of sizes.
+    docs/theory/discrete-ordinates.md has the measured differences.  Point grains have none.
+    """
+    if layer.interpretation.grain_extent == "point":
+        return 0.0
+    width = layer.largest_grain_m * layer.attenuation_per_m
+    return float(np.clip(PACKING_ERROR_PER_WIDTH * width, *PACKING_ERROR_LIMITS))
+
+
+def compute_least_error(medium: Medium) -> float:
+    """Return about the smallest error of fluxes of a medium without obstacle; 0 for natural snow.
+
+    That of natural snow does not depend on the requested error.
+    """
+    layers: Any = medium.scene_layers
+    least = 0.0
+    for layer in layers:
+        if not _is_tabulated(layer):
+            thinness = 0.0
+            if layer.interpretation.grain_extent != "point":
+                thinness = DISPLACEMENT_PER_DIAMETER * layer.largest_grain_m / layer.depth_m
+            by_packing = compute_packing_error(layer) + ERROR_PER_THINNESS * thinness
+            least = max(least, LEAST_TRACED_ERROR, by_packing)
+    return least
+
+
+def _is_tabulated(layer: Any) -> bool:
+    """Return whether the tables of natural snow are those of a layer."""
+    return isinstance(layer, Snow) and is_natural(layer)
 
 
 def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None:
@@ -97,10 +137,10 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
         return "has other fluids than air and water in its pores"
     if layer.wet_fraction > MAX_SATURATION:
         return (
-            f"has a saturation of {layer.saturation:g}, by which more than {MAX_SATURATION:g} of its "
-            "pores are wet"
+            f"has a saturation of {layer.saturation:g}, by which more than {MAX_SATURATION:g} "
+            "of its pores are wet"
         )
-    if isinstance(layer, Snow) and is_natural(layer):
+    if _is_tabulated(layer):
         return _find_table_obstacle(layer, wavelength_nm)
     rules = layer.interpretation.as_dict()
     for name in ("overlap_with_boundary", "overlap_with_previous_segment"):
@@ -109,14 +149,20 @@ def _find_obstacle_in_layer(layer: Any, wavelength_nm: np.ndarray) -> str | None
                 f"has {name} {rules[name]!r} in its interpretation, under which no equation of "
                 "radiative transfer holds; one holds under the set radiative_transfer"
             )
-    if layer.wet_fraction > 0.0:
+    is_wet, is_point = layer.wet_fraction > 0.0, layer.interpretation.grain_extent == "point"
+    if is_wet and rules["boundary_fresnel"] == "no":
+        return "has water without Fresnel reflection at its boundaries (boundary_fresnel 'no')"
+    if is_wet or not is_point:
+        which = "has water" if is_wet else "has no point grains"
         for name, choice in RECIPROCAL_RULES.items():
             if rules[name] != choice:
-                return f"is wet, and its interpretation has {name} {rules[name]!r}, not {choice!r}"
+                return (
+                    f"{which}, and {name} is {rules[name]!r} in its interpretation, not {choice!r}"
+                )
     return None
 
 
-def _find_table_obstacle(layer: Snow, wavelength_nm: np.ndarray) -> str | None:
+def _find_table_obstacle(layer: Any, wavelength_nm: np.ndarray) -> str | None:
     """Return why the tables of natural snow do not hold."""
     is_wet = layer.saturation > 0.0
     table = load_natural_grains(wet=is_wet)
@@ -150,7 +196,7 @@ def find_parameter_obstacle(medium: Medium, parameters: Sequence[str]) -> str | 
     """
     layers: Any = medium.scene_layers
     for number, layer in enumerate(layers):
-        if not (isinstance(layer, Snow) and is_natural(layer)):
+        if not _is_tabulated(layer):
             which = f"layers[{number}]" if len(layers) > 1 else "it"
             return f"derivatives need natural snow, and {which} is another medium"
     for name in parameters:

@@ -40,7 +40,8 @@ class SnowLayer(NamedTuple):
     grains : GrainTable or TracedGrains
         Single scattering; with two states if any layer of the snowpack is wet.
     packing_error : float
-        Bound on the error of fluxes due to the extent of the grains, 0 for point grains.
+        Bound on the error of fluxes due to the extent of the grains if the layer is thick; 0 for
+        point grains.
     """
 
     depth_m: np.ndarray
@@ -136,7 +137,8 @@ class SnowLayer(NamedTuple):
         """Return the error of a reflectance, see `splits.discrete_ordinates.snowpack`."""
         if isinstance(self.grains, GrainTable):
             return self.grains.interpolate_stderr(self.contrast, self.grain_absorption)
-        return np.hypot(self.grains.interpolation_bound, self.packing_error)
+        by_packing = self.packing_error + self.grains.compute_thinness_error(self.depth_m)
+        return np.hypot(self.grains.interpolation_bound, by_packing)
 
     def _compute_packing_ratio(self) -> np.ndarray:
         """Return the optical thickness relative to that of point grains."""

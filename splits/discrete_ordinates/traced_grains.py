@@ -43,19 +43,19 @@ ERROR_PER_RAY = 0.3
 """About the error of a reflectance, times the square root of the rays of each type of grain."""
 INTERPOLATION_ERROR_PER_RAY = 0.15
 """Bound on the error of interpolation between refractive indices, in the same unit."""
+ERROR_PER_THINNESS = 0.15
+"""Bound on the error of fluxes of a layer, times its thickness over the rms displacement of light
+in a grain."""
 MIN_RAYS, MAX_RAYS = 2**15, 2**23
 """Limits of the rays of each type of grain, refractive index and pore."""
+LEAST_TRACED_ERROR = 2.0 * ERROR_PER_RAY / MAX_RAYS**0.5
+"""Smallest error of a spectrum for which these rays suffice."""
 
 
 def choose_rays(max_error: float) -> int:
     """Return the rays for an error of a reflectance of about half of `max_error`, a power of 2."""
     needed = (2.0 * ERROR_PER_RAY / max_error) ** 2
     return int(2 ** np.ceil(np.log2(np.clip(needed, MIN_RAYS, MAX_RAYS))))
-
-
-def compute_least_error() -> float:
-    """Return the smallest error of a spectrum for which the rays suffice."""
-    return float(2.0 * ERROR_PER_RAY / np.sqrt(MAX_RAYS))
 
 
 class TracedGrains(NamedTuple):
@@ -130,6 +130,24 @@ class TracedGrains(NamedTuple):
         free = 1.0 / extinction_per_m
         ratio: np.ndarray = free / np.sqrt((free + incident) * (free + leaving) + spread)
         return ratio
+
+    def compute_thinness_error(self, depth_m: np.ndarray) -> np.ndarray:
+        """Return the bound on the error of fluxes of a layer not much thicker than its grains.
+
+        Parameters
+        ----------
+        depth_m : float
+            Thickness (m).
+
+        Returns
+        -------
+        float, shape (wavelengths,)
+            0 for point grains.
+        """
+        weighted = self.displacements[0]
+        displacement = np.sqrt(weighted[-1] / np.maximum(weighted[0], TINY))
+        bound: np.ndarray = ERROR_PER_THINNESS * displacement / depth_m
+        return bound
 
 
 class GrainTracing(NamedTuple):

@@ -139,7 +139,7 @@ def irradiance_profile(
         medium, wavelength_nm, depth_m, incidence_deg, max_stderr, max_rays
     )
     run = RunOptions.from_arguments(seed, threads, kernel, progress)
-    chosen = choose_flux_solver(solver, medium, request.wavelengths)
+    chosen = choose_flux_solver(solver, medium, request.wavelengths, request.max_stderr)
     return simulate_flux(request, FluxTarget(limit_irradiance), run, chosen)
 
 
@@ -175,9 +175,11 @@ class FluxRequest(NamedTuple):
         )
 
 
-def choose_flux_solver(solver: Any, medium: Medium, wavelengths: np.ndarray) -> str:
+def choose_flux_solver(
+    solver: Any, medium: Medium, wavelengths: np.ndarray, max_stderr: float
+) -> str:
     """Return the solver for fluxes, see `splits.instruments.solver.choose_solver`."""
-    chosen = choose_solver(solver, [medium], wavelengths)
+    chosen = choose_solver(solver, [medium], wavelengths, max_error=max_stderr)
     if chosen == MONTE_CARLO:
         return chosen
     return choose_solver(solver, [medium], wavelengths, find_profile_obstacle(medium, wavelengths))
@@ -190,14 +192,9 @@ def simulate_flux(
     medium, wavelengths, depths, incidence, max_stderr, max_rays = request
     if solver == DISCRETE_ORDINATES:
         solved = solve_flux(
-            medium,
-            wavelengths,
-            depths,
-            incidence,
-            max_stderr,
-            target.limit_irradiance,
+            medium, wavelengths, depths, incidence, max_stderr, target.limit_irradiance,
             run.threads,
-        )
+        )  # fmt: skip
         return make_solved_dataset(solved, _describe_request(request, target, run, solver))
     traced_medium = prepare_medium(medium, wavelengths, depths, max_stderr, run)
     scene = build_scene(traced_medium.medium, incidence, False)

@@ -132,7 +132,7 @@ def radiation_profile(
     targets = make_sky_targets(direct_fraction, weights, limit_irradiance)
 
     check_medium(medium, allow_semi_infinite=True)
-    chosen = choose_flux_solver(solver, medium, wavelengths)
+    chosen = choose_flux_solver(solver, medium, wavelengths, max_stderr)
 
     def simulate_component(incidence: float | str, number: int) -> xr.Dataset:
         request = FluxRequest.from_arguments(

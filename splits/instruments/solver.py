@@ -10,6 +10,7 @@ import numpy as np
 
 from splits.core.validation import check_choice, invalid
 from splits.discrete_ordinates.applicability import (
+    compute_least_error,
     find_obstacle,
     find_parameter_obstacle,
     make_snowpack,
@@ -33,7 +34,7 @@ SOLVERS = (MONTE_CARLO, DISCRETE_ORDINATES, AUTO)
 
 def choose_solver(
     solver: Any, media: Iterable[Medium], wavelength_nm: np.ndarray, obstacle: str | None = None,
-    parameters: Sequence[str] = (),
+    parameters: Sequence[str] = (), max_error: float = np.inf,
 ) -> str:  # fmt: skip
     """Return the solver for media: with "auto", discrete ordinates where they apply.
 
@@ -47,6 +48,8 @@ def choose_solver(
         Another reason why discrete ordinates do not apply.
     parameters : sequence of str
         Parameters of the only medium with respect to which derivatives are computed.
+    max_error : float
+        Error of fluxes.  "auto" prefers paths where discrete ordinates have a larger one.
 
     Raises
     ------
@@ -61,9 +64,11 @@ def choose_solver(
     obstacle = obstacle or next((reason for reason in reasons if reason), None)
     if obstacle is None and parameters:
         obstacle = find_parameter_obstacle(media[0], parameters)
+    is_auto = solver == AUTO
     if obstacle is None:
-        return DISCRETE_ORDINATES
-    if solver == AUTO:
+        is_accurate = all(compute_least_error(medium) <= max_error for medium in media)
+        return DISCRETE_ORDINATES if is_accurate or not is_auto else MONTE_CARLO
+    if is_auto:
         return MONTE_CARLO
     allowed = "'monte_carlo' or 'auto' for this medium"
     raise invalid("solver", solver, allowed, f"for discrete ordinates, {obstacle}")

@@ -178,7 +178,9 @@ def spectrophotometer(
     parameters = _check_jacobian(medium, request, estimator, jacobian)
     obstacle = "the estimator needs paths" if analog else None
     wavelengths, solver = request.wavelengths, MONTE_CARLO if solver is None else solver
-    chosen = choose_solver(solver, media.values(), wavelengths, obstacle, parameters)
+    chosen = choose_solver(
+        solver, media.values(), wavelengths, obstacle, parameters, request.max_stderr
+    )
     if chosen == DISCRETE_ORDINATES:
         estimate = solve_estimate(
             list(media.values()),

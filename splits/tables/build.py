@@ -119,6 +119,7 @@ def build_table(
         (medium for group in plan.path_groups for medium in group.path_sharing.media),
         spectral_request.wavelengths,
         "a covariance needs batches of rays" if covariance else None,
+        max_error=spectral_request.max_stderr,
     )
     request = TableRequest(
         spectral_request, _check_quantities(quantities), bool(covariance), chosen

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from chi2 import NEEDS_JIT, judge_z
 
 import splits
-from splits.discrete_ordinates.applicability import compute_packing_error
 from splits.instruments.solver import choose_solver
 
 WAVELENGTHS = [500.0, 800.0, 1030.0, 1300.0, 1900.0]
@@ -93,3 +90,117 @@ def compare_media(seeds, error: float, wet=lambda seed: False, interpretation=PO
 def test_random_media_agree_with_paths():
     z = compare_media(range(6), 0.004, wet=lambda seed: seed >= 4)
     judge_z(z, independent=6, bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
+def test_random_finite_grains_agree_with_paths():
+    judge_z(compare_media(range(10, 14), 0.004, interpretation=FINITE), bound_added=True)
+
+
+@NEEDS_JIT
+@pytest.mark.slow
+@pytest.mark.long
+def test_profiles_and_directions_of_point_grains_agree_with_paths():
+    snow = splits.Snow(interpretation=POINTS, saturation=0.0, depth_m=0.03, ground=0.3)
+    wet = splits.Snow(
+        interpretation={"set": POINTS, "mean_free_path": "pore_only"}, saturation=0.2, depth_m=0.03
+    )
+    for medium in (snow, wet):
+        arguments = (medium, WAVELENGTHS[1:4], [0.01, 0.02], 30.0, 0.004)
+        paths, solved = (splits.irradiance_profile(*arguments, **how) for how in ({}, SOLVED))
+        for name in ("downward_irradiance", "upward_irradiance", "absorptance_of_material"):
+            stderr = np.hypot(paths[f"{name}_stderr"], solved[f"{name}_stderr"])
+            z = ((solved[name] - paths[name]) / stderr).where(solved[name] > 0.01).values
+            judge_z(z[np.isfinite(z)], name, independent=3, bound_added=True)
+    sand = splits.Sand(interpretation=POINTS, depth_m=0.02)
+    for medium in (snow, sand):
+        directions = {"polar_deg": [0, 20, 40, 60], "azimuth_deg": [0, 90, 180]}
+        paths, solved = (
+            splits.goniophotometer(medium, [600.0, 1000.0], 50.0, 0.04, **directions, **how)
+            for how in ({}, SOLVED)
+        )
+        stderr = np.hypot(paths.brdf_stderr, solved.brdf_stderr)
+        judge_z((solved.brdf - paths.brdf) / stderr, "BRDF", independent=4, bound_added=True)
+
+
+@NEEDS_JIT
+def test_layers_of_different_grains_are_solved_together():
+    """Natural snow on sand; the division of a layer and absent water change nothing."""
+    natural = splits.Snow.natural(specific_surface_area_m2_kg=20.0, depth_m=0.002)
+    sand = splits.Sand(depth_m=0.01, interpretation=POINTS)
+    half = splits.Sand(depth_m=0.005, interpretation=POINTS)
+    one, two = (
+        splits.spectrophotometer(splits.Stack(layers), [1000.0], 40.0, 0.01, **SOLVED)
+        for layers in ([natural, sand], [natural, half, half])
+    )
+    np.testing.assert_allclose(one.reflectance, two.reflectance, atol=1e-9)
+    np.testing.assert_allclose(one.reflectance_stderr, two.reflectance_stderr, rtol=1e-6)
+    assert (one.reflectance_stderr > 0.0).all() and one.attrs["solver"] == "discrete_ordinates"
+
+
+@NEEDS_JIT
+def test_dry_layers_of_a_wet_stack_keep_their_optics():
+    """With a trace of water far below, the reflectance is that without."""
+    top = splits.Snow(interpretation=POINTS, saturation=0.0, depth_m=0.3)
+    wet, dry = (
+        splits.Snow(interpretation=POINTS, saturation=water, depth_m=0.01) for water in (0.1, 0.0)
+    )
+    one, two = (
+        splits.spectrophotometer(splits.Stack([top, below]), [1300.0], 40.0, 0.01, **SOLVED)
+        for below in (wet, dry)
+    )
+    np.testing.assert_allclose(one.reflectance, two.reflectance, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("medium", "reason"),
+    [
+        (splits.Snow(), "overlap_with_boundary 'reject'"),
+        (splits.Sand(), "overlap_with_boundary 'reject'"),
+        (splits.Snow(interpretation="geometric"), "overlap_with_boundary 'skip'"),
+        (splits.Snow(interpretation=POINTS, saturation=0.6), "a saturation of 0.6"),
+        (
+            splits.Snow(interpretation={"set": POINTS, "entry_point": "uniform"}),
+            "has water, and entry_point is 'uniform'",
+        ),
+        (
+            splits.Snow(interpretation={"set": POINTS, "boundary_fresnel": "no"}),
+            "boundary_fresnel 'no'",
+        ),
+        (
+            splits.Snow(saturation=0.0, interpretation={**FINITE, "facet_sampling": "any"}),
+            "has no point grains, and facet_sampling is 'any'",
+        ),
+        (splits.ParticleLayer(optical_thickness=1.0), "has no grains"),
+    ],
+)
+def test_refusals_name_the_rule(medium, reason):
+    with pytest.raises(ValueError, match=rf"(?s)solver.*{reason}"):
+        splits.spectrophotometer(medium, [1000.0], **SOLVED)
+
+
+def test_refusals_of_derivatives_and_profiles_name_the_layer():
+    sand = splits.Sand(interpretation=POINTS)
+    with pytest.raises(ValueError, match="derivatives need natural snow"):
+        splits.spectrophotometer(sand, [1000.0], jacobian=["porosity"], **SOLVED)
+    with pytest.raises(ValueError, match=r"layers\[0\] has grains of several materials"):
+        splits.irradiance_profile(sand, [1000.0], [0.001], **SOLVED)
+
+
+@pytest.mark.parametrize(
+    ("medium", "error", "expected"),
+    [
+        (splits.Sand(interpretation=POINTS), 0.002, "discrete_ordinates"),
+        (splits.Sand(interpretation=POINTS), 1e-4, "monte_carlo"),
+        (splits.Sand(interpretation=FINITE), 0.01, "discrete_ordinates"),
+        (splits.Sand(interpretation=FINITE), 0.002, "monte_carlo"),
+        (splits.Snow(saturation=0.0, interpretation=FINITE, depth_m=0.005), 0.01, "monte_carlo"),
+        (splits.Snow(), 0.01, "monte_carlo"),
+        (splits.Snow.natural(optical_radius_um=100.0), 1e-6, "discrete_ordinates"),
+    ],
+)
+def test_auto_prefers_paths_where_they_are_more_accurate(medium, error, expected):
+    wavelengths = np.array([1000.0])
+    assert choose_solver("auto", [medium], wavelengths, max_error=error) == expected

@@ -137,8 +137,13 @@ class SnowLayer(NamedTuple):
         """Return the error of a reflectance, see `splits.discrete_ordinates.snowpack`."""
         if isinstance(self.grains, GrainTable):
             return self.grains.interpolate_stderr(self.contrast, self.grain_absorption)
-        by_packing = self.packing_error + self.grains.compute_thinness_error(self.depth_m)
-        return np.hypot(self.grains.interpolation_bound, by_packing)
+        return np.hypot(self.grains.interpolation_bound, self.compute_packing_bound())
+
+    def compute_packing_bound(self) -> np.ndarray:
+        """Return the bound on the error of fluxes due to the extent of traced grains."""
+        if isinstance(self.grains, GrainTable):
+            return np.zeros(self.contrast.shape)
+        return self.packing_error + self.grains.compute_thinness_error(self.depth_m)
 
     def _compute_packing_ratio(self) -> np.ndarray:
         """Return the optical thickness relative to that of point grains."""

@@ -1,4 +1,4 @@
-"""BRDFs and reflectance factors of dry natural snow by discrete ordinates, as simulations."""
+"""BRDFs and reflectance factors of dry point grains by discrete ordinates, as simulations."""
 
 from __future__ import annotations
 

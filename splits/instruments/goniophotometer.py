@@ -97,11 +97,11 @@ def goniophotometer(
         `splits.instruments.goniophotometer.MAX_CONVERGED_POLAR_DEG`; with ``next_event``, for
         all.
     solver : {"monte_carlo", "discrete_ordinates", "auto"}
-        "discrete_ordinates" solves the equation of radiative transfer in plane layers of dry
-        modelled natural snow (`splits.Snow.natural`), which may be semi-infinite: see
-        docs/theory/discrete-ordinates.md.  The BTDF and the ``transmittance_factor`` are left out.
-        Wet snow, other media, ``target="btdf"``, `rays` and other estimators than "expansion" are
-        rejected, or simulated with paths under "auto".
+        "discrete_ordinates" solves the equation of radiative transfer in plane layers of dry point
+        grains, such as modelled natural snow (`splits.Snow.natural`), which may be semi-infinite:
+        see docs/theory/discrete-ordinates.md.  The BTDF and the ``transmittance_factor`` are left
+        out.  Wet media, grains of finite extent, ``target="btdf"``, `rays` and other estimators
+        than "expansion" are rejected, or simulated with paths under "auto".
     target : {"brdf", "btdf"}
         The function to which the error applies; wavelengths without light there are ignored.
     polar_deg : array_like

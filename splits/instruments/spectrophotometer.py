@@ -83,11 +83,12 @@ def spectrophotometer(
     seed : int
         Non-negative; results with the same seed are identical on any number of threads.
     solver : {"monte_carlo", "discrete_ordinates", "auto"}, optional
-        "discrete_ordinates" solves the equation of radiative transfer in plane layers of modelled
-        natural snow (`splits.Snow.natural`), without noise and in milliseconds: see
-        docs/theory/discrete-ordinates.md.  Media for which it does not hold are rejected, or
-        simulated with paths under "auto".  Default: "monte_carlo"; "auto" for `splits.SnowPacks`,
-        for which paths are not available.
+        "discrete_ordinates" solves the equation of radiative transfer in plane layers of grains, in
+        milliseconds: see docs/theory/discrete-ordinates.md.  Modelled natural snow
+        (`splits.Snow.natural`) has tables of single scattering.  Paths through single grains of
+        other snow and sand are traced in the first call and kept in the cache folder.  Media for
+        which the equation does not hold are rejected, or simulated with paths under "auto".
+        Default: "monte_carlo"; "auto" for `splits.SnowPacks`, for which paths are not available.
     estimator : {"spectral", "analog"}
         "spectral" uses the same paths at all wavelengths.  "analog", for one medium, is the
         algorithm of the papers: each wavelength is traced separately, and absorption is sampled at

@@ -54,8 +54,8 @@ Depths = Annotated[Angles, AfterValidator(lambda x: tuple(check_screen_depths(""
 Solver = Annotated[
     Literal["monte_carlo", "discrete_ordinates", "auto"],
     Field(
-        description="paths, or the equation of radiative transfer in plane layers of modelled "
-        "natural snow; `auto` solves the equation where it applies and traces paths elsewhere"
+        description="paths, or the equation of radiative transfer in plane layers of grains; "
+        "`auto` solves the equation where it applies and traces paths elsewhere"
     ),
 ]
 
